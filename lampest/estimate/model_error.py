@@ -23,7 +23,7 @@ from lampest.files.levels import TWO_SIDED
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
 from lampest.posterior.interval import student_two_sided
-from lampest.posterior.reference import DEGREES_OF_FREEDOM, MAX_CELLS, ErrorScale, references
+from lampest.posterior.reference import MAX_CELLS, MODEL, ErrorScale, references
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN, best_solution
@@ -41,7 +41,7 @@ def error_factor(scale: ErrorScale) -> float:
     if scale.readings < MIN_READINGS or scale.gain(1.0) < MIN_EVIDENCE_GAIN:
         return 1.0
     tail = scale.tail / TWO_SIDED
-    whole = student_two_sided(DEGREES_OF_FREEDOM) / TWO_SIDED * np.sqrt(scale.best**2 - 1)
+    whole = student_two_sided(MODEL.degrees_of_freedom) / TWO_SIDED * np.sqrt(scale.best**2 - 1)
     factor = max(tail, float(np.hypot(1.0, whole)))
     return factor if factor >= MIN_EXCESS else 1.0
 

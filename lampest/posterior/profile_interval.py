@@ -22,11 +22,6 @@ from lampest.posterior.track import errors_of
 from lampest.recording.readings import Readings, stand_in_spread
 
 MAX_MISSING = 3  # missing readings of a frame, of which each costs two solves or as much; tangents serve for others
-PATH_STEPS = 3  # of the tangent's length: the path ends within a tenth of an optimum with the cell held
-MAX_STEP = 0.5  # of log r, that of one step
-MAX_TANGENTS = 3.0  # tangents: a penalty in ohm rises slowly towards a short
-MAX_STEPS = 20  # which reach a factor of 20,000: where nothing decides the cell, its tangent has no end
-
 Ends = Iterator[tuple[Array, Array, Array]]  # (tangent, lower end, upper end), each (frames · cells) of log r
 
 
@@ -40,10 +35,22 @@ class ProfileInterval:
         Of the estimate, at which the cell is one of the free ones.
     cell : int
         Its number.
+    steps : int
+        Of the tangent's length: the path ends within a tenth of an optimum with the cell held.
+    max_step : float
+        Of log r, that of one step.
+    max_tangents : float
+        Length of the path: a penalty in ohm rises slowly towards a short.
+    max_steps : int
+        Reach a factor of 20,000: where nothing decides the cell, its tangent has no end.
     """
 
     errors: DenseErrors
     cell: int
+    steps: int = 3
+    max_step: float = 0.5
+    max_tangents: float = 3.0
+    max_steps: int = 20
 
     @property
     def _place(self) -> int:
@@ -62,9 +69,9 @@ class ProfileInterval:
         model, place = self.errors.model, self._place
         most = TWO_SIDED**2 * self.errors.variance[place] / self.errors.inverse[place, place]
         far = self.tangent[self.cell]
-        step, risen, before = side * min(far / PATH_STEPS, MAX_STEP), 0.0, 0.0
+        step, risen, before = side * min(far / self.steps, self.max_step), 0.0, 0.0
         ended = model.at.position
-        for position, force in self._path(step, round(min(MAX_TANGENTS * far / abs(step), MAX_STEPS))):
+        for position, force in self._path(step, round(min(self.max_tangents * far / abs(step), self.max_steps))):
             ended, risen, before = position, risen + step * (before + force), force
             if risen >= most:
                 break
@@ -82,7 +89,7 @@ class ProfileInterval:
             force = (step - newton[place]) / column[place]
             change = np.zeros(model.at.position.size)
             change[model.free] = newton + force * column
-            change *= min(1.0, 2 * MAX_STEP / float(np.abs(change).max()))
+            change *= min(1.0, 2 * self.max_step / float(np.abs(change).max()))
             position = model.at.position + change.reshape(model.at.position.shape)
             position = np.clip(position, *model.at.data.log_bounds)
             yield position, float(force)

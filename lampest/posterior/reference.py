@@ -29,20 +29,55 @@ from lampest.posterior.dense import inverse_and_volume
 from lampest.posterior.interval import LEVEL
 
 MAX_CELLS = 400  # of a panel: beyond, the matrices of the model take seconds
-DEGREES_OF_FREEDOM = 3.0  # ν: the fewest degrees of freedom with a variance
-# Of one s of the grid to the next: a factor of √2 in σ changes no weight by more than its uncertainty.
-SCALE_RATIO = 2.0
-MAX_SCALES = 14  # in one direction
-MIN_GAIN = 6.0  # of −2 log p, for another s than that of the noise: e³ to one
-MAX_EXCESS = 6.0  # of −2 log p above its least value, where the search ends: a twentieth of the probability
-# First s where the noise is unknown, as a fraction of the reading: no sensor is read to more digits.
-MIN_RELATIVE_NOISE = 1e-4
-MAX_STEPS, MAX_ROUNDS = 8, 4  # Gauss–Newton steps of one s; updates of the weights of one linearisation
-SETTLED_BOUND, SETTLED_STEP, SETTLED_VARIANCE = 0.5, 0.02, 0.03  # of −2 log p; of log r; of log τ²
-# τ² that counts like one step: covers draws of a prior that noise hides (docs/studies/calibration.md)
-PRIOR_VARIANCE = 0.015
-MAX_STEP = 1.4  # of log r in one step
-RIDGE = 1e-9  # of the mean curvature
+
+
+@dataclass(frozen=True)
+class ReferenceModel:
+    """Parameters of the model and of its fit.
+
+    Attributes
+    ----------
+    degrees_of_freedom : float
+        ν: the fewest with a variance.
+    prior_variance : float
+        τ² that counts like one step: covers draws of a prior that noise hides (docs/studies/calibration.md).
+    scale_ratio : float
+        Of one s of the grid to the next: a factor of √2 in σ changes no weight by more than its uncertainty.
+    max_scales : int
+        In one direction.
+    min_relative_noise : float
+        First s where the noise is unknown, as a fraction of the reading: no sensor is read to more digits.
+    min_gain : float
+        Of −2 log p, for another s than that of the noise: e³ to one.
+    max_excess : float
+        Of −2 log p above its least value, where the search ends: a twentieth of the probability.
+    max_steps, max_rounds : int
+        Gauss–Newton steps of one s, and updates of the weights of one linearisation.
+    max_step : float
+        Of log r in one step.
+    settled_bound, settled_step, settled_variance : float
+        Changes of −2 log p, of log r and of log τ² at which iterations end.
+    ridge : float
+        Of the mean curvature.
+    """
+
+    degrees_of_freedom: float = 3.0
+    prior_variance: float = 0.015
+    scale_ratio: float = 2.0
+    max_scales: int = 14
+    min_relative_noise: float = 1e-4
+    min_gain: float = 6.0
+    max_excess: float = 6.0
+    max_steps: int = 8
+    max_rounds: int = 4
+    max_step: float = 1.4
+    settled_bound: float = 0.5
+    settled_step: float = 0.02
+    settled_variance: float = 0.03
+    ridge: float = 1e-9
+
+
+MODEL = ReferenceModel()
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,12 +150,12 @@ def references(solves: Sequence[Data], cost: Cost, *, believed: bool = False) ->
     """
     frames = [ReferenceFit.of(data, cost, frame) for data in solves for frame in range(len(data.measured))]
     known = solves[0].noise_known
-    tried = _search(frames, 1.0 if known else MIN_RELATIVE_NOISE, 1 if known and believed else MAX_SCALES)
+    tried = _search(frames, 1.0 if known else MODEL.min_relative_noise, 1 if known and believed else MODEL.max_scales)
     scales = sorted(tried)
     bounds = np.array([_bound(tried[scale]) for scale in scales])
     share = np.cumsum(np.exp((bounds.min() - bounds) / 2))
     best = scales[int(np.searchsorted(share, share[-1] / 2))]
-    if known and bounds[scales.index(1.0)] - bounds.min() < MIN_GAIN:
+    if known and bounds[scales.index(1.0)] - bounds.min() < MODEL.min_gain:
         best = 1.0  # what is known of the noise is believed until readings contradict it
     errors = np.concatenate([fit.errors(best) for fit in tried[best]])
     tail = float(np.quantile(errors, LEVEL)) if len(errors) else 0.0
@@ -138,19 +173,19 @@ def _bound(fits: Sequence["ReferenceFit"]) -> float:
 
 
 def _search(frames: Sequence["ReferenceFit"], first: float, count: int) -> dict[float, list["ReferenceFit"]]:
-    """Fits at s = first, first·SCALE_RATIO, …, each begun at the one before, until the bound has risen for a while."""
+    """Fits at s = first, first·scale_ratio, …, each begun at the one before, until the bound has risen for a while."""
     tried, fits, scale, lowest = dict[float, list[ReferenceFit]](), list(frames), first, np.inf
     for _ in range(count):
         fits = [fit.settled(scale**2) for fit in fits]
         tried[scale] = fits
         lowest = min(lowest, _bound(fits))
         excess = np.sqrt(max(fit.residual_variance for fit in fits)) / scale
-        if _bound(fits) > lowest + MAX_EXCESS and excess <= 1:
+        if _bound(fits) > lowest + MODEL.max_excess and excess <= 1:
             break
         skipped = (
-            int(np.log(max(excess, 1.0)) / np.log(SCALE_RATIO)) // 2
+            int(np.log(max(excess, 1.0)) / np.log(MODEL.scale_ratio)) // 2
         )  # residuals that are far too large need no more
-        scale *= SCALE_RATIO ** (1 + skipped)
+        scale *= MODEL.scale_ratio ** (1 + skipped)
     return tried
 
 
@@ -240,7 +275,7 @@ class ReferenceFit:
     @property
     def prior_variance(self) -> float:
         """The τ² that counts like one step: cells that keep their baseline are usual, panels of equal cells are not."""
-        return np.finfo(float).tiny if self.origin.any() else PRIOR_VARIANCE
+        return np.finfo(float).tiny if self.origin.any() else MODEL.prior_variance
 
     @property
     def step(self) -> Array:
@@ -260,14 +295,14 @@ class ReferenceFit:
     def settled(self, square: float) -> "ReferenceFit":
         """Return expectations and Gauss–Newton steps at s² until the bound stands still."""
         fit, previous = self, np.inf
-        for _ in range(MAX_STEPS):
+        for _ in range(MODEL.max_steps):
             fit = fit.expected(square)
-            if abs(fit.bound - previous) < SETTLED_BOUND:
+            if abs(fit.bound - previous) < MODEL.settled_bound:
                 break
             previous, moved = fit.bound, fit.moved(square)
             if moved is None:
                 break
-            still = float(np.abs(moved.position - fit.position).max()) < SETTLED_STEP
+            still = float(np.abs(moved.position - fit.position).max()) < MODEL.settled_step
             fit = moved
             if still:
                 break
@@ -278,12 +313,12 @@ class ReferenceFit:
         linear = LinearisedFrame.of(self)
         weights = self.reading_weights[linear.rows], self.step_weights
         variance = self.variance
-        for number in range(MAX_ROUNDS):
+        for number in range(MODEL.max_rounds):
             posterior, previous = linear.posterior(self, square, *weights, variance), variance
             residual_variance = posterior.residual_variance(weights[0])
             variance = posterior.step_variance(weights[1], variance, self.prior_variance)
             weights = posterior.weights(square, variance)
-            if number and abs(np.log(variance / previous)) < SETTLED_VARIANCE:
+            if number and abs(np.log(variance / previous)) < MODEL.settled_variance:
                 break
         every, whole = np.zeros(len(self.position)), np.zeros(len(self.position))
         every[linear.rows], whole[self.cells] = weights[0], posterior.change
@@ -315,7 +350,7 @@ class ReferenceFit:
     def moved(self, square: float) -> "ReferenceFit | None":
         """After as much of the step as lowers the cost; None where none does."""
         lower, upper = (np.ravel(bound[self.frame]) for bound in self.data.log_bounds)
-        cost, change = self._cost(square), np.clip(self.change, -MAX_STEP, MAX_STEP)
+        cost, change = self._cost(square), np.clip(self.change, -MODEL.max_step, MODEL.max_step)
         for share in (1.0, 0.3, 0.1, 0.03):
             trial = self.at(np.clip(self.position + share * change, lower, upper))
             if trial._cost(square) <= cost:
@@ -331,7 +366,10 @@ class ReferenceFit:
         """√E e² s² of the readings that are values, from their weights."""
         weights = self.reading_weights[self.residual(self.reading)[2]]
         return np.asarray(
-            scale * np.sqrt(np.maximum((DEGREES_OF_FREEDOM + 1) / np.maximum(weights, 1e-12) - DEGREES_OF_FREEDOM, 0.0))
+            scale
+            * np.sqrt(
+                np.maximum((MODEL.degrees_of_freedom + 1) / np.maximum(weights, 1e-12) - MODEL.degrees_of_freedom, 0.0)
+            )
         )
 
     def deviation(self, scale: float) -> Array:
@@ -380,7 +418,7 @@ class LinearisedFrame:
         readings, steps = of_readings / square, of_steps / variance
         matrix = blas.dsyrk(1.0, (self.jacobian * np.sqrt(readings)[:, None]).T)
         matrix = blas.dsyrk(1.0, (self.steps * np.sqrt(steps)[:, None]).T, 1.0, matrix, overwrite_c=True)
-        matrix[np.diag_indices(len(matrix))] += RIDGE * np.trace(matrix) / len(matrix)
+        matrix[np.diag_indices(len(matrix))] += MODEL.ridge * np.trace(matrix) / len(matrix)
         slope = self.jacobian.T @ (readings * self.residual) + self.steps.T @ (steps * self.step)
         covariance, log_volume = inverse_and_volume(matrix)
         change = fit.step_within_bounds(matrix, covariance, slope)
@@ -438,9 +476,9 @@ class Posterior:
     def weights(self, square: float, variance: float) -> tuple[Array, Array]:
         """Return the expected precisions of readings and steps, in units of 1/s² and 1/τ²."""
         of_missed, of_stepped = self._squares
-        return (DEGREES_OF_FREEDOM + 1) / (DEGREES_OF_FREEDOM + of_missed / square), (DEGREES_OF_FREEDOM + 1) / (
-            DEGREES_OF_FREEDOM + of_stepped / variance
-        )
+        return (MODEL.degrees_of_freedom + 1) / (MODEL.degrees_of_freedom + of_missed / square), (
+            MODEL.degrees_of_freedom + 1
+        ) / (MODEL.degrees_of_freedom + of_stepped / variance)
 
     def bound(self, square: float, variance: float) -> float:
         """Return −2 log p(y | s), up to a constant."""
@@ -452,4 +490,4 @@ class Posterior:
 
 def _tails(squares: Array, variance: float) -> float:
     """−2 log of Student's density of squared residuals, without constants and the scale."""
-    return float((DEGREES_OF_FREEDOM + 1) * np.sum(np.log1p(squares / (DEGREES_OF_FREEDOM * variance))))
+    return float((MODEL.degrees_of_freedom + 1) * np.sum(np.log1p(squares / (MODEL.degrees_of_freedom * variance))))

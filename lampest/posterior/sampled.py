@@ -20,9 +20,6 @@ from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
 
-SAMPLES, PROBES = 100, 8  # of the error, which standard deviations of 7 % suffice for; of a trace
-ACCURACY, FINE_ACCURACY = 1e-3, 1e-7  # of a solve by conjugate gradients: of a sample, and of what is reported itself
-
 
 @dataclass(frozen=True, eq=False)
 class SampledMemory(Memory):
@@ -45,7 +42,22 @@ class SampledMemory(Memory):
 
 @dataclass(frozen=True, eq=False)
 class SampledErrors(DenseErrors):
-    """before : samples of the previous frame's error, if it is read."""
+    """The same, from samples.
+
+    Attributes
+    ----------
+    before : SampledMemory or None
+        Samples of the previous frame's error, if it is read.
+    samples, probes : int
+        Of the error, which standard deviations of 7 % suffice for; of a trace.
+    accuracy, fine_accuracy : float
+        Of a solve by conjugate gradients: of a sample, and of what is reported itself.
+    """
+
+    samples: int = 100
+    probes: int = 8
+    accuracy: float = 1e-3
+    fine_accuracy: float = 1e-7
 
     @cached_property
     def _curvature(self) -> Hessian:
@@ -74,7 +86,9 @@ class SampledErrors(DenseErrors):
 
     def gained(self, rows: Array, *, fine: bool = False) -> Array:
         right = self.weighed(rows)[self.model.free]
-        return _by_columns(lambda column: self._solved(column, FINE_ACCURACY if fine else ACCURACY), right, len(right))
+        return _by_columns(
+            lambda column: self._solved(column, self.fine_accuracy if fine else self.accuracy), right, len(right)
+        )
 
     @cached_property
     def _system(self) -> tuple[Linear, Linear]:
@@ -89,8 +103,8 @@ class SampledErrors(DenseErrors):
         ridge, chosen = np.full(len(whole), IGNORANCE * model.scale), np.isin(np.arange(len(whole)), free)
         return product, TwoLevel.of(self._curvature, ridge).over(chosen, model.at.cell_resistance)
 
-    def _solved(self, right: Array, accuracy: float = ACCURACY) -> Array:
-        return -steihaug(*self._system, right, accuracy).step
+    def _solved(self, right: Array, accuracy: float | None = None) -> Array:
+        return -steihaug(*self._system, right, accuracy or self.accuracy).step
 
     def determined(self, term: int) -> float:
         """γ from probes, the rank of all penalties in equal parts."""
@@ -101,10 +115,10 @@ class SampledErrors(DenseErrors):
         """tr(A⁻¹ Z_tᵀ Ω Z_t) of one term (its number), from probes."""
         random, own = np.random.default_rng(1), self.model.penalty_term == term
         rows, total = self._rows[own], 0.0
-        for _ in range(PROBES):
+        for _ in range(self.probes):
             right = (rows.T @ random.choice([-1.0, 1.0], int(own.sum())))[self.model.free]
             total += float(right @ self._solved(right))
-        return total / PROBES
+        return total / self.probes
 
     @property
     def _frames(self) -> int:
@@ -114,11 +128,11 @@ class SampledErrors(DenseErrors):
     def _samples(self) -> tuple[Array, Array]:
         """(samples of ε, the diagonal of A⁻¹ Zᵀ Ω Z), over the free cells."""
         model, random = self.model, np.random.default_rng(self._frames)
-        pulled, samples = np.zeros(len(model.free)), np.empty((SAMPLES, len(model.free)))
+        pulled, samples = np.zeros(len(model.free)), np.empty((self.samples, len(model.free)))
         size = np.sqrt(self.widening * model.scale)
         curvature = sparse.diags_array(model.penalty_curvature)
         previous, baseline = curvature @ model.previous_jacobian, curvature @ model.baseline_jacobian
-        for number in range(SAMPLES):
+        for number in range(self.samples):
             noise = random.standard_normal(len(model.noise)) * model.noise
             pull = random.standard_normal(len(size))
             if self.drawn is not None:
@@ -130,7 +144,7 @@ class SampledErrors(DenseErrors):
                 known = previous @ self.before.last[number] + baseline @ self.before.baseline[number]
                 right -= model.penalty_jacobian.T @ known
             samples[number] = self._solved(right[model.free])
-            pulled += samples[number] * (self._rows.T @ (pull / size))[model.free] / SAMPLES
+            pulled += samples[number] * (self._rows.T @ (pull / size))[model.free] / self.samples
         return samples, pulled
 
     @property
@@ -148,11 +162,11 @@ class SampledErrors(DenseErrors):
         for sample in self._samples[0]:
             whole[self.model.free] = sample
             squares += np.reshape(self._curvature.forward(whole), squares.shape) ** 2
-        return np.sqrt(squares / SAMPLES)
+        return np.sqrt(squares / self.samples)
 
     def memory(self) -> Memory:
         size = self.model.at.cell_resistance[0].size
-        samples = np.zeros((SAMPLES, self.model.at.cell_resistance.size))
+        samples = np.zeros((self.samples, self.model.at.cell_resistance.size))
         samples[:, self.model.free] = self._samples[0]
         if len(self.model.at.cell_resistance) == 2:
             return SampledMemory(samples[:, size:], samples[:, :size])

@@ -20,7 +20,7 @@ from lampest.solvers.bounds import MILLIONTH, MIN_DECREASE_SHARE
 from lampest.solvers.certificate import clear_of_rounding
 from lampest.solvers.hessian import Hessian, matrix_between
 from lampest.solvers.preconditioners import Cholesky
-from lampest.solvers.projected_newton import MAX_REUSE_DISTANCE, MAX_STEP, MAX_TRIES, RADIUS_FACTOR
+from lampest.solvers.projected_newton import STEPS
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
 
@@ -28,10 +28,8 @@ Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 MAX_STEPS = 40  # of a panel in a batch; the solver for single panels goes on from there
-PAIRS = 4  # of steps and changes of the gradient that correct M
 CERTIFIED_DISTANCE = 0.1  # of log r: ∇²φ changes by as much, and its definiteness is shown again beyond
 LAST_STEP = 0.01 * MILLIONTH  # of log r: M⁻¹ ∇φ misses Newton’s step by a tenth of it
-MAX_RELATIVE_CHANGE = 1 - 1e-3  # of a relative change of a conductance: the step that MAX_STEP cuts off
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,9 +190,18 @@ def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settin
 
 @dataclass(frozen=True, eq=False)
 class Secants:
-    """s, y and 1/sᵀy of the newest steps, the newest last: (panels, cells) each, and (panels); 0 where none counts."""
+    """Newest steps and changes of the gradient, which correct M.
+
+    Attributes
+    ----------
+    pairs : tuple of (s, y, 1/sᵀy)
+        The newest last: (panels, cells) each, and (panels); 0 where none counts.
+    most : int
+        Number that is kept.
+    """
 
     pairs: tuple[tuple[Array, Array, Array], ...] = ()
+    most: int = 4
 
     def some(self, chosen: Mask) -> "Secants":
         """Those of some panels."""
@@ -211,7 +218,7 @@ class Secants:
         change = np.where(both, points.gradient - before.gradient, 0.0)
         along = (step * change).sum(axis=1)
         size = np.where(along > 0, 1 / np.where(along > 0, along, 1.0), 0.0)
-        return Secants((*self.pairs, (step, change, size))[-PAIRS:])
+        return Secants((*self.pairs, (step, change, size))[-self.most :])
 
     def direction(self, points: Hessian, inverses: InverseHessians, panels: Numbers) -> Array:
         """−H ∇φ over the free cells by the two-loop recursion, H = M⁻¹ with its corrections."""
@@ -232,16 +239,17 @@ def _advanced(
 
     Steps are relative changes of conductances, g ← g·(1 − s), in which readings are closest to quadratic.
     """
-    old = inverses.worn[panels] | (inverses.distance(panels, points.position) > MAX_REUSE_DISTANCE)
+    old = inverses.worn[panels] | (inverses.distance(panels, points.position) > STEPS.max_reuse_distance)
     if old.any():
         inverses.renew(panels[old], points.some(np.flatnonzero(old)))
         secants = secants.without(old)
     step = secants.direction(points, inverses, panels)
     position, moved = points.position.copy(), np.zeros(len(panels), dtype=bool)
     trying, length = np.arange(len(panels)), 1.0
-    low, high = points.position - MAX_STEP, points.position + MAX_STEP
-    for attempt in range(MAX_TRIES):
-        target = points.position[trying] - np.log1p(-np.minimum(length * step[trying], MAX_RELATIVE_CHANGE))
+    low, high = points.position - STEPS.max_step, points.position + STEPS.max_step
+    most = -np.expm1(-STEPS.max_step)  # relative change of a conductance
+    for attempt in range(STEPS.max_tries):
+        target = points.position[trying] - np.log1p(-np.minimum(length * step[trying], most))
         some = points if len(trying) == len(panels) else points.some(trying)
         trial = some.elsewhere(np.clip(target, low[trying], high[trying]))
         gain = some.at.objectives - trial.at.objectives
@@ -257,7 +265,7 @@ def _advanced(
         inverses.worn[panels[trying[~lowered]]] = True
         moved[trying[lowered]] = True
         position[trying[lowered]] = trial.position[lowered]
-        trying, length = trying[~lowered], RADIUS_FACTOR * length
+        trying, length = trying[~lowered], STEPS.radius_factor * length
         if not len(trying):
             break
     after = points.elsewhere(position)

@@ -8,7 +8,7 @@ Source: Lin & Moré, SIAM J. Optim. 9, 1999; Chan, Golub & Mulet, SIAM J. Sci. C
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import inf
+from math import inf, log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,19 +26,50 @@ from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
 from lampest.solvers.termination import ProgressWindow
 
-RADIUS_FACTOR = 0.25  # of a rejected step: the radius for the next try
-MAX_STEP = float(np.log(4.0))  # of log r in one step: beyond, the quadratic model of a cell is wrong
-MAX_TRIES = 15  # solves of a direction, in which cells stop at bounds; tries of a step (4⁻¹⁵ is rounding); last steps
-GAUSS_NEWTON = 3  # steps with JᵀWJ before a direction of negative curvature is followed
-MAX_REUSE_PRODUCTS = {
-    True: 5,
-    False: 30,
-}  # products of a step after which a kept preconditioner is made anew: dense, sparse
-MAX_PRODUCTS = {True: 40, False: 400}  # of a solve: a factor anew is cheaper on small problems
-MAX_REUSE_DISTANCE = 0.7  # of log r: the same; without it small panels take a third more products
-MIN_SMOOTHED_COST = 1e-4  # of the cost's scale: a cost near zero needs no smoothing finer than this
-REFACTOR_DISTANCE = 0.01  # of log r: second derivatives change by as much; before a step of its square ∇²φ is factored
-MIN_DAMPING, NEXT_DAMPING, MAX_DAMPING = 1e-15, 1e-4, 1e3  # μ: to begin with, of a second try, at most
+
+@dataclass(frozen=True)
+class Steps:
+    """Parameters of the steps.
+
+    Attributes
+    ----------
+    radius_factor : float
+        Of a rejected step: the radius for the next try.
+    max_step : float
+        Of log r: beyond, the quadratic model of a cell is wrong.
+    max_tries : int
+        Solves of a direction, in which cells stop at bounds; tries of a step (4⁻¹⁵ is rounding); last steps.
+    gauss_newton : int
+        Steps with JᵀWJ before a direction of negative curvature is followed.
+    max_products : tuple of int
+        Of a solve, sparse and dense: a factor anew is cheaper on small problems.
+    max_reuse_products : tuple of int
+        Of a step, sparse and dense, after which a kept preconditioner is made anew.
+    max_reuse_distance : float
+        Of log r, the same; without it small panels take a third more products.
+    refactor_distance : float
+        Of log r: second derivatives change by as much. Before a step of its square ∇²φ is factored.
+    min_smoothed_cost : float
+        Of the cost's scale: a cost near zero needs no smoothing finer than this.
+    min_damping, next_damping, max_damping : float
+        μ of Levenberg's step: to begin with, of a second try, at most.
+    """
+
+    radius_factor: float = 0.25
+    max_step: float = log(4.0)
+    max_tries: int = 15
+    gauss_newton: int = 3
+    max_products: tuple[int, int] = (400, 40)
+    max_reuse_products: tuple[int, int] = (30, 5)
+    max_reuse_distance: float = 0.7
+    refactor_distance: float = 0.01
+    min_smoothed_cost: float = 1e-4
+    min_damping: float = 1e-15
+    next_damping: float = 1e-4
+    max_damping: float = 1e3
+
+
+STEPS = Steps()
 
 
 @dataclass(frozen=True)
@@ -67,7 +98,7 @@ class ProjectedNewton:
                 if not iterate.sharp(tolerance):
                     iterate, iteration = iterate.sharpened(), iteration + 1
                     continue
-                if iterate.settled or unsettled == MAX_TRIES:
+                if iterate.settled or unsettled == STEPS.max_tries:
                     return iterate.outcome(Status.OPTIMUM, iteration)
                 unsettled += 1
             trial = (negative_curvature_step(iterate) if stationary else None) or descent_step(iterate)
@@ -104,11 +135,11 @@ class Iterate:
     hessian: Hessian
     objective: float
     preconditioner: Preconditioner | None = None
-    gauss_newton: int = GAUSS_NEWTON
+    gauss_newton: int = STEPS.gauss_newton
     convex: bool = True
     expected: float = inf
     nearby: Certificate | None = None
-    damping: float = MIN_DAMPING
+    damping: float = STEPS.min_damping
 
     @classmethod
     def of(
@@ -136,7 +167,7 @@ class Iterate:
 
     def sharp(self, tolerance: float) -> bool:
         """Return whether smoothing costs no more than `tolerance` of the cost."""
-        allowed = min(self.at.cost_scale, max(self.at.objective, MIN_SMOOTHED_COST * self.at.cost_scale))
+        allowed = min(self.at.cost_scale, max(self.at.objective, STEPS.min_smoothed_cost * self.at.cost_scale))
         return self.gap * self.at.cost_scale <= tolerance * allowed
 
     @property
@@ -157,7 +188,7 @@ class Iterate:
         if (
             previous is not None
             and previous.factor is not None
-            and previous.factor.distance(cells) <= REFACTOR_DISTANCE**2
+            and previous.factor.distance(cells) <= STEPS.refactor_distance**2
         ):
             free = np.flatnonzero(free_cells(self.at, self.hessian.gradient))
             if previous.definiteness is Definiteness.POSITIVE and np.array_equal(free, previous.factor.cells):
@@ -180,7 +211,11 @@ class Iterate:
         final: Certificate | None = self.__dict__.get("certificate")
         cells, dual = self.at.cell_resistance, self.hessian.smoothing.slope(self.at.nonsmooth)
         factored = final is not None and final.factor is not None and final.settled and not len(dual)
-        if final is not None and factored and MILLIONTH / 1000 < float(np.abs(final.step).max()) <= REFACTOR_DISTANCE:
+        if (
+            final is not None
+            and factored
+            and MILLIONTH / 1000 < float(np.abs(final.step).max()) <= STEPS.refactor_distance
+        ):
             cells = np.exp(self.at.position + final.step.reshape(cells.shape))
         return Outcome(cells, dual, status, iterations, final, self.newest, self.convex, self.at)
 
@@ -217,16 +252,16 @@ def trust_region_step(point: Iterate) -> Iterate | None:
     Every iteration begins with an infinite radius: readings at a rail curve the cost on one side alone.
     """
     hessian, cells = point.hessian, point.at.cell_resistance
-    if point.expected <= REFACTOR_DISTANCE**2 and not len(point.at.nonsmooth):
+    if point.expected <= STEPS.refactor_distance**2 and not len(point.at.nonsmooth):
         _ = point.certificate
     free, cached = free_cells(point.at, hessian.gradient), point.newest
-    if cached is None or cached.distance(cells) > MAX_REUSE_DISTANCE:
+    if cached is None or cached.distance(cells) > STEPS.max_reuse_distance:
         cached = preconditioner(hessian, free)
     radius, patience, convex = inf, point.gauss_newton, point.convex
     curved = np.zeros_like(hessian.gradient) if shares_conductance(point.at) else hessian.gradient
     exact: Linear = lambda step: hessian.product(step) + curved * step  # noqa: E731
     product = exact
-    for _ in range(MAX_TRIES):
+    for _ in range(STEPS.max_tries):
         direction = newton_direction(point, cached, free, product, radius)
         convex = convex and not direction.negative
         if direction.negative and patience and product is exact:
@@ -238,12 +273,12 @@ def trust_region_step(point: Iterate) -> Iterate | None:
             direction = newton_direction(point, cached, free, product, radius)
         trial = point.at_step(direction.step)
         if trial is not None and decrease_ratio(point, trial, direction.predicted) >= SUFFICIENT_DECREASE:
-            worn = direction.products > MAX_REUSE_PRODUCTS[hessian.dense]
-            patience = patience if direction.negative or product is not exact else GAUSS_NEWTON
+            worn = direction.products > STEPS.max_reuse_products[hessian.dense]
+            patience = patience if direction.negative or product is not exact else STEPS.gauss_newton
             expected = point.expects(trial) if hessian.dense else inf
             cached, nearby = None if worn else cached, None if worn else point.known
             return Iterate(trial.hessian, trial.objective, cached, patience, convex, expected, nearby, point.damping)
-        radius = RADIUS_FACTOR * direction.length
+        radius = STEPS.radius_factor * direction.length
         if not radius > 0:
             break
     return None
@@ -300,10 +335,10 @@ def newton_direction(
     accuracy = min(0.1, point.residual**0.5)
     moving, step, slope = free, np.zeros(free.size), gradient
     products, negative, length, predicted = 0, False, 0.0, -inf
-    for _ in range(MAX_TRIES):
+    for _ in range(STEPS.max_tries):
         chosen = np.flatnonzero(moving)
         part, inverse = restricted(product, chosen, free.size), precondition.over(moving, at.cell_resistance)
-        limit = MAX_PRODUCTS[point.hessian.dense]
+        limit = STEPS.max_products[point.hessian.dense]
         solved = steihaug(part, inverse, slope[chosen], accuracy, radius, most_products=limit)
         products, negative, length = max(products, solved.products), negative or solved.negative, solved.length
         step = np.where(moving, 0.0, step)
@@ -324,7 +359,7 @@ def newton_direction(
 def step_bounds(at: Evaluation, *, logarithmic: bool) -> tuple[Array, Array]:
     """Return the bounds of a step, flat: of log r, or of the relative change of the conductance, 1 − exp(−δ log r)."""
     lower, upper = (bound.ravel() - at.position.ravel() for bound in at.data.log_bounds)
-    low, high = np.maximum(lower, -MAX_STEP), np.minimum(upper, MAX_STEP)
+    low, high = np.maximum(lower, -STEPS.max_step), np.minimum(upper, STEPS.max_step)
     return (low, high) if logarithmic else (-np.expm1(-low), -np.expm1(-high))
 
 
@@ -343,14 +378,14 @@ def levenberg_step(point: Iterate) -> Iterate | None:
     if not hessian.dense or not free.any():
         return None
     slope, damping = hessian.gradient[free], point.damping
-    while damping <= MAX_DAMPING:
+    while damping <= STEPS.max_damping:
         factor = gauss_newton_factor(hessian, free, damping)
         if factor is not None:
             step = np.zeros(free.size)
-            step[free] = np.clip(factor.solve(-slope), -MAX_STEP, MAX_STEP)
+            step[free] = np.clip(factor.solve(-slope), -STEPS.max_step, STEPS.max_step)
             trial, predicted = point.at_step(step), -0.5 * float(step[free] @ slope)
             if trial is not None and (decrease := point.objective - trial.objective) > SUFFICIENT_DECREASE * predicted:
                 eased = damping / 10 if decrease > predicted / 2 else damping
-                return replace(trial, preconditioner=None, damping=max(eased, MIN_DAMPING))
-        damping = max(10 * damping, NEXT_DAMPING)
+                return replace(trial, preconditioner=None, damping=max(eased, STEPS.min_damping))
+        damping = max(10 * damping, STEPS.next_damping)
     return None

@@ -28,7 +28,7 @@ from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Faults, Scene
 from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.sampled import SAMPLES, SampledErrors, SampledMemory
+from lampest.posterior.sampled import SampledErrors, SampledMemory
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -203,7 +203,7 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
     shared = dense.memory().with_baseline
     expected = carried @ joint[:, cells:]
     assert_allclose(shared, expected, atol=0.03 * np.max(np.abs(expected)))
-    samples = (root @ rng.standard_normal((2 * cells, SAMPLES))).T
+    samples = (root @ rng.standard_normal((2 * cells, SampledErrors.samples))).T
     sampled = SampledErrors(model, SampledMemory(samples[:, :cells], samples[:, cells:]))
     assert_allclose(sampled.variance, dense.variance, rtol=0.6)
 

@@ -6,13 +6,13 @@ import re
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
 from lampest.files.document import parse_document, read_document, validated
 from lampest.files.errors import InputError
-from lampest.files.typed import Configuration, check_not_negative, check_positive_fields
+from lampest.files.typed import check_not_negative, check_positive_fields
 from lampest.files.whole import note_read
 from lampest.loads.pressure import GRAVITY
 from lampest.loads.shapes import Block, Rod
@@ -23,7 +23,7 @@ FILM_SHARE = 0.6  # of the pitch: the edge of a cell's film where nobody says
 
 
 @dataclass(frozen=True, kw_only=True)
-class KnownLoad(Configuration):
+class KnownLoad:
     """One load that lay still during some frames.
 
     Attributes
@@ -40,9 +40,10 @@ class KnownLoad(Configuration):
     Raises
     ------
     ValueError
-        If a number is out of range, or these numbers make no load.
+        If a number is out of range.
     """
 
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     frames: tuple[int, int]
     recording: str = ""
     mass_g: float | None = None
@@ -61,6 +62,9 @@ class KnownLoad(Configuration):
         check_positive_fields(self, "mass_g", "force_newton", "diameter_mm", "length_mm", "width_mm")
         if self.pressure_kpa is not None and not 1e-6 < abs(self.pressure_kpa) < 1e4:
             raise ValueError("pressure_kpa must not be 0, and below 1e4")
+
+    def check(self) -> None:
+        """Raise ValueError unless these numbers make one load."""
         if [self.mass_g, self.force_newton, self.pressure_kpa].count(None) != 2:
             raise ValueError("a load needs one of mass_g, force_newton and pressure_kpa")
         given = tuple(number is not None for number in (self.diameter_mm, self.length_mm, self.width_mm))
@@ -72,7 +76,11 @@ class KnownLoad(Configuration):
             raise ValueError("a weight or force needs its foot: diameter_mm, or length_mm and width_mm")
 
     def pressure(self, panel: Panel, patch_mm: float, along_mm: float = 0.0, down_mm: float = 0.0) -> Array:
-        """Return the mean on every patch, (rows, columns) kPa, of the foot moved by so much."""
+        """Return the mean on every patch, (rows, columns) kPa, of the foot moved by so much.
+
+        Raises ValueError as `check`.
+        """
+        self.check()
         if self.x_mm is None or self.y_mm is None:
             return np.full(panel.shape, self.pressure_kpa)
         centre, length, width = (self.x_mm + along_mm, self.y_mm + down_mm), self.length_mm or 0.0, self.width_mm or 0.0
@@ -89,7 +97,7 @@ class KnownLoad(Configuration):
 
 
 @dataclass(frozen=True, kw_only=True)
-class KnownLoads(Configuration):
+class KnownLoads:
     """All loads of a calibration. Raises ValueError where there is none, or a number is out of range.
 
     Attributes
@@ -100,6 +108,7 @@ class KnownLoads(Configuration):
         Standard deviation of a foot's place, along x and along y.
     """
 
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     schema: Literal[1]
     loads: tuple[KnownLoad, ...]
     patch_mm: float | None = None
@@ -130,12 +139,18 @@ def read_known_loads(path: Path) -> KnownLoads:
     table = path.suffix.lower() == ".csv"
     try:
         document = parse_document(_as_yaml(path), str(path)) if table else read_document(path)
-        return cast(KnownLoads, validated(document, KnownLoads))
+        known = cast(KnownLoads, validated(document, KnownLoads))
+        for number, load in enumerate(known.loads):
+            try:
+                load.check()
+            except ValueError as error:
+                raise document.error(("loads", number), str(error)) from error
     except InputError as error:
         if not table:
             raise
         # The column is that of the YAML.
         raise InputError(re.sub(rf"^({re.escape(str(path))}:\d+):\d+", r"\1", str(error))) from error
+    return known
 
 
 def _as_yaml(path: Path) -> str:
