@@ -27,7 +27,7 @@ Columns = Mapping[str, str | Callable[[Any], str]]  # header → template over t
 Row = Mapping[str, Any]  # header of the CSV file → figure of a case over some of its steps, None where there is none
 ASIDE = ("label", "warnings", "chosen weights")  # of a row, but not of the table
 MIN_DIFFERENCE = 1e-3  # percent or ms: less is rounding
-MAX_SHOWN = 6  # recordings, and estimators of them, that are shown in full
+MAX_SHOWN = 6  # recordings, estimators of them, and contacts that are shown in full
 STEPS = {"all": "", "initial": " first", "following": " later"}
 NOTES = {  # what a header that begins so means
     "solved": "solved: frames at a verified local optimum, the best of all starts; approximate formulations: all "

@@ -291,6 +291,12 @@ def test_a_mat_speaks_of_contacts_alone(tmp_path: Path) -> None:
     assert answer.answer == PRESSES and not any(word in words for word in ("suck", "lamprey", "breath"))
 
 
+def test_a_sentence_describes_six_contacts_and_counts_the_others() -> None:
+    contacts = [dataclasses.replace(SEEN, sucks=0.0, diameter_mm=None, x_mm=(float(x), 1.0)) for x in range(8)]
+    sentence = Detected.of("mat", contacts, 4.0).sentence
+    assert sentence.startswith("8 contacts: ") and sentence.count("; ") == 6 and "; 2 more (" in sentence
+
+
 def test_of_two_contacts_each_keeps_its_own_history() -> None:
     """Also where a third comes that is nearer to one of them than nothing else."""
     left, right = (dataclasses.replace(SEEN, sucks=0.0, diameter_mm=None, x_mm=(x, 1.0)) for x in (10.0, 90.0))

@@ -11,7 +11,7 @@ from lampest.files import hdf5
 from lampest.loads.recognition.attachment import Attachment, Pair
 from lampest.loads.recognition.breathing import MIN_WINDOW_S, too_slow
 from lampest.panel.panel import Array, Panel
-from lampest.report.compare import Table
+from lampest.report.compare import MAX_SHOWN, Table
 
 FORMAT, FILE = "detections/2", "detections.h5"
 ANSWERS = ("lamprey", "sucks", "suction cup", "presses", "nothing", "cannot say")
@@ -133,7 +133,9 @@ class Detected:
         odds = f"P = {self.probability:.2f}" if self.probability < 0.995 else "P > 0.99"
         present = [attachment for attachment in self.attachments if attachment.present]
         if self.answer == PRESSES and len(present) > 1:
-            return f"{len(present)} contacts: {'; '.join(map(_described, present))} ({odds})"
+            shown = [_described(attachment) for attachment in present[:MAX_SHOWN]]
+            shown += [f"{len(present) - MAX_SHOWN} more"] if len(present) > MAX_SHOWN else []
+            return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
         name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(self.answer, self.answer)
         messages = [f"{name}{' attached' if load.sucks > 0.5 else ''} {_described(load)}"]
         if self.answer == LAMPREY and load.pumps >= MIN_PROBABILITY:
