@@ -187,12 +187,12 @@ def tare(
     out: Annotated[Path, written("--out", "New recording file.")],
 ) -> None:
     """Choose new baseline frames; all other frames become measured ones, and no reading changes."""
-    from lampest.recording.recording import MIN_SPREAD, Recording, frames_named, tared
+    from lampest.recording.recording import MIN_CHANGE, Recording, frames_named, tared
 
     recording = Recording.load(file)
     named = frames_named(frames, len(recording.role))
     made, change = tared(recording, named)
     made.save(out)
     say(f"unloaded: frames {named[0]} to {named[-1]}: {out}")
-    if change > MIN_SPREAD:
+    if change > MIN_CHANGE:
         warn(f"readings change by up to {100 * change:.1f} % within these frames; did a load come or go?")

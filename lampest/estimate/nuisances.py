@@ -23,7 +23,6 @@ from lampest.estimate.changed_cells import (
     select_changed,
     usual_starts,
 )
-from lampest.estimate.rivals import MIN_CHANGE
 from lampest.files.levels import SIGNIFICANCE, SIGNIFICANT
 from lampest.panel.effects import EFFECTS, Effect, LooseContact, effect_on_readings
 from lampest.panel.network import Network
@@ -31,6 +30,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import systematic_of
 from lampest.recording.readings import Readings
+from lampest.recording.recording import MIN_CHANGE
 
 # In −2 ln evidence, of another circuit, an effect or an error of the model. 430 recordings with the right circuit gain
 # 32 at most, and nearly all less than 15: no false alarm (docs/theory/model_check.md). By an error of the model mouths

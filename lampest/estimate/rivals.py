@@ -21,7 +21,7 @@ from lampest.panel.readouts import AnyReadout, Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
-from lampest.recording.recording import MEASURED, UNLOADED
+from lampest.recording.recording import MEASURED, MIN_CHANGE, UNLOADED
 
 RESISTORS = ("reference_ohm", "load_ohm", "feedback_ohm")  # names of the resistor that a converter reads across
 CALLED = {
@@ -32,7 +32,6 @@ CALLED = {
 # Of a resistance: beyond, what a divider makes of Gaussian volts is no longer nearly Gaussian. σ of a mean by which the
 # same curvature may shift it.
 MAX_RELATIVE_NOISE, MAX_SHIFT = 0.05, 0.1
-MIN_CHANGE = 0.01  # of a reading, or of log r: by so much loads and common errors change it at least
 
 
 @dataclass(frozen=True, eq=False)

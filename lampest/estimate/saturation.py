@@ -1,4 +1,4 @@
-"""A stage before the converter that saturates: more channels end at one voltage than chance allows.
+"""A stage before the converter that saturates: channels end at one voltage by more than chance, with fewer near by.
 
 Such readings say only that the voltage lies beyond, exactly as readings at a rail do.
 """
@@ -14,6 +14,8 @@ from lampest.posterior.interval import binomial_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
+# Widths of voltages that count as the same: so far beyond, fewer channels end than at one.
+NEIGHBOUR_WIDTH = 8.0 / 3.0
 MIN_EXTENT = 10.0  # widths of voltages that count as the same: over so much other channels extend, else all are alike
 
 
@@ -69,13 +71,13 @@ def saturated(recording: Recording) -> Saturated | None:
         for channels, others in ((most, moved), (resting, np.isfinite(resting))):
             end = float(np.nanmax(channels, initial=-np.inf))
             below = np.where(others, end - channels, np.inf)
-            piled = below <= width
+            piled, near = below <= width, (below > width) & (below <= NEIGHBOUR_WIDTH * width)
             apart = end - float(np.nanmin(channels, initial=end)) > MIN_EXTENT * float(np.mean(width))
             lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
             several, around = int(piled.sum()), int((below <= MIN_EXTENT * width).sum())
             # Beside the one at the end so many of the channels around, if evenly spread, lie within the first width.
             rare = binomial_tail(several - 1, around - 1, 1 / MIN_EXTENT) < SIGNIFICANCE
-            if apart and lines > 1 and rare:
+            if apart and lines > 1 and rare and several > near.sum():
                 level = float(np.median(volt[np.broadcast_to(piled, volt.shape) & (end - volt <= 2 * width)]))
                 resting_too = int((np.abs(resting - level) <= width).sum())
                 return Saturated(sign * level, int((piled & moved).sum()), resting_too, sign > 0)

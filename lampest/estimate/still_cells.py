@@ -16,7 +16,7 @@ from lampest.cost.problem import Data
 from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.cells_fit import FIT, CellsFit, cells_alone, fitted
 from lampest.estimate.changed_cells import MIN_STILL_SHARE, Chosen, away_from_changed, select_changed
-from lampest.files.levels import NOISE_REACH, SIGNIFICANCE
+from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, UNUSUAL
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
@@ -31,7 +31,6 @@ BESIDE_SHARE = 0.1
 # In −2 ln evidence, from which on an error is named, and from which on bars allow for it. Of 60 recordings without one
 # those of mouths and rods gain 2.0 at most, nearly all of them nothing; 0.2 % gains 2 to 60.
 MIN_ERROR_GAIN, MIN_HINT_GAIN = 6.6, 2.2
-CHANGE_THRESHOLD = 4.0  # standard deviations of a change that noise does not make
 LINEAR_LIMIT = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
 LOADED_CHANGE = NOISE_REACH * LINEAR_LIMIT  # of log r, by which loads move cells, and errors within the limit do not
 
@@ -206,7 +205,7 @@ def _steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFi
     """Return the fit with cells that did not clearly move where they were, and the readings that these would give."""
     change = np.log(fit.cells / near)
     middle = np.median(change)
-    moved = np.abs(change - middle) > CHANGE_THRESHOLD * np.sqrt(2 * np.diag(error)).reshape(change.shape)
+    moved = np.abs(change - middle) > UNUSUAL * np.sqrt(2 * np.diag(error)).reshape(change.shape)
     data = cells_alone().data(fit.readings.alone(), Background(scene))
     network = data.network(0, np.where(moved, fit.cells, near * np.exp(middle)))
     return CellsFit.at(data, replace(fit.readings, value=network.reading()), network)

@@ -10,9 +10,10 @@ room states one of its own where a level of this table has the same meaning.
 # (tests/laws/test_holes.py).
 NOISE_REACH = 3.0
 
-# Standard deviations of the mean square difference of two lines, below which they are read alike: once in 15,000 pairs
-# two lines that touch seem apart (tests/oracles/test_wires.py).
-ALIKE = 4.0
+# Standard deviations of one number among a few hundred, such as the change of a cell, the difference of two lines, the
+# answer of a load: noise alone exceeds it once in 15,000 (tests/oracles/test_wires.py, test_noise.py and
+# test_calibration.py).
+UNUSUAL = 4.0
 
 # Standard deviations of a deviation that is named or taken off: noise alone exceeds it once in 1.7 million numbers, of
 # 32 channels once in 50,000 calibrations (tests/oracles/test_nuisances.py, tests/oracles/test_calibration.py). A line

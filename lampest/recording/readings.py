@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, in_words
-from lampest.files.levels import ALIKE, NOISE_REACH, SIGNIFICANT
+from lampest.files.levels import NOISE_REACH, SIGNIFICANT, UNUSUAL
 from lampest.files.typed import real_array
 from lampest.panel.panel import Array, Modules, Panel, beyond_any_panel
 from lampest.panel.readouts.readout import without_memory
@@ -369,7 +369,7 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
         square = np.where(plain, (value[:, [row]] - value) / np.where(plain, spread, 1.0), 0.0) ** 2
         count[row] = plain.sum(axis=0)
         unlike[row] = square.sum(axis=0) / np.maximum(count[row], 1)
-    similar = (unlike <= 1 + ALIKE * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)  # readings of two lines
+    similar = (unlike <= 1 + UNUSUAL * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)  # readings of two lines
     distant = np.where(similar | (count < 4), np.nan, unlike)
     with np.errstate(invalid="ignore"):
         distinct = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in distant]) > SIGNIFICANT**2

@@ -28,7 +28,7 @@ from lampest.recording.readings import Readings, check_sigma
 
 FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1
-MIN_SPREAD = 0.01  # relative change of readings beyond which a load may have come or gone: far above drift
+MIN_CHANGE = 0.01  # relative change of readings or of cells by a load or a common error, at least: far above drift
 FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # suffixes of `import_file`
 
 

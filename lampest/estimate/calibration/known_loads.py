@@ -15,11 +15,10 @@ from lampest.files.errors import InputError
 from lampest.files.typed import check_not_negative, check_positive_fields
 from lampest.files.whole import note_read
 from lampest.loads.pressure import GRAVITY
+from lampest.loads.recognition.observation import patch_of
 from lampest.loads.shapes import Block, Rod
 from lampest.loads.shapes.shape import Shape
 from lampest.panel.panel import Array, Panel
-
-FILM_SHARE = 0.6  # of the pitch: the edge of a cell's film where nobody says
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +121,7 @@ class KnownLoads:
 
     def pressures(self, panel: Panel) -> tuple[Array, Array]:
         """Return kPa of the loads, and its standard deviation by their places; (loads, rows, columns) each."""
-        away, patch = self.place_mm, FILM_SHARE * panel.pitch_mm if self.patch_mm is None else self.patch_mm
+        away, patch = self.place_mm, patch_of(panel, self.patch_mm)
 
         def moved(*step: float) -> Array:
             return np.stack([load.pressure(panel, patch, *step) for load in self.loads])

@@ -20,14 +20,13 @@ from lampest.estimate.estimates import log_change
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError, first_and_more
-from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
+from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT, UNUSUAL
 from lampest.loads.pressure import water_pressure
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, Response
 from lampest.recording.recording import Recording
 
 MAX_SCATTER = 0.6  # from load to load, in ln r: films scatter by a tenth, hysteresis makes it a quarter
-ODD = 4.0  # standard deviations of the usual load's answer
 ALIKE = 0.02  # of ln of an answer: so well films repeat at best
 UNLIKE = 2.0  # of ln of the first guess's steepness, two standard deviations of its prior: units are wrong more often
 UNITS = "is mass_g in gram, force_newton in newton, and diameter_mm the diameter in mm?"
@@ -123,7 +122,7 @@ def _odd_loads(loaded: Loaded, fitted: FittedResponse) -> NDArray[np.bool_]:
         return np.zeros(len(deviation), dtype=bool)
     deviation -= np.nanmedian(deviation)
     usual = MAD_TO_SIGMA * float(np.nanmedian(np.abs(deviation)))
-    return np.asarray(np.nan_to_num(np.abs(deviation)) > ODD * max(usual, ALIKE))
+    return np.asarray(np.nan_to_num(np.abs(deviation)) > UNUSUAL * max(usual, ALIKE))
 
 
 def _unlike_first_guess(fitted: FittedResponse, pressure: Array, base: Response) -> str:
