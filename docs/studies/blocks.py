@@ -1,4 +1,4 @@
-"""Time of frames that are solved in blocks, beside frames one by one and the whole call of `lampest.reconstruct`.
+"""Time of frames that are solved in blocks of many or of one, one by one, and of the whole `lampest.reconstruct`.
 
 python -m docs.studies.blocks [--sides 10 16 20] [--period 0.25]: processor time of a frame with error bars in inverses
 of a matrix of all lines but one, medians of turns A B A B, of 24 frames under a rod.
@@ -10,10 +10,11 @@ from time import process_time
 import numpy as np
 
 import lampest
-from lampest.estimate.batch import push_block
+from lampest.estimate.batch import push_block, push_streams
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.solvers.projected_lbfgs import InverseHessians
 from lampest.studies.common import inverse_time
 
 FRAMES, TURNS = 24, 5
@@ -30,8 +31,9 @@ def main() -> None:
     parser.add_argument("--sides", type=int, nargs="+", default=[10, 16, 20])
     parser.add_argument("--period", type=float, default=0.25, help="s between frames")
     options = parser.parse_args()
-    print("| panel | terms | frame by frame | in blocks | the whole call, a frame | largest difference of ln r |")
-    print("|---|---|---|---|---|---|")
+    titles = "panel", "terms", "frame by frame", "in blocks of one", "in blocks", "the whole call, a frame"
+    print(f"| {' | '.join(titles)} | largest difference of ln r |")
+    print("|---" * (len(titles) + 1) + "|")
     for side in options.sides:
         recording = _recording(side, options.period)
         with ONE_BLAS_THREAD:
@@ -39,8 +41,8 @@ def main() -> None:
                 np.random.default_rng(0).random((2 * side - 1, 2 * side - 1)) + side * np.eye(2 * side - 1)
             )
             for name, terms in METHODS.items():
-                alone, blocks, whole, difference = _measured(recording, terms)
-                figures = " | ".join(f"{1e3 * time:.1f} ms, {time / unit:.0f}" for time in (alone, blocks, whole))
+                *times, difference = _measured(recording, terms)
+                figures = " | ".join(f"{1e3 * time:.1f} ms, {time / unit:.0f}" for time in times)
                 print(f"| {side} × {side} | {name} | {figures} | {difference:.0e} |", flush=True)
 
 
@@ -53,26 +55,30 @@ def _recording(side: int, period: float) -> lampest.Recording:
     return lampest.simulate(simulation)
 
 
-def _measured(recording: lampest.Recording, terms: tuple[lampest.Term, ...]) -> tuple[float, float, float, float]:
-    """Seconds of a later frame alone and in a block, of a frame of the whole call, and the largest difference."""
+def _measured(recording: lampest.Recording, terms: tuple[lampest.Term, ...]) -> tuple[float, ...]:
+    """Seconds of a frame alone, in a block of one and of many, and of the whole call; the largest difference."""
     prepared = Prepared(recording)
     readings, frames = prepared.noise.readings, recording.measured_frames()
     stream = first_stream(recording, readings, lampest.Estimator(terms, "reduced"), prepared.noise)
     stream, _ = stream.push(readings[int(frames[0])])
-    times = list[tuple[float, float, float]]()
+    times = list[tuple[float, ...]]()
     for _ in range(TURNS):
         begin, later, cells = process_time(), stream, []
         for frame in frames[1:]:
             later, step = later.push(readings[int(frame)])
             cells.append(step.cell_resistance)
         alone, begin = process_time() - begin, process_time()
+        single, inverses = stream, InverseHessians.nothing(1, recording.scene.panel.crossings)
+        for frame in frames[1:]:
+            ((single, _),) = push_streams([single], readings[frame : frame + 1], inverses)
+        single_time, begin = process_time() - begin, process_time()
         steps = [step for _, step in push_block(stream, readings[frames[1:]])]
         blocks, begin = process_time() - begin, process_time()
         lampest.reconstruct(recording, terms)
-        times.append((alone / (FRAMES - 1), blocks / (FRAMES - 1), (process_time() - begin) / FRAMES))
+        whole = (process_time() - begin) / FRAMES
+        times.append((*(time / (FRAMES - 1) for time in (alone, single_time, blocks)), whole))
     together = np.log([step.cell_resistance for step in steps])
-    alone, blocks, whole = np.median(times, axis=0).tolist()
-    return alone, blocks, whole, float(np.abs(together - np.log(cells)).max())
+    return *np.median(times, axis=0).tolist(), float(np.abs(together - np.log(cells)).max())
 
 
 if __name__ == "__main__":

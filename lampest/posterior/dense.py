@@ -142,7 +142,7 @@ class DenseErrors:
             return np.zeros((0, 0))
         matrix = blas.dsyrk(1.0, (self.jacobian * np.sqrt(self.model.data_curvature)[:, None]).T)
         if len(self.model.penalty_term):
-            matrix = blas.dsyrk(1.0, self._penalties.T, 1.0, matrix, overwrite_c=True)
+            matrix += self._sparse_penalties.T @ self._penalties
         matrix[np.diag_indices(len(matrix))] += self.model.ignorance * self.model.scale
         return positive_inverse(matrix)
 

@@ -218,7 +218,9 @@ def test_hidden_suction_counts_less() -> None:
     assert prior_cost(PANEL, hidden) == IMPOSSIBLE
     pressed = frames_of(recorded(Rod(centre_mm=(45, 45), diameter_mm=35, mass_g=500)))[-1]
     assert not rises(pressed) and prior_cost(PANEL, verdict.best, pressed) > 0.8 * IMPOSSIBLE
-    assert prior_cost(PANEL, replace(hidden, candidate=Ring.candidate)) == 0
+    disc = hidden.candidate.disc(hidden.parameters)
+    ring = replace(hidden, candidate=Ring.candidate, parameters=Ring.candidate.start(disc))
+    assert prior_cost(PANEL, ring) == 0
 
 
 def test_the_field_has_the_evidence_of_its_gaussian() -> None:
