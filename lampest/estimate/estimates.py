@@ -14,7 +14,7 @@ from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import Step
 from lampest.estimate.warnings import unsolved
-from lampest.files.levels import SIGNIFICANT, TWO_SIDED
+from lampest.files.levels import TWO_SIDED
 from lampest.loads.film import FilmKnown
 from lampest.loads.pressure import Pressure, pressure_of
 from lampest.panel.panel import Array
@@ -25,6 +25,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.solvers.solution import Status
 
+OVERRULED_MISFIT = 5.0  # times the noise: a penalty that the data choose leaves readings within it
 AT_RAILS = {  # in place of the solver's own sentence where readings are at or beyond a rail
     Status.HELD: "an optimum, but readings at or beyond {} keep cells at their bounds and are missed",
     Status.FLAT: "an optimum, but readings at or beyond {} leave some cells undetermined",
@@ -321,7 +322,7 @@ class Estimates:
             return ""
         count = np.isfinite(self.sigma).sum(axis=(1, 2))
         factor = float(np.sqrt(np.median(chi_square[known] / count[known])))
-        if factor < SIGNIFICANT:
+        if factor < OVERRULED_MISFIT:
             return ""
         terms = " and ".join(term_kind(term) for term in self.estimator.terms if not term.reads_measurement)
         return (

@@ -38,6 +38,7 @@ def error_factor(scale: ErrorScale) -> float:
 
     An error of all readings shows in the scale of Student's t, one of few readings in the tail.
     """
+    # Where nothing is wrong, mouths at their limits gain 23 at most; static errors of 7 % gain 76.
     if scale.readings < MIN_READINGS or scale.gain(1.0) < MIN_EVIDENCE_GAIN:
         return 1.0
     tail = scale.tail / TWO_SIDED

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.levels import FALSE_ALARM_RATE, MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD
+from lampest.files.levels import FALSE_ALARM_RATE, MAD_TO_SIGMA, OUTLIER_THRESHOLD
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
@@ -19,6 +19,7 @@ from lampest.posterior.interval import largest_normal, largest_of
 from lampest.recording.readings import Readings
 
 WINDOW = 4  # neighbouring frames that are compared
+MIN_RATIO_TO_SCATTER = 3.0  # deviation over the scatter of the neighbours, so that an arriving load is not flagged
 # Deviation over that of half the row or half the column. A load on one cell changes these by 0.22 of its own reading
 # where all lines float: the change has rank one (10 x 10; 0.21 at 32 x 32).
 MIN_RATIO_TO_LINES = 6.0
@@ -279,7 +280,7 @@ def _exceeds_threshold(value: Array, scale: Array, expected: Expected) -> NDArra
     middle, spread, noise = expected
     away = np.abs(value - middle)
     # Within the scatter of the neighbours, so that an arriving load is not flagged.
-    far: NDArray[np.bool_] = away > np.fmax(OUTLIER_THRESHOLD * noise * scale, NOISE_REACH * spread)
+    far: NDArray[np.bool_] = away > np.fmax(OUTLIER_THRESHOLD * noise * scale, MIN_RATIO_TO_SCATTER * spread)
     some = far.any(axis=(-2, -1))  # frames of panels
     scale = np.broadcast_to(scale, away.shape)[some]
     far[some] &= ~(away[some] <= MIN_RATIO_TO_LINES * _beside(away[some] / scale) * scale)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, SIGNIFICANCE, TWO_SIDED
+from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
 from lampest.panel.panel import Array
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
@@ -18,6 +18,7 @@ from lampest.recording.recording import Recording
 # Over the noise: a smaller excess changes no verdict, and films that creep have it too. First differences of noise
 # alone over second ones are 1.00 ± 0.06 with 100 readings.
 MIN_EXCESS = 1.25
+EDGE_WIDTHS = 3.0  # widths of Tracy and Widom's law beyond the edge: noise alone goes there once in thousands
 # Samples for each channel, below which the smallest eigenvalues of noise come near zero, and rounding takes them below
 # (tests/oracles/test_every_readout.py).
 MIN_SAMPLES_PER_CHANNEL = 1.5
@@ -167,7 +168,7 @@ def _patterns(rows: Array, freedom: float) -> tuple[float, Array]:
     """(variance of noise, root (channels, n) of the covariance beyond it) of rows (samples, channels).
 
     One direction after the other is taken off while it is stronger than the mean of all others lets noise be:
-    (√n + √p)²/n and NOISE_REACH times its width, where noise alone is once in thousands.
+    (√n + √p)²/n and EDGE_WIDTHS times its width.
     Source: Johnstone, Annals of Statistics 29(2), 2001.
     """
     channels = rows.shape[1]
@@ -175,7 +176,7 @@ def _patterns(rows: Array, freedom: float) -> tuple[float, Array]:
     first, second = np.sqrt(freedom), np.sqrt(channels)
     width = (first + second) * (1 / first + 1 / second) ** (1 / 3)
     unsure = 1 + TWO_SIDED * np.sqrt(2 / (freedom * max(channels - 1, 1)))
-    edge = unsure * ((first + second) ** 2 + NOISE_REACH * width) / freedom
+    edge = unsure * ((first + second) ** 2 + EDGE_WIDTHS * width) / freedom
     strong = 0
     for strong in range(channels if freedom >= MIN_SAMPLES_PER_CHANNEL * channels else 0):
         others = size[: channels - strong - 1]

@@ -1,7 +1,7 @@
 """Loads on a panel of modules, recognised where something changed.
 
 Every module is followed by a step test of its own. Where one finds a step, a window opens over the modules that the
-load may reach, is watched as one panel, and closes after it has been calm for SETTLES_S. No current crosses a seam, so
+load may reach, is watched as one panel, and closes after it has been calm for CALM_S. No current crosses a seam, so
 that the circuit of a window falls into blocks; loads lie over them. A load that several windows see counts where it
 stands nearest to the middle of one.
 """
@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.watch import NEAR_PITCHES, SETTLES_S, Panelled, Watch
+from lampest.loads.recognition.watch import NEAR_PITCHES, Panelled, Watch
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.response import Response
 from lampest.panel.scene import Scene
+
+CALM_S = 60.0  # s: three times as long as the mean of frames takes to follow them
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,7 +285,7 @@ class ImageWatch:
 
     def _closed(self, time: float) -> "ImageWatch":
         """Without the windows that have been calm for long; their modules go on from there."""
-        opened = tuple(opening for opening in self.opened if time - opening[2] < SETTLES_S)
+        opened = tuple(opening for opening in self.opened if time - opening[2] < CALM_S)
         modules, covered = list(self.modules), under_windows(opened)
         for window, watch, _ in set(self.opened) - set(opened):
             shape, layout = window.scene.panel.shape, window.scene.layout

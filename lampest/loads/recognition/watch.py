@@ -38,7 +38,7 @@ from lampest.panel.scene import Scene
 
 NEAR_PITCHES = 3.0  # pitches about its place that a load may reach: half of the widest mouth, and a cell
 FOLLOWS_S = 20.0  # in which the mean of frames follows them
-SETTLES_S = 60.0  # of drift that is expected within the unloaded frames, and in which a panel is calm again
+SETTLES_S = 60.0  # of drift that is expected within the unloaded frames
 MIN_CHANGE = 0.5  # of what stands there, as patterns see it: a change beyond it is another load, or one that left
 UNEVENLY = "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
 FIRST_S, MIN_FRAMES = 1.0, 3  # after which something is recognised first, and at least; breathing is judged again

@@ -8,7 +8,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from lampest.estimate.methods import MethodName
-from lampest.estimate.objective import OPEN_FACTOR
 from lampest.files.typed import Configuration, check_range
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -21,6 +20,7 @@ from lampest.studies.common import Shape, Sizes, SquaredMethod, paper_methods, s
 from lampest.studies.study import column
 
 GRID = "log-uniform"
+OPEN = 1e9  # factor of a cell that is broken and not known to be; of a short its inverse
 USUAL_OHM = 3000.0  # of a cell, before a case changes it
 Generator = np.random.Generator
 
@@ -172,11 +172,11 @@ CASES: dict[str, Extreme] = {
     # One block of good conductors beside three of bad ones.
     "two clusters": _contrasted(lambda j, k, at, rng: at.decades * ((j < at.rows // 2) | (k < at.columns // 2))),
     "checkerboard": _contrasted(lambda row, column, sample, rng: sample.decades * ((row + column) % 2)),
-    "open cell": _times(OPEN_FACTOR, "cell"),
-    "open row": _times(OPEN_FACTOR, "row"),
-    "open column": _times(OPEN_FACTOR, "column"),
-    "shorted cell": _times(1 / OPEN_FACTOR, "cell"),
-    "shorted row": _times(1 / OPEN_FACTOR, "row"),
+    "open cell": _times(OPEN, "cell"),
+    "open row": _times(OPEN, "row"),
+    "open column": _times(OPEN, "column"),
+    "shorted cell": _times(1 / OPEN, "cell"),
+    "shorted row": _times(1 / OPEN, "row"),
     "open cell, known": _times(np.inf, "cell", known=True),
     "dead row, known": _times(np.inf, "row", known=True),
     "dead column, known": _times(np.inf, "column", known=True),
