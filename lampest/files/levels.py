@@ -27,7 +27,7 @@ OUTLIER_THRESHOLD = 6.0
 
 # Mean square of about a hundred deviations over their variance: noise alone exceeds it, three standard deviations of a
 # mean of a hundred squares, once in 700 frames. Beyond, frames are not at rest or a shape does not explain them
-# (tests/oracles/test_tare.py, tests/oracles/test_detect.py).
+# (tests/oracles/test_film.py, tests/oracles/test_detect.py).
 MAX_MEAN_SQUARE = 1.4
 
 # Probability under noise alone of one of a recording's handful of tests: cells that do not explain a frame, noise other
