@@ -97,15 +97,24 @@ class Detected:
     warnings: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, recording: str, attachments: Sequence[Attachment], rate: float, **further: Any) -> "Detected":
+    def of(
+        cls,
+        recording: str,
+        attachments: Sequence[Attachment],
+        rate: float,
+        notes: tuple[str, ...] = (),
+        course: Array | None = None,
+        change: Array | None = None,
+        panel: Panel | None = None,
+    ) -> "Detected":
         """Return the most alarming of all attachments: of these those still present, of these the last.
 
-        rate : frames a second. further : the other attributes.
+        rate : frames a second.
         """
         loads = [*filter(lambda load: load.present, reversed(attachments)), *reversed(attachments)]
         called = [answer_of(load, rate) for load in loads]
         chosen = min(called, key=lambda load: ANSWERS.index(load[0]), default=(NOTHING, BARE_PROBABILITY, ""))
-        return cls(recording, *chosen, rate, attachments=tuple(attachments), **further)
+        return cls(recording, *chosen, rate, notes, tuple(attachments), course, change, panel)
 
     @classmethod
     def unknown(cls, recording: str, why: str) -> "Detected":

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,8 +126,7 @@ class Known:
             attachments = tuple(replace(load, suction_kpa=None) for load in attachments)
         slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
         notes = (*self.notes, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (slow, watch.doubt)))
-        shown: dict[str, Any] = {"course": course, "change": watch.change, "panel": self.scene.panel}
-        return Detected.of(self.name, attachments, rate, notes=notes, **shown)
+        return Detected.of(self.name, attachments, rate, notes, course, watch.change, self.scene.panel)
 
     def values(self, readings: Readings) -> tuple[Array, Array]:
         """(value, σ) (rows, columns) of one frame; σ is infinite where a reading is no value."""
