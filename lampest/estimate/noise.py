@@ -18,7 +18,7 @@ from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import ENDLESS, noise_of_variance, sigma_code
 from lampest.panel.readouts.readout import in_panel_order
 from lampest.panel.scene import Scene, Systematic
-from lampest.panel.systematic import SINES, Possible
+from lampest.panel.systematic import HIDDEN_ERRORS, Possible
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings, strongest_frame
@@ -348,13 +348,10 @@ def _sizes_in_words(hidden: Possible) -> str:
     sizes, parts, row = hidden.sizes, [], 0
     bias = sizes.reading_error
     own = f"each reading off by {100 * bias:.2g} %" if bias else "no per-reading bias found"
-    for name, unit, size, count in (
-        ("series", "ohm", sizes.series_ohm, 1),
-        ("curve", "LSB", sizes.inl_lsb, SINES),
-        ("wire", "ohm a cell", sizes.wire_ohm_per_cell, 2),
-    ):
-        if size:
-            left = 1.0 if hidden.root is None else np.sqrt((hidden.root[row : row + count] ** 2).sum() / count)
-            parts.append(f"{name} {size * left:.2g} {unit}")
-            row += count
+    for error in HIDDEN_ERRORS:
+        if size := error.size(sizes):
+            rows = slice(row, row + error.count)
+            left = 1.0 if hidden.root is None else np.sqrt((hidden.root[rows] ** 2).sum() / error.count)
+            parts.append(f"{error.name} {size * left:.2g} {error.unit}")
+            row += error.count
     return f"{own}; left possible, as standard deviations: {', '.join(parts) or 'nothing else'}"

@@ -20,7 +20,7 @@ from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, UNUSUAL
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
-from lampest.panel.systematic import Possible, hidden_columns, recorded_share
+from lampest.panel.systematic import HIDDEN_ERRORS, KNOWN_ERRORS, READING_ERROR, Possible, error_columns, recorded_share
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
@@ -74,7 +74,7 @@ def _of_frame(
 ) -> list[Array]:
     """By one frame's cells the covariance of its error and what shared errors do.
 
-    The latter are what `hidden_columns` has, each reading's own, channels and reference; in log r. near : the unloaded
+    The latter are those of hidden errors, each reading's own of size 1, and known errors; in log r. near : the unloaded
     cells; None: it is the unloaded mean.
     """
     error = fit.covariance
@@ -82,13 +82,11 @@ def _of_frame(
     if noise is not None:
         drawn = at.gain @ noise.columns(at.readings.value[None], baseline=near is None)
         error = error + drawn @ drawn.T
-    point, circuit = (at.cells, at.readings.value), scene.circuit
-    network = circuit.network(at.cells, circuit.ties_of_parts(at.readings.value, scene.parts), scene.wiring)
-    columns = (
-        hidden_columns(network, at.readings.value, scene, replace(sizes, reading_error=None)),
-        np.diag(recorded_share(at.readings.value, scene).ravel()).reshape(-1, *at.cells.shape),
-        circuit.shared_errors(*point, scene, sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm),
-    )
+    measured, circuit = at.readings.value, scene.circuit
+    network = circuit.network(at.cells, circuit.ties_of_parts(measured, scene.parts), scene.wiring)
+    unit = replace(sizes, reading_error=1.0)
+    groups = (HIDDEN_ERRORS, (READING_ERROR,), KNOWN_ERRORS)
+    columns = (error_columns(errors, network, measured, scene, unit) for errors in groups)
     return [error, *map(at.response, columns)]
 
 

@@ -1,9 +1,10 @@
 """Errors that all frames of a recording share: reference, channels, contacts, series, wire, the converter's curve.
 
 To first order the estimate moves by K·U·z with independent standard normal z, one column of U for each error: what it
-does to the readings, a secant of the readout's own equations.
+does to the readings, a secant of the readout's own equations. `SHARED_ERRORS` is the table of them.
 """
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -78,32 +79,6 @@ def unobservable_numbers(scene: Scene) -> str:
     )
 
 
-def hidden_columns(network: Network, measured: Array, scene: Scene, sizes: Systematic) -> Array:
-    """U (n, …, rows, columns) in the unit of the network's readings, one axis for each error.
-
-    measured : readings (…, rows, columns). In the order series, curve, wire of rows, wire of columns, each reading.
-    """
-    circuit, parts = scene.circuit, list[Array]()
-    if sizes.series_ohm:
-        lines = circuit.shared_errors(network.cell_resistance, measured, scene, 0.0, 1.0)[1:]
-        driven, _ = of_side(circuit.noisy_side, *np.split(lines, [measured.shape[-2]]))
-        parts.append(sizes.series_ohm * driven.sum(axis=0)[None])
-    if sizes.inl_lsb and scene.readout is not None:
-        volt = circuit.volt_from_recorded(circuit.to_recorded(measured, scene))
-        size = sizes.inl_lsb * circuit.lsb_volt * np.sqrt(2 / SINES)
-        waves = size * np.sin(np.pi * np.multiply.outer(np.arange(SINES) + 1, volt / circuit.full_scale_volt))
-        ends = [circuit.from_recorded(circuit.recorded_from_volt(volt + sign * waves), scene) for sign in (0.5, -0.5)]
-        parts.append(ends[0] - ends[1])
-    if sizes.wire_ohm_per_cell:
-        parts.append(sizes.wire_ohm_per_cell * wire_responses(network, (scene.wiring or Wiring()).lines))
-    if sizes.reading_error:
-        each = (sizes.reading_error * recorded_share(measured, scene)).reshape(*measured.shape[:-2], -1)
-        alone = np.zeros((each.shape[-1], *each.shape))
-        np.einsum("c...c->...c", alone)[...] = each
-        parts.append(alone.reshape(-1, *measured.shape))
-    return np.concatenate(parts) if parts else np.zeros((0, *measured.shape))
-
-
 def recorded_share(measured: Array, scene: Scene) -> Array:
     """Return ∂(reading)/∂ log(recorded): what a factor on a recorded value does to the network's reading."""
     recorded, step = scene.circuit.to_recorded(measured, scene), 1e-6
@@ -116,6 +91,98 @@ def own_errors(measured: Array, scene: Scene, size: float) -> Array:
     if not size:
         return np.zeros(measured.shape)
     return np.asarray(size * np.abs(recorded_share(measured, scene)))
+
+
+def _reference(network: Network, measured: Array, scene: Scene, size: float) -> Array:
+    """Return the column of a reference off by a fraction; its tolerance is the half width of a uniform distribution."""
+    return scene.circuit.shared_errors(network.cell_resistance, measured, scene, size / np.sqrt(3), 0.0)
+
+
+def _channels(network: Network, measured: Array, scene: Scene, size: float) -> Array:
+    """Return the columns of more resistance in the channel of each line."""
+    return scene.circuit.shared_errors(network.cell_resistance, measured, scene, 0.0, size)[1:]
+
+
+def _series(network: Network, measured: Array, scene: Scene, size: float) -> Array:
+    """Return the column of more resistance in series with all driven lines."""
+    lines = _channels(network, measured, scene, 1.0)
+    driven, _ = of_side(scene.circuit.noisy_side, *np.split(lines, [measured.shape[-2]]))
+    return np.asarray(size * driven.sum(axis=0)[None])
+
+
+def _curve(network: Network, measured: Array, scene: Scene, size: float) -> Array:
+    """Return the columns of a converter's curve: half a wave over its range, one wave and so on; none without it."""
+    if scene.readout is None:
+        return np.zeros((0, *measured.shape))
+    circuit = scene.circuit
+    volt = circuit.volt_from_recorded(circuit.to_recorded(measured, scene))
+    height = size * circuit.lsb_volt * np.sqrt(2 / SINES)
+    waves = height * np.sin(np.pi * np.multiply.outer(np.arange(SINES) + 1, volt / circuit.full_scale_volt))
+    ends = [circuit.from_recorded(circuit.recorded_from_volt(volt + sign * waves), scene) for sign in (0.5, -0.5)]
+    return np.asarray(ends[0] - ends[1])
+
+
+def _wire(network: Network, measured: Array, scene: Scene, size: float) -> Array:
+    """Return the columns of more resistance of the wire of all rows, and of all columns."""
+    return size * wire_responses(network, (scene.wiring or Wiring()).lines)
+
+
+def _each_reading(network: Network, measured: Array, scene: Scene, size: float) -> Array:
+    """Return the columns of a factor on each recorded value."""
+    each = (size * recorded_share(measured, scene)).reshape(*measured.shape[:-2], -1)
+    alone = np.zeros((each.shape[-1], *each.shape))
+    np.einsum("c...c->...c", alone)[...] = each
+    return alone.reshape(-1, *measured.shape)
+
+
+@dataclass(frozen=True)
+class SharedError:
+    """An error that all frames share.
+
+    Attributes
+    ----------
+    setting : str
+        Entry of `Systematic` with its size; without a value there is no such error.
+    columns : callable
+        U (n, …, rows, columns) of a network, its readings (…, rows, columns), a scene and the size.
+    name, unit, count : str, str, int
+        In sentences, and n, of a hidden error.
+    """
+
+    setting: str
+    columns: Callable[[Network, Array, Scene, float], Array]
+    name: str = ""
+    unit: str = ""
+    count: int = 0
+
+    def size(self, sizes: Systematic) -> float:
+        """Return its size; 0 where it has none."""
+        return getattr(sizes, self.setting) or 0.0
+
+
+KNOWN_ERRORS = (  # as large as their sizes, whatever frames show
+    SharedError("reference_tolerance", _reference),
+    SharedError("channel_spread_ohm", _channels),
+)
+HIDDEN_ERRORS = (  # determined by still cells (`lampest.estimate.still_cells`)
+    SharedError("series_ohm", _series, "series", "ohm", 1),
+    SharedError("inl_lsb", _curve, "curve", "LSB", SINES),
+    SharedError("wire_ohm_per_cell", _wire, "wire", "ohm a cell", 2),
+)
+READING_ERROR = SharedError("reading_error", _each_reading)  # determined by these, too
+SHARED_ERRORS = (*KNOWN_ERRORS, *HIDDEN_ERRORS, READING_ERROR)
+
+
+def error_columns(
+    errors: Iterable[SharedError], network: Network, measured: Array, scene: Scene, sizes: Systematic
+) -> Array:
+    """U (n, …, rows, columns) of these errors in the unit of the network's readings, of one standard deviation each.
+
+    measured : readings (…, rows, columns).
+    """
+    none = np.zeros((0, *measured.shape))
+    parts = (error.columns(network, measured, scene, size) for error in errors if (size := error.size(sizes)))
+    return np.concatenate([none, *parts])
 
 
 @dataclass(frozen=True)
@@ -169,7 +236,7 @@ class Shared:
     def columns(self, network: Network, measured: Array) -> Array:
         """U (cells, n) in the readings' unit: contacts, reference and channels, hidden errors.
 
-        measured : readings (rows, columns). A tolerance is the half width of a uniform distribution, σ = 1/√3 of it.
+        measured : readings (rows, columns).
         """
         columns = self.unrelated(network, measured)
         if self.contact_root is None:
@@ -184,10 +251,7 @@ class Shared:
         """
         if self.systematic is None:
             return np.zeros((measured.size, 0))
-        sizes = self.systematic
-        off = sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm
-        known = self.scene.circuit.shared_errors(network.cell_resistance, measured, self.scene, *off)
-        errors = np.concatenate([known, hidden_columns(network, measured, self.scene, sizes)])
+        errors = error_columns(SHARED_ERRORS, network, measured, self.scene, self.systematic)
         return np.moveaxis(errors.reshape(*errors.shape[:-2], -1), 0, -1)
 
     def related(self, columns: Array) -> Array:
