@@ -90,8 +90,8 @@ class Patient(Engine):
     def take(self, source: FrameSource, scan: Scan) -> None:
         super().take(source, scan)
         while self._solving is not None and self._arrivals._news.number > len(self.pictures):
-            picture = self.shown.thing.picture
-            if picture is not None and picture.number == self.shown.thing.frames:
+            picture = self.shown.item.picture
+            if picture is not None and picture.number == self.shown.item.frames:
                 self.pictures.append(picture)
             elif self._solving.done():
                 self._solving.result()

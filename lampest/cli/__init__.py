@@ -50,8 +50,8 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
     @wraps(command)
     def called(**options: Any) -> None:
         named = [value for name, value in options.items() if name not in outputs]
-        named += [each for value in named if isinstance(value, list) for each in value]
-        inputs = [each for each in named if isinstance(each, Path)]
+        named += [path for value in named if isinstance(value, list) for path in value]
+        inputs = [path for path in named if isinstance(path, Path)]
         if missing := [path for path in inputs if not path.exists() and command is not estimation.init]:
             raise InputError(f"{missing[0]}: no such file")
         with sparing(inputs):

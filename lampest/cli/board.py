@@ -52,8 +52,8 @@ def record(
         from lampest.recording.board.port import ports
 
         available = ports()
-        for each in available:
-            say(f"{each.url}  {each.description}{'  (looks like an Arduino)' if each.likely else ''}")
+        for device in available:
+            say(f"{device.url}  {device.description}{'  (looks like an Arduino)' if device.likely else ''}")
         if not available:
             say("there is no serial port", to=sys.stderr)
         return

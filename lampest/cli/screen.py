@@ -42,7 +42,7 @@ def written(name: str, text: str) -> Any:
 
 def is_written(annotation: Any) -> bool:
     """Return whether an option or argument names outputs, which alone have a parser."""
-    return any(getattr(each, "parser", None) is not None for each in getattr(annotation, "__metadata__", ()))
+    return any(getattr(note, "parser", None) is not None for note in getattr(annotation, "__metadata__", ()))
 
 
 def option(text: str, *names: str, **further: Any) -> Any:
@@ -75,9 +75,9 @@ def check_positive(name: str, value: float | None) -> None:
         raise InputError(f"{name} must be positive and finite")
 
 
-def say(thing: object, to: TextIO | None = None) -> None:
+def say(message: object, to: TextIO | None = None) -> None:
     """Print one line with control characters escaped."""
-    print(printable(str(thing)), file=to, flush=True)
+    print(printable(str(message)), file=to, flush=True)
 
 
 def warn(sentence: object) -> None:

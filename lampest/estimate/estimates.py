@@ -253,9 +253,9 @@ class Estimates:
         """
         deviation = [None if step.bars is None else step.bars.reading for step in self.steps]
         noise, scene = self.readings.sigma, self.recording.scene
-        if self._bars is None or noise is None or all(each is None for each in deviation):
+        if self._bars is None or noise is None or all(frame is None for frame in deviation):
             return None
-        of_cells = np.stack([np.full(scene.panel.shape, np.nan) if each is None else each for each in deviation])
+        of_cells = np.stack([np.full(scene.panel.shape, np.nan) if frame is None else frame for frame in deviation])
         if scene.readout is not None:
             model = np.stack([step.solution.reading[-1] for step in self.steps])
             at_model = self.noise.sigma_factor * scene.readout.sigma(scene.circuit.to_recorded(model, scene))

@@ -365,7 +365,9 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
         tried = (with_some_in_series(rivals[0], question), *(_explanation(rival, question) for rival in rivals[1:]))
         known = (explanation for explanation in tried if explanation is not None and mostly_still(explanation.moving))
         lawful = (explanation for explanation in known if not broken_law(explanation.rival, question))
-        return BetterExplanation(min(((each.score, each.rival.name) for each in lawful), default=(0.0, ""))[1])
+        return BetterExplanation(
+            min(((explanation.score, explanation.rival.name) for explanation in lawful), default=(0.0, ""))[1]
+        )
     if specified.pair is None:
         return BetterExplanation()
     given = specified.joint(question, specified.moving)

@@ -260,7 +260,7 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     bars = [None if step is None else step.bars for step in steps]
     frame = _joined(layout, Certainty, [None if bar is None else bar.frame for bar in bars])
     change = _joined(layout, Change, [None if bar is None else bar.change for bar in bars])
-    reading = _joined_maps(layout, [None if each is None else each.reading for each in bars], np.nan)
+    reading = _joined_maps(layout, [None if bar is None else bar.reading for bar in bars], np.nan)
     return Step(
         solution,
         sum(step.seconds for step in present),

@@ -1,4 +1,4 @@
-"""What a frame leaves for the next one: what a method takes, and gives back with how the frame was solved."""
+"""State that a frame leaves for the next one, and the step that a method makes of it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -126,7 +126,7 @@ class SequenceState:
 
     @property
     def background(self) -> Background:
-        """What stands behind a frame of which nothing earlier is known."""
+        """The surroundings of a frame of which nothing earlier is known."""
         return Background(self.scene, self.period)
 
     @property
@@ -169,9 +169,9 @@ S = TypeVar("S", bound=SequenceState)
 
 @dataclass(frozen=True, eq=False)
 class CarriedOver:
-    """Name → array, of a state after some frames: what is written between two parts of a long recording.
+    """Arrays by name of a state after some frames, as they are written between two parts of a long recording.
 
-    What a state has at its beginning is no part of it.
+    The beginning of a state is no part of it.
     """
 
     arrays: Mapping[str, Array]

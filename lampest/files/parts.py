@@ -43,8 +43,8 @@ class DatasetPlan(NamedTuple):
 def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     """Return one group of all frames from groups of which every file holds some; of one file, its group.
 
-    What is not along time is the last one's. What a part lacks, because none of its frames could fill it, is NaN, 0 or
-    an empty text there. Raises InputError where a file cannot be read.
+    Datasets that are not along time are the last one's. Values that a part lacks, because none of its frames could fill
+    them, are NaN, 0 or an empty text. Raises InputError where a file cannot be read.
     """
     plans: dict[str, DatasetPlan] = {}
     attributes: dict[str, dict[str, Any]] = {}

@@ -26,7 +26,7 @@ CURVE_KPA, CURVE_RATIO = CURVE.T
 
 @dataclass(frozen=True, kw_only=True)
 class Response(Configuration):
-    """What all kinds may say of single cells.
+    """Settings of single cells that all kinds have.
 
     gain : (rows, columns) κ of each cell. gain_sd : their relative standard deviations; None: cells scatter as
         `systematic.response_sd` says, or as usual.
@@ -297,7 +297,7 @@ CURVATURES, BENT_OHM, BENT_CHANGE = BENT.T
 
 
 class Strength(NamedTuple):
-    """What is known of a number of the film: its mean and its standard deviation for a cell."""
+    """Knowledge of a number of the film: its mean and its standard deviation for a cell."""
 
     mean: float
     sd: float
@@ -305,7 +305,7 @@ class Strength(NamedTuple):
 
 @dataclass(frozen=True)
 class Film(Configuration):
-    """What a film does beside its response curve. Numbers are those of all cells together.
+    """Behaviour of a film beside its response curve. Numbers are those of all cells together.
 
     hysteresis : the largest gap between loading and unloading of a full cycle, as the response curve reads both in
         kPa, over the cycle's largest pressure. 'auto': not known, 0.17 ± 0.1.

@@ -1,4 +1,4 @@
-"""What is known of an estimate beyond its value: standard deviation, 95 % interval, resolution, share of the data."""
+"""Certainty of an estimate: standard deviation, 95 % interval, resolution, share of the data."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace

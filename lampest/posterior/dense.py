@@ -38,7 +38,7 @@ from lampest.solvers.hessian import block_diagonal
 
 @dataclass(frozen=True, eq=False)
 class Memory(ABC):
-    """What the next frame must know of the errors of the last estimate and of the baseline."""
+    """Errors of the last estimate and of the baseline, as the next frame needs them."""
 
     last: Array
     baseline: Array

@@ -1,4 +1,4 @@
-"""What all readings of a frame, or of one of its scanned lines, have in common by chance: columns V of their errors.
+"""Errors that all readings of a frame, or of one of its scanned lines, have in common by chance, as columns V.
 
 A frame's readings err by noise + V·z with z standard normal, drawn for each frame.
 """

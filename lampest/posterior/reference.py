@@ -82,7 +82,7 @@ MODEL = ReferenceModel()
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What the reference model says of one solve's data.
+    """The reference model's account of one solve's data.
 
     Attributes
     ----------

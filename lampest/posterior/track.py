@@ -78,7 +78,7 @@ class Bars:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What error bars of later frames need of earlier ones; None where there is none.
+    """Errors of earlier frames that error bars of later ones need; None where there are none.
 
     Attributes
     ----------

@@ -262,9 +262,9 @@ def _with_swept(columns: Columns, rows: Sequence[Row]) -> Columns:
     return dict([first, *((key.replace(".", " "), partial(_swept_text, key)) for key in swept_keys(rows)), *remaining])
 
 
-def _swept_text(key: str, thing: Row | Sequence[Row]) -> str:
+def _swept_text(key: str, rows: Row | Sequence[Row]) -> str:
     """Return the value that a sweep gave a key in a row or in a group of rows, as text; '' where it gave none."""
-    row = thing if isinstance(thing, Mapping) else thing[0]
+    row = rows if isinstance(rows, Mapping) else rows[0]
     value = row["swept"].get(key, "")
     return f"{value:g}" if isinstance(value, float) else str(value)
 

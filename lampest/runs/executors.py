@@ -408,7 +408,7 @@ def local(workers: int | None, tasks: int, *, separate: bool = False) -> Executo
 
 def each_of(
     function: Function,
-    things: Sequence[Any],
+    items: Sequence[Any],
     on_done: Callable[..., None] = lambda done, total: None,
     executor: Executor | None = None,
     lost: Callable[[Any, BaseException], Any] | None = None,
@@ -428,13 +428,13 @@ def each_of(
     lost : callable or None
         Makes a result from an item and the exception of its call; by default the first exception is raised.
     """
-    executor = executor or (Processes() if len(things) > MIN_TASKS else Serial())
+    executor = executor or (Processes() if len(items) > MIN_TASKS else Serial())
     executor.ready()
     results: dict[int, Any] = {}
-    with closing(executor.results(function, things)) as ends:
+    with closing(executor.results(function, items)) as ends:
         for item, outcome in ends:
             if isinstance(outcome, BaseException) and lost is None:
                 raise outcome
             results[id(item)] = lost(item, outcome) if lost and isinstance(outcome, BaseException) else outcome
-            on_done(len(results), len(things))
-    return [results[id(item)] for item in things]
+            on_done(len(results), len(items))
+    return [results[id(item)] for item in items]

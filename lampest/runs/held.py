@@ -1,4 +1,4 @@
-"""What a case holds, field by field: columns of a results file, attributes, figures."""
+"""Content of a case, field by field: columns of a results file, attributes, figures."""
 
 from __future__ import annotations
 

@@ -347,7 +347,7 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: s
     for estimator in estimators:
         group = f"/entry/{name}/{estimator}"
         values = given | held(group, (column for column in table if not column.shared))
-        figures = {each.name: _read_figures(file, f"{group}/{each.folder}", shape[:1], part) for each in FIGURES}
+        figures = {kind.name: _read_figures(file, f"{group}/{kind.folder}", shape[:1], part) for kind in FIGURES}
         attributes = known | _read_attributes(file, group) | figures
         try:
             case = CaseResult.of(values, estimator=estimator, **attributes)

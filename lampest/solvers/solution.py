@@ -117,7 +117,7 @@ class Settings(Validated):
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a solver hands back before anybody checked it.
+    """Result of a solver before any check.
 
     Attributes
     ----------

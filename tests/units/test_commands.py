@@ -217,7 +217,7 @@ def test_every_command_prints_the_same_warnings(disk: SimpleNamespace, lampest: 
     with Engine("test", "test", estimator, 1) as engine:
         from_recording(engine, recording, 1e6, None)
         engine.finish()
-        assert warning in engine.shown.thing.model
+        assert warning in engine.shown.item.model
 
 
 def one_row(found: object) -> list[Row]:

@@ -73,11 +73,11 @@ def test_what_is_left_to_another_process_reaches_the_frames_after(
     with Engine("test", "test", METHODS["smooth"], 3, beside=True) as engine:
 
         def found(seconds: float) -> None:
-            until(lambda: engine.shown.thing.frames in (3, engine.shown.thing.deviation_of))  # three are unloaded
+            until(lambda: engine.shown.item.frames in (3, engine.shown.item.deviation_of))  # three are unloaded
 
         from_recording(engine, lies, 1e9, None, found)
         engine.finish()
-        view = engine.shown.thing
+        view = engine.shown.item
     assert view.picture is not None and view.skipped == 0
     np.testing.assert_allclose(view.picture.relative_change, waited.relative_change, atol=0.05)
     names = ("pressure", "lower", "upper", "errors", "own", "common", "saturated", "pressing")
@@ -94,13 +94,13 @@ def test_should_the_other_process_die_every_frame_waits_for_its_own(lamprey: Rec
         def kill(seconds: float) -> None:
             settle(engine)
             beside = engine._beside
-            if engine.shown.thing.frames == 5:
+            if engine.shown.item.frames == 5:
                 beside._worker.process.kill()
                 until(lambda: beside.gone)
 
         from_recording(engine, lamprey, 1e9, None, kill)
         engine.finish()
-        view = engine.shown.thing
+        view = engine.shown.item
     assert view.picture is not None and view.picture.status == "optimum verified"
     assert view.deviation_of == view.picture.number, "error bars come with the frame"
 
@@ -198,7 +198,7 @@ def test_a_circuit_that_does_not_explain_the_frames_is_said(lamprey: Recording) 
     with Engine("test", "test", LSM, 3) as engine:
         from_recording(engine, dataclasses.replace(lamprey, scene=scene), 1e6, None)
         engine.finish()
-        said = engine.shown.thing.model
+        said = engine.shown.item.model
     assert "series_resistance_ohm near" in said
     assert json.loads(view_text(View("a", "b", "c", model=said), 0.0))["model"] == said
 
@@ -237,7 +237,7 @@ def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over
         assert time.monotonic() - began < 1, "taking a frame must not wait for the solver"
         go.release(10)
         engine.finish()
-        view = engine.shown.thing
+        view = engine.shown.item
     assert [(picture.number, picture.skipped) for picture in shown] == [(2, 0), (7, 4)]
     assert (view.frames, view.lost, view.skipped, len(view.history)) == (7, 10, 4, 2)
 
@@ -288,7 +288,7 @@ def test_a_replay_takes_its_time(lamprey: Recording) -> None:
     with Engine("test", "test", LSM, 3) as engine:
         from_recording(engine, lamprey, 4.0, 5, waits.append)
         engine.finish()
-        view = engine.shown.thing
+        view = engine.shown.item
         assert view.frames == 8 and view.picture is not None, "its three unloaded frames count"
         assert view.picture.number == 8
     np.testing.assert_allclose(waits, 0.25 * np.arange(5), atol=0.1)
@@ -331,11 +331,11 @@ def test_zero_is_taken_anew_live_where_nothing_touches_the_panel() -> None:
 
         def look(seconds: float) -> None:
             settle(engine)
-            said.append(engine.shown.thing.zero)
+            said.append(engine.shown.item.zero)
 
         from_recording(engine, recording, 1e9, None, look)
         engine.finish()
-        view = engine.shown.thing
+        view = engine.shown.item
     whens = [int(text.split("frame ")[1].split(":")[0]) for text in said if text]
     assert whens and "nothing touched the panel for 10 frames" in view.zero
     assert not any(31 <= when <= 50 for when in whens)
@@ -348,7 +348,7 @@ def test_zero_is_taken_anew_live_where_nothing_touches_the_panel() -> None:
 def settle(engine: Engine) -> None:
     """Wait until every frame that was taken has been solved."""
     for _ in range(2000):
-        view = engine.shown.thing
+        view = engine.shown.item
         if view.frames == 0 or (view.picture is not None and view.picture.number >= view.frames):
             return
         time.sleep(0.005)
@@ -361,11 +361,11 @@ def test_zero_is_taken_anew_when_it_is_asked_for() -> None:
 
         def ask(seconds: float) -> None:
             settle(engine)
-            if engine.shown.thing.frames == 35:  # the rod lies there: it is taken for the unloaded panel
+            if engine.shown.item.frames == 35:  # the rod lies there: it is taken for the unloaded panel
                 engine.tare()
 
         from_recording(engine, recording, 1e9, 45, ask)
         engine.finish()
-        view = engine.shown.thing
+        view = engine.shown.item
     assert view.zero == f"taken anew after frame 38: {ASKED}"
     assert view.picture is not None and np.abs(view.picture.relative_change).max() < 5

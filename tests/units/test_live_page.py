@@ -90,8 +90,8 @@ def test_the_newest_is_never_missed() -> None:
         newest.put(thing)
     newest.close()
     reader.join(10)
-    assert all(news.number == news.thing for news in seen)
-    assert seen == sorted(seen) and seen[-1].thing == 2000
+    assert all(news.number == news.item for news in seen)
+    assert seen == sorted(seen) and seen[-1].item == 2000
     assert newest.after(2000, 0.01) is None and newest.closed
 
 

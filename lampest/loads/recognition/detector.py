@@ -292,9 +292,9 @@ class Detector:
             bent = BentSuction(exponent=exponent, gain=film.gain, gain_sd=film.gain_sd)
             frame = replace(calm, baseline=replace(baseline, scene=replace(baseline.scene, response=bent)))
             fits.append(self._fitting(fit.candidate, frame).best(fit.parameters, whitening, quick=True))
-        shares = softmax(EVIDENCE_SHARE * np.array([each.evidence for each in fits]))
-        apart = np.array([each.parameters for each in fits]) - fit.parameters
-        within = np.tensordot(shares, [each.covariance for each in fits], 1)
+        shares = softmax(EVIDENCE_SHARE * np.array([other.evidence for other in fits]))
+        apart = np.array([other.parameters for other in fits]) - fit.parameters
+        within = np.tensordot(shares, [other.covariance for other in fits], 1)
         return replace(fit, covariance=within + (shares[:, None] * apart).T @ apart)
 
 

@@ -46,7 +46,7 @@ FIRST_S, MIN_FRAMES = 1.0, 3  # after which something is recognised first, and a
 
 @dataclass(frozen=True, eq=False)
 class Panelled:
-    """What stays while a panel is watched: scene, water in kPa, errors.
+    """Constants while a panel is watched: scene, water in kPa, errors.
 
     common : of (rows, columns), (cells, n) a root of the covariance of errors that readings share by chance; None:
     there are none.

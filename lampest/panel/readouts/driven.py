@@ -106,7 +106,7 @@ class DrivenReadout(Readout):
 
     @property
     def _end_text(self) -> str:
-        """What descriptions end in."""
+        """The end of descriptions."""
         taken = "" if self.input_ohm is None else f", converter input {self.input_ohm:g} ohm"
         return f"{taken}, {self.converter_description()}"
 

@@ -296,7 +296,7 @@ def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
     inner = np.interp(number, known, seconds[known])
     usual = np.median(np.diff(seconds[known]) / np.diff(known)) if len(known) > 1 else 1.0
     inner += usual * (np.minimum(number - known[0], 0) + np.maximum(number - known[-1], 0))
-    places = ", ".join(where(int(each)) for each in cut[:5]) + (", ..." if len(cut) > 5 else "")
+    places = ", ".join(where(int(place)) for place in cut[:5]) + (", ..." if len(cut) > 5 else "")
     return inner, f"; the time at {places} is missing or does not grow, and is interpolated"
 
 

@@ -1,4 +1,4 @@
-"""What a recording is answered with: one sentence, its attachments and events; as a table, as JSON and as a file."""
+"""Answer to a recording: one sentence, its attachments and events; as a table, as JSON and as a file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """What one recording is answered with.
+    """Answer to one recording.
 
     Attributes
     ----------
@@ -158,7 +158,7 @@ class Detected:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """What happened, in the order of time."""
+        """Everything that happened, in the order of time."""
         events: list[Event] = []
         for number, load in enumerate(self.attachments):
             if load.sucks_s is None or load.sucks_s > load.since_s:

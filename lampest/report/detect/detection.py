@@ -44,7 +44,7 @@ Frames = Iterator[tuple[Array, Array, float]]
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of a recording before its first measured frame.
+    """Knowledge of a recording before its first measured frame.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What presses on a panel whatever it is: centre, area, peak and total force over time, from the cells' pressures."""
+"""Loads of any kind on a panel: centre, area, peak and total force over time, from the cells' pressures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -103,8 +103,8 @@ class ParquetExport(Export):
             from pyarrow import parquet
         tables, meanings = long_tables(cases)
         parts = [
-            pyarrow.table({name: pyarrow.array(v.data, mask=np.ma.getmaskarray(v)) for name, v in each.items()})
-            for each in tables
+            pyarrow.table({name: pyarrow.array(v.data, mask=np.ma.getmaskarray(v)) for name, v in columns.items()})
+            for columns in tables
         ]
         table = pyarrow.concat_tables(parts, promote_options="default")
         fields = []
@@ -187,10 +187,10 @@ def _struct(case: CaseResult) -> dict[str, Any]:
     return about(case) | values | where | {"units": units, "long_name": names, "flags": flags}
 
 
-def _cells(things: Sequence[Any]) -> NDArray[Any]:
+def _cells(values: Sequence[Any]) -> NDArray[Any]:
     """Return a MATLAB cell array of shape (items, 1)."""
-    cells = np.empty((len(things), 1), dtype=np.object_)
-    cells[:, 0] = [*things]
+    cells = np.empty((len(values), 1), dtype=np.object_)
+    cells[:, 0] = [*values]
     return cells
 
 

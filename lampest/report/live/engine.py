@@ -106,7 +106,7 @@ class Engine:
 
     def _take_detected(self, detected: Detected) -> None:
         """Show an answer. An answer that has changed goes to the log with its reason."""
-        previous = self.shown.thing.detected
+        previous = self.shown.item.detected
         if previous is None or previous.answer != detected.answer:
             logging.getLogger("lampest").warning("%s: %s", detected.recording, detected.sentence)
         self.shown.change(partial(with_detected, detected=detected))
@@ -131,7 +131,7 @@ class Engine:
         if self._solving is not None:
             self._arrivals.put(scan)
             self._watch(scan)
-            if self.shown.thing.state != source.state:
+            if self.shown.item.state != source.state:
                 self.say(source.state)
             return
         self._unloaded.append(scan)
@@ -145,17 +145,17 @@ class Engine:
         self._check(source.scene, unloaded, ())
         seen, loaded = 0, tuple[Scan, ...]()
         while (news := self._arrivals.after(seen)) is not None:
-            assert news.thing is not None
+            assert news.item is not None
             skipped, seen = news.number - seen - 1, news.number
             state = self._with_findings(state)
             if self._zero_asked.is_set():
                 self._zero_asked.clear()
                 state = replace(state, recent=(), missing=self._baseline)
-            state, picture = solved_scan(state, news.thing, len(unloaded) + seen, skipped)
+            state, picture = solved_scan(state, news.item, len(unloaded) + seen, skipped)
             self.shown.change(partial(with_picture, picture=picture, zeroed=state.zeroed))
             self._look_again(state.look)
             if len(loaded) < LOADED_FRAMES and float(np.nanmean(np.abs(picture.measured_change))) > NOTICED_PERCENT:
-                loaded = (*loaded, news.thing)
+                loaded = (*loaded, news.item)
                 if len(loaded) == LOADED_FRAMES:
                     self._check(source.scene, unloaded, loaded)
         if 0 < len(loaded) < LOADED_FRAMES:
@@ -215,7 +215,7 @@ def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tup
         readings = Readings.of(scene, scan.recorded, scan.sigma)
     except InputError as error:
         return state, replace(picture, status=str(error))
-    change = percent_change(*(as_recorded(each.shown, scene) for each in (readings, state.stream.resting)))
+    change = percent_change(*(as_recorded(frame.shown, scene) for frame in (readings, state.stream.resting)))
     return solved_picture(state, readings, replace(picture, measured_change=change))
 
 

@@ -17,7 +17,7 @@ class News(NamedTuple, Generic[T]):
     """Item and its number in the series, from 1 on; a reader that saw n before skipped number − n − 1 items."""
 
     number: int
-    thing: T
+    item: T
 
 
 class Newest(Generic[T]):
@@ -28,14 +28,14 @@ class Newest(Generic[T]):
         self._news = News(0, first)
         self.closed = False
 
-    def put(self, thing: T) -> None:
+    def put(self, item: T) -> None:
         """Replace the item."""
-        self.change(lambda _: thing)
+        self.change(lambda _: item)
 
     def change(self, changed: Callable[[T], T]) -> None:
         """Replace the item by `changed(item)` atomically."""
         with self._changed:
-            self._news = News(self._news.number + 1, changed(self._news.thing))
+            self._news = News(self._news.number + 1, changed(self._news.item))
             self._changed.notify_all()
 
     def close(self) -> None:
@@ -45,9 +45,9 @@ class Newest(Generic[T]):
             self._changed.notify_all()
 
     @property
-    def thing(self) -> T:
+    def item(self) -> T:
         """The current item."""
-        return self._news.thing
+        return self._news.item
 
     def after(self, number: int, timeout: float | None = None) -> News[T] | None:
         """Wait for an item newer than that number; return None after `timeout` s or at the end of the series."""

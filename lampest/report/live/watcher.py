@@ -141,7 +141,7 @@ class Watched:
         readings = Readings.of(self.known.scene, scan.recorded, scan.sigma)
         watch = self.watch.push(*self.known.values(readings), scan.time)
         ended = [attachment for attachment in watch.attachments if not attachment.present][-MAX_REMEMBERED:]
-        remembered = (each for each in watch.attachments if each.present or each in ended)
+        remembered = (attachment for attachment in watch.attachments if attachment.present or attachment in ended)
         watch = replace(watch, attachments=tuple(remembered))
         return replace(self, why="", watch=watch, times=(*self.times[-HEAD_FRAMES:], scan.time))
 

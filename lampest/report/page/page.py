@@ -181,8 +181,8 @@ def _optima(cases: Sequence[CaseResult]) -> str:
     known = [case.local_optima for case in cases if case.local_optima is not None]
     if not known:
         return NONE
-    optima, frames = sum(each[0] for each in known), sum(len(case.time) for case in cases)
-    least, most = min(each[1] for each in known), max(each[2] for each in known)
+    optima, frames = sum(solves[0] for solves in known), sum(len(case.time) for case in cases)
+    least, most = min(solves[1] for solves in known), max(solves[2] for solves in known)
     starts = counted(most, "start") if least == most else f"{least} to {most} starts"
     return f"{optima:,} of {frames:,} ({starts} each)"
 

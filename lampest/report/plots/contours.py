@@ -353,7 +353,7 @@ class SweepPlot(Plot):
         grid = figure.subplots(len(quantities), len(keys), squeeze=False, sharex="col", sharey="row")
         for axes_row, name in zip(grid, quantities, strict=True):
             for axes, key in zip(axes_row, keys, strict=True):
-                _draw_lines(axes, key, cases, [each[name] for each in figures])
+                _draw_lines(axes, key, cases, [values[name] for values in figures])
                 style.dressed(axes, "", QUANTITIES[name] if axes is axes_row[0] else "")
         for axes, key in zip(grid[-1], keys, strict=True):
             style.dressed(axes, key, "")

@@ -320,7 +320,7 @@ def maps_figure(
     figure = style.new_figure(min(height(across), MAX_ASPECT * width), width - beyond * across / down)
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     signs = max(10, int(17 * wide(across)))  # that fit over a map
-    painters = [MapPainter(panel, each, contoured) for each in scales]
+    painters = [MapPainter(panel, scale, contoured) for scale in scales]
     draw_all(grid, [replace(tile, title=fill(style.short_title(tile.title, 60), signs)) for tile in tiles], painters)
     for painter, axes in [(painters[0], grid)] if common else zip(painters, grid.flat, strict=False):
         painter.bar(figure, axes, "right", aspect=figure.get_figheight() / 0.16)
