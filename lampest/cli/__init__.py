@@ -113,7 +113,7 @@ GROUPS = {
 
 
 def _build() -> None:
-    """All commands and groups of them in the parts of the help, then the hidden words of the release before."""
+    """Add all commands and groups in the parts of the help, then the hidden words of the release before."""
     groups: dict[str, typer.Typer] = {"": app}
 
     def add(group: str, word: str, command: Callable[..., None], example: str, **further: Any) -> None:

@@ -99,7 +99,7 @@ def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Ste
 
 
 def solve_baselines(streams: Sequence[Stream | None]) -> list[Stream | None]:
-    """Every stream with its baseline; None stays None."""
+    """Return every stream with its baseline; None stays None."""
     first = next(stream for stream in streams if stream is not None)
     resting = [first.resting if stream is None else stream.resting for stream in streams]
     inverses = InverseHessians.nothing(len(streams), first.resting.value.size)
@@ -173,7 +173,10 @@ def _in_batches(stream: Stream, readings: Readings, number: int, *, partial: boo
 
 @lru_cache(maxsize=256)
 def _unweighted(estimator: Estimator, *, rested: bool) -> Estimator:
-    """With weights of one; before the baseline, the terms that it has. The same object for equal ones."""
+    """Return the estimator with weights of one; before the baseline, the terms that it has.
+
+    Equal ones share an object.
+    """
     terms = estimator.terms if rested else estimator.absolute_terms
     unit = replace(estimator, terms=tuple(replace(term, weight=1.0) for term in terms))
     return unit if unit == estimator else _unweighted(unit, rested=True)
@@ -239,7 +242,7 @@ class StreamBatch:
         return steps
 
     def push(self, inverses: InverseHessians) -> list[tuple[Stream, Step] | None]:
-        """Every stream after its frame, with error bars where it has them."""
+        """Return every stream after its frame, with error bars where it has them."""
         (ended, steps), begin = self._solved(inverses), perf_counter()
         barred = self._error_bars(ended, steps)
         seconds = (perf_counter() - begin) / max(len(barred), 1)
@@ -267,7 +270,7 @@ class StreamBatch:
         return stream, replace(step, bars=bars, bars_seconds=seconds)
 
     def _solved(self, inverses: InverseHessians) -> tuple[BatchOutcome, list[Step | None]]:
-        """Where the panels ended, and the step of each; None where the batch found no verified minimum."""
+        """Return where the panels ended, and the step of each; None where the batch found no verified minimum."""
         begin, minima = perf_counter(), list[BatchOutcome]()
         for start in self._starts(inverses, minima):
             minima.append(solve(self._at(start, self.weights), inverses, self.numbers, self.settings))
@@ -281,7 +284,7 @@ class StreamBatch:
         return ended, steps
 
     def _starts(self, inverses: InverseHessians, minima: Sequence[BatchOutcome]) -> Iterator[Array]:
-        """As `lampest.solvers.multistart.starts`; found : where those before ended."""
+        """Yield starts as `lampest.solvers.multistart.starts`; minima : where those before ended."""
         several = several_minima(self.cost, self.data)
         if self.streams[0].rested:
             yield _previous(self.streams)[:, None]
@@ -339,7 +342,7 @@ def _objective(stream: Stream) -> Objective:
 
 
 def _lower(first: BatchOutcome, second: BatchOutcome) -> BatchOutcome:
-    """Of each panel the lower minimum of two; the first where they are one."""
+    """Return the lower minimum of each panel; the first where both are equal."""
     better = second.solved & (
         ~first.solved | (second.points.at.objectives < first.points.at.objectives * (1 - SAME_MINIMUM))
     )

@@ -50,7 +50,7 @@ def cells_alone() -> Estimator:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CellsFit(SumOfSquares):
-    """Of one frame over log r; its Jacobian has no columns on panels of more than MAX_CELLS.
+    """Fit of the cells to one frame over log r; no Jacobian on panels of more than MAX_CELLS.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class CellsFit(SumOfSquares):
 
     @cached_property
     def covariance(self) -> Array:
-        """Of the log cells, (cells, cells)."""
+        """Covariance of the log cells, (cells, cells)."""
         return np.asarray(np.linalg.inv(self.normal))
 
     @cached_property
@@ -288,7 +288,7 @@ class JointFit:
 
     @cached_property
     def squares(self) -> SumOfSquares:
-        """Over all unknowns."""
+        """The sum of squares over all unknowns."""
         return SumOfSquares(
             self.residual, np.column_stack([self._common, self.slopes[1][:, self.moved]]), CELL_PRECISION
         )
@@ -307,13 +307,13 @@ class JointFit:
 
     @cached_property
     def _freed(self) -> SumOfSquares:
-        """Over the changes of all cells, with the other unknowns at their best."""
+        """The sum of squares over the changes of all cells, with the other unknowns at their best."""
         requested = np.column_stack([self.slopes[1], self.residual])
         left = requested - self._common @ _solved(self._common, requested)
         return SumOfSquares(left[:, -1], left[:, :-1], CELL_PRECISION)
 
     def chosen_anew(self) -> NDArray[np.bool_]:
-        """Which cells must have moved (cells), by linear theory about this fit."""
+        """Return which cells must have moved (cells), by linear theory about this fit."""
         precision = self._freed.normal
         slope = precision @ self._change - self._freed.gradient
         starts = [self.moved, *usual_starts(np.linalg.solve(precision, slope))]

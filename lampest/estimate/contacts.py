@@ -62,12 +62,12 @@ class SolvedContacts:
 
     @cached_property
     def _response(self) -> Array:
-        """E."""
+        """E, the response of the readings to the contacts."""
         return contact_responses(self._model.at.networks)
 
     @cached_property
     def gradient(self) -> Array:
-        """Of the cost by the contacts."""
+        """Gradient of the cost with respect to the contacts."""
         slope = self._response.T @ self._model.at.partials(np.clip(self._model.dual, -1, 1))[1].ravel()
         return np.asarray(slope / (2 * self.scale) + self.precision * (self.ohm - self.mean))
 

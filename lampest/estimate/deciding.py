@@ -21,7 +21,10 @@ def baseline_readings(recording: Recording, readings: Readings) -> Readings:
 
 
 def deciding_frame(recording: Recording, readings: Readings, resting: Readings) -> int | None:
-    """Of the measured frames of which enough was read the one that differs most from rest; None where there is none."""
+    """Return the measured frame, of those with enough readings, that differs most from rest.
+
+    None where there is none.
+    """
     frames = recording.measured_frames()
     frames = frames[readings.enough(recording.scene)[frames]]
     return strongest_frame(readings.plain_values, resting.value, frames) if len(frames) else None

@@ -78,7 +78,7 @@ class Barred(property):
     if TYPE_CHECKING:
 
         def __get__(self, found: Any, owner: type | None = None) -> Array | None:  # type: ignore[override]
-            """Of the estimates."""
+            """Return the error bar of the estimates."""
 
 
 def frame_misfit(model: Array, measured: Array, sigma: Array, resolution: Array | None) -> dict[str, Array]:
@@ -349,7 +349,10 @@ class Estimates:
 
     @cached_property
     def _bars(self) -> dict[str, Array] | None:
-        """None unless an estimate has error bars, and the baseline too; of a part, unless others may have some."""
+        """Error bars by name; None unless an estimate and the baseline have them.
+
+        In a part of a longer recording the estimates with error bars may stand in other parts.
+        """
         if self.baseline_bars is None or not (self._is_part or any(step.bars for step in self.steps)):
             return None
         return barred_maps(self.cell_resistance, self.baseline_resistance, self.steps)
@@ -364,7 +367,7 @@ class Estimates:
 
     @cached_property
     def _load(self) -> Pressure | None:
-        """None without error bars: without them the response's uncertainty is unknown."""
+        """Pressures with errors; None without error bars, for the response's uncertainty is then unknown."""
         if self._bars is None:
             return None
         interval = self._bars["ratio_lower"], self._bars["ratio_upper"]

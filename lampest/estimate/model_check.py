@@ -131,7 +131,7 @@ class ExplainedRecording:
 
     @cached_property
     def fault(self) -> str:
-        """Why the circuit cannot have made the readings, in words; ''."""
+        """Reason why the circuit cannot have made the readings, in words; ''."""
         unexplained = "" if self.explanation is None else _unexplained(self.explanation, self.question)
         return unexplained or broken_law(self.question.specified, self.question) or self.below
 
@@ -308,7 +308,7 @@ class Explanation:
     def of(
         cls, rival: Rival, question: Question, near: "Explanation | None" = None, *, patient: bool = False
     ) -> "Explanation | None":
-        """Of a circuit; None where no fit is found.
+        """Return a circuit's explanation of the frames; None where no fit is found.
 
         Parameters
         ----------
@@ -341,7 +341,7 @@ class Explanation:
 
     @property
     def moving(self) -> NDArray[np.bool_]:
-        """Which cells have moved, (rows, columns); none where circuits cannot be compared."""
+        """Cells that have moved, boolean (rows, columns); none where circuits cannot be compared."""
         shape = self.fits[0].cells.shape
         return np.zeros(shape, dtype=bool) if self.pair is None else self.pair.without_effects.moved.reshape(shape)
 
@@ -414,12 +414,18 @@ def _others(given: JointFit, specified: Explanation, rivals: list[Rival], questi
 
 
 def _explanation(rival: Rival, question: Question) -> Explanation | None:
-    """Of a rival as it is; where it explains nothing, with the resistance in series that explains best of a few."""
+    """Return a rival's explanation.
+
+    Where there is none, it is that with the resistance in series that explains best of a few.
+    """
     return Explanation.of(rival, question) or with_some_in_series(rival, question)
 
 
 def with_some_in_series(rival: Rival, question: Question) -> Explanation | None:
-    """Of a rival with the resistance in series that explains best of a few; None where it has none."""
+    """Return a rival's explanation with the resistance in series that explains best of a few.
+
+    None where there is none.
+    """
     most = 0.0 if rival.in_series is not None else most_in_series(rival, question)
     explanations: list[Explanation] = []
     for ohm in np.linspace(0, most, SERIES_POINTS)[int(rival.scene.specified_in_series == 0) :] if most else ():

@@ -97,7 +97,7 @@ def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
 
 @dataclass(frozen=True, eq=False)
 class CoupledStream(Stream):
-    """Of a coupled image. A module of which nothing was read is NaN, whatever terms say of it."""
+    """Stream of a coupled image. A module of which nothing was read is NaN, whatever terms say of it."""
 
     @property
     def baseline_resistance(self) -> Array:
@@ -110,7 +110,7 @@ class CoupledStream(Stream):
         return False
 
     def push(self, readings: Readings) -> tuple[Stream, Step]:
-        """As `Stream.push`."""
+        """Push a frame, as `Stream.push`."""
         stream, step = super().push(readings)
         unread, solution = self._unread(readings), step.solution
         if not (unread.any() and solution.solved):
@@ -135,7 +135,7 @@ class ModulesStream(Stream):
 
     @ONE_BLAS_THREAD
     def tared(self, resting: Readings) -> "ModulesStream":
-        """As `Stream.tared`, of every module."""
+        """Return the stream of every module tared, as `Stream.tared`."""
         every = enumerate(self.modules)
         modules = solve_baselines(
             [module and module.without_baseline(resting.of_module(self._layout, number)) for number, module in every]
@@ -144,7 +144,7 @@ class ModulesStream(Stream):
 
     @ONE_BLAS_THREAD
     def push(self, readings: Readings) -> tuple["ModulesStream", Step]:
-        """As `Stream.push`; modules of which too little was read stay as they were, and are NaN in the image."""
+        """Push a frame, as `Stream.push`; modules with too few readings stay as they were, and are NaN in the image."""
         layout = self._layout
         inverses = self.prepared or InverseHessians.nothing(layout.count, layout.each.rows * layout.each.columns)
         modules, steps = zip(*push_streams(self.modules, readings.each(layout.split), inverses), strict=True)
@@ -154,7 +154,10 @@ class ModulesStream(Stream):
     def sequence(
         self, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple[Stream, list[Step]]:
-        """As `Stream.sequence`; methods that need all frames together take those of one module after the other."""
+        """Solve a sequence, as `Stream.sequence`.
+
+        Methods that need all frames together take one module after the other.
+        """
         if not self.estimator.method.needs_all_frames:
             return super().sequence(resting, readings, on_frame)
         layout, frames = self._layout, len(readings.value)
@@ -185,7 +188,7 @@ class ModulesStream(Stream):
         return np.asarray(_joined_maps(self._layout, parts, np.nan))
 
     def restarted(self, first: Stream) -> "ModulesStream":
-        """As `Stream.restarted`, of every module."""
+        """Return the stream of every module restarted, as `Stream.restarted`."""
         assert isinstance(first, ModulesStream)
         pairs = zip(self.modules, first.modules, strict=True)
         modules = tuple(module and start and module.restarted(start) for module, start in pairs)
@@ -202,7 +205,7 @@ class ModulesStream(Stream):
         return replace(self, modules=modules, first=False)
 
     def rested_whole(self) -> "ModulesStream":
-        """With the baselines of the modules as one, once all that can be are solved."""
+        """Return the stream with the baselines of the modules as one, once all that can be are solved."""
         steps = [None if stream is None else stream.baseline for stream in self.modules]
         if all(step is None for step in steps):
             return self
@@ -231,7 +234,7 @@ def _joined_maps(layout: Modules, parts: Sequence[NDArray[Any] | None], missing:
 
 
 def _joined(layout: Modules, kind: type[C], parts: Sequence[C | None]) -> C | None:
-    """Of all modules' cells, with nothing known of those without error bars; None where none has any."""
+    """Join the parts of all modules, with nothing known of those without error bars; None where none has any."""
     if all(part is None for part in parts):
         return None
     unknown = ("deviation", "below", "above")

@@ -122,7 +122,7 @@ class NoiseEstimate:
         return "; ".join(filter(None, messages))
 
     def with_warnings(self, *said: str) -> "NoiseEstimate":
-        """With more warnings, of which some may be ''."""
+        """Return the noise with more warnings, of which some may be ''."""
         return replace(self, warnings=(*self.warnings, *filter(None, said)))
 
     def with_sigma(self, sigma: Array) -> "NoiseEstimate":
@@ -130,7 +130,7 @@ class NoiseEstimate:
         return replace(self, readings=replace(self.readings, sigma=sigma))
 
     def with_motion(self, scene: Scene, share: float, measured: NDArray[np.intp]) -> "NoiseEstimate":
-        """With wider σ where readings were taken while loads moved."""
+        """Return the noise with wider σ where readings were taken while loads moved."""
         sigma = self.readings.sigma
         if not share or sigma is None:
             return self
@@ -344,7 +344,7 @@ def _outliers_in_words(seen: NoiseEstimate, outliers: NDArray[np.bool_]) -> str:
 
 
 def _sizes_in_words(hidden: Possible) -> str:
-    """How large hidden errors are taken to be."""
+    """Describe how large hidden errors are taken to be."""
     sizes, parts, row = hidden.sizes, [], 0
     bias = sizes.reading_error
     own = f"each reading off by {100 * bias:.2g} %" if bias else "no per-reading bias found"

@@ -67,7 +67,7 @@ class BetterExplanation:
 
     @property
     def reason(self) -> str:
-        """Why it is named."""
+        """Reason why it is named."""
         counts = f"{self.count} cells have moved then, and {self.count_as_specified} as specified"
         if self.count >= self.count_as_specified:
             counts = f"the misfit is smaller, with {self.count} moved cells"
@@ -227,7 +227,7 @@ class FittedPair:
 
     @cached_property
     def _covariance(self) -> Array:
-        """Of d where no load is, (cells, cells)."""
+        """Covariance of d where no load is, (cells, cells)."""
         noise = sum(frame.fit.covariance for frame in self.frames) + ASSUMED.creep**2 * np.eye(len(self.change))
         return np.asarray(noise + self.channels @ self.channels.T)
 
@@ -259,7 +259,7 @@ class FittedPair:
         return own, precision, float(np.linalg.slogdet(inner)[1])
 
     def explained(self, columns: Array) -> Evidence:
-        """With a factor that all cells share, and with effects' columns (cells, n)."""
+        """Return the evidence with a factor that all cells share, and with effects' columns (cells, n)."""
         own, precision, added = self._with_columns(columns)
         lost, moved = select_changed(precision @ self.change, precision, usual_starts(self.change))
         score = float(self.change @ precision @ self.change) + lost + added + self._prior_score
@@ -392,7 +392,7 @@ class CircuitEffects:
 
 
 def find_effects(pairs: Sequence[tuple[str, FittedPair]]) -> CircuitEffects:
-    """By pairs of the unloaded panel and named frames: of the frame that shows them best."""
+    """Return the effects of the frame that shows them best, of pairs of the unloaded panel and a named frame."""
     besides, together, most = CircuitEffects(), "", 0.0
     for name, pair in pairs:
         if not all(frame.readings.bounds.mean() <= MAX_BOUND_SHARE and frame.may_fit for frame in pair.frames):
@@ -456,7 +456,7 @@ def _beside_a_load(effect: Effect, moved: NDArray[np.bool_]) -> bool:
 
 
 def _together(plain: Evidence) -> str:
-    """How all cells that no load touches changed, in words; '' where that may be chance, or a load's rim."""
+    """Describe how all cells that no load touches changed; '' where that may be chance, or a load's rim."""
     change, sd = (float(ASSUMED.common_change * part[0]) for part in (plain.size, plain.sd))
     if not mostly_still(plain.moved) or not abs(change) > max(MIN_CHANGE, SIGNIFICANT * sd):
         return ""

@@ -93,7 +93,7 @@ class Bounds(Validated):
 
 @dataclass(frozen=True)
 class AutoWeight(Validated):
-    """How `weight: auto` is chosen.
+    """Settings of `weight: auto`.
 
     Attributes
     ----------

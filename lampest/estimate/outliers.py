@@ -93,7 +93,7 @@ def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool
 
 
 def _larger_than_cells_allow(circuit: Readout, value: Array, sigma: Array, beside: int) -> NDArray[np.bool_]:
-    """As `impossible_readings`, asked once; beside : of how many frames the worst is taken."""
+    """Return one pass of `impossible_readings`; beside : the number of frames of which the worst is taken."""
     outliers, frames = np.zeros(value.shape, dtype=bool), np.arange(len(value))
     for _ in range(int(MAX_SHARE * value[0].size) + 1):
         broken = np.zeros(len(frames), dtype=bool)
@@ -187,7 +187,7 @@ class FramesBefore:
     frames: tuple[Readings, ...] = ()
 
     def after(self, readings: Readings) -> "FramesBefore":
-        """Once a frame has come."""
+        """Return the frames after one more has come."""
         return FramesBefore((*self.frames, readings)[-WINDOW:])
 
     def without_outliers(
@@ -221,7 +221,7 @@ class FramesBefore:
 
 
 def _from_window(value: Array, first: NDArray[np.intp], place: NDArray[np.intp], predict: Predictor) -> Expected:
-    """Of frames first + place, each from the other frames of the window that begins at `first`."""
+    """Predict frames first + place, each from the other frames of the window that begins at `first`."""
     width = min(len(value), WINDOW + 1)
     within, target = first[:, None] + np.arange(width), first + place
     nearest = within[within != target[:, None]].reshape(len(first), width - 1).T
@@ -294,7 +294,7 @@ def _beside(values: Array) -> Array:
 
 
 def median(values: Array) -> Array:
-    """Over the first axis, NaN not counted; NaN where all are."""
+    """Return the median over the first axis, NaN not counted; NaN where all are."""
     order = np.sort(values, axis=0)  # NaN last
     count = np.sum(~np.isnan(values), axis=0)
     low, high = np.maximum(count - 1, 0) // 2, count // 2

@@ -226,7 +226,7 @@ class Question:
 
 
 def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], noise: float) -> NDArray[np.intp]:
-    """Those of the other frames that differ from one frame by no more than their noise; that one among them.
+    """Return the other frames that differ from one frame by no more than their noise; that one among them.
 
     Their mean says the same with less noise.
 

@@ -29,7 +29,7 @@ QUIET_SHARE = 0.25  # of the triples: loads that come and go make the others res
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """In units of the specified σ.
+    """Variance components in units of the specified σ.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
 
 
 def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
-    """Of deviations (frames, lines, channels) about their mean over frames, NaN where a reading says nothing.
+    """Return the scatter of deviations (frames, lines, channels) about their mean over frames, NaN for silent readings.
 
     Parameters
     ----------

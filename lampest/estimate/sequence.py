@@ -187,7 +187,7 @@ def first_stream(
 
 
 def _weighted(estimator: Estimator, networks: Sequence[tuple[Recording, Readings, Readings]]) -> Estimator:
-    """With weights from the deciding frames of networks that are alike, each with its readings and those at rest.
+    """Return the estimator with weights from the deciding frames of networks that are alike.
 
     Of one network also of frames beside. As it is where no frame is measured.
     """

@@ -58,7 +58,7 @@ class Step:
 
     @property
     def status(self) -> str:
-        """How the solve ended, a sentence."""
+        """End of the solve, a sentence."""
         return self.sentence or self.solution.status.value
 
     def estimate(self, frame: int) -> Array | None:
@@ -66,7 +66,7 @@ class Step:
         return self.solution.cell_resistance[frame] if self.solution.solved else None
 
     def bare(self) -> "Step":
-        """Without what error bars follow from: it holds compiled functions, and much memory."""
+        """Return the step without the parts that error bars follow from: compiled functions, and much memory."""
         return replace(self, solution=replace(self.solution, at=None, dual=None, preconditioner=None))
 
     def surroundings(self) -> LinearModel | None:
@@ -79,7 +79,7 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class SequenceState:
-    """Where a sequence of frames stands.
+    """State of a sequence of frames.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ class SequenceState:
 
     @property
     def parts(self) -> "tuple[SequenceState | None, ...]":
-        """Of a panel of modules the state of each, None of a dead one; () of a single network."""
+        """State of each module of a panel, None of a dead one; () of a single network."""
         return ()
 
     def with_parts(self, parts: "tuple[SequenceState | None, ...]") -> Self:
@@ -229,5 +229,5 @@ class CarriedOver:
 
 
 def _of_module(number: int) -> str:
-    """Before the names of a module's arrays."""
+    """Return the prefix of the names of a module's arrays."""
     return f"module_{number:04d}_"

@@ -72,10 +72,18 @@ def possible_errors(
 def _of_frame(
     scene: Scene, fit: CellsFit, near: Array | None, sizes: Systematic, noise: FrameNoise | None
 ) -> list[Array]:
-    """By one frame's cells the covariance of its error and what shared errors do.
+    """Return the covariance of one frame's log cells, and their response to shared errors.
 
-    The latter are those of hidden errors, each reading's own of size 1, and known errors; in log r. near : the unloaded
-    cells; None: it is the unloaded mean.
+    Parameters
+    ----------
+    near : array or None
+        Unloaded cells (rows, columns) ohm; None: the frame is the unloaded mean.
+
+    Returns
+    -------
+    list of array
+        Covariance (cells, cells); responses (cells, n) to hidden errors, to each reading's own of size 1, and to known
+        errors.
     """
     error = fit.covariance
     at = fit if near is None else _steadied(scene, fit, near, error)
@@ -92,9 +100,18 @@ def _of_frame(
 
 @dataclass(frozen=True, eq=False)
 class CellChanges:
-    """Of the cells of all frames: change (n), covariance (n, n) of its noise, a (n, k), and own (n, cells).
+    """Changes of the log cells of all frames since rest.
 
-    reach : median standard deviation of log r of the unloaded cells under readings' own errors of 1.
+    Attributes
+    ----------
+    change : array, shape (n,)
+        Frame by frame.
+    noise : array, shape (n, n)
+        Covariance of the changes of still cells.
+    a, own : array, shapes (n, k) and (n, cells)
+        What hidden errors do to the changes, and each reading's own of size 1.
+    reach : float
+        Median standard deviation of log r of the unloaded cells under readings' own errors of 1.
     """
 
     change: Array
@@ -133,7 +150,7 @@ class CellChanges:
         return np.hstack([self.a, size * self.own]) if size else self.a
 
     def covariance(self, size: float) -> Array:
-        """Of changes of still cells, if each reading errs by so much on its own."""
+        """Return the covariance of the changes of still cells, if each reading errs by so much on its own."""
         columns = self.columns(size)
         return np.asarray(self.noise + columns @ columns.T)
 

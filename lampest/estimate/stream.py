@@ -24,7 +24,7 @@ MIN_INCREASE = 1.1
 
 @dataclass(frozen=True, eq=False)
 class Stream(SequenceState):
-    """Where a sequence of frames stands. Pushing a frame gives the next stream and how the frame was solved.
+    """State of a sequence of frames. Pushing a frame gives the next stream and the frame's solve.
 
     The cells are those of a recording with the same frames: files and boards come in by this door, too.
 
@@ -67,7 +67,9 @@ class Stream(SequenceState):
     def begin(
         cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseEstimate | None = None
     ) -> Self:
-        """Before the first frame; an absolute method solves its baseline now. noise : learned from frames.
+        """Return the stream before the first frame; an absolute method solves its baseline now.
+
+        noise : learned from frames.
 
         Raises InputError as `unrested`.
         """
@@ -77,7 +79,7 @@ class Stream(SequenceState):
     def unrested(
         cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseEstimate | None = None
     ) -> Self:
-        """Before its baseline.
+        """Return the stream before its baseline.
 
         Raises InputError where the noise is needed and unknown, bounds leave no room, the formulation cannot serve the
         scene's readout, or the readings are no frame of the panel.
@@ -109,7 +111,10 @@ class Stream(SequenceState):
         )
 
     def with_rest(self, solved: Step | None = None) -> Self:
-        """With its baseline, where that is solved alone; solved : that, where it is there already."""
+        """Return the stream with its baseline, where that is solved alone.
+
+        solved : the baseline, where it is solved already.
+        """
         if not self.resting.enough(self.scene):
             return replace(self, baseline=self.unsolved(Status.UNRESTED))
         return self if self.estimator.joint_start else self.estimator.method.begin(self, solved)
@@ -165,7 +170,7 @@ class Stream(SequenceState):
         return self.estimator.automatic and self.estimator.auto_weight.per == "recording"
 
     def change(self, readings: Readings) -> float:
-        """How far a frame is from rest."""
+        """Return the distance of a frame from rest."""
         return float(mean_change(readings.plain_values, self.resting.value))
 
     def sequence(

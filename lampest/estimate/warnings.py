@@ -37,7 +37,7 @@ def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -
 
 
 def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
-    """How many frames are not solved, and why the first is not; ''."""
+    """Count the frames that are not solved, with the reason of the first; ''."""
     failed = int(np.sum(~solved))
     if not failed:
         return ""
@@ -109,7 +109,7 @@ def _scatter(recording: Recording, noise: NoiseEstimate) -> str:
 
 
 def _less_load(recording: Recording, readings: Readings) -> str:
-    """Where readings show less load than the unloaded frames alone: a load on these, or a circuit read in reverse."""
+    """Describe readings that only show less load than the unloaded frames: a load there, or a reversed circuit; ''."""
     circuit, change = recording.scene.circuit, changes_beyond_noise(recording.scene, readings, recording.role)
     if (change > 0).any(axis=0).sum() < MIN_CHANNELS or (change < 0).any():
         return ""

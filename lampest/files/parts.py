@@ -94,7 +94,7 @@ def _append(target: h5py.Dataset, part: h5py.Dataset, first: int) -> None:
 
 
 def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> DatasetPlan:
-    """With the frames of this part behind those of the parts before; texts as long as the longest."""
+    """Return the plan with the frames of this part behind those before; texts as long as the longest."""
     scales = () if dataset.is_scale else tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims)
     along = f"{dataset.name if dataset.is_scale else (*scales, '')[0]}".endswith(f"/{TIME}")
     shape, dtype = dataset.shape, dataset.dtype

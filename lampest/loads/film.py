@@ -65,7 +65,7 @@ class Plays:
 
     @classmethod
     def at_rest(cls, hysteresis: Array) -> "Plays":
-        """Of cells with their largest gap each, any shape, before the first load."""
+        """Return the state before the first load of cells with their largest gap each, any shape."""
         steep = (1 + hysteresis) / (1 - hysteresis)
         cut = CUTS.reshape(-1, *[1] * np.ndim(hysteresis))
         below, above = 1 / (1 + steep * np.exp(-cut)), 1 / (1 + np.exp(-cut) / steep)
@@ -122,7 +122,7 @@ class Creep:
         return cls(strength, np.zeros((len(DECADES), *np.shape(strength))))
 
     def after(self, at_once: Array, seconds: float) -> "Creep":
-        """Once u (...) has lasted for so long."""
+        """Return the creep once u (...) has lasted for so long."""
         return replace(self, crept=at_once + (self.crept - at_once) * self._kept(seconds))
 
     def answer(self, at_once: Array, seconds: float) -> Array:
@@ -267,7 +267,7 @@ class FilmKnown:
         return FilmMemory.at_rest(gap, strength, gain, water, response)
 
     def estimated(self, change: Array, sd: Array, time: Array) -> "FilmKnown":
-        """With the creep that the recording shows; unchanged where the scene specifies it.
+        """Return the film with the creep that the recording shows; unchanged where the scene specifies it.
 
         Where a load is gone, a cell still shows c Σ s_j and a constant share ρ of its largest answer. P(c, ρ) ∝ P(c)
         P(ρ) beforehand · Π [½ N(u; 0, σ) + ½/`loaded_range`] over frames and cells, u the remainder of ln r/r_rest

@@ -220,7 +220,7 @@ class PressureTrack:
 
     @classmethod
     def begin(cls, scene: Scene, known: FilmKnown | None = None, tare: Tare | None = None) -> "PressureTrack":
-        """Before the first frame; known, tare : as `pressure_of` has them."""
+        """Return the track before the first frame; known, tare : as in `pressure_of`."""
         known, water = known or FilmKnown.specified(scene.film or Film()), water_pressure(scene.panel, scene.water)
         films, residue = known.at_rest(water, scene.response or PUBLISHED), known.residue * known.film.remembers
         watch = None if tare is None else TareWatch(tare)
@@ -270,7 +270,10 @@ class PressureTrack:
         )
 
     def after(self, ratio: Array, time: float) -> "PressureTrack":
-        """Once a frame with r/r_baseline (rows, columns) has come at a time in s; where it is NaN, the film stands."""
+        """Return the track after a frame with r/r_baseline (rows, columns) at a time in s.
+
+        Where it is NaN, the film stands.
+        """
         if not self.remembers:
             return self
         change, seconds, track = self._change(ratio), self._seconds(time), self

@@ -13,7 +13,7 @@ from lampest.panel.scene import Scene
 
 
 def neighbours(rows: int, columns: int) -> tuple[int, ...]:
-    """Every line that has a next one on its side, rows first."""
+    """Return every line that has a next one on its side, rows first."""
     return tuple(line for line in range(rows + columns - 1) if line != rows - 1)
 
 

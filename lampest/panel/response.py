@@ -230,7 +230,7 @@ class PublishedResponse(Response):
 
     @property
     def told_kpa(self) -> tuple[float, float]:
-        """From the lowest published pressure to 40 kPa, above which 1 % of the resistance is 1.8 kPa and not 0.2."""
+        """Lowest published pressure, and 40 kPa, above which 1 % of the resistance is 1.8 kPa and not 0.2."""
         return float(CURVE_KPA[0]), float(CURVE_KPA[-2])
 
 
@@ -345,7 +345,7 @@ class Film(Configuration):
 
     @property
     def hysteresis_strength(self) -> Strength:
-        """As specified, or what is usual where it is open."""
+        """Hysteresis as specified, or what is usual where it is open."""
         return self._strength("hysteresis")
 
     @property
@@ -371,5 +371,5 @@ class Film(Configuration):
 
     @property
     def answer_sd(self) -> float:
-        """Its relative standard deviation: the three published cells lie so far from a line over the curvature."""
+        """Relative standard deviation: the three published cells lie so far from a line over the curvature."""
         return 0.15 if self.curvature_per_m else 0.0

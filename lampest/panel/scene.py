@@ -250,7 +250,10 @@ class Scene(Configuration):
 
     @property
     def circuit(self) -> Readout:
-        """How readings follow from cells: the readout's circuit, or two-point resistances where it names none."""
+        """The readout's circuit, by which readings follow from cells.
+
+        Two-point resistances where the scene names none.
+        """
         return TwoPointReadout() if self.readout is None else self.readout
 
     @property

@@ -212,7 +212,7 @@ class Shared:
 
     @classmethod
     def of(cls, scene: Scene, contact_root: Array | None = None, hidden: Possible | None = None) -> "Shared | None":
-        """None where there is no such error.
+        """Return the shared errors of a scene; None where there are none.
 
         Contacts are known as the scene says unless a root is given; hidden errors as the scene says, or as usual where
         it is open, unless a recording has determined it.

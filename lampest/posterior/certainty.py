@@ -16,20 +16,20 @@ from lampest.posterior.linear import LinearModel
 
 @dataclass(frozen=True, eq=False)
 class LogInterval:
-    """Of log r: standard deviation, and how far the 95 % interval reaches down and up; any shape."""
+    """Interval of log r, any shape: standard deviation, and how far the 95 % interval reaches down and up."""
 
     deviation: Array
     below: Array
     above: Array
 
     def reaching_farther(self, below: Array, above: Array) -> Self:
-        """With intervals that reach farther, by squares that are added to theirs."""
+        """Return the intervals that reach farther, by squares that are added to theirs."""
         return replace(self, below=np.sqrt(self.below**2 + below), above=np.sqrt(self.above**2 + above))
 
 
 @dataclass(frozen=True, eq=False)
 class Certainty(LogInterval):
-    """Of log r, all (frames, rows, columns); deviation and above are infinite for an open cell.
+    """Certainty of log r, all (frames, rows, columns); deviation and above are infinite for an open cell.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Certainty(LogInterval):
         shares: tuple[Array, Array],
         released: Callable[[NDArray[np.intp]], Array],
     ) -> Self:
-        """As `inside` for free cells, one-sided at active bounds.
+        """Return the certainty: as `inside` for free cells, one-sided at active bounds.
 
         Parameters
         ----------
@@ -113,14 +113,14 @@ class Certainty(LogInterval):
         return replace(wider, deviation=deviation, common=common)
 
     def reaching(self, cells: NDArray[np.intp], below: Array, above: Array) -> "Certainty":
-        """With intervals of single cells (numbers) that reach at least so far."""
+        """Return the certainty with intervals of single cells (numbers) that reach at least so far."""
         lower, upper = self.below.copy(), self.above.copy()
         lower.flat[cells] = np.maximum(lower.flat[cells], below)
         upper.flat[cells] = np.maximum(upper.flat[cells], above)
         return replace(self, below=lower, above=upper)
 
     def by_conductance(self) -> "Certainty":
-        """With intervals as far upwards as conductances may fall: r/(1 − x) for exp(−x) of r downwards, x < 1."""
+        """Return intervals as far upwards as conductances may fall: r/(1 − x) for exp(−x) of r downwards, x < 1."""
         with np.errstate(divide="ignore"):
             return replace(self, above=np.maximum(self.above, -np.log(np.maximum(1 - self.above, 0.0))))
 

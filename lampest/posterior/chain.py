@@ -124,7 +124,7 @@ class Chain:
         return np.asarray(np.stack([np.diag(block) for block in self.blocks]) + np.sum(self._root**2, axis=2))
 
     def step_variance(self, less: Array) -> Array:
-        """Of the differences between neighbours (frames − 1, cells) less (frames − 1, n) of the border."""
+        """Return the variance of differences of neighbours (frames − 1, cells) less (frames − 1, n) of the border."""
         between = [np.einsum("ij,ji->i", gain, block) for gain, block in zip(self._gains, self.blocks[1:], strict=True)]
         alone = np.stack([np.diag(block) for block in self.blocks])
         steps = alone[1:] + alone[:-1] - 2 * np.asarray(between).reshape(self.tie.shape)

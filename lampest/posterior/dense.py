@@ -53,7 +53,7 @@ class Memory(ABC):
 
     @abstractmethod
     def variance(self) -> Array:
-        """Of the last estimate, (cells)."""
+        """Return the variance of the last estimate, (cells)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ class DenseMemory(Memory):
         return np.asarray(np.diag(self.last))
 
     def both(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """In blocks: last estimate, baseline."""
+        """Return the blocks of the last estimate and of the baseline."""
         return (self.last, self.with_baseline), (self.with_baseline.T, self.baseline)
 
 
@@ -244,7 +244,7 @@ class DenseErrors:
 
     @cached_property
     def certainty(self) -> Certainty:
-        """Without errors that all frames share."""
+        """The certainty without errors that all frames share."""
         shares = self.resolution, self.data_share
         return Certainty.of(self.model, (self.variance, self.shared_variance), shares, self.released)
 
@@ -366,7 +366,7 @@ def inverse_and_volume(matrix: Array) -> tuple[Array, float]:
 
 @lru_cache(maxsize=64)
 def rank(cost: Cost) -> int:
-    """Of all penalties' Jacobian at cells like any others; what bounds take away is not considered.
+    """Return the rank of all penalties' Jacobian at cells like any others, whatever bounds take away.
 
     Of large panels the full rank, which those of penalties nearly have.
     """

@@ -50,7 +50,7 @@ def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]
 
 
 def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]:
-    """Where the open weights settle while the estimate follows them within the linear model, by matrices."""
+    """Return where the open weights settle while the estimate follows them within the linear model, by matrices."""
     errors, weights = DenseErrors(model), list(model.at.weights)
     if not len(model.free):
         return weights

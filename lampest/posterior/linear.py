@@ -202,7 +202,7 @@ class LinearModel:
         return self._known_jacobian("by_baseline", self.at.data.given.baseline)
 
     def known_share(self, variance: Array | None) -> Array:
-        """Of every penalty row's variance the previous frame's share, where its term weighs that."""
+        """Return the previous frame's share of every penalty row's variance, where its term weighs that."""
         weighing = [number for number, term in enumerate(self.at.cost.terms) if term.weighs_previous]
         if variance is None or not weighing:
             return np.zeros(len(self.penalty_term))

@@ -127,7 +127,7 @@ def beyond_tangents(
 
 
 def _profiled(errors: DenseErrors, cells: NDArray[np.intp]) -> Ends:
-    """Of cells that were not read; none that stand at a bound, or of large panels."""
+    """Return the ends of cells that were not read; none that stand at a bound, or of large panels."""
     for cell in cells[np.isin(cells, errors.model.free)] if not isinstance(errors, SampledErrors) else ():
         profile = ProfileInterval(errors, int(cell))
         yield profile.tangent, profile.end(-1), profile.end(1)
@@ -136,7 +136,7 @@ def _profiled(errors: DenseErrors, cells: NDArray[np.intp]) -> Ends:
 def _stood_in(
     errors: DenseErrors, readings: Readings, places: NDArray[np.intp], moved: Callable[[Readings], Array]
 ) -> Ends:
-    """With what stands in for readings at the ends of its spread."""
+    """Return the ends with what stands in for readings at the ends of its spread."""
     spread, model = stand_in_spread(readings.value, readings.plain), errors.model
     for row, column in places:
         unit = np.zeros(readings.value.shape)

@@ -123,7 +123,7 @@ class ErrorScale:
     bounds: tuple[float, ...]
 
     def gain(self, scale: float) -> float:
-        """By how much −2 log p is smaller at the best s than at the one nearest to `scale`."""
+        """Return by how much −2 log p is smaller at the best s than at the one nearest to `scale`."""
         nearest = int(np.argmin(np.abs(np.log(np.array(self.scales) / scale))))
         return self.bounds[nearest] - min(self.bounds)
 
@@ -242,7 +242,10 @@ class ReferenceFit:
 
     @classmethod
     def of(cls, data: Data, cost: Cost, frame: int) -> "ReferenceFit":
-        """Before the first step, at the readout's own start. Raises LinAlgError where no two cells are neighbours."""
+        """Return the fit before the first step, at the readout's own start.
+
+        Raises LinAlgError where no two cells are neighbours.
+        """
         panel = cost.panel
         cells = np.setdiff1d(np.flatnonzero(np.ravel(panel.present)), cost.faulty)
         if cost.needs_previous and data.given.previous is not None:
@@ -348,7 +351,7 @@ class ReferenceFit:
         return change
 
     def moved(self, square: float) -> "ReferenceFit | None":
-        """After as much of the step as lowers the cost; None where none does."""
+        """Return the fit after as much of the step as lowers the cost; None where none does."""
         lower, upper = (np.ravel(bound[self.frame]) for bound in self.data.log_bounds)
         cost, change = self._cost(square), np.clip(self.change, -MODEL.max_step, MODEL.max_step)
         for share in (1.0, 0.3, 0.1, 0.03):

@@ -143,7 +143,7 @@ class Spectrum:
         return fit + volume - self.rank * float(np.log(weight / self.scale))
 
     def risk(self, weight: float) -> float:
-        """E Σ (log r̂ − log r)² if the truth lies about the point of linearisation.
+        """Return E Σ (log r̂ − log r)² if the truth lies about the point of linearisation.
 
         ‖T f (b_o + λ d)‖² + tr cov(T f q₀) + tr cov(T (1 − f) T⁻¹ u): the bias of the penalties, the noise that they
         leave, and the bias through the uncertainty of that point.

@@ -19,7 +19,7 @@ MIN_NOISE_SHARE = 1e-4  # of a deviation with each reading's own error: rounding
 
 @dataclass(frozen=True, eq=False)
 class Change(LogInterval):
-    """Of log r − log r_baseline. common : the part of the deviation that cells share; None: not known."""
+    """Certainty of log r − log r_baseline. common : the part of the deviation that cells share; None: not known."""
 
     common: Array | None = None
 
@@ -71,7 +71,7 @@ class Bars:
     reading: Array | None = None
 
     def reaching_farther(self, below: Array, above: Array) -> "Bars":
-        """As `Certainty.reaching_farther`."""
+        """Return bars that reach farther, as `Certainty.reaching_farther`."""
         change = self.change and self.change.reaching_farther(below, above)
         return replace(self, frame=self.frame.reaching_farther(below, above), change=change)
 
@@ -107,14 +107,17 @@ class Track:
     beyond: tuple[Array, Array] | None = None
 
     def resting(self, model: LinearModel, *, remembered: bool) -> "Track":
-        """After a baseline alone; remembered : whether later frames look back at it. Raises LinAlgError if flat."""
+        """Return the track after a baseline alone; remembered : whether later frames use it.
+
+        Raises LinAlgError if flat.
+        """
         errors = self._errors(model, None, baseline=True)
         answer, certainty = self._answered(errors)
         memory, deviation = errors.memory().resting() if remembered else None, errors.certainty.deviation[0]
         return Track(self.shared, certainty.of_frame(0), deviation, memory, (answer, answer), self.noise)
 
     def advanced(self, model: LinearModel) -> tuple["Track", Bars]:
-        """After a frame, or after the baseline and the first frame together. Raises as `resting`."""
+        """Return the track after a frame, or after the baseline and the first frame together. Raises as `resting`."""
         joint, size = len(model.at.cell_resistance) == 2, model.at.cell_resistance[0].size
         errors = self._errors(model, self.memory, baseline=joint)
         answer, certainty = self._answered(errors)
@@ -127,7 +130,10 @@ class Track:
     def after(
         self, frame: Certainty, deviation: Array, answer: Array, memory: Memory | None = None
     ) -> tuple["Track", Bars]:
-        """After a frame; frame, deviation : its errors with and without shared ones, which do `answer` to its log r."""
+        """Return the track after a frame.
+
+        frame, deviation : its errors with and without shared ones, `answer` in its log r.
+        """
         resting = answer if self.answers is None else self.answers[1]
         track = replace(self, deviation=deviation, memory=memory, answers=(answer, resting))
         if self.baseline is None:
@@ -146,7 +152,10 @@ class Track:
         return np.asarray(np.sqrt(np.maximum(noise, (MIN_NOISE_SHARE * deviation) ** 2)))
 
     def _errors(self, model: LinearModel, memory: Memory | None, *, baseline: bool) -> DenseErrors:
-        """With V, and with each reading's own error; baseline : whether the first frame is the unloaded ones' mean."""
+        """Return the errors with V and each reading's own.
+
+        baseline : whether the first frame is the unloaded ones' mean.
+        """
         terms, measured, drawn = model.at.cost.terms, model.at.data.measured, None
         if self.shared is not None:
             model = replace(model, deviation=self.noise_alone(model.at.data.deviation, measured))

@@ -52,7 +52,7 @@ class Worker:
 
     @property
     def hung(self) -> bool:
-        """True if a stopped process was ended by `ended_where_hung`."""
+        """Whether a stopped process was ended by `ended_where_hung`."""
         return self.process.exitcode == -signal.SIGALRM
 
     def kill(self) -> None:
@@ -155,7 +155,7 @@ class Serial(Executor):
     kind: Literal["serial"] = "serial"
 
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
-        """As `Executor`."""
+        """Yield results, as `Executor.results`."""
         for argument in arguments:
             try:
                 outcome = function(argument)
@@ -181,7 +181,7 @@ class Processes(Executor):
         check_ranges(self, 1, 10_000, "workers")
 
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
-        """As `Executor`."""
+        """Yield results, as `Executor.results`."""
         waiting = deque(range(len(arguments)))
         tries = Counter[int]()
         workers: list[Worker] = []  # with the one that is neither idle nor busy when Ctrl-C interrupts
@@ -282,7 +282,7 @@ class Dask(Executor):
         _library("distributed")
 
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
-        """As `Executor`. Raises InputError also if no suitable worker answers."""
+        """Yield results, as `Executor.results`. Raises InputError also if no suitable worker answers."""
         if not arguments:
             return
         distributed = _library("distributed")

@@ -89,7 +89,7 @@ def library_versions(*further: str) -> dict[str, str]:
 
 
 def _arrays_of(noise: FrameNoise | None) -> dict[str, Array]:
-    """Its numbers, and patterns in volt where there are such; nothing of None."""
+    """Return the numbers, and patterns in volt where there are such; nothing of None."""
     if noise is None:
         return {}
     attributes = {**{name: name for name in NUMBERS}, **PATTERNS}

@@ -187,7 +187,10 @@ ATTRIBUTES: dict[str, tuple[str, Any]] = {
 
 
 def all_columns(further: Sequence[Column] = ()) -> tuple[Column, ...]:
-    """Those of lampest, those of installed packages, and further ones. Raises InputError where a name comes twice."""
+    """Return the columns of lampest, of installed packages, and further ones.
+
+    Raises InputError for a name that comes twice.
+    """
     columns = (*COLUMNS, *installed("lampest.columns", Column), *further)
     for names in ([column.name for column in columns], [column.path for column in columns]):
         for name in names:

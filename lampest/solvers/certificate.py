@@ -32,7 +32,7 @@ ROUNDING = 1e-11  # of a matrix with a unit diagonal: what differences of impeda
 
 
 class Definiteness(Enum):
-    """Of ∇²φ over the free cells."""
+    """Definiteness of ∇²φ over the free cells."""
 
     POSITIVE = "a strict minimum"
     UNDETERMINED = "double precision does not show whether the cost rises"
@@ -74,7 +74,7 @@ class Certificate:
     def of(
         cls, hessian: Hessian, kind: Definiteness, free: Numbers, part: Array, decrement: float | None, **more: Any
     ) -> "Certificate":
-        """From Newton's step of the free cells (numbers)."""
+        """Return the certificate of Newton's step of the free cells (numbers)."""
         step = within_bounds(hessian.at, free, part)
         if decrement is None:
             decrement = float(np.sqrt(max(-float(hessian.gradient[free] @ part), 0.0)))
@@ -122,7 +122,7 @@ def _deviations(hessian: Hessian, decrement: float) -> float:
 
 
 def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) -> Certificate:
-    """Of a point, from its second derivatives; preconditioner : for conjugate gradients on large panels."""
+    """Return the certificate of a point from its second derivatives; preconditioner : for conjugate gradients."""
     if (exact := _of_reproduced(hessian)) is not None:
         return exact
     free = free_cells(hessian.at, hessian.gradient)
@@ -135,7 +135,7 @@ def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) 
 
 
 def _of_reproduced(hessian: Hessian) -> Certificate | None:
-    """Where nothing but the readings enters and every one is reproduced, φ is nearly zero, its least: s = −J⁻¹ e.
+    """Return s = −J⁻¹ e where nothing but readings enters and all are reproduced: φ is nearly zero, its least.
 
     e : how far each reading is off, relative. J alone has the digits that H = JᵀWJ loses. Where no noise is known, also
     where cells nearby reproduce all readings. None elsewhere.
@@ -173,7 +173,7 @@ def _confirmed(
 
 
 def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
-    """By Cholesky; where that fails, by eigenvectors."""
+    """Return the certificate by Cholesky's factors; where these fail, by eigenvectors."""
     matrix, slope = hessian.between(free), hessian.gradient[free]
     least = ROUNDING * _usual_curvature(hessian)[free]
     factor = None

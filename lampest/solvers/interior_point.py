@@ -121,7 +121,7 @@ class _Barrier:
 
     @classmethod
     def of(cls, start: Evaluation) -> "_Barrier":
-        """Somewhat inside the bounds, with the same force times room everywhere."""
+        """Return a point somewhat inside the bounds, with the same force times room everywhere."""
         low, high = _bounds(start)
         conductance = 1 / start.cell_resistance[0]
         room = np.minimum(METHOD.start_margin * float(np.median(conductance)), (high - low) / 50)
@@ -167,7 +167,7 @@ class _Barrier:
         return _over(self.below, self.rooms[0]) + _over(self.above, self.rooms[1])
 
     def moved(self) -> "_Barrier | None":
-        """After one step; None where no step leads lower."""
+        """Return the point after one step; None where no step leads lower."""
         mean = self.mean * (METHOD.barrier_reduction if self.length > 0.5 else 1.0)
         push = np.where(self.moving, -self.gradient + _over(mean, self.rooms[0]) - _over(mean, self.rooms[1]), 0.0)
         step = self._step(push)
@@ -211,7 +211,7 @@ class _Barrier:
         return at.objective - mean * float(np.log(rooms).sum()) if np.all(rooms > 0) else float("inf")
 
     def _forced(self, trial: Evaluation, step: Array, mean: float, ahead: float) -> "_Barrier":
-        """At the point found, with forces that follow as far as they stay positive."""
+        """Return the trial point with forces that follow as far as they stay positive."""
         below = _over(mean - self.below * step, self.rooms[0]) - self.below
         above = _over(mean + self.above * step, self.rooms[1]) - self.above
         length = min(METHOD.reach(self.below, below), METHOD.reach(self.above, above))

@@ -77,7 +77,7 @@ def _lowest(solver: Solver, data: Data, previous: Array | None) -> Solution:
 
 
 def several_minima(cost: Cost, data: Data) -> bool:
-    """All but plain least squares of two-point readings may have, and these with penalties convex in log r."""
+    """Return whether there may be several minima: in all but two-point readings whose penalties are convex in log r."""
     if not (all(term.loss.convex for term in cost.terms) and data.readout.unique):
         return True
     if all(term.reads_measurement for term in cost.terms):

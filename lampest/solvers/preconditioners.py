@@ -69,7 +69,7 @@ class Cholesky(Preconditioner):
 
     @classmethod
     def of(cls, cell_resistance: Array, cells: Numbers, matrix: Array, least: float = 0.0) -> "Cholesky | None":
-        """Of a matrix over some cells, with `least` added to its unit diagonal; None where it is not definite."""
+        """Return the factor of a matrix over some cells with `least` added to its unit diagonal; None if indefinite."""
         own = matrix.diagonal()
         if not own.min() > 0:
             return None
@@ -126,7 +126,7 @@ class TwoLevel(Preconditioner):
 
     @classmethod
     def of(cls, hessian: Hessian, stiffness: Array | None = None) -> "TwoLevel | Woodbury":
-        """At a point, Woodbury's where T is diagonal; stiffness : (frames · cells) added to ∇²φ's diagonal, or None."""
+        """Return the preconditioner at a point; Woodbury's where T is diagonal."""
         cells = hessian.at.cell_resistance
         inverse = sparse.diags_array(1 / cells.ravel())
 
@@ -207,7 +207,7 @@ class CoarseLines:
 
     @classmethod
     def of(cls, local: sparse.csr_array, along: Array, mixed: Array) -> "CoarseLines | None":
-        """None where most lines add less than what they cross."""
+        """Return the lines' correction; None where most lines add less than what they cross."""
         if not len(along):
             return None
         row, column = np.indices(along.shape[1:]).reshape(2, -1)
@@ -275,12 +275,12 @@ def gauss_newton_factor(hessian: Hessian, free: Free, damping: float = SHIFTS[0]
 
 
 def floored(diagonal: Array) -> Array:
-    """None below MIN_DIAGONAL of the largest."""
+    """Return the diagonal, nowhere below MIN_DIAGONAL of its largest entry."""
     return np.asarray(np.maximum(diagonal, MIN_DIAGONAL * (float(diagonal.max(initial=0.0)) or 1.0)))
 
 
 def sparse_inverse(matrix: sparse.csr_array) -> Linear:
-    """Of a symmetric matrix whose diagonal may span many decades, by sparse LU in symmetric order."""
+    """Return the inverse of a symmetric matrix whose diagonal may span decades, by sparse LU in symmetric order."""
     diagonal = floored(matrix.diagonal())
     if matrix.nnz <= len(diagonal):
         inverse = 1 / diagonal

@@ -58,7 +58,7 @@ class InverseHessians:
 
     @classmethod
     def nothing(cls, panels: int, cells: int) -> "InverseHessians":
-        """Before the first frame."""
+        """Return the inverses before the first frame."""
         blank, none = np.zeros((panels, cells), dtype=bool), np.zeros(panels, dtype=bool)
         return cls(np.zeros((panels, cells, cells)), np.full((panels, cells), np.nan), blank, none, ~none)
 
@@ -204,15 +204,15 @@ class Secants:
     most: int = 4
 
     def some(self, chosen: Mask) -> "Secants":
-        """Those of some panels."""
+        """Return the secants of some panels."""
         return Secants(tuple((step[chosen], change[chosen], size[chosen]) for step, change, size in self.pairs))
 
     def without(self, forgotten: Mask) -> "Secants":
-        """Those of some panels count no longer."""
+        """Return the secants, of which those of some panels count no longer."""
         return Secants(tuple((s, y, np.where(forgotten, 0.0, size)) for s, y, size in self.pairs))
 
     def after(self, before: Hessian, points: Hessian) -> "Secants":
-        """With one step more; cells that are not free at both ends do not count."""
+        """Return the secants with one step more; cells that are not free at both ends do not count."""
         both = before.free & points.free
         step = np.where(both, points.position - before.position, 0.0)
         change = np.where(both, points.gradient - before.gradient, 0.0)

@@ -133,7 +133,7 @@ class TimedFrame:
 
     @property
     def verified(self) -> bool:
-        """True if the optimum was verified."""
+        """Whether the optimum was verified."""
         return self.status in {strict.value for strict in STRICT}
 
 

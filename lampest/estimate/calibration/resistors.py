@@ -467,7 +467,7 @@ def _with_estimates(scene: Scene, numbers: Sequence[CircuitNumber], noise: float
     readout: Any = scene.readout if noise is None else replace(scene.circuit, noise_lsb=noise)
 
     def rounded(value: float) -> float:
-        """Not below zero, where the noise of a small number can be."""
+        """Return a number, not below zero, where the noise of a small one can be."""
         return round(max(float(value), 0.0), DIGITS)
 
     for estimate in numbers:

@@ -249,7 +249,7 @@ def response_of(fitted: FittedResponse, base: Response, shape: tuple[int, int], 
 
 
 def _rising(most: float) -> Array:
-    """From MIN_KPA to the most, in equal steps of the logarithm; none where the most is not above."""
+    """Return pressures from MIN_KPA to the most, in equal steps of the logarithm; none where the most is not above."""
     if most <= MIN_KPA:
         return np.array([most] if most > 0 else [])
     return np.geomspace(MIN_KPA, most, 1 + int(np.ceil(PER_OCTAVE * np.log2(most / MIN_KPA))))

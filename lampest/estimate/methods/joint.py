@@ -71,7 +71,7 @@ class JointData:
         noise: FrameNoise | None = None,
         resting: int = 0,
     ) -> "JointData":
-        """Before anything that all readings share is known.
+        """Return the data before anything that all readings share is known.
 
         noise : shared by the readings of a frame, or None. The first `resting` frames are means of the unloaded ones.
         """
@@ -83,12 +83,15 @@ class JointData:
         return cls(tuple(cost), tuple(data), errors, anchor, drawn, np.zeros((count, size, 0)))
 
     def sharing(self, at: Sequence[Evaluation]) -> "JointData":
-        """With U at modelled readings: at measured ones a reference that shrinks the noise would seem to fit."""
+        """Return the data with U at modelled readings.
+
+        At measured ones a reference that shrinks the noise would seem to fit.
+        """
         return replace(self, shared=_shared(at, self.errors))
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Of u and w, (frames, cells + n)."""
+        """Bounds of u and w, (frames, cells + n)."""
         limits = zip(*(data.log_bounds for data in self.data), strict=True)
         lower, upper = (np.stack(limit).reshape(len(self.data), -1) for limit in limits)
         more = ((0, 0), (0, self.drawn.shape[2]))
@@ -238,7 +241,7 @@ class Joint:
 
     @cached_property
     def chain(self) -> Chain:
-        """Half of Φ's second derivatives, without those of the readings; cells at a bound stay."""
+        """Half of the second derivatives of Φ without those of the readings; cells at a bound stay."""
         free, count, sharing, cells = ~self.pressed, len(self.position), self._sharing, self.cells
         prior = np.pad(self.ties + IGNORANCE, ((0, 0), (0, self.frames.drawn.shape[2])), constant_values=1.0)
         own = np.stack([rows.T @ rows for rows in self.sensitivities])
@@ -281,7 +284,7 @@ class Joint:
         return self.shift[: self._sharing], learned
 
     def expected_squares(self) -> Array:
-        """E x² of the steps, (frames − 1, cells)."""
+        """Return E x² of the steps, (frames − 1, cells)."""
         less = np.zeros((len(self.stiffness), len(self.shift)))
         less[:, self._sharing :] = np.eye(len(self.stiffness))
         return np.asarray(self.steps**2 + self.chain.step_variance(less)[:, : self.cells])
@@ -324,7 +327,7 @@ class Joint:
         return chain if self.held is None else chain.with_border(np.eye(self._sharing) + BELIEVED * self.shared[1])
 
     def stepped(self) -> "Joint":
-        """After a Newton step, halved until Φ is no larger; as it is where no halving helps."""
+        """Return the point after a Newton step, halved until Φ is no larger; this one where no halving helps."""
         step, shift = self.newton()
         size = 1.0
         while size > np.sqrt(np.finfo(float).eps):
@@ -349,7 +352,10 @@ class TiedModel(LinearModel):
 
 
 def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
-    """Of one frame alone: its readings make up the resolution, and ties compare frames but draw no cell anywhere."""
+    """Return the certainty of one frame. Its readings alone are the resolution.
+
+    Ties compare frames and draw no cell.
+    """
     cells = slice(joint.cells)
     model = TiedModel(joint.at[frame], NO_DUAL, 2 * joint.gradient[frame, cells])
     whole, rows = chain.covariance(frame), joint.sensitivities[frame][:, cells]

@@ -38,7 +38,7 @@ NODAL_CELLS, NODAL_PERIOD = 144, 0.5  # up to so many cells, and from so many se
 
 @dataclass(frozen=True)
 class Method(Validated):
-    """How an estimate is computed: the value of `formulation:`, a bare word or a word with options.
+    """Method of estimation: the value of `formulation:`, a bare word or a word with options.
 
     Attributes
     ----------
@@ -254,7 +254,7 @@ class OptimalMethod(Method):
     joint: bool = False
 
     def check_scene(self, scene: Scene) -> None:
-        """Of formulations with node voltages: those inside a wired panel would be unknowns, too."""
+        """Check a scene for formulations with node voltages: those inside a wired panel would be unknowns, too."""
         if self.kind not in FORMULATIONS:
             return
         FORMULATIONS[self.kind].check(scene.circuit)

@@ -112,7 +112,7 @@ class SmootherMethod(Method):
     def sequence(
         self, state: S, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple[S, list[Step]]:
-        """All frames together; those of which too little was read are left out."""
+        """Solve all frames together; those of which too little was read are left out."""
         rested = state.resting.enough(state.scene)
         enough = readings.enough(state.scene) & rested
         read = [readings[frame] for frame in np.flatnonzero(enough)]
@@ -170,7 +170,7 @@ class SmootherMethod(Method):
     def _joint(
         self, state: SequenceState, data: Sequence[Data], start: Array, resting: int = 0, until: float = inf
     ) -> tuple[Joint, int]:
-        """As `smoothed`, of the data of all frames, of which so many are means of unloaded ones."""
+        """Return `smoothed` for the data of all frames, of which `resting` are means of unloaded ones."""
         costs = [state.estimator.cost(state.scene, 1, partial=frame.partial) for frame in data]
         # Errors that a scene does not name are no unknowns: usual errors of a circuit are too many for a few frames to
         # tell.
@@ -205,7 +205,7 @@ def _begun(
 
 
 def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
-    """Every frame where the joint cost's optimality conditions hold for it; NaN and the fault elsewhere."""
+    """Return every frame for which the joint optimality conditions hold; NaN and the fault for the others."""
     faint = np.any(np.abs(joint.newton()[0]) > MAX_LAST_CHANGE * np.sqrt(joint.chain.variance), axis=1)
     solutions, slopes = [], 2 * joint.gradient[:, : joint.cells]
     for at, residual, weak, slope in zip(joint.at, joint.kkt_residual, faint, slopes, strict=True):
@@ -257,7 +257,7 @@ class Walk:
     most: float
 
     def cost(self, squares: Array) -> float:
-        """Of the expected squares of all steps, (frames − 1, cells)."""
+        """Return the cost of the expected squares of all steps, (frames − 1, cells)."""
         jumps = len(squares) * self._scale * np.sum(np.log1p(self.unrest(squares)))
         return float(jumps + np.sum(squares) / ASSUMED.jump**2)
 

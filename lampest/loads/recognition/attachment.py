@@ -98,12 +98,12 @@ class Attachment:
 
     @property
     def place(self) -> tuple[float, float]:
-        """Its centre, mm."""
+        """Centre, mm."""
         return self.x_mm[0], self.y_mm[0]
 
     @property
     def size(self) -> float:
-        """Its diameter, mm; without one infinite: it may be anywhere."""
+        """Diameter, mm; without one infinite: it may be anywhere."""
         return inf if self.diameter_mm is None else self.diameter_mm[0]
 
     @property
@@ -112,11 +112,14 @@ class Attachment:
         return self.size if self.diameter_mm or self.area_mm2 is None else self.area_mm2[0] ** 0.5
 
     def distance(self, place: tuple[float, float]) -> float:
-        """To a place, mm."""
+        """Return the distance to a place, mm."""
         return hypot(self.place[0] - place[0], self.place[1] - place[1])
 
     def continued(self, later: "Attachment") -> "Attachment":
-        """As it was recognised later; as before where it sucked and now shows less: leaking suction leaves no shape."""
+        """Return the later state.
+
+        The earlier one where it sucked and now shows less: leaking suction leaves no shape.
+        """
         if self.sucks > 0.5 > later.sucks and later.clear < self.clear:
             return self
         far = NOISE_REACH * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
@@ -201,7 +204,7 @@ class _ChangedCells:
 def continued_by(
     before: Sequence[Attachment], loads: Sequence[Attachment], time: float, *, again: bool = False
 ) -> tuple[Attachment, ...]:
-    """All attachments once loads were recognised since a step at that time; those nearest by are continued.
+    """Return all attachments once loads were recognised since a step at that time; those nearest by are continued.
 
     The others have left with the step. again : not the first time since then: nothing leaves without a step, so they
     stay; a load that was seen since the step alone was a part of another.

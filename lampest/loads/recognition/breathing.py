@@ -39,7 +39,7 @@ Pair = tuple[float, float]
 
 
 def too_slow(rate: float) -> str:
-    """Why so many frames a second show no breathing; '' where they do."""
+    """Explain why so many frames a second show no breathing; '' where they do."""
     return "" if rate >= MIN_RATE_HZ else f"breathing shows at four frames a second or more, here there are {rate:.3g}"
 
 
@@ -136,7 +136,7 @@ class Patterns:
 
     @classmethod
     def of(cls, by_cell: Array, rise: Array, slopes: Array, spread: Array, moves: Array, others: Array) -> "Patterns":
-        """Of a load.
+        """Return the patterns of a load.
 
         Parameters
         ----------
@@ -311,7 +311,7 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
 
 
 def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> float:
-    """How probable it is that suction oscillates with its rim, not the rim alone nor the load's place or tilt.
+    """Return the probability that suction oscillates with its rim, not the rim alone nor the load's place or tilt.
 
     Parameters
     ----------

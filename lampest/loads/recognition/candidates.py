@@ -34,7 +34,7 @@ class Several(Candidate):
         return cls(label=AND.join(part.label for part in parts), sucks=all(part.sucks for part in parts), parts=parts)
 
     def priors(self, panel: Panel) -> Mapping[str, Prior]:
-        """Those of every part, its number before their names."""
+        """Return the priors of every part, its number before their names."""
         each = enumerate(part.priors(panel).items() for part in self.parts)
         return {f"{number}.{name}": prior for number, priors in each for name, prior in priors}
 
@@ -43,7 +43,7 @@ class Several(Candidate):
 
     @cached_property
     def _own(self) -> list[tuple[Candidate, slice]]:
-        """Where each part's φ are; there are as many on every panel."""
+        """Slices of each part's φ; there are as many on every panel."""
         ends = [0, *accumulate(len(part.priors(Panel(2, 2))) for part in self.parts)]
         return [(part, slice(*pair)) for part, pair in zip(self.parts, pairwise(ends), strict=True)]
 
@@ -114,7 +114,7 @@ class DiscSearch:
     @classmethod
     @lru_cache(maxsize=16)
     def over(cls, panel: Panel, patch_mm: float, templates: tuple[Template, ...]) -> "DiscSearch":
-        """All templates laid over a panel."""
+        """Return the search with all templates laid over a panel."""
         discs, patterns = [], []
         x, y = panel.places_mm[:, panel.present]
         places = x + 1j * y  # one number a place: regular panels have few distinct steps between two places
@@ -161,7 +161,7 @@ class DiscSearch:
         return bool(np.min(drawn_in @ self.changes) < -MAX_UNEVENNESS * sd)
 
     def starts(self, normal: Array, pull: Array) -> dict[Template, Disc]:
-        """Where each template, as strong as it may be, explains most: (tᵀb)²/tᵀΛt of ln r/r0 with Λ (cells, cells), b.
+        """Return where each template explains most: (tᵀb)²/tᵀΛt of ln r/r0 with Λ (cells, cells), b.
 
         Templates are where ln r/r0 falls, so tᵀb has their sign.
         """
@@ -173,7 +173,10 @@ class DiscSearch:
         return {template: self.discs[at * size + int(best[at])] for at, template in enumerate(self.templates)}
 
     def beside(self, change: Array, discs: Sequence[Disc]) -> Disc | None:
-        """Where one more load may stand on a map of ln r/r0 (rows, columns), clear of those discs; None: nowhere."""
+        """Return where one more load may stand on a map of ln r/r0 (rows, columns), clear of those discs.
+
+        None: nowhere.
+        """
         left = np.tanh(change)
         for disc in discs:
             left[under(self.panel, disc)] = 0.0

@@ -57,7 +57,10 @@ class Verdict:
 
     @classmethod
     def of(cls, panel: Panel, fits: Sequence[Fit], frame: Observation) -> "Verdict":
-        """Where no candidate fits, differences of evidence count less, by χ² per reading of the best one."""
+        """Return the verdict.
+
+        Where no candidate fits, differences of evidence count less, by χ² per reading of the best.
+        """
         before = np.array([prior_cost(panel, fit, frame) for fit in fits])
         evidence = np.array([fit.evidence for fit in fits])
         goodness = fits[int(np.argmax(evidence - before))].chi2 / frame.measured.size
@@ -72,18 +75,18 @@ class Verdict:
 
     @property
     def loads(self) -> tuple[Fit, ...]:
-        """Those that are loads of some shape, the best first; none where nothing stood out."""
+        """Fits that are loads of some shape, the best first; none where nothing stood out."""
         shaped = (fit for fit in self.fits if fit.candidate not in (*UNIFORM, FIELD))
         return tuple(sorted(shaped, key=lambda fit: -fit.evidence))
 
     @property
     def nothing(self) -> float:
-        """How probable it is that nothing stands there, or the same pressure everywhere."""
+        """Probability that nothing stands there, or the same pressure everywhere."""
         pairs = zip(self.fits, self.shares, strict=True)
         return sum(share for fit, share in pairs if fit.candidate in UNIFORM)
 
     def sucks_at(self, disc: Disc | None) -> float:
-        """How probable it is that a load sucks there, given that there is one; None: anywhere."""
+        """Return the probability that a load sucks there, given that there is one; None: anywhere."""
         pairs = zip(self.fits, self.shares, strict=True)
         return sum(share for fit, share in pairs if _sucks(fit, disc)) / max(1 - self.nothing, 1e-9)
 

@@ -240,7 +240,7 @@ class Fitting:
 
     @cached_property
     def centred(self) -> NDArray[np.bool_]:
-        """Which of φ are coordinates of a centre, (parameters)."""
+        """Coordinates of a centre among φ, boolean (parameters)."""
         return np.array([name.split(".")[-1] in ("x", "y") for name in self.candidate.priors(self.panel)], dtype=bool)
 
     @cached_property
@@ -252,7 +252,7 @@ class Fitting:
         return self.candidate.pressure(self.panel, self.patch_mm * larger, parameters)
 
     def explained(self, fit: Fit) -> Explained:
-        """By secants as long as such errors are: tangents jump where pressure comes to the response's corners."""
+        """Return the explanation by secants as long as such errors: tangents jump at the response's corners."""
         if not self.centred.any():
             zeros = np.zeros_like(fit.change)
             return Explained(fit.change, np.hypot(*np.gradient(fit.change, self.panel.pitch_mm)), zeros)

@@ -56,7 +56,7 @@ class WindowScene:
 
     @property
     def circuit(self) -> "WindowScene":
-        """Of all modules."""
+        """The circuit of all modules."""
         return self
 
     @property
@@ -70,22 +70,22 @@ class WindowScene:
         return self._joined(lambda scene, part: scene.series_ohm + part, np.zeros(self.panel.shape))
 
     def uniform_start(self, measured: Array) -> Array:
-        """As `Readout.uniform_start`, module by module."""
+        """Return the uniform start of every module, as `Readout.uniform_start`."""
         return self._joined(lambda scene, part: scene.circuit.uniform_start(part), measured)
 
     def ties(self, cells: Array) -> Array:
-        """Every module has its own."""
+        """Return nothing: every module has its own ties."""
         return np.zeros(0)
 
     def network(self, cells: Array, ties: Array, wiring: None) -> WindowNetwork:
-        """Of all modules."""
+        """Return the network of all modules."""
         parts = zip(self.scenes, self.layout.split(cells), strict=True)
         solved = (own.circuit.network(part, own.circuit.ties(part), own.wiring) for own, part in parts)
         return WindowNetwork(self.layout, tuple(solved))
 
     @property
     def layout(self) -> Modules:
-        """Of its modules."""
+        """Layout of the modules."""
         assert self.panel.modules is not None
         return self.panel.modules
 
@@ -146,7 +146,7 @@ Opened: TypeAlias = tuple[Window, Watch, float]
 
 @dataclass(frozen=True, eq=False)
 class ImageWatch:
-    """As `Watch`, of a panel of modules.
+    """Watch of a panel of modules, as `Watch`.
 
     Attributes
     ----------
@@ -168,7 +168,7 @@ class ImageWatch:
 
     @classmethod
     def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "ImageWatch":
-        """As `Watch.begin`."""
+        """Begin to watch, as `Watch.begin`."""
         scene, modules = panelled.scene, list[Watch | None]()
         detector = replace(panelled.detector, panel=scene.panel.network)
         for number, own in enumerate(scene.of_modules):
@@ -182,7 +182,7 @@ class ImageWatch:
 
     @ONE_BLAS_THREAD
     def push(self, measured: Array, sigma: Array, time: float) -> "ImageWatch":
-        """As `Watch.push`."""
+        """Push a frame, as `Watch.push`."""
         modules, opened, stepped = list(self.modules), list(self.opened), list[int]()
         for number in set(range(len(modules))) - under_windows(opened):
             if (module := modules[number]) is not None:
@@ -204,23 +204,23 @@ class ImageWatch:
         return replace(image, attachments=image._merged())._closed(time) if pushed else image
 
     def touched(self, unloaded: Array) -> bool:
-        """As `Watch.touched`, of any module."""
+        """Return whether any module is touched, as `Watch.touched`."""
         each = self._layout.split(unloaded)
         return any(watch is not None and watch.touched(each[:, n]) for n, watch in enumerate(self.modules))
 
     def ended(self) -> "ImageWatch":
-        """As `Watch.ended`."""
+        """Return the watch once it has ended, as `Watch.ended`."""
         ended = replace(self, opened=tuple((window, watch.ended(), at) for window, watch, at in self.opened))
         return replace(ended, attachments=ended._merged())
 
     @property
     def doubt(self) -> str:
-        """As `Watch.doubt`, of the first window or module that has one."""
+        """Doubt of the first window or module that has one, as `Watch.doubt`."""
         return next((watch.doubt for watch in self._watches if watch.doubt), "")
 
     @property
     def stands_out(self) -> float:
-        """As `Watch.stands_out`, where readings differ most."""
+        """Largest `Watch.stands_out`, of the module where readings differ most."""
         return max(watch.stands_out for watch in self._watches)
 
     @cached_property
@@ -242,13 +242,13 @@ class ImageWatch:
 
     @property
     def _watches(self) -> list[Watch]:
-        """Of the windows, and of the modules that are under none."""
+        """Watches of the windows, and of the modules that are under none."""
         covered = under_windows(self.opened)
         alone = (watch for number, watch in enumerate(self.modules) if watch is not None and number not in covered)
         return [*(watch for _, watch, _ in self.opened), *alone]
 
     def _place(self, number: int, watch: Watch | None) -> Array:
-        """Where in the image a module's readings have changed most, x and y in mm."""
+        """Return where in the image a module's readings have changed most, x and y in mm."""
         assert watch is not None
         corner = self.panelled.scene.panel.places_mm[:, *self._layout.cells(number)][:, 0, 0]
         scores = watch.test.scores(watch.mean - watch.resting)
@@ -284,7 +284,7 @@ class ImageWatch:
         )
 
     def _closed(self, time: float) -> "ImageWatch":
-        """Without the windows that have been calm for long; their modules go on from there."""
+        """Return the watch without the windows that have been calm for long; their modules go on from there."""
         opened = tuple(opening for opening in self.opened if time - opening[2] < CALM_S)
         modules, covered = list(self.modules), under_windows(opened)
         for window, watch, _ in set(self.opened) - set(opened):
@@ -300,7 +300,7 @@ class ImageWatch:
         return replace(self, modules=tuple(modules), opened=opened)
 
     def _merged(self) -> tuple[Attachment, ...]:
-        """Those of all windows: of two that are one, the one that stands nearer to its window's middle."""
+        """Return the attachments of all windows; of two that are one load, the one nearer to its window's middle."""
         every = list[tuple[Window, Attachment]]()
         for window, watch, _ in self.opened:
             for load in watch.attachments:

@@ -74,7 +74,7 @@ class ModelErrors:
     coarse: float = 0.2
 
     def of_scene(self, scene: Scene, reading_error: float) -> "ModelErrors":
-        """With the errors that a scene specifies, and with one of each reading as estimated from the frames."""
+        """Return the errors that a scene specifies, with one of each reading as estimated from the frames."""
         errors = replace(self, reading_error=reading_error)
         if scene.systematic is None:
             return errors
@@ -147,14 +147,14 @@ class MostProbable(NamedTuple):
 
     @property
     def covariance(self) -> Array:
-        """Of x after the readings, (n, n)."""
+        """Covariance of x after the readings, (n, n)."""
         return np.asarray(self.prior - self.across @ cho_solve((self.whitening.root, True), self.across.T))
 
 
 def most_probable(
     model: Callable[[Array], tuple[Array, Array, Array]], start: Array, mean: Array, prior: Array, settled: float
 ) -> MostProbable:
-    """By Gauss-Newton steps in the space of the readings, until a step is below `settled`, but at most twelve.
+    """Return the most probable point by Gauss-Newton steps in the space of the readings, twelve at most.
 
     model : x → (y − f(x), A = ∂f/∂x, C).
     """
@@ -230,7 +230,7 @@ class Baseline:
 
     @property
     def response(self) -> Response:
-        """Of the scene's film; the published one where it names none."""
+        """Response of the scene's film; the published one where it names none."""
         return self.scene.response or PUBLISHED
 
     def network(self, change: Array | float = 0.0) -> Network:
@@ -354,7 +354,7 @@ class Observation:
         return self.baseline.model_errors.offsets(self.measured, self.baseline.scene)
 
     def without(self, dropped: NDArray[np.intp]) -> "Observation":
-        """With some readings' σ so large that they no longer count."""
+        """Return the observation with some readings' σ so large that they no longer count."""
         sigma = self.sigma.copy()
         sigma.flat[dropped] *= DROPPED_FACTOR
         return replace(self, sigma=sigma)

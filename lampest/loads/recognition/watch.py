@@ -228,7 +228,7 @@ class Watch:
 
     @ONE_BLAS_THREAD
     def push(self, measured: Array, sigma: Array, time: float) -> "Watch":
-        """After a frame; a reading without a finite σ does not count. All (rows, columns)."""
+        """Return the watch after a frame, all (rows, columns); a reading without a finite σ does not count."""
         watch = self.followed(measured, sigma, time)
         if not watch.present:
             return watch
@@ -242,7 +242,7 @@ class Watch:
         return watch._pumped(time) if time >= watch.sample_s else watch
 
     def followed(self, measured: Array, sigma: Array, time: float) -> "Watch":
-        """After a frame, as `push`, but nothing is recognised."""
+        """Return the watch after a frame, as `push`, but nothing is recognised."""
         counts = np.isfinite(sigma).ravel()
         logarithm = np.where(counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.mean)
         shown = np.median([*self.recent, logarithm], axis=0)
@@ -263,7 +263,7 @@ class Watch:
 
     @property
     def stands_out(self) -> float:
-        """By how many standard deviations the last frames differ from the panel at rest."""
+        """Number of standard deviations by which the last frames differ from the panel at rest."""
         return float(np.max(self.test.scores(np.median([*self.recent, self.mean], axis=0) - self.resting)))
 
     @property
@@ -281,7 +281,7 @@ class Watch:
         return UNEVENLY if self.uneven else ""
 
     def _stepped(self, shown: Array, logarithm: Array, time: float) -> "Watch":
-        """With a frame among those since the last step, or the first after one."""
+        """Return the watch with a frame among those since the last step, or the first after one."""
         before = self.window[-1][0] if self.window else self.begun
         scores = self.test.scores(shown - self.mean)
         fading = self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)  # residue of the last load in the film
@@ -358,7 +358,10 @@ class Watch:
         return np.zeros(self.panelled.scene.panel.shape) if change is None else change
 
     def _gone(self, time: float) -> "Watch":
-        """Once nothing is there any more; the panel at rest is what it is now, unless nothing had been recognised."""
+        """Return the watch once nothing is there any more.
+
+        Rest is what it is now, unless nothing had been recognised.
+        """
         closed = tuple(
             replace(attachment, until_s=time) if attachment.present else attachment for attachment in self.attachments
         )
@@ -423,7 +426,7 @@ class Watch:
         return replace(self, attachments=tuple(attachments), judged_s=judged_s, breath_s=breath_s)
 
     def _pumped(self, time: float) -> "Watch":
-        """With one more sample of all suction, from the frames of the last BLOCK_S but MIN_FRAMES at least."""
+        """Return the watch with one more sample of all suction, from the last BLOCK_S, of MIN_FRAMES at least."""
         assert self.seen is not None and self.verdict is not None
         block = np.array([logarithm for at, logarithm in self.window if at > self.sample_s - BLOCK_S])
         if len(block) < MIN_FRAMES:

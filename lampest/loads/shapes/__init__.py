@@ -17,5 +17,5 @@ else:
 
 
 def shape_types() -> tuple[type[Shape], ...]:
-    """Every member of the union, in its order; those of installed packages are simulated, and not recognised."""
+    """Return every member of the union, in its order; those of installed packages are simulated, and not recognised."""
     return shipped(AnyShape)

@@ -37,7 +37,7 @@ class Disc(NamedTuple):
 
 
 class Unevenness(NamedTuple):
-    """How a load departs from a disc; all relative.
+    """Departures of a load from a disc; all relative.
 
     Attributes
     ----------

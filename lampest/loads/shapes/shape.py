@@ -91,7 +91,7 @@ class Candidate(ABC):
         return None if disc is None else self.start(disc)
 
     def loads(self, parameters: Array) -> list[tuple["Candidate", Array]]:
-        """Each of its loads with its own φ."""
+        """Return each of its loads with its own φ."""
         return [(self, parameters)]
 
     def report(self, parameters: Array) -> dict[str, tuple[float, Array]]:

@@ -159,7 +159,7 @@ class DrivenReadout(Readout):
         return np.asarray(np.maximum(whole - load - drive, MIN_LOAD_SHARE * whole))
 
     def uniform_start(self, measured: Array) -> Array:
-        """Of idle lines at ground r_ij = Rs_j·(1 − Σ_k v_kj)/v_ij, right where Rd = 0: (…, rows, columns) ohm.
+        """Return r_ij = Rs_j·(1 − Σ_k v_kj)/v_ij (…, rows, columns) ohm of idle lines at ground, right where Rd = 0.
 
         Then no sensed line depends on another, and with its load or without, all others stay as they are.
         """
@@ -259,7 +259,7 @@ class DrivenReadout(Readout):
         return float(np.min(np.where(current > 0, drop / np.where(current > 0, current, 1.0), np.inf)))
 
     def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
-        """With every line's channel in its drive or sense resistance; no sense_ohm, no channel."""
+        """Simulate with every line's channel in its drive or sense resistance; no sense_ohm, no channel."""
         actual = self.with_channels(row_ohm, column_ohm)
         return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
 
@@ -272,7 +272,7 @@ class DrivenReadout(Readout):
         return replace(self, **changes)
 
     def off_by(self, fraction: float) -> Self:
-        """Every reference·(1 + fraction)."""
+        """Return the readout with every reference times 1 + fraction."""
         name = self.of_sensed[0]
         value: PerLine = getattr(self, name)
         larger = tuple(number * (1 + fraction) for number in as_tuple(value))

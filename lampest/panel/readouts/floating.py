@@ -51,7 +51,7 @@ class FloatingNetwork(Network):
 
     @classmethod
     def solve(cls, conductance: Array, tie: Array) -> "FloatingNetwork":
-        """Of cells (rows, columns) siemens. Raises numpy.linalg.LinAlgError where a line is not connected."""
+        """Solve cells (rows, columns) siemens. Raises numpy.linalg.LinAlgError where a line is not connected."""
         with np.errstate(divide="ignore"):
             return cls(1 / conductance, conductance, inverse_of(conductance, tie))
 

@@ -25,7 +25,7 @@ class TiedNetwork(Network):
 
     @cached_property
     def _derivatives(self) -> dict[str, Array]:
-        """Of h by name, each (rows, columns)."""
+        """Derivatives of h by name, each (rows, columns)."""
         shape = self.conductance.shape
         entries = (np.broadcast_to(part, shape).ravel() for part in self.entries(self._impedance))
         values = equation_derivatives(self.readout, *shape)(*entries).reshape(-1, *shape)

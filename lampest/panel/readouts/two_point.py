@@ -78,7 +78,7 @@ class TwoPointReadout(Readout):
         return row + column - 2 * mutual
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
-        """Without wire the arithmetic of floating lines, which costs less than that of any reading."""
+        """Return the network; without wire by the arithmetic of floating lines, which costs less."""
         if wiring is not None:
             return super().network(cell_resistance, ties, wiring)
         conductance = 1 / cell_resistance
@@ -153,7 +153,7 @@ class TwoPointReadout(Readout):
         return np.asarray(recorded / (1 + self.reference_ohm / self.input_ohm))
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
-        """Without a converter's input the same; else times ∂R/∂(recorded)."""
+        """Return σ of the reading: σ without a converter's input, else times ∂R/∂(recorded)."""
         if self.input_ohm is None:
             return sigma
         slope = self._between_lines(recorded) / recorded

@@ -93,7 +93,7 @@ class Contacts(Configuration):
 
     @classmethod
     def of(cls, mean: Array, deviation: Array, rows: int) -> "Contacts":
-        """Of (lines) ohm each, rows first."""
+        """Return the contacts from (lines) ohm each, rows first."""
         both = np.stack([mean, deviation])
         return cls(*(ContactPrior(*map(tuple, part.tolist())) for part in (both[:, :rows], both[:, rows:])))
 
@@ -133,7 +133,7 @@ class Wiring:
         return np.asarray(wire + most[:rows, None] + most[rows:])
 
     def nodes(self, count: int) -> Array:
-        """E (lines, nodes): 1 where a line belongs to a node; lines that touch are one."""
+        """Return E (lines, nodes): 1 where a line belongs to a node; lines that touch are one."""
         first = np.arange(count)
         for group in self.joined:
             first[list(group)] = min(group)
@@ -174,7 +174,10 @@ class Ladder:
 
     @classmethod
     def of(cls, cells: Array, wiring: Wiring) -> "Ladder":
-        """Of cells (rows, columns) ohm in the panel's order; the longer side's lines are the rungs."""
+        """Return the ladder of cells (rows, columns) ohm in the panel's order.
+
+        The longer side's lines are the rungs.
+        """
         lines, swapped = wiring.lines, cells.shape[1] > cells.shape[0]
         flipped = [lines.columns_leave == "top", lines.rows_enter == "right"]
         ohm = [lines.row_ohm_per_cell, lines.column_ohm_per_cell]
@@ -215,7 +218,7 @@ class Ladder:
 
 @dataclass(frozen=True, eq=False)
 class WiredNetwork(TiedNetwork):
-    """With C = K⁻¹Bᵀ the terminals' currents are BC·p, and Z = (BC + diag t)⁻¹, lines that touch taken as one.
+    """Network with wire: the terminals' currents are BC·p, C = K⁻¹Bᵀ; Z = (BC + diag t)⁻¹, touching lines taken as one.
 
     D = (r C Z)ᵀ are the potential differences across the cells for a unit current into every terminal; ∂Z_ab/∂g_c =
     −D_ac D_bc as without wire. With X = diag(r) − r K⁻¹ r + DᵀCᵀ r, those for a unit current through every cell,
@@ -238,7 +241,7 @@ class WiredNetwork(TiedNetwork):
 
     @classmethod
     def solve(cls, cell_resistance: Array, ties: Array, readout: ReadCircuit, wiring: Wiring) -> "WiredNetwork":
-        """Of cells (rows, columns) ohm. Raises numpy.linalg.LinAlgError where a line is not connected."""
+        """Solve cells (rows, columns) ohm. Raises numpy.linalg.LinAlgError where a line is not connected."""
         rows, columns = cell_resistance.shape
         ladder = Ladder.of(cell_resistance, wiring)
         currents = ladder.solve(incidence(rows, columns)).reshape(-1, rows + columns)
@@ -254,7 +257,7 @@ class WiredNetwork(TiedNetwork):
         return np.asarray((self.cell_resistance.reshape(-1, 1) * (self.currents @ self._impedance)).T)
 
     def changes(self, step: Array) -> Entries:
-        """Of dZ = D·diag(g·p)·Dᵀ."""
+        """Return the entries of dZ = D·diag(g·p)·Dᵀ."""
         differences = self.potential_differences
         return self.entries((differences * (self.conductance * step).ravel()) @ differences.T)
 

@@ -118,7 +118,7 @@ class Detected:
 
     @classmethod
     def unknown(cls, recording: str, why: str) -> "Detected":
-        """Where nothing can be said."""
+        """Return the answer where nothing can be said."""
         return cls(recording, CANNOT_SAY, 1.0, why)
 
     @property
@@ -169,7 +169,7 @@ class Detected:
         return tuple(sorted(events, key=lambda event: event.time_s))
 
     def content(self) -> dict[str, Any]:
-        """As `--json` has it."""
+        """Return the content of `--json`."""
         rate = self.frames_per_second
         return {
             "recording": self.recording,

@@ -83,7 +83,10 @@ class Known:
 
     @ONE_BLAS_THREAD
     def watch(self) -> Watch | ImageWatch:
-        """Before the first frame. Raises ValueError where the panel cannot be watched, or was not free."""
+        """Return the watch before the first frame.
+
+        Raises ValueError if the panel cannot be watched, or was not free.
+        """
         panel, layout, noise = self.scene.panel, self.scene.panel.modules, self.noise
         if panel.network.crossings > MAX_CELLS:
             raise ValueError(f"loads are recognised on panels and modules of up to {MAX_CELLS} cells")
@@ -104,7 +107,7 @@ class Known:
 
     @ONE_BLAS_THREAD
     def answer(self, frames: Frames) -> Detected:
-        """After all frames."""
+        """Return the answer after all frames."""
         course = list[tuple[float, float]]()
         try:
             watch = self.watch()

@@ -59,7 +59,7 @@ def pressed_of(case: CaseResult) -> PressedCells | None:
 
 
 def pressed(results: Results) -> tuple[PressedCells, ...]:
-    """Of every case that holds pressures with their errors."""
+    """Return the pressed cells of every case that holds pressures with their errors."""
     return tuple(cells for case in results.cases if (cells := pressed_of(case)) is not None)
 
 
@@ -108,7 +108,7 @@ def pressed_table(all_pressed: Sequence[PressedCells]) -> Table:
 
 
 def figure(value: float, error: float) -> str:
-    """With as many digits as the error's first two; alone where it has none."""
+    """Return the value with as many digits as the error's first two; alone where it has none."""
     if error == 0:
         return f"{value:.3g}"
     digits = max(0, 1 - int(np.floor(np.log10(error)))) if error > 0 and np.isfinite(error) else 1
@@ -116,7 +116,7 @@ def figure(value: float, error: float) -> str:
 
 
 def write_pressed(path: str | Path, all_pressed: Sequence[PressedCells]) -> Path:
-    """Every frame of every estimate as CSV, empty where nothing presses; whole or not at all.
+    """Write every frame of every estimate as CSV, empty where nothing presses; whole or not at all.
 
     Raises InputError where the place cannot be written.
     """

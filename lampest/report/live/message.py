@@ -192,7 +192,7 @@ class Message:
 
     @property
     def solved(self) -> bool:
-        """True if the frame was solved."""
+        """Whether the frame was solved."""
         return self.picture.verdict != UNSOLVED
 
     def row(self) -> Array:

@@ -78,7 +78,7 @@ class Replay:
 
 @dataclass(frozen=True)
 class Outlets:
-    """Where live frames are shown and published.
+    """Outlets of live frames: pages, files and publishers.
 
     Attributes
     ----------

@@ -229,7 +229,7 @@ class Standing:
 
     @property
     def told_apart(self) -> bool:
-        """True if the interval of the difference excludes zero."""
+        """Whether the interval of the difference excludes zero."""
         return not self.difference.lower <= 0 <= self.difference.upper
 
 
@@ -289,7 +289,7 @@ class Comparison:
 
     @property
     def over_frames(self) -> bool:
-        """True if the units are frames of one recording."""
+        """Whether the units are frames of one recording."""
         return len(self.match.recordings) == 1
 
 

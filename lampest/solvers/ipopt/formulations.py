@@ -104,7 +104,7 @@ class Nodal(Formulation):
         )
 
     def potentials(self, readout: Readout, network: Network) -> Array:
-        """Half of the driven block, the far-driven block and, if read, the diagonal of the far block of Z."""
+        """Return half of the driven block, the far-driven block and, if read, the diagonal of the far block of Z."""
         impedance, shape = network.potentials(), network.conductance.shape
         far, driven = _far_first(np.split(np.arange(len(impedance)), [shape[0]]), shape)
         half = impedance[np.ix_(driven, driven)][np.tril_indices(len(driven))]

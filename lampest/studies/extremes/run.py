@@ -51,17 +51,17 @@ class Solve(AtlasSample):
 
     @property
     def doubtful(self) -> bool:
-        """True for an estimate that the second test of optimality does not confirm."""
+        """Whether the second test of optimality does not confirm an estimate."""
         return self.solved and self.audited > 10 * VERIFIED  # of a residual by differences
 
     @property
     def verified(self) -> bool:
-        """True for an estimate without objections."""
+        """Whether there is an estimate without objections."""
         return self.solved and not self.doubtful
 
     @property
     def crashed(self) -> bool:
-        """True without an estimate and a reason."""
+        """Whether there is neither an estimate nor a reason."""
         return self.status.startswith(CRASHED)
 
 

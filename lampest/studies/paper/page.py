@@ -118,7 +118,7 @@ class PublishedNumber(NamedTuple):
 
 
 def published_beside(sides: Sequence[Side], published: Published) -> Iterator[PublishedNumber]:
-    """Every number: ranges of maps, cells that mouths cover, data errors, times, and lampest's response read back.
+    """Yield every number: ranges of maps, cells that mouths cover, data errors, times, lampest's response read back.
 
     Times are those of another program on another machine; the response is the same on every side.
     """

@@ -37,7 +37,7 @@ class ChangeAt(NamedTuple):
 
 
 class SlopeOver(NamedTuple):
-    """Its inset: δ(ΔR/R₀)/δP per kPa between two pressures in kPa."""
+    """Inset with δ(ΔR/R₀)/δP per kPa between two pressures in kPa."""
 
     from_kpa: float
     to_kpa: float

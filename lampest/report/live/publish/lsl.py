@@ -27,12 +27,12 @@ class LslPublish(Publish):
 
     @classmethod
     def at(cls, where: SplitResult, token: str | None) -> Self:
-        """As `Publish`."""
+        """Return the target, as `Publish.at`."""
         return cls(path=where.netloc or cls.path)
 
     @contextmanager
     def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
-        """As `Publish`."""
+        """Open the stream, as `Publish.opened`."""
         with extra("streams"):
             try:
                 import pylsl

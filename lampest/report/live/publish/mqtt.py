@@ -29,7 +29,7 @@ class MqttPublish(Publish):
 
     @contextmanager
     def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
-        """As `Publish`."""
+        """Open the stream, as `Publish.opened`."""
         with extra("streams"):
             from paho.mqtt.client import Client
             from paho.mqtt.enums import CallbackAPIVersion

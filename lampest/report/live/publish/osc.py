@@ -20,7 +20,7 @@ class OscPublish(Publish):
 
     @contextmanager
     def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
-        """As `Publish`."""
+        """Open the stream, as `Publish.opened`."""
         with extra("streams"):
             from pythonosc.udp_client import UDPClient
         try:

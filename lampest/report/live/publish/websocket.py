@@ -31,7 +31,7 @@ class WebsocketPublish(Publish):
 
     @contextmanager
     def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
-        """As `Publish`."""
+        """Open the stream, as `Publish.opened`."""
         with extra("streams"):
             from websockets.exceptions import ConnectionClosed
             from websockets.sync.server import serve
