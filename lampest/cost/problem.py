@@ -131,11 +131,6 @@ class Data:
         return self.sigma if not self.partial else self.sigma / np.where(self.given.seen > 0, self.given.seen, 1.0)
 
     @property
-    def bounded(self) -> bool:
-        """Whether any reading is one-sided."""
-        return self.partial and bool(np.any(self.given.side != 0))
-
-    @property
     def partial(self) -> bool:
         """Whether readings may be bounds or missing."""
         return self.given.side is not None

@@ -89,10 +89,6 @@ class Cholesky(Preconditioner):
         """M⁻¹·p over its own cells."""
         return np.asarray(lapack.dpotrs(self.triangle, values / self.size)[0] / self.size)
 
-    def inverse_root(self) -> Array:
-        """Return V of M⁻¹ = VᵀV between its own cells, (cells, cells)."""
-        return np.asarray(np.triu(lapack.dtrtri(self.triangle)[0]).T / self.size)
-
     def inverse(self) -> Array:
         """M⁻¹ between its own cells, (cells, cells)."""
         upper = np.triu(lapack.dpotri(self.triangle)[0])
