@@ -1,24 +1,42 @@
 """Conjugate gradients on larger panels find what a factorisation finds; their preconditioner is what it says."""
 
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+from unittest.mock import ANY
+
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import linalg, sparse
 
-from lampest import Absolute, Estimator, Huber, Panel, Recording, Scene, Settings, Status, two_point_resistance
+from lampest import (
+    Absolute,
+    Array,
+    Estimator,
+    Huber,
+    Panel,
+    Readings,
+    Recording,
+    Scene,
+    Settings,
+    Status,
+    two_point_resistance,
+)
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.readouts import TwoPointReadout, floating
 from lampest.panel.readouts.floating import FloatingNetwork, Stencil, grounding, square_by_lines
-from lampest.solvers import certificate, hessian, projected_newton
-from lampest.solvers.interior_point import by_interior_point
+from lampest.solvers import certificate, hessian, interior_point, projected_newton
+from lampest.solvers.interior_point import METHOD, _Barrier, by_interior_point, crowds_bounds
+from lampest.solvers.multistart import convex, solved_from
 from lampest.solvers.preconditioners import TwoLevel, sparse_inverse
 from lampest.solvers.smoothing import Smoothing
 from tests.estimates import recording_of
 
-SHAPE = (9, 11)
+SHAPE = (6, 8)
 ESTIMATORS: dict[str, tuple[Term, ...]] = {
     "LSM": (Misfit(),),
     "weighted": (Misfit(weighting="noise"),),
@@ -35,8 +53,8 @@ def recording(noise: float) -> Recording:
     """One unloaded frame and two with a pressed ring, noise in units of the readout's σ."""
     generator = np.random.default_rng(5)
     truth = np.repeat(3000 * np.exp(0.2 * generator.standard_normal((1, *SHAPE))), 3, axis=0)
-    truth[1:, 2:6, 3:7] *= 0.3
-    truth[1:, 3:5, 4:6] *= 12
+    truth[1:, 1:5, 2:6] *= 0.3
+    truth[1:, 2:4, 3:5] *= 12
     readout = TwoPointReadout()
     exact = two_point_resistance(truth)
     resistance = exact + noise * readout.sigma(exact) * generator.standard_normal(exact.shape)
@@ -45,17 +63,14 @@ def recording(noise: float) -> Recording:
 
 
 # Absolute penalties have several minima where the noise is strong, and either way may end in another.
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "noise"),
     [(name, noise) for name in ESTIMATORS for noise in (1.0, 5.0) if (name, noise) != ("absolute", 5.0)],
 )
-def test_products_and_factors_agree(name: str, noise: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_products_and_factors_agree(name: str, noise: float, request: pytest.FixtureRequest) -> None:
     recorded, estimator = recording(noise), Estimator(ESTIMATORS[name], formulation="reduced")
     factored = reconstruct(recorded, estimator)
-    for module in (hessian, floating):
-        monkeypatch.setattr(module, "DENSE_CELLS", 0)
-    monkeypatch.setattr(hessian, "MATRIX_CELLS", 0)
+    request.getfixturevalue("by_products")
     products = reconstruct(recorded, estimator)
     for one, other in zip(factored.steps, products.steps, strict=True):
         assert one.solution.solved
@@ -108,65 +123,192 @@ def test_lines_stand_for_the_square_of_the_stencil() -> None:
     assert_allclose(matrix, np.diag(parts.own.ravel()) + across @ parts.mixed @ across.T, rtol=1e-10)
 
 
-def crowded(deviations: float) -> Recording:
-    """A large panel with so much noise that a third of its cells, or nearly all, end at their bound."""
-    generator = np.random.default_rng(8)
-    truth = 3000 * np.exp(0.2 * generator.standard_normal((18, 20)))
-    truth[4:9, 5:9] *= 0.1
-    readout = TwoPointReadout()
-    exact = two_point_resistance(truth)
-    resistance = exact + deviations * readout.sigma(exact) * generator.standard_normal(exact.shape)
-    resistance = np.maximum(resistance, 10.0)
-    return recording_of(Scene(Panel(18, 20), readout), resistance[None])
-
-
 @pytest.fixture
-def begun_inside(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Evaluation, int]]:
-    """What every interior-point solve ended at, and its steps."""
-    taken = []
-
-    def watched(start: Evaluation) -> tuple[Evaluation, int]:
-        taken.append(by_interior_point(start))
-        return taken[-1]
-
-    monkeypatch.setattr(projected_newton, "by_interior_point", watched)
-    return taken
+def by_products(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small panels are solved as large ones are, by products."""
+    for module, name in ((hessian, "DENSE_CELLS"), (hessian, "MATRIX_CELLS"), (floating, "DENSE_CELLS")):
+        monkeypatch.setattr(module, name, 0)
 
 
-@pytest.mark.slow
+def crowded(noise: float, seed: int, shape: tuple[int, int] = (6, 7)) -> Evaluation:
+    """The readings' own start with so much relative noise that a third of its cells, or most, stand at a bound."""
+    generator, scene = np.random.default_rng(seed), Scene(Panel(*shape), TwoPointReadout())
+    exact = two_point_resistance(3000 * np.exp(0.2 * generator.standard_normal(shape)))
+    value = np.maximum(exact * (1 + noise * generator.standard_normal(shape)), 10)[None]
+    estimator = Estimator((Misfit(),), formulation="reduced")
+    data = estimator.data(Readings.of(scene, value, noise * exact[None]), Background(scene))
+    return Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, convex(data, None))
+
+
+@pytest.mark.usefixtures("by_products")
+@pytest.mark.parametrize(
+    ("seed", "noise", "shape", "iterations", "crowd"),
+    [(1, 0.3, (6, 7), (12, 13), 19), (0, 1.0, (6, 7), (21, 22), 39), (8, 0.3, (18, 20), (17, 17), 290)],
+)
 def test_the_interior_point_method_ends_where_stops_at_bounds_end(
-    begun_inside: list[tuple[Evaluation, int]], monkeypatch: pytest.MonkeyPatch
+    seed: int,
+    noise: float,
+    shape: tuple[int, int],
+    iterations: tuple[int, int],
+    crowd: int,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """On a large panel with noise, a third of the cells at their bound; begun inside, and stopped one by one."""
-    recorded, estimator = crowded(100), Estimator((Misfit(),), formulation="reduced")
-    inside = reconstruct(recorded, estimator).steps[0].solution
-    assert max(steps for _, steps in begun_inside) > 5
+    """It puts the cells at their bounds that belong there, which leaves no search for them."""
+    start = crowded(noise, seed, shape)
+    found, steps = by_interior_point(start)
+    solver = projected_newton.ProjectedNewton(start.cost, Settings())
+    inside = solved_from(solver, start)
+    assert (steps, inside.iterations, inside.open_cell.sum()) == (*iterations, crowd)
+    assert np.array_equal(found.cell_resistance >= found.data.upper, inside.open_cell)
     monkeypatch.setattr(projected_newton, "by_interior_point", lambda start: (start, 0))
-    stopped = reconstruct(recorded, estimator).steps[0].solution
-    assert np.sum(inside.open_cell) > 38
-    assert inside.status is stopped.status is Status.HELD
+    stopped = solved_from(solver, start)
+    assert inside.solved and inside.status is stopped.status
     assert inside.objective == pytest.approx(stopped.objective, rel=1e-8)
 
 
-@pytest.mark.slow
-def test_the_interior_point_method_leaves_no_search_for_the_bounds(
-    begun_inside: list[tuple[Evaluation, int]],
+@pytest.fixture
+def barrier(by_products: None, monkeypatch: pytest.MonkeyPatch) -> _Barrier:
+    """An interior point whose next step is exact, however little room bounds leave it."""
+    monkeypatch.setattr(interior_point, "METHOD", replace(METHOD, min_step=0.0))
+    monkeypatch.setattr(interior_point, "ACCURACY", 1e-12)
+    return _Barrier.of(crowded(0.3, 3))
+
+
+@pytest.mark.usefixtures("by_products")
+def test_the_barrier_begins_inside_with_equal_products_of_force_and_room() -> None:
+    """One cell is at its lower bound, one between two bounds that are close, and one cannot move."""
+    start = crowded(0.3, 3)
+    upper, cells = start.data.upper.copy(), start.cell_resistance.copy()
+    upper[0, 1, 1:3] = start.data.lower[0, 1, 1:3] * [1, 1.001]
+    cells[0, 0, 0] = start.data.lower[0, 0, 0]
+    at = Evaluation.at(start.cost, replace(start.data, upper=upper), np.minimum(cells, upper))
+    barrier = _Barrier.of(at)
+    low, high, conductance = 1 / upper[0], 1 / start.data.lower[0], 1 / at.cell_resistance[0]
+    margin = np.minimum(0.05 * np.median(conductance), (high - low) / 50)
+    assert conductance[0, 0] == high[0, 0] and np.sum(margin < margin.max()) == 2
+    assert_allclose(barrier.conductance, np.clip(conductance, low + margin, high - margin))
+    assert_allclose(barrier.rooms, (barrier.conductance - low, high - barrier.conductance))
+    moving = np.arange(42).reshape(6, 7) != 8
+    least = (np.abs(barrier.gradient) * np.minimum(*barrier.rooms))[moving]
+    assert_allclose((barrier.below * barrier.rooms[0], barrier.above * barrier.rooms[1]), [barrier.mean * moving] * 2)
+    assert_allclose(barrier.mean, 0.1 * np.mean(least))
+    assert_allclose(barrier.added, 2 * 41 * barrier.mean)
+    with np.errstate(divide="ignore"):
+        stiffness = barrier.mean * (1 / barrier.rooms[0] ** 2 + 1 / barrier.rooms[1] ** 2)
+    assert_allclose(barrier.stiffness, np.where(moving, stiffness, 0))
+
+
+def by_differences(barrier: _Barrier, function: Callable[[_Barrier], Any]) -> Array:
+    """Central differences of a function of the point over each conductance, one row for each."""
+    rows = []
+    for cell, conductance in np.ndenumerate(barrier.conductance):
+        sides = []
+        for sign in (1, -1):
+            moved = barrier.conductance.copy()
+            moved[cell] += sign * 1e-6 * conductance
+            sides.append(np.ravel(function(replace(barrier, at=barrier.at.elsewhere(1 / moved[None])))))
+        rows.append((sides[0] - sides[1]) / (2e-6 * conductance))
+    return np.stack(rows)
+
+
+def test_the_push_of_the_barrier_is_the_slope_of_its_merit(barrier: _Barrier) -> None:
+    slope = by_differences(barrier, lambda point: point._merit(point.at, 7e3)).reshape(barrier.conductance.shape)
+    own = barrier.gradient - 7e3 / barrier.rooms[0] + 7e3 / barrier.rooms[1]
+    assert_allclose(own, slope, atol=1e-6 * np.abs(slope).max())
+    beyond = barrier.at.elsewhere(barrier.at.cell_resistance * 1e3)
+    assert barrier._merit(beyond, 1.0) == np.inf
+
+
+def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: _Barrier) -> None:
+    """With JᵀWJ at the start, where second derivatives are indefinite, and with these after one step."""
+    push = np.random.default_rng(1).standard_normal(barrier.conductance.shape) / barrier.conductance
+    later = barrier.moved()
+    assert later is not None
+    size = np.outer(barrier.conductance, barrier.conductance)
+    matrices = [
+        barrier.hessian.gauss_newton_between(np.arange(42)) / size,
+        by_differences(later, lambda at: at.gradient),
+    ]
+    for point, matrix in zip((barrier, later), matrices, strict=True):
+        expected = np.linalg.solve(matrix + np.diag(point.stiffness.ravel()), push.ravel())
+        assert_allclose(point._step(push).ravel() / expected, 1, atol=1e-5)
+
+
+def test_forces_of_the_barrier_follow_its_steps(barrier: _Barrier) -> None:
+    """z + α (μ/s − z δ/s − z), and μ falls to a fifth after a step of which bounds left at least half."""
+    lengths, point = [], barrier
+    for factor in (0.2, 1.0, 1.0, 0.2, 1.0):
+        later = point.moved()
+        assert later is not None and later.mean == pytest.approx(factor * point.mean)
+        mean, (under, over) = later.mean, point.rooms
+        step = point._step(-point.gradient + mean / under - mean / over)
+        taken = (later.conductance - point.conductance) / step
+        assert_allclose(taken, taken[0, 0], rtol=1e-6)
+        changes = (mean - point.below * step) / under - point.below, (mean + point.above * step) / over - point.above
+        forces = [(later.below - point.below) / changes[0], (later.above - point.above) / changes[1]]
+        assert_allclose(forces, forces[0][0, 0], rtol=1e-6)
+        ahead = min(METHOD.reach(under, step), METHOD.reach(over, -step))
+        halvings = np.log2(ahead / taken[0, 0])
+        assert halvings == pytest.approx(round(halvings), abs=1e-6), "until the merit falls"
+        assert later.length == pytest.approx(min(forces[0][0, 0], taken[0, 0]))
+        assert point._merit(later.at, mean) < point._merit(point.at, mean)
+        assert min(later.below.min(), later.above.min()) > 0
+        point = later
+        lengths.append(later.length)
+    assert_allclose(lengths, [0.39, 0.0553, 0.717, 0.2145, 0.902], rtol=1e-2)
+
+
+def test_cells_go_to_the_bound_whose_barrier_outweighs_their_own_reading(barrier: _Barrier) -> None:
+    own = barrier.hessian.own.reshape(6, 7) / barrier.conductance**2
+    shares = np.full((2, 6, 7), 0.99)
+    shares[0, 2, 3] = shares[1, 4, 5] = 1.01
+    ended = replace(barrier, below=shares[0] * own * barrier.rooms[0], above=shares[1] * own * barrier.rooms[1])
+    cells = barrier.at.cell_resistance[0].copy()
+    cells[2, 3], cells[4, 5] = barrier.at.data.upper[0, 2, 3], barrier.at.data.lower[0, 4, 5]
+    assert_array_equal(ended.put_at_bounds().cell_resistance[0], cells)
+
+
+def test_a_change_reaches_a_share_of_the_way_to_the_nearest_end() -> None:
+    room = np.array([1.0, 2.0, 0.0, 3.0])
+    assert METHOD.reach(room, np.array([-2.0, -8.0, -9.0, 5.0])) == pytest.approx(0.99 / 4)
+    assert METHOD.reach(room, np.array([-0.5, 0.0, -9.0, 5.0])) == METHOD.reach(room, np.zeros(4)) == 1
+
+
+@pytest.mark.usefixtures("by_products")
+def test_the_interior_point_method_begins_where_more_cells_than_lines_stand_at_a_bound() -> None:
+    start = crowded(0.3, 3)
+    data, inside = start.data, start.data.uniform_start
+    for count, crowds in ((13, False), (14, True)):
+        cells = inside.copy()
+        cells.flat[:7], cells.flat[7:count] = data.lower.flat[:7], data.upper.flat[7:count]
+        assert crowds_bounds(start.elsewhere(cells)) is crowds
+    at = start.elsewhere(cells)
+    assert by_interior_point(replace(at, data=replace(data, upper=np.full_like(data.upper, np.inf)))) == (ANY, 0)
+    solved = solved_from(projected_newton.ProjectedNewton(start.cost, Settings()), start)
+    for share, crowds in ((0.001, False), (0.003, True)):  # of the way to the start: gradients of 7e-4 and of 2e-3
+        nearer = solved.cell_resistance * (start.cell_resistance / solved.cell_resistance) ** share
+        assert crowds_bounds(start.elsewhere(nearer)) is crowds
+
+
+def test_the_interior_point_method_serves_the_plain_squares_of_large_panels_alone(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Where nine of ten cells end at a bound, it puts those there that belong there."""
-    solution = reconstruct(crowded(1000), Estimator((Misfit(),), formulation="reduced")).steps[0].solution
-    assert np.mean(solution.open_cell) > 0.9
-    for found, steps in begun_inside:
-        assert steps > 5
-        assert np.array_equal(found.cell_resistance >= found.data.upper, solution.open_cell)
+    start = crowded(0.3, 3)
+    assert not crowds_bounds(start)
+    monkeypatch.setattr(hessian, "DENSE_CELLS", 0)
+    assert crowds_bounds(start)
+    for terms in ((Misfit(loss=Huber(corner=1.0)),), (Misfit(), Gradient(weight=1e-9))):
+        cost = replace(start.cost, terms=terms)
+        assert not crowds_bounds(Evaluation.at(cost, start.data, start.cell_resistance))
 
 
-def pressed_patch() -> Evaluation:
+def pressed_patch(rows: int = 18, columns: int = 20) -> Evaluation:
     """LSR-∇CR at equal cells, of a panel with a patch of a hundredth: in log r the cost is concave there."""
     generator = np.random.default_rng(4)
-    truth = 3000 * np.exp(0.2 * generator.standard_normal((18, 20)))
+    truth = 3000 * np.exp(0.2 * generator.standard_normal((rows, columns)))
     truth[4:12, 5:13] *= 0.01
     readings = two_point_resistance(truth)[None]
-    recorded = recording_of(Scene(Panel(18, 20), TwoPointReadout()), readings)
+    recorded = recording_of(Scene(Panel(rows, columns), TwoPointReadout()), readings)
     estimator = Estimator((Misfit(), Gradient(weight=1e-3)), formulation="reduced")
     data = estimator.data(recorded.readings()[0].alone(), Background(recorded.scene))
     return Evaluation.at(estimator.cost(recorded.scene, 1, partial=False), data, data.uniform_start)
@@ -174,7 +316,7 @@ def pressed_patch() -> Evaluation:
 
 def test_gauss_newtons_matrix_is_positive_where_second_derivatives_are_not() -> None:
     """JᵀWJ + PᵀKP as products and as a matrix, where ∇²φ is indefinite."""
-    found = hessian.Hessian(at := pressed_patch(), Smoothing.start(at))
+    found = hessian.Hessian(at := pressed_patch(9, 10), Smoothing.start(at))
     matrix = np.stack([found.gauss_newton_product(unit) for unit in np.eye(at.cell_resistance.size)])
     assert_allclose(
         matrix, found.gauss_newton_between(np.arange(found.gradient.size)), atol=1e-9 * np.abs(matrix).max()
@@ -227,3 +369,41 @@ def test_what_the_last_digits_of_the_cost_hide_is_no_way_down(
     monkeypatch.setattr(hessian.Hessian, "gradient", np.where(np.arange(len(diagonal)) == 7, 1e-9, 0.0))
     kept = TwoLevel(at.cell_resistance, lambda values: values)
     assert certificate.certificate(found, kept).definiteness is certificate.Definiteness[named]
+
+
+@pytest.mark.parametrize(
+    ("aside", "seed", "fails", "begun", "taken", "eased"),
+    [(0.1, 0, 2, 1e-15, 1e-3, 1e-4), (0.1, 0, 0, 1e-15, 1e-15, 1e-15), (1.5, 3, 0, 1e-3, 1e-3, 1e-3)],
+)
+def test_levenbergs_step_is_damped_until_the_cost_falls(
+    aside: float,
+    seed: int,
+    fails: int,
+    begun: float,
+    taken: float,
+    eased: float,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where it falls by half as much as predicted, the next step is damped less."""
+    start = crowded(0.01, 2, (5, 6))
+    optimum = solved_from(projected_newton.ProjectedNewton(start.cost, Settings()), start).cell_resistance
+    drawn = np.exp(aside * np.random.default_rng(seed).standard_normal(optimum.shape))
+    at = start.elsewhere(np.clip(drawn * optimum, 1.001 * start.data.lower, start.data.upper / 1.001))
+    point = replace(projected_newton.Iterate.of(at, Smoothing.start(at)), damping=begun)
+    matrix, gradient = point.hessian.gauss_newton_between(np.arange(30)), point.hessian.gradient
+    step = np.linalg.solve(matrix + taken * np.diag(np.diag(matrix)), -gradient)
+    expected = point.at_step(np.clip(step, -np.log(4), np.log(4)))
+    usual, tries = projected_newton.Iterate.at_step, list[Array]()
+
+    def refused(point: projected_newton.Iterate, step: Array) -> projected_newton.Iterate | None:
+        tries.append(step)
+        return None if len(tries) <= fails else usual(point, step)
+
+    monkeypatch.setattr(projected_newton.Iterate, "at_step", refused)
+    trial = projected_newton.levenberg_step(point)
+    assert trial is not None and expected is not None and trial.damping == pytest.approx(eased)
+    assert_allclose(trial.at.cell_resistance, expected.at.cell_resistance, rtol=1e-6)
+    fails = 100
+    tries.clear()
+    assert projected_newton.levenberg_step(replace(point, damping=1e-15)) is None
+    assert len(tries) == 9, "1e-15, 1e-4, and so on to 1e3"

@@ -20,6 +20,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream, reconstruct
+from lampest.estimate.state import CarriedOver
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.panel.network import inverse_of
@@ -30,6 +31,7 @@ from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import LinearModel
+from lampest.posterior.sampled import SampledMemory
 from lampest.posterior.track import Track
 from lampest.recording.simulation import Simulation, simulate
 from lampest.runs.batch import Task, run_batch, solve_long
@@ -196,6 +198,37 @@ def test_modules_in_threads_beside_each_other_give_the_same_bytes(monkeypatch: p
         monkeypatch.setattr("os.sched_getaffinity", lambda process, cores=cores: set(range(cores)))
         found.append(lampest.reconstruct(recording, terms, formulation="reduced").cell_resistance.tobytes())
     assert found[0] == found[1]
+
+
+@pytest.mark.parametrize(
+    "panel", ["modules: {rows: 1, columns: 3, each: {rows: 2, columns: 3}}", "rows: 3, columns: 4"]
+)
+def test_a_sequence_goes_on_from_the_arrays_that_are_kept_of_it(panel: str) -> None:
+    """Also through samples; a dead module has none."""
+    dead = "faults: {dead_modules: [[0, 1]]}\n" if "modules" in panel else ""
+    recording = simulated(scene_of(f"panel: {{{panel}}}\n{SCENE[SCENE.index('readout') :]}{dead}"))
+    estimator, readings = Estimator((Misfit(), RelativeChange(weight=1e-3)), "reduced"), recording.readings()
+    begun = stream = begin_stream(estimator, recording.scene, 0.1, readings[recording.role == 0].mean())
+    first, second, third = recording.measured_frames()
+    for frame in (first, second):
+        stream, _ = stream.push(readings[frame])
+    kept = CarriedOver.of(stream)
+    one, other = stream.restarted(begun), kept.onto(begun)
+    assert not other.first and {name: values.shape for name, values in CarriedOver.of(other).arrays.items()} == {
+        name: values.shape for name, values in kept.arrays.items()
+    }
+    assert all(part is None or part.prepared is None for part in (one.parts or (one,)))
+    (_, expected), (_, step) = (each.push(readings[third]) for each in (one, other))
+    assert_allclose(step.cell_resistance, expected.cell_resistance, rtol=1e-12)
+    assert_allclose(step.bars.change.deviation, expected.bars.change.deviation, rtol=1e-10)
+    part = stream.parts[0] if stream.parts else stream
+    pairs = np.random.default_rng(1).standard_normal((3, 2, 4, 5))
+    track = replace(part.track, memory=SampledMemory(*pairs[0], 3), answers=tuple(pairs[1]), beyond=tuple(pairs[2]))
+    whole = replace(part, track=track)
+    track = CarriedOver.of(stream.with_parts((whole, *stream.parts[1:])) if stream.parts else whole).onto(stream)
+    track = (track.parts[0] if stream.parts else track).track
+    assert isinstance(track.memory, SampledMemory) and track.memory.frames == 3
+    assert_allclose([(track.memory.last, track.memory.baseline), track.answers, track.beyond], pairs)
 
 
 @pytest.mark.slow

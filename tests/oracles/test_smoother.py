@@ -124,6 +124,53 @@ def test_errors_that_the_cost_knows_nothing_of_move_its_end_as_told() -> None:
     assert np.abs(there.position - joint.position - answer).max() < 0.1 * np.abs(answer).max()
 
 
+def beside_its_end(chance: int) -> Joint:
+    """Φ of three frames of squares, with errors that one frame shares, off its end and far from its anchor."""
+    made, rng = panel(3, 2, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)), np.random.default_rng(2)
+    estimator, readings = Estimator((Misfit(weighting="noise"),), "reduced"), made.readings()
+    data = [estimator.data(readings[frame].alone(), Background(made.scene)) for frame in range(3)]
+    cells = np.log(made.truth_cell_resistance[:3]).reshape(3, -1)
+    anchor = cells + 1e4 * rng.standard_normal(cells.shape)
+    frames = JointData.alone([estimator.cost(made.scene, 1)] * 3, data, Shared.of(made.scene), anchor)
+    sigma = np.stack([one.given.sigma.reshape(-1, 1) for one in data])
+    frames = replace(frames, drawn=sigma * rng.standard_normal((3, 4, chance)))
+    position = np.hstack([cells + 1e-3 * rng.standard_normal(cells.shape), rng.standard_normal((3, chance))])
+    joint = Joint(frames, position, np.zeros(2), rng.uniform(10, 1e4, (2, 4)))
+    joint = replace(joint, frames=frames.sharing(joint.at))
+    return replace(joint, shift=0.1 * rng.standard_normal(joint.frames.shared.shape[2] + 2))
+
+
+@pytest.mark.parametrize("chance", [0, 2])
+def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(chance: int) -> None:
+    """The residuals of which Φ is the sum of squares, and their derivatives by differences."""
+    joint = beside_its_end(chance)
+    size, sharing = joint.position.size, joint.frames.shared.shape[2]
+
+    def residuals(point: Array) -> Array:
+        there = replace(joint, position=point[:size].reshape(joint.position.shape), shift=point[size:])
+        strayed, common = there.log_cells - joint.frames.anchor, there.shift[sharing:]
+        steps = np.diff(there.log_cells, axis=0) - common[:, None]
+        misfit = [(at.reading - at.data.measured).ravel() / at.data.sigma.ravel() for at in there.at]
+        parts = *misfit, there.chance, there.shift[:sharing], common / 0.1, 1e-2 * strayed, joint.stiffness**0.5 * steps
+        return np.concatenate([np.ravel(part) for part in parts])
+
+    here = np.concatenate([joint.position.ravel(), joint.shift])
+    assert joint.value == pytest.approx(np.sum(residuals(here) ** 2), rel=1e-12)
+    units = 1e-5 * np.eye(len(here))
+    slopes = np.stack([(residuals(here + unit) - residuals(here - unit)) / 2e-5 for unit in units], axis=1)
+    gradient = slopes.T @ residuals(here)
+    assert_allclose(joint.gradient.ravel(), gradient[:size], rtol=1e-5, atol=1e-5 * np.abs(gradient).max())
+    step = np.concatenate([part.ravel() for part in joint.newton()])
+    expected = -np.linalg.solve(slopes.T @ slopes, gradient)
+    assert_allclose(step, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
+    cells = np.arange(size).reshape(joint.position.shape)[:, :4]
+    change = np.zeros((2, 4, len(here)))
+    for frame, cell in np.ndindex(2, 4):
+        change[frame, cell, [cells[frame + 1, cell], cells[frame, cell], size + sharing + frame]] = 1, -1, -1
+    variance = np.einsum("tci,ij,tcj->tc", change, np.linalg.inv(slopes.T @ slopes), change)
+    assert_allclose(joint.expected_squares(), joint.steps**2 + variance, rtol=1e-4)
+
+
 @pytest.mark.slow
 def test_the_end_is_the_least_of_the_stated_cost() -> None:
     """Φ written out once more, from Kirchhoff's laws, minimised by BFGS from the estimate and from beside it."""

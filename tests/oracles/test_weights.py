@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
+from scipy.stats import foldnorm
 
 import lampest
 from docs.studies import real
@@ -19,15 +20,19 @@ from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Student
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, LogRatio, RelativeChange, Term
+from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.estimate.weights import with_chosen_weights
+from lampest.estimate.weights import WeightSearch, converter_and_faults, residual_scale, strongest, with_chosen_weights
 from lampest.panel.readouts import TwoPointReadout
 from lampest.posterior.dense import DenseErrors, rank
+from lampest.posterior.fixed_point import first_weights, next_weights, settled_weights
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.spectrum import Rule, Spectrum
+from lampest.posterior.sampled import SampledErrors
+from lampest.posterior.spectrum import Rule, Spectrum, best_weight
 from lampest.runs.config import Case
 from lampest.solvers.multistart import best_solution
+from lampest.solvers.solution import Settings
 from lampest.studies.weights import CurvePoint, Tuned, WeightSubject, bound_evidence, l_curve, solve_at, tune
 from tests.estimates import recording_of, rms
 from tests.oracles import paper
@@ -51,11 +56,15 @@ def measured_data(estimator: Estimator, cells: Array, noise: float, seed: int) -
     return estimator.data(Readings.of(scene, measured[None], noise * exact[None]), Background(scene))
 
 
-def spectrum_and_model(term: Term) -> tuple[Spectrum, LinearModel]:
-    estimator = Estimator((Misfit(), term), formulation="reduced")
-    data = measured_data(estimator, cells_of(1), 0.003, 2)
+def model_with(*terms: Term, noise: float = 0.003) -> LinearModel:
+    estimator = Estimator((Misfit(), *terms), formulation="reduced")
+    data = measured_data(estimator, cells_of(1), noise, 2)
     solution = best_solution(estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0), data, None)
-    model = LinearModel(solution.at, solution.dual)
+    return LinearModel(solution.at, solution.dual)
+
+
+def spectrum_and_model(term: Term) -> tuple[Spectrum, LinearModel]:
+    model = model_with(term)
     return Spectrum.of(model), model
 
 
@@ -116,6 +125,104 @@ def test_information_is_fishers_on_log_weight() -> None:
 
     slope = (logarithm(1 + step) - logarithm(1 - step)) / (2 * step)
     assert_allclose(spectrum.information(weight), 0.5 * np.sum(slope**2), rtol=1e-3)
+
+
+def evidence_step(model: LinearModel, weight: float) -> float:
+    """One step of the evidence's fixed point at the linear estimate of a weight, from its definition."""
+    loss = model.at.cost.terms[1].loss
+    absolute, scale = isinstance(loss, Absolute), model.scale
+    jacobian, rows = DenseErrors(model).jacobian, model.penalty_jacobian.toarray()[:, model.free]
+    curvature = weight**2 / (8 * scale) if absolute else weight
+    inverse = np.linalg.inv(jacobian.T @ jacobian + curvature * rows.T @ rows)
+    residual = model.penalty - rows @ inverse @ (jacobian.T @ model.residual + curvature * rows.T @ model.penalty)
+    determined = np.linalg.matrix_rank(rows)
+    if absolute:
+        size = np.sqrt(scale * np.sum(rows @ inverse * rows, axis=1))
+        return float(scale * determined / (0.5 * np.sum(foldnorm.mean(np.abs(residual) / size, scale=size))))
+    used = curvature * np.trace(inverse @ rows.T @ rows)
+    return float(scale * (determined - used) / np.sum(residual**2))
+
+
+@pytest.mark.parametrize(
+    ("term", "noise"),
+    [
+        (Gradient(weight=1.0, loss=Absolute()), 0.05),
+        (Gradient(weight=1e-5), 0.003),
+        (CellResistance(weight=1e-5), 0.003),
+    ],
+    ids=["absolute", "gradient", "cells"],
+)
+def test_weights_settle_at_the_fixed_point_of_the_evidence(term: Term, noise: float) -> None:
+    model = model_with(term, noise=noise)
+    _, weight = settled_weights(model, [1])
+    assert evidence_step(model, weight) == pytest.approx(weight, rel=0.01)
+    assert settled_weights(model, []) == [1.0, term.weight]
+
+
+def test_first_and_next_weights_are_determined_residuals_over_their_squares() -> None:
+    model = model_with(Gradient(weight=1e-5), CellResistance(weight=1e-7))
+    errors = SampledErrors(model)
+    for number in (1, 2):
+        residual = model.penalty[model.penalty_term == number]
+        squares = np.sum(residual**2)
+        first, later = first_weights(model, [0.3, 0.7, 0.2], [number]), next_weights(model, [number])
+        assert first[number] == pytest.approx(model.scale * len(residual) / squares) and first[0] == 0.3
+        assert later[number] == pytest.approx(model.scale * errors.determined(number) / squares) and later[0] == 1.0
+    at = model.at.elsewhere(np.full_like(model.at.cell_resistance, 2e4))
+    even = LinearModel(at, model.dual)
+    assert first_weights(even, [1.0, 1.0, 1.0], [1])[1] == pytest.approx(even.scale), "as if each residual were one"
+    model = model_with(Gradient(weight=1e-3, loss=Absolute()))
+    magnitude = np.sum(np.abs(model.penalty))
+    assert first_weights(model, [1.0, 1.0], [1])[1] == pytest.approx(2 * model.scale * len(model.penalty) / magnitude)
+
+
+def test_the_scale_of_residuals_is_their_median_over_the_noise_that_cells_leave() -> None:
+    model = model_with(Gradient(weight=1e-5))
+    errors = DenseErrors(model)
+    freedom = 1 - (len(model.free) - 55 + errors.determined(1)) / 56
+    assert freedom > 0.05
+    median = np.median(np.abs(model.residual) / model.noise)
+    assert residual_scale(errors) == pytest.approx(1.482602 * median / np.sqrt(freedom), rel=1e-5)
+    assert residual_scale(DenseErrors(model_with(CellResistance(weight=1e-5)))) == 1, "less than a twentieth"
+
+
+@pytest.mark.parametrize("most_cells", [1000, 10], ids=["matrices", "samples"])
+def test_the_evidence_chooses_its_fixed_point_and_says_how_sure_it_is(
+    most_cells: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lampest.estimate.weights.MAX_CELLS", most_cells)
+    auto = AutoWeight(rule="evidence" if most_cells > 56 else None)
+    estimator, scene = Estimator((Misfit(), Gradient(weight=AUTO)), "reduced", auto_weight=auto), Scene(Panel(*SHAPE))
+    data = measured_data(estimator, cells_of(1), 0.01, 2)
+    chosen = with_chosen_weights(estimator, scene, data, None)
+    solution = best_solution(chosen.problem(scene, 1, 1.0), data, None)
+    scale = max(1.0, residual_scale(DenseErrors(LinearModel(solution.at, solution.dual))))
+    assert 1 < scale < 1.3
+    model = LinearModel(solution.at, solution.dual, deviation=scale * data.deviation)
+    assert float(chosen.terms[1].weight) == pytest.approx(settled_weights(model, [1])[1], rel=0.2)
+    assert np.isnan(chosen.weight_sigma[0])
+    assert chosen.weight_sigma[1] == pytest.approx(np.sqrt(2 / DenseErrors(model).determined(1)), rel=0.03)
+
+
+def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights() -> None:
+    estimator = Estimator((Misfit(), Gradient(weight=AUTO), CellResistance(weight=AUTO)), "reduced")
+    data = [measured_data(estimator, cells_of(seed), 0.01, 2) for seed in (1, 2)]
+    search = WeightSearch(estimator.cost(Scene(Panel(*SHAPE)), 1, partial=False), tuple(data), Settings())
+    assert search.begun == [1.0, 1.0, 1.0] and search.open_terms == [1, 2]
+    weights, sigma = search.by_risk(data[0].uniform_start)
+    for number in (1, 2):
+        spectra = search.spectra(number, weights)
+        assert np.log(best_weight(spectra, "risk") / weights[number]) == pytest.approx(0, abs=0.2)
+        information = sum(spectrum.information(weights[number]) for spectrum in spectra)
+        assert sigma[number] == pytest.approx(information**-0.5, rel=0.05)
+
+
+def test_the_networks_that_differ_most_from_rest_choose_the_weight() -> None:
+    changes = [0.1, 0.7, 0.3, 0.9, 0.2, 0.5, 0.6]
+    assert strongest(changes) == [3, 1, 6, 5, 2][: 1 + MAX_NEIGHBOURS]
+    scene = Scene(Panel(2, 2), TwoPointReadout(adc_bits=10))
+    assert converter_and_faults(scene) == converter_and_faults(replace(scene, series_resistance_ohm=5.0))
+    assert converter_and_faults(scene) != converter_and_faults(replace(scene, readout=TwoPointReadout(adc_bits=12)))
 
 
 def error(estimator: Estimator, data: Data, cells: Array) -> float:

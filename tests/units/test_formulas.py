@@ -1,6 +1,8 @@
 """Formulas of changed cells, motion, smoothed losses and series resistances, against their plain statements."""
 
 from itertools import product
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from numpy.typing import NDArray
 from lampest import (
     Bounds,
     Estimator,
+    InputError,
     Misfit,
     Panel,
     Readings,
@@ -19,6 +22,7 @@ from lampest import (
 )
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
+from lampest.estimate.calibration.loads import _answers
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
 from lampest.estimate.model_check import most_in_series
 from lampest.estimate.noise import NoiseEstimate, largest_change_within_scan
@@ -126,3 +130,34 @@ def test_a_resistance_in_series_is_smaller_than_every_reading_of_both_frames(lev
     rival = Rival(Scene(Panel(3, 3), TwoPointReadout(), 100.0), recorded, np.ones(recorded.shape))
     question = Question(rival, np.array([0, 1]), np.array([2, 3]), 1.0, np.arange(4))
     assert 0.9 * min(levels) < most_in_series(rival, question) < min(levels)
+
+
+def test_a_point_keeps_its_solved_networks_and_solves_them_where_it_has_none() -> None:
+    scene, cells = Scene(Panel(3, 3), TwoPointReadout()), np.linspace(900.0, 1300.0, 9).reshape(1, 3, 3)
+    estimator = Estimator((Misfit(),), "reduced")
+    data = estimator.data(Readings.of(scene, two_point_resistance(1.1 * cells)), Background(scene))
+    at = Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, cells)
+    assert at.networks is at.solved
+    anew = Evaluation(at.cost, data, cells, at.reading, None)
+    np.testing.assert_array_equal(anew.log_gradient(np.zeros(0)), at.log_gradient(np.zeros(0)))
+
+
+def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four frames, two under each load: of the first the strongest cell moves by a quarter, of the second another."""
+    logarithm = np.full((4, 2, 3), 0.1)
+    logarithm[:, 1, 2] = [-1.75, -2.25, -2.0, -2.0]
+    logarithm[:, 0, 1] = [0.1, 0.1, 0.3, -0.3]
+    sd = np.full((4, 2, 3), 0.04)
+    sd[1] = 0.03
+    estimates = SimpleNamespace(frame=np.arange(2, 6), film=None)
+    monkeypatch.setattr("lampest.estimate.calibration.loads.reconstruct", lambda *_: estimates)
+    monkeypatch.setattr("lampest.estimate.calibration.loads.log_change", lambda _: (logarithm, sd))
+    recording: Any = SimpleNamespace(name="mine", role=np.arange(6))
+    loads: list[Any] = [SimpleNamespace(frames=frames) for frames in ((2, 3), (4, 5))]
+    mean, deviation, within = _answers(recording, loads)
+    np.testing.assert_allclose(mean, (logarithm[::2] + logarithm[1::2]) / 2)
+    np.testing.assert_allclose(deviation[:, 0, 0], [np.sqrt((0.04**2 + 0.03**2) / 2), 0.04])
+    np.testing.assert_allclose(within, [0.25, 0])
+    loads[0].frames = (2, 6)
+    with pytest.raises(InputError, match="no frame 6, its frames are 0 to 5"):
+        list(_answers(recording, loads))
