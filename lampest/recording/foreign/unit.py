@@ -118,10 +118,10 @@ def _rounding(values: Array) -> float:
 
 
 def recorded_values(values: Array, unit: str, scene: Scene, place: Callable[[int, int, int], str]) -> Array:
-    """Convert values in their unit to the recorded quantity of the readout, (frames, rows, columns); NaN stays NaN.
+    """Return values converted from their unit to the readout's recorded quantity, (frames, rows, columns); NaN is kept.
 
-    A code or a voltage at a rail, an infinite resistance and one of zero stay unchanged: bounds. Raises InputError
-    with the place (frame, row, column) of a value that is impossible.
+    Codes and voltages at a rail, infinite resistances and those of zero remain bounds. Raises InputError with the place
+    (frame, row, column) of an impossible value.
     """
     scaled, readout = values * FACTORS[unit], scene.readout
 
@@ -144,7 +144,7 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Callable[[int
 
 
 def check_shorted(recorded: Array, scene: Scene, unit: str, source: object) -> None:
-    """Raise InputError where most readings stand at the rail of a shorted cell: another unit, or another range."""
+    """Raise InputError if most readings are at the rail of a shorted cell: unit or range are probably wrong."""
     readout = scene.readout
     if readout is None:
         return
