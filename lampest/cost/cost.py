@@ -77,6 +77,8 @@ class Cost:
         pairs = []
         for frame in range(self.frames):
             baseline = symbols.cell_resistance[:, 0] if frame else None
+            # Frame 1 of a joint solve compares with frame 0, its baseline; a single frame compares with given earlier
+            # frames.
             known = symbols.given.of_frame(frame, baseline, looks_back=self.needs_previous)
             cells, reading = symbols.cell_resistance[:, frame], symbols.reading[:, frame]
             state = State(panel=self.panel, cell_resistance=cells, reading=reading, **known)
@@ -90,6 +92,7 @@ class Cost:
         """Numbers of the rows of each residual that do not depend on a faulty cell."""
         symbols = self.symbols()
         cells = casadi.vec(symbols.cell_resistance)
+        # Columns of faulty cells in ∂residual/∂r; rows with a nonzero there are removed.
         every = [frame * self.panel.crossings + cell for frame in range(self.frames) for cell in self.faulty]
         rows = []
         for _, residual in self._all_residuals(symbols):
@@ -223,6 +226,7 @@ class CostFunctions:
         # Residuals that IPOPT splits, and the costs of the terms at y = 0, a part of the scale of the cost.
         split = [group for group in program_groups(parts) if group[0].loss.enters != "whole"]
         by_term = casadi.vertcat(*costs)
+        # Costs at readings of zero, f(r) = 0
         blank = casadi.substitute(by_term, symbols.reading, casadi.SX.zeros(*symbols.reading.shape))
         outputs = {
             "first": casadi.densify(casadi.vertcat(by_term, blank, gradient)),
@@ -278,6 +282,7 @@ class Entries:
         model = np.flatnonzero((rows >= count) & (columns >= count))
         diagonal = np.array_equal(rows[model], columns[model])
         at_model = rows[model] - count if diagonal else None
+        # Nonzeros that are neither between cells nor between readings couple the two.
         own, crossed = np.flatnonzero(rows == columns), len(cells) + len(model) < len(rows)
         at_cells, on_diagonal = (rows[cells], columns[cells]), (own, rows[own])
         return cls(cells, at_cells, model, at_model, crossed, on_diagonal, len(own) == len(rows))

@@ -117,6 +117,7 @@ class Loss(Configuration):
     def stiffness(self, residual: Array) -> Array:
         """Return ½ρ'(x)/x, ½ρ'' at 0, the weights of iteratively reweighted least squares, (rows,)."""
         slope, second = _halves(self, residual)
+        # ½ρ'(x)/x → ½ρ''(0) for x → 0
         zero = residual == 0
         return np.where(zero, second, slope / np.where(zero, 1.0, residual))
 
@@ -148,6 +149,7 @@ class Loss(Configuration):
 @guarded
 def _halves(loss: "Loss", residual: Array) -> tuple[Array, Array]:
     """Return (½ρ', ½ρ'') of every residual, (rows,) each."""
+    # One evaluation of (½ρ', ½ρ'') for all residuals: CasADi maps the function over the columns of (1, rows).
     slope, second = _derivatives(loss)(residual[None])
     return np.asarray(slope).ravel(), np.asarray(second).ravel()
 
@@ -200,6 +202,7 @@ class Huber(Loss):
 
     def cost(self, residual: Any) -> Any:
         """Return Σ c·(2x − c), c = x clipped to |c| ≤ corner; symbolic or numeric."""
+        # c·(2x − c) is x² for |x| ≤ corner, and 2·corner·|x| − corner² beyond.
         inside = casadi.fmin(casadi.fmax(residual, -self.corner), self.corner)
         return casadi.sum1(inside * (2 * residual - inside))
 
@@ -238,6 +241,7 @@ class Absolute(Loss):
 
     def data_curvature(self, residual: Array, noise: Array) -> Array:
         """Return ω = √(2/π)/(2τ), half the second derivative of E|x + noise| at 0."""
+        # d²E|x + n|/dx² = 2·density(n = −x), which is √(2/π)/τ at 0 for normal n
         return np.asarray(np.sqrt(2 / np.pi) / 2 / np.maximum(noise, np.finfo(float).tiny))
 
     def penalty_curvature(self, residual: Array, weight: float, scale: float) -> Array:

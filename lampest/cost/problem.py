@@ -288,6 +288,7 @@ class Evaluation:
     def partials(self, dual: Array) -> tuple[Array, Array]:
         """Return (∂φ/∂r at fixed readings y, ∂φ/∂y), each (…, frames, rows, columns)."""
         values = self.call(self.cost.functions.first, dual) if len(dual) else self.first
+        # `first` = (costs of the terms, costs at y = 0, ∂φ/∂r, ∂φ/∂y)
         both = values[..., 2 * len(self.cost.terms) :].reshape(*self.data.panels, 2, *self.cell_resistance.shape[-3:])
         return both[..., 0, :, :, :], both[..., 1, :, :, :]
 
@@ -296,6 +297,7 @@ class Evaluation:
         direct, through = self.partials(within_one(dual))
         gradient: Array = direct * self.cell_resistance
         for frame, network in enumerate(self.networks):
+            # Jᵀ ∂φ/∂y by one product with the network of each frame
             gradient[..., frame, :, :] += network.adjoint(through[..., frame, :, :])
         return gradient
 
@@ -339,6 +341,7 @@ class Evaluation:
 
     def dual_gap(self, dual: Array) -> float:
         """Return Σ weight·(|x| − z·x) over absolute losses, zero if z is a subgradient; rounding of x is ignored."""
+        # |x| − z·x is at least zero for |z| ≤ 1; differences within rounding count as zero.
         gap = np.abs(self.nonsmooth) - dual * self.nonsmooth - self.last_bits
         return float(np.sum(self.cost.slope * np.maximum(gap, 0.0)))
 
@@ -354,6 +357,7 @@ class Evaluation:
     def projected_gradients(self, log_gradient: Array) -> Array:
         """Return max |u − Π(u − ∇φ/s)| of every panel, (…), for a gradient ∂φ/∂u (…, frames, rows, columns)."""
         lower, upper = self.data.log_bounds
+        # Π(u − ∇φ/s): gradient step, projected onto the bounds
         target = self.position - log_gradient / self.cost_scales[..., None, None, None]
         away = np.abs(self.position - np.minimum(np.maximum(target, lower), upper))
         return np.asarray(away.max(axis=(-3, -2, -1)))

@@ -81,6 +81,7 @@ class State(Given):
 def gradient_operator(rows: int, columns: int) -> casadi.DM:
     """Return the panel's finite differences of row-major columns, sparse (2·cells, cells)."""
     along_rows, along_columns = (casadi.sparsify(casadi.DM(difference_matrix(length))) for length in (rows, columns))
+    # (D ⊗ 1; 1 ⊗ D): D differences along a column, and along a row, of row-major values
     return casadi.vertcat(
         casadi.kron(along_rows, casadi.DM.eye(columns)), casadi.kron(casadi.DM.eye(rows), along_columns)
     )
@@ -307,7 +308,7 @@ class LogRatio(Term):
 
 @dataclass(frozen=True)
 class TotalVariationOfChange(Term):
-    """100·log((r/r0)_b/(r/r0)_a) in percent per pitch, over all pairs a, b of neighbours; r0 as `reference` says.
+    """100·log((r/r0)_b/(r/r0)_a) in percent per pitch, over all pairs a, b of neighbours; r0 of the `reference`.
 
     With its absolute loss the anisotropic total variation of log r/r0; see `TotalVariation`.
 
@@ -358,6 +359,7 @@ class Arrival(Term):
 
     def residual(self, state: State) -> Any:
         """Return the logarithmic change in standard deviations, (cells, 1)."""
+        # sd0² + q², with q in percent
         variance = state.previous_deviation**2 + (self.walk_percent / 100) ** 2
         return casadi.log(state.ratio("previous")) / casadi.sqrt(variance)
 

@@ -213,6 +213,7 @@ class Panel(Configuration):
             first = np.concatenate([numbers[:-1].ravel(), numbers[:, :-1].ravel()])
             second = np.concatenate([numbers[1:].ravel(), numbers[:, 1:].ravel()])
             return first, second, np.ones(len(first))
+        # Gabriel graph of the listed cells, with distances in pitches.
         cells = np.flatnonzero(self.present)
         places = self.places_mm.reshape(2, -1)[:, cells].T
         pairs = np.array([(cell, near) for cell in range(len(cells)) for near in circle_neighbours(places, cell)])

@@ -152,6 +152,7 @@ class TableResponse(Response):
         from scipy.interpolate import PchipInterpolator  # the import takes 0.1 s, and few scenes have a table
 
         pressure = np.array(self.pressure_kpa)
+        # ln f on TABLE_PARTS points per interval, zero at 0 kPa
         cubic = PchipInterpolator(pressure, np.log(self.resistance_ohm))
         steps = np.linspace(pressure[:-1], pressure[1:], TABLE_PARTS, endpoint=False, axis=1)
         at = np.append(steps.ravel(), pressure[-1])
@@ -239,6 +240,7 @@ class PublishedResponse(Response):
 
     def logarithm(self, pressure: ArrayLike) -> Array:
         level = _straight_on(pressure, CURVE_KPA, CURVE_LEVEL)
+        # Inverse of `_level`: ln(f) in the linear part 0.112 ≤ f ≤ 1, shifted by the level's excess beyond it
         linear = np.clip(level, CURVE_RATIO[3], 1.0)
         return np.asarray(np.log(linear) + (level - linear))
 
@@ -274,6 +276,7 @@ class BentSuction(PublishedResponse):
     def logarithm(self, pressure: ArrayLike) -> Array:
         """Return ln f(p) for pressures in kPa, any shape."""
         pressure = np.asarray(pressure, dtype=float)
+        # ln f = ln 7.54·(p/−10)^exponent for suction
         share = np.minimum(pressure, 0.0) / CURVE_KPA[0]
         rise = np.log(CURVE_RATIO[0]) * share**self.exponent
         return np.asarray(super().logarithm(np.maximum(pressure, 0.0)) + rise)

@@ -130,6 +130,7 @@ def _wire(network: Network, measured: Array, scene: Scene, size: float) -> Array
 
 def _each_reading(network: Network, measured: Array, scene: Scene, size: float) -> Array:
     """Return the columns of a factor on each recorded value."""
+    # Column c has the error of reading c alone: an identity over the cells times size·∂y/∂log(recorded).
     each = (size * recorded_share(measured, scene)).reshape(*measured.shape[:-2], -1)
     alone = np.zeros((each.shape[-1], *each.shape))
     np.einsum("c...c->...c", alone)[...] = each

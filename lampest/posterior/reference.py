@@ -330,6 +330,7 @@ class ReferenceFit:
 
     def expected(self, square: float) -> "ReferenceFit":
         """Return the fit with weights and τ² updated at the present linearisation, and the resulting step."""
+        # Weights and τ² by expectation–maximisation about one linearisation.
         linear = LinearisedFrame.of(self)
         weights = self.reading_weights[linear.rows], self.step_weights
         variance = self.variance
@@ -371,6 +372,7 @@ class ReferenceFit:
         """
         lower, upper = (np.ravel(bound[self.frame])[self.cells] for bound in self.data.log_bounds)
         place = self.position[self.cells]
+        # Active set: fixed cells, and cells that the gradient presses against a bound; Newton step of the others.
         held = (upper <= lower) | ((place <= lower) & (slope > 0)) | ((place >= upper) & (slope < 0))
         if not held.any():
             return np.asarray(-covariance @ slope)
@@ -382,6 +384,7 @@ class ReferenceFit:
     def moved(self, square: float) -> "ReferenceFit | None":
         """Return the fit after the largest tried share of the step that does not raise the cost; None if none."""
         lower, upper = (np.ravel(bound[self.frame]) for bound in self.data.log_bounds)
+        # Backtracking on −2 log of the heavy-tailed densities.
         cost, change = self._cost(square), np.clip(self.change, -MODEL.max_step, MODEL.max_step)
         for share in (1.0, 0.3, 0.1, 0.03):
             trial = self.at(np.clip(self.position + share * change, lower, upper))

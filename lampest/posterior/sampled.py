@@ -142,6 +142,7 @@ class SampledErrors(DenseErrors):
         pulled, samples = np.zeros(len(model.free)), np.empty((self.samples, len(model.free)))
         size = np.sqrt(self.widening * model.scale)
         curvature = sparse.diags_array(model.penalty_curvature)
+        # Ω Z₀, for M ε₀ = Zᵀ Ω Z₀ ε₀
         previous, baseline = curvature @ model.previous_jacobian, curvature @ model.baseline_jacobian
         for number in range(self.samples):
             noise = random.standard_normal(len(model.noise)) * model.noise
@@ -156,6 +157,7 @@ class SampledErrors(DenseErrors):
                 known = previous @ self.before.last[number] + baseline @ self.before.baseline[number]
                 right -= model.penalty_jacobian.T @ known
             samples[number] = self._solved(right[model.free])
+            # E[ε·(Zᵀ √Ω z₂)/√(s²(C − B))] = diag(A⁻¹ Zᵀ Ω Z) over the samples
             pulled += samples[number] * (self._rows.T @ (pull / size))[model.free] / self.samples
         return samples, pulled
 

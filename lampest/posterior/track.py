@@ -53,6 +53,7 @@ class Change(LogInterval):
                 size: Array = np.sqrt(np.maximum(of_frame**2 + of_baseline**2 - 2 * shared, 0))
             return size
 
+        # The lower end of the difference combines the frame's lower with the baseline's upper end.
         ends = TWO_SIDED**2 * shared
         return cls(
             joined(frame.deviation, baseline.deviation, shared),
@@ -171,6 +172,7 @@ class Track:
         """Return the readings' standard deviations without each reading's own systematic error, if they include it."""
         if self.shared is None or not self.shared.in_sigma:
             return deviation
+        # σ² without the systematic part, which enters through the shared errors
         noise = deviation**2 - self.shared.own_error(measured) ** 2
         return np.asarray(np.sqrt(np.maximum(noise, (MIN_NOISE_SHARE * deviation) ** 2)))
 
@@ -195,6 +197,7 @@ class Track:
         cells = model.at.cell_resistance
         if self.shared is None:
             return np.zeros((cells.size, 0)), own
+        # U of every frame, and its effect on log r; cells at bounds are treated one by one.
         pairs = zip(model.at.networks, model.at.data.measured, strict=True)
         columns = np.concatenate([self.shared.columns(*pair) for pair in pairs])
         last, baseline = self.answers or np.zeros((2, cells[0].size, columns.shape[1]))

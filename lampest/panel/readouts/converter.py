@@ -129,6 +129,7 @@ class Converter(Configuration):
         """
         # The tail beyond 2000 harmonics is 1/(2π²·2000); it matters only without noise, where b² is 1/12.
         harmonic, noise = np.arange(1, 2001, dtype=float), np.array(self.assumed_noise)
+        # Terms of b², one for each harmonic h of the quantisation error (noise (…, 1), harmonic (2000,))
         damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2)) / (2 * np.pi**2 * harmonic**2)
         bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
         return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / self.readings + bias))
@@ -147,6 +148,7 @@ class Converter(Configuration):
         A reading beyond them is one-sided: a code at a rail, or at the floor, only bounds the voltage by its edge.
         """
         top = 2.0**self.adc_bits - 1
+        # Lower edge of the first valid code, and of the last code; stages before the converter may narrow the range.
         edges = np.array([(self.floor_code or 0) + 1.0, top]) * self.lsb_volt
         if self.passes_volt is not None:
             within = np.add(self.passes_volt, np.array([1, -1]) * NOISE_REACH * float(np.mean(self.sigma_volt())))

@@ -146,16 +146,19 @@ class DrivenReadout(Readout):
         drive, load, gain = (np.broadcast_to(part, mutual.shape) for part in self._circuit(mutual.shape))
         driven, sensed = of_side(self.driven, row, column)
         if self.idle_floats:
+            # Floating idle lines: V = c·U(D)·Z_ij/D with D = Rd + Z_ii
             resistance = driven + drive
             volt = mutual * gain * self._supply(resistance) / resistance
         else:
             volt = mutual * (self.driving_volt * gain / drive)
+        # One load at a time: /k_j, k_j = 1 + Z_jj/Rs_j
         return volt if self.all_loaded else volt / (sensed * (1 / load) + 1)
 
     def apparent_resistance(self, measured: Array) -> Array:
         """Return Rs·((Vcc − V_d)·c/V − 1) − Rd, the resistance of a single divider with this reading."""
         drive, load, gain = self._circuit(measured.shape[-2:])
         volt = np.maximum(measured / gain, OPEN_SHARE * self.driving_volt)
+        # (Vcc − V_d)/I with the current I = V/(c·Rs): the sum of cell, load and drive
         whole = load * (self.driving_volt - self._lost(volt / load)) / volt
         return np.asarray(np.maximum(whole - load - drive, MIN_LOAD_SHARE * whole))
 
@@ -169,6 +172,7 @@ class DrivenReadout(Readout):
             return super().uniform_start(measured)
         _, load, gain = self._circuit(measured.shape[-2:])
         driven = -3 - self._along_sensed
+        # Voltages over the supply, with a lower limit for open cells.
         share = measured / (self.driving_volt * gain)
         share = np.maximum(share, OPEN_SHARE * share.max(axis=(-2, -1), keepdims=True))
         remainder = 1 - share.sum(axis=driven, keepdims=True)
@@ -214,6 +218,7 @@ class DrivenReadout(Readout):
         """
         count = len(drive)
         impedance = inverse_of(conductance, np.concatenate([1 / drive, 1 / load if self.all_loaded else 0 * load]))
+        # Potentials of all lines while line i is driven: Z_·i·Vcc/Rd_i
         at_supply = impedance[:, :count] * (self.driving_volt / drive)
         own = np.broadcast_to(at_supply[:count].T, (len(load), count, count))
         if self.all_loaded:
@@ -242,6 +247,7 @@ class DrivenReadout(Readout):
         """
         drive, load, gain = self._circuit(measured.shape[-2:])
         volt, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0) / gain
+        # Vcc ≥ v_ij + Rd_i Σ_k v_ik/Rs_k + V_d, with the propagated noise of both terms
         drop = (drive if self.all_loaded else 0.0) / load
         sensed, driven = self._along_sensed, -3 - self._along_sensed
         lost = self._lost((volt / load).sum(axis=sensed, keepdims=True))
@@ -268,6 +274,7 @@ class DrivenReadout(Readout):
         current = volt / load
         if self.all_loaded:
             volt, current = volt.max(axis=self._along_sensed), current.sum(axis=self._along_sensed)
+        # Voltage across Rd and the current through it: Rd ≤ (Vcc − V_d − v)/I
         drop = self._driven_volt(current, 0.0) - volt
         return float(np.min(np.where(current > 0, drop / np.where(current > 0, current, 1.0), np.inf)))
 

@@ -61,6 +61,7 @@ class Diode(Configuration):
         With A = I_s R/s and w = A e^{V_d/s} the equation is w + ln w = Vcc/s + A + ln A, and I·R = s (w − A). Newton's
         method begins above the root. As the equation is concave, all further iterates are below it and increase.
         """
+        # A = I_s R/s, right-hand side Vcc/s + A + ln A, and the start w = right + ln(1 + e^−right)
         part = resistance * (self._saturation / self.slope_volt)
         right = part + _logarithm(part) + supply_volt / self.slope_volt
         omega = right + _logarithm(1 + e**-right)
@@ -140,6 +141,7 @@ class LoadedColumnsReadout(DrivenReadout):
         For a floating line u_p Σ_j g_pj = Σ_j g_pj v_ij.
         """
         potentials = (volt @ conductance.T) / conductance.sum(axis=1)
+        # The driven line is above every sensed one: a lower limit against noise.
         driven = self._driven_volt((volt / load).sum(axis=1), drive)
         np.fill_diagonal(potentials, np.maximum(driven, volt.max(axis=1) * (1 + 1e-6)))
         return np.asarray(potentials[None])
@@ -154,6 +156,7 @@ class LoadedColumnsReadout(DrivenReadout):
         sensed = self._along_sensed
         noise = np.zeros_like(measured) if sigma is None else np.where(np.isfinite(sigma), sigma, measured)
         current = (measured / load).sum(axis=sensed, keepdims=True)
+        # Upper bound of the current, and with it a lower bound of the potential
         current = current + NOISE_REACH * np.sqrt(((noise / load) ** 2).sum(axis=sensed, keepdims=True))
         least = np.maximum(self._driven_volt(current, drive), 0) / current - load
         return np.asarray(np.maximum(least, super().least_cells(measured, sigma)))

@@ -316,6 +316,7 @@ def with_memory(readout: Readout, fraction: float, volt: Array) -> Array:
     volt : array, shape (…, rows, columns)
         U in the panel's order.
     """
+    # Recursion along the scan from V_0 = 0.
     channels = in_scan_order(readout, volt)
     held, last = np.empty_like(channels), np.zeros(channels.shape[:-1])
     for number in range(channels.shape[-1]):
@@ -352,6 +353,7 @@ def without_memory(readout: Readout, fraction: float, recorded: Array, sigma: Ar
         ends = readout.recorded_from_volt(inside + step) - readout.recorded_from_volt(inside - step)
         return np.abs(ends) / (2 * step)
 
+    # U_n = (V_n − m·V_(n−1))/(1 − m), with σ propagated to volt, through the difference, and back.
     volt = readout.volt_from_recorded(recorded)
     noise = sigma / slope(volt)
     before, noise_before = before_it(volt), before_it(noise)

@@ -138,6 +138,7 @@ class Wiring:
         Contacts count with their means plus NOISE_REACH standard deviations.
         """
         rows, columns = shape
+        # Segments from the terminal of the row, and of the column, to every cell.
         along, down = np.arange(1, columns + 1), np.arange(1, rows + 1)
         along = along[::-1] if self.lines.rows_enter == "right" else along
         down = down[::-1] if self.lines.columns_leave == "bottom" else down
@@ -149,6 +150,7 @@ class Wiring:
 
     def nodes(self, count: int) -> Array:
         """Return E, (lines, nodes), 1 where a line belongs to a node; lines that touch are one node."""
+        # Every line belongs to the node of the first line of its group.
         first = np.arange(count)
         for group in self.joined:
             first[list(group)] = min(group)
@@ -363,6 +365,7 @@ def wire_responses(network: Network, lines: Lines) -> Array:
     ∂Z_ab/∂ρ = Σ I_a I_b over all segments of the wire. I_a is the current through a segment for a unit current into a,
     which is the sum of the currents through all cells beyond the segment.
     """
+    # Currents through the cells, g·D, then cumulated from the far end to each segment.
     currents = network.potential_differences * network.flat_conductance[..., None, :]
     maps, responses = currents.reshape(*currents.shape[:-1], *network.conductance.shape[-2:]), []
     for axis, near_first in ((-1, lines.rows_enter == "left"), (-2, lines.columns_leave == "top")):
