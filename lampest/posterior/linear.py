@@ -170,7 +170,8 @@ class LinearModel:
     def weight_pulls(self) -> Array:
         """W = σ λ Zᵀ ½ρ'(x̂), (cells, n), of the n terms whose weights the data chose.
 
-        A column is the change of half the gradient for one standard deviation σ of log λ.
+        A column is the change of half the gradient for one standard deviation σ of log λ. Without it, 95 % intervals
+        cover 81 to 83 % of the cells where the noise is as large as the prior (docs/studies/calibration.md).
         """
         slopes = [np.zeros((0, len(self.penalty_term)))]
         for number, sigma in enumerate(self.weight_sigma):

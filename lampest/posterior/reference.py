@@ -38,7 +38,9 @@ class ReferenceModel:
     Attributes
     ----------
     degrees_of_freedom : float
-        ν of Student's t: the smallest integer for which the variance is finite.
+        ν of Student's t: the smallest integer for which the variance is finite. With squared losses instead, four cells
+        of five times the resistance on a 10 × 10 panel look like errors four times the noise
+        (docs/theory/posterior.md).
     prior_variance : float
         Prior of τ², with the weight of one step. It covers draws of a prior whose steps are smaller than the noise
         (docs/studies/calibration.md).

@@ -1,8 +1,9 @@
 """Posterior covariance of log r from samples, in product form: no matrix over the cells is formed.
 
 A sample is ε = A⁻¹ (Jᵀ Ω (τ z₁ + V z₃) + s Zᵀ √((C − B) Ω) z₂ + Zᵀ H z₂ + W z₄ − M ε₀) with standard normal z, in the
-symbols of `lampest.posterior.dense`. It costs one solve by conjugate gradients and has the covariance S. Standard
-deviations from n samples scatter by 1/√(2n).
+symbols of `lampest.posterior.dense`. It costs one solve by conjugate gradients. Its covariance is S up to two terms:
+both penalty terms have the same z₂, and the prior term ε s⁴ is omitted. Standard deviations from n samples scatter by
+1/√(2n).
 """
 
 from collections.abc import Callable

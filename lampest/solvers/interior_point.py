@@ -63,6 +63,8 @@ class InteriorPoint:
         return min(1.0, self.step_to_boundary * nearest)
 
 
+# Without min_step, and with μ reduced after every step, one of two later frames at 100 × 100 takes more than 60 s in
+# place of 5 to 8 s (docs/studies/speed.md).
 METHOD = InteriorPoint()
 
 
@@ -198,7 +200,8 @@ class _Barrier:
         exact: Linear = lambda step: hessian.product(step) + (stiff + hessian.gradient) * step  # noqa: E731
         precondition = TwoLevel.of(hessian, stiff).over(free, self.at.cell_resistance)
         slope = -(push * self.conductance).ravel()[chosen]
-        # Accuracy grows as the barrier's share shrinks: residuals of cells at bounds hide those of the others.
+        # Accuracy grows as the barrier's share shrinks: residuals of cells at bounds hide those of the others. With
+        # ACCURACY throughout, besides the changes named at METHOD, a later frame takes 83 s (docs/studies/speed.md).
         accuracy = ACCURACY * min(1.0, self.added / self.at.objective) ** 0.25
         rooms = [(room / self.conductance).ravel()[chosen] for room in self.rooms]
 
