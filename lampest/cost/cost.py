@@ -25,9 +25,19 @@ from lampest.panel.panel import Array, Panel
 class Cost:
     """Cost φ over `frames` frames of a panel, built once and evaluated for any data.
 
-    With two frames, the first is the baseline and the previous frame of the second; terms that need those skip it.
-    Residuals that read a `faulty` cell (numbers) are left out. With `partial`, readings may be bounds or missing. A
-    loss without a derivative at 0 enters through its dual variables z, |z| ≤ 1: weight · Σ z·x.
+    A loss without a derivative at 0 enters through its dual variables z, |z| ≤ 1: weight · Σ z·x.
+
+    Attributes
+    ----------
+    panel : Panel
+    terms : tuple of Term
+    frames : int
+        1, or 2 for a joint solve. The first of two frames is the baseline and the previous frame of the second; terms
+        that need a previous frame skip it.
+    faulty : tuple of int
+        Numbers of faulty cells; residuals that depend on them are left out.
+    partial : bool
+        Whether readings may be one-sided or missing.
     """
 
     panel: Panel
@@ -63,9 +73,12 @@ class Cost:
         return [(number, part[rows]) for (number, part), rows in zip(pairs, self._sound_rows, strict=True)]
 
     def _all_residuals(self, symbols: "Symbols") -> list[tuple[int, casadi.SX]]:
+        """Return the residuals of all terms, including those of faulty cells."""
         pairs = []
         for frame in range(self.frames):
             baseline = symbols.cell_resistance[:, 0] if frame else None
+            # Frame 1 of a joint solve compares with frame 0, its baseline; a single frame compares with given earlier
+            # frames.
             known = symbols.given.of_frame(frame, baseline, looks_back=self.needs_previous)
             cells, reading = symbols.cell_resistance[:, frame], symbols.reading[:, frame]
             state = State(panel=self.panel, cell_resistance=cells, reading=reading, **known)
@@ -76,9 +89,10 @@ class Cost:
 
     @cached_property
     def _sound_rows(self) -> list[list[int]]:
-        """Rows of each residual that read no faulty cell."""
+        """Numbers of the rows of each residual that do not depend on a faulty cell."""
         symbols = self.symbols()
         cells = casadi.vec(symbols.cell_resistance)
+        # Columns of faulty cells in ∂residual/∂r; rows with a nonzero there are removed.
         every = [frame * self.panel.crossings + cell for frame in range(self.frames) for cell in self.faulty]
         rows = []
         for _, residual in self._all_residuals(symbols):
@@ -98,7 +112,7 @@ class Cost:
 
 
 def _residual_of(term: Term, state: State) -> casadi.SX:
-    """Return a term's residual (rows, 1). Raises InputError if no cost can be made of it."""
+    """Return a term's residual (rows, 1). Raises InputError if it is no column, or constant."""
     name = f"term {term_kind(term)}: residual(state)"
     try:
         residual = casadi.SX(term.residual(state))
@@ -119,13 +133,21 @@ def _residual_of(term: Term, state: State) -> casadi.SX:
 
 
 def _symbols_in(expression: casadi.SX) -> set[int]:
-    """Return the hashes of all symbols that an expression holds."""
+    """Return the hashes of all symbols in an expression."""
     return {symbol.element_hash() for symbol in casadi.symvar(expression)}
 
 
 @dataclass(frozen=True, eq=False)
 class Symbols:
-    """Symbols of the unknowns, cell_resistance and reading (cells, frames), and of everything given."""
+    """Symbols of a cost's inputs.
+
+    Attributes
+    ----------
+    cell_resistance, reading : casadi.SX, shape (cells, frames)
+        Unknowns r and y.
+    given : Given
+        Symbols of all other inputs.
+    """
 
     cell_resistance: casadi.SX
     reading: casadi.SX
@@ -133,13 +155,13 @@ class Symbols:
 
     @classmethod
     def of(cls, cells: int, frames: int, *, partial: bool) -> "Symbols":
-        """Make symbols for that many cells and frames."""
+        """Return new symbols for a number of cells and frames."""
         cell_resistance, reading = (casadi.SX.sym(name, cells, frames) for name in ("cell_resistance", "reading"))
         return cls(cell_resistance, reading, Given.symbols(cells, frames, partial=partial))
 
     @property
     def unknown(self) -> casadi.SX:
-        """(cells; readings), flat."""
+        """All unknowns (r; y) as one column, (2·cells·frames, 1)."""
         return casadi.vertcat(casadi.vec(self.cell_resistance), casadi.vec(self.reading))
 
     def inputs(self) -> dict[str, casadi.SX]:
@@ -148,7 +170,7 @@ class Symbols:
         return {name: casadi.vec(symbol) for name, symbol in (named | dict(self.given.named())).items()}
 
     def compiled(self, name: str, output: casadi.SX, **more: casadi.SX) -> Compiled:
-        """Return a function of those inputs that the output reads, and of further inputs, by their names."""
+        """Return a function of the inputs that an output depends on, and of the inputs `more`, by their names."""
         inputs = {name: symbol for name, symbol in self.inputs().items() if casadi.depends_on(output, symbol)} | more
         return Compiled(casadi.Function(name, [*inputs.values()], [output], [*inputs], ["value"]))
 
@@ -192,6 +214,7 @@ class CostFunctions:
         """Differentiate the terms symbolically, and compile the sparse results."""
         symbols, weights = cost.symbols(), casadi.SX.sym("weights", len(cost.terms))
         parts = summands(cost.terms, cost.residuals(symbols), weights)
+        # Σ weight·loss of each term, and the function to differentiate: Σ smooth + Σ weight·z·x
         costs = [sum((part.cost for part in parts if part.term == n), casadi.SX(0)) for n in range(len(cost.terms))]
         through_duals = [part for part in parts if not part.smooth]
         nonsmooth, slope = stacked(through_duals)
@@ -200,8 +223,10 @@ class CostFunctions:
         lagrangian = smooth + casadi.dot(slope * dual, nonsmooth)
         unknown = symbols.unknown
         gradient = casadi.gradient(lagrangian, unknown)
+        # Residuals that IPOPT splits, and the costs of the terms at y = 0, a part of the scale of the cost.
         split = [group for group in program_groups(parts) if group[0].loss.enters != "whole"]
         by_term = casadi.vertcat(*costs)
+        # Costs at readings of zero, f(r) = 0
         blank = casadi.substitute(by_term, symbols.reading, casadi.SX.zeros(*symbols.reading.shape))
         outputs = {
             "first": casadi.densify(casadi.vertcat(by_term, blank, gradient)),
@@ -257,6 +282,7 @@ class Entries:
         model = np.flatnonzero((rows >= count) & (columns >= count))
         diagonal = np.array_equal(rows[model], columns[model])
         at_model = rows[model] - count if diagonal else None
+        # Nonzeros that are neither between cells nor between readings couple the two.
         own, crossed = np.flatnonzero(rows == columns), len(cells) + len(model) < len(rows)
         at_cells, on_diagonal = (rows[cells], columns[cells]), (own, rows[own])
         return cls(cells, at_cells, model, at_model, crossed, on_diagonal, len(own) == len(rows))
@@ -264,7 +290,16 @@ class Entries:
 
 @dataclass(frozen=True, eq=False)
 class Summand:
-    """Summand weight·loss(residual) of a term (number) in one frame; residual (rows, 1), weight (1, 1)."""
+    """Summand weight·loss(residual) of a term in one frame.
+
+    Attributes
+    ----------
+    term : int
+        Number of the term.
+    loss : Loss
+    residual : casadi.SX, shape (rows, 1)
+    weight : casadi.SX, shape (1, 1)
+    """
 
     term: int
     loss: Loss
@@ -304,13 +339,13 @@ def stacked(parts: Sequence[Summand]) -> tuple[casadi.SX, casadi.SX]:
 
 
 def program_groups(parts: Sequence[Summand]) -> list[list[Summand]]:
-    """Return the summands that a program lowers together: each whole one, all with duals, each split one."""
+    """Return the groups of summands that a program lowers together: each whole one, all with duals, each split one."""
     whole, dual, split = ([part for part in parts if part.loss.enters == how] for how in ("whole", "dual", "split"))
     return [*([part] for part in whole), *([dual] if dual else []), *([part] for part in split)]
 
 
 def lowered(group: Sequence[Summand], unit: casadi.SX) -> Lowered:
-    """Return a group as a program takes it, all duals alike; unit : of the split."""
+    """Return a group in the form of `Loss.lowered`, with `unit` as the unit of p and q."""
     first = group[0]
     residual, weight = (first.residual, first.weight) if first.smooth else stacked(group)
     return first.loss.lowered(residual, weight, unit)

@@ -1,6 +1,6 @@
-"""Inputs of a solve beside its unknowns, by name: arrays in data, symbols in costs and in a term's `State`.
+"""Inputs of a solve other than its unknowns, by name: arrays in data, symbols in costs and in a term's `State`.
 
-A further input for new terms is one more field of `Given`: where it comes from, and its value where it is absent.
+A further input for new terms is one more field of `Given`, with its source and its value if absent.
 """
 
 from collections.abc import Callable, Iterable
@@ -16,10 +16,7 @@ from lampest.panel.scene import Scene
 
 
 class FrameReadings(Protocol):
-    """Readings of a solve, all (frames, rows, columns); `Given` describes each.
-
-    partial : whether a reading is a bound or missing.
-    """
+    """Interface of the readings of a solve, all arrays (frames, rows, columns); `Given` describes each."""
 
     @property
     def value(self) -> Array:
@@ -31,20 +28,20 @@ class FrameReadings(Protocol):
 
     @property
     def side(self) -> Array:
-        """0 for a value, 1 and -1 for a bound from below and from above."""
+        """0 for a value; 1 or -1 if the truth is at least or at most the reading."""
 
     @property
     def seen(self) -> Array:
-        """1, or 0 for a missing reading."""
+        """1, 0 for a missing reading, and the weight of its substitute in between."""
 
     @property
     def partial(self) -> bool:
-        """Whether any reading is a bound or missing."""
+        """Whether any reading is one-sided or missing."""
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """Knowledge behind a frame: the scene, and earlier frames.
+    """Context of a frame: the scene, and earlier frames.
 
     Attributes
     ----------
@@ -71,16 +68,16 @@ class Source:
     Attributes
     ----------
     of : callable
-        Readings and background → value, or None.
+        Function (readings, background) → value, or None.
     absent : float
         Number that replaces an absent value in the arrays of a compiled cost.
     per_frame : bool
         Whether the shape is (frames, rows, columns) rather than (rows, columns).
     partial : bool
-        Whether the field exists only if readings may be bounds or missing.
+        Whether the field exists only if readings may be one-sided or missing.
     after : callable, or None
-        Of a field of an earlier frame: its value for a frame that is solved together with the baseline, from the
-        baseline's unknown cells (cells, 1).
+        For fields of an earlier frame: function of the baseline's unknown cells (cells, 1) that returns the value for a
+        frame that is solved together with the baseline.
     """
 
     of: Callable[[FrameReadings, Background], Array | None]
@@ -91,13 +88,15 @@ class Source:
 
 
 def given(of: Callable[[FrameReadings, Background], Array | None], absent: float, **more: Any) -> Any:
-    """Declare a field of `Given`, None unless it is set; arguments : as `Source` has them."""
+    """Declare a field of `Given` with the default None; the arguments are those of `Source`."""
     return field(default=None, metadata={"source": Source(of, absent, **more)})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Given:
-    """Arrays in a solve's data, symbols in a compiled cost, columns (cells, 1) in a term's `State`; None: not known.
+    """Inputs of a solve: arrays in its data, symbols in a compiled cost, columns (cells, 1) in a term's `State`.
+
+    A field is None if it is not known.
 
     Attributes
     ----------
@@ -126,12 +125,12 @@ class Given:
     @staticmethod
     @cache
     def sources() -> dict[str, Source]:
-        """Return name → source, in the order of the fields."""
+        """Return the sources by name, in the order of the fields."""
         return {part.name: part.metadata["source"] for part in fields(Given)}
 
     @classmethod
     def of(cls, readings: FrameReadings, background: Background) -> Self:
-        """Return the arrays of a solve."""
+        """Return the arrays of a solve from its readings and background."""
         return cls(**{name: source.of(readings, background) for name, source in cls.sources().items()})
 
     @classmethod
@@ -143,12 +142,14 @@ class Given:
         )
 
     def of_frame(self, frame: int, baseline: casadi.SX | None, *, looks_back: bool) -> dict[str, Any]:
-        """Return the symbols by name as a term sees them in one frame.
+        """Return the inputs of a term in one frame, by name.
 
         Parameters
         ----------
+        frame : int
+            Number of the frame.
         baseline : casadi.SX or None
-            Cells of a baseline that is solved together with the frame, or None.
+            Cells of a baseline that is solved together with the frame.
         looks_back : bool
             Whether earlier frames are given.
         """
@@ -178,10 +179,12 @@ class Given:
 
 
 def _noise(readings: FrameReadings) -> Array:
+    """Return the standard deviations of the readings; ones if they are not known."""
     return np.ones_like(readings.value) if readings.sigma is None else readings.sigma
 
 
 def _mark(readings: FrameReadings, mark: Array) -> Array | None:
+    """Return a mark of partial readings; None if all readings are values."""
     return mark if readings.partial else None
 
 

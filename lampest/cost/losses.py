@@ -20,15 +20,16 @@ from lampest.panel.panel import Array
 
 @dataclass(frozen=True, eq=False)
 class Lowered:
-    """Minimum of `objective` over p, q ≥ 0 subject to `equation` = 0, which equals weight·loss of residuals x.
+    """Form of weight·loss of residuals x for a nonlinear program.
+
+    weight·loss is the minimum of `objective` over p, q ≥ 0 subject to `equation` = 0.
 
     Attributes
     ----------
     split : tuple of casadi.SX
-        p and q, (rows, 1) each, in a unit that makes them of order one, or ().
-    equation : casadi.SX or None
-        (rows, 1), x in that unit − p + q, with multipliers weight·unit·z, z the duals; None unless the loss enters
-        through duals.
+        p and q, (rows, 1) each, in a unit in which they are of order one, or ().
+    equation : casadi.SX, shape (rows, 1), or None
+        x/unit − p + q, with multipliers weight·unit·z, z the duals; None unless the loss enters through duals.
     """
 
     objective: casadi.SX
@@ -41,7 +42,7 @@ Entry = Literal["whole", "split", "dual"]
 
 @dataclass(frozen=True, eq=False)
 class PenaltyEvidence:
-    """Statistics of a penalty for the evidence of its weight, over its rows with curvature.
+    """Statistics of a penalty for the evidence of its weight λ, over its rows with curvature.
 
     Attributes
     ----------
@@ -98,44 +99,57 @@ class Loss(Configuration):
         """Return Σ ρ(x), one number, of a column of residuals; symbolic or numeric."""
 
     def lowered(self, residual: casadi.SX, weight: casadi.SX, unit: casadi.SX) -> Lowered:
-        """Return weight·cost for an interior-point method; weight (1, 1) or (rows, 1); unit : of the split."""
+        """Return weight·cost for an interior-point method.
+
+        Parameters
+        ----------
+        residual : casadi.SX, shape (rows, 1)
+        weight : casadi.SX, shape (1, 1) or (rows, 1)
+        unit : casadi.SX, shape (1, 1)
+            Unit of the split parts p and q.
+        """
         return Lowered(weight * self.cost(residual))
 
     def curvature(self, residual: Array) -> Array:
-        """Return ω = max(½ρ''(x), 0) (rows): near x the cost has the second derivative of Σ ω x²."""
+        """Return the curvature ω = max(½ρ''(x), 0), (rows,): near x, Σ ω x² has the second derivative of the loss."""
         return np.asarray(np.maximum(_halves(self, residual)[1], 0.0))
 
     def stiffness(self, residual: Array) -> Array:
-        """Return ½ρ'(x)/x (rows), ½ρ'' at 0: the weights of reweighted least squares."""
+        """Return ½ρ'(x)/x, ½ρ'' at 0, the weights of iteratively reweighted least squares, (rows,)."""
         slope, second = _halves(self, residual)
+        # ½ρ'(x)/x → ½ρ''(0) for x → 0
         zero = residual == 0
         return np.where(zero, second, slope / np.where(zero, 1.0, residual))
 
     def data_curvature(self, residual: Array, noise: Array) -> Array:
-        """Return ω of data rows with the noise τ (rows)."""
+        """Return the curvature ω of data rows with the noise τ, (rows,)."""
         return self.curvature(residual)
 
     def penalty_curvature(self, residual: Array, weight: float, scale: float) -> Array:
-        """Return ω of penalty rows per weight, with s² = scale."""
+        """Return the curvature ω of penalty rows, divided by their weight, for the scale s², (rows,)."""
         return self.curvature(residual)
 
     def steady_pull(self, residual: Array) -> Array:
-        """Return √((½ρ'(x))² − (ω x)²) (rows): the part of the slope beyond that of the curvature ω."""
+        """Return √((½ρ'(x))² − (ω x)²), the part of the slope beyond that of the curvature ω, (rows,)."""
         slope, second = _halves(self, residual)
         return np.asarray(np.sqrt(np.maximum(slope**2 - (np.maximum(second, 0.0) * residual) ** 2, 0.0)))
 
     def size(self, evidence: PenaltyEvidence) -> float:
-        """Return η = Σ ½ x ρ'(x) of the fixed point λ = s² γ/η; a prior exp(−λρ(x)/2s²) has E[x ρ'(x)] = 2s²/λ."""
+        """Return η = Σ ½ x ρ'(x) of the fixed point λ = s² γ/η.
+
+        A prior exp(−λρ(x)/2s²) has E[x ρ'(x)] = 2s²/λ.
+        """
         return float(np.sum(evidence.residual * _halves(self, evidence.residual)[0]))
 
     def determined(self, evidence: PenaltyEvidence) -> float:
-        """Return γ of the fixed point."""
+        """Return γ of the fixed point λ = s² γ/η."""
         return evidence.determined
 
 
 @guarded
 def _halves(loss: "Loss", residual: Array) -> tuple[Array, Array]:
-    """Return (½ρ', ½ρ'') of every residual (rows)."""
+    """Return (½ρ', ½ρ'') of every residual, (rows,) each."""
+    # One evaluation of (½ρ', ½ρ'') for all residuals: CasADi maps the function over the columns of (1, rows).
     slope, second = _derivatives(loss)(residual[None])
     return np.asarray(slope).ravel(), np.asarray(second).ravel()
 
@@ -188,11 +202,12 @@ class Huber(Loss):
 
     def cost(self, residual: Any) -> Any:
         """Return Σ c·(2x − c), c = x clipped to |c| ≤ corner; symbolic or numeric."""
+        # c·(2x − c) is x² for |x| ≤ corner, and 2·corner·|x| − corner² beyond.
         inside = casadi.fmin(casadi.fmax(residual, -self.corner), self.corner)
         return casadi.sum1(inside * (2 * residual - inside))
 
     def lowered(self, residual: casadi.SX, weight: casadi.SX, unit: casadi.SX) -> Lowered:
-        """Return min over p, q ≥ 0 of Σ (x − p + q)² + 2·corner·(p + q): p and q take the part beyond the corner."""
+        """Return min over p, q ≥ 0 of Σ (x − p + q)² + 2·corner·(p + q); p and q are the part beyond the corner."""
         above, below = (casadi.SX.sym(name, residual.shape[0]) for name in ("above", "below"))
         inside = residual - unit * (above - below)
         outside = 2 * self.corner * unit * casadi.sum1(above + below)
@@ -219,13 +234,14 @@ class Absolute(Loss):
         return casadi.sum1(casadi.fabs(residual))
 
     def lowered(self, residual: casadi.SX, weight: casadi.SX, unit: casadi.SX) -> Lowered:
-        """Return min over p, q ≥ 0 of Σ p + q with p − q = x."""
+        """Return min over p, q ≥ 0 of Σ (p + q) subject to p − q = x."""
         above, below = (casadi.SX.sym(name, residual.shape[0]) for name in ("above", "below"))
         objective = unit * casadi.dot(weight, above + below)
         return Lowered(objective, (above, below), residual / unit - above + below)
 
     def data_curvature(self, residual: Array, noise: Array) -> Array:
         """Return ω = √(2/π)/(2τ), half the second derivative of E|x + noise| at 0."""
+        # d²E|x + n|/dx² = 2·density(n = −x), which is √(2/π)/τ at 0 for normal n
         return np.asarray(np.sqrt(2 / np.pi) / 2 / np.maximum(noise, np.finfo(float).tiny))
 
     def penalty_curvature(self, residual: Array, weight: float, scale: float) -> Array:
@@ -241,7 +257,7 @@ class Absolute(Loss):
         return 0.5 * evidence.magnitude
 
     def determined(self, evidence: PenaltyEvidence) -> float:
-        """Return the number of all residuals: η, an expectation, already contains the share that data leave open."""
+        """Return the number of all residuals: the expectation η already contains the part that data leave open."""
         return evidence.count
 
 

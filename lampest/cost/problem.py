@@ -32,21 +32,22 @@ class Data:
     Attributes
     ----------
     given : Given
-        Readings, noise, earlier frames.
+        Readings, noise and earlier frames.
     lower, upper : array, shape (…, frames, rows, columns)
         Bounds in ohm.
-    readout, wiring
+    readout : Readout
+    wiring : Wiring or None
         Circuit by which readings follow from cells.
     noise_known : bool
         Whether σ is known.
     until : float
-        Time at which a solver gives up, in s on the clock of `time.monotonic`.
+        Time at which a solver stops, in s on the clock of `time.monotonic`.
     first : bool
         Whether no earlier frame was solved.
-    parts : array, or None
+    parts : array of int, or None
         See `Scene.parts`.
     place : int
-        Another one for each of several solves of many panels at the same time: compiled functions keep their arguments.
+        Number that differs between simultaneous solves of many panels: compiled functions store their arguments.
 
     >>> data = found.estimator.data(recording.readings()[2], lampest.cost.given.Background(recording.scene))
     """
@@ -68,23 +69,23 @@ class Data:
         return self.measured.shape[:-3]
 
     def of_panels(self, place: int) -> "Data":
-        """Return the data of which each frame is a panel of its own."""
+        """Return the data with each frame as a panel of its own, and with another `place`."""
         sources = self.given.sources()
         named = {name: value[:, None] if sources[name].per_frame else value for name, value in self.given.named()}
         frames = replace(self, given=replace(self.given, **named), lower=self.lower[:, None], upper=self.upper[:, None])
         return replace(frames, place=place)
 
     def some(self, panels: Panels) -> "Data":
-        """Return the data of some of many panels, or of one by its number."""
+        """Return the data of the chosen panels, or of a single one by its number."""
         given = replace(self.given, **{name: value[panels] for name, value in self.given.named()})
         chosen = replace(self, given=given, lower=self.lower[panels], upper=self.upper[panels])
         chosen.__dict__["ties"] = self.ties[panels]
         return chosen
 
     def padded(self, values: Array) -> Array:
-        """Return values of many panels with the last one's repeated until there are as many as functions are built for.
+        """Return values of panels, (panels, …), as rows (size, n), the last row repeated up to a multiple of BLOCK.
 
-        (panels, …) → (panels, size).
+        Compiled functions exist for such sizes only.
         """
         flat = values.reshape(len(values), -1)
         missing = -len(flat) % BLOCK
@@ -92,7 +93,7 @@ class Data:
 
     @cached_property
     def flat(self) -> dict[str, Array]:
-        """Arrays by name as compiled functions take them, `padded` of many panels; see `Given.flat`."""
+        """Arrays by name for compiled functions, `padded` for many panels; see `Given.flat`."""
         if not self.panels:
             return self.given.flat
         known, blank = dict(self.given.named()), (*self.panels, self.measured[0].size)
@@ -101,7 +102,7 @@ class Data:
         return {name: self.padded(values) for name, values in every.items()}
 
     def limited(self, seconds: float | None) -> "Data":
-        """Return the data with a time limit of that many s from now on; None: no limit."""
+        """Return the data with a time limit in s from now on; None for no limit."""
         return self if seconds is None else replace(self, until=monotonic() + seconds)
 
     @property
@@ -111,7 +112,7 @@ class Data:
 
     @property
     def measured(self) -> Array:
-        """(frames, rows, columns) the network's readings."""
+        """Readings of the network, (frames, rows, columns), in the readout's unit."""
         return np.asarray(self.given.measured)
 
     @property
@@ -121,38 +122,38 @@ class Data:
 
     @property
     def plain(self) -> NDArray[np.bool_]:
-        """(frames, rows, columns) whether a reading is a value: neither a bound nor missing nor a substitute."""
+        """Whether a reading is a value: not one-sided, missing or a substitute; boolean (frames, rows, columns)."""
         whole = np.ones(self.measured.shape, dtype=bool)
         return np.asarray(whole & (self.given.side == 0) & (self.given.seen == 1)) if self.partial else whole
 
     @property
     def deviation(self) -> Array:
-        """σ of readings, and σ/seen of substitutes; irrelevant for a reading without weight."""
+        """Standard deviations σ of readings, and σ/seen of substitutes; arbitrary for missing readings."""
         return self.sigma if not self.partial else self.sigma / np.where(self.given.seen > 0, self.given.seen, 1.0)
 
     @property
     def partial(self) -> bool:
-        """Whether readings may be bounds or missing."""
+        """Whether readings may be one-sided or missing."""
         return self.given.side is not None
 
     @cached_property
     def apparent_resistance(self) -> Array:
-        """(frames, rows, columns) ohm; see `Readout.apparent_resistance`."""
+        """Apparent resistance, (frames, rows, columns) ohm; see `Readout.apparent_resistance`."""
         return self.readout.apparent_resistance(self.measured)
 
     @cached_property
     def uniform_start(self) -> Array:
-        """(frames, rows, columns) ohm; see `Readout.uniform_start`."""
+        """Uniform start, (frames, rows, columns) ohm; see `Readout.uniform_start`."""
         return self.readout.uniform_start(self.measured)
 
     @cached_property
     def log_bounds(self) -> tuple[Array, Array]:
-        """Logarithms of the bounds."""
+        """Logarithms of the bounds (lower, upper)."""
         return np.log(self.lower), np.log(self.upper)
 
     @cached_property
     def ties(self) -> Array:
-        """(…, frames, lines) siemens: each frame's ties to ground, (…, frames, modules, lines) of coupled modules."""
+        """Ties of the lines to ground, (…, frames, lines) siemens; (…, frames, modules, lines) of coupled modules."""
         if self.panels and self.parts is None:
             return self.readout.ties(self.measured)
         frames = self.measured.reshape(-1, *self.measured.shape[-2:])
@@ -172,6 +173,7 @@ class Data:
 
 @lru_cache(maxsize=256)
 def _mapped(function: Compiled, panels: int, place: int) -> Compiled:
+    """Return a function for many panels at once; each `place` has its own, because it stores its arguments."""
     return function.mapped(panels)
 
 
@@ -179,18 +181,18 @@ def _mapped(function: Compiled, panels: int, place: int) -> Compiled:
 class Evaluation:
     """Cost φ and its derivatives at one point, or with a leading axis at one point of each of many panels.
 
-    Plural names are arrays over the panels, () for a single one; singular ones are numbers of a single panel.
+    Attributes with plural names are arrays over the panels; those with singular names are numbers of a single panel.
 
     Attributes
     ----------
     cost : Cost
     data : Data
     cell_resistance, reading : array, shape (…, frames, rows, columns)
-        Ohm, and the readings.
+        Cells r in ohm, and modelled readings y in the readout's unit.
     solved : tuple of Network, or None
-        Networks of the frames, or None if not yet needed.
+        Solved networks of the frames, or None if they are not yet computed.
     own_weights : array, shape (…, terms), or None
-        Weights of each panel; None: those of the cost.
+        Weights of the terms for each panel; None for those of the cost.
     """
 
     cost: Cost
@@ -202,9 +204,9 @@ class Evaluation:
 
     @classmethod
     def at(cls, cost: Cost, data: Data, cell_resistance: Array, own_weights: Array | None = None) -> "Evaluation":
-        """Solve the networks of a cell resistance (…, frames, rows, columns) ohm.
+        """Return the evaluation at a cell resistance (…, frames, rows, columns) ohm; solves the networks.
 
-        Raises numpy.linalg.LinAlgError where a line is not connected.
+        Raises numpy.linalg.LinAlgError if a line is not connected.
         """
         networks = data.networks(cell_resistance)
         reading = np.stack([network.reading() for network in networks], axis=-3)
@@ -215,7 +217,7 @@ class Evaluation:
         return Evaluation.at(self.cost, self.data, cell_resistance, self.own_weights)
 
     def some(self, panels: Panels) -> "Evaluation":
-        """Return the evaluation at some of many panels, or at one by its number, with what is known of the cost."""
+        """Return the evaluation of the chosen panels, or of one by its number, with the costs already computed."""
         networks = tuple(cast(FloatingNetwork, network).some(panels) for network in self.networks)
         known = self.cell_resistance[panels], self.reading[panels]
         chosen = Evaluation(self.cost, self.data.some(panels), *known, networks, self.weights[panels])
@@ -225,7 +227,7 @@ class Evaluation:
 
     @property
     def weights(self) -> Array:
-        """(…, terms) of the terms."""
+        """Weights of the terms, (…, terms)."""
         return self.cost.weights if self.own_weights is None else self.own_weights
 
     @cached_property
@@ -234,7 +236,7 @@ class Evaluation:
         return self.data.networks(self.cell_resistance) if self.solved is None else self.solved
 
     def call(self, function: Compiled, dual: Array) -> Array:
-        """Return a function of the cost at this point, (…, nonzeros)."""
+        """Return the values of a compiled function at this point and these duals, (…, nonzeros)."""
         point = {
             "cell_resistance": self.cell_resistance,
             "reading": self.reading,
@@ -252,63 +254,71 @@ class Evaluation:
         return values.reshape(size, -1)[:count]
 
     def of_terms(self, function: Compiled) -> Array:
-        """Return a function of the terms' residuals at this point, which takes no duals."""
+        """Return the values at this point of a compiled function that has no duals, (…, nonzeros)."""
         return self.call(function, np.zeros(len(self.cost.slope)))
 
     @cached_property
     def first(self) -> Array:
-        """Costs of the terms, at this point and at f(r) = 0, and their derivatives without duals."""
+        """Values of `CostFunctions.first` without duals.
+
+        Costs of the terms at this point, their costs at y = 0, and the gradient by (r; y).
+        """
         return self.of_terms(self.cost.functions.first)
 
     @property
     def costs(self) -> Array:
-        """(…, terms) costs weight · loss of the terms, summed over frames, in the order of the terms."""
+        """Costs weight · loss of the terms, summed over frames, (…, terms)."""
         return self.first[..., : len(self.cost.terms)]
 
     @cached_property
     def objectives(self) -> Array:
-        """φ (…)."""
+        """Cost φ of every panel, (…)."""
         return np.asarray(self.costs.sum(axis=-1))
 
     @cached_property
     def objective(self) -> float:
-        """φ of a single panel."""
+        """Cost φ of a single panel."""
         return float(self.objectives)
 
     def partials(self, dual: Array) -> tuple[Array, Array]:
         """Return (∂φ/∂r at fixed readings y, ∂φ/∂y), each (…, frames, rows, columns)."""
         values = self.call(self.cost.functions.first, dual) if len(dual) else self.first
+        # `first` = (costs of the terms, costs at y = 0, ∂φ/∂r, ∂φ/∂y)
         both = values[..., 2 * len(self.cost.terms) :].reshape(*self.data.panels, 2, *self.cell_resistance.shape[-3:])
         return both[..., 0, :, :, :], both[..., 1, :, :, :]
 
     def log_gradient(self, dual: Array) -> Array:
-        """Return ∂φ/∂u, u = log r, (…, frames, rows, columns): r·∂φ/∂r + Jᵀ ∂φ/∂y; duals clipped to |z| ≤ 1."""
+        """Return ∂φ/∂u = r·∂φ/∂r + Jᵀ ∂φ/∂y, u = log r, (…, frames, rows, columns); duals are clipped to |z| ≤ 1."""
         direct, through = self.partials(within_one(dual))
         gradient: Array = direct * self.cell_resistance
         for frame, network in enumerate(self.networks):
+            # Jᵀ ∂φ/∂y by one product with the network of each frame
             gradient[..., frame, :, :] += network.adjoint(through[..., frame, :, :])
         return gradient
 
     @cached_property
     def cost_scales(self) -> Array:
-        """Scale (…) against which a gradient is small: φ with the terms at f(r) = 0 for one cell, plus φ here."""
+        """Scale of the cost for tests of optimality, (…): φ at this point plus the mean φ of a cell at y = 0."""
         terms, cells = len(self.cost.terms), math.prod(self.cell_resistance.shape[-3:])
         scale = self.first[..., terms : 2 * terms].sum(axis=-1) / cells + self.objectives
         return np.asarray(np.where(scale == 0, 1.0, scale))
 
     @cached_property
     def cost_scale(self) -> float:
-        """That of a single panel."""
+        """Scale of the cost of a single panel."""
         return float(self.cost_scales)
 
     @cached_property
     def nonsmooth(self) -> Array:
-        """Residuals x with an absolute loss."""
+        """Residuals x with an absolute loss, (residuals,)."""
         return self.of_terms(self.cost.functions.nonsmooth) if len(self.cost.slope) else np.zeros(0)
 
     @cached_property
     def nonsmooth_reach(self) -> Array:
-        """Σ |∂x/∂r|·r + Σ |∂x/∂y|·|y| of those residuals: their error if every digit were wrong."""
+        """Σ |∂x/∂r|·r + Σ |∂x/∂y|·|y| of the residuals with an absolute loss, (residuals,).
+
+        This is the error of a residual per relative error of cells and readings.
+        """
         rows, columns = self.cost.functions.nonsmooth_jacobian.pattern
         slopes = self.of_terms(self.cost.functions.nonsmooth_jacobian)
         at = np.concatenate([self.cell_resistance.ravel(), self.reading.ravel()])
@@ -316,36 +326,39 @@ class Evaluation:
 
     @property
     def last_bits(self) -> Array:
-        """Rounding errors of residuals with an absolute loss that are zero."""
+        """Rounding errors of residuals with an absolute loss, (residuals,)."""
         return ROUNDING * self.nonsmooth_reach
 
     @property
     def rounding(self) -> float:
-        """Rounding error of φ: that of residuals that are zero, times their weight."""
+        """Rounding error of φ due to residuals with an absolute loss."""
         return float(np.sum(self.cost.slope * self.last_bits)) if len(self.cost.slope) else 0.0
 
     def dual_gap(self, dual: Array) -> float:
-        """Return Σ weight·(|x| − z·x) of the absolute losses, zero if z is a subgradient; rounding of x is ignored."""
+        """Return Σ weight·(|x| − z·x) over absolute losses, zero if z is a subgradient; rounding of x is ignored."""
+        # |x| − z·x is at least zero for |z| ≤ 1; differences within rounding count as zero.
         gap = np.abs(self.nonsmooth) - dual * self.nonsmooth - self.last_bits
         return float(np.sum(self.cost.slope * np.maximum(gap, 0.0)))
 
     def kkt_residual(self, dual: Array, log_gradient: Array | None = None) -> float:
         """Return max |u − Π(u − ∇φ/s)| plus the dual gap φ/s; u = log r, Π onto the bounds, s = `cost_scale`.
 
-        Zero where the first-order optimality conditions hold. log_gradient : gradient for these duals, if it is known.
+        It is zero where the first-order optimality conditions hold. `log_gradient` is ∂φ/∂u for these duals, if it is
+        already computed.
         """
         gap = self.dual_gap(within_one(dual)) / self.cost_scale if len(dual) else 0.0
         return float(self.projected_gradients(self.log_gradient(dual) if log_gradient is None else log_gradient)) + gap
 
     def projected_gradients(self, log_gradient: Array) -> Array:
-        """Return max |u − Π(u − ∇φ/s)| (…) of a known gradient (…, frames, rows, columns)."""
+        """Return max |u − Π(u − ∇φ/s)| of every panel, (…), for a gradient ∂φ/∂u (…, frames, rows, columns)."""
         lower, upper = self.data.log_bounds
+        # Π(u − ∇φ/s): gradient step, projected onto the bounds
         target = self.position - log_gradient / self.cost_scales[..., None, None, None]
         away = np.abs(self.position - np.minimum(np.maximum(target, lower), upper))
         return np.asarray(away.max(axis=(-3, -2, -1)))
 
     def projected_gradient(self, log_gradient: Array) -> float:
-        """Return that of a single panel."""
+        """Return max |u − Π(u − ∇φ/s)| of a single panel for a gradient ∂φ/∂u (frames, rows, columns)."""
         return float(self.projected_gradients(log_gradient))
 
     @cached_property
@@ -361,14 +374,14 @@ def within_one(dual: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Rows of the unweighted residuals x, as functions of the inputs of `Evaluation`.
+    """Rows of the unweighted residuals x, as compiled functions of the inputs of `Evaluation`.
 
     Attributes
     ----------
     value : Compiled
         x.
     by_cells, by_model, by_previous, by_baseline : Compiled
-        ∂x/∂(cells, readings, previous frame, baseline), sparse.
+        Derivatives of x by cells, readings, previous frame and baseline, sparse.
     term : array of int
         Number of the term of each row.
     """
@@ -381,7 +394,7 @@ class Part:
     term: NDArray[np.intp]
 
     def values(self, at: Evaluation) -> Array:
-        """Return x at a point."""
+        """Return x at a point, (rows,)."""
         return at.of_terms(self.value)
 
     def jacobian(self, name: str, at: Evaluation) -> sparse.csc_array:
@@ -393,7 +406,15 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Residuals of a cost: the rows that read readings, `data`, and all others, `penalties`."""
+    """Residuals of a cost.
+
+    Attributes
+    ----------
+    data : Part
+        Rows that depend on readings.
+    penalties : Part
+        All other rows.
+    """
 
     data: Part
     penalties: Part
@@ -411,12 +432,14 @@ def _residuals(cost: Cost) -> Residuals:
     pairs = cost.residuals(symbols)
     stacked = casadi.vertcat(*(part for _, part in pairs))
     term = np.concatenate([np.full(part.shape[0], number, dtype=np.intp) for number, part in pairs])
+    # Rows whose derivative by the readings has a structural nonzero are data.
     reads = set(casadi.jacobian_sparsity(stacked, symbols.inputs()["reading"]).row())
     rows = ([row for row in range(len(term)) if (row in reads) is data] for data in (True, False))
     return Residuals(*(_part(symbols, stacked[chosen], term[chosen]) for chosen in rows))
 
 
 def _part(symbols: Symbols, rows: casadi.SX, term: NDArray[np.intp]) -> Part:
+    """Return compiled residuals and derivatives of given rows."""
     inputs = symbols.inputs()
     outputs = {
         "value": casadi.densify(rows),

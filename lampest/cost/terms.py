@@ -1,4 +1,4 @@
-"""The cost terms. To add one: write its class here, before `AnyTerm`, and name it there."""
+"""Terms of the cost function. To add one: write its class here, before `AnyTerm`, and name it there."""
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -25,9 +25,9 @@ Reference = Literal["baseline", "previous"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class State(Given):
-    """State of one frame in a term, symbolic or numeric.
+    """State of one frame as the input of a term's residual, symbolic or numeric.
 
-    Every field is a column of (cells, 1) in row-major order, not a matrix: slices of rows and columns need `grid`.
+    Every field is a column (cells, 1) in row-major order. For slices of rows and columns use `grid`.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class State(Given):
     cell_resistance : (cells, 1)
         r in ohm.
     reading : (cells, 1)
-        y = f(r) as the model has it, in the readout's unit.
+        Modelled reading y = f(r), in the readout's unit.
 
     All other fields are those that `Given` declares; None where they are not known.
 
@@ -69,7 +69,7 @@ class State(Given):
         """Return ∇x as one column; paper, section IV.D.
 
         Of a full rectangle (2·cells, 1): the row part, then the column part. Of listed cells (pairs, 1): the difference
-        of each pair of `Panel.neighbours`, per pitch.
+        of each pair of `Panel.neighbours` over its distance.
         """
         if self.panel.cells is None:
             return gradient_operator(*self.panel.shape) @ values
@@ -81,6 +81,7 @@ class State(Given):
 def gradient_operator(rows: int, columns: int) -> casadi.DM:
     """Return the panel's finite differences of row-major columns, sparse (2·cells, cells)."""
     along_rows, along_columns = (casadi.sparsify(casadi.DM(difference_matrix(length))) for length in (rows, columns))
+    # (D ⊗ 1; 1 ⊗ D): D differences along a column, and along a row, of row-major values
     return casadi.vertcat(
         casadi.kron(along_rows, casadi.DM.eye(columns)), casadi.kron(casadi.DM.eye(rows), along_columns)
     )
@@ -108,7 +109,7 @@ class Term(Configuration):
     Attributes
     ----------
     weight : float or 'auto'
-        'auto': the data choose it.
+        λ; 'auto' if the data choose it.
     unit : str
         Unit of the residual, required of every class.
     reads_measurement : bool
@@ -167,6 +168,7 @@ class Misfit(Term):
         """Return modelled minus measured readings, (cells, 1); zero for a bound that holds."""
         difference = state.reading - state.measured
         if state.side is not None:
+            # Values: f(r) − R_m. Bounds: min(f(r) − R_m, 0) for side 1, max(f(r) − R_m, 0) for side −1. Missing: 0.
             beyond = state.side * casadi.fmin(state.side * difference, 0)
             difference = state.seen * ((1 - state.side**2) * difference + beyond)
         return difference / state.sigma if self.weighting == "noise" else difference
@@ -306,7 +308,7 @@ class LogRatio(Term):
 
 @dataclass(frozen=True)
 class TotalVariationOfChange(Term):
-    """100·log((r/r0)_b/(r/r0)_a) in percent per pitch, over all pairs a, b of neighbours; r0 as `reference` says.
+    """100·log((r/r0)_b/(r/r0)_a) in percent per pitch, over all pairs a, b of neighbours; r0 of the `reference`.
 
     With its absolute loss the anisotropic total variation of log r/r0; see `TotalVariation`.
 
@@ -357,6 +359,7 @@ class Arrival(Term):
 
     def residual(self, state: State) -> Any:
         """Return the logarithmic change in standard deviations, (cells, 1)."""
+        # sd0² + q², with q in percent
         variance = state.previous_deviation**2 + (self.walk_percent / 100) ** 2
         return casadi.log(state.ratio("previous")) / casadi.sqrt(variance)
 

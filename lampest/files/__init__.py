@@ -1,1 +1,1 @@
-"""Foundations of every room: input errors, whole files, HDF5, YAML documents, sweeps, unions by kind."""
+"""Foundations of all packages: input errors, atomic files, HDF5, YAML documents, sweeps, unions by kind."""

@@ -1,7 +1,7 @@
 """Integrity of HDF5 files: HDF5's own checksums, and SHA-256 digests of values that these do not cover.
 
-A file whose writer was killed says for ever that it is being written (SWMR). HDF5 would open it as one that grows, and
-wait without end for a checksum that is wrong; `Closed` shows it as if it had been closed.
+A file whose writer was killed remains marked as being written (SWMR). HDF5 would open it as a growing file, and wait
+without end for a wrong checksum to be corrected. `Closed` presents such a file as a closed one.
 """
 
 import hashlib
@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 
-DIGEST = "sha256"  # attribute: of values that stand outside of the metadata and in no chunk
+DIGEST = "sha256"  # attribute with the digest of values that are neither in the metadata nor in chunks
 # Superblock of version 3: signature, version, two sizes, flags, base, extension, end of the file, root, checksum.
 SUPERBLOCK = struct.Struct("<8sBBBBQQQQI")
 
 
 @contextmanager
 def located(file: h5py.File, path: str) -> Iterator[None]:
-    """Turn any exception of the library about a damaged object into one InputError that names the object."""
+    """Convert any exception of the library about a damaged object into an InputError that names the object."""
     try:
         yield
     except InputError:
@@ -42,7 +42,7 @@ def digest_of(values: NDArray[Any]) -> str:
 
 
 def check_digest(attributes: Any, value: Any, name: str = "") -> None:
-    """Raise ValueError if a value differs from its digest: of an attribute, by its name, or of its dataset, ''."""
+    """Raise ValueError if a value differs from its digest; `name` is that of an attribute, or '' for a dataset."""
     digest = attributes.get(f"{name}_{DIGEST}" if name else DIGEST)
     if digest is not None and digest_of(np.asarray(value)).encode() != digest:
         raise ValueError("values and checksum differ")
@@ -107,7 +107,7 @@ def bytes_beyond(path: Path) -> int:
 
 
 class Closed(io.FileIO):
-    """A file that was left open, read as if it had been closed; the file on the disk stays unchanged."""
+    """File left open by its writer, read as if it had been closed; the file on disk remains unchanged."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "rb")

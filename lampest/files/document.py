@@ -1,4 +1,4 @@
-"""YAML text ↔ validated objects: the only place that knows YAML. Errors name file, line and column."""
+"""Conversion between YAML text and validated objects; errors contain file, line and column."""
 
 import csv
 import dataclasses
@@ -33,14 +33,24 @@ UNKNOWN = "no such key"
 
 @dataclass(frozen=True)
 class Document:
-    """A parsed YAML text: its plain content, where it came from, and the positions of its keys."""
+    """Parsed YAML text.
+
+    Attributes
+    ----------
+    content : object
+        Content as mappings, lists, texts and numbers.
+    source : str
+        Name of the file or text in messages.
+    marks : object
+        Parsed nodes with the positions of their keys.
+    """
 
     content: Any
     source: str
     marks: Any
 
     def position(self, location: tuple[int | str, ...]) -> str:
-        """Return 'file:line:column' of the deepest part of `location` that the text holds."""
+        """Return 'file:line:column' of the deepest part of `location` that exists in the text."""
         node, line, column = self.marks, 0, 0
         for part in location:
             if isinstance(node, CommentedMap) and part in node:
@@ -58,9 +68,9 @@ class Document:
         return InputError(f"{self.position(location)}: {path + ': ' if path else ''}{message}")
 
     def with_value(self, path: Sequence[str | int], value: Any) -> "Document":
-        """Return a copy with `value` at `path` (keys of mappings, indices of lists); missing mappings are made.
+        """Return a copy with `value` at `path` (keys of mappings, indices of lists); missing mappings are created.
 
-        Raises InputError where the path leads nowhere.
+        Raises InputError if the path does not exist.
         """
         content = json.loads(json.dumps(self.content))
         node = content
@@ -83,7 +93,7 @@ def place_in(node: Any, part: str | int) -> Any:
 
 
 def read_document(path: Path, settings: Sequence[str] = ()) -> Document:
-    """Parse a YAML file with its tables, and set `PATH=VALUE` entries. Raises InputError."""
+    """Return a YAML file with its tables, and with entries set by texts `PATH=VALUE`. Raises InputError."""
     document = parse_document(_text_of(path), str(path))
     for setting in settings:
         key, separator, value = setting.partition("=")
@@ -96,7 +106,7 @@ def read_document(path: Path, settings: Sequence[str] = ()) -> Document:
 
 
 def _with_table(document: Document, place: tuple[str, ...]) -> Document:
-    """Return the document with the table that an entry names, relative to the document, in place of its name."""
+    """Return the document with a table in place of its name at `place`, a path relative to the document."""
     value = document.content
     for key in place:
         value = value.get(key) if isinstance(value, dict) else None
@@ -113,6 +123,7 @@ def _with_table(document: Document, place: tuple[str, ...]) -> Document:
 
 
 def _text_of(path: Path) -> str:
+    """Return the text of a file. Raises InputError if it cannot be read, is too large, or is not in UTF-8."""
     try:
         with path.open("rb") as stream:
             content = stream.read(MAX_SIZE + 1)
@@ -130,7 +141,7 @@ def _text_of(path: Path) -> str:
 
 
 def parse_document(text: str, source: str) -> Document:
-    """Parse YAML 1.2 text; duplicate keys, tags and more than one document are errors. Raises InputError."""
+    """Return YAML 1.2 text as a document. Raises InputError, also for duplicate keys, tags and several documents."""
     if len(text) > MAX_SIZE:
         raise InputError(f"{source}: larger than {MAX_SIZE} characters, which no configuration is")
     depth = np.cumsum([1 if sign in "[{" else -1 for sign in re.findall(r"[\[\]{}]", text)])
@@ -155,7 +166,7 @@ def parse_document(text: str, source: str) -> Document:
 
 
 def _plain(node: Any, count: Iterator[int]) -> Any:
-    """Return the content as plain Python objects. Raises ValueError for tags and for texts that expand without end."""
+    """Return a parsed node as plain Python objects. Raises ValueError for tags and for texts that expand endlessly."""
     if next(count) > MAX_SIZE:
         raise ValueError(f"more than {MAX_SIZE} values")
     if isinstance(node, CommentedMap | CommentedSeq) and node.tag.value is not None:
@@ -201,10 +212,10 @@ def validated(document: Document, kind: Any) -> Any:
 
 
 def _out_of_range(content: Any, place: tuple[int | str, ...]) -> Iterator[tuple[int | str, ...]]:
-    """Yield the places of finite, nonzero numbers that no physical quantity has."""
+    """Yield the places of finite, nonzero numbers outside the range of physical quantities."""
     if isinstance(content, dict):
         for key, value in content.items():
-            if key != "seed":  # which is no physical quantity
+            if key != "seed":  # a seed is no physical quantity
                 yield from _out_of_range(value, (*place, key))
     elif isinstance(content, list | tuple):
         for index, value in enumerate(content):
@@ -221,20 +232,20 @@ def schema_of(kind: Any) -> TypeAdapter[Any] | None:
     """Return the validator of a type; None if YAML cannot express the type."""
     try:
         made = adapter(kind)
-        return made if made.pydantic_complete else None  # not of types that are imported for type checkers alone
+        return made if made.pydantic_complete else None  # None for types that are imported for type checkers only
     except (PydanticSchemaGenerationError, PydanticUserError):
         return None
 
 
 def conformed(validator: TypeAdapter[Any], value: Any) -> Any:
     """Return a Python value as an object of the validator's type, as strict as YAML. Raises InputError."""
-    if value == value and next(_out_of_range(value, ()), None) is not None:  # of NaN its class knows a better sentence
+    if value == value and next(_out_of_range(value, ()), None) is not None:  # NaN is reported by its class
         raise InputError(NO_MEASURE)
     try:
         return validator.validate_python(value, strict=True)
     except ValidationError as error:
         faults = error.errors(include_url=False)
-        repeating = ("union_tag_not_found", "model_attributes_type")  # another fault of the same union
+        repeating = ("union_tag_not_found", "model_attributes_type")  # further faults of the same union
         message = _sentence_of([fault for fault in faults if fault["type"] not in repeating] or faults)
         close = meant(value, re.findall(r"'(\w+)'", message)) if isinstance(value, str) else ""
         raise InputError(f"{message}, not {in_words(value)}{close}") from error
@@ -249,7 +260,7 @@ def _known_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> set[str]:
     present = {key: value for key, value in content.items() if key != location[-1]}
     schema = adapter(kind).json_schema()
     objects = [item.get("properties", {}) for item in (schema, *schema.get("$defs", {}).values())]
-    # An object of another kind has another word for a shared key.
+    # Objects of another kind have another constant for a shared key.
     similar = [
         -1 if any(known[key].get("const", present[key]) != present[key] for key in shared) else len(shared)
         for known in objects
@@ -278,7 +289,7 @@ def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
 
 
 def _sentence_of(faults: Sequence[Any]) -> str:
-    """Return one sentence on the alternative faults of a value, without the validating library's words for kinds."""
+    """Return one sentence on the alternative faults of a value, without the validator's terms for unions."""
     sentences = []
     for fault in faults:
         sentence = fault["msg"].removeprefix("Value error, ")
@@ -319,7 +330,7 @@ def to_yaml(value: Any) -> str:
 def plain_content(value: Any) -> Any:
     """Return dataclasses as mappings, tuples and arrays as lists, and NumPy's numbers as plain ones.
 
-    Entries that are None are left out, and so are empty entries that take no part in comparisons.
+    Entries that are None are omitted, and so are empty entries that are excluded from comparisons.
     """
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()

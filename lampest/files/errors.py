@@ -1,11 +1,11 @@
-"""The exception for users' mistakes, and the words of its messages."""
+"""Exception for users' mistakes, and helpers for its messages."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
-# Module → the package that brings it, where their names differ.
+# Packages by module, where their names differ.
 PACKAGES = {
     "serial": "pyserial",
     "ruamel": "ruamel.yaml",
@@ -17,7 +17,7 @@ PACKAGES = {
 
 
 class InputError(ValueError):
-    """A mistake of the user, told in one clear sentence; commands end with exit code 2.
+    """Mistake of the user, described in one sentence; commands end with exit code 2.
 
     The message is one printable line whatever names and keys a file holds: control characters are written as
     escapes, and a long message is cut in its middle.
@@ -39,8 +39,8 @@ def printable(text: str) -> str:
 
 
 def meant(word: str, known: Iterable[str]) -> str:
-    """Return '; did you mean reduced?' if a known word is close to the typed word, else ''."""
-    close = get_close_matches(word, list(known), 1, 0.65)  # one slip of the finger in four letters or more
+    """Return '; did you mean reduced?' if a known word is similar to the typed word, otherwise ''."""
+    close = get_close_matches(word, list(known), 1, 0.65)  # one typing error in four letters or more
     return f"; did you mean {close[0]}?" if close else ""
 
 
@@ -51,7 +51,7 @@ def first_and_more(items: Sequence[Any], most: int = 10) -> str:
 
 
 def in_words(value: Any) -> str:
-    """Return words and numbers as they are, and the class of any other value, for messages."""
+    """Return a value for messages: words and numbers unchanged, other values by their class."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     return repr(value) if isinstance(value, str | int | float | None) else f"a {type(value).__name__}"
@@ -61,7 +61,7 @@ def in_words(value: Any) -> str:
 def extra(name: str = "") -> Iterator[None]:
     """Raise InputError with the command that installs a library if an import within the block fails.
 
-    name : extra that brings the library; '' for libraries of every installation.
+    `name` is the extra that contains the library; '' for libraries of every installation.
     """
     try:
         yield

@@ -1,7 +1,7 @@
-"""HDF5 in lampest's conventions: whole files, checksums everywhere, fixed-length ASCII, units on every dataset.
+"""HDF5 by lampest's conventions: atomic files, checksums of all values, fixed-length ASCII, units of all datasets.
 
-Format v110 has checksums of all metadata, small values among it; larger values are in chunks with Fletcher-32, packed
-unless they are many and noise fills their digits.
+Format v110 has checksums of all metadata, including small values. Larger values are in chunks with Fletcher-32
+checksums. They are compressed unless they are many and their digits are noise.
 """
 
 import os
@@ -30,11 +30,11 @@ from lampest.files.errors import InputError
 from lampest.files.whole import check_room, is_locked, note_read, whole_file
 
 FORMAT = ("v110", "v110")  # HDF5 1.10 of 2016: the oldest with checksums of all metadata
-MAX_VALUES = 100_000_000  # read at once; 0.8 GB (tests/attack)
+MAX_VALUES = 100_000_000  # values that are read at once; 0.8 GB (tests/attack)
 MAX_TEXT_BYTES = 5_000_000  # of a text or an attribute (tests/attack)
 UNPACKED: Mapping[str, Any] = {"fletcher32": True}
 PACKED: Mapping[str, Any] = {**UNPACKED, "compression": "gzip", "shuffle": True}
-CHUNK = 100_000  # values of a chunk, which holds whole frames
+CHUNK = 100_000  # values of a chunk, which contains whole frames
 ALL = slice(None)
 
 P = ParamSpec("P")
@@ -43,8 +43,8 @@ R = TypeVar("R")
 
 @contextmanager
 def new_file(path: Path) -> Iterator[h5py.File]:
-    """Make a file that appears once it is complete and on the disk. Raises InputError as `whole_file`."""
-    # Built in memory: the HDF5 library may crash the process when it meets a full disk, Python's own files do not.
+    """Yield a new file that appears under its name once it is complete and on disk. Raises as `whole_file`."""
+    # Built in memory: the HDF5 library may crash the process if the disk is full, Python's own files do not.
     with h5py.File(str(path), "w", libver=FORMAT, driver="core", backing_store=False, block_size=2**20) as file:
         yield file
         file.flush()
@@ -55,10 +55,9 @@ def new_file(path: Path) -> Iterator[h5py.File]:
 
 @contextmanager
 def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
-    """Make a file too large for memory, built on the disk, that appears once it is complete.
+    """Yield a new file that is too large for memory; it is built on disk and appears once it is complete.
 
-    size : bytes that the file may take on the disk.
-    Raises InputError as `new_file`, and beforehand where the disk has not got so many.
+    `size` is the maximum size of the file in bytes. Raises InputError as `new_file`, or if the disk has less space.
     """
     with whole_file(path) as unfinished:
         check_room(path, size)
@@ -68,7 +67,7 @@ def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
 
 @contextmanager
 def existing_file(path: Path) -> Iterator[h5py.File]:
-    """Open a file for reading. Raises InputError if it is missing, no HDF5 file, truncated or damaged."""
+    """Yield a file opened for reading. Raises InputError if it is missing, no HDF5 file, truncated or damaged."""
     if not os.path.isfile(path):  # noqa: PTH113 # Path.is_file raises for a name that is too long
         raise InputError(f"{path}: no such file")
     note_read(path)
@@ -80,7 +79,7 @@ def existing_file(path: Path) -> Iterator[h5py.File]:
 
 
 def format_of(path: Path) -> str:
-    """Return the format that a file names, '' for none. Raises InputError as `existing_file`."""
+    """Return the format in a file's attributes, '' for none. Raises InputError as `existing_file`."""
     with existing_file(path) as file:
         form = read_attribute(file, "/", "lampest_format")
     return form if isinstance(form, str) else ""
@@ -88,6 +87,7 @@ def format_of(path: Path) -> str:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[h5py.File]:
+    """Yield a file opened for reading, also if its writer was killed or is still writing."""
     with ExitStack() as stack:
         try:
             file = h5py.File(path, "r")
@@ -95,14 +95,14 @@ def _opened(path: Path) -> Iterator[h5py.File]:
             suspected = "already open for" in str(error) or "truncated file" in str(error)
             if not suspected or not is_left_open(path):
                 raise
-            # Of one that is being recorded a wrong checksum is waited for until the recorder makes it right.
+            # While the recorder is alive, HDF5 waits (SWMR) until it has corrected a wrong checksum.
             alive = is_locked(path)
             file = h5py.File(path if alive else stack.enter_context(Closed(path)), "r", swmr=alive)
         yield stack.enter_context(file)
 
 
 def checked(path: Path) -> tuple[int, int]:
-    """Read a file to its last value; return its bytes and datasets if checksums cover all of it, else (0, 0).
+    """Read all of a file, and return its numbers of bytes and datasets if checksums cover all of it, else (0, 0).
 
     Raises InputError with the path of a damaged dataset.
     """
@@ -123,12 +123,12 @@ def ascii_array(values: Any) -> Any:
 def set_attributes(node: Any, **attributes: Any) -> None:
     """Write attributes, text as fixed-length ASCII; equal attributes give equal bytes, unlike with `attrs`.
 
-    An attribute above 4,000 bytes gets its SHA-256 beside it, as `<name>_sha256`.
+    For an attribute above 4,000 bytes, its SHA-256 is written as a further attribute `<name>_sha256`.
     """
     place = node.id
     for name, value in attributes.items():
         data, key = np.asarray(ascii_array(value) if isinstance(value, str | list) else value), name.encode("utf-8")
-        if data.nbytes > 4_000:  # larger ones may stand where HDF5 has no checksum
+        if data.nbytes > 4_000:  # HDF5 may store larger ones without a checksum
             set_attributes(node, **{f"{name}_{DIGEST}": digest_of(data)})
         if h5py.h5a.exists(place, key):
             h5py.h5a.delete(place, key)
@@ -141,7 +141,7 @@ def write_dataset(
 ) -> None:
     """Write a dataset with its units, its long name, and dimension scales of the same group ('' for none).
 
-    further : other attributes, such as the meanings of flags.
+    `further` are other attributes, such as the meanings of flags.
     """
     data = np.asarray(data)
     if data.shape and data.size > 64:  # fewer are not worth compression
@@ -161,12 +161,12 @@ def _shrinks(data: NDArray[Any]) -> bool:
         return True
     sample = np.ascontiguousarray(data.reshape(len(data), -1)[:16, :512])
     planes = sample.view(np.uint8).reshape(sample.size, -1).T.tobytes()
-    # Above, compression takes twenty times the time of writing for little.
+    # Above two thirds of the size, compression takes twenty times the time of writing for little gain.
     return len(zlib.compress(planes, 1)) < 2 / 3 * len(planes)
 
 
 def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> None:
-    """Attach to each dataset, by its path in the group, the scales of its axes; '' for an axis without a scale."""
+    """Attach scales to the axes of datasets, given by path in the group; '' for an axis without a scale."""
     nodes = {name: group[name].id for path, names in axes.items() for name in (path, *filter(None, names))}
     for path, names in axes.items():
         for axis, name in enumerate(names):
@@ -175,11 +175,11 @@ def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> Non
 
 
 def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
-    """Write an uncompressed dataset within the metadata, or beside them with a digest; h5py cannot for scalars."""
+    """Write an uncompressed dataset, within the metadata if it is small, otherwise with a digest; also scalars."""
     properties, links = h5py.h5p.create(h5py.h5p.DATASET_CREATE), h5py.h5p.create(h5py.h5p.LINK_CREATE)
     links.set_create_intermediate_group(True)
-    properties.set_obj_track_times(False)  # which would make the same cases other bytes
-    compact = data.nbytes <= 60_000  # beside its metadata; HDF5 has a limit of 64 KiB
+    properties.set_obj_track_times(False)  # times would make equal contents different files
+    compact = data.nbytes <= 60_000  # within the metadata; HDF5's limit is 64 KiB
     if compact:
         properties.set_layout(h5py.h5d.COMPACT)
     kind, space = _kind_and_space(data)
@@ -198,7 +198,7 @@ def _kind_and_space(data: NDArray[Any]) -> tuple[h5py.h5t.TypeID, h5py.h5s.Space
 
 
 def write_scale(group: h5py.Group, name: str, data: Any, units: str, long_name: str) -> None:
-    """Write an axis: a one-dimensional dataset that other datasets attach."""
+    """Write a dimension scale: a one-dimensional dataset that other datasets attach."""
     write_dataset(group, name, data, units, long_name)
     group[name].make_scale(name)
 
@@ -209,7 +209,7 @@ def write_text(group: h5py.Group, name: str, text: str) -> None:
 
 
 def _located(function: Callable[P, R]) -> Callable[P, R]:
-    """Make errors of a function of a file and a path name both."""
+    """Return a function of a file and a path whose errors name both."""
 
     @wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -221,7 +221,7 @@ def _located(function: Callable[P, R]) -> Callable[P, R]:
 
 @_located
 def has(file: h5py.File, path: str) -> bool:
-    """Return whether a group or dataset exists. Raises InputError if the path is damaged or leaves the file."""
+    """Return whether a group or dataset exists. Raises InputError if it is damaged, or a link to another file."""
     return _node_or_none(file, path) is not None
 
 
@@ -251,7 +251,7 @@ def read_array(
     part: slice = ALL,
     kind: Any = None,
 ) -> Any:
-    """Read a numeric dataset.
+    """Return the values of a numeric dataset, or of a part of it.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ def read_array(
     if size > MAX_VALUES:
         raise InputError(f"{file.filename}: {path} claims {size} values; more than {MAX_VALUES} are not read")
     stored, claimed = dataset.id.get_storage_size(), dataset.size * dataset.dtype.itemsize  # a part is of a whole
-    # Bytes that nothing holds; and deflate packs to a 1032nd at best.
+    # Deflate compresses to a 1032nd at best; a larger claim has no stored values behind it.
     if claimed > max(64_000_000, 1100 * stored):
         raise InputError(f"{file.filename}: {path} claims {claimed} bytes, but holds only {stored}")
     values = dataset[part]
@@ -298,7 +298,7 @@ def read_array(
 
 @_located
 def read_text(file: h5py.File, path: str) -> str:
-    """Read a scalar text. Raises InputError if it is absent or no text."""
+    """Return a scalar text. Raises InputError if it is absent or no text."""
     dataset = _node_or_none(file, path, h5py.Dataset)
     if dataset is None or dataset.shape != () or dataset.dtype.kind not in "SO":
         raise InputError(f"{file.filename}: {path} is missing or no text")
@@ -311,7 +311,7 @@ def read_text(file: h5py.File, path: str) -> str:
 
 @_located
 def read_texts(file: h5py.File, path: str, length: int | None = None, part: slice = ALL) -> tuple[str, ...]:
-    """Read a list of fixed-length texts, or a part of it.
+    """Return a list of fixed-length texts, or a part of it.
 
     Raises InputError if it is absent, of another length, or something else.
     """
@@ -326,7 +326,7 @@ def read_texts(file: h5py.File, path: str, length: int | None = None, part: slic
 
 
 def read_attribute(file: h5py.File, path: str, name: str) -> Any:
-    """Read an attribute, text as str; None if it is absent. Raises InputError if it cannot be read."""
+    """Return an attribute, text as str; None if it is absent. Raises InputError if it cannot be read."""
     with located(file, f"{path}@{name}"):
         attributes = _node(file, path).attrs
         held = attributes.get_id(name) if name in attributes else None
@@ -342,7 +342,7 @@ def read_attribute(file: h5py.File, path: str, name: str) -> Any:
 
 
 def read_number(file: h5py.File, path: str, name: str, otherwise: float | None = None) -> float:
-    """Read a numeric attribute; `otherwise` if it is absent or NaN. Raises InputError if it is not finite."""
+    """Return a numeric attribute; `otherwise` if it is absent or NaN. Raises InputError if it is not finite."""
     value = read_attribute(file, path, name)
     number = np.shape(value) == () and np.asarray(value).dtype.kind in "iuf"
     if otherwise is not None and (value is None or (number and np.isnan(value))):
@@ -387,7 +387,7 @@ def _node_or_none(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
     """Return the group or dataset at a path, None if absent or of another kind. Raises InputError for links."""
     node: Any = file
     for part in filter(None, path.split("/")):
-        # Raises where the group is damaged, where `get` alone would say that there is nothing.
+        # `exists` raises for a damaged group, for which `get` would return None.
         if not isinstance(node, h5py.Group) or not node.id.links.exists(part.encode("utf-8")):
             return None
         if not isinstance(node.get(part, getlink=True), h5py.HardLink):

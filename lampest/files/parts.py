@@ -1,4 +1,4 @@
-"""Groups of HDF5 files from file to file, dataset by dataset and part by part, so that memory holds little of them."""
+"""Concatenation of HDF5 groups from several files, dataset by dataset and part by part, with little memory."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -10,24 +10,29 @@ import numpy as np
 from lampest.files import hdf5
 from lampest.files.checksums import nodes_below
 
-TIME = "time"  # the axis along which parts follow each other
+TIME = "time"  # axis along which parts are concatenated
 
 
 class DatasetPlan(NamedTuple):
-    """A dataset as it is to be.
+    """Plan of a concatenated dataset.
 
     Attributes
     ----------
+    shape : tuple of int
+        Shape of the dataset.
     length : int
-        Of its chunks, packing : of these.
+        Length of its chunks along the first axis.
+    packing : mapping
+        Options of compression and checksums.
+    dtype : dtype
     scales : tuple of str
-        The paths of its axes'.
+        Paths of the scales of its axes.
     is_scale : bool
-        Whether it is an axis itself.
+        Whether it is a scale itself.
     along : bool
         Whether its first axis is time.
     owner : Path
-        The last file that has it.
+        Last file that contains it.
     """
 
     shape: tuple[int, ...]
@@ -41,11 +46,21 @@ class DatasetPlan(NamedTuple):
 
 
 def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
-    """Return one group of all frames from groups of which every file holds some; of one file, its group.
+    """Write the frames of one group of several files into a single group; the group of a single file is copied.
 
-    Datasets that are not along time are the last one's. Values that a part lacks, because none of its frames could fill
-    them, are NaN, 0 or an empty text. Raises InputError where a file cannot be read.
+    Datasets without a time axis are those of the last file. Values that a part lacks, because it has no frame with
+    them, are NaN, 0 or empty texts. Raises InputError if a file cannot be read.
+
+    Parameters
+    ----------
+    parts : sequence of Path
+        Files in temporal order.
+    target : h5py.Group
+        Group that is written.
+    group : str
+        Path of the group in the files.
     """
+    # First pass: attributes, plans of all datasets, and the first frame of every part.
     plans: dict[str, DatasetPlan] = {}
     attributes: dict[str, dict[str, Any]] = {}
     begins: list[dict[str, int]] = []
@@ -59,6 +74,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
                     plans[path] = _planned(node, part, plans.get(path))
                 elif path:
                     target.require_group(path)
+    # Create the concatenated datasets, then copy values part by part.
     joined = {path: plan for path, plan in plans.items() if plan.along and len(parts) > 1}
     for path, plan in joined.items():
         shape = (_lengths(plans)[path.split("/", 1)[0]], *plan.shape[1:])
@@ -72,6 +88,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
                     _append(target[path], node, first)
                 elif path in plans and plans[path].owner == part:
                     file.copy(node, target, path, without_attrs=True)
+    # Attributes and scales, once all datasets exist.
     for path, held in attributes.items():
         (target[path] if path else target).attrs.update(held)
         if path in plans and plans[path].is_scale:
@@ -81,7 +98,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
 
 
 def _append(target: h5py.Dataset, part: h5py.Dataset, first: int) -> None:
-    """Return a part's values from frame `first` on; chunks that are the same there go over as they are packed."""
+    """Write a part's values into a dataset from frame `first` on; chunks with equal layout are copied compressed."""
     length, names = target.chunks[0], ("chunks", "dtype", "compression")
     same = all(getattr(target, name) == getattr(part, name) for name in names)
     whole = len(part) - len(part) % length if same and first % length == 0 else 0
@@ -94,7 +111,7 @@ def _append(target: h5py.Dataset, part: h5py.Dataset, first: int) -> None:
 
 
 def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> DatasetPlan:
-    """Return the plan with the frames of this part behind those before; texts as long as the longest."""
+    """Return the plan of a dataset extended by this part; texts have the length of the longest one."""
     scales = () if dataset.is_scale else tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims)
     along = f"{dataset.name if dataset.is_scale else (*scales, '')[0]}".endswith(f"/{TIME}")
     shape, dtype = dataset.shape, dataset.dtype
@@ -108,12 +125,12 @@ def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> 
 
 
 def _lengths(plans: Mapping[str, DatasetPlan]) -> dict[str, int]:
-    """Estimator, or what was measured → frames so far."""
+    """Return the number of frames so far by the first part of the path, such as that of an estimator."""
     times = {path: plan for path, plan in plans.items() if path.endswith(f"/{TIME}") and path.count("/") == 1}
     return {path.split("/", 1)[0]: plan.shape[0] for path, plan in times.items()}
 
 
 def _within(file: h5py.File, group: str) -> Iterator[tuple[str, Any]]:
-    """(path from the group on, node) of the group itself and all that it holds, groups before what is in them."""
+    """Yield (path relative to the group, node) of the group and of everything in it, groups before their members."""
     for path, node in nodes_below(file, group):
         yield path.removeprefix(group).lstrip("/"), node

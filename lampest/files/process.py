@@ -1,4 +1,4 @@
-"""State of the process: memory limit, BLAS threads, ending signals, and the log of libraries' warnings."""
+"""State of the process: memory limit, BLAS threads, terminating signals, and the log of libraries' warnings."""
 
 import logging
 import os
@@ -21,22 +21,22 @@ from lampest.files.errors import InputError
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # small matrices
-ALLOWED = "LAMPEST_MEMORY"  # the environment variable by which a user says how much may be taken, such as 8GB
-# Signals that nohup ignores stay ignored, except the first two, which are sent on purpose.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # for small matrices
+ALLOWED = "LAMPEST_MEMORY"  # environment variable with the user's memory limit, such as 8GB
+# Signals that the process ignores (nohup) stay ignored, except the first two, which are sent on purpose.
 WANTED = (signal.SIGINT, signal.SIGTERM)
 ENDING = (*WANTED, signal.SIGHUP, signal.SIGQUIT)
 HUNG_SECONDS = 120.0  # s, and ten times a frame's limit: no library call took longer (tests/units/test_time_limit.py)
-EXPENDABLE = ContextVar("expendable", default=False)  # whether a parent process replaces this one if it is ended
+EXPENDABLE = ContextVar("expendable", default=False)  # whether a parent process replaces this one if it is killed
 FOREIGN = (ArithmeticError, LookupError, ValueError, TypeError, AttributeError, AssertionError, MemoryError)
 
 
 class OneBlasThread(ContextDecorator):
-    """Context with one BLAS thread, also if several threads of this process enter and leave it.
+    """Context with one BLAS thread, which several threads of the process may enter and leave.
 
-    The matrices of a panel are small: with several BLAS threads they take 3 to 15 times as long on a busy machine. The
-    number of threads is a state of the process, so that all of the process shares one such context. A process that
-    forks waits for the lock, so that the child inherits it released.
+    The matrices of a panel are small: several BLAS threads take 3 to 15 times as long on a busy machine. The number of
+    threads is a state of the process, so that the whole process shares one such context. A process that forks waits for
+    the lock, so that the child inherits it released.
     """
 
     def __init__(self) -> None:
@@ -67,7 +67,7 @@ ONE_BLAS_THREAD = OneBlasThread()
 
 
 def check_memory(needed: float, label: str) -> None:
-    """Raise InputError if `label`, such as 'the lines of a panel', needs more bytes than there are."""
+    """Raise InputError if `label`, such as 'the lines of a panel', needs more bytes than are available."""
     if needed > (limit := memory_limit()):
         raise InputError(
             f"{label}: {in_bytes(needed)} of memory are needed, and there are {in_bytes(limit)}; {ALLOWED} allows more"
@@ -75,7 +75,7 @@ def check_memory(needed: float, label: str) -> None:
 
 
 def memory_limit() -> float:
-    """Return the bytes that may be taken: the user's limit, else 90 % of what machine, container and ulimit leave.
+    """Return the available memory in bytes: the user's limit, or 90 % of that of machine, container and ulimit.
 
     Raises InputError if the user's limit is no size.
     """
@@ -91,7 +91,7 @@ def memory_limit() -> float:
     addresses = resource.getrlimit(resource.RLIMIT_AS)[0]
     if addresses != resource.RLIM_INFINITY:
         free.append(float(addresses - psutil.Process().memory_info().vms))
-    return 0.9 * min(free)  # a tenth for buffers that no estimate counts
+    return 0.9 * min(free)  # a tenth is for buffers that estimates do not include
 
 
 def in_bytes(size: float) -> str:
@@ -122,7 +122,7 @@ def ended_where_hung(limit_s: float | None) -> Iterator[None]:
 
 @contextmanager
 def delayed_interrupt() -> Iterator[None]:
-    """Keep Ctrl-C and its kin until the end of a solve: CasADi would take it for a failed evaluation."""
+    """Delay Ctrl-C and similar signals until the end of the block: CasADi would report them as failed evaluations."""
     signals: list[int] = []
     with handled(signals.append):
         yield
@@ -132,15 +132,15 @@ def delayed_interrupt() -> Iterator[None]:
 
 @contextmanager
 def ending_signals(worth_finishing: Callable[[], bool] = lambda: False) -> Iterator[Callable[[], str]]:
-    """Yield a function that names the signal that asked for the end, such as SIGTERM, or ''.
+    """Yield a function that returns the name of the signal that requested the end, such as SIGTERM, or ''.
 
-    If nothing is worth finishing, and at a second signal, KeyboardInterrupt is raised at once. Signals within a second
-    are one request: a closing terminal sends several.
+    KeyboardInterrupt is raised at once if nothing is worth finishing, and at a second signal. Signals within a second
+    are one request, because a closing terminal sends several.
     """
     requests: list[tuple[str, float]] = []
 
     def note(number: int) -> None:
-        # Noted first: an exception raised inside a destructor is lost, the note is not.
+        # Stored first, because an exception inside a destructor is lost.
         requests.append((signal.Signals(number).name, time.monotonic()))
         if not worth_finishing() or requests[-1][1] - requests[0][1] > 1:
             raise KeyboardInterrupt
@@ -150,20 +150,20 @@ def ending_signals(worth_finishing: Callable[[], bool] = lambda: False) -> Itera
 
 
 def interrupted(error: BaseException | None) -> bool:
-    """Return whether an error was caused by Ctrl-C: compiled code may turn it into another error."""
+    """Return whether an error was caused by Ctrl-C, which compiled code may convert into another error."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__
     return error is not None
 
 
 def deaf() -> AbstractContextManager[None]:
-    """Ignore every catchable signal within the block, for the short time in which a file is closed."""
+    """Return a context that ignores all terminating signals, for the short time in which a file is closed."""
     return handled(lambda number: None)
 
 
 @contextmanager
 def handled(handler: Callable[[int], object]) -> Iterator[None]:
-    """Send every ending signal to the handler; without effect outside the main thread."""
+    """Pass every terminating signal within the block to a handler; without effect outside the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -178,7 +178,7 @@ def handled(handler: Callable[[int], object]) -> Iterator[None]:
 
 @contextmanager
 def libraries_to_the_log() -> Iterator[None]:
-    """Send warnings, and errors that `told_reason` shortens, to the file that LAMPEST_LOG names."""
+    """Write warnings, and errors that `told_reason` shortens, to the file in LAMPEST_LOG within the block."""
     path = os.environ.get("LAMPEST_LOG")
     handler = logging.FileHandler(Path(path), delay=True) if path else logging.NullHandler()
     loggers = [logging.getLogger(name) for name in ("lampest", "py.warnings")]
@@ -197,9 +197,9 @@ def libraries_to_the_log() -> Iterator[None]:
 
 
 def told_reason(error: BaseException, of: str) -> str:
-    """Return the message of an exception: its own words if lampest wrote them, else a sentence and a log entry.
+    """Return the message of an exception: its own if lampest raised it, otherwise a sentence, with an entry in the log.
 
-    of : the computation, for the log.
+    `of` is the computation, for the log.
     """
     trace, raised = error.__traceback__, ""
     while trace is not None:

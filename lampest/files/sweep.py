@@ -1,4 +1,4 @@
-"""Sweeps: the combinations that a document with `sweep: {dotted.path: [values]}` stands for."""
+"""Sweeps: combinations of a document with `sweep: {dotted.path: [values]}`."""
 
 import dataclasses
 import itertools
@@ -21,9 +21,9 @@ class Combination(Generic[Kind]):
     Attributes
     ----------
     entry : str
-        Which of the entries that are swept apart it belongs to; '' without such entries.
+        Entry of those swept separately to which it belongs; '' without such entries.
     assignments : dict
-        Path → value that the sweep set.
+        Values set by the sweep, by path.
     document : Document
         The document with these values in place.
     value : object
@@ -47,21 +47,21 @@ def combinations(
     Parameters
     ----------
     document : Document
-        Its sweep maps paths to lists of values. A path leads through mapping keys and list indices; all but its last
-        part exist in the document, or are mappings that it leaves to their defaults.
+        Document whose sweep maps paths to lists of values. A path consists of mapping keys and list indices. All but
+        its last part exist in the document, or are mappings with defaults.
     validate : callable
-        Makes the validated object of a document.
+        Function that returns the validated object of a document.
     apart : str
-        A mapping of the document whose entries are swept apart: a path below one of them varies that entry alone, and
+        Mapping of the document whose entries are swept separately: a path below one of them varies that entry only, and
         every other path varies each of them. Without such a path an entry has one combination.
     fixed : mapping
-        Entries that cannot be swept → the reason.
+        Reasons by entries that cannot be swept.
 
     Raises
     ------
     InputError
-        At its own position for a fault of the document; at the sweep's line where the sweep is malformed or too large,
-        for a path that names no place, or for a value that does not fit there.
+        With its own position for a fault of the document; with the sweep's line if the sweep is malformed or too large,
+        if a path does not exist, or if a value does not fit.
     """
     content = document.content if isinstance(document.content, dict) else {}
     sweep, entries = content.get("sweep", {}), content.get(apart)
@@ -97,13 +97,13 @@ def combinations(
 
 
 def _entry_of(path: str, apart: str, names: list[str]) -> str | None:
-    """Return the entry that a path leads into; None for one that leads elsewhere."""
+    """Return the separately swept entry that contains a path; None for any other path."""
     first, *inner = path.split(".")
     return inner[0] if first == apart and inner[0] in names else None
 
 
 def _assigned(document: Document, assignments: dict[str, Any]) -> Document:
-    """Return the document without its sweep, with every assignment made. Raises InputError for a path to nowhere."""
+    """Return the document without its sweep, with all assignments. Raises InputError if a path does not exist."""
     varied = document
     if isinstance(document.content, dict):
         content = {key: item for key, item in document.content.items() if key != "sweep"}
@@ -117,7 +117,7 @@ def _assigned(document: Document, assignments: dict[str, Any]) -> Document:
 
 
 def _is_place(content: Any, value: Any, parts: list[str]) -> bool:
-    """Return whether a path leads through entries of the document, or through fields with defaults."""
+    """Return whether a path consists of entries of the document, or of fields with defaults."""
     for part in parts:
         try:
             content = content[place_in(content, part)]
@@ -135,7 +135,7 @@ def _is_place(content: Any, value: Any, parts: list[str]) -> bool:
 def _blamed(
     document: Document, assignments: dict[str, Any], validate: Callable[[Document], Any], error: InputError
 ) -> InputError:
-    """Return the error at the sweep's line if the assignments spoil a document that is valid without them."""
+    """Return the error, at the sweep's line if the document is valid without the assignments."""
     if not assignments or _fault(_assigned(document, {}), validate):
         return error
     for path, value in assignments.items():
@@ -156,4 +156,5 @@ def _fault(document: Document, validate: Callable[[Document], Any]) -> str:
 
 
 def _without_position(error: InputError) -> str:
+    """Return the message of an error without file, line and column."""
     return re.sub(r"^.*?:\d+:\d+: ", "", str(error), count=1)

@@ -1,4 +1,4 @@
-"""Type checks of arguments when objects are made, and unions by `kind` that installed packages extend."""
+"""Type checks of arguments at construction, and unions by `kind` that installed packages extend."""
 
 import inspect
 import typing
@@ -24,7 +24,7 @@ class Checked(ABCMeta):
     """Metaclass that validates the arguments of a dataclass, and of its subclasses, by their fields' types."""
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
-        """Make an object. Raises InputError if an argument has another type, is missing, unknown, or out of range."""
+        """Return an object. Raises InputError if an argument has another type, is missing, unknown, or out of range."""
         try:
             return super().__call__(**_arguments(cls, cls.__name__, args, kwargs))
         except InputError:
@@ -49,7 +49,7 @@ class Configuration(Validated):
 
 
 def typed(function: Callable[P, R]) -> Callable[P, R]:
-    """Make a function raise InputError if an argument has another type than annotated."""
+    """Return a function that raises InputError if an argument has another type than annotated."""
 
     @wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -84,6 +84,7 @@ def check_not_negative(owner: Any, *names: str) -> None:
 
 
 def _check_fields(owner: Any, names: Iterable[str], fits: Callable[[Any], bool], message: str) -> None:
+    """Raise ValueError with a message unless each named field of an object is None or fits."""
     for name in names:
         if (value := getattr(owner, name)) is not None and not fits(value):
             raise ValueError(f"{name} {message}")
@@ -104,7 +105,7 @@ def real_array(values: Any, label: str) -> NDArray[Any]:
 
 
 def _arguments(owner: Any, name: str, args: Sequence[Any], kwargs: dict[str, Any]) -> dict[str, Any]:
-    """Return parameter → validated argument."""
+    """Return validated arguments by parameter."""
     try:
         given = _signature(owner).bind(*args, **kwargs).arguments
     except TypeError as error:
@@ -115,6 +116,7 @@ def _arguments(owner: Any, name: str, args: Sequence[Any], kwargs: dict[str, Any
 
 @cache
 def _signature(owner: Any) -> inspect.Signature:
+    """Return the signature of a function, or that of a class's `__init__` without self."""
     if not isinstance(owner, type):
         return inspect.signature(owner)
     made: Any = owner
@@ -123,15 +125,16 @@ def _signature(owner: Any) -> inspect.Signature:
 
 @cache
 def _checks(owner: Any) -> dict[str, Callable[[Any, str], Any]]:
-    """Return parameter → function that validates an argument; none for a type without a check."""
+    """Return functions (value, label) → validated value by parameter; types without a check are omitted."""
     try:
         hints = typing.get_type_hints(owner, include_extras=True)
-    except NameError:  # of a class in a notebook, or types that are imported for type checkers alone
+    except NameError:  # a class in a notebook, or types that are imported for type checkers only
         return {}
     return {word: check for word, hint in hints.items() if (check := _check_of(hint)) is not None}
 
 
 def _check_of(hint: Any) -> Callable[[Any, str], Any] | None:
+    """Return the function that validates arguments of a type; None for a type without a check."""
     parts = typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, UnionType) else (hint,)
     validator = schema_of(hint)
     if any(typing.get_origin(part) is np.ndarray for part in parts):
@@ -145,6 +148,7 @@ def _check_of(hint: Any) -> Callable[[Any, str], Any] | None:
 
 
 def _conformed(validator: Any, value: Any, label: str) -> Any:
+    """Return an argument validated by pydantic. Raises InputError with the label."""
     plain = _plain(value, label)
     try:
         return conformed(validator, plain)
@@ -153,6 +157,7 @@ def _conformed(validator: Any, value: Any, label: str) -> Any:
 
 
 def _instance(kinds: tuple[type, ...], value: Any, label: str) -> Any:
+    """Return an argument that is an instance of one of the classes. Raises InputError with the label for others."""
     if not isinstance(value, kinds):
         needed = " or ".join(kind.__name__ for kind in kinds)
         raise InputError(f"{label}: {needed} is needed, not {in_words(value)}")
@@ -160,7 +165,7 @@ def _instance(kinds: tuple[type, ...], value: Any, label: str) -> Any:
 
 
 def _plain(value: Any, label: str) -> Any:
-    """Return lists and arrays as tuples, and NumPy's numbers as Python's, as they come from YAML."""
+    """Return lists and arrays as tuples, and NumPy's numbers as Python's, as from YAML."""
     if isinstance(value, np.ndarray):
         return _plain(real_array(value, label).tolist(), label)
     if isinstance(value, np.generic):
@@ -172,9 +177,9 @@ def _plain(value: Any, label: str) -> Any:
 
 @cache
 def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
-    """Return the objects of a kind that installed packages name in a group, ordered by name.
+    """Return the objects of a class that installed packages register in a group of entry points, ordered by name.
 
-    Raises InputError if an object cannot be loaded or is of another kind.
+    Raises InputError if an object cannot be loaded, or is of another class.
     """
     from importlib.metadata import entry_points  # with email and zipfile
 
@@ -183,7 +188,7 @@ def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
         named = f"{group}: {point.name} = {point.value} of an installed package"
         try:
             member = point.load()
-        except Exception as error:  # whatever the package does when it is imported
+        except Exception as error:  # any error of the package while it is imported
             raise InputError(f"{named} cannot be loaded ({error})") from error
         if not isinstance(member, kind):
             raise InputError(f"{named} is no {kind.__name__}")
@@ -192,7 +197,7 @@ def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
 
 
 def of_kind(kind: str, noun: str, known: Sequence[Kind]) -> Kind:
-    """Return the object with this `kind`; noun : 'plot', for the message. Raises InputError if none or two have it."""
+    """Return the object with this `kind`. Raises InputError, with a noun such as 'plot', unless exactly one has it."""
     kinds = [str(getattr(member, "kind", "")) for member in known]
     if kinds.count(kind) != 1:
         count = f"there are two {noun}s" if kind in kinds else f"there is no {noun}"
@@ -202,14 +207,14 @@ def of_kind(kind: str, noun: str, known: Sequence[Kind]) -> Kind:
 
 @dataclass(frozen=True)
 class ByKind:
-    """Marker of Annotated[A | B, ByKind()]: validation picks the member whose `kind: Literal[...]` the input names.
+    """Marker of Annotated[A | B, ByKind()]: validation selects the member by the `kind: Literal[...]` of the input.
 
     Attributes
     ----------
     group : str
-        Of entry points by which installed packages add members; '' for none.
+        Group of entry points by which installed packages add members; '' for none.
     default : str
-        The kind that is meant where the input names none; '' where it must.
+        Kind of an input without one; '' if the input must have one.
     """
 
     group: str = ""
@@ -226,7 +231,7 @@ class ByKind:
         tag = self._tag if self.default else "kind"
         tagged = {"type": "tagged-union", "discriminator": tag, "choices": choices}
         base = _base(members)
-        # From Python an object of a class that nothing names, derived in a notebook, is one of them, too.
+        # In Python, objects of an unregistered subclass, such as one in a notebook, are members, too.
         made = {"type": "is-instance", "cls": base}
         either = {"type": "union", "choices": [made, tagged], "mode": "left_to_right"}
         own = base not in (object, Configuration, Validated)
@@ -237,14 +242,14 @@ class ByKind:
 
 
 def kinds_of(member: Any) -> tuple[str, ...]:
-    """Return the words that a class's `kind: Literal[...]` allows; () without such a field."""
+    """Return the values of a class's `kind: Literal[...]`; () without such a field."""
     return typing.get_args(typing.get_type_hints(member).get("kind"))
 
 
 def shipped(union: Any) -> tuple[type[Any], ...]:
     """Return the classes of Annotated[A | B, ByKind(group)] without those of installed packages.
 
-    For objects made while a module is imported: packages import that module themselves, and cannot be loaded before it.
+    It serves code that runs while a module is imported: packages import that module, and cannot be loaded before it.
     """
     return typing.get_args(typing.get_args(union)[0])
 
@@ -252,14 +257,14 @@ def shipped(union: Any) -> tuple[type[Any], ...]:
 def members_of(union: Any) -> tuple[type[Any], ...]:
     """Return the classes of Annotated[A | B, ByKind(group)], those of installed packages included.
 
-    Raises InputError if a package names another object, or a class without a word of its own as `kind`.
+    Raises InputError if a package registers another object, or a class without a `kind` of its own.
     """
     return (*shipped(union), *_installed_members(shipped(union), typing.get_args(union)[1].group))
 
 
 @cache
 def members_by_kind(union: Any) -> dict[str, type[Any]]:
-    """Return kind → class, for every word of every member. Raises InputError as `members_of`."""
+    """Return the classes of a union by kind. Raises InputError as `members_of`."""
     return {kind: member for member in members_of(union) for kind in kinds_of(member)}
 
 

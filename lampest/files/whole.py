@@ -1,4 +1,4 @@
-"""Atomic writing of files: an output appears whole or not at all, and never replaces an input of the same command."""
+"""Atomic writing of files: outputs appear completely or not at all, and never replace inputs of the same command."""
 
 import fcntl
 import os
@@ -20,7 +20,7 @@ from lampest.files.process import in_bytes
 
 @dataclass(frozen=True)
 class Touched:
-    """Files that a command has read and written so far, and those it may read and write again; the sets grow."""
+    """Files of a command so far: read, written, and its own ones, which it may read and write again."""
 
     read: set[Path] = field(default_factory=set)
     written: set[Path] = field(default_factory=set)
@@ -36,9 +36,9 @@ _TOUCHED: ContextVar[Touched | None] = ContextVar("files touched by a command", 
 
 @contextmanager
 def sparing(inputs: Iterable[Path] = ()) -> Iterator[None]:
-    """Refuse, within the block, outputs that would replace an input, under whatever name, or another output.
+    """Refuse, within the block, outputs that would replace an input, under any name, or another output.
 
-    inputs : files about to be read. See `note_read`, `check_output`.
+    `inputs` are files that will be read. See `note_read` and `check_output`.
     """
     before = _TOUCHED.set(_TOUCHED.get() or Touched())
     try:
@@ -50,7 +50,7 @@ def sparing(inputs: Iterable[Path] = ()) -> Iterator[None]:
 
 
 def note_read(path: Path) -> None:
-    """Note that a file was read; every reader of a user's files calls it. Files that a command owns are not noted."""
+    """Register a file as read, except the command's own ones; every function that reads a user's files calls it."""
     touched = _TOUCHED.get()
     if touched and not touched.owns(path.absolute()):
         touched.read.add(path.absolute())
@@ -91,7 +91,7 @@ def _same(path: Path, known: Path) -> bool:
 
 @contextmanager
 def _to_write(path: Path) -> Iterator[None]:
-    """Make the folder of an output. Raises InputError as `check_output`, and if the disk refuses."""
+    """Create the folder of an output. Raises InputError as `check_output`, and for errors of the disk in the block."""
     check_output(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -102,10 +102,10 @@ def _to_write(path: Path) -> Iterator[None]:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` to write to; it takes that name once it is complete and on the disk.
+    """Yield a temporary path next to `path`; the file gets its name once it is complete and on disk.
 
-    Raises InputError as `check_output`, and if the folder cannot be written or the disk is full; nothing is left behind
-    then. Files that killed processes of this computer left behind are removed.
+    Raises InputError as `check_output`, and if the folder cannot be written or the disk is full; no file remains then.
+    Temporary files of killed processes of this computer are removed.
     """
     with _to_write(path):
         _remove_abandoned(path)
@@ -124,7 +124,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def _host() -> str:
-    """Return four characters for this computer: other computers may share the folder and number processes alike."""
+    """Return four characters that identify this computer: others may share the folder and have equal process ids."""
     return f"{crc32(os.uname().nodename.encode()) % 2**16:04x}"
 
 
@@ -134,13 +134,13 @@ def _remove_abandoned(path: Path) -> None:
             os.kill(int(part.name.removeprefix(f".{path.name}.").partition("-")[0]), 0)
         except ProcessLookupError:
             part.unlink(missing_ok=True)
-        except (OSError, ValueError, OverflowError):  # somebody else's
+        except (OSError, ValueError, OverflowError):  # a file of another user
             continue
 
 
 @contextmanager
 def folder_beside(path: Path) -> Iterator[Path]:
-    """Yield a temporary folder beside `path`, removed at the end. Raises InputError as `whole_file`."""
+    """Yield a temporary folder next to `path`, which is removed at the end. Raises InputError as `whole_file`."""
     with _to_write(path), TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
         yield Path(folder)
 
@@ -170,7 +170,7 @@ def check_room(path: Path, size: int) -> None:
 
 
 def output_folder(folder: Path) -> Path:
-    """Return the folder, made if absent. Raises InputError if it is the root, no folder, or cannot be made."""
+    """Return a folder, created if absent. Raises InputError if it is the root, no folder, or cannot be created."""
     if folder.resolve() == Path(folder.resolve().anchor):
         raise InputError(f"{folder}: is the root of all files, no folder for results")
     try:
@@ -194,7 +194,7 @@ def inner_folder(folder: Path, name: str) -> Path:
 def opened_for_locking(path: Path, *, make: bool = False) -> int:
     """Return a descriptor of a regular file, never through a link; `make` creates an absent file.
 
-    Raises OSError where it cannot be opened, InputError where it is something else.
+    Raises OSError if it cannot be opened, InputError if it is no regular file.
     """
     if _letter(path) not in ("", "-"):
         check_output(path)
@@ -208,7 +208,7 @@ def opened_for_locking(path: Path, *, make: bool = False) -> int:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold a lock that readers do not notice and that ends with the process."""
+    """Hold a shared lock on a file within the block, at most until the process ends; it does not affect readers."""
     with os.fdopen(opened_for_locking(path), "rb") as handle:
         fcntl.flock(handle, fcntl.LOCK_SH)
         yield
@@ -225,7 +225,7 @@ def is_locked(path: Path) -> bool:
 
 
 def remove_own(path: Path) -> None:
-    """Remove a regular file, if there is one; anything else of that name stays."""
+    """Remove a regular file, if it exists; anything else of that name remains."""
     if _letter(path) == "-":
         path.unlink(missing_ok=True)
 

@@ -1,1 +1,1 @@
-"""The panel and its circuit: numbering, scene, network of cells, readout electronics."""
+"""Panel and circuit: numbering of cells, scene, network of cells, readout electronics."""

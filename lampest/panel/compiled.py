@@ -1,8 +1,9 @@
-"""The one lock of CasADi, and its functions of flat arrays, called without the cost of CasADi's own conversions.
+"""Lock of CasADi, and compiled CasADi functions of flat arrays without the cost of CasADi's conversions.
 
-CasADi releases Python's lock in every call, and counts the owners of its nodes without one of its own. Whatever builds,
-calls or frees its objects therefore is `guarded`: one thread at a time. Objects that outlive such a call belong to a
-`CasadiOwner`. Within such a call no cached property is read that makes another one: Python 3.11 locks those as well.
+CasADi releases Python's global lock in every call, and its reference counts are not thread-safe. All code that builds,
+calls or frees its objects is therefore `guarded`: one thread at a time. Objects that outlive such a call belong to a
+`CasadiOwner`. A guarded call must not read a cached property that makes another guarded call: Python 3.11 locks cached
+properties as well, so that two threads could wait for each other.
 """
 
 import os
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 _LOCK = RLock()
-_DROPPED: deque[dict[str, Any]] = deque()  # contents of owners that are gone
+_DROPPED: deque[dict[str, Any]] = deque()  # contents of deleted owners
 
 
 def _unlock_child() -> None:
@@ -46,7 +47,7 @@ os.register_at_fork(before=_LOCK.acquire, after_in_parent=_LOCK.release, after_i
 
 
 def guarded(function: Callable[P, R]) -> Callable[P, R]:
-    """Run a function while no other thread uses CasADi; also frees objects that any thread dropped before."""
+    """Return a function that runs while no other thread uses CasADi, and frees objects that any thread dropped."""
 
     @wraps(function)
     def alone(*arguments: P.args, **named: P.kwargs) -> R:
@@ -55,16 +56,17 @@ def guarded(function: Callable[P, R]) -> Callable[P, R]:
             try:
                 return function(*arguments, **named)
             except BaseException as error:
-                clear_frames(error.__traceback__)  # whoever handles it later would free the frames' symbols
+                clear_frames(error.__traceback__)  # a later handler would free the frames' symbols without the lock
                 raise
 
     return alone
 
 
 class CasadiOwner:
-    """An object that holds CasADi's: any thread may drop it, and the next guarded call frees them.
+    """Base of objects with CasADi attributes: any thread may drop them, and the next guarded call frees them.
 
-    Waiting for the lock at once could wait for ever, as the collector may run while the thread holds any other lock.
+    Waiting for the lock in the destructor could deadlock, because the garbage collector may run while the thread holds
+    another lock.
     """
 
     def __del__(self, drop: Callable[[dict[str, Any]], None] = _DROPPED.append) -> None:
@@ -73,13 +75,13 @@ class CasadiOwner:
 
 @dataclass(frozen=True, eq=False)
 class Compiled(CasadiOwner):
-    """A CasADi function of flat arrays; returns the nonzeros of its one output. Ten times faster than a plain call."""
+    """CasADi function of flat arrays that returns the nonzeros of its output; ten times faster than a plain call."""
 
     function: "casadi.Function"
 
     @cached_property
     def _buffer(self) -> tuple[Any, Any, list[Array], Array]:
-        """Buffer, trigger of the evaluation, arguments and result: arrays with fixed addresses."""
+        """Buffer, evaluation, argument arrays and result array; the arrays have fixed addresses."""
         buffer: Any
         buffer, trigger = self.function.buffer()
         held: list[Array] = [np.empty(self.function.nnz_in(number)) for number in range(self.function.n_in())]
@@ -99,7 +101,7 @@ class Compiled(CasadiOwner):
 
     @guarded
     def mapped(self, count: int) -> "Compiled":
-        """Return the function of `count` points at once."""
+        """Return the function mapped over `count` points."""
         return Compiled(self.function.map(count))
 
     @cached_property
@@ -131,14 +133,14 @@ class Compiled(CasadiOwner):
     @cached_property
     @guarded
     def structure(self) -> "scipy.sparse.csc_array":
-        """The output with entries of one."""
+        """Sparse matrix with the output's pattern and entries of one."""
         sparsity = self.function.sparsity_out(0)
         rows, first = (np.array(numbers, dtype=np.int32) for numbers in (sparsity.row(), sparsity.colind()))
         return scipy.sparse.csc_array((np.ones(len(rows)), rows, first), shape=self.function.size_out(0))
 
 
 def with_entries(structure: "scipy.sparse.csc_array", entries: Array) -> "scipy.sparse.csc_array":
-    """Return a matrix of the same structure with other entries, without the checks of SciPy's constructor."""
+    """Return a matrix of a given structure with new entries, without the checks of SciPy's constructor."""
     matrix = copy(structure)
     matrix.data = entries
     return matrix

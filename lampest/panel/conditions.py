@@ -1,4 +1,4 @@
-"""Conditions of a measurement beside the circuit: water, temperature, shared errors, faults, subject, experiment."""
+"""Conditions of a measurement outside the circuit: water, temperature, shared errors, faults, subject, experiment."""
 
 from dataclasses import dataclass, replace
 
@@ -12,9 +12,14 @@ from lampest.panel.readouts.lines import MAX_OHM
 
 @dataclass(frozen=True)
 class Water(Configuration):
-    """An upright panel under water, in the unloaded frames too: row 0 on top, top_row_depth_mm below the surface.
+    """Upright panel under water, with row 0 on top; also in the unloaded frames.
 
-    Raises ValueError where the depth is negative or beyond the deepest sea, 1.1e7 mm.
+    Attributes
+    ----------
+    top_row_depth_mm : float
+        Depth of row 0 below the surface in mm.
+
+    Raises ValueError if the depth is negative or greater than that of the deepest sea, 1.1e7 mm.
 
     >>> lampest.Water(top_row_depth_mm=50.0).top_row_depth_mm
     50.0
@@ -28,19 +33,19 @@ class Water(Configuration):
 
 @dataclass(frozen=True)
 class Temperature(Configuration):
-    """r(T) = r(T_b)·exp(α (T − T_b)): how the film's temperature changes every cell between baseline and measurement.
+    """Effect of the film's temperature on every cell between baseline and measurement, r(T) = r(T_b)·exp(α (T − T_b)).
 
-    1 + α (T − T_b), with which it agrees within (α (T − T_b))²/2, turns negative far from T_b. Raises ValueError where
-    a number is out of range.
+    The exponential agrees with 1 + α (T − T_b) within (α (T − T_b))²/2, and stays positive far from T_b. Raises
+    ValueError if a number is out of range.
 
     Attributes
     ----------
     coefficient_per_kelvin : float
-        α.
+        α in 1/K.
     coefficient_sd_per_kelvin : float
-        Its standard deviation.
+        Standard deviation of α in 1/K.
     baseline_celsius, measured_celsius : float
-        T_b of the unloaded and T of the measured frames.
+        T_b of the unloaded and T of the measured frames, °C.
 
     >>> lampest.Temperature(-0.003, baseline_celsius=20.0, measured_celsius=12.0).difference_kelvin
     -8.0
@@ -58,18 +63,18 @@ class Temperature(Configuration):
 
     @property
     def difference_kelvin(self) -> float:
-        """T − T_b."""
+        """Temperature difference T − T_b in K."""
         return self.measured_celsius - self.baseline_celsius
 
     @property
     def logarithm(self) -> float:
-        """ln(r(T)/r(T_b)) = α (T − T_b)."""
+        """Change of log r, ln(r(T)/r(T_b)) = α (T − T_b)."""
         return self.coefficient_per_kelvin * self.difference_kelvin
 
 
 @dataclass(frozen=True)
 class Systematic(Configuration):
-    """Errors that all readings may share; they widen error bars and change no estimate. None: absent.
+    """Systematic errors that all readings may share; they widen error bars and change no estimate. None: absent.
 
     Attributes
     ----------
@@ -78,16 +83,16 @@ class Systematic(Configuration):
     channel_spread_ohm : float
         Standard deviation of the resistance of each line's channel, in ohm.
     series_ohm : float, or None
-        Standard deviation of a resistance in series with all driven lines, beside that of the scene, in ohm.
+        Standard deviation of a resistance in series with all driven lines, in addition to the scene's, in ohm.
     inl_lsb : float, or None
         Standard deviation of the converter's smooth deviation from a straight line, in least significant bits.
     wire_ohm_per_cell : float, or None
-        Standard deviation of the wire of rows and columns from cell to cell, beside that of the scene, in ohm.
+        Standard deviation of the wire of rows and columns from cell to cell, in addition to the scene's, in ohm.
     reading_error : float, or None
         Standard deviation of the logarithm of a factor on each reading, the same in all frames.
     response_sd : float, or None
-        Standard deviation of a factor on each cell's answer to pressure, in the logarithm of its resistance (bent film,
-        differing patches); widens pressures alone.
+        Relative standard deviation of each cell's response to pressure, in the logarithm of its resistance (bent film,
+        differing patches); it widens pressures only.
 
     >>> lampest.Systematic(reference_tolerance=0.01).reference_tolerance
     0.01
@@ -120,7 +125,7 @@ class MeasuredSubject(Configuration):
     species : str
         Latin name.
     length_mm, mass_g : float, or None
-        Of the body.
+        Length and mass of the body.
     note : str
         Remarks.
 
@@ -147,10 +152,10 @@ class Experiment(Configuration):
     Attributes
     ----------
     title : str
-        In a few words.
+        Title in a few words.
     experimenter, institution : str
     water_temperature_celsius : float, or None
-        Of the water around the panel; the scene's key `temperature` says how warmth changes the film.
+        Temperature of the water around the panel in °C; the scene's key `temperature` describes its effect on the film.
     note : str
         Remarks.
 
@@ -172,7 +177,7 @@ class Experiment(Configuration):
 
 @dataclass(frozen=True)
 class Faults(Configuration):
-    """Known faults by (row, column) or line; broken parts leave the model.
+    """Known faults by (row, column) or line; broken parts are removed from the model.
 
     Attributes
     ----------
@@ -183,10 +188,10 @@ class Faults(Configuration):
     dead_rows, dead_columns : tuple of int
         Lines without contact: no readings, no current through their cells.
     dead_modules : pairs of int
-        Modules that are not read: nothing is known of their cells.
+        Modules that are not read; their cells are not estimated.
     joined_rows, joined_columns : tuples of int
-        Groups of lines that touch at their terminals: they are one node with equal readings, which determine only the
-        sum of conductances of their cells on one crossing.
+        Groups of lines that touch at their terminals. They are one node with equal readings, which determine only the
+        sum of the conductances of their cells on one crossing line.
 
     >>> lampest.Faults(dead_rows=(1,)).open_cells(lampest.Panel(2, 3)).sum()
     np.int64(3)
@@ -201,7 +206,7 @@ class Faults(Configuration):
     dead_modules: tuple[tuple[int, int], ...] = ()
 
     def open_cells(self, panel: Panel) -> NDArray[np.bool_]:
-        """Return (rows, columns) whether a cell carries no current."""
+        """Return whether a cell carries no current, boolean (rows, columns)."""
         cells = np.zeros(panel.shape, dtype=bool)
         for row, column in self.open:
             cells[row, column] = True
@@ -210,19 +215,19 @@ class Faults(Configuration):
         return cells
 
     def shorted_cells(self, panel: Panel) -> NDArray[np.bool_]:
-        """Return (rows, columns) whether a cell joins its lines."""
+        """Return whether a cell shorts its lines, boolean (rows, columns)."""
         return Faults(open=self.shorted).open_cells(panel)
 
     def blind(self, panel: Panel) -> NDArray[np.bool_]:
-        """Return (rows, columns) whether a reading is missing."""
+        """Return whether a reading is missing because of a fault, boolean (rows, columns)."""
         return replace(self, open=self.shorted).open_cells(panel)
 
     def joined(self, panel: Panel) -> tuple[tuple[int, ...], ...]:
-        """Return groups of lines that are one node, by the numbers of lines, rows first."""
+        """Return the groups of lines that are one node, by the numbers of the lines, rows first."""
         return (*self.joined_rows, *(tuple(panel.rows + line for line in group) for group in self.joined_columns))
 
     def check(self, panel: Panel) -> None:
-        """Raise ValueError unless all faults lie on the panel, exclude each other, and leave a part of it intact."""
+        """Raise ValueError unless all faults are on the panel, agree with each other, and leave an intact part."""
         layout, lines = panel.modules, self.dead_rows or self.dead_columns or self.joined_rows or self.joined_columns
         if layout is not None and lines:
             raise ValueError(
@@ -255,7 +260,7 @@ class Faults(Configuration):
             raise ValueError("faults: nothing is left of the panel")
 
     def of_module(self, layout: Modules, number: int, own: "Faults | None") -> "Faults | None":
-        """Return the faults of one module by its own rows and columns, with those of its own; None without any."""
+        """Return the faults of one module by its own rows and columns, including those in `own`; None without any."""
         rows, columns = layout.cells(number)
         own = own or Faults()
 

@@ -1,4 +1,4 @@
-"""Effects that no scene names: what leaks and contacts make of a network's readings."""
+"""Effects outside the scene: leaks between lines and contact resistances, and their influence on readings."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -13,22 +13,22 @@ from lampest.panel.scene import Scene
 
 
 def neighbours(rows: int, columns: int) -> tuple[int, ...]:
-    """Return every line that has a next one on its side, rows first."""
+    """Return the numbers of all lines that have a next one on their side, rows first."""
     return tuple(line for line in range(rows + columns - 1) if line != rows - 1)
 
 
 @dataclass(frozen=True)
 class Effect(ABC):
-    """One more parameter of the readings, which no scene names.
+    """Additional parameter of the readings that the scene does not specify.
 
     Attributes
     ----------
     lines : tuple of int
-        Lines that it acts on, rows first.
+        Numbers of the lines that it acts on, rows first.
     since : bool
-        Whether it came after the unloaded frames.
+        Whether it began after the unloaded frames.
     size : float
-        In the unit of `prior`.
+        Size in the unit of `prior`.
     prior : float
         Standard deviation of the size.
     positive : bool
@@ -44,7 +44,7 @@ class Effect(ABC):
     @classmethod
     @abstractmethod
     def places(cls, rows: int, columns: int) -> Iterator[tuple[int, ...]]:
-        """Return the lines of all effects of this kind that are tried on a panel."""
+        """Yield the lines of all effects of this kind that are tried on a panel."""
 
     @abstractmethod
     def sentence(self, rows: int) -> str:
@@ -55,7 +55,7 @@ class Effect(ABC):
         return network
 
     def added(self, scene: Scene, network: Network) -> Array:
-        """Return what the effect adds to the readings of cells beside that, (rows, columns)."""
+        """Return the effect's contribution to the readings beside the changed network, (rows, columns)."""
         return np.zeros(network.conductance.shape)
 
     def _where(self, rows: int) -> str:
@@ -68,7 +68,7 @@ class Effect(ABC):
 
 
 class LineLeak(Effect):
-    """A leak from each of some lines to the next one, as water makes it, in siemens."""
+    """Leak from each of the lines to the next one, such as water, in siemens."""
 
     prior = 1 / 10e3
     positive = True
@@ -83,16 +83,20 @@ class LineLeak(Effect):
         return f"a leak of {1e-3 / self.size:.2g} kohm between {where}{self._since}"
 
     def changed(self, network: Network) -> Network:
-        """Z − Z B (1/G + Bᵀ Z B)⁻¹ Bᵀ Z, B the incidence vectors of the pairs (Woodbury); all derivatives follow."""
+        """Return the network with the leak, Z − Z B (1/G + Bᵀ Z B)⁻¹ Bᵀ Z (Woodbury).
+
+        B are the incidence vectors of the pairs of lines, and G is the size of the leak.
+        """
         each, lines = np.eye(sum(network.conductance.shape)), list(self.lines)
         across = each[:, lines] - each[:, [line + 1 for line in lines]]
         towards = network.potentials() @ across
+        # (1/G + Bᵀ Z B)⁻¹ = G (1 + G Bᵀ Z B)⁻¹, which allows G = 0
         core = np.linalg.inv(np.eye(len(lines)) + self.size * across.T @ towards)
         return replace(network, _impedance=network.potentials() - self.size * towards @ core @ towards.T)
 
 
 class LooseContact(Effect):
-    """More resistance at the contact of a line, as one that loosens, in ohm."""
+    """Additional resistance at the contact of a line, such as that of a loose one, in ohm."""
 
     prior = 100.0
 
@@ -110,11 +114,11 @@ class LooseContact(Effect):
         return scene.circuit.beyond(network, scene, more[:rows], more[rows:])
 
 
-EFFECTS: tuple[type[Effect], ...] = (LineLeak, LooseContact)  # all that are looked for
+EFFECTS: tuple[type[Effect], ...] = (LineLeak, LooseContact)  # all effects that are searched for
 
 
 def with_effects(effects: Sequence[Effect], scene: Scene, network: Network) -> tuple[Network, Array]:
-    """Return (the network with all effects, what they add to its readings beside that (rows, columns))."""
+    """Return the network with all effects, and their further contribution to its readings, (rows, columns)."""
     added = sum((effect.added(scene, network) for effect in effects), np.zeros(network.conductance.shape))
     for effect in effects:
         network = effect.changed(network)
@@ -122,6 +126,6 @@ def with_effects(effects: Sequence[Effect], scene: Scene, network: Network) -> t
 
 
 def effect_on_readings(effects: Sequence[Effect], scene: Scene, network: Network) -> Array:
-    """Return what effects do to the readings of a network, (rows, columns)."""
+    """Return the change of a network's readings by effects, (rows, columns)."""
     leaking, added = with_effects(effects, scene, network)
     return np.asarray(leaking.reading() - network.reading() + added)

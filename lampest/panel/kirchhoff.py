@@ -1,4 +1,4 @@
-"""Kirchhoff's current law for a matrix of cells, stated once.
+"""Kirchhoff's current law for a matrix of cells.
 
 Symbols: g (rows, columns) cell conductance in siemens; u, v potentials of row and column lines in volt.
 """
@@ -13,15 +13,15 @@ from lampest.panel.panel import MAX_UNCHECKED_LINES, Array, Panel
 def current_balance(conductance: Any, row_potential: Any, column_potential: Any) -> tuple[Any, Any]:
     """Return the net current out of every line: I_j = Σ_k g_jk (u_j − v_k) and I_k = Σ_j g_jk (v_k − u_j).
 
-    Returns the two balances in ampere, same shapes as the potentials. numpy arrays and CasADi matrices alike. Source:
-    paper, equation (2).
+    Returns the two balances in ampere, with the shapes of the potentials. NumPy arrays and CasADi matrices are
+    accepted. Source: paper, equation (2).
 
     Parameters
     ----------
-    conductance : object
-        (rows, columns) siemens.
-    row_potential, column_potential : object
-        (rows, patterns) and (columns, patterns) volt, one column for each pattern.
+    conductance : array or casadi.SX, shape (rows, columns)
+        Siemens.
+    row_potential, column_potential : array or casadi.SX, shapes (rows, patterns) and (columns, patterns)
+        Volt, one column for each pattern.
     """
     rows, columns = conductance.shape
     from_rows = (conductance @ np.ones((columns, 1))) * row_potential - conductance @ column_potential
@@ -38,12 +38,12 @@ def laplacian(conductance: Array) -> Array:
 
 
 def injected(conductance: Array, potentials: Array) -> Array:
-    """Return L·V, the current balance of potentials (…, lines, patterns), rows above columns; the same shape."""
+    """Return L·V, the current balance of potentials V (…, lines, patterns), rows before columns; the same shape."""
     return bipartite(line_sums(conductance), -conductance, potentials)
 
 
 def bipartite_matrix(diagonal: Array, between: Array) -> Array:
-    """Return [[diag d, A], [Aᵀ, diag d]] (…, lines, lines) of d (…, lines), A (…, rows, columns)."""
+    """Return diag(d) + [[0, A], [Aᵀ, 0]], (…, lines, lines), for d (…, lines) and A (…, rows, columns)."""
     rows, lines = between.shape[-2], diagonal.shape[-1]
     matrix = np.zeros((*diagonal.shape, lines), dtype=between.dtype)
     matrix[..., :rows, rows:], matrix[..., rows:, :rows] = between, between.swapaxes(-1, -2)
@@ -52,7 +52,7 @@ def bipartite_matrix(diagonal: Array, between: Array) -> Array:
 
 
 def bipartite(diagonal: Array, between: Array, values: Array) -> Array:
-    """Return bipartite_matrix(d, A) times V (…, lines, patterns)."""
+    """Return the product of bipartite_matrix(d, A) and V (…, lines, patterns)."""
     rows = between.shape[-2]
     product: Array = diagonal[..., None] * values
     product[..., :rows, :] += between @ values[..., rows:, :]
@@ -61,5 +61,5 @@ def bipartite(diagonal: Array, between: Array, values: Array) -> Array:
 
 
 def line_sums(values: Array) -> Array:
-    """Return sums over every row and every column of values (…, rows, columns), (…, rows + columns)."""
+    """Return the sums over every row, then over every column, of values (…, rows, columns): (…, rows + columns)."""
     return np.concatenate([np.add.reduce(values, -1), np.add.reduce(values, -2)], axis=-1)

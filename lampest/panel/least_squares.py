@@ -1,4 +1,4 @@
-"""Levenberg and Marquardt's method: the least sum of squares within bounds.
+"""Levenberg–Marquardt method for nonlinear least squares within bounds.
 
     minimise ½ |f(x)|² over lower ≤ x ≤ upper,   (JᵀJ + μ diag(JᵀJ)) δ = −Jᵀ f
 
@@ -18,9 +18,16 @@ from lampest.panel.panel import Array
 
 @dataclass(frozen=True, eq=False)
 class SumOfSquares:
-    """A sum of squares about one point, from its residual f (n) and Jacobian J (n, unknowns).
+    """Linearised sum of squares about one point.
 
-    ridge : 1/variance of a step, added to the diagonal of JᵀJ: what no residual sees stays where it is.
+    Attributes
+    ----------
+    residual : array, shape (n,)
+        f.
+    jacobian : array, shape (n, unknowns)
+        J.
+    ridge : float
+        1/variance of a step, added to the diagonal of JᵀJ. Unknowns that no residual depends on keep their values.
     """
 
     residual: Array
@@ -29,24 +36,24 @@ class SumOfSquares:
 
     @cached_property
     def cost(self) -> float:
-        """½ |f|²."""
+        """Cost ½ |f|²."""
         return float(self.residual @ self.residual) / 2
 
     @cached_property
     def gradient(self) -> Array:
-        """Jᵀ f, (unknowns)."""
+        """Gradient Jᵀ f, (unknowns,)."""
         return np.asarray(self.jacobian.T @ self.residual)
 
     @cached_property
     def normal(self) -> Array:
-        """JᵀJ + ridge, (unknowns, unknowns)."""
+        """Normal matrix JᵀJ + ridge·1, (unknowns, unknowns)."""
         normal = self.jacobian.T @ self.jacobian
         normal[np.diag_indices(len(normal))] += self.ridge
         return np.asarray(normal)
 
 
 class Linearised(Protocol):
-    """A sum of squares about one point, however it is made."""
+    """Interface of a linearised sum of squares; see `SumOfSquares`."""
 
     @property
     def cost(self) -> float: ...
@@ -63,15 +70,15 @@ P = TypeVar("P", bound=Linearised)
 
 @dataclass(frozen=True, eq=False)
 class Minimum(Generic[P]):
-    """Minimum of a sum of squares.
+    """Minimum of a sum of squares, or the last point of the iteration.
 
     Attributes
     ----------
     position : array, shape (unknowns)
     at : P
-        The sum of squares there.
+        Linearised sum of squares at the position.
     evaluations : int
-        Of the model, the first included.
+        Number of evaluations of the model, including the first.
     """
 
     position: Array
@@ -81,21 +88,21 @@ class Minimum(Generic[P]):
 
 @dataclass(frozen=True, eq=False)
 class LevenbergMarquardt:
-    """Settings of the loop.
+    """Levenberg–Marquardt method with its settings.
 
-    μ falls to a tenth after a step that gains at least half of the linear model's prediction, and grows tenfold after
-    one that gains nothing.
+    μ falls to a tenth after a step that gains more than half of the linear model's prediction. It grows tenfold after a
+    step that gains nothing.
 
     Attributes
     ----------
     evaluations : int
-        Most evaluations of the model.
+        Maximum number of evaluations of the model.
     settled, share : float
-        The loop ends at a gain, made and predicted, of less than `settled`, or of less than `share` of the cost.
+        The iteration ends if actual and predicted gain are both less than `settled` plus `share` of the cost.
     damping : float
-        First μ; with 0 the first step is Gauss and Newton's.
+        First μ; with 0 the first step is a Gauss–Newton step.
     most_damping : float
-        μ that ends the loop.
+        μ beyond which the iteration ends.
     longest : float or array
         Largest change of an unknown in a step, for all or for each; longer steps are shortened as a whole.
     """
@@ -114,16 +121,19 @@ class LevenbergMarquardt:
         bounds: tuple[Array | float, Array | float] = (-np.inf, np.inf),
         ended: Callable[[P, int], bool] = lambda at, evaluations: False,
     ) -> Minimum[P]:
-        """Return the least sum of squares that is reached from `start` (unknowns).
+        """Return the minimum that is reached from `start`.
 
-        Raises numpy.linalg.LinAlgError where JᵀJ is singular without damping.
+        Raises numpy.linalg.LinAlgError if JᵀJ is singular without damping.
 
         Parameters
         ----------
         model : callable
-            Position → the sum of squares about it; one whose cost is no number is never taken.
+            Function position → linearised sum of squares. A point whose cost is NaN is never accepted.
+        start : array, shape (unknowns,)
+        bounds : tuple of array or float
+            Lower and upper bounds of the unknowns.
         ended : callable
-            Whether to end at a point after so many evaluations.
+            Function (point, number of evaluations) → whether to end the iteration.
         """
         low, high = (np.broadcast_to(bound, start.shape) for bound in bounds)
         position = np.clip(start, low, high)
@@ -136,6 +146,7 @@ class LevenbergMarquardt:
             moved = np.clip(position + self._step(point, free, damping), low, high)
             step = moved - position
             trial, count = model(moved), count + 1
+            # Actual gain, and the linear model's: −gᵀδ − ½ δᵀJᵀJ δ
             gain, predicted = point.cost - trial.cost, -float(gradient @ step + step @ point.normal @ step / 2)
             if gain > 0:
                 position, point = moved, trial
@@ -148,7 +159,7 @@ class LevenbergMarquardt:
         return Minimum(position, point, count)
 
     def _step(self, point: Linearised, free: NDArray[np.bool_], damping: float) -> Array:
-        """Return the damped step (unknowns), within its longest."""
+        """Return the damped step −(JᵀJ + μ diag(JᵀJ))⁻¹ Jᵀ f of the free unknowns, shortened to `longest`."""
         damped = point.normal[free][:, free]
         own = damped.diagonal().copy()
         damped[np.diag_indices(len(own))] += damping * np.where(own > 0, own, 1.0)

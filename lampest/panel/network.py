@@ -1,9 +1,9 @@
-"""Solved networks of cells, the only owners of the impedance Z = (L(g) + diag(t))⁻¹ of a panel's lines.
+"""Solved networks of cells with the impedance Z = (L(g) + diag(t))⁻¹ of a panel's lines.
 
-A readout ties lines to ground (t, siemens) and reads y = h(p, q, t) of p = Z_jj, q = Z_kk, t = Z_jk. All derivatives
-follow from these two. They are in u = log r: with D = Z·B, B the ±1 incidence vectors of the cells, ∂Z_ab/∂u_c =
-g_c D_ac D_bc. With weights w of the readings, W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]] makes d(Σ w y) =
-tr(W dZ).
+A readout defines the ties t of the lines to ground (siemens) and the readings y = h(p, q, t) with p = Z_jj, q = Z_kk,
+t = Z_jk. All derivatives follow from these two. They are in u = log r. With D = Z·B, B the ±1 incidence vectors of the
+cells, ∂Z_ab/∂u_c = g_c D_ac D_bc. For weights w of the readings, d(Σ w y) = tr(W dZ) with
+W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]].
 """
 
 from abc import ABC, abstractmethod
@@ -19,12 +19,12 @@ from lampest.panel.kirchhoff import bipartite, injected, laplacian, line_sums
 from lampest.panel.panel import Array
 
 Numbers = NDArray[np.intp]
-Entries = tuple[Array, Array, Array]  # of (p, q, t), to be broadcast to (…, rows, columns)
+Entries = tuple[Array, Array, Array]  # values for (p, q, t), to be broadcast to (…, rows, columns)
 Loading = tuple[Array, Array]  # W's diagonal (…, lines) and its block between rows and columns
 
 
 class ReadCircuit(Hashable, Protocol):
-    """Readout as a network needs it; see `lampest.panel.readouts.readout.Readout`."""
+    """Interface of a readout for a network; see `lampest.panel.readouts.readout.Readout`."""
 
     def ties(self, measured: Array) -> Array:
         """Return the conductances to ground, (rows + columns) siemens."""
@@ -35,9 +35,13 @@ class ReadCircuit(Hashable, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class NormalByLines:
-    """Matrix diag(own) + V·mixed·Vᵀ over cells, V = [diag(v)·U for v in along], U (cells, lines) 1 on a line's cells.
+    """Matrix diag(own) + V·mixed·Vᵀ over cells, V = [diag(v)·U for v in along], U the incidence of cells and lines.
 
-    Shapes: own (rows, columns), along (k, rows, columns), mixed (k·lines)².
+    Attributes
+    ----------
+    own : array, shape (rows, columns)
+    along : array, shape (k, rows, columns)
+    mixed : array, shape (k·lines, k·lines)
     """
 
     own: Array
@@ -47,10 +51,17 @@ class NormalByLines:
 
 @dataclass(frozen=True, eq=False)
 class Network(ABC):
-    """Solved network of cell_resistance, ohm, and conductance, siemens, its reciprocal; (rows, columns) each.
+    """Solved network of a panel.
 
-    Networks of floating lines may have leading axes, many networks at once. The impedance Z (lines, lines) in ohm is
+    Networks of floating lines may have leading axes, for many networks at once. The impedance Z, (lines, lines) ohm, is
     private to the network.
+
+    Attributes
+    ----------
+    cell_resistance : array, shape (rows, columns)
+        Cells r in ohm.
+    conductance : array, shape (rows, columns)
+        g = 1/r in siemens.
     """
 
     cell_resistance: Array
@@ -125,6 +136,7 @@ class Network(ABC):
 
     def sensitivity(self, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
         """Return J (readings, cells), restricted to the numbered cells and readings if given."""
+        # ∂y_jk/∂u_c = h_p·g_c D_jc² + h_q·g_c D_kc² + h_t·g_c D_jc D_kc
         row, column, mutual = self.entry_responses(cells)
         of_row, of_column, of_mutual = (slope[:, :, None] for slope in self.slopes)
         response = of_mutual * mutual
@@ -150,7 +162,7 @@ class Network(ABC):
     def normal_by_lines(self, weight: Array) -> NormalByLines:
         """Return an approximation of JᵀWJ for weights w ≥ 0 of the readings (rows, columns).
 
-        Here the diagonal of J; kinds of networks may add the parts of lines.
+        In the base class it contains the diagonal of J only; kinds of networks may add the parts of lines.
         """
         own: Array = weight * self.own_response() ** 2
         return NormalByLines(own, np.zeros((0, *own.shape)), np.zeros((0, 0)))
@@ -188,11 +200,11 @@ class Network(ABC):
         return self.between(self._impedance)
 
     def transfer_between(self, cells: Numbers | None) -> Array:
-        """Return X = BᵀZB between the numbered cells: ∂D_ac/∂g_d = −D_ad X_dc."""
+        """Return X = BᵀZB over the numbered cells (None: all), (cells, cells) ohm: ∂D_ac/∂g_d = −D_ad X_dc."""
         return self.transfer if cells is None else self.between(self._impedance, cells)
 
     def between(self, matrix: Array, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
-        """Return b_iᵀ K b_c of readings i (None: the cells) and cells c (None: all); K (…, lines, lines)."""
+        """Return b_iᵀ K b_c for readings i (None: the cells) and cells c (None: all), K (…, lines, lines)."""
         *leading, rows, columns = self.conductance.shape
         if cells is None:
             at_cells = matrix[..., :rows, None] - matrix[..., None, rows:]
@@ -205,14 +217,21 @@ class Network(ABC):
 
 @dataclass(frozen=True, eq=False)
 class SecondOrder:
-    """Second derivatives H = diag(g)·Σ_i w_i ∂²y_i/∂g²·diag(g) for weights w; Σ_i w_i ∂²y_i/∂u² = H − diag(Jᵀw)."""
+    """Second derivatives H = diag(g)·Σ_i w_i ∂²y_i/∂g²·diag(g) of the readings, Σ_i w_i ∂²y_i/∂u² = H − diag(Jᵀw).
+
+    Attributes
+    ----------
+    network : Network
+    weights : array, shape (rows, columns)
+        Weights w of the readings.
+    """
 
     network: Network
     weights: Array
 
     @cached_property
     def loading(self) -> Loading:
-        """W."""
+        """W for the weights, as its diagonal and its block between rows and columns."""
         return self.network.loading(self.weights)
 
     @cached_property
@@ -226,7 +245,10 @@ class SecondOrder:
         return np.asarray(across(self.network.entries(self._twice)) / self.network.cell_resistance)
 
     def products(self, step: Array) -> tuple[Array, Array]:
-        """Return (J·p, H·p = g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b)), W' from the change of the slopes of h by p."""
+        """Return J·p and H·p for a step p of u, (rows, columns) each.
+
+        H·p = g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b), W' the change of W by the change of the slopes of h.
+        """
         network = self.network
         currents = injected(step / network.cell_resistance, network._impedance)
         change = network.entries_of_product(network._impedance, currents)
@@ -246,7 +268,7 @@ class SecondOrder:
         return loading_of(*moved.values())
 
     def matrix(self, cells: Numbers | None = None) -> Array:
-        """Return H = 2 g (X ∘ BᵀKB) g plus the curvature of h, (cells, cells), between the numbered cells if given."""
+        """Return H = 2 g (X ∘ BᵀKB) g plus the curvature of h, (cells, cells), over the numbered cells (None: all)."""
         conductance = self.network.flat_conductance
         conductance = conductance if cells is None else conductance[cells]
         matrix: Array = self.network.transfer_between(cells) * (2 * conductance[..., None])
@@ -255,13 +277,15 @@ class SecondOrder:
         return self._with_curvature(matrix, cells) if self.network.curvatures else matrix
 
     def _twice_between(self, cells: Numbers | None) -> Array:
+        """Return BᵀKB over the numbered cells (None: all), (cells, cells)."""
         return self.network.between(self._twice, cells)
 
     def _with_curvature(self, matrix: Array, cells: Numbers | None) -> Array:
         """Add Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i to a matrix over cells, in place, and return it."""
         row, column, mutual = self.network.entry_responses(cells)
         flat = mutual.reshape(-1, len(matrix))
-        halves: dict[str, Callable[[Array], Array]] = {  # A of every pair of entries, whose share is A + Aᵀ
+        # A of every pair of entries, whose contribution to the matrix is A + Aᵀ
+        halves: dict[str, Callable[[Array], Array]] = {
             "pp": lambda by: row.T @ (by.sum(axis=1)[:, None] * row) / 2,
             "qq": lambda by: column.T @ (by.sum(axis=0)[:, None] * column) / 2,
             "tt": lambda by: flat.T @ (by.reshape(-1, 1) * flat) / 2,
@@ -276,7 +300,7 @@ class SecondOrder:
 
 
 def across(entries: Entries) -> Array:
-    """Return bᵀ K b of every cell's own b, (…, rows, columns)."""
+    """Return bᵀ K b = K_jj + K_kk − 2 K_jk of every cell, (…, rows, columns)."""
     row, column, mutual = entries
     return np.asarray(row + column - 2 * mutual)
 
@@ -296,15 +320,18 @@ def inverse_of(conductance: Array, ties: Array) -> Array:
 
 
 def _inverses(conductance: Array, ties: Array) -> Array:
-    """Return inverses of many small networks in a third of the time: S = diag(b) − Gᵀ diag(a)⁻¹ G of eliminated rows.
+    """Return the inverses of many small networks at once, in a third of the time of separate ones.
 
-    S⁻¹ by Gauss and Jordan's elimination, which needs no pivots as S is positive definite, for all networks at once.
+    The rows are eliminated, which leaves the Schur complement S = diag(b) − Gᵀ diag(a)⁻¹ G of the columns. S⁻¹ follows
+    by Gauss–Jordan elimination over all networks at once. S is positive definite, so no pivoting is needed.
     """
     rows, columns = conductance.shape[-2:]
     of_rows, of_columns = np.split(line_sums(conductance) + ties, [rows], axis=-1)
     shares = conductance / of_rows[..., None]
+    # S, (columns, columns, …): the axes of the networks last, so that every step acts on contiguous numbers
     left = np.moveaxis(-conductance.swapaxes(-1, -2) @ shares, (-2, -1), (0, 1)).copy()
     np.einsum("ii...->i...", left)[...] += np.moveaxis(of_columns, -1, 0)
+    # In-place Gauss–Jordan elimination: `left` becomes S⁻¹.
     for pivot in range(columns):
         if not (left[pivot, pivot] > 0).all():
             raise np.linalg.LinAlgError("a line is not connected")
@@ -313,6 +340,7 @@ def _inverses(conductance: Array, ties: Array) -> Array:
         left -= column[:, None] * row
         left[pivot], left[:, pivot] = row, -column * size
         left[pivot, pivot] = size
+    # Z_kk' = S⁻¹, Z_jk = diag(a)⁻¹ G S⁻¹, Z_jj' = diag(a)⁻¹ + diag(a)⁻¹ G S⁻¹ Gᵀ diag(a)⁻¹
     inverse = np.empty((*conductance.shape[:-2], rows + columns, rows + columns))
     within = inverse[..., rows:, rows:]
     within[...] = np.moveaxis(left, (0, 1), (-2, -1))

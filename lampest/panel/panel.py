@@ -1,4 +1,4 @@
-"""The panel: cells at crossings of rows and columns, their places, neighbours, and finite differences over them."""
+"""Panel: cells at crossings of rows and columns, their positions and neighbours, and finite differences over them."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,13 +13,13 @@ from lampest.files.typed import Configuration, check_positive_fields, check_rang
 
 Array = NDArray[np.floating[Any]]
 MAX_PITCH_MM = 1e6  # mm: a kilometre, beyond any panel
-MAX_UNCHECKED_LINES = 2000  # lines: matrices over fewer fit into 100 MB, and are not checked
+MAX_UNCHECKED_LINES = 2000  # lines: matrices over fewer lines fit into 100 MB, and memory is not checked
 CellPlace = tuple[int, int, float, float]
 
 
 @dataclass(frozen=True)
 class EachModule(Configuration):
-    """Size of one module: rows, columns of lines, and pitch_mm between its cells."""
+    """Size of one module: numbers of row and column lines, and pitch_mm between its cells."""
 
     rows: int
     columns: int
@@ -28,14 +28,18 @@ class EachModule(Configuration):
 
 @dataclass(frozen=True)
 class Modules(Configuration):
-    """rows · columns modules, each as `each` says; module (j, k) has the number j·columns + k.
+    """Arrangement of rows · columns equal modules; module (j, k) has the number j·columns + k.
 
     Attributes
     ----------
+    rows, columns : int
+        Numbers of modules.
+    each : EachModule
+        Size of every module.
     seam_mm : float
         Additional distance between neighbouring cells of two modules, in millimetre.
     coupled : bool
-        Whether terms that compare neighbours go over the seams; the image is one problem then.
+        Whether terms that compare neighbours act across the seams; the image then is one problem.
     """
 
     rows: int
@@ -64,7 +68,7 @@ class Modules(Configuration):
         return divmod(number, self.columns)
 
     def cells(self, number: int) -> tuple[slice, slice]:
-        """Return the slices of the image that hold the cells of a module."""
+        """Return the slices of the image that contain the cells of a module."""
         row, column = self.place(number)
         rows, columns = self.each.rows, self.each.columns
         return slice(row * rows, (row + 1) * rows), slice(column * columns, (column + 1) * columns)
@@ -84,7 +88,7 @@ class Modules(Configuration):
 
 @dataclass(frozen=True)
 class Panel(Configuration):
-    """A matrix of rows and columns; cell (j, k) joins row j and column k and has the number j·columns + k.
+    """Matrix of rows and columns; cell (j, k) connects row j and column k and has the number j·columns + k.
 
     Attributes
     ----------
@@ -92,12 +96,13 @@ class Panel(Configuration):
         Number of lines on either side, at least 1.
     pitch_mm : float
         Distance between neighbouring cells in millimetre, for positions and pictures; no equation uses it.
-    cells : [row, column, x_mm, y_mm] of every crossing that has a cell, or None
-        In a YAML file also the name of a table of these. None: every crossing has a cell, at the pitch.
+    cells : tuple of (row, column, x_mm, y_mm), or None
+        Crossings with a cell, and their positions. In a YAML file also the name of a table of these. None: every
+        crossing has a cell, at the pitch.
     modules : Modules, or None
-        Panels of which this one is an image; they determine rows, columns and pitch. None: a panel of one network.
+        Modules of which this panel is an image; they determine rows, columns and pitch. None: a panel of one network.
 
-    Raises ValueError where a number is out of range, or two cells have one crossing or one place.
+    Raises ValueError if a number is out of range, or if two cells have the same crossing or position.
 
     >>> lampest.Panel(2, 3, pitch_mm=8.0).shape
     (2, 3)
@@ -140,7 +145,7 @@ class Panel(Configuration):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(rows, columns)."""
+        """Numbers of lines (rows, columns)."""
         return self.rows, self.columns
 
     @property
@@ -150,21 +155,21 @@ class Panel(Configuration):
 
     @cached_property
     def present(self) -> NDArray[np.bool_]:
-        """(rows, columns) whether a crossing has a cell."""
+        """Whether a crossing has a cell, boolean (rows, columns)."""
         present = np.full(self.shape, self.cells is None)
         for row, column, *_ in self.cells or ():
             present[row, column] = True
         return present
 
     def check_memory(self, matrices: int = 3) -> None:
-        """Raise InputError if memory cannot hold so many matrices (lines, lines) over the panel's lines."""
+        """Raise InputError if memory does not suffice for `matrices` matrices (lines, lines)."""
         lines = self.rows + self.columns
         if lines > MAX_UNCHECKED_LINES:
             label = f"a panel of {self.rows} × {self.columns} cells ({lines} lines)"
             check_memory(8.0 * matrices * lines**2, label)
 
     def centres_mm(self) -> tuple[Array, Array]:
-        """Return positions of columns and rows in mm: x_k = k·pitch and y_j = j·pitch, and the seams before them."""
+        """Return the positions of columns, x_k = k·pitch, and of rows, y_j = j·pitch, in mm, including seams."""
         x, y = np.arange(self.columns), np.arange(self.rows)
         if self.modules is None:
             return x * self.pitch_mm, y * self.pitch_mm
@@ -187,7 +192,7 @@ class Panel(Configuration):
 
     @cached_property
     def places_mm(self) -> Array:
-        """(2, rows, columns): x and y of every cell in millimetre; NaN at crossings without one."""
+        """Positions x and y of every cell in mm, (2, rows, columns); NaN at crossings without a cell."""
         if self.cells is None:
             return np.stack(np.meshgrid(*self.centres_mm()))
         places = np.full((2, *self.shape), np.nan)
@@ -199,15 +204,16 @@ class Panel(Configuration):
     def neighbours(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
         """Pairs of neighbours: numbers of first cells, of second cells, distances in pitches.
 
-        Full rectangle: pairs down, then pairs to the right. Listed cells: pairs with no
-        other cell in the circle between them (the Gabriel graph, which joins all cells; Gabriel & Sokal, Systematic
-        Zoology 18, 1969).
+        Full rectangle: pairs along columns, then pairs along rows. Listed cells: pairs without another cell in the
+        circle whose diameter connects them (the Gabriel graph, which is connected; Gabriel & Sokal, Systematic Zoology
+        18, 1969).
         """
         if self.cells is None:
             numbers = np.arange(self.crossings).reshape(self.shape)
             first = np.concatenate([numbers[:-1].ravel(), numbers[:, :-1].ravel()])
             second = np.concatenate([numbers[1:].ravel(), numbers[:, 1:].ravel()])
             return first, second, np.ones(len(first))
+        # Gabriel graph of the listed cells, with distances in pitches.
         cells = np.flatnonzero(self.present)
         places = self.places_mm.reshape(2, -1)[:, cells].T
         pairs = np.array([(cell, near) for cell in range(len(cells)) for near in circle_neighbours(places, cell)])
@@ -217,9 +223,10 @@ class Panel(Configuration):
 
 
 def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
-    """Return the later cells with no cell in the circle between them and cell `number`; places (cells, 2).
+    """Return the cells with larger numbers that are neighbours of a cell in the Gabriel graph.
 
-    c lies in the circle over 0 and b where c·c ≤ c·b.
+    Relative to the cell `number`, c lies in the circle with the diameter from 0 to b if c·c ≤ c·b. `places` are the
+    positions of all cells, (cells, 2).
     """
     way = places - places[number]
     square = np.sum(way**2, axis=1)
@@ -227,7 +234,8 @@ def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
     for nearest in np.argsort(square)[1:]:
         if not np.any(alone & (square > square[nearest])):
             break
-        within = square[nearest] <= 1.01 * (way @ way[nearest])  # places are written with three digits
+        # From the nearest cell c outwards: every b with c in its circle is no neighbour.
+        within = square[nearest] <= 1.01 * (way @ way[nearest])  # 1 %: positions are written with three digits
         within[nearest] = False
         alone &= ~within
     after = np.flatnonzero(alone)
@@ -235,13 +243,13 @@ def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
 
 
 def beyond_any_panel(values: Array) -> NDArray[np.bool_]:
-    """Return whether numbers, neither zero, infinite nor missing, are outside the range of physical quantities."""
+    """Return whether numbers that are finite and not zero are outside the range of physical quantities."""
     size = np.abs(values)
     return np.asarray(np.isfinite(values) & (values != 0) & ((size < MIN_NUMBER) | (size > MAX_NUMBER)))
 
 
 def as_panels_have(values: Array) -> Array:
-    """Return numbers with zero below the range of physical quantities, and ±infinity above."""
+    """Return numbers with those below the range of physical quantities as zero, and those above as ±infinity."""
     if not np.any(beyond := beyond_any_panel(values)):
         return values
     return np.where(beyond, np.where(np.abs(values) < MIN_NUMBER, 0.0, np.copysign(np.inf, values)), values)

@@ -1,7 +1,7 @@
-"""A piezoresistive film: its response to pressure, hysteresis, creep and bending, in numbers.
+"""Parameters of a piezoresistive film: response to pressure, hysteresis, creep and bending.
 
-The response is ln(r/r0) = κ·ln f(p): f of the film, strictly falling, 1 at 0 kPa; κ of the cell. Operators of
-hysteresis and creep, and their sources, are in `lampest.loads.film`.
+The response is ln(r/r0) = κ·ln f(p) with a strictly decreasing curve f of the film, f(0) = 1, and a gain κ of each
+cell. The operators of hysteresis and creep, with their sources, are in `lampest.loads.film`.
 """
 
 from abc import abstractmethod
@@ -17,7 +17,7 @@ from lampest.files.typed import ByKind, Configuration, check_ranges
 from lampest.panel.panel import Array
 
 Table = tuple[tuple[float, ...], ...]
-# Lines between two points of a table: they miss the cubic by 1/1000 of the interval's fall, and invert exactly.
+# Straight lines per interval of a table: within 1/1000 of the interval's fall from the cubic, and exactly invertible.
 TABLE_PARTS = 16
 # Figure 1-e, kPa and r/r0: straight lines from 0 to 28 kPa, exponentials elsewhere.
 CURVE = np.array([[-10.0, 7.54], [0.0, 1.0], [2.5, 0.52], [28.0, 0.112], [40.0, 0.06], [235.0, 0.02]])
@@ -26,12 +26,16 @@ CURVE_KPA, CURVE_RATIO = CURVE.T
 
 @dataclass(frozen=True, kw_only=True)
 class Response(Configuration):
-    """Settings of single cells that all kinds have.
+    """Base of response curves, with the gains of single cells.
 
-    gain : (rows, columns) κ of each cell. gain_sd : their relative standard deviations; None: cells scatter as
-        `systematic.response_sd` says, or as usual.
+    Attributes
+    ----------
+    gain : table (rows, columns), or None
+        κ of each cell; None: 1.
+    gain_sd : table (rows, columns), or None
+        Relative standard deviation of κ; None: that of `systematic.response_sd`, or the usual one.
 
-    Raises ValueError where a gain is not positive, a deviation negative, or rows are of different lengths.
+    Raises ValueError if a gain is not positive, a deviation is negative, or rows have different lengths.
     """
 
     gain: Table | None = None
@@ -51,50 +55,55 @@ class Response(Configuration):
         return {name: table for name in ("gain", "gain_sd") if (table := getattr(self, name)) is not None}
 
     def check(self, shape: tuple[int, int]) -> None:
-        """Raise ValueError unless tables of cells are as large as the panel."""
+        """Raise ValueError unless tables of cells have the panel's shape (rows, columns)."""
         for name, table in self._tables().items():
             if (len(table), len(table[0])) != shape:
                 raise ValueError(f"response.{name} must have {shape[0]} rows of {shape[1]} numbers, as the panel")
 
     def of_cells(self, cells: tuple[slice, slice]) -> Self:
-        """Return the same of some cells of the panel."""
+        """Return the response with the gains of a part of the panel, given by slices of rows and columns."""
         some = {name: tuple(row[cells[1]] for row in table[cells[0]]) for name, table in self._tables().items()}
         return replace(self, **some)
 
     @property
     def gains(self) -> Array:
-        """κ, to be broadcast to (rows, columns)."""
+        """Gains κ, to be broadcast to (rows, columns)."""
         return np.array(1.0 if self.gain is None else self.gain)
 
     @abstractmethod
     def logarithm(self, pressure: ArrayLike) -> Array:
-        """ln f(p), any shape, kPa → 1; 0 at 0."""
+        """Return ln f(p) for pressures in kPa, any shape; 0 at 0 kPa."""
 
     @abstractmethod
     def pressure(self, logarithm: ArrayLike) -> Array:
-        """p where ln f(p) is so much, any shape, 1 → kPa; ±∞ gives ∓∞, NaN stays."""
+        """Return the pressure p in kPa for ln f(p), any shape; ±∞ gives ∓∞, NaN gives NaN."""
 
     def curve_sd(self, pressure: ArrayLike) -> Array:
-        """Return the relative standard deviation of ln f(p), for all cells alike; any shape. Zero: exact."""
+        """Return the relative standard deviation of ln f(p) that all cells share, any shape; 0 for an exact curve."""
         return np.zeros(np.shape(pressure))
 
     @property
     @abstractmethod
     def told_kpa(self) -> tuple[float, float]:
-        """The pressures between which it is defined."""
+        """Lowest and highest pressure in kPa for which the curve is specified."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TableResponse(Response):
-    """ln f by points: a monotone cubic (PCHIP) through ln r at them, straight on beyond the first and the last.
+    """Response by points: a monotone cubic (PCHIP) through ln r, extrapolated linearly beyond the first and last point.
 
-    pressure_kpa : rising, from 0 or below to above 0. resistance_ohm : falling, of one cell or any other unit: only
-        what it is over that at 0 kPa counts.
-    sd : of each point, relative standard deviation of ln(r/r0), for all cells alike; None: the curve is exact.
+    Attributes
+    ----------
+    pressure_kpa : tuple of float
+        Pressures in kPa, increasing, from 0 or below to above 0.
+    resistance_ohm : tuple of float
+        Resistances at these pressures, decreasing. Only their ratio to the one at 0 kPa matters, so any unit serves.
+    sd : tuple of float, or None
+        Relative standard deviation of ln(r/r0) at each point that all cells share; None: the curve is exact.
 
     Example: {kind: table, pressure_kpa: [0, 1, 5, 20], resistance_ohm: [30000, 9000, 2500, 800]}
 
-    Raises ValueError where points do not rise, fall or agree in number.
+    Raises ValueError if the points are not monotone, or if their numbers differ.
 
     >>> lampest.TableResponse(pressure_kpa=(0.0, 5.0), resistance_ohm=(3000.0, 900.0)).told_kpa
     (0.0, 5.0)
@@ -139,10 +148,11 @@ class TableResponse(Response):
 
     @cached_property
     def _points(self) -> tuple[Array, Array]:
-        """kPa and ln f, TABLE_PARTS for each interval."""
-        from scipy.interpolate import PchipInterpolator  # 0.1 s, and few scenes have a table
+        """Points (kPa, ln f) of the piecewise linear curve, TABLE_PARTS for each interval."""
+        from scipy.interpolate import PchipInterpolator  # the import takes 0.1 s, and few scenes have a table
 
         pressure = np.array(self.pressure_kpa)
+        # ln f on TABLE_PARTS points per interval, zero at 0 kPa
         cubic = PchipInterpolator(pressure, np.log(self.resistance_ohm))
         steps = np.linspace(pressure[:-1], pressure[1:], TABLE_PARTS, endpoint=False, axis=1)
         at = np.append(steps.ravel(), pressure[-1])
@@ -151,10 +161,18 @@ class TableResponse(Response):
 
 @dataclass(frozen=True, kw_only=True)
 class PowerResponse(Response):
-    """ln f = −n ln(1 + p/p1): the conductance grows with a power of the pressure. Straight on for suction.
+    """Response with a power law of the conductance, ln f = −n ln(1 + p/p1), linear for suction.
 
-    exponent : n; 1 where the conductance is linear in the force. scale_kpa : p1. sd : relative standard deviation of
-        ln f, for all cells alike. from_kpa, to_kpa : between which pressures it was fitted.
+    Attributes
+    ----------
+    exponent : float
+        n; 1 if the conductance is linear in the force.
+    scale_kpa : float
+        p1 in kPa.
+    sd : float
+        Relative standard deviation of ln f that all cells share.
+    from_kpa, to_kpa : float
+        Range of pressures in kPa to which the curve was fitted.
 
     Example: {kind: power, exponent: 0.8, scale_kpa: 1.5}
 
@@ -179,12 +197,12 @@ class PowerResponse(Response):
             raise ValueError("from_kpa must be zero or negative, to_kpa positive")
 
     def logarithm(self, pressure: ArrayLike) -> Array:
-        """−n ln(1 + p/p1); −n p/p1 for suction."""
+        """Return ln f(p) = −n ln(1 + p/p1), and −n p/p1 for suction."""
         share = np.asarray(pressure, dtype=float) / self.scale_kpa
         return np.asarray(-self.exponent * (np.log1p(np.maximum(share, 0.0)) + np.minimum(share, 0.0)))
 
     def pressure(self, logarithm: ArrayLike) -> Array:
-        """p1 (e^{−x/n} − 1) of x = ln f; −p1 x/n for suction."""
+        """Return p = p1 (e^{−x/n} − 1) for x = ln f, and −p1 x/n for suction."""
         fallen = -np.asarray(logarithm, dtype=float) / self.exponent
         with np.errstate(over="ignore"):
             return np.asarray(self.scale_kpa * (np.expm1(np.maximum(fallen, 0.0)) + np.minimum(fallen, 0.0)))
@@ -199,7 +217,7 @@ class PowerResponse(Response):
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedResponse(Response):
-    """The paper's curve of flat cells, inverted exactly.
+    """Response curve of the paper for flat cells, with its exact inverse.
 
     r/r0 against p in kPa (suction is negative):
 
@@ -209,8 +227,8 @@ class PublishedResponse(Response):
         28 … 40       falls exponentially from 0.112 to 0.06
         40 …          falls exponentially through 0.02 at 235
 
-    Beyond −10 and 235 kPa nothing is published; the last pieces are continued. Bent cells answer less: at 40 kPa by −69
-    to −82 % instead of −94 % (figure 2-d). Source: paper, section II.A and figure 1-e.
+    Beyond −10 and 235 kPa nothing is published; the last pieces are continued. Bent cells respond less: at 40 kPa by
+    −69 to −82 % instead of −94 % (figure 2-d). Source: paper, section II.A and figure 1-e.
 
     Example: {kind: published}
 
@@ -222,6 +240,7 @@ class PublishedResponse(Response):
 
     def logarithm(self, pressure: ArrayLike) -> Array:
         level = _straight_on(pressure, CURVE_KPA, CURVE_LEVEL)
+        # Inverse of `_level`: ln(f) in the linear part 0.112 ≤ f ≤ 1, shifted by the level's excess beyond it
         linear = np.clip(level, CURVE_RATIO[3], 1.0)
         return np.asarray(np.log(linear) + (level - linear))
 
@@ -230,12 +249,12 @@ class PublishedResponse(Response):
 
     @property
     def told_kpa(self) -> tuple[float, float]:
-        """Lowest published pressure, and 40 kPa, above which 1 % of the resistance is 1.8 kPa and not 0.2."""
+        """Lowest published pressure, and 40 kPa; above, 1 % of the resistance is 1.8 kPa instead of 0.2 kPa."""
         return float(CURVE_KPA[0]), float(CURVE_KPA[-2])
 
 
 def _level(logarithm: ArrayLike) -> Array:
-    """Return the level in which the published curve is straight between points: f where that is linear, else ln f."""
+    """Return a function of ln f in which the published curve is piecewise linear: f, or ln f plus a constant."""
     logarithm = np.asarray(logarithm, dtype=float)
     linear = np.clip(logarithm, np.log(CURVE_RATIO[3]), 0.0)
     return np.asarray(np.exp(linear) + (logarithm - linear))
@@ -246,16 +265,18 @@ CURVE_LEVEL = _level(np.log(CURVE_RATIO))
 
 @dataclass(frozen=True, kw_only=True)
 class BentSuction(PublishedResponse):
-    """The published curve, whose suction follows a power through its one published point: ln f = 2.02·(p/−10)^exponent.
+    """Published curve with a power law for suction through the one published point, ln f = 2.02·(p/−10)^exponent.
 
-    A straight line of r through that point has exponents of ½ at −5 kPa and ⅓ at −30 kPa, a threshold of 2 kPa about 2.
+    A straight line of r through that point corresponds to exponents of ½ at −5 kPa and ⅓ at −30 kPa, a threshold of
+    2 kPa to one of about 2.
     """
 
     exponent: float
 
     def logarithm(self, pressure: ArrayLike) -> Array:
-        """ln f(p), any shape, kPa → 1."""
+        """Return ln f(p) for pressures in kPa, any shape."""
         pressure = np.asarray(pressure, dtype=float)
+        # ln f = ln 7.54·(p/−10)^exponent for suction
         share = np.minimum(pressure, 0.0) / CURVE_KPA[0]
         rise = np.log(CURVE_RATIO[0]) * share**self.exponent
         return np.asarray(super().logarithm(np.maximum(pressure, 0.0)) + rise)
@@ -265,7 +286,7 @@ AnyResponse = Annotated[TableResponse | PowerResponse | PublishedResponse, ByKin
 
 
 def _straight_on(x: ArrayLike, at: Array, values: Array, parts: int = 1) -> Array:
-    """Interpolate linearly; beyond the table by the mean slope of its last `parts` lines. NaN stays."""
+    """Return linear interpolation; beyond the table with the mean slope of its outer `parts` lines. NaN gives NaN."""
     x = np.asarray(x, dtype=float)
     inside = np.interp(x, at, values)
     first = (values[parts] - values[0]) / (at[parts] - at[0])
@@ -273,21 +294,21 @@ def _straight_on(x: ArrayLike, at: Array, values: Array, parts: int = 1) -> Arra
     return np.asarray(inside + first * np.minimum(x - at[0], 0.0) + last * np.maximum(x - at[-1], 0.0))
 
 
-VACUUM_KPA = -101.325  # of an empty space against the standard atmosphere
-# An assumption: standard deviation of ln(r/r0) of a cell at a pressure, as a fraction of ln f(p). The curve is the mean
-# over two cells, without published scatter (section II.A). A data sheet of a kindred film (Interlink FSR 400) gives 6 %
-# from part to part, a hysteresis of 10 % and a drift of 5 % for each decade of time.
+VACUUM_KPA = -101.325  # vacuum relative to the standard atmosphere
+# Assumed standard deviation of a cell's ln(r/r0) at a pressure, as a fraction of ln f(p). The curve is the mean over
+# two cells, without published scatter (section II.A). The data sheet of a similar film (Interlink FSR 400) gives 6 %
+# from part to part, a hysteresis of 10 % and a drift of 5 % per decade of time.
 RESPONSE_SD = 0.1
 PUBLISHED = PublishedResponse()
 
 
 def ratio_from_pressure(pressure: ArrayLike, response: Response = PUBLISHED) -> Array:
-    """r/r0 = f(p) of a cell of gain 1, any shape, kPa → 1; strictly falling."""
+    """Return r/r0 = f(p) of a cell with gain 1 for pressures in kPa, any shape; strictly decreasing."""
     return np.exp(response.logarithm(pressure))
 
 
 def relative_change_from_pressure(pressure: ArrayLike) -> Array:
-    """ΔR/R0 = f(p) − 1 of the published curve, any shape, kPa → 1."""
+    """Return ΔR/R0 = f(p) − 1 of the published curve for pressures in kPa, any shape."""
     return ratio_from_pressure(pressure) - 1.0
 
 
@@ -297,7 +318,7 @@ CURVATURES, BENT_OHM, BENT_CHANGE = BENT.T
 
 
 class Strength(NamedTuple):
-    """Knowledge of a number of the film: its mean and its standard deviation for a cell."""
+    """Mean and standard deviation, for a single cell, of a parameter of the film."""
 
     mean: float
     sd: float
@@ -305,19 +326,27 @@ class Strength(NamedTuple):
 
 @dataclass(frozen=True)
 class Film(Configuration):
-    """Behaviour of a film beside its response curve. Numbers are those of all cells together.
+    """Hysteresis, creep and bending of a film. Numbers are means over all cells.
 
-    hysteresis : the largest gap between loading and unloading of a full cycle, as the response curve reads both in
-        kPa, over the cycle's largest pressure. 'auto': not known, 0.17 ± 0.1.
-    creep_per_decade : by which fraction of itself ln(r/r0) grows for each decade of time under a load that stays, and
-        by which it fades afterwards. 'auto': not known; estimated from the recording where a load was taken off, and
-        0.04 ± 0.04 where none was.
-    most : largest value of the two.
-    usual : of the two where a scene leaves them open. 10 to 25 % of full scale are published for velostat; data sheets
-        of kindred films (Interlink FSR 400, Tekscan FlexiForce) promise less than 5 % for each decade, of a film alone.
-    deviation : relative standard deviation of the two, for all cells alike: how well they are known.
-    cell_spread : relative standard deviation of the two from cell to cell.
-    curvature_per_m : of the bent panel, the same in all frames; 0: flat.
+    Attributes
+    ----------
+    hysteresis : float or 'auto'
+        Largest difference between the pressures that the response curve gives for loading and for unloading in a full
+        cycle, over the largest pressure of the cycle. 'auto': unknown, 0.17 ± 0.1.
+    creep_per_decade : float or 'auto'
+        Relative growth of ln(r/r0) for each decade of time under a constant load, and relative decay afterwards.
+        'auto': unknown; estimated from recordings in which a load was removed, otherwise 0.04 ± 0.04.
+    most : dict
+        Largest allowed values of hysteresis and creep.
+    usual : dict
+        Hysteresis and creep for 'auto'. For velostat a hysteresis of 10 to 25 % of full scale is published; data sheets
+        of similar films (Interlink FSR 400, Tekscan FlexiForce) state a creep below 5 % per decade, of the film alone.
+    deviation : float
+        Relative standard deviation of hysteresis and creep that all cells share.
+    cell_spread : float
+        Relative standard deviation of hysteresis and creep from cell to cell.
+    curvature_per_m : float
+        Curvature of the bent panel in 1/m, the same in all frames; 0 for a flat panel.
 
     >>> lampest.Film(hysteresis=0.1).hysteresis
     0.1
@@ -340,36 +369,37 @@ class Film(Configuration):
 
     @property
     def remembers(self) -> bool:
-        """Whether what a cell shows depends on the past."""
+        """Whether a cell's resistance depends on earlier loads."""
         return bool(self.hysteresis or self.creep_per_decade)
 
     @property
     def hysteresis_strength(self) -> Strength:
-        """Hysteresis as specified, or what is usual where it is open."""
+        """Hysteresis as specified, or the usual one for 'auto'."""
         return self._strength("hysteresis")
 
     @property
     def creep_strength(self) -> Strength:
-        """The same, a fraction for each decade."""
+        """Creep as specified, or the usual one for 'auto', a fraction per decade."""
         return self._strength("creep_per_decade")
 
     def _strength(self, name: str) -> Strength:
+        """Return mean and standard deviation of hysteresis or creep, including the spread from cell to cell."""
         value = getattr(self, name)
         mean, sd = self.usual[name] if value == "auto" else (value, value * self.deviation)
         return Strength(mean, hypot(sd, mean * self.cell_spread))
 
     @property
     def lowering(self) -> float:
-        """r0 of a bent cell over that of a flat one: between the published curvatures ln r0 is straight."""
+        """Ratio of r0 of a bent cell to that of a flat one; ln r0 is interpolated linearly in the curvature."""
         return float(np.exp(np.interp(self.curvature_per_m, CURVATURES, np.log(BENT_OHM / BENT_OHM[0]))))
 
     @property
     def answer(self) -> float:
-        """ln(r/r0) of a bent cell over that of a flat one at the same pressure; taken to be alike at all pressures."""
+        """Ratio of ln(r/r0) of a bent cell to that of a flat one at equal pressure, assumed equal for all pressures."""
         answers = np.log1p(BENT_CHANGE)
         return float(np.interp(self.curvature_per_m, CURVATURES, answers / answers[0]))
 
     @property
     def answer_sd(self) -> float:
-        """Relative standard deviation: the three published cells lie so far from a line over the curvature."""
+        """Relative standard deviation of `answer`: scatter of the published cells about a line in the curvature."""
         return 0.15 if self.curvature_per_m else 0.0

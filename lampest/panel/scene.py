@@ -1,4 +1,4 @@
-"""Scene of a measurement: panel, circuit and effects. An effect that a scene does not name is not modelled."""
+"""Scene of a measurement: panel, circuit and effects. Effects that a scene does not specify are not modelled."""
 
 import warnings
 from collections.abc import Callable
@@ -29,7 +29,12 @@ from lampest.panel.response import AnyResponse, Film
 class SeriesPerLine(Configuration):
     """Resistance in series with every line: rows[j] + columns[k] for the reading of row j and column k.
 
-    rows, columns : ohm, one number for each line, or one for all of a side. Raises ValueError where one is negative.
+    Attributes
+    ----------
+    rows, columns : PerLine
+        Resistances in ohm, one for each line, or one for all lines of a side.
+
+    Raises ValueError if one is negative.
 
     >>> lampest.SeriesPerLine(rows=(70.0, 72.0), columns=(69.0, 71.0)).ohm(lampest.Panel(2, 2))
     array([[139., 141.],
@@ -44,23 +49,28 @@ class SeriesPerLine(Configuration):
         check_resistors("columns", self.columns, open_end=False)
 
     def ohm(self, panel: Panel) -> Array:
-        """Return (rows, columns) ohm. Raises ValueError if a list has another length."""
+        """Return the resistance in series with every reading, (rows, columns) ohm.
+
+        Raises ValueError if a list has another length.
+        """
         row = per_line("series_resistance_ohm.rows", self.rows, panel.rows)
         return np.asarray(row[:, None] + per_line("series_resistance_ohm.columns", self.columns, panel.columns))
 
 
 @dataclass(frozen=True)
 class OwnOfModule(Configuration):
-    """Deviations of one module from the scene; None: as the scene says.
+    """Deviations of one module from the scene; None: as in the scene.
 
     Attributes
     ----------
     at : tuple
         (row, column) of the module.
     readout : AnyReadout or None
-        Of the scene's kind.
+        Readout of the scene's kind.
+    series_resistance_ohm : float, SeriesPerLine or None
+        See `Scene`.
     faults : Faults or None
-        By the module's own rows and columns, in addition to the scene's.
+        Faults by the module's own rows and columns, in addition to the scene's.
     """
 
     at: tuple[int, int]
@@ -96,7 +106,7 @@ class Scene(Configuration):
         Fraction of the previously converted channel that remains in a reading, in volt at the converter; see
         `lampest.panel.readouts.readout`. None: zero.
     contacts : Contacts, or None
-        Resistance between the lines and their terminals, estimated beside the cells; None: none.
+        Resistance between the lines and their terminals, estimated together with the cells; None: none.
     film : Film, or None
         Hysteresis, creep and bending of the film; None: absent.
     response : AnyResponse, or None
@@ -104,7 +114,7 @@ class Scene(Configuration):
     assumed : tuple of str
         Entries that the scene's file leaves to lampest's defaults, such as readout.readings.
     purpose : {'mat'}, or None
-        'mat': contacts of any form, no suction. None: mouths and cups too.
+        'mat': contacts of any form, no suction. None: also mouths and cups.
     subject, experiment : MeasuredSubject, or None
         Measured subject and purpose; None: unspecified. No estimate depends on them.
     modules : tuple of OwnOfModule, or None
@@ -151,7 +161,7 @@ class Scene(Configuration):
         self.circuit.check(self)
 
     def _check_modules(self) -> None:
-        """Raise ValueError where a module has something of its own that it cannot have, or does not fit its scene."""
+        """Raise ValueError if an entry of `modules` is not allowed, or does not fit its scene."""
         layout, places = self.panel.modules, [own.at for own in self.modules or ()]
         for own in self.modules or ():
             where = list(own.at)
@@ -162,11 +172,11 @@ class Scene(Configuration):
             if own.readout is not None and type(own.readout) is not type(self.readout):
                 raise ValueError(f"modules: module {where} has a readout of another kind than the scene")
         if layout is not None:
-            assert self.of_modules  # each checks itself
+            assert self.of_modules  # every scene checks itself
 
     @cached_property
     def of_modules(self) -> tuple["Scene", ...]:
-        """The scene of every module, by its number; modules that do not differ share theirs. Itself without modules."""
+        """Scenes of all modules, by their numbers; equal ones are one object. The scene itself without modules."""
         layout, known = self.panel.modules, dict[Scene, Scene]()
         if layout is None:
             return (self,)
@@ -190,7 +200,7 @@ class Scene(Configuration):
 
     @cached_property
     def alike(self) -> tuple[tuple["Scene", tuple[int, ...]], ...]:
-        """(scene, numbers of the modules that have it), each scene once."""
+        """Pairs of a scene and the numbers of the modules that have it."""
         numbers: dict[Scene, list[int]] = {}
         for number, scene in enumerate(self.of_modules):
             numbers.setdefault(scene, []).append(number)
@@ -198,41 +208,42 @@ class Scene(Configuration):
 
     @property
     def dead_modules(self) -> tuple[int, ...]:
-        """The numbers of modules that are not read."""
+        """Numbers of the modules that are not read."""
         layout, faults = self.panel.modules, self.faults or Faults()
         return () if layout is None else tuple(sorted({row * layout.columns + k for row, k in faults.dead_modules}))
 
     @cached_property
     def blind(self) -> NDArray[np.bool_]:
-        """(rows, columns) where faults leave no reading."""
+        """Whether faults leave no reading, boolean (rows, columns)."""
         return self._of_faults(Faults.blind)
 
     @cached_property
     def asked(self) -> NDArray[np.bool_]:
-        """(rows, columns) of the readings that a frame should have; one at a crossing without a cell is welcome."""
+        """Whether a frame should have a reading, boolean (rows, columns); it may have more, without a cell."""
         return self.panel.present & ~self.blind
 
     @cached_property
     def open_cells(self) -> NDArray[np.bool_]:
-        """(rows, columns) where nothing conducts: no cell, or one that faults leave open."""
+        """Whether a crossing does not conduct, without a cell or open by a fault, boolean (rows, columns)."""
         return ~self.panel.present | self._of_faults(Faults.open_cells)
 
     @cached_property
     def shorted_cells(self) -> NDArray[np.bool_]:
-        """(rows, columns) where a cell joins its lines."""
+        """Whether a cell shorts its lines, boolean (rows, columns)."""
         return self._of_faults(Faults.shorted_cells)
 
     @cached_property
     def broken(self) -> NDArray[np.bool_]:
-        """(rows, columns) where there is no cell to be estimated."""
+        """Whether a crossing has no cell to be estimated, boolean (rows, columns)."""
         return self.open_cells | self.shorted_cells
 
     @property
     def whole(self) -> bool:
-        """Whether every crossing has a cell that works."""
+        """Whether every crossing has an intact cell."""
         return self.faults is None and self.panel.cells is None
 
     def _of_faults(self, mask: Callable[[Faults, Panel], NDArray[np.bool_]]) -> NDArray[np.bool_]:
+        """Return a mask of the faults, (rows, columns); true for all cells of dead modules."""
         layout = self.panel.modules
         if layout is None:
             return np.zeros(self.panel.shape, dtype=bool) if self.faults is None else mask(self.faults, self.panel)
@@ -242,7 +253,7 @@ class Scene(Configuration):
 
     @property
     def assumed_text(self) -> str:
-        """'readings: 20, adc_bits: 10' of the entries that the scene's file left open."""
+        """Entries that the scene's file leaves open, with their values, such as 'readings: 20, adc_bits: 10'."""
         places = (path.partition(".") for path in self.assumed)
         named = ((name, getattr(getattr(self, room, None), name, None)) for room, _, name in places)
         texts = ((name, f"{value:g}" if isinstance(value, float) else value) for name, value in named)
@@ -250,30 +261,27 @@ class Scene(Configuration):
 
     @property
     def circuit(self) -> Readout:
-        """The readout's circuit, by which readings follow from cells.
-
-        Two-point resistances where the scene names none.
-        """
+        """Circuit by which readings follow from cells: the readout, or two-point resistances without one."""
         return TwoPointReadout() if self.readout is None else self.readout
 
     @property
     def series_ohm(self) -> Array:
-        """Resistance in series with every reading, ohm; to be broadcast to (rows, columns)."""
+        """Resistance in series with every reading in ohm, to be broadcast to (rows, columns)."""
         series = self.series_resistance_ohm
         return series.ohm(self.panel) if isinstance(series, SeriesPerLine) else np.array(series)
 
     @property
     def series_text(self) -> str:
-        """'140 ohm', or the ranges of rows and of columns."""
+        """Series resistance in words: '140 ohm', or the ranges of rows and of columns."""
         series = self.series_resistance_ohm
         if not isinstance(series, SeriesPerLine):
             return lines_text(series)
         return f"rows {lines_text(series.rows)}, columns {lines_text(series.columns)}"
 
     def with_series(self, ohm: float) -> "Scene":
-        """Return the scene with a resistance in series with the panel, through which all lines are driven.
+        """Return the scene with a resistance in ohm in series with all driven lines.
 
-        Itself where the readout's kind has none; see `Readout.series_name`.
+        Returns the scene itself if the readout's kind has none; see `Readout.series_name`.
         """
         changes: dict[str, Any] = {self.circuit.series_name: ohm}
         if self.circuit.in_series:
@@ -283,19 +291,19 @@ class Scene(Configuration):
 
     @property
     def specified_in_series(self) -> float:
-        """Resistance in series that the scene specifies, ohm; the mean if lines differ."""
+        """Specified resistance in series in ohm; the mean if lines differ."""
         if self.circuit.in_series:
             return float(np.mean(self.series_ohm))
         return float(np.mean(as_tuple(getattr(self.circuit, self.circuit.series_name, 0.0))))
 
     @property
     def specified_systematic(self) -> Systematic | None:
-        """Shared errors that the scene specifies; None if it specifies none, or excludes them."""
+        """Specified systematic errors; None if the scene specifies none, or excludes them."""
         return None if self.systematic == "none" else self.systematic
 
     @cached_property
     def parts(self) -> NDArray[np.intp] | None:
-        """(lines) the number of the part that each line belongs to, joined by cells; None where all are one."""
+        """Number of the connected part of each line, (lines,); None if cells connect all lines."""
         if self.whole:
             return None
         rows, columns = self.panel.shape
@@ -306,7 +314,7 @@ class Scene(Configuration):
 
     @cached_property
     def wiring(self) -> Wiring | None:
-        """Wire, contacts and touching lines between terminals and cells; None without any."""
+        """Wire, contacts and touching lines between terminals and cells; None without any of them."""
         joined = () if self.faults is None else self.faults.joined(self.panel)
         lines = self.lines or Lines()
         wired = joined or lines.resist or self.contacts is not None
@@ -315,9 +323,10 @@ class Scene(Configuration):
 
 @typed
 def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
-    """Read the scene of a YAML file, which is the whole file or its entry `scene`; `assigned` overrides entries.
+    """Return the scene of a YAML file, which is the whole file or its entry `scene`.
 
-    Each of them is PATH=VALUE, such as readout.noise_lsb=1.2. Raises InputError with line and column.
+    `assigned` overrides entries by texts PATH=VALUE, such as readout.noise_lsb=1.2. Raises InputError with line and
+    column.
 
     >>> _ = Path("scene.yaml").write_text("panel: {rows: 2, columns: 3}")
     >>> lampest.read_scene("scene.yaml").panel.shape
@@ -341,7 +350,7 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
 
 
 def scene_text(scene: Scene) -> str:
-    """Return the scene as YAML; warns if no reader of the file will know the kind of its readout."""
+    """Return the scene as YAML; warns if the kind of its readout belongs to no installed package."""
     if scene.readout is not None and type(scene.readout) not in members_of(AnyReadout):
         kind = getattr(scene.readout, "kind", type(scene.readout).__name__)
         warnings.warn(

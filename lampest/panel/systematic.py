@@ -1,7 +1,8 @@
-"""Errors that all frames of a recording share: reference, channels, contacts, series, wire, the converter's curve.
+"""Systematic errors that all frames share: reference, channels, contacts, series, wire, the converter's curve.
 
-To first order the estimate moves by K·U·z with independent standard normal z, one column of U for each error: what it
-does to the readings, a secant of the readout's own equations. `SHARED_ERRORS` is the table of them.
+To first order the error of the estimate is K·U·z with the gain K and independent standard normal z. Every error has one
+or more columns of U, its effect on the readings, computed as a secant of the readout's equations. `SHARED_ERRORS` lists
+the errors.
 """
 
 from collections.abc import Callable, Iterable
@@ -15,30 +16,30 @@ from lampest.panel.readouts.lines import of_side
 from lampest.panel.readouts.wiring import Wiring, contact_responses, wire_responses
 from lampest.panel.scene import Scene, Systematic
 
-SINES = 4  # that a converter's curve is made of; between them they are as large as specified, in the mean square
+SINES = 4  # sines of which a converter's curve consists; the mean square of their sum is the specified one
 USUAL = Systematic(
-    # Two channels of a CD74HC4067, 70 ohm each and 160 at most, lie within 50 ohm of what is typical; resistors of the
-    # series E24 within 5 %. So large that 95 % intervals cover both at once.
+    # Two channels of a CD74HC4067, 70 ohm each and 160 at most, lie within 50 ohm of the typical value; resistors of
+    # the series E24 within 5 %. The sizes are such that 95 % intervals cover both at once.
     series_ohm=35.0,
     reference_tolerance=0.06,
     inl_lsb=0.5,  # rms; data sheets of microcontrollers' converters promise 1 to 2 at most
     wire_ohm_per_cell=0.2,  # copper tape has none, conductive thread and printed silver 0.1 to 1
-    response_sd=0.25,  # flat film of one batch scatters by a tenth; bent, glued or old film answers otherwise
+    response_sd=0.25,  # flat film of one batch scatters by a tenth; bent, glued or old film responds differently
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Possible:
-    """Knowledge of hidden errors.
+    """Prior or posterior of the hidden errors.
 
     Attributes
     ----------
     sizes : Systematic
-        Standard deviation of each.
+        Standard deviation of each error.
     root : array, shape (n, n), or None
-        Lower triangular root of the covariance of z in the order of the columns; None: the sizes alone are known.
+        Lower triangular root of the covariance of z in the order of the columns; None: z are independent.
     certain : bool
-        Whether each reading's own error is specified, or determined beyond chance.
+        Whether each reading's own error is specified, or determined significantly.
     """
 
     sizes: Systematic
@@ -47,11 +48,10 @@ class Possible:
 
 
 def systematic_of(scene: Scene) -> Systematic | None:
-    """Return the sizes of errors that a scene names, or leaves possible by silence.
+    """Return the sizes of the systematic errors that a scene specifies, or of the usual ones if it specifies none.
 
-    None where it has no readout, or says that there are none.
-
-    Kinds without a resistance in series, or of which what they sense is no voltage of lines, have no such error.
+    Returns None if the scene has no readout, or excludes such errors. Kinds of readout without a resistance in series
+    have no error of it.
     """
     if scene.specified_systematic is not None:
         return scene.specified_systematic
@@ -61,9 +61,9 @@ def systematic_of(scene: Scene) -> Systematic | None:
 
 
 def unobservable_numbers(scene: Scene) -> str:
-    """Return a sentence on the numbers of a circuit that no frame shows, with the tolerances of error bars; ASCII.
+    """Return a sentence on the numbers of a circuit that frames cannot determine, with their assumed tolerances.
 
-    '' for a scene without a readout.
+    The text is ASCII. It is '' for a scene without a readout.
     """
     if scene.readout is None:
         return ""
@@ -80,55 +80,57 @@ def unobservable_numbers(scene: Scene) -> str:
 
 
 def recorded_share(measured: Array, scene: Scene) -> Array:
-    """Return ∂(reading)/∂ log(recorded): what a factor on a recorded value does to the network's reading."""
+    """Return ∂(reading)/∂ log(recorded), the effect of a factor on a recorded value, by central differences."""
     recorded, step = scene.circuit.to_recorded(measured, scene), 1e-6
     above, below = (scene.circuit.from_recorded(recorded * np.exp(sign * step), scene) for sign in (1, -1))
     return np.asarray((above - below) / (2 * step))
 
 
 def own_errors(measured: Array, scene: Scene, size: float) -> Array:
-    """Return what an error of the logarithm of each recorded value does to the readings (frames, rows, columns)."""
+    """Return the readings' standard deviations, (frames, rows, columns), for a deviation `size` of log(recorded)."""
     if not size:
         return np.zeros(measured.shape)
     return np.asarray(size * np.abs(recorded_share(measured, scene)))
 
 
 def _reference(network: Network, measured: Array, scene: Scene, size: float) -> Array:
-    """Return the column of a reference off by a fraction; its tolerance is the half width of a uniform distribution."""
+    """Return the column of the reference's relative error; `size` is the half width of a uniform distribution."""
     return scene.circuit.shared_errors(network.cell_resistance, measured, scene, size / np.sqrt(3), 0.0)
 
 
 def _channels(network: Network, measured: Array, scene: Scene, size: float) -> Array:
-    """Return the columns of more resistance in the channel of each line."""
+    """Return the columns of an additional resistance in the channel of each line."""
     return scene.circuit.shared_errors(network.cell_resistance, measured, scene, 0.0, size)[1:]
 
 
 def _series(network: Network, measured: Array, scene: Scene, size: float) -> Array:
-    """Return the column of more resistance in series with all driven lines."""
+    """Return the column of an additional resistance in series with all driven lines."""
     lines = _channels(network, measured, scene, 1.0)
     driven, _ = of_side(scene.circuit.noisy_side, *np.split(lines, [measured.shape[-2]]))
     return np.asarray(size * driven.sum(axis=0)[None])
 
 
 def _curve(network: Network, measured: Array, scene: Scene, size: float) -> Array:
-    """Return the columns of a converter's curve: half a wave over its range, one wave and so on; none without it."""
+    """Return the columns of a converter's curve, sines of ½, 1, 1½ and 2 periods over its range; none without one."""
     if scene.readout is None:
         return np.zeros((0, *measured.shape))
     circuit = scene.circuit
     volt = circuit.volt_from_recorded(circuit.to_recorded(measured, scene))
     height = size * circuit.lsb_volt * np.sqrt(2 / SINES)
+    # √(2/SINES)·size·LSB·sin(π k V/V_full), k = 1, …, SINES: the mean square of the sum over the range is size²·LSB²
     waves = height * np.sin(np.pi * np.multiply.outer(np.arange(SINES) + 1, volt / circuit.full_scale_volt))
     ends = [circuit.from_recorded(circuit.recorded_from_volt(volt + sign * waves), scene) for sign in (0.5, -0.5)]
     return np.asarray(ends[0] - ends[1])
 
 
 def _wire(network: Network, measured: Array, scene: Scene, size: float) -> Array:
-    """Return the columns of more resistance of the wire of all rows, and of all columns."""
+    """Return the columns of an additional wire resistance of all rows, and of all columns."""
     return size * wire_responses(network, (scene.wiring or Wiring()).lines)
 
 
 def _each_reading(network: Network, measured: Array, scene: Scene, size: float) -> Array:
     """Return the columns of a factor on each recorded value."""
+    # Column c has the error of reading c alone: an identity over the cells times size·∂y/∂log(recorded).
     each = (size * recorded_share(measured, scene)).reshape(*measured.shape[:-2], -1)
     alone = np.zeros((each.shape[-1], *each.shape))
     np.einsum("c...c->...c", alone)[...] = each
@@ -137,16 +139,18 @@ def _each_reading(network: Network, measured: Array, scene: Scene, size: float) 
 
 @dataclass(frozen=True)
 class SharedError:
-    """An error that all frames share.
+    """Kind of error that all frames share.
 
     Attributes
     ----------
     setting : str
-        Entry of `Systematic` with its size; without a value there is no such error.
+        Field of `Systematic` with its size; without a value there is no such error.
     columns : callable
-        U (n, …, rows, columns) of a network, its readings (…, rows, columns), a scene and the size.
-    name, unit, count : str, str, int
-        In sentences, and n, of a hidden error.
+        Function (network, readings (…, rows, columns), scene, size) → U (n, …, rows, columns).
+    name, unit : str
+        Name and unit of a hidden error in sentences.
+    count : int
+        Number n of columns of a hidden error.
     """
 
     setting: str
@@ -156,11 +160,11 @@ class SharedError:
     count: int = 0
 
     def size(self, sizes: Systematic) -> float:
-        """Return its size; 0 where it has none."""
+        """Return the size of this error; 0 if it has none."""
         return getattr(sizes, self.setting) or 0.0
 
 
-KNOWN_ERRORS = (  # as large as their sizes, whatever frames show
+KNOWN_ERRORS = (  # their sizes are fixed; frames do not determine them
     SharedError("reference_tolerance", _reference),
     SharedError("channel_spread_ohm", _channels),
 )
@@ -169,16 +173,16 @@ HIDDEN_ERRORS = (  # determined by still cells (`lampest.estimate.still_cells`)
     SharedError("inl_lsb", _curve, "curve", "LSB", SINES),
     SharedError("wire_ohm_per_cell", _wire, "wire", "ohm a cell", 2),
 )
-READING_ERROR = SharedError("reading_error", _each_reading)  # determined by these, too
+READING_ERROR = SharedError("reading_error", _each_reading)  # also determined by still cells
 SHARED_ERRORS = (*KNOWN_ERRORS, *HIDDEN_ERRORS, READING_ERROR)
 
 
 def error_columns(
     errors: Iterable[SharedError], network: Network, measured: Array, scene: Scene, sizes: Systematic
 ) -> Array:
-    """U (n, …, rows, columns) of these errors in the unit of the network's readings, of one standard deviation each.
+    """Return U, (n, …, rows, columns), of errors of one standard deviation each, in the readings' unit.
 
-    measured : readings (…, rows, columns).
+    `measured` are the readings of the network, (…, rows, columns).
     """
     none = np.zeros((0, *measured.shape))
     parts = (error.columns(network, measured, scene, size) for error in errors if (size := error.size(sizes)))
@@ -187,19 +191,18 @@ def error_columns(
 
 @dataclass(frozen=True)
 class Shared:
-    """Errors that all readings have in common.
+    """Systematic errors of a scene, with their covariance.
 
     Attributes
     ----------
     systematic : Systematic or None
-        How large such errors are, or None.
+        Sizes of the errors.
     scene : Scene
-        What they are errors of.
-    contact_root : array, shape (lines, n) or None
-        Ohm, a root of the covariance of contacts, or None.
-    hidden_root : array, shape (n, n) or None
-        Of what is possible of the hidden errors, in units of their sizes, lower triangular; None: of each on its own as
-        much as its size.
+    contact_root : array, shape (lines, n), or None
+        Root of the covariance of the contact resistances, ohm.
+    hidden_root : array, shape (n, n), or None
+        Lower triangular root of the covariance of the hidden errors, in units of their sizes; None: they are
+        independent, with their sizes as standard deviations.
     in_sigma : bool
         Whether the readings' σ includes each reading's own error.
     """
@@ -212,10 +215,10 @@ class Shared:
 
     @classmethod
     def of(cls, scene: Scene, contact_root: Array | None = None, hidden: Possible | None = None) -> "Shared | None":
-        """Return the shared errors of a scene; None where there are none.
+        """Return the shared errors of a scene; None without any.
 
-        Contacts are known as the scene says unless a root is given; hidden errors as the scene says, or as usual where
-        it is open, unless a recording has determined it.
+        Contacts have the prior of the scene unless `contact_root` is given. Hidden errors have the sizes of
+        `systematic_of` unless `hidden` contains those that a recording determined.
         """
         if contact_root is None and scene.contacts is not None:
             contact_root = np.diag(scene.contacts.deviation(scene.panel.shape))
@@ -225,7 +228,7 @@ class Shared:
         return cls(sizes, scene, contact_root, None if hidden is None else hidden.root, hidden is not None)
 
     def beyond(self, known: "Shared | None") -> "Shared | None":
-        """Return the errors that remain where a method has unknowns for the specified ones; None where none do."""
+        """Return the errors that remain if a method has unknowns for the errors `known`; None if none remain."""
         if self.systematic is None:
             return None
         if known is None or known.systematic is None:
@@ -234,9 +237,9 @@ class Shared:
         return Shared(Systematic(reading_error=float(np.sqrt(own**2 - size**2))), self.scene) if own > size else None
 
     def columns(self, network: Network, measured: Array) -> Array:
-        """U (cells, n) in the readings' unit: contacts, reference and channels, hidden errors.
+        """Return U, (cells, n), in the readings' unit: contacts, reference and channels, hidden errors.
 
-        measured : readings (rows, columns).
+        `measured` are the readings of the network, (rows, columns).
         """
         columns = self.unrelated(network, measured)
         if self.contact_root is None:
@@ -245,9 +248,9 @@ class Shared:
         return np.concatenate([contacts, self.related(columns)], axis=1)
 
     def unrelated(self, network: Network, measured: Array) -> Array:
-        """Return the columns without contacts, as if hidden errors were independent of each other.
+        """Return the columns without contacts, as if hidden errors were independent, (…, cells, n).
 
-        They are (…, cells, n) of readings (…, rows, columns).
+        `measured` are the readings of the network, (…, rows, columns).
         """
         if self.systematic is None:
             return np.zeros((measured.size, 0))
@@ -255,7 +258,7 @@ class Shared:
         return np.moveaxis(errors.reshape(*errors.shape[:-2], -1), 0, -1)
 
     def related(self, columns: Array) -> Array:
-        """Return these columns with the covariance of hidden errors, the last of them."""
+        """Return the columns of `unrelated` with the covariance of the hidden errors, which are the last ones."""
         root = np.zeros((0, 0)) if self.hidden_root is None else self.hidden_root
         first = columns.shape[-1] - len(root)
         return np.concatenate([columns[..., :first], columns[..., first:] @ root], axis=-1)

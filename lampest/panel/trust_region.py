@@ -1,4 +1,4 @@
-"""The trust-region subproblem by preconditioned conjugate gradients, as Steihaug and Toint solve it.
+"""Trust-region subproblem by preconditioned conjugate gradients (Steihaug and Toint).
 
 Source: Steihaug, SIAM J. Numer. Anal. 20, 1983; Conn, Gould & Toint, Trust-Region Methods, 2000, section 7.5.
 """
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from lampest.panel.panel import Array
 
 Linear = Callable[[Array], Array]
-DENSE_CELLS = 256  # unknowns up to which a factor costs less than the products that it spares
-MATRIX_CELLS = 600  # the same where products are many: absolute losses, joint pairs, error bars
-MAX_DENSE = 1200  # unknowns beyond which matrices take seconds, and products or samples replace them
+DENSE_CELLS = 256  # unknowns up to which a factor costs less than the products that it saves
+MATRIX_CELLS = 600  # the same for problems with many products: absolute losses, joint pairs, error bars
+MAX_DENSE = 1200  # unknowns beyond which matrices take seconds; products or samples replace them
 SUFFICIENT_DECREASE = 1e-4  # of the predicted decrease, as in Nocedal & Wright, 2006, section 3.1, algorithm 4.1
-MAX_RELATIVE_CHANGE = 1.0  # relative change of a conductance, to which a direction of negative curvature is followed
+MAX_RELATIVE_CHANGE = 1.0  # relative change of a conductance up to which a direction of negative curvature is followed
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,16 +26,16 @@ class SubproblemStep:
 
     Attributes
     ----------
-    step : array
+    step : array, shape (unknowns,)
         s.
     length : float
         ‖s‖_M.
     decrease : float
-        −gᵀs − ½ sᵀHs.
+        Decrease of the quadratic model, −gᵀs − ½ sᵀHs.
     negative : bool
-        Whether negative curvature was met.
+        Whether a direction of negative curvature was met.
     products : int
-        How many with H it took.
+        Number of products with H.
     """
 
     step: Array
@@ -54,24 +54,26 @@ def steihaug(
     admits: Callable[[Array], bool] | None = None,
     most_products: int = 400,
 ) -> SubproblemStep:
-    """argmin gᵀs + ½ sᵀHs over ‖s‖_M ≤ radius; exact to `accuracy` where conjugate gradients end inside.
+    """Return argmin gᵀs + ½ sᵀHs over ‖s‖_M ≤ radius, up to `accuracy` where the minimum is inside the radius.
 
     Parameters
     ----------
     product : Linear
-        H·p.
+        Function p → H·p.
     precondition : Linear
-        M⁻¹·p, symmetric and positive definite.
-    gradient : array
+        Function p → M⁻¹·p, symmetric and positive definite.
+    gradient : array, shape (unknowns,)
         g.
     accuracy : float
         ‖Hs + g‖ relative to ‖g‖, in the norm of M⁻¹, at which the iteration ends.
     radius : float
-        May be infinite. A direction of negative curvature is followed to the radius or to MAX_RELATIVE_CHANGE.
+        Trust radius; may be infinite. A direction of negative curvature is followed to the radius, or until an entry of
+        s reaches MAX_RELATIVE_CHANGE.
     admits : callable or None
-        Whether a step may be taken; the iteration ends before the first but one that may not. None: any may.
+        Function s → whether the step is admissible. The iteration ends before an inadmissible step, except for the
+        first one. None: all are admissible.
     most_products : int
-        At which the iteration ends with the step so far.
+        Maximum number of products; the iteration then ends with the step so far.
     """
     step, residual = np.zeros_like(gradient), gradient
     scaled = precondition(residual)
@@ -87,6 +89,7 @@ def steihaug(
         image = product(search)
         curvature = float(search @ image)
         length = strength / curvature if curvature > 0 else inf
+        # ‖s + αp‖²_M = ‖s‖² + 2α sᵀMp + α²‖p‖², without a product with M
         further = inner + 2 * length * mixed + length * length * outer if isfinite(length) else inf
         if not further < radius**2:
             negative = not curvature > 0
@@ -95,6 +98,7 @@ def steihaug(
                 length = min(length, _to_longest(step, search))
             ended = np.sqrt(inner + 2 * length * mixed + length * length * outer)
             step, residual = step + length * search, residual + length * image
+            # −gᵀs − ½ sᵀHs = −½ sᵀ(g + r) with the residual r = g + Hs
             return SubproblemStep(step, float(ended), -0.5 * float(step @ (gradient + residual)), negative, count)
         longer = step + length * search
         if admits is not None and count > 1 and not admits(longer):
@@ -105,6 +109,7 @@ def steihaug(
         before, strength = strength, float(residual @ scaled)
         ratio = strength / before
         search = ratio * search - scaled
+        # sᵀMp and ‖p‖² of the next search direction p ← βp − z by recursion (Steihaug 1983)
         mixed, outer = ratio * (mixed + length * outer), strength + ratio**2 * outer
     return SubproblemStep(
         step, float(np.sqrt(inner)), -0.5 * float(step @ (gradient + residual)), negative=False, products=count
@@ -112,7 +117,7 @@ def steihaug(
 
 
 def restricted(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:
-    """Return the part of a symmetric product of `size` unknowns between the chosen ones, all others zero."""
+    """Return the restriction of a product over `size` unknowns to the chosen ones (numbers), all others zero."""
     if len(chosen) == size:
         return product
     whole = np.zeros(size)
@@ -125,15 +130,16 @@ def restricted(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:
 
 
 def _to_radius(inner: float, mixed: float, outer: float, radius: float) -> float:
-    """t ≥ 0 with ‖s + t p‖_M = radius."""
+    """Return t ≥ 0 with ‖s + t p‖_M = radius, from inner = ‖s‖², mixed = sᵀMp and outer = ‖p‖²."""
     if radius == inf:
         return inf
     left = max(radius**2 - inner, 0.0)
+    # Positive root of ‖p‖² t² + 2 sᵀMp t − (radius² − ‖s‖²) = 0, without cancellation
     return left / (mixed + float(np.sqrt(mixed**2 + outer * left))) if left else 0.0
 
 
 def _to_longest(step: Array, search: Array) -> float:
-    """t ≥ 0 at which an entry of s + t p reaches MAX_RELATIVE_CHANGE."""
+    """Return the least t ≥ 0 at which an entry of s + t p can reach MAX_RELATIVE_CHANGE in absolute value."""
     room = MAX_RELATIVE_CHANGE - np.abs(step)
     with np.errstate(divide="ignore"):
         reached = room / np.abs(search)

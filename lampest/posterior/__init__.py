@@ -1,1 +1,1 @@
-"""How certain an estimate is: its error in log r from the noise of the readings and from what the penalties do."""
+"""Uncertainty of an estimate: errors of log r due to the noise of the readings and the bias of the penalties."""

@@ -16,27 +16,35 @@ from lampest.posterior.linear import LinearModel
 
 @dataclass(frozen=True, eq=False)
 class LogInterval:
-    """Interval of log r, any shape: standard deviation, and how far the 95 % interval reaches down and up."""
+    """Standard deviation and 95 % interval of log r.
+
+    Attributes
+    ----------
+    deviation : array, any shape
+        Standard deviation.
+    below, above : array, same shape
+        Extent of the 95 % interval below and above the estimate.
+    """
 
     deviation: Array
     below: Array
     above: Array
 
     def reaching_farther(self, below: Array, above: Array) -> Self:
-        """Return the intervals that reach farther, by squares that are added to theirs."""
+        """Return intervals with `below` and `above`, squares of extents in log r, added in quadrature."""
         return replace(self, below=np.sqrt(self.below**2 + below), above=np.sqrt(self.above**2 + above))
 
 
 @dataclass(frozen=True, eq=False)
 class Certainty(LogInterval):
-    """Certainty of log r, all (frames, rows, columns); deviation and above are infinite for an open cell.
+    """Certainty of log r, all arrays (frames, rows, columns); deviation and above are infinite for an open cell.
 
     Attributes
     ----------
     resolution, data_share : array
-        Diagonal and row sums of the averaging kernel, 0 where a bound decides.
+        Diagonal and row sums of the averaging kernel; 0 for cells at an active bound.
     common : array
-        The part of the deviation that cells share.
+        Part of the standard deviation that all cells of a frame share.
     """
 
     resolution: Array
@@ -45,18 +53,24 @@ class Certainty(LogInterval):
 
     @property
     def own(self) -> Array:
-        """√(deviation² − common²): each cell's own part."""
+        """Each cell's own part of the standard deviation, √(deviation² − common²)."""
         return own_part(self.deviation, self.common)
 
     @classmethod
     def inside(cls, cells: Array, data: Data, variances: tuple[Array, Array], shares: tuple[Array, Array]) -> Self:
-        """Two-sided, of cells away from their bounds; below a lower bound as far as its reading's noise. Any shape.
+        """Return the two-sided certainty of cells that no bound holds.
+
+        Intervals end at most the noise of the reading below the lower bound. They are open above if they reach the
+        upper bound.
 
         Parameters
         ----------
-        variances : tuple
-            Of log r, and the part of it that one chance moves together in a frame.
-        shares : tuple
+        cells : array, any shape
+            Estimate in ohm.
+        data : Data
+        variances : tuple of array
+            Variance of log r, and its part that moves all cells of a frame alike.
+        shares : tuple of array
             Diagonal and row sums of the averaging kernel.
         """
         shape, (lower, upper) = cells.shape, data.log_bounds
@@ -76,20 +90,22 @@ class Certainty(LogInterval):
         shares: tuple[Array, Array],
         released: Callable[[NDArray[np.intp]], Array],
     ) -> Self:
-        """Return the certainty: as `inside` for free cells, one-sided at active bounds.
+        """Return the certainty of an estimate: two-sided for free cells, one-sided at active bounds.
 
         Parameters
         ----------
-        variances, shares : tuple
-            Of the free cells.
+        model : LinearModel
+        variances, shares : tuple of array, shape (free,)
+            See `inside`.
         released : callable
-            Variance of cells (numbers) that stand at a bound, if each alone were free.
+            Variance of log r of cells (numbers) at a bound, each released alone.
         """
         at, whole = model.at, np.zeros((4, model.at.cell_resistance.size))
         whole[:, model.free] = *variances, *shares
         certainty = cls.inside(at.cell_resistance, at.data, (whole[0], whole[1]), (whole[2], whole[3]))
         pressed = np.flatnonzero(model.at_lower | model.at_upper)
         if len(pressed):
+            # −log density of log r at the bound has the slope |∂φ/∂u|/(2 s²).
             slope, low = np.abs(model.gradient[pressed]) / (2 * model.scale), model.at_lower[pressed]
             deviation, reach = one_sided(slope, released(pressed))
             noise = TWO_SIDED * np.minimum(at.data.sigma / at.data.measured, 0.5).ravel()[pressed]
@@ -99,9 +115,10 @@ class Certainty(LogInterval):
         return certainty
 
     def widened(self, answer: Array) -> "Certainty":
-        """Return the certainty with independent errors of variance 1 on top.
+        """Return the certainty with further independent errors of unit variance.
 
-        answer : their effect on log r, (frames · cells, n); the part that moves all cells of a frame alike is common.
+        `answer` is their effect on log r, (frames · cells, n). The part that moves all cells of a frame alike is added
+        to `common`.
         """
         rows, columns = self.deviation.shape[-2:]
         answers = answer.reshape(*self.deviation.shape[:-2], rows * columns, -1)
@@ -113,26 +130,27 @@ class Certainty(LogInterval):
         return replace(wider, deviation=deviation, common=common)
 
     def reaching(self, cells: NDArray[np.intp], below: Array, above: Array) -> "Certainty":
-        """Return the certainty with intervals of single cells (numbers) that reach at least so far."""
+        """Return the certainty with intervals of single cells (numbers) extended to at least `below` and `above`."""
         lower, upper = self.below.copy(), self.above.copy()
         lower.flat[cells] = np.maximum(lower.flat[cells], below)
         upper.flat[cells] = np.maximum(upper.flat[cells], above)
         return replace(self, below=lower, above=upper)
 
     def by_conductance(self) -> "Certainty":
-        """Return intervals as far upwards as conductances may fall: r/(1 − x) for exp(−x) of r downwards, x < 1."""
+        """Return the certainty with `above` at least −log(1 − above), the extent if the conductance falls linearly."""
         with np.errstate(divide="ignore"):
             return replace(self, above=np.maximum(self.above, -np.log(np.maximum(1 - self.above, 0.0))))
 
     def of_frame(self, frame: int) -> "Certainty":
-        """Return that of one frame, (rows, columns)."""
+        """Return the certainty of one frame, (rows, columns)."""
         return Certainty(*(getattr(self, field.name)[frame] for field in fields(self)))
 
 
 def common_variance(answer: Array) -> Array:
-    """Return the variance (…, cells) by which independent errors move all cells alike: Σ a² − (a − ā)², at least 0.
+    """Return the variance due to the common part of independent errors, Σ max(a² − (a − ā)², 0), (…, cells).
 
-    answer : a (…, cells, n), what each does to log r. ā is the median of the cells; a − ā is each cell's own.
+    `answer` is the effect a of each of n errors on log r, (…, cells, n). The common part ā is its median over the
+    cells; a − ā is each cell's own part.
     """
     ordered = np.sort(answer.swapaxes(-1, -2), axis=-1)  # np.median takes six times as long
     count = ordered.shape[-1]
@@ -141,5 +159,5 @@ def common_variance(answer: Array) -> Array:
 
 
 def own_part(deviation: Array, common: Array) -> Array:
-    """√(deviation² − common²), infinite where a cell may be open; any shape."""
+    """Return √(deviation² − common²), infinite where `deviation` is; any shape."""
     return np.asarray(np.sqrt(np.maximum(deviation**2 - common**2, 0.0)))

@@ -1,8 +1,9 @@
-"""Frames in a row, each tied to its neighbours, and unknowns that all share: Gaussian elimination in both directions.
+"""Block tridiagonal system with a border: consecutive frames, each tied to its neighbours, and shared unknowns.
 
-H is block tridiagonal with a border: A_t (cells, cells) with all that ties add to its diagonal, −Λ_t diagonal between
-the frames t and t + 1, B between frames and border, C the border's. With S_1 = H_11, S_{t+1} = H_{t+1,t+1} −
-Λ_t S_t⁻¹ Λ_t and K_t = S_t⁻¹ Λ_t the diagonal blocks of the inverse are P_t = S_t⁻¹ + K_t P_{t+1} K_tᵀ.
+H has the blocks A_t (cells, cells) of the frames, with the ties already on their diagonals; the diagonal blocks −Λ_t
+between the frames t and t + 1; B between frames and border; and C of the border. It is solved by Gaussian elimination
+in both directions. With S_1 = A_1, S_{t+1} = A_{t+1} − Λ_t S_t⁻¹ Λ_t and K_t = S_t⁻¹ Λ_t, the diagonal blocks of the
+inverse are P_t = S_t⁻¹ + K_t P_{t+1} K_tᵀ.
 Source: Rauch, Tung & Striebel, AIAA Journal 3, 1965, in the form of Meurant, SIAM J. Matrix Anal. Appl. 13, 1992.
 """
 
@@ -19,17 +20,17 @@ from lampest.posterior.dense import positive_inverse
 class Chain:
     """Block tridiagonal matrix with a border.
 
-    Raises numpy.linalg.LinAlgError, when it is asked for anything, where H is not positive definite.
+    All methods raise numpy.linalg.LinAlgError if H is not positive definite.
 
     Attributes
     ----------
     own : array, shape (frames, cells, cells)
-        A_t.
+        Blocks A_t.
     tie : array, shape (frames − 1, cells)
-        Λ.
+        Diagonals of Λ_t.
     border : array, shape (frames, cells, n)
         B.
-    corner : array
+    corner : array, shape (n, n)
         C.
     """
 
@@ -40,7 +41,7 @@ class Chain:
 
     @cached_property
     def _inverses(self) -> list[Array]:
-        """S_t⁻¹."""
+        """S_t⁻¹ of every frame, (cells, cells)."""
         inverses = [positive_inverse(self.own[0])]
         for own, tie in zip(self.own[1:], self.tie, strict=True):
             inverses.append(positive_inverse(own - tie[:, None] * inverses[-1] * tie))
@@ -48,14 +49,16 @@ class Chain:
 
     @cached_property
     def _gains(self) -> list[Array]:
-        """K_t."""
+        """K_t of every frame but the last, (cells, cells)."""
         return [inverse * tie for inverse, tie in zip(self._inverses[:-1], self.tie, strict=True)]
 
     def _solved(self, right: Array) -> Array:
-        """Return the frames' part of H alone, H⁻¹ x of columns (frames, cells, n)."""
+        """Return H⁻¹ x of columns (frames, cells, n) for a fixed border."""
+        # Forward elimination: y_{t+1} = x_{t+1} + K_tᵀ y_t
         ahead = [right[0]]
         for gain, column in zip(self._gains, right[1:], strict=True):
             ahead.append(column + gain.T @ ahead[-1])
+        # Back substitution: z_t = S_t⁻¹ y_t + K_t z_{t+1}
         solved = [self._inverses[-1] @ ahead[-1]]
         for frame in range(len(right) - 2, -1, -1):
             solved.append(self._inverses[frame] @ ahead[frame] + self._gains[frame] @ solved[-1])
@@ -63,45 +66,52 @@ class Chain:
 
     @cached_property
     def _follow(self) -> Array:
-        """E: what the frames do where the border moves, H⁻¹ B, (frames, cells, n)."""
+        """E = H⁻¹ B of the frames alone, the response of the frames to the border, (frames, cells, n)."""
         return self._solved(self.border)
 
     @cached_property
     def _border_precision(self) -> Array:
+        """Schur complement C − Bᵀ H⁻¹ B of the border, (n, n)."""
         return np.asarray(self.corner - np.einsum("tci,tcj->ij", self.border, self._follow, optimize=True))
 
     @cached_property
     def border_covariance(self) -> Array:
-        """(n, n) of the border in H⁻¹."""
+        """Block of the border in H⁻¹, (n, n)."""
         return positive_inverse(self._border_precision)
 
     def learned(self, count: int) -> Array:
-        """(count, count) precision of the border's first unknowns, of unit variance before, from the frames alone."""
+        """Return the precision of the border's first `count` unknowns due to the frames alone, (count, count).
+
+        Their prior variance is one.
+        """
         return np.asarray(positive_inverse(self.border_covariance[:count, :count]) - np.eye(count))
 
     def doubting(self, share: float, prior: Array) -> "Chain":
-        """Return the chain in which only a share of the frames' information on the border is believed.
+        """Return the chain with only a share of the frames' information on the border.
 
-        prior : (n), the border's own precision.
+        `prior` is the prior precision of the border, (n,).
         """
         learned = self._border_precision - np.diag(prior)
         return replace(self, corner=self.corner - (1 - share) * learned)
 
     def with_border(self, precision: Array) -> "Chain":
-        """Return the same where the border's first unknowns have this precision, all others unknown, (n, n)."""
+        """Return the chain whose border's first k unknowns have a given precision, (k, k).
+
+        The precision is that after all other border unknowns are eliminated.
+        """
         corner, count = self.corner.copy(), len(precision)
         corner[:count, :count] += precision - positive_inverse(self.border_covariance[:count, :count])
         return replace(self, corner=corner)
 
     def solve(self, right: Array, border: Array) -> tuple[Array, Array]:
-        """H⁻¹ x of (frames, cells, m) and (n, m)."""
+        """Return H⁻¹ x for the frames' part (frames, cells, m) and the border's part (n, m) of x."""
         alone = self._solved(right)
         moved = self.border_covariance @ (border - np.einsum("tci,tcm->im", self.border, alone, optimize=True))
         return alone - self._follow @ moved, moved
 
     @cached_property
     def blocks(self) -> list[Array]:
-        """P_t (cells, cells): the frames' diagonal blocks of H⁻¹, as if the border were known."""
+        """Diagonal blocks P_t of H⁻¹ of the frames for a known border, (cells, cells) each."""
         blocks = [self._inverses[-1]]
         for inverse, gain in zip(self._inverses[-2::-1], self._gains[::-1], strict=True):
             blocks.append(inverse + gain @ blocks[-1] @ gain.T)
@@ -109,22 +119,23 @@ class Chain:
 
     @cached_property
     def _root(self) -> Array:
-        """E √(border_covariance), (frames, cells, n)."""
+        """E times a square root of the border's covariance, (frames, cells, n)."""
         if not self.corner.size:
             return self._follow
         return np.asarray(self._follow @ np.linalg.cholesky(self.border_covariance))
 
     def shared_variance(self, frame: int) -> Array:
-        """(cells) what the border makes up of one frame's diagonal of H⁻¹."""
+        """Return the border's part of one frame's diagonal of H⁻¹, (cells,)."""
         return np.asarray(np.sum(self._root[frame] ** 2, axis=1))
 
     @cached_property
     def variance(self) -> Array:
-        """The frames' diagonal of H⁻¹, (frames, cells)."""
+        """Diagonal of H⁻¹ over the frames, (frames, cells)."""
         return np.asarray(np.stack([np.diag(block) for block in self.blocks]) + np.sum(self._root**2, axis=2))
 
     def step_variance(self, less: Array) -> Array:
-        """Return the variance of differences of neighbours (frames − 1, cells) less (frames − 1, n) of the border."""
+        """Return the variance of x_{t+1} − x_t − less_t·border, (frames − 1, cells); `less` (frames − 1, n)."""
+        # Covariance of neighbouring frames: diag(K_t P_{t+1})
         between = [np.einsum("ij,ji->i", gain, block) for gain, block in zip(self._gains, self.blocks[1:], strict=True)]
         alone = np.stack([np.diag(block) for block in self.blocks])
         steps = alone[1:] + alone[:-1] - 2 * np.asarray(between).reshape(self.tie.shape)
@@ -132,13 +143,14 @@ class Chain:
         return np.asarray(steps + np.einsum("tci,ij,tcj->tc", moved, self.border_covariance, moved, optimize=True))
 
     def covariance(self, frame: int) -> Array:
-        """One frame's diagonal block of H⁻¹, (cells, cells)."""
+        """Return one frame's diagonal block of H⁻¹, (cells, cells)."""
         return np.asarray(self.blocks[frame] + self._root[frame] @ self._root[frame].T)
 
     def since(self, first: int) -> Array:
-        """Covariance of a frame with itself and all that follow, cell by cell, (frames − first, cells)."""
+        """Return the covariance of a frame with itself and all later ones, cell by cell, (frames − first, cells)."""
         across, covariances = np.eye(self.own.shape[1]), [np.diag(self.blocks[first])]
         for gain, block in zip(self._gains[first:], self.blocks[first + 1 :], strict=True):
+            # cov(x_first, x_t) = K_first ⋯ K_{t−1} P_t
             across = across @ gain
             covariances.append(np.einsum("ij,ji->i", across, block))
         return np.asarray(np.stack(covariances) + np.sum(self._root[first:] * self._root[first], axis=2))

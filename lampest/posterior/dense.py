@@ -1,17 +1,26 @@
 """Posterior covariance of log r in closed form, as matrices over the cells.
 
 With A = Jᵀ Ω J + Zᵀ Ω Z + ε s² over the free cells (J: data, Z: penalties) and the gain K = A⁻¹ Jᵀ Ω, the error of the
-estimate is K·noise plus what the penalties pull it away from the truth:
+estimate is K·noise plus the bias of the penalties. Its covariance is
 
     S = K (τ² + V Vᵀ) Kᵀ + A⁻¹ (s² Zᵀ (C − B) Ω Z + Zᵀ H² Z + W Wᵀ + ε s⁴) A⁻¹ + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ,   M = Zᵀ Ω Z₀
 
-where V is what one chance moves together in a frame, W = σ λ Zᵀ ½ρ' what a chosen weight's uncertainty does (Wood,
-Pya & Säfken, J. Am. Stat. Assoc. 111, 2016), and S₀ is the error of the previous frame and of the baseline, as
-far as terms read them. With C = 1 and one noise for all data this is the Laplace approximation s² A⁻¹. B is the share
-of a residual's variance that is the previous frame's error where a term weighs that (Joseph's form).
-A penalty that does not suit the data must not leave narrow bars: C of a penalised residual x̂ is the largest of 1,
-of ω x̂²/s², and of Σ ω x̂²/(s² γ) over its term, of whose residuals data determine γ. H is what a loss pulls beyond its
-curvature.
+with these symbols:
+
+    Ω    diagonal matrix of the curvatures ω of the residuals
+    τ    standard deviations of the data
+    V    columns of random errors that the readings of a frame share
+    W    σ λ Zᵀ ½ρ', the effect of the uncertainty σ of a chosen weight's log λ (Wood, Pya & Säfken, J. Am. Stat.
+         Assoc. 111, 2016)
+    S₀   covariance of the previous frame and of the baseline, as far as terms read them
+    B    share of a penalty residual's variance that is the previous frame's error, where a term weighs that error
+         (Joseph's form)
+    C    widening of a penalty residual x̂: the largest of 1, of ω x̂²/s², and of Σ ω x̂²/(s² γ) over its term, γ the
+         number of residuals of the term that the data determine. A penalty that does not suit the data therefore does
+         not lead to narrow error bars.
+    H    slope of a penalty's loss beyond that of its curvature
+
+With C = 1 and equal noise of all data, S is the Laplace approximation s² A⁻¹.
 """
 
 from abc import ABC, abstractmethod
@@ -38,27 +47,35 @@ from lampest.solvers.hessian import block_diagonal
 
 @dataclass(frozen=True, eq=False)
 class Memory(ABC):
-    """Errors of the last estimate and of the baseline, as the next frame needs them."""
+    """Errors of log r of the last estimate and of the baseline, for the error bars of the next frame."""
 
     last: Array
     baseline: Array
 
     @abstractmethod
     def resting(self) -> Self:
-        """Return the same, with the last estimate as the baseline."""
+        """Return the memory with the last estimate as the baseline."""
 
     @abstractmethod
     def shared(self) -> Array:
-        """Covariance of the two, cell by cell."""
+        """Return the covariance of the last estimate and the baseline, cell by cell, (cells,)."""
 
     @abstractmethod
     def variance(self) -> Array:
-        """Return the variance of the last estimate, (cells)."""
+        """Return the variance of the last estimate, (cells,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class DenseMemory(Memory):
-    """Covariances of log r, (cells, cells): of the last estimate, of the baseline, and of both."""
+    """Covariances of log r as matrices.
+
+    Attributes
+    ----------
+    last, baseline : array, shape (cells, cells)
+        Covariance of the last estimate, and of the baseline.
+    with_baseline : array, shape (cells, cells)
+        Covariance between the last estimate (rows) and the baseline (columns).
+    """
 
     with_baseline: Array
 
@@ -72,7 +89,7 @@ class DenseMemory(Memory):
         return np.asarray(np.diag(self.last))
 
     def both(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Return the blocks of the last estimate and of the baseline."""
+        """Return the joint covariance S₀ of (last estimate, baseline) as 2 × 2 blocks."""
         return (self.last, self.with_baseline), (self.with_baseline.T, self.baseline)
 
 
@@ -83,11 +100,11 @@ class DenseErrors:
     Attributes
     ----------
     model : LinearModel
-        The estimate's surroundings.
-    before : object
-        What is known of the previous frame's error, if it is read.
-    drawn : array or None
-        V (data rows, n), what one chance moves together in the frames that are solved; None: each reading alone errs.
+        Linear model about the estimate.
+    before : Memory or None
+        Errors of the previous frame and of the baseline, if terms read these.
+    drawn : array, shape (data rows, n), or None
+        V, random errors that the readings of a frame share; None if the errors of the readings are independent.
     """
 
     model: LinearModel
@@ -96,34 +113,34 @@ class DenseErrors:
 
     @cached_property
     def sensitivity(self) -> Array:
-        """∂x/∂u of the data (rows, frames · cells)."""
+        """Sensitivity ∂x/∂u of the data over all cells, (data rows, frames · cells)."""
         through = block_diagonal([network.sensitivity() for network in self.model.at.networks])
         return np.asarray(self.model.through @ through)
 
     @cached_property
     def jacobian(self) -> Array:
-        """J (data rows, free)."""
+        """J, the sensitivity over the free cells, (data rows, free)."""
         return np.asarray(self._of_free(self.sensitivity))
 
     def forward(self, change: Array) -> Array:
-        """J p of changes (cells, n)."""
+        """Return the change of the data, (data rows, n), for changes of log r of all cells, (cells, n)."""
         return np.asarray(self.sensitivity @ change)
 
     def weighed(self, rows: Array) -> Array:
-        """Jᵀ Ω x of rows of the data (rows, n), (cells, n)."""
+        """Return Jᵀ Ω x over all cells, (cells, n), for data x (data rows, n)."""
         return np.asarray(self.sensitivity.T @ (self.model.data_curvature[:, None] * rows))
 
     def solved(self, right: Array) -> Array:
-        """A⁻¹ x of (free, n)."""
+        """Return A⁻¹ x, (free, n)."""
         return np.asarray(self.inverse @ right)
 
     def gained(self, rows: Array, *, fine: bool = False) -> Array:
-        """K x of rows of the data; fine : of what is reported itself."""
+        """Return K x, (free, n), for data x (data rows, n); `fine` requests the accuracy of reported values."""
         return np.asarray(self._gain @ rows)
 
     @cached_property
     def _sparse_penalties(self) -> sparse.csc_array:
-        """√Ω Z."""
+        """√Ω Z over the free cells, (penalty rows, free) sparse."""
         rows = self._of_free(self.model.penalty_jacobian)
         return with_entries(rows, rows.data * np.sqrt(self.model.penalty_curvature)[rows.indices])
 
@@ -137,9 +154,10 @@ class DenseErrors:
 
     @cached_property
     def inverse(self) -> Array:
-        """A⁻¹ (free, free). Raises numpy.linalg.LinAlgError where A is not positive definite."""
+        """A⁻¹, (free, free). Raises numpy.linalg.LinAlgError if A is not positive definite."""
         if not len(self.model.free):
             return np.zeros((0, 0))
+        # A = Jᵀ Ω J + Zᵀ Ω Z + ε s²; dsyrk fills the upper triangle.
         matrix = blas.dsyrk(1.0, (self.jacobian * np.sqrt(self.model.data_curvature)[:, None]).T)
         if len(self.model.penalty_term):
             matrix += self._sparse_penalties.T @ self._penalties
@@ -148,17 +166,17 @@ class DenseErrors:
 
     @cached_property
     def _gain(self) -> Array:
-        """K (free, data rows)."""
+        """Gain K = A⁻¹ Jᵀ Ω, (free, data rows)."""
         return self.inverse @ (self.jacobian.T * self.model.data_curvature)
 
     @cached_property
     def _pulls(self) -> Array:
-        """A⁻¹ Zᵀ √Ω (free, penalty rows)."""
+        """A⁻¹ Zᵀ √Ω, (free, penalty rows)."""
         return np.asarray((self._sparse_penalties @ self.inverse).T)
 
     @cached_property
     def _held(self) -> Array:
-        """A⁻¹ Zᵀ H (free, rows where H is not zero)."""
+        """A⁻¹ Zᵀ H, (free, penalty rows where H is not zero)."""
         beyond = np.flatnonzero(self.model.steady_pull)
         if not len(beyond):
             return np.zeros((len(self.inverse), 0))
@@ -167,34 +185,43 @@ class DenseErrors:
 
     @cached_property
     def _reweighted(self) -> Array:
-        """A⁻¹ σ λ Zᵀ ½ρ' (free, n): what one standard deviation of log λ does to log r."""
+        """A⁻¹ W = A⁻¹ σ λ Zᵀ ½ρ', (free, n): the change of log r for one standard deviation of log λ."""
         return self.inverse @ self.model.weight_pulls[self.model.free]
 
     def determined(self, term: int) -> float:
-        """γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t), B_t = Z_tᵀ Ω Z_t, B their sum; B⁺ B_t has B_t's rank where that is alone."""
+        """Return the number of residuals of a term (number) that the data determine.
+
+        γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t), B_t = Z_tᵀ Ω Z_t, B the sum over terms. For a single term tr(B⁺ B_t) is the rank
+        of B_t.
+        """
         return self._determined[term]
 
     @cached_property
     def _determined(self) -> dict[int, float]:
         model, rows = self.model, self._penalties
+        # tr(A⁻¹ B_t) = Σ over the rows of term t of diag(√Ω Z A⁻¹ Zᵀ √Ω)
         used = (rows * self._pulls.T).sum(axis=1)
         numbers = [int(number) for number in np.unique(model.penalty_term)]
         if len(numbers) == 1:
             known = min(rank(model.at.cost.unweighted), len(self.inverse))
             return {numbers[0]: float(known - used.sum())}
+        # diag(√Ω Z B⁺ Zᵀ √Ω), whose sum over the rows of term t is tr(B⁺ B_t)
         alone = np.einsum("ij,jk,ik->i", rows, np.linalg.pinv(rows.T @ rows, hermitian=True), rows, optimize=True)
         return {number: float((alone - used)[model.penalty_term == number].sum()) for number in numbers}
 
     @cached_property
     def _carried(self) -> list[tuple[int, Array]]:
-        """−A⁻¹ M (free, cells): what errors of the previous frame (0) and of the baseline (1) do to this one."""
+        """Pairs of a number and −A⁻¹ M, (free, cells): effect of errors of the previous frame (0), the baseline (1)."""
         size = np.sqrt(self.model.penalty_curvature)[:, None]
         known = enumerate((self.model.previous_jacobian, self.model.baseline_jacobian))
         return [(which, np.asarray(-self._pulls @ (rows.toarray() * size))) for which, rows in known if rows.nnz]
 
     @cached_property
     def _parts(self) -> list[tuple[Array, Array]]:
-        """(rows, variances) of which S is the sum over rows · variances · rowsᵀ, without the previous frame's."""
+        """Pairs (X, variances) with S = Σ X diag(variances) Xᵀ, without the errors of previous frames.
+
+        Every X is (free, n), with n variances.
+        """
         model = self.model
         parts = [(self._gain, model.noise**2), (self.inverse, model.scale**2 * model.ignorance)]
         if len(model.penalty_term):
@@ -206,16 +233,17 @@ class DenseErrors:
 
     @cached_property
     def variance(self) -> Array:
-        """The diagonal of S over the free cells."""
+        """Diagonal of S, (free,)."""
         variance = sum(rows**2 @ size for rows, size in self._parts)
         if self.before is not None:
+            # + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ, block by block of S₀
             for (row, first), (column, second) in product(self._carried, repeat=2):
                 variance += np.sum((first @ self.before.both()[row][column]) * second, axis=1)
         return np.asarray(variance)
 
     @cached_property
     def covariance(self) -> Array:
-        """S over all cells (frames · cells)²; zero for those that are not free."""
+        """S over all cells, (frames · cells, frames · cells); zero for cells that are not free."""
         covariance = sum((rows * size) @ rows.T for rows, size in self._parts)
         if self.before is not None:
             for (row, first), (column, second) in product(self._carried, repeat=2):
@@ -225,7 +253,10 @@ class DenseErrors:
         return whole
 
     def memory(self) -> Memory:
-        """Return what the next frame must know of the last one here; of two frames the first is the baseline."""
+        """Return the errors of the last frame and of the baseline for the next frame.
+
+        Of two frames that are solved together the first is the baseline.
+        """
         size = self.model.at.cell_resistance[0].size
         if len(self.model.at.cell_resistance) == 2:
             whole = self.covariance
@@ -239,29 +270,31 @@ class DenseErrors:
 
     @cached_property
     def resolution(self) -> Array:
-        """The diagonal of the averaging kernel."""
+        """Diagonal of the averaging kernel K J, (free,)."""
         return np.asarray(np.einsum("ij,ji->i", self._gain, self.jacobian))
 
     @cached_property
     def certainty(self) -> Certainty:
-        """The certainty without errors that all frames share."""
+        """Certainty of the estimate without errors that all frames share."""
         shares = self.resolution, self.data_share
         return Certainty.of(self.model, (self.variance, self.shared_variance), shares, self.released)
 
     @cached_property
     def widening(self) -> Array:
-        """C − B of the penalty rows."""
+        """Variance factor C − B of the penalty rows, (penalty rows,)."""
         model = self.model
         squares, widened = model.penalty_squares, least_widening(model)
         for number in np.unique(model.penalty_term):
             own = model.penalty_term == number
+            # Σ ω x̂²/(s² γ) over the rows of one term
             widened[own] = np.maximum(widened[own], squares[own].sum() / max(self.determined(int(number)), 1.0))
         return np.asarray(widened - model.known_share(None if self.before is None else self.before.variance()))
 
     def reading_deviation(self) -> Array:
-        """√diag(F S Fᵀ) of the readings f(r̂), F = ∂f/∂u, (frames, rows, columns): what the cells' errors do to them.
+        """Return the standard deviation √diag(F S Fᵀ) of the modelled readings f(r̂), (frames, rows, columns).
 
-        S without what the baseline's error adds. Of readings that count, s² F A⁻¹ Fᵀ stands for it.
+        F = ∂f/∂u, and S excludes the errors of earlier frames. For measured readings S is approximated by s² A⁻¹; only
+        for missing ones it is computed.
         """
         model = self.model
         slopes = self._of_free(block_diagonal([network.sensitivity() for network in model.at.networks]))
@@ -273,7 +306,7 @@ class DenseErrors:
 
     @property
     def shared_variance(self) -> Array:
-        """The part of the variance by which chances of a frame move all its cells alike."""
+        """Part of the variance due to shared random errors V that moves all cells of a frame alike, (free,)."""
         size, free = self.model.at.cell_resistance[0].size, self.model.free
         common = np.zeros(len(free))
         if self.drawn is None:
@@ -284,8 +317,17 @@ class DenseErrors:
         return np.asarray(np.minimum(common, self.variance))
 
     def answer(self, rows: Array, last: Array, baseline: Array) -> Array:
-        """Return the effect on log r of errors of the data, (rows, n), that earlier estimates share, (cells, n)."""
+        """Return the effect on log r, (free, n), of errors that the data share with earlier estimates.
+
+        Parameters
+        ----------
+        rows : array, shape (data rows, n)
+            Errors of the data.
+        last, baseline : array, shape (cells, n)
+            Effect of the same errors on log r of the last estimate and of the baseline.
+        """
         model = self.model
+        # K x − A⁻¹ Zᵀ Ω Z₀ a, a the effect on the earlier estimates
         known = model.previous_jacobian @ last + model.baseline_jacobian @ baseline
         if not known.any():
             return self.gained(rows)
@@ -294,14 +336,15 @@ class DenseErrors:
 
     @cached_property
     def data_share(self) -> Array:
-        """The row sums of the averaging kernel."""
+        """Row sums of the averaging kernel K J, (free,)."""
         everywhere = np.zeros((self.model.at.cell_resistance.size, 1))
         everywhere[self.model.free] = 1.0
         return self.gained(self.forward(everywhere), fine=True)[:, 0]
 
     def released(self, cells: NDArray[np.intp]) -> Array:
-        """Variance of cells (numbers) that stand at a bound if each alone were free among the free ones."""
+        """Return the variance of log r of cells (numbers) at a bound, each released alone among the free cells."""
         model, own = self.model, (cells, np.arange(len(cells)))
+        # Schur complement of each released cell c: A_cc − A_cf A_ff⁻¹ A_fc, with A = Jᵀ Ω J + Zᵀ Ω Z
         unit = np.zeros((model.at.cell_resistance.size, len(cells)))
         unit[own] = 1.0
         penalised = model.penalty_curvature[:, None] * (model.penalty_jacobian @ unit)
@@ -314,34 +357,56 @@ class DenseErrors:
 def active_bounds(
     errors: DenseErrors, rows: Array, last: Array, baseline: Array
 ) -> tuple[Array, NDArray[np.intp], Array, Array]:
-    """Return (what shared errors z do to log r of the free cells (free, n), the cells at a bound, how far these reach).
+    """Return the effect of shared errors z on the free cells, and intervals of the cells at a bound.
 
-    A cell c at a bound stands alone, t_c ~ N(−slope·v, v + |a|²) cut off at t_c ≥ 0, v its variance among the free
-    cells, a what z does to it; where |a| > slope·v it moves with the free cells. An open cell's t is its conductance,
-    in units of a typical cell's. The reach is that of their intervals into the inside, below and above, in log r.
-    rows, last, baseline : z's columns in the data (rows, n), and in earlier estimates (cells, n). Raises LinAlgError if
-    flat.
+    The distance t_c of a cell from its bound is distributed as N(−slope·v, v + |a|²) truncated to t_c ≥ 0, with v its
+    variance among the free cells and a the effect of z on it. If |a| > slope·v, the cell is released and moves with
+    the free cells. For an open cell t_c is the conductance, in units of a typical cell's.
+
+    Parameters
+    ----------
+    errors : DenseErrors
+    rows : array, shape (data rows, n)
+        Effect of z on the data.
+    last, baseline : array, shape (cells, n)
+        Effect of z on log r of the last estimate and of the baseline.
+
+    Returns
+    -------
+    answer : array, shape (free, n)
+        Effect of z on log r of the free cells.
+    cells : array of int, shape (k,)
+        Numbers of the cells at a bound.
+    below, above : array, shape (k,)
+        Extent of their 95 % intervals downwards and upwards, in log r.
+
+    Raises numpy.linalg.LinAlgError if the cost is flat.
     """
     model = errors.model
     free, cells = model.free, np.flatnonzero(model.at_lower | model.at_upper)
+    # Unknowns: u of cells inside and at a lower bound; conductance over that of a typical cell at an upper bound.
     typical = np.exp(np.log(model.at.cell_resistance).ravel()[free].mean()) if len(free) else 1.0
     stretch = np.where(model.at_upper, np.maximum(model.at.cell_resistance.ravel() / typical, 1.0), 1.0)
+    # Whitened rows: A = Xᵀ X with X = (√Ω J; √Ω Z), and their change Y with z; the effect of z is (Xᵀ X)⁻¹ Xᵀ Y.
     data, penalties = np.sqrt(model.data_curvature)[:, None], np.sqrt(model.penalty_curvature)[:, None]
     stacked = np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties]) * stretch
     carried = model.previous_jacobian @ last + model.baseline_jacobian @ baseline
-    moved = np.vstack([rows * data, -carried * penalties])  # √Ω of what z moves of data and penalties
+    moved = np.vstack([rows * data, -carried * penalties])
+    # Each cell at a bound alone: Schur complement, variance v, slope of −log density, and effect a of z.
     own, others = stacked[:, cells], stacked[:, free]
     across = errors.inverse @ (others.T @ own)
     left = np.maximum(np.sum(own**2, axis=0) - np.sum((others.T @ own) * across, axis=0), IGNORANCE * model.scale)
     variance = model.scale / left
     slope = np.abs(model.gradient[cells]) * stretch[cells] / (2 * model.scale)
     answer = ((own - others @ across).T @ moved) / left[:, None]
+    # Cells whose bound z overcomes: solve again with the free ones.
     released = np.sqrt(np.sum(answer**2, axis=1)) > slope * variance
     together = np.concatenate([free, cells[released]])
     matrix = stacked[:, together].T @ stacked[:, together]
     matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
     joint = positive_inverse(matrix) @ (stacked[:, together].T @ moved)
     answer[released] = joint[len(free) :]
+    # 95 % quantile of the truncated normal distribution, converted to log r for open cells.
     wide = variance + np.sum(answer**2, axis=1)
     reach = one_sided(slope * variance / wide, wide)[1]
     below = np.where(model.at_upper[cells], np.log1p(stretch[cells] * reach), 0.0)
@@ -349,12 +414,12 @@ def active_bounds(
 
 
 def positive_inverse(matrix: Array) -> Array:
-    """A⁻¹ from the upper triangle of A. Raises numpy.linalg.LinAlgError where A is not positive definite."""
+    """Return A⁻¹ from the upper triangle of A. Raises numpy.linalg.LinAlgError if A is not positive definite."""
     return inverse_and_volume(matrix)[0] if matrix.size else matrix
 
 
 def inverse_and_volume(matrix: Array) -> tuple[Array, float]:
-    """(A⁻¹, log det A⁻¹) from the upper triangle of A. Raises as `positive_inverse`."""
+    """Return (A⁻¹, log det A⁻¹) from the upper triangle of A. Raises as `positive_inverse`."""
     factor, failed = lapack.dpotrf(matrix)
     inverse, broken = lapack.dpotri(factor)
     if failed or broken or not np.all(np.isfinite(inverse)):
@@ -366,9 +431,9 @@ def inverse_and_volume(matrix: Array) -> tuple[Array, float]:
 
 @lru_cache(maxsize=64)
 def rank(cost: Cost) -> int:
-    """Return the rank of all penalties' Jacobian at cells like any others, whatever bounds take away.
+    """Return the rank of the Jacobian of all penalties at random cells, without regard to bounds.
 
-    Of large panels the full rank, which those of penalties nearly have.
+    For large panels full rank is returned, which penalties nearly have.
     """
     function = residuals(cost).penalties.by_cells
     if function.shape[1] > MAX_DENSE:

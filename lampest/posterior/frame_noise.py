@@ -1,6 +1,6 @@
-"""Errors that all readings of a frame, or of one of its scanned lines, have in common by chance, as columns V.
+"""Random errors that all readings of a frame, or of one of its scanned lines, share, as columns V.
 
-A frame's readings err by noise + V·z with z standard normal, drawn for each frame.
+The error of a frame's readings is noise + V·z with standard normal z, independent for each frame.
 """
 
 from dataclasses import dataclass
@@ -15,21 +15,21 @@ from lampest.panel.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class FrameNoise:
-    """Errors that the readings of a frame share by chance.
+    """Random errors that the readings of a frame share.
 
     Attributes
     ----------
     scene : Scene
-        With a readout, whose converter it acts on.
+        Scene with a readout, on whose converter the errors act.
     unloaded : int
-        Frames that the baseline is the mean of.
+        Number of frames of which the baseline is the mean.
     gain : float
-        Standard deviation of the factor of a frame's voltages, as a fraction.
+        Relative standard deviation of a frame's gain, a common factor of its voltages.
     common_ripple, line_ripple : array, shape (channels of a scanned line, n)
-        Volt, see `lampest.estimate.scatter`.
-    effect_errors : array or None
-        (2, n, rows, columns) what effects that are taken off leave, as fractions of the readings, one standard
-        deviation each: in the unloaded panel, and in frames.
+        Ripple common to all lines, and of each line alone, in volt; see `lampest.estimate.scatter`.
+    effect_errors : array, shape (2, n, rows, columns), or None
+        Remaining errors of corrected effects, one standard deviation each, as fractions of the readings: in the
+        unloaded panel, and in frames.
     """
 
     scene: Scene
@@ -40,7 +40,10 @@ class FrameNoise:
     effect_errors: Array | None = None
 
     def columns(self, measured: Array, *, baseline: bool) -> Array:
-        """V (frames · cells, n) of readings (frames, rows, columns); baseline : the first is the unloaded mean."""
+        """Return V, (frames · cells, n), for readings (frames, rows, columns).
+
+        `baseline` states whether the first frame is the mean of the unloaded ones, whose random errors are smaller.
+        """
         parts = [self._of_frame(frame) for frame in measured]
         if baseline:
             parts[0] = parts[0] / np.sqrt(self.unloaded)
@@ -55,10 +58,11 @@ class FrameNoise:
         return np.asarray(linalg.block_diag(*parts))
 
     def _of_frame(self, measured: Array) -> Array:
-        """V (cells, n) of one frame's readings (rows, columns): differences of the readout's own equations."""
+        """Return V, (cells, n), for one frame's readings (rows, columns), by central differences of the readout."""
         circuit = self.scene.circuit
         volt = circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
         changes = np.concatenate([self.gain * volt[None], self._patterns(measured.shape)])
+        # Changes stay within half of the distance to the ends of the converter's range.
         most = 0.5 * np.minimum(volt, circuit.full_scale_volt - volt)
         changes = np.clip(changes, -most, most)
         ends = [
@@ -67,7 +71,7 @@ class FrameNoise:
         return np.asarray((ends[0] - ends[1]).reshape(len(changes), -1).T / 2)
 
     def _patterns(self, shape: tuple[int, ...]) -> Array:
-        """(n, rows, columns) volt: those of all lines, then those of each line."""
+        """Return the patterns of ripple in volt, (n, rows, columns): common to all lines, then of each line alone."""
         lines, channels = shape[::-1] if self.scene.circuit.by_columns else shape
         common = np.repeat(self.common_ripple.T[:, None, :], lines, axis=1)
         own = np.zeros((lines, self.line_ripple.shape[1], lines, channels))

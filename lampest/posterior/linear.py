@@ -1,7 +1,7 @@
-"""The surroundings of an estimate as a linear model with Gaussian noise and Gaussian penalties, in u = log r.
+"""Linear model about an estimate with Gaussian noise and Gaussian penalties, in u = log r.
 
-Residuals are x ≈ x̂ + Z·p with curvature ω, data with noise τ, all others penalties: the cost is Σ ω x². With s² = mean
-ω τ² over the data, cost/s² stands for −2·log probability.
+Residuals are x ≈ x̂ + Z·p with curvature ω, p a change of u, and the cost is Σ ω x². Residuals of data have the noise τ;
+all others are penalties. With s² = mean ω τ² over the data, cost/s² is −2·log probability.
 """
 
 from collections.abc import Iterator
@@ -20,8 +20,8 @@ from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array
 from lampest.posterior.interval import LEVEL
 
-NEAR_BOUND = 1e-3  # in log r
-IGNORANCE = 1e-4  # precision of log r where neither data nor penalties say anything
+NEAR_BOUND = 1e-3  # of log r: distance from a bound within which a cell is at it
+IGNORANCE = 1e-4  # prior precision of log r, which regularises cells without data and penalties
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,15 +31,16 @@ class LinearModel:
     Attributes
     ----------
     at : Evaluation
-        The estimate.
+        Evaluation at the estimate. All vectors below are flat, over (frames · cells) or over rows of residuals.
     dual : array
-        Of its absolute losses. All vectors are flat over (frames · cells) or over rows.
+        Duals of its absolute losses.
     own_error : array or float
-        Standard deviation of what each reading is off by in all frames, as `Data.measured`, or 0.
+        Standard deviation of the error of each reading that is the same in all frames, shape of `Data.measured`, or 0.
     deviation : array or None
-        Standard deviation of the readings, the same shape; None: that of the data, σ.
+        Standard deviation of the readings, shape of `Data.measured`; None for σ of the data.
     weight_sigma : tuple of float
-        Of every term the standard deviation of log λ where the data chose its weight, else NaN; (): none was chosen.
+        For every term, the standard deviation of log λ if the data chose its weight, otherwise NaN; () if no weight was
+        chosen.
     """
 
     at: Evaluation
@@ -50,41 +51,42 @@ class LinearModel:
 
     @cached_property
     def gradient(self) -> Array:
-        """∂φ/∂u."""
+        """Gradient ∂φ/∂u, (cells,)."""
         return self.at.log_gradient(self.dual).ravel()
 
     @cached_property
     def at_lower(self) -> NDArray[np.bool_]:
-        """Cells that press against their lower bound."""
+        """Whether a cell is held at its lower bound by the gradient, boolean (cells,)."""
         near = self._position - self._log_bounds[0] <= NEAR_BOUND
         return near & (self.gradient > 0) & ~self.fixed if near.any() else near
 
     @cached_property
     def at_upper(self) -> NDArray[np.bool_]:
-        """Cells that press against their upper bound."""
+        """Whether a cell is held at its upper bound by the gradient, boolean (cells,)."""
         near = self._log_bounds[1] - self._position <= NEAR_BOUND
         return near & (self.gradient < 0) & ~self.fixed if near.any() else near
 
     @cached_property
     def fixed(self) -> NDArray[np.bool_]:
-        """Cells that bounds leave no choice."""
+        """Whether the bounds of a cell coincide, boolean (cells,)."""
         return (self.at.data.lower >= self.at.data.upper).ravel()
 
     @cached_property
     def free(self) -> NDArray[np.intp]:
-        """The numbers of all other cells."""
+        """Numbers of the cells that no bound holds."""
         return np.flatnonzero(~(self.at_lower | self.at_upper | self.fixed))
 
     @cached_property
     def ignorance(self) -> Array:
-        """(free) precision of log r without data or penalties; of unread cells 12/ln²(upper/lower)."""
+        """Prior precision ε of log r, (free,); 12/ln²(upper/lower) for cells that were not read."""
         lower, upper = (bound[self.free] for bound in self._log_bounds)
+        # Variance of a uniform distribution over the bounds: ln²(upper/lower)/12
         within = 12 / np.maximum(upper - lower, NEAR_BOUND) ** 2
         return np.asarray(np.where(self.unread, np.maximum(within, IGNORANCE), IGNORANCE))
 
     @cached_property
     def unread(self) -> NDArray[np.bool_]:
-        """(free) whether a cell's own reading says nothing."""
+        """Whether a cell's own reading is missing, boolean (free,)."""
         if not self.at.data.partial:
             return np.zeros(len(self.free), dtype=bool)
         seen = np.broadcast_to(self.at.data.given.seen, self.at.cell_resistance.shape).ravel()
@@ -105,12 +107,12 @@ class LinearModel:
 
     @cached_property
     def through(self) -> sparse.csc_array:
-        """∂x/∂y of the data."""
+        """Derivative ∂x/∂y of the data by the readings, sparse (data rows, cells)."""
         return self._residuals.data.jacobian("by_model", self.at)
 
     @cached_property
     def noise(self) -> Array:
-        """τ of the data."""
+        """Standard deviations τ of the data, (data rows,)."""
         return self._of_rows(self._deviation)
 
     @property
@@ -122,7 +124,7 @@ class LinearModel:
 
     @cached_property
     def data_curvature(self) -> Array:
-        """ω of the data; zero where a row is missing, and where it reads what only bounds the truth."""
+        """Curvature ω of the data, (data rows,); zero for rows of missing or one-sided readings."""
         side = self.at.data.given.side
         curvature: Array = self.at.weights[self._residuals.data.term] * (self.noise > 0)
         if side is not None and np.any(side):
@@ -133,12 +135,12 @@ class LinearModel:
 
     @cached_property
     def residual(self) -> Array:
-        """x̂ of the data."""
+        """Residuals x̂ of the data, (data rows,)."""
         return self._residuals.data.values(self.at)
 
     @cached_property
     def scale(self) -> float:
-        """s², with each reading's own error in τ."""
+        """Scale s² = mean ω τ² over the data with curvature; τ includes the error that is the same in all frames."""
         seen = self.data_curvature > 0
         off = np.hypot(self._deviation, self.own_error) if np.any(self.own_error) else None
         noise = self.noise if off is None else self._of_rows(off)
@@ -146,27 +148,31 @@ class LinearModel:
 
     @cached_property
     def penalty(self) -> Array:
-        """x̂ of the penalties."""
+        """Residuals x̂ of the penalties, (penalty rows,)."""
         return self._residuals.penalties.values(self.at)
 
     @property
     def penalty_squares(self) -> Array:
-        """ω x̂²/s² of the penalties."""
+        """Squares ω x̂²/s² of the penalties, (penalty rows,)."""
         return np.asarray(self.penalty_curvature * self.penalty**2 / self.scale)
 
     @cached_property
     def penalty_term(self) -> NDArray[np.intp]:
-        """The number of the term that every penalty row belongs to."""
+        """Number of the term of every penalty row."""
         return self._residuals.penalties.term
 
     @cached_property
     def penalty_curvature(self) -> Array:
-        """ω of the penalties."""
+        """Curvature ω of the penalties, (penalty rows,)."""
         return penalty_curvature_of(self, self.at.weights)
 
     @cached_property
     def weight_pulls(self) -> Array:
-        """σ λ Zᵀ ½ρ'(x̂) (cells, n) of the terms whose weights the data chose: how the slope varies with log λ."""
+        """W = σ λ Zᵀ ½ρ'(x̂), (cells, n), of the n terms whose weights the data chose.
+
+        A column is the change of half the gradient for one standard deviation σ of log λ. Without it, 95 % intervals
+        cover 81 to 83 % of the cells where the noise is as large as the prior (docs/studies/calibration.md).
+        """
         slopes = [np.zeros((0, len(self.penalty_term)))]
         for number, sigma in enumerate(self.weight_sigma):
             rows = self.penalty_term == number
@@ -178,7 +184,7 @@ class LinearModel:
 
     @cached_property
     def steady_pull(self) -> Array:
-        """H of the penalties: what pulls at the estimate beyond ω x̂, as half of ∂φ/∂x; see `Loss.steady_pull`."""
+        """H of the penalties, (penalty rows,): half the slope ∂φ/∂x beyond ω x̂; see `Loss.steady_pull`."""
         pull = np.zeros(len(self.penalty_term))
         for number, loss, rows in curved_rows(self.at.cost, self.penalty_term):
             pull[rows] = self.at.weights[number] * loss.steady_pull(self.penalty[rows])
@@ -186,23 +192,28 @@ class LinearModel:
 
     @cached_property
     def penalty_jacobian(self) -> sparse.csc_array:
-        """∂x/∂u of the penalties."""
+        """Z, the derivative ∂x/∂u of the penalties, sparse (penalty rows, cells)."""
         jacobian = self._residuals.penalties.jacobian("by_cells", self.at)
+        # ∂x/∂u = (∂x/∂r)·diag(r), entry by entry of the sparse columns
         cells = np.repeat(self.at.cell_resistance.ravel(), np.diff(jacobian.indptr))
         return with_entries(jacobian, jacobian.data * cells)
 
     @cached_property
     def previous_jacobian(self) -> sparse.csc_array:
-        """∂x/∂u₀ of the penalties, u₀ = log of the previous frame's cells."""
+        """Derivative ∂x/∂u₀ of the penalties, u₀ = log r of the previous frame, sparse (penalty rows, cells)."""
         return self._known_jacobian("by_previous", self.at.data.given.previous)
 
     @cached_property
     def baseline_jacobian(self) -> sparse.csc_array:
-        """The same for the baseline's cells."""
+        """Derivative ∂x/∂u₀ of the penalties, u₀ = log r of the baseline, sparse (penalty rows, cells)."""
         return self._known_jacobian("by_baseline", self.at.data.given.baseline)
 
     def known_share(self, variance: Array | None) -> Array:
-        """Return the previous frame's share of every penalty row's variance, where its term weighs that."""
+        """Return B, the previous frame's share of every penalty row's variance, (penalty rows,).
+
+        It is zero for terms that do not weigh the previous frame's error. `variance` is that of the previous frame's
+        log r, (cells,), or None.
+        """
         weighing = [number for number, term in enumerate(self.at.cost.terms) if term.weighs_previous]
         if variance is None or not weighing:
             return np.zeros(len(self.penalty_term))
@@ -217,7 +228,7 @@ class LinearModel:
 
 
 def penalty_curvature_of(model: LinearModel, weights: Array) -> Array:
-    """ω of the penalties for any weights."""
+    """Return the curvature ω of the penalties for given weights (terms,), (penalty rows,)."""
     curvature: Array = weights[model.penalty_term]
     for number, loss, rows in curved_rows(model.at.cost, model.penalty_term):
         curvature[rows] *= loss.penalty_curvature(model.penalty[rows], weights[number], model.scale)
@@ -225,16 +236,20 @@ def penalty_curvature_of(model: LinearModel, weights: Array) -> Array:
 
 
 def curved_rows(cost: Cost, term: NDArray[np.intp]) -> Iterator[tuple[int, Loss, NDArray[np.bool_]]]:
-    """Return number, loss and rows of `term` of all terms whose loss is not squared: there ω is not the weight."""
+    """Yield (number, loss, boolean rows) of every term whose loss is not squared, where ω is not the weight alone.
+
+    `term` contains the number of the term of every row.
+    """
     for number, part in enumerate(cost.terms):
         if not part.loss.squared and (rows := term == number).any():
             yield number, part.loss, rows
 
 
 def least_widening(model: LinearModel) -> Array:
-    """C of every penalty row, at least: the largest of 1 and ω x̂²/s²; see `lampest.posterior.dense`.
+    """Return the least widening C of every penalty row, max(1, ω x̂²/s²); see `lampest.posterior.dense`.
 
-    On a cell that was not read x̂ is no evidence: its rows are taken to deviate as much as 95 % of its term's others.
+    Residuals of a cell without a reading are no evidence: they are assumed as large as the 95 % quantile of the other
+    residuals of the term.
     """
     squares, cells = model.penalty_squares, np.zeros(model.at.cell_resistance.size)
     widened = np.maximum(1.0, squares)
@@ -251,5 +266,5 @@ def least_widening(model: LinearModel) -> Array:
 
 
 def _squares(rows: sparse.csc_array) -> sparse.csc_array:
-    """Element by element."""
+    """Return the squares of the entries of a sparse matrix."""
     return with_entries(rows, rows.data**2)

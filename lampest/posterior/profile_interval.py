@@ -1,8 +1,8 @@
-"""Profile intervals: where all cells go while one that no reading of its own sees goes to either end of its interval.
+"""Profile intervals: paths of all cells while a cell without a reading is moved to either end of its interval.
 
-Without a penalty a missing reading is what `stand_in` says, and the frame is solved again at both ends. With one, the
-valley of data and penalties is followed by continuation, δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c, Gauss and Newton's step with
-cell c going on by one step, A = Jᵀ Ω J + Zᵀ Ω Z, until φ has risen by 1.96² s² C.
+Without a penalty, `stand_in` replaces the missing reading, and the frame is solved again with both ends of its spread.
+With a penalty, the valley of data and penalties is followed by continuation, δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c: a Gauss–Newton
+step in which cell c moves by a given step, A = Jᵀ Ω J + Zᵀ Ω Z. The path ends where φ has risen by 1.96² s² C.
 Sources: Venzon & Moolgavkar, Applied Statistics 37, 1988 (profile intervals); Allgower & Georg, Introduction to
 Numerical Continuation Methods, 2003, chapter 2.
 """
@@ -21,7 +21,7 @@ from lampest.posterior.sampled import SampledErrors
 from lampest.posterior.track import errors_of
 from lampest.recording.readings import Readings, stand_in_spread
 
-MAX_MISSING = 3  # missing readings of a frame, of which each costs two solves or as much; tangents serve for others
+MAX_MISSING = 3  # missing readings with a profile; each costs about two solves, others are approximated by tangents
 Ends = Iterator[tuple[Array, Array, Array]]  # (tangent, lower end, upper end), each (frames · cells) of log r
 
 
@@ -32,17 +32,18 @@ class ProfileInterval:
     Attributes
     ----------
     errors : DenseErrors
-        Of the estimate, at which the cell is one of the free ones.
+        Errors of the estimate, in which the cell is a free one.
     cell : int
-        Its number.
+        Number of the cell.
     steps : int
-        Of the tangent's length: the path ends within a tenth of an optimum with the cell held.
+        Steps along the length of the tangent. With these, the path ends within a tenth of an optimum with the cell
+        held.
     max_step : float
-        Of log r, that of one step.
+        Largest step of the cell's log r.
     max_tangents : float
-        Length of the path: a penalty in ohm rises slowly towards a short.
+        Maximum length of the path in lengths of the tangent: a penalty in ohm rises slowly towards a short.
     max_steps : int
-        Reach a factor of 20,000: where nothing decides the cell, its tangent has no end.
+        Maximum number of steps, which reach a factor of 20,000: the tangent of an undetermined cell has no end.
     """
 
     errors: DenseErrors
@@ -54,37 +55,42 @@ class ProfileInterval:
 
     @property
     def _place(self) -> int:
+        """Position of the cell among the free cells."""
         return int(np.searchsorted(self.errors.model.free, self.cell))
 
     @property
     def tangent(self) -> Array:
-        """(frames · cells) of log r, to the end of the cell's interval."""
+        """Change of log r of all cells, in linear approximation, if the cell moves to its upper end, (cells,)."""
+        # A⁻¹ e_c/(A⁻¹)_cc·1.96·σ_c
         column, change = self.errors.inverse[:, self._place], np.zeros(self.errors.model.at.cell_resistance.size)
         far = TWO_SIDED * np.sqrt(self.errors.variance[self._place])
         change[self.errors.model.free] = column / column[self._place] * far
         return change
 
     def end(self, side: int) -> Array:
-        """(frames · cells) where log r goes at the lower (−1) or upper (1) end."""
+        """Return the change of log r of all cells at the lower (side −1) or the upper (1) end, (cells,)."""
         model, place = self.errors.model, self._place
+        # Rise of φ at the end: 1.96² s² C = 1.96² S_cc/(A⁻¹)_cc
         most = TWO_SIDED**2 * self.errors.variance[place] / self.errors.inverse[place, place]
         far = self.tangent[self.cell]
         step, risen, before = side * min(far / self.steps, self.max_step), 0.0, 0.0
         ended = model.at.position
         for position, force in self._path(step, round(min(self.max_tangents * far / abs(step), self.max_steps))):
+            # Rise of φ along the path by the trapezoidal rule, with the force λ = ½ dφ/du_c.
             ended, risen, before = position, risen + step * (before + force), force
             if risen >= most:
                 break
         return np.asarray((ended - model.at.position).ravel())
 
     def _path(self, step: float, most: int) -> Iterator[tuple[Array, float]]:
-        """(log r (frames, rows, columns), λ) one step after the other; until a bound holds the cell."""
+        """Yield (log r (frames, rows, columns), λ) after each of at most `most` steps, until a bound holds the cell."""
         errors = self.errors
         for _ in range(most):
             model = errors.model
             if self.cell not in model.free:
                 return
             place = int(np.searchsorted(model.free, self.cell))
+            # δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c with λ such that δ_c = step
             newton, column = -errors.inverse @ model.gradient[model.free] / 2, errors.inverse[:, place]
             force = (step - newton[place]) / column[place]
             change = np.zeros(model.at.position.size)
@@ -99,16 +105,18 @@ class ProfileInterval:
 def beyond_tangents(
     model: LinearModel, readings: Readings, missing: NDArray[np.bool_], moved: Callable[[Readings], Array] | None
 ) -> tuple[Array, Array]:
-    """Return what to add to the squares of how far intervals of log r reach down and up, (rows, columns) each.
+    """Return the increase of the squared extents of intervals below and above by profiles, (rows, columns) each.
 
     Parameters
     ----------
+    model : LinearModel
+        Linear model about the estimate.
     readings : Readings
-        (rows, columns) what the estimate was solved from.
-    missing : boolean array
-        Which of them.
+        Readings of the frame, (rows, columns).
+    missing : boolean array, shape (rows, columns)
+        Whether a reading is missing.
     moved : callable or None
-        Readings → log r (rows, columns) that follow, NaN where no solve ends; None: penalties decide.
+        Readings → change of log r (rows, columns), NaN if the solve fails. None if a penalty determines the cells.
     """
     errors, shape = errors_of(model, None), readings.value.shape
     places = np.argwhere(missing)[:MAX_MISSING]
@@ -120,14 +128,14 @@ def beyond_tangents(
     for ends in profiles:
         tangent, low, high = (change.ravel()[-readings.value.size :].reshape(shape) for change in ends)
         straight += tangent**2
-        # An end that no solve reached is NaN and leads nowhere.
+        # Ends of failed solves are NaN, which fmax ignores.
         below += np.fmax(np.fmax(-low, -high), 0.0) ** 2
         above += np.fmax(np.fmax(low, high), 0.0) ** 2
     return np.maximum(below - straight, 0.0), np.maximum(above - straight, 0.0)
 
 
 def _profiled(errors: DenseErrors, cells: NDArray[np.intp]) -> Ends:
-    """Return the ends of cells that were not read; none that stand at a bound, or of large panels."""
+    """Yield the profile ends of unread cells (numbers), except cells at a bound and those of large panels."""
     for cell in cells[np.isin(cells, errors.model.free)] if not isinstance(errors, SampledErrors) else ():
         profile = ProfileInterval(errors, int(cell))
         yield profile.tangent, profile.end(-1), profile.end(1)
@@ -136,7 +144,7 @@ def _profiled(errors: DenseErrors, cells: NDArray[np.intp]) -> Ends:
 def _stood_in(
     errors: DenseErrors, readings: Readings, places: NDArray[np.intp], moved: Callable[[Readings], Array]
 ) -> Ends:
-    """Return the ends with what stands in for readings at the ends of its spread."""
+    """Yield the ends by solving again with each missing reading's substitute at both ends of its spread."""
     spread, model = stand_in_spread(readings.value, readings.plain), errors.model
     for row, column in places:
         unit = np.zeros(readings.value.shape)

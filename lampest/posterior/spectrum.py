@@ -1,9 +1,9 @@
-"""Weight of one penalty in a linear model, solved for all weights λ at once.
+"""Choice of one penalty's weight in a linear model, by a generalised eigendecomposition that serves all weights λ.
 
-With the data's curvature A = Jᵀ Ω J + Σ λ_o Z_oᵀ Z_o over the other penalties o, A = R Rᵀ and
-R⁻¹ Zᵀ Z R⁻ᵀ = Q diag(κ) Qᵀ the change of the estimate is p = T q with T = R⁻ᵀ Q and q(λ) = −f·(b + λ d),
-f = 1/(1 + λ κ), where b and d are the slopes of everything else and of the penalty. All that a rule needs, determinants
-and traces too, is a sum over κ.
+The data and the other penalties o have the curvature A = Jᵀ Ω J + Σ λ_o Z_oᵀ Z_o. With A = R Rᵀ and
+R⁻¹ Zᵀ Z R⁻ᵀ = Q diag(κ) Qᵀ, the change of the estimate is p = T q with T = R⁻ᵀ Q and q(λ) = −f·(b + λ d),
+f = 1/(1 + λ κ), where b and d are the slopes of everything else and of the penalty. The functions that a rule
+minimises, including determinants and traces, are sums over κ.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,34 +22,36 @@ from lampest.posterior.linear import IGNORANCE, LinearModel
 Rule = Literal["risk", "evidence"]
 GRID = 80  # points in log λ, between which the minimum is refined
 PRECISION = 0.005  # of log λ
-# Factors beyond the stiffest and softest direction; share of the stiffest that counts.
+# Factor of the range of λ beyond the stiffest and the softest direction; share of the largest κ below which κ is zero.
 EXTENT_FACTOR, NEGLIGIBLE = 1e4, 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """A linear model at all weights of one of its penalties.
+    """Linear model for all weights of one of its penalties.
 
     Attributes
     ----------
-    stiffness : array
+    stiffness : array, shape (unknowns,)
         κ, ascending.
-    data_slope, pull, penalty_slope : arrays
-        Slopes in the basis T of the misfit, of the other penalties, and of this one at λ = 1.
+    data_slope, pull, penalty_slope : array, shape (unknowns,)
+        Slopes in the basis T: of the misfit, of the other penalties, and d of this one at λ = 1.
     directions : array, shape (data rows, unknowns)
         √Ω J T.
-    residual : array
+    residual : array, shape (data rows,)
         √Ω x̂ of the data.
     penalty : float
         Σ x̂² of the penalty.
     scale : float
         s², the mean of ω τ².
     rank : int
-        Of the penalty.
+        Rank of the penalty's Jacobian.
     volume : float
         log det(A/s²).
-    gram, spread, doubt : arrays
-        Tᵀ T; and times it, element by element, cov(q) at λ = 0 and the covariance of T⁻¹ u.
+    gram : array, shape (unknowns, unknowns)
+        Tᵀ T.
+    spread, doubt : array, shape (unknowns, unknowns)
+        Elementwise products of Tᵀ T with cov(q) at λ = 0, and with the covariance of T⁻¹ u.
     """
 
     stiffness: Array
@@ -70,27 +72,29 @@ class Spectrum:
     def of(cls, model: LinearModel, number: int | None = None, covariance: Array | None = None) -> "Spectrum":
         """Return the spectrum of one penalty of a model.
 
-        A loss that is not squared is replaced by reweighted least squares: a residual x̂ weighs ½ρ'(x)/x at x = x̂. Under
+        A loss that is not squared is replaced by reweighted least squares with the weight ½ρ'(x)/x at x = x̂. Under
         an absolute loss x² = x̂² + v, v the mean variance of residuals without a penalty.
 
         Parameters
         ----------
         model : LinearModel
         number : int, optional
-            Of the penalty's term; not needed where there is one penalty.
+            Number of the penalty's term; not needed for a single penalty.
         covariance : array, shape (frames · cells, frames · cells), optional
-            Of log r at the point of linearisation; none where that is exact.
+            Covariance of log r at the point of linearisation; None if that is exact.
 
-        Raises LinAlgError where data and other penalties leave the cost flat.
+        Raises numpy.linalg.LinAlgError if the cost without this penalty is flat.
         """
         number = model.penalty_term[0] if number is None else number
         size, own = np.sqrt(model.data_curvature), model.penalty_term == number
+        # A = R Rᵀ of the data, the other penalties and the prior precision
         jacobian = DenseErrors(model).jacobian * size[:, None]
         rows = model.penalty_jacobian.toarray()[:, model.free]
         others = model.penalty_curvature[~own]
         matrix = jacobian.T @ jacobian + (rows[~own].T * others) @ rows[~own]
         matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
         factor, _ = cho_factor(matrix, lower=True)
+        # R⁻¹ Zᵀ, with rows of Z weighted by √(½ρ'(x)/x)
         loss, far = model.at.cost.terms[number].loss, model.penalty[own]
         penalties = solve_triangular(factor, rows[own].T, lower=True)
         if loss.enters == "dual":
@@ -98,10 +102,12 @@ class Spectrum:
             far = np.sqrt(far**2 + np.sum((noisy.T @ penalties) ** 2) / len(far))
         weight = np.sqrt(loss.stiffness(far))
         penalty, penalties = weight * model.penalty[own], weight * penalties
+        # R⁻¹ Zᵀ Z R⁻ᵀ = Q diag(κ) Qᵀ, T = R⁻ᵀ Q
         stiffness, vectors = eigh(penalties @ penalties.T)
         basis = solve_triangular(factor, vectors, lower=True, trans="T")
         directions, residual = jacobian @ basis, size * model.residual
         gram, noise = basis.T @ basis, directions * (size * model.noise)[:, None]
+        # Covariance of T⁻¹ u = Qᵀ Rᵀ u, for the rule "risk"
         known, back = np.zeros_like(gram), vectors.T @ np.tril(factor).T
         if covariance is not None and loss.enters != "dual":  # absolute losses hold cells where the reference cannot
             known = back @ covariance[np.ix_(model.free, model.free)] @ back.T
@@ -122,31 +128,35 @@ class Spectrum:
         )
 
     def change(self, weight: float) -> Array:
-        """q, from the point of linearisation to the minimum for a weight."""
+        """Return q(λ), the change from the point of linearisation to the minimum, (unknowns,)."""
         slope = self.data_slope + self.pull + weight * self.penalty_slope
         return np.asarray(-slope / (1 + weight * self.stiffness))
 
     def misfit(self, weight: float) -> float:
-        """ρ = Σ ω x² over the data."""
+        """Return the misfit ρ = Σ ω x² of the data at the minimum for λ."""
         residual = self.residual + self.directions @ self.change(weight)
         return float(residual @ residual)
 
     def penalised(self, weight: float) -> float:
-        """η = Σ x² over the penalty."""
+        """Return η = Σ x² of the penalty at the minimum for λ."""
         change = self.change(weight)
         return max(self.penalty + float(change @ (2 * self.penalty_slope + self.stiffness * change)), 0.0)
 
     def evidence(self, weight: float) -> float:
-        """(ρ + λη)/s² + log det((A + λ ZᵀZ)/s²) − rank·log(λ/s²): −2 log of the evidence for λ, up to a constant."""
+        """Return −2 log of the evidence for λ, up to a constant.
+
+        (ρ + λη)/s² + log det((A + λ ZᵀZ)/s²) − rank·log(λ/s²)
+        """
         fit = (self.misfit(weight) + weight * self.penalised(weight)) / self.scale
+        # log det((A + λ ZᵀZ)/s²) = log det(A/s²) + Σ log(1 + λ κ)
         volume = self.volume + float(np.sum(np.log1p(weight * self.stiffness)))
         return fit + volume - self.rank * float(np.log(weight / self.scale))
 
     def risk(self, weight: float) -> float:
-        """Return E Σ (log r̂ − log r)² if the truth lies about the point of linearisation.
+        """Return the expected squared error E Σ (log r̂ − log r)² for a truth near the point of linearisation.
 
-        ‖T f (b_o + λ d)‖² + tr cov(T f q₀) + tr cov(T (1 − f) T⁻¹ u): the bias of the penalties, the noise that they
-        leave, and the bias through the uncertainty of that point.
+        ‖T f (b_o + λ d)‖² + tr cov(T f q₀) + tr cov(T (1 − f) T⁻¹ u): the squared bias of the penalties, the variance
+        due to noise, and the bias due to the uncertainty of the point of linearisation.
         """
         remaining = 1 / (1 + weight * self.stiffness)
         pulled = np.where(self.determined, (self.pull + weight * self.penalty_slope) * remaining, 0.0)
@@ -154,26 +164,26 @@ class Spectrum:
         return float(pulled @ self.gram @ pulled + remaining @ self.spread @ remaining + lost @ self.doubt @ lost)
 
     def information(self, weight: float) -> float:
-        """½ Σ f²: Fisher's information on log λ in the data, without the directions that the penalty leaves free."""
+        """Return ½ Σ f², the Fisher information of the data on log λ, over the directions with a penalty."""
         penalised = self.stiffness > NEGLIGIBLE * self.stiffness.max()
         return float(0.5 * np.sum((1 / (1 + weight * self.stiffness[penalised & self.determined])) ** 2))
 
     @cached_property
     def determined(self) -> NDArray[np.bool_]:
-        """Directions to whose precision the data add more than `IGNORANCE` does; all, where there are none."""
+        """Directions to which data add more precision than IGNORANCE, boolean (unknowns,); all if there are none."""
         known = np.sum(self.directions**2, axis=0) > 0.5
         return np.asarray(known | ~known.any())
 
     @property
     def extent(self) -> tuple[float, float]:
-        """log of the smallest and of the largest λ that make a difference to what data determine."""
+        """Logarithms of the smallest and the largest λ that affect the directions that the data determine."""
         stiffness = self.stiffness[self.determined]
         effective = stiffness[stiffness > NEGLIGIBLE * stiffness.max()]
         return -float(np.log(EXTENT_FACTOR * effective.max())), float(np.log(EXTENT_FACTOR / effective.min()))
 
 
 def best_weight(spectra: Sequence[Spectrum], rule: Rule) -> float:
-    """Return the λ that minimises a rule's function, summed over estimates, among all λ that matter to any of them."""
+    """Return the λ that minimises the function of a rule, summed over spectra, within the range of their extents."""
     extents = [spectrum.extent for spectrum in spectra]
 
     def value(place: float) -> float:
@@ -181,6 +191,7 @@ def best_weight(spectra: Sequence[Spectrum], rule: Rule) -> float:
         return float(sum(getattr(spectrum, rule)(weight) for spectrum, weight in zip(spectra, places, strict=True)))
 
     lowest, highest = zip(*extents, strict=True)
+    # Global minimum on a grid of log λ, refined between its neighbours.
     grid = np.linspace(min(lowest), max(highest), GRID)
     least = int(np.argmin([value(place) for place in grid]))
     return float(np.exp(_golden_section(value, grid[max(least - 1, 0)], grid[min(least + 1, GRID - 1)])))

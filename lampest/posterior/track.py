@@ -1,4 +1,4 @@
-"""Error bars along a sequence: of every frame, and of its change against the baseline."""
+"""Error bars along a sequence of frames: of every frame, and of its change from the baseline."""
 
 from dataclasses import dataclass, replace
 
@@ -14,30 +14,38 @@ from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors, SampledMemory
 
-MIN_NOISE_SHARE = 1e-4  # of a deviation with each reading's own error: rounding of their difference
+MIN_NOISE_SHARE = 1e-4  # least noise relative to the deviation that includes own errors: rounding of the difference
 
 
 @dataclass(frozen=True, eq=False)
 class Change(LogInterval):
-    """Certainty of log r − log r_baseline. common : the part of the deviation that cells share; None: not known."""
+    """Certainty of log r − log r_baseline.
+
+    Attributes
+    ----------
+    common : array or None
+        Part of the standard deviation that all cells share; None if it is not known.
+    """
 
     common: Array | None = None
 
     @property
     def own(self) -> Array:
-        """√(deviation² − common²): each cell's own part; all of it where the common one is not known."""
+        """Each cell's own part of the standard deviation; all of it if the common part is not known."""
         return self.deviation if self.common is None else own_part(self.deviation, self.common)
 
     @classmethod
     def between(cls, frame: Certainty, baseline: Certainty, shared: Array, common: Array | None = None) -> "Change":
-        """√(a² + b² − 2·shared), ends apart.
+        """Return the certainty of the difference of two estimates, √(a² + b² − 2·shared) of deviations and of ends.
 
         Parameters
         ----------
-        shared : array
-            Covariance of the two errors, (rows, columns).
-        common : array or None
-            Covariance of what cells share of them; None: not known.
+        frame, baseline : Certainty
+            Certainty of log r, (rows, columns).
+        shared : array, shape (rows, columns)
+            Covariance of the two errors.
+        common : array, shape (rows, columns), or None
+            Covariance of their common parts; None if it is not known.
         """
 
         def joined(of_frame: Array, of_baseline: Array, shared: Array) -> Array:
@@ -45,6 +53,7 @@ class Change(LogInterval):
                 size: Array = np.sqrt(np.maximum(of_frame**2 + of_baseline**2 - 2 * shared, 0))
             return size
 
+        # The lower end of the difference combines the frame's lower with the baseline's upper end.
         ends = TWO_SIDED**2 * shared
         return cls(
             joined(frame.deviation, baseline.deviation, shared),
@@ -56,14 +65,16 @@ class Change(LogInterval):
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """One frame's error bars, all (rows, columns).
+    """Error bars of one frame, all arrays (rows, columns).
 
     Attributes
     ----------
+    frame : Certainty
+        Certainty of log r.
     change : Change or None
-        None where the baseline's are not known.
+        Certainty of the change from the baseline; None if that of the baseline is not known.
     reading : array or None
-        Standard deviation of the readings of the estimated cells, without their noise; None: not computed.
+        Standard deviation of the modelled readings, without noise; None if not computed.
     """
 
     frame: Certainty
@@ -71,31 +82,31 @@ class Bars:
     reading: Array | None = None
 
     def reaching_farther(self, below: Array, above: Array) -> "Bars":
-        """Return bars that reach farther, as `Certainty.reaching_farther`."""
+        """Return bars with extended intervals; see `LogInterval.reaching_farther`."""
         change = self.change and self.change.reaching_farther(below, above)
         return replace(self, frame=self.frame.reaching_farther(below, above), change=change)
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Errors of earlier frames that error bars of later ones need; None where there are none.
+    """State of the error bars along a sequence: the errors of earlier frames that those of later ones depend on.
 
     Attributes
     ----------
     shared : Shared or None
-        Errors that all readings have in common.
+        Systematic errors that the readings of all frames share.
     baseline : Certainty or None
-        Of the baseline.
-    deviation : array or None
-        Of log r of the last frame without shared errors, (rows, columns).
+        Certainty of the baseline.
+    deviation : array, shape (rows, columns), or None
+        Standard deviation of log r of the last frame without shared errors.
     memory : Memory or None
-        Of the last frame's error.
-    answers : tuple or None
-        What shared errors did to log r of the last frame and of the baseline, (cells, n) each.
+        Errors of the last frame and of the baseline.
+    answers : tuple of array, shape (cells, n), or None
+        Effect of shared errors on log r of the last frame, and on that of the baseline.
     noise : FrameNoise or None
-        What the readings of a frame have in common by chance.
-    beyond : tuple or None
-        Squares of how far intervals reach on top because of what the baseline left unread.
+        Random errors that the readings of one frame share.
+    beyond : tuple of array or None
+        Squares of the additional extents of intervals, below and above, due to readings that the baseline lacks.
     """
 
     shared: Shared | None = None
@@ -107,9 +118,9 @@ class Track:
     beyond: tuple[Array, Array] | None = None
 
     def resting(self, model: LinearModel, *, remembered: bool) -> "Track":
-        """Return the track after a baseline alone; remembered : whether later frames use it.
+        """Return the track after a baseline that is solved alone.
 
-        Raises LinAlgError if flat.
+        `remembered` states whether later frames compare with it. Raises numpy.linalg.LinAlgError if the cost is flat.
         """
         errors = self._errors(model, None, baseline=True)
         answer, certainty = self._answered(errors)
@@ -117,7 +128,10 @@ class Track:
         return Track(self.shared, certainty.of_frame(0), deviation, memory, (answer, answer), self.noise)
 
     def advanced(self, model: LinearModel) -> tuple["Track", Bars]:
-        """Return the track after a frame, or after the baseline and the first frame together. Raises as `resting`."""
+        """Return the track and the bars after a frame, or after baseline and first frame that are solved together.
+
+        Raises numpy.linalg.LinAlgError if the cost is flat.
+        """
         joint, size = len(model.at.cell_resistance) == 2, model.at.cell_resistance[0].size
         errors = self._errors(model, self.memory, baseline=joint)
         answer, certainty = self._answered(errors)
@@ -130,36 +144,47 @@ class Track:
     def after(
         self, frame: Certainty, deviation: Array, answer: Array, memory: Memory | None = None
     ) -> tuple["Track", Bars]:
-        """Return the track after a frame.
+        """Return the track and the bars after a frame.
 
-        frame, deviation : its errors with and without shared ones, `answer` in its log r.
+        Parameters
+        ----------
+        frame : Certainty
+            Certainty of log r with shared errors, (rows, columns).
+        deviation : array, shape (rows, columns)
+            Standard deviation of log r without shared errors.
+        answer : array, shape (cells, n)
+            Effect of the shared errors on log r.
+        memory : Memory or None
+            Errors of the frame and of the baseline, if later frames need them.
         """
         resting = answer if self.answers is None else self.answers[1]
         track = replace(self, deviation=deviation, memory=memory, answers=(answer, resting))
         if self.baseline is None:
             return track, Bars(frame, None)
         shape = frame.deviation.shape
+        # Common parts: cov(a, b) = (var a + var b − var(a − b))/2. Whole errors: Σ a·b plus the covariance in memory.
         common = (common_variance(answer) + common_variance(resting) - common_variance(answer - resting)) / 2
         together = np.sum(answer * resting, axis=1) + (0.0 if memory is None else memory.shared())
         change = Change.between(frame, self.baseline, together.reshape(shape), common.reshape(shape))
         return track, Bars(frame, change)
 
     def noise_alone(self, deviation: Array, measured: Array) -> Array:
-        """Return the readings' deviation without each one's own error, where it is part of it."""
+        """Return the readings' standard deviations without each reading's own systematic error, if they include it."""
         if self.shared is None or not self.shared.in_sigma:
             return deviation
+        # σ² without the systematic part, which enters through the shared errors
         noise = deviation**2 - self.shared.own_error(measured) ** 2
         return np.asarray(np.sqrt(np.maximum(noise, (MIN_NOISE_SHARE * deviation) ** 2)))
 
     def _errors(self, model: LinearModel, memory: Memory | None, *, baseline: bool) -> DenseErrors:
-        """Return the errors with V and each reading's own.
+        """Return the errors of an estimate, with V and with each reading's own systematic error.
 
-        baseline : whether the first frame is the unloaded ones' mean.
+        `baseline` states whether the first frame is the mean of the unloaded ones.
         """
         terms, measured, drawn = model.at.cost.terms, model.at.data.measured, None
         if self.shared is not None:
             model = replace(model, deviation=self.noise_alone(model.at.data.deviation, measured))
-            # Not where nothing is penalised, or frames that share that error are compared.
+            # Own errors matter for s² unless there is no penalty, or the penalties compare frames that share them.
             if not all(term.reads_measurement or term.needs_previous for term in terms):
                 model = replace(model, own_error=self.shared.own_error(measured))
         if self.noise is not None:
@@ -167,11 +192,12 @@ class Track:
         return errors_of(model, memory, drawn)
 
     def _answered(self, errors: DenseErrors) -> tuple[Array, Certainty]:
-        """Return the effect of shared errors on log r, (frames · cells, n), and the certainty with them."""
+        """Return the effect of shared errors on log r, (frames · cells, n), and the certainty including them."""
         model, own = errors.model, errors.certainty
         cells = model.at.cell_resistance
         if self.shared is None:
             return np.zeros((cells.size, 0)), own
+        # U of every frame, and its effect on log r; cells at bounds are treated one by one.
         pairs = zip(model.at.networks, model.at.data.measured, strict=True)
         columns = np.concatenate([self.shared.columns(*pair) for pair in pairs])
         last, baseline = self.answers or np.zeros((2, cells[0].size, columns.shape[1]))
@@ -182,7 +208,7 @@ class Track:
         else:
             answer[model.free] = errors.answer(rows, last, baseline)
         measured = model.at.data.measured.ravel()
-        read = model.at_lower & (model.at.data.lower.ravel() == measured)  # r ≥ R: such a bound is off as its reading
+        read = model.at_lower & (model.at.data.lower.ravel() == measured)  # r ≥ R: the bound has its reading's error
         answer[read] = columns[read] / measured[read, None]
         return answer, own.widened(answer)
 
@@ -192,10 +218,11 @@ def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = N
 
     Parameters
     ----------
+    model : LinearModel
     memory : Memory or None
-        That of the frame before, or None.
-    drawn : array or None
-        V.
+        Errors of the previous frame and of the baseline.
+    drawn : array, shape (data rows, n), or None
+        V, random errors that the readings of a frame share.
     """
     if isinstance(memory, SampledMemory) or model.at.cell_resistance.size > MAX_DENSE:
         return SampledErrors(model, memory if isinstance(memory, SampledMemory) else None, drawn)

@@ -1,1 +1,1 @@
-"""Recordings: their files, imports, boards and simulations, and the only way from these to readings."""
+"""Recordings: their files, imports, boards and simulations, and their conversion to readings of a network."""

@@ -1,6 +1,6 @@
-"""Datasets of a recording, and acquisition data of a board: clocks, numbers, gaps, events, checksums.
+"""Datasets of a recording, and acquisition data of a board: clocks, frame numbers, gaps, events, checksums.
 
-A recorder appends rows, and after them the checksum of each, until the file is closed.
+A recorder appends rows to the datasets and then the checksum of each row, until it closes the file.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,7 +22,7 @@ from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 
 PATH = "/entry/acquisition"
-COUNTER = 2**32  # where numbers and clocks of a board, millis() and micros() among them, begin again
+COUNTER = 2**32  # period of a board's counters and clocks, such as millis() and micros()
 # Fields of every frame: name, type, units, long name.
 FRAME_FIELDS = (
     ("host_time", "f8", "s", "host clock when the frame arrived, since 1970-01-01 UTC"),
@@ -37,16 +37,16 @@ FRAME_CHECKSUM, EVENT_CHECKSUM = "acquisition/crc32", "acquisition/event_crc32"
 EVENT_PATHS = ("acquisition/event_time", "acquisition/event_label")
 LABEL = "S16"  # type of an event's label
 Dataset = tuple[str, str, str, str]  # path below /entry, type while it grows, units, long name
-NO_SUM = np.iinfo(np.uint16).max  # marks a missing sum: 64 readings of 10 bits sum to at most 65,472
+NO_SUM = np.iinfo(np.uint16).max  # a missing sum; 64 readings of 10 bits sum to at most 65,472
 
 
 def group_of(circuit: Readout) -> str:
-    """Return the group of the recorded values: two-point resistances have one of their own."""
+    """Return the name of the group of the recorded values; that of two-point resistances differs."""
     return "two_point" if circuit.unit == "ohm" else "readings"
 
 
 def stored_fields(circuit: Readout) -> dict[str, Dataset]:
-    """Return field of a `Recording` → its dataset; the first of a group is its signal."""
+    """Return the datasets of the fields of a `Recording`, by field; the first one of a group is its signal."""
     group, unit, signal = group_of(circuit), circuit.unit, circuit.signal
     return {
         "recorded": (f"{group}/{signal}", "f8", unit, circuit.signal_name),
@@ -61,22 +61,22 @@ def stored_fields(circuit: Readout) -> dict[str, Dataset]:
 
 @dataclass(frozen=True, eq=False)
 class Acquisition(Validated):
-    """Origin of each frame of a recording from a board.
+    """Acquisition data of a recording from a board.
 
     Attributes
     ----------
     host_time : array, shape (frames,)
         Arrival of the frame in s since 1970-01-01 UTC.
     device_ms : array, shape (frames,)
-        Board's clock at the start of the scan in ms; starts again after a reset.
+        Board's clock at the start of the scan in ms; it restarts after a reset.
     sequence, missed, lost, session : array, shape (frames,)
         See `FRAME_FIELDS`.
     event_time : array, shape (events,)
-        In s on the recording's time axis.
+        Times of events in s on the recording's time axis.
     event_label : tuple of str
-        At most 16 ASCII characters each.
+        Labels of at most 16 ASCII characters.
 
-    Raises InputError where the lengths disagree.
+    Raises InputError if lengths disagree.
     """
 
     host_time: Array
@@ -107,7 +107,7 @@ class Acquisition(Validated):
             hdf5.write_dataset(group, "event_label", labels, "1", "label of the event")
 
     def start(self, first: float) -> str | None:
-        """Return the host's date and time at 0 s, ISO 8601 in UTC, or None; first : time of the first frame, s."""
+        """Return the host's date and time at 0 s, ISO 8601 in UTC, or None; `first` is the time of frame 0 in s."""
         seconds = float(self.host_time[0]) - first
         try:
             return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds") if seconds > 0 else None
@@ -116,7 +116,7 @@ class Acquisition(Validated):
 
     @classmethod
     def read(cls, file: h5py.File, part: slice) -> "Acquisition | None":
-        """Read some frames of the group of an open file; None without the group. Raises InputError."""
+        """Return the acquisition data of a range of frames; None without the group. Raises InputError if invalid."""
         if not hdf5.has(file, PATH):
             return None
         fields: dict[str, Any] = {
@@ -175,7 +175,7 @@ def damaged_frames(file: h5py.File, scene: Scene) -> tuple[int, NDArray[np.intp]
         damaged[part] = np.any((expected != recorded) & ~(np.isnan(expected) & np.isnan(recorded)), axis=(1, 2))
         if checked:
             damaged[part] |= checksums(columns) != stored_rows(file, (FRAME_CHECKSUM,), part)[0]
-        # HDF5 returns zero for unwritten values; a board's codes stand for the middle of their interval.
+        # HDF5 returns zero for unwritten values; recorded values of a board's codes are never zero.
         elif len(unwritten := np.flatnonzero(np.any(recorded == 0, axis=(1, 2)))):
             frames = part.start + int(unwritten[0])
             break
@@ -183,7 +183,7 @@ def damaged_frames(file: h5py.File, scene: Scene) -> tuple[int, NDArray[np.intp]
 
 
 def blocks(frames: int, crossings: int) -> Iterator[slice]:
-    """Yield ranges of frames that are few enough to be held at once."""
+    """Yield ranges of frames that fit into memory at once."""
     length = max(1, hdf5.CHUNK // crossings)
     return (slice(begin, min(begin + length, frames)) for begin in range(0, frames, length))
 
@@ -202,7 +202,7 @@ def whole_events(file: h5py.File) -> NDArray[np.bool_]:
 
 
 def stored_rows(file: h5py.File, paths: Sequence[str], part: slice) -> list[NDArray[Any]]:
-    """Read some rows of datasets below /entry. Raises InputError if one cannot be read."""
+    """Return a range of rows of datasets below /entry. Raises InputError if one cannot be read."""
 
     def rows(path: str) -> NDArray[Any]:
         if not path.endswith("label"):
@@ -213,7 +213,7 @@ def stored_rows(file: h5py.File, paths: Sequence[str], part: slice) -> list[NDAr
 
 
 def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:
-    """Return recorded readings of sums of codes (…, rows, columns), by the readout of each module; NaN for NO_SUM."""
+    """Return recorded values of sums of codes (…, rows, columns) by the readout of each module; NaN for NO_SUM."""
     layout = scene.panel.modules
     if layout is None:
         assert scene.readout is not None

@@ -11,18 +11,18 @@ from lampest.recording.recording import Recording
 
 
 def folder() -> Path:
-    """Return the folder of `configs/` and `data/`, whose files `lampest run` takes like any other."""
+    """Return the folder of `configs/` and `data/`."""
     package = Path(__file__).parents[1]
     return package / "shipped" if (package / "shipped").is_dir() else package.parent
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of the recordings that `load` knows, in alphabetical order."""
+    """Return the names of the shipped recordings in alphabetical order."""
     return tuple(sorted(file.stem for file in (folder() / "data").glob("*.h5")))
 
 
 def load(name: str) -> Recording:
-    """Load a shipped recording: simulated, with its scene and its truth. Raises InputError for an unknown name.
+    """Return a shipped recording, simulated, with its scene and truth. Raises InputError for an unknown name.
 
     >>> lampest.datasets.load("lamprey_35mm").resistance.shape  # frames, rows, columns; ohm
     (24, 10, 10)

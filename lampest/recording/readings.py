@@ -1,4 +1,4 @@
-"""Readings of a network from recorded values: numbers, bounds, or missing."""
+"""Readings of a network from recorded values: two-sided values, one-sided bounds, or missing readings."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,29 +20,38 @@ VALUE, AT_LEAST, AT_MOST = 0.0, 1.0, -1.0
 
 
 def stand_in(value: Array, known: NDArray[np.bool_]) -> Array:
-    """Return exp(m + a_j + b_k) (…, rows, columns), the median polish of the known values; 1 if nothing is known."""
+    """Return substitutes for missing readings, exp(m + a_j + b_k), (…, rows, columns); 1 if nothing is known.
+
+    m, a_j and b_k are the overall, row and column effects of the median polish of log y over the known values.
+    """
     return np.exp(_polished(value, known)[0])
 
 
 def stand_in_spread(value: Array, known: NDArray[np.bool_]) -> Array:
-    """Return the standard deviation of the stand-in's logarithm, of one frame (rows, columns); 1 if nothing is known.
+    """Return the standard deviation of log(stand_in) for one frame, (rows, columns); 1 if nothing is known.
 
-    Cross-validated, one diagonal left out after the other: the rms, or more where that does not cover 95 % of them.
-    A line without any known reading has the variance of the others' effects on top.
+    It is determined by cross-validation, leaving out one diagonal after the other: the rms error, or more if that does
+    not cover 95 % of the errors. For a line without any known reading the variance of the other lines' effects is
+    added.
     """
     if not known.any():
         return np.ones(known.shape)
+    # Number of the diagonal of every reading; each is predicted from the median polish without its diagonal.
     diagonal = np.add.outer(*map(np.arange, known.shape)) % max(known.shape)
     remaining = known & (diagonal != np.arange(max(known.shape))[:, None, None])
     alone = np.take_along_axis(_polished(value, remaining)[0], diagonal[None], axis=0)[0]
     stray = np.abs(alone - np.log(np.where(known, value, 1.0)))[known]
+    # Standard deviation: the rms error, or the 95 % quantile over 1.96
     size = max(np.sqrt(np.mean(stray**2)), np.quantile(stray, 0.95, method="higher") / 1.96)
-    # Below, a frame is a simulation without noise.
+    # The lower limit serves simulations without noise.
     return np.asarray(np.maximum(np.sqrt(size**2 + _polished(value, known)[1]), 1e-3))
 
 
 def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the median polish of log y: (m + a_j + b_k, variance of effects of unknown lines), (…, rows, columns)."""
+    """Return the median polish m + a_j + b_k of log y, and the variance of effects of unknown lines.
+
+    Both are (…, rows, columns).
+    """
     # Source: Tukey, Exploratory Data Analysis, 1977, chapter 11.
     residual = np.where(known, np.log(np.where(known, value, 1.0)), np.nan)
     expected, between = _median(residual.reshape(*residual.shape[:-2], 1, -1), -1), np.zeros(residual.shape)
@@ -52,6 +61,7 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
         for axis in effects:
             step = _median(residual, axis)
             effects[axis], residual = effects[axis] + step, residual - step
+    # Lines without a known reading have the mean effect of the others, with the variance of these.
     for axis, effect in effects.items():
         known_lines, across = known.any(axis=axis, keepdims=True), -3 - axis
         count = np.maximum(known_lines.sum(axis=across, keepdims=True), 1)
@@ -63,7 +73,7 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
 
 
 def _median(values: Array, axis: int) -> Array:
-    """Return medians along an axis, which stays; 0 without numbers. Faster than nanmedian for short lines."""
+    """Return medians along an axis, which is kept, ignoring NaN; 0 without numbers. Faster than nanmedian."""
     ordered, count = np.sort(values, axis=axis), np.isfinite(values).sum(axis=axis, keepdims=True)
     low, high = (np.take_along_axis(ordered, np.maximum(count - more, 0) // 2, axis) for more in (1, 0))
     return np.where(count > 0, (low + high) / 2, 0.0)
@@ -71,16 +81,16 @@ def _median(values: Array, axis: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Readings of the network alone, any leading shape + (rows, columns), in the readout's unit (ohm or volt).
+    """Readings of the network, (…, rows, columns), in the readout's unit (ohm or volt).
 
     Attributes
     ----------
     value : array
-        Positive; a missing reading has the stand-in from its row and column (`stand_in`).
+        Positive values; a missing reading has a substitute from its row and column (`stand_in`).
     sigma : array, or None
-        Standard deviations; those of missing readings are the frame's geometric mean.
+        Standard deviations; that of a missing reading is the geometric mean of its frame.
     side : array
-        0 for a value, 1 if the truth is at least this, -1 if at most.
+        0 for a value; 1 or -1 if the truth is at least or at most the reading.
     seen : array
         1, or 0 for a missing reading.
 
@@ -97,22 +107,23 @@ class Readings:
     def of(cls, scene: Scene, recorded: Array, sigma: Array | None = None) -> "Readings":
         """Return the network's readings of recorded values; one frame (rows, columns) or many.
 
-        Missing are NaN, readings whose σ is not finite, and those that the scene's faults make blind. Bounds are values
-        at or beyond a rail of the converter, infinity, and resistances below NOISE_REACH σ without the series
-        resistance. Bounds without a number are the largest or smallest value of their frame.
+        Missing readings are NaN, readings whose σ is not finite, and those without information because of faults.
+        Bounds are values at or beyond a rail of the converter, infinity, and resistances that are below NOISE_REACH σ
+        after subtraction of the series resistance. A bound without a finite number has the largest or smallest value of
+        its frame.
 
         Parameters
         ----------
         scene : Scene
         recorded : array, shape (rows, columns) or (frames, rows, columns)
-            In ohm for two-point readouts, series resistance included; else in volt.
+            In ohm for two-point readouts, including series resistance; otherwise in volt.
         sigma : array, same shape or (rows, columns), or None
-            Standard deviations in the same unit; None: the readout's.
+            Standard deviations in the same unit; None: those of the readout.
 
         Raises
         ------
         InputError
-            If shapes disagree, or a σ is not positive.
+            If shapes disagree, or a standard deviation is not positive.
         """
         if not isinstance(scene, Scene):
             raise InputError(f"Readings.of: scene must be a Scene, not {in_words(scene)}")
@@ -121,6 +132,7 @@ class Readings:
         check_sigma(scene, recorded, sigma)
         if scene.panel.modules is not None:
             return cls._of_modules(scene, scene.panel.modules, recorded, sigma)
+        # Rails and infinite values are bounds; memory of the converter is removed from the values.
         within, side = _within_rails(scene, recorded)
         if scene.converter_memory is not None:
             if scene.readout is None:
@@ -129,19 +141,22 @@ class Readings:
             freed, sigma = without_memory(scene.readout, scene.converter_memory, within, known)
             within, beyond = _within_rails(scene, freed)
             side = np.where(side == VALUE, beyond, side)
+        # From recorded values to readings of the network; missing and blind readings have no weight.
         noise = _noise(scene, within, sigma)
         network, side = scene.circuit.from_recorded(within, scene), side * scene.circuit.direction
         seen = np.where(np.isnan(recorded), 0.0, 1.0)
         if noise is not None:
             seen = np.where(np.isfinite(noise), seen, 0.0)
         seen[..., scene.blind] = 0.0
+        # Resistances within their noise of zero are upper bounds.
         if scene.circuit.unit == "ohm":
             reach = least = np.zeros_like(network) if noise is None else NOISE_REACH * noise
-            if scene.readout is not None:  # where nothing but the series resistance is read
+            if scene.readout is not None:  # noise of a reading that consists of the series resistance alone
                 series = scene.readout.sigma(np.broadcast_to(scene.series_ohm, scene.panel.shape))
                 least = np.minimum(reach, NOISE_REACH * series)
             small = (network <= least) & (side != AT_LEAST)
             side, network = np.where(small, AT_MOST, side), np.where(small, np.maximum(network, 0) + reach, network)
+        # Finite numbers for bounds, and substitutes for missing readings.
         network, seen = _numbered(network, seen)
         side = np.where(seen > 0, side, VALUE)
         network = np.where((seen > 0) | scene.panel.present, network, _filled(network, seen))
@@ -150,7 +165,7 @@ class Readings:
 
     @classmethod
     def _of_modules(cls, scene: Scene, layout: Modules, recorded: Array, sigma: Array | None) -> "Readings":
-        """Return the readings of a panel of modules, each with its own scene; those of dead ones are missing."""
+        """Return the readings of a panel of modules, each by its own scene; those of dead modules are missing."""
         values = layout.split(recorded).copy()
         values[..., list(scene.dead_modules), :, :] = np.nan
         noise = None if sigma is None else np.broadcast_to(layout.split(sigma), values.shape)
@@ -161,7 +176,7 @@ class Readings:
         return cls.of_parts(layout, [parts[number] for number in range(layout.count)])
 
     def each(self, change: Callable[[Array], Array]) -> "Readings":
-        """Return the readings with the same change of all four arrays, such as `layout.split`."""
+        """Return the readings with a function, such as `layout.split`, applied to all four arrays."""
         sigma = None if self.sigma is None else change(self.sigma)
         return Readings(change(self.value), sigma, change(self.side), change(self.seen))
 
@@ -175,7 +190,7 @@ class Readings:
         return parts[0].together(*parts[1:], axis=-3).each(layout.joined)
 
     def together(self, *frames: "Readings", axis: int = 0) -> "Readings":
-        """Return frames (rows, columns) as (frames, rows, columns); σ is unknown if it is for one of them."""
+        """Return frames (rows, columns) stacked as (frames, rows, columns); σ is None if it is for one of them."""
 
         def stacked(name: str) -> Any:
             arrays = [getattr(part, name) for part in (self, *frames)]
@@ -184,17 +199,17 @@ class Readings:
         return Readings(*map(stacked, ("value", "sigma", "side", "seen")))
 
     def __getitem__(self, frames: Any) -> "Readings":
-        """Return the readings of some frames."""
+        """Return the readings at an index of the arrays, such as a range of frames."""
         return self.each(lambda part: part[frames])
 
     @property
     def plain(self) -> NDArray[np.bool_]:
-        """Whether a reading is a value, neither a bound nor nothing."""
+        """Whether a reading is a value, neither a bound nor missing."""
         return np.asarray((self.seen > 0) & (self.side == VALUE))
 
     @property
     def plain_values(self) -> Array:
-        """Values, NaN for bounds and missing readings."""
+        """Values of the readings; NaN for bounds and missing readings."""
         return np.where(self.plain, self.value, np.nan)
 
     @property
@@ -203,19 +218,19 @@ class Readings:
         return np.asarray((self.seen > 0) & (self.side != VALUE))
 
     def missing(self, scene: Scene) -> NDArray[np.bool_]:
-        """Return whether readings of cells are missing, except where the scene's faults make them blind."""
+        """Return whether a reading of a cell is missing for another reason than the scene's faults."""
         return np.asarray((self.seen == 0) & scene.asked)
 
     @property
     def shown(self) -> Array:
-        """Values and bounds, NaN for missing readings."""
+        """Values and bounds of the readings; NaN for missing readings."""
         return np.where(self.seen > 0, self.value, np.nan)
 
     def enough(self, scene: Scene) -> NDArray[np.bool_]:
         """Return whether frames can be estimated, (…).
 
-        Of the scene's asked readings at most half are missing, and half are values, or M + N − 1 are: these describe a
-        panel whose lines alone differ.
+        At most half of the scene's requested readings may be missing. At least half of them, or M + N − 1, must be
+        values: so many describe a panel with one factor for each line.
         """
         requested = scene.asked
         lines = int(requested.any(axis=1).sum() + requested.any(axis=0).sum())
@@ -230,14 +245,14 @@ class Readings:
 
     @property
     def sigma_of_values(self) -> Array | None:
-        """σ, infinite for bounds and missing readings."""
+        """Standard deviations, infinite for bounds and missing readings; None if unknown."""
         return None if self.sigma is None else np.where(self.plain, self.sigma, np.inf)
 
     def mean(self) -> "Readings":
-        """Return the mean over frames (frames, rows, columns), cell by cell over values.
+        """Return the mean over frames (frames, rows, columns), cell by cell over the values.
 
-        Where bounds outnumber these or lie within the noise of their mean, the mean of all is a bound. Bounds of both
-        sides alone count as missing.
+        If bounds outnumber the values of a cell, or are within the noise of their mean, the mean of values and bounds
+        is a bound. Lower and upper bounds in equal numbers count as missing.
         """
         value, bound = self.plain, self.bounds
         of_values, deviation = _averaged(self.value, self.sigma, value)
@@ -259,7 +274,10 @@ class Readings:
 
 
 def mean_change(value: Array, resting: Array) -> Array:
-    """Return mean |log y/y₀| of each frame (…, rows, columns), resting (rows, columns); NaN is left out."""
+    """Return the mean |log y/y₀| of each frame, (…), for readings y (…, rows, columns) and y₀ (rows, columns).
+
+    NaN is ignored.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         change = np.abs(np.log(value / resting))
     known = np.isfinite(change)
@@ -268,15 +286,15 @@ def mean_change(value: Array, resting: Array) -> Array:
 
 
 def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp]) -> int:
-    """Return the frame with the largest mean |log y/y₀|, where readings differ most from the unloaded ones."""
+    """Return the frame (one of the numbers `frames`) with the largest mean |log y/y₀|, the last one if several."""
     change = mean_change(value[frames], resting)
     return int(frames[np.flatnonzero(change == change.max())[-1]])
 
 
 def check_sigma(scene: Scene, recorded: Array, sigma: Array | None, where: str = "") -> None:
-    """Raise InputError unless readings have the panel's shape, and their σ (or None) theirs and is nowhere ≤ 0.
+    """Raise InputError unless readings have the panel's shape, and σ (or None) the same shape and positive entries.
 
-    where : beginning of the message.
+    `where` is the beginning of the message.
     """
     shape = scene.panel.shape
     if recorded.shape[-2:] != shape:
@@ -294,7 +312,7 @@ def check_sigma(scene: Scene, recorded: Array, sigma: Array | None, where: str =
 
 
 def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
-    """Return σ of every reading of the network, from the given one, else the readout's; None if unknown."""
+    """Return σ of every reading of the network from the given one, or from the readout's; None if unknown."""
     if sigma is not None:
         return scene.circuit.sigma_of_reading(recorded, np.broadcast_to(sigma, recorded.shape))
     if scene.readout is None:
@@ -303,7 +321,7 @@ def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
 
 
 def _within_rails(scene: Scene, recorded: Array) -> tuple[Array, Array]:
-    """Return values clipped to the converter's rails, and the side on which those beyond bound the truth."""
+    """Return values clipped to the converter's rails, and the sides of those that are bounds."""
     side = np.zeros(recorded.shape)
     least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
     side[recorded < least], side[recorded > largest] = AT_MOST, AT_LEAST
@@ -312,7 +330,10 @@ def _within_rails(scene: Scene, recorded: Array) -> tuple[Array, Array]:
 
 
 def _numbered(network: Array, seen: Array) -> tuple[Array, Array]:
-    """Return bounds with the largest or smallest value of their frame for a missing number; `seen` is 0 without one."""
+    """Return readings with the largest or smallest value of the frame for bounds without a finite number, and `seen`.
+
+    `seen` is 0 for all readings of a frame without any finite number.
+    """
     known = (seen > 0) & np.isfinite(network) & (network > 0)
     if np.all(known | (seen == 0)):
         return network, seen
@@ -323,7 +344,7 @@ def _numbered(network: Array, seen: Array) -> tuple[Array, Array]:
 
 
 def _averaged(value: Array, sigma: Array | None, counted: NDArray[np.bool_]) -> tuple[Array, Array | None]:
-    """Return the mean over the counted frames and its σ, (rows, columns); 1 if no frame counts."""
+    """Return the mean over the counted frames and its σ, (rows, columns) each; 1 if no frame counts."""
     count, blank = np.maximum(counted.sum(axis=0), 1), ~counted.any(axis=0)
     mean = np.where(counted, value, 0.0).sum(axis=0) / count + blank
     noise = None if sigma is None else np.sqrt(np.where(counted, sigma**2, 0.0).sum(axis=0)) / count + blank
@@ -331,7 +352,7 @@ def _averaged(value: Array, sigma: Array | None, counted: NDArray[np.bool_]) -> 
 
 
 def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = None) -> Array:
-    """Return frames with stand-ins where they are not whole (0); bounds and missing readings predict no others."""
+    """Return frames with substitutes where `whole` is 0, predicted from the values among the seen readings."""
     if np.all(whole):
         return value
     known = ((whole if seen is None else seen) > 0) & (side == VALUE)
@@ -343,7 +364,7 @@ def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = N
 
 
 def _filled(values: Array, seen: Array) -> Array:
-    """Return frames with their geometric mean for missing readings; 1 throughout if a frame shows none."""
+    """Return frames with their geometric mean in place of missing readings; 1 if all of a frame are missing."""
     if np.all(seen):
         return values
     logarithm = np.log(np.where(seen > 0, values, 1.0))
@@ -353,9 +374,9 @@ def _filled(values: Array, seen: Array) -> Array:
 
 
 def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
-    """Return groups of rows that are read alike in all frames (frames, rows, columns); none if the noise is unknown.
+    """Return groups of rows with equal readings in all frames (frames, rows, columns); none if the noise is unknown.
 
-    Two rows that touch are one node: every column reads them alike, and no other rows.
+    Two rows that touch are one node: their readings are equal in every column, and differ from those of other rows.
     """
     sigma, rows = readings.sigma_of_values, readings.value.shape[-2]
     if sigma is None:
@@ -363,14 +384,16 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     Panel(rows, 1).check_memory()
     value, noise = (part.swapaxes(-1, -2).reshape(-1, rows) for part in (readings.value, sigma))
     unlike, count = np.zeros((rows, rows)), np.zeros((rows, rows), dtype=np.intp)
-    for row in range(rows):  # mean square difference from every other in units of their noise, of how many readings
+    for row in range(rows):  # mean square difference from every other row in units of their noise, and number of values
         spread = np.hypot(noise[:, [row]], noise)
         plain = np.isfinite(spread)
         square = np.where(plain, (value[:, [row]] - value) / np.where(plain, spread, 1.0), 0.0) ** 2
         count[row] = plain.sum(axis=0)
         unlike[row] = square.sum(axis=0) / np.maximum(count[row], 1)
-    similar = (unlike <= 1 + UNUSUAL * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)  # readings of two lines
+    # Equal rows: the mean square of n normal differences is 1 ± √(2/n).
+    similar = (unlike <= 1 + UNUSUAL * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)
     distant = np.where(similar | (count < 4), np.nan, unlike)
+    # Groups count only among rows that differ significantly from most others.
     with np.errstate(invalid="ignore"):
         distinct = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in distant]) > SIGNIFICANT**2
     groups, group = scipy.sparse.csgraph.connected_components(similar & distinct & distinct[:, None], directed=False)
@@ -379,5 +402,5 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
 
 
 def touching_columns(readings: Readings) -> tuple[tuple[int, ...], ...]:
-    """Return groups of columns that are read alike, as `touching_rows`."""
+    """Return groups of columns with equal readings; see `touching_rows`."""
     return touching_rows(readings.each(lambda part: part.swapaxes(-1, -2)))

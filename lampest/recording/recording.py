@@ -1,4 +1,4 @@
-"""Recordings: frames of readings, the scene they were taken in, and, if simulated, the truth."""
+"""Recordings: frames of readings with their scene and, if simulated, their truth."""
 
 import re
 import sys
@@ -28,32 +28,33 @@ from lampest.recording.readings import Readings, check_sigma
 
 FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1
-MIN_CHANGE = 0.01  # relative change of readings or of cells by a load or a common error, at least: far above drift
+MIN_CHANGE = 0.01  # least relative change of readings or cells by a load or a common error, far above drift
 FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # suffixes of `import_file`
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Validated):
-    """Frames of one panel in the order of time.
+    """Frames of one panel in temporal order.
 
     Parameters
     ----------
     scene : Scene
         Scene that the estimator gets.
     recorded : array, shape (frames, rows, columns)
-        In ohm for two-point readouts, series resistance included; else in volt at the converter. NaN if missing; for
-        bounds see `Readings.of`.
+        In ohm for two-point readouts, including series resistance; otherwise in volt at the converter. NaN if missing;
+        for bounds see `Readings.of`.
     time : array, shape (frames,)
         Times of the frames in s.
     role : array, shape (frames,)
         0 for the unloaded baseline, 1 for measured frames.
     sigma : array, shape (frames, rows, columns) or (rows, columns), or None
-        Standard deviations in the same unit; None: the readout's.
+        Standard deviations in the same unit; None: those of the readout.
     truth_cell_resistance, truth_pressure : array, shape (frames, rows, columns), or None
         Truth of simulated recordings, in ohm and kPa.
     raw_sums : array, shape (frames, rows, columns), or None
-        Sums of `raw_readings` codes of the converter.
+        Sums of converter codes.
     raw_readings : int, or None
+        Number of codes in each sum.
     name : str
         Name in results; the file's stem.
     simulation : str, or None
@@ -67,7 +68,7 @@ class Recording(Validated):
     of_module : bool
         Whether this is one module of a panel; the unit is checked on the readings of all modules.
 
-    Raises InputError if shapes disagree, times decrease, or a σ is not positive.
+    Raises InputError if shapes disagree, times decrease, or a standard deviation is not positive.
 
     >>> recording
     Recording(mine: 4 frames (2 unloaded) of 2 × 3 cells, 0 to 3 s)
@@ -124,7 +125,7 @@ class Recording(Validated):
         return f"Recording({self.name}: {frames} of {rows} × {columns} cells, {span})"
 
     def _check_unit(self) -> None:
-        """Raise InputError where kohm were meant: all readings are below the resistance in series, without raw sums."""
+        """Raise InputError if the values are probably in kohm: without raw sums, all below the series resistance."""
         circuit, plain = self.scene.circuit, self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
         if not isinstance(circuit, TwoPointReadout) or self.raw_sums is not None or self.of_module or not plain.size:
             return
@@ -139,6 +140,7 @@ class Recording(Validated):
 
     @property
     def _group(self) -> str:
+        """Group of the frames in a file."""
         return f"/entry/{group_of(self.scene.circuit)}"
 
     @property
@@ -156,9 +158,9 @@ class Recording(Validated):
     @classmethod
     @typed
     def load(cls, path: str | Path, part: slice = hdf5.ALL) -> "Recording":
-        """Load a recording file, finished or not; of a finished one also a range of frames.
+        """Return the recording of a file, finished or not.
 
-        Raises InputError with the dataset's path where it is wrong.
+        `part` selects frames of a finished file. Raises InputError with the path of an invalid dataset.
         """
         path = Path(path)
         with recording_file(path) as (file, scene, _, _):
@@ -238,7 +240,7 @@ class Recording(Validated):
         return cls(known, recorded, seconds, role)
 
     def save(self, path: str | Path) -> None:
-        """Write the recording, whole or not at all. Raises InputError where the place cannot be written."""
+        """Write the recording, completely or not at all. Raises InputError if the file cannot be written."""
         with hdf5.new_file(Path(path)) as file:
             self._write(file)
 
@@ -279,7 +281,7 @@ class Recording(Validated):
 
     @cached_property
     def modules(self) -> tuple["Recording", ...]:
-        """Each module's frames as a recording of its own; the recording itself without modules."""
+        """Recordings of the single modules; the recording itself without modules."""
         layout = self.scene.panel.modules
         if layout is None:
             return (self,)
@@ -307,7 +309,7 @@ class Recording(Validated):
 def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
     """Yield an open recording file, its scene, the group of its frames and their signal.
 
-    Raises InputError where the file is no recording, or has no valid scene.
+    Raises InputError if the file is no recording, or has no valid scene.
     """
     if path.suffix.lower() in FOREIGN:
         raise InputError(f"{path}: is no recording; lampest.import_file (lampest import) makes one of it")
@@ -321,14 +323,14 @@ def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
         yield file, scene, group, signal
 
 
-@lru_cache(maxsize=8)  # a recording too long for memory is opened for every part
+@lru_cache(maxsize=8)  # a recording that is too long for memory is opened again for every part
 def _scene_of(text: str, where: str) -> Scene:
     scene: Scene = validated(parse_document(text, where), Scene)
     return scene
 
 
 def _check_held(file: h5py.File, places: Mapping[str, str]) -> None:
-    """Raise InputError if memory cannot hold a recording with the working copies of its readings."""
+    """Raise InputError if memory does not suffice for a recording and the working copies of its readings."""
     shape = hdf5.shape_of(file, places["recorded"])
     besides = set(places) - {"recorded", "time", "role", "raw_sums"}
     held = sum(prod(hdf5.shape_of(file, places[field])) for field in besides)
@@ -337,9 +339,9 @@ def _check_held(file: h5py.File, places: Mapping[str, str]) -> None:
 
 
 def coordinates(panel: Panel) -> dict[str, tuple[tuple[str, ...], NDArray[Any], str, str]]:
-    """Return row, column, y and x → (axes, values, unit, long name), for files and labelled arrays.
+    """Return (axes, values, unit, long name) of the coordinates row, column, y and x, by name.
 
-    y goes by the row and x by the column; both by the cell where cells are listed, NaN where there is none.
+    y depends on the row and x on the column. For listed cells both depend on the cell, with NaN without a cell.
     """
     lines = zip(("row", "column"), map(np.arange, panel.shape), strict=True)
     axes = {line: ((line,), number, "1", f"{line} line") for line, number in lines}
@@ -352,9 +354,9 @@ def coordinates(panel: Panel) -> dict[str, tuple[tuple[str, ...], NDArray[Any], 
 
 
 def frames_named(text: str, frames: int | None = None) -> range:
-    """Return frames 40 to 49 for '40:50', counted from 0; either side may be omitted.
+    """Return the range of frames for a text such as '40:50', frames 40 to 49; either side may be omitted.
 
-    Raises InputError unless the text names frames, of a recording with so many where that is known.
+    `frames` is the number of frames of the recording, if it is known. Raises InputError for an invalid or empty range.
     """
     match = re.fullmatch(r"\s*(\d{0,9})\s*:\s*(\d{0,9})\s*", text)
     if match is None:
@@ -366,10 +368,10 @@ def frames_named(text: str, frames: int | None = None) -> range:
 
 
 def tared(recording: Recording, frames: range) -> tuple[Recording, float]:
-    """Return the recording with these frames as the only unloaded ones, and the change of readings within them.
+    """Return the recording with given frames as the only unloaded ones, and the change of readings within them.
 
-    The change is the largest over the cells, relative, from the first half of the frames to the second; 0 for a single
-    frame. Raises InputError where no frame would be left to measure.
+    The change is the largest relative change of a reading from the first half of the frames to the second half; 0 for a
+    single frame. Raises InputError if no measured frame would remain.
     """
     if len(frames) == len(recording.role):
         raise InputError(f"{recording.name}: where all frames are unloaded, none is left to measure")

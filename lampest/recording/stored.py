@@ -1,4 +1,4 @@
-"""Recordings on the disk, read by parts, so that memory does not grow with the number of frames."""
+"""Recordings on disk that are read in parts, so that memory does not grow with the number of frames."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -19,13 +19,23 @@ from lampest.panel.scene import Scene
 from lampest.recording.acquisition import group_of, undamaged_frames
 from lampest.recording.recording import MEASURED, UNLOADED, Recording, recording_file
 
-MAX_READINGS = 2_000_000  # readings of a recording that is held at once: 2 GB, as error bars take 1 kB of each
-PART_READINGS = 500_000  # readings of a part, where a recording has more
+MAX_READINGS = 2_000_000  # readings of a recording in memory at once: 2 GB, because error bars take 1 kB for each
+PART_READINGS = 500_000  # readings of a part of a longer recording
 
 
 @dataclass(frozen=True, eq=False)
 class StoredRecording:
-    """Head of a recording file: path, scene, number of frames, and start_time as of `Recording`."""
+    """Recording file that is read in parts.
+
+    Attributes
+    ----------
+    path : Path
+    scene : Scene
+    frames : int
+        Number of frames.
+    start_time : str or None
+        See `Recording`.
+    """
 
     path: Path
     scene: Scene
@@ -34,7 +44,7 @@ class StoredRecording:
 
     @classmethod
     def of(cls, path: Path) -> "StoredRecording":
-        """Read the head of a file. Raises InputError if it is no recording, or its frames disagree."""
+        """Return the stored recording of a file. Raises InputError if it is no recording, or its datasets disagree."""
         with recording_file(path) as (file, scene, group, signal):
             shape = hdf5.shape_of(file, f"{group}/{signal}")
             if not shape[0]:
@@ -69,7 +79,7 @@ class StoredRecording:
 
     @cached_property
     def _blocks(self) -> dict[range, int]:
-        """Blocks → number of measured frames."""
+        """Numbers of measured frames by block."""
         chunk, ends = max(1, hdf5.CHUNK // self.scene.panel.crossings), [0]
         with hdf5.existing_file(self.path) as file:
             path = f"/entry/{group_of(self.scene.circuit)}/role"
@@ -83,23 +93,24 @@ class StoredRecording:
         return {range(first, end): int((role[first:end] == MEASURED).sum()) for first, end in pairwise(ends)}
 
     def part(self, frames: range, beside: int = 0) -> Recording:
-        """Load some frames, and up to so many `beside` them on either side. Raises InputError as `Recording.load`."""
+        """Return a range of frames with up to `beside` further ones on either side. Raises as `Recording.load`."""
         within = slice(max(frames.start - beside, 0), min(frames.stop + beside, self.frames))
         return replace(Recording.load(self.path, within), start_time=self.start_time)
 
 
 def only_frames(recording: Recording, frames: NDArray[np.bool_]) -> Recording:
-    """Return some frames of a part (frames), without acquisition data and raw sums."""
+    """Return chosen frames of a part, boolean (frames,), without acquisition data and raw sums."""
     return _each_frame((recording,), frames)
 
 
 def of_parts(parts: Sequence[Recording]) -> Recording:
-    """Return parts of one recording as one, each frame once, without acquisition data and raw sums."""
+    """Return overlapping parts of a recording as one, each frame once, without acquisition data and raw sums."""
     numbers = np.concatenate([part.number for part in parts if part.number is not None])
     return _each_frame(parts, np.unique(numbers, return_index=True)[1])
 
 
 def _each_frame(parts: Sequence[Recording], chosen: NDArray[Any]) -> Recording:
+    """Return the chosen frames (indices or mask) of concatenated parts, without acquisition data and raw sums."""
     first = parts[0]
     names = ["recorded", "time", "role", "number", "truth_cell_resistance", "truth_pressure"]
     names += ["sigma"] if first.sigma is not None and first.sigma.ndim == 3 else []
@@ -109,7 +120,7 @@ def _each_frame(parts: Sequence[Recording], chosen: NDArray[Any]) -> Recording:
 
 
 def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
-    """Return the first unloaded frames, up to so many; None if there is none."""
+    """Return at most `most` unloaded frames from the beginning of a recording; None if there is none."""
     chosen: list[Recording] = []
     for frames in stored.blocks():
         part = stored.part(frames)
@@ -123,7 +134,7 @@ def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
 
 
 def measured_part(stored: StoredRecording, frames: range, beside: int) -> Recording | None:
-    """Return the measured frames of a range and beside it; None if the range has none."""
+    """Return the measured frames of a range, and of `beside` frames on either side; None if the range has none."""
     part = stored.part(frames, beside)
     assert part.number is not None
     measured = part.role == MEASURED
@@ -132,9 +143,9 @@ def measured_part(stored: StoredRecording, frames: range, beside: int) -> Record
 
 
 def save_parts(path: Path, parts: Iterable[Recording]) -> None:
-    """Write a recording of which each part holds some frames, whole or not at all.
+    """Write a recording from its parts, completely or not at all.
 
-    The parts are files in a folder beside it until all are there. Raises InputError where the place cannot be written.
+    Until all parts exist they are files in a temporary folder next to it. Raises InputError if it cannot be written.
     """
     files: list[Path] = []
     with folder_beside(path) as folder:
@@ -148,12 +159,12 @@ def save_parts(path: Path, parts: Iterable[Recording]) -> None:
 
 
 def too_long(frames: int, cells: int) -> bool:
-    """Return whether so many frames are too many to hold at once."""
+    """Return whether a recording of this many frames and cells is too large for memory."""
     return frames * cells > MAX_READINGS
 
 
 def opened(path: Path) -> Recording | StoredRecording:
-    """Open a recording, whole unless it is too long. Raises InputError as `Recording.load`."""
+    """Return the recording of a file, as parts if it is too long for memory. Raises InputError as `Recording.load`."""
     with recording_file(path) as (file, _, group, signal):
         readings = prod(hdf5.shape_of(file, f"{group}/{signal}"))
     return StoredRecording.of(path) if readings > MAX_READINGS else Recording.load(path)

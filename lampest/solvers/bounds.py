@@ -1,6 +1,6 @@
-"""Bounds: free cells, steps within them, and whether they keep cells from meeting readings.
+"""Bounds of cells: active set, projected steps, and whether bounds prevent cells from explaining readings.
 
-The multiplier of an active bound is what is left of the gradient. Source: Nocedal & Wright, Numerical Optimization,
+The multiplier of an active bound is the remaining gradient. Source: Nocedal & Wright, Numerical Optimization,
 2006, section 12.3 (multipliers as sensitivities).
 """
 
@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 from lampest.cost.problem import Evaluation, within_one
 from lampest.panel.panel import Array
 
-MILLIONTH = 1e-6  # of a reading or a cell: what may be left of it where no noise is known
+MILLIONTH = 1e-6  # relative error that a reading or a cell may have where the noise is not known
 STEP_LENGTHS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of log r, of the cell that moves most
-MIN_DECREASE_SHARE = 1e-12  # of the cost's scale: a smaller decrease is its rounding
+MIN_DECREASE_SHARE = 1e-12  # of the cost's scale: a smaller decrease is rounding
 
 
 def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
-    """(…, cells) those that have room and that the gradient (…, cells) does not press against a bound."""
+    """Return the cells that have room and that the gradient does not press against a bound, boolean (…, cells).
+
+    `gradient` is in u = log r, (…, cells).
+    """
     (lower, upper), slope = at.data.log_bounds, gradient.reshape(at.position.shape)
     held = ((at.position <= lower) & (slope > 0)) | ((at.position >= upper) & (slope < 0))
     free: NDArray[np.bool_] = (lower < upper) & ~held
@@ -24,7 +27,7 @@ def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
 
 
 def within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:
-    """(cells) the step of the free cells as far as bounds let it."""
+    """Return a step of the free cells (numbers) in u, clipped to the bounds, as a step of all cells (cells,)."""
     position = at.position.ravel()
     target = position.copy()
     target[free] += step
@@ -33,7 +36,7 @@ def within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:
 
 
 def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
-    """Return a point forth or back along a direction (cells) of u where the cost is lower; None where there is none."""
+    """Return a point of lower cost forward or backward along a direction (cells,) of u; None if none is found."""
     least, size = _certain_cost(at) - MIN_DECREASE_SHARE * at.cost_scale, float(np.abs(along).max(initial=0.0)) or 1.0
     lengths = [sign * length / size for length in STEP_LENGTHS for sign in (1.0, -1.0)]
     beside = (moved_by(at, length * along) for length in lengths)
@@ -41,14 +44,14 @@ def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
 
 
 def _certain_cost(at: Evaluation) -> float:
-    """φ without the last bits of residuals with an absolute loss."""
+    """Return φ minus the rounding error of residuals with an absolute loss."""
     if not len(at.nonsmooth):
         return at.objective
     return at.objective - float(np.sum(at.cost.slope * np.minimum(np.abs(at.nonsmooth), at.last_bits)))
 
 
 def moved_by(at: Evaluation, step: Array) -> Evaluation | None:
-    """Return the cost after a step of u (flat), within the bounds; None where its network cannot be solved."""
+    """Return the evaluation after a step of u (flat), clipped to the bounds; None if its network cannot be solved."""
     cells = np.exp(at.position + step.reshape(at.position.shape))
     try:
         return at.elsewhere(np.clip(cells, at.data.lower, at.data.upper))
@@ -57,10 +60,19 @@ def moved_by(at: Evaluation, step: Array) -> Evaluation | None:
 
 
 def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
-    """Whether bounds hold cells, and are why some reading is missed by more than its noise.
+    """Return whether active bounds are the reason why a reading deviates by more than its noise.
 
-    With penalties, or losses that forgive a reading, they are where the missed reading pulls its own cell beyond a
-    bound that bears at least half of what all readings pull there. gradient : in u = log r, (frames, rows, columns).
+    With squared losses and no penalty this holds for every such reading. Otherwise three conditions hold for the
+    reading's own cell: its bound is active, the reading pulls the cell beyond the bound, and the multiplier of the
+    bound is at least half of the pull of all readings.
+
+    Parameters
+    ----------
+    at : Evaluation
+    gradient : array, shape (frames, rows, columns)
+        ∂φ/∂u, u = log r.
+    dual : array
+        Duals of the absolute losses.
     """
     lower, upper = at.data.log_bounds
     held = ((at.position >= upper) & (gradient < 0)) | ((at.position <= lower) & (gradient > 0))
@@ -70,6 +82,7 @@ def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
     if all(term.reads_measurement and term.loss.squared for term in at.cost.terms):
         return True
     through, networks = at.partials(within_one(dual))[1], at.networks
+    # Pull of a cell's own reading, J_cc·∂φ/∂y_c, and of all readings, Jᵀ·∂φ/∂y.
     own = through * np.stack([network.own_response() for network in networks])
     pull = np.stack([network.adjoint(part) for network, part in zip(networks, through, strict=True)])
     borne = (pull * gradient > 0) & (np.abs(gradient) >= np.abs(pull) / 2)
@@ -77,7 +90,10 @@ def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
 
 
 def _missed(at: Evaluation) -> NDArray[np.bool_]:
-    """(frames, rows, columns) which readings are off by more than their noise; those that are bounds, if broken."""
+    """Return the readings that deviate by more than their noise, boolean (frames, rows, columns).
+
+    One-sided readings deviate only where they are violated.
+    """
     data = at.data
     limit = data.deviation if data.noise_known else MILLIONTH * np.abs(data.measured)
     missed = at.reading - data.measured

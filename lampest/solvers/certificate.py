@@ -1,4 +1,4 @@
-"""Second-order certificate of a local minimum: what one more Newton step would do there, and how the cost curves.
+"""Second-order certificate of a local minimum: length of one more Newton step, and definiteness of the Hessian.
 
 With g and H of the cost in u = log r over the free cells, a Newton step is s = −H⁻¹ g, its decrement δ = √(gᵀ H⁻¹ g).
 Where cost/s₀² is −2·log probability, δ/(√2·s₀) bounds |s_c| over the posterior deviation of u_c (Cauchy and Schwarz).
@@ -21,14 +21,14 @@ from lampest.solvers.bounds import MILLIONTH, free_cells, lower_along, within_bo
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel
 
-# Of a cell's posterior deviation: what a verified estimate may still move by where the noise is known.
+# Of a cell's posterior standard deviation: allowed length of the remaining Newton step where the noise is known.
 DEVIATION_SHARE = 1e-3
-MIN_COST_SHARE = 1e-10  # of the cost's scale: four digits below what a verified cost may be off by
+MIN_COST_SHARE = 1e-10  # of the cost's scale: four digits below the error that a verified cost may have
 MAX_RELATIVE_MISFIT = 1e-5  # of a reading: second derivatives of readings add no larger part to JᵀWJ
-MAX_DISTANCE = 0.3  # of log r: so near within the bounds, cells that reproduce all readings minimise the cost
+MAX_DISTANCE = 0.3  # of log r: distance within which cells that reproduce all readings count as the same minimum
 ACCURACY = 0.1  # of a predicted step on large panels
 MIN_CURVATURE = 1e-14  # of the cost's scale, over a change of one in log r: below any digit of the cost itself
-ROUNDING = 1e-11  # of a matrix with a unit diagonal: what differences of impedances leave of 16 digits
+ROUNDING = 1e-11  # rounding error of a matrix with a unit diagonal, after differences of impedances
 
 
 class Definiteness(Enum):
@@ -41,25 +41,25 @@ class Definiteness(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """Proof that an estimate is a minimum.
+    """Second-order certificate of a point.
 
     Attributes
     ----------
     definiteness : Definiteness
-        Of ∇²φ.
-    step : array, shape (cells)
-        Of log r by which a Newton step would move each, within its bounds.
+        Definiteness of ∇²φ over the free cells.
+    step : array, shape (cells,)
+        Newton step of log r, clipped to the bounds.
     decrement : float
         δ = √(gᵀ H⁻¹ g).
     deviations : float
-        δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings that count: at least |s_c| over its cell's posterior
-        deviation; infinite where the noise is not known, or where the step is a millionth anyway.
+        δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings with curvature: an upper bound of |s_c| over the posterior
+        standard deviation of its cell. Infinite if the noise is not known, or if the step is at most a millionth.
     left : float
-        The largest entry of the gradient in undetermined directions; infinite where nobody asked.
+        Largest entry of the gradient in undetermined directions; infinite if it was not computed.
     factor : Cholesky or None
-        Of ∇²φ, where it was made by Cholesky.
+        Cholesky factor of ∇²φ, if the certificate was made by one.
     lower : Evaluation or None
-        Beside a saddle, a point of lower cost.
+        A point of lower cost next to a saddle.
     """
 
     definiteness: Definiteness
@@ -74,7 +74,7 @@ class Certificate:
     def of(
         cls, hessian: Hessian, kind: Definiteness, free: Numbers, part: Array, decrement: float | None, **more: Any
     ) -> "Certificate":
-        """Return the certificate of Newton's step of the free cells (numbers)."""
+        """Return the certificate for a Newton step `part` of the `free` cells (numbers); decrement None: computed."""
         step = within_bounds(hessian.at, free, part)
         if decrement is None:
             decrement = float(np.sqrt(max(-float(hessian.gradient[free] @ part), 0.0)))
@@ -83,19 +83,20 @@ class Certificate:
 
     @property
     def settled(self) -> bool:
-        """Whether a strict minimum is so near that no cell would notice."""
+        """Whether this is a strict minimum up to a millionth of log r or DEVIATION_SHARE of a posterior deviation."""
         if self.definiteness is not Definiteness.POSITIVE:
             return False
         return float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH or self.deviations <= DEVIATION_SHARE
 
     def after(self, at: Evaluation, gradient: Array) -> "Certificate":
-        """Return the same at the end of its short step.
+        """Return the certificate at a nearby point from its gradient and the factor of this one.
 
-        By the gradient there, second derivatives have hardly changed.
+        Second derivatives are taken as unchanged.
         """
         if self.factor is None or self.definiteness is not Definiteness.POSITIVE:
             return self
         slope = gradient.ravel()[self.factor.cells]
+        # s = −H⁻¹ g, δ² = −gᵀs = gᵀ H⁻¹ g
         part = self.factor.solve(-slope)
         decrement = float(np.sqrt(max(-float(slope @ part), 0.0)))
         deviations = self.deviations * decrement / (self.decrement or 1.0)
@@ -103,9 +104,10 @@ class Certificate:
         return replace(self, step=step, decrement=decrement, deviations=deviations)
 
     def converged(self, cost_scale: float) -> bool:
-        """Whether one more step moves no cell by a millionth and lowers the cost by no more than its own rounding.
+        """Return whether one more step moves no cell by a millionth and lowers the cost by at most its rounding.
 
-        The gradient of a penalty that outweighs the data by 10⁸ is rounding, which the curvature divides again.
+        This replaces the test of the gradient for penalties that outweigh the data by 10⁸: their gradient is rounding,
+        but the Newton step, divided by their curvature, is small.
         """
         small = float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH
         flat = self.definiteness is Definiteness.UNDETERMINED and self.left <= MILLIONTH * cost_scale
@@ -114,15 +116,17 @@ class Certificate:
 
 
 def _deviations(hessian: Hessian, decrement: float) -> float:
+    """Return δ/(√2·s₀); infinite if the noise is not known."""
     data, curvature = hessian.at.data, hessian.curvature
     counting = curvature > 0
     if not (data.noise_known and counting.any()):
         return float("inf")
+    # √2·s₀ = √(mean ∂²φ/∂y² σ²)
     return decrement / float(np.sqrt(np.mean(curvature[counting] * data.sigma.ravel()[counting] ** 2)))
 
 
 def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) -> Certificate:
-    """Return the certificate of a point from its second derivatives; preconditioner : for conjugate gradients."""
+    """Return the certificate of a point; `preconditioner` serves the conjugate gradients of large problems."""
     if (exact := _of_reproduced(hessian)) is not None:
         return exact
     free = free_cells(hessian.at, hessian.gradient)
@@ -135,16 +139,18 @@ def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) 
 
 
 def _of_reproduced(hessian: Hessian) -> Certificate | None:
-    """Return s = −J⁻¹ e where nothing but readings enters and all are reproduced: φ is nearly zero, its least.
+    """Return the certificate of plain least squares whose readings are all reproduced; None in other cases.
 
-    e : how far each reading is off, relative. J alone has the digits that H = JᵀWJ loses. Where no noise is known, also
-    where cells nearby reproduce all readings. None elsewhere.
+    The cost then is nearly zero, its least value, and the Newton step is s = −J⁻¹ e with the relative residuals e of
+    the readings. J alone keeps digits that H = JᵀWJ loses. If the noise is not known, the certificate also holds where
+    cells within MAX_DISTANCE reproduce all readings.
     """
     if not all(term.reads_measurement for term in hessian.at.cost.terms) or not hessian.only_data:
         return None
     curvature, reading = hessian.curvature, hessian.at.reading.ravel()
     if not np.all(curvature > 0):
         return None
+    # e = (∂φ/∂y)/(∂²φ/∂y²)/y: relative residual of each reading
     missed = hessian.by_reading.ravel() / curvature / reading
     known, close = hessian.at.data.noise_known, float(np.abs(missed).max()) <= MAX_RELATIVE_MISFIT
     if len(reading) > (DENSE_CELLS if known else MAX_DENSE) or (known and not close):
@@ -156,6 +162,7 @@ def _of_reproduced(hessian: Hessian) -> Certificate | None:
     inside = within_bounds(hessian.at, every, step)
     if not close and (float(np.abs(step).max()) > MAX_DISTANCE or not np.array_equal(inside, step)):
         return None
+    # δ² = eᵀ (WY²) e with the weights W = ∂²φ/∂y² and the readings Y
     decrement = float(np.sqrt(np.sum(curvature * (missed * reading) ** 2)))
     return Certificate.of(hessian, Definiteness.POSITIVE, every, step, decrement)
 
@@ -163,7 +170,7 @@ def _of_reproduced(hessian: Hessian) -> Certificate | None:
 def _confirmed(
     hessian: Hessian, definiteness: Definiteness, free: Numbers, along: Array
 ) -> tuple[Definiteness, Evaluation | None]:
-    """Indefinite only where the cost is seen to fall along a direction of the free cells, and a point where it has."""
+    """Return INDEFINITE only if the cost falls along the direction of the free cells; and the point where it does."""
     if definiteness is not Definiteness.INDEFINITE:
         return definiteness, None
     whole = np.zeros(len(hessian.gradient))
@@ -173,7 +180,7 @@ def _confirmed(
 
 
 def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
-    """Return the certificate by Cholesky's factors; where these fail, by eigenvectors."""
+    """Return the certificate by a Cholesky factor; where that fails, by eigenvectors."""
     matrix, slope = hessian.between(free), hessian.gradient[free]
     least = ROUNDING * _usual_curvature(hessian)[free]
     factor = None
@@ -188,16 +195,37 @@ def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
 
 
 def newton_step(matrix: Array, slope: Array, least: Array) -> tuple[Definiteness, Array, float, Array]:
-    """(definiteness, Newton's step without undetermined directions, what it leaves of the gradient, softest mode)."""
+    """Return the Newton step over the determined eigenvectors of a Hessian, and its definiteness.
+
+    Parameters
+    ----------
+    matrix : array, shape (cells, cells)
+    slope : array, shape (cells,)
+        Gradient g.
+    least : array, shape (cells,)
+        Smallest diagonal entries that are above rounding.
+
+    Returns
+    -------
+    definiteness : Definiteness
+    step : array, shape (cells,)
+        −H⁺ g over the eigenvectors whose eigenvalue is above rounding.
+    left : float
+        Largest entry of the gradient along the other eigenvectors.
+    lowest : array, shape (cells,)
+        Eigenvector of the lowest eigenvalue, in u.
+    """
     if not len(slope):
         return Definiteness.POSITIVE, slope, 0.0, slope
     size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), least))
+    # H = D B D with a unit diagonal of B = V diag(λ) Vᵀ
     unit = matrix / size[:, None] / size
     if not np.all(np.isfinite(unit)):
         return Definiteness.UNDETERMINED, np.full(len(slope), np.inf), np.inf, slope
     values, vectors = np.linalg.eigh(unit)
     solid = values > ROUNDING
     part = vectors.T @ (slope / size)
+    # s = −D⁻¹ V λ⁻¹ Vᵀ D⁻¹ g over λ > ROUNDING
     step = -vectors[:, solid] @ (part[solid] / values[solid]) / size
     left = float(np.abs(size * (vectors[:, ~solid] @ part[~solid])).max(initial=0.0))
     flat = Definiteness.POSITIVE if solid.all() else Definiteness.UNDETERMINED
@@ -205,15 +233,17 @@ def newton_step(matrix: Array, slope: Array, least: Array) -> tuple[Definiteness
 
 
 def clear_of_rounding(triangle: Array, norm: float) -> bool:
-    """Whether 1/‖H⁻¹‖₁ of H = UᵀU with a unit diagonal is more than rounding; norm : ‖H‖₁.
+    """Return whether a matrix H = UᵀU with a unit diagonal is positive definite beyond rounding.
 
-    Rounding may leave every pivot positive. Source: Higham, Accuracy and Stability, 2002, section 15.3.
+    The criterion is 1/‖H⁻¹‖₁ > ROUNDING, because rounding may leave every pivot positive. `triangle` is U, `norm` is
+    ‖H‖₁. Source: Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 15.3.
     """
+    # dpocon returns the reciprocal condition number 1/(‖H‖₁ ‖H⁻¹‖₁).
     return bool(lapack.dpocon(triangle, norm)[0] * norm > ROUNDING)
 
 
 def _usual_curvature(hessian: Hessian) -> Array:
-    """(cells) ∂²φ/∂u² from a cell's own reading, were it weighed as the others are."""
+    """Return the median weight of the readings times J_cc², the usual curvature from a cell's own reading, (cells,)."""
     weight = hessian.curvature[hessian.curvature > 0]
     middle = len(weight) // 2
     return (
@@ -226,7 +256,7 @@ def _usual_curvature(hessian: Hessian) -> Array:
 def _by_conjugate_gradients(
     hessian: Hessian, free: NDArray[np.bool_], preconditioner: Preconditioner | None
 ) -> Certificate:
-    """Undetermined where the iteration does not begin."""
+    """Return the certificate by conjugate gradients; UNDETERMINED if these cannot take a first step."""
     chosen = np.flatnonzero(free)
     slope, product = hessian.gradient[chosen], restricted(hessian.product, chosen, free.size)
     precondition = (preconditioner or TwoLevel.of(hessian)).over(free, hessian.at.cell_resistance)
@@ -234,6 +264,7 @@ def _by_conjugate_gradients(
     moved = bool(solved.products) or not slope.any()
     definiteness = Definiteness.POSITIVE if moved else Definiteness.UNDETERMINED
     if solved.negative:
+        # Negative curvature counts only beyond its rounding error.
         along = solved.step / (float(np.abs(solved.step).max()) or 1.0)
         curvature, size = float(along @ product(along)), hessian.diagonal[chosen]
         rounding = max(ROUNDING * float(along @ (size * along)), MIN_CURVATURE * hessian.at.cost_scale)

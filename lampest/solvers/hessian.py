@@ -27,15 +27,16 @@ from lampest.solvers.smoothing import Smoothing
 
 @dataclass(frozen=True, eq=False)
 class Hessian:
-    """∇²φ at one point, or with a leading axis at one point of each of many panels.
+    """Gradient and Hessian of φ in u = log r at one point, or with a leading axis at one point of each of many panels.
 
-    Vectors are flat (…, frames · cells). Products and matrices between some cells are those of a single panel.
+    Vectors are flat, (…, frames · cells). Products, and matrices over chosen cells, exist for a single panel only.
 
     Attributes
     ----------
     at : Evaluation
+        Cost and residuals at the point.
     smoothing : Smoothing
-        Replaces absolute losses.
+        Differentiable replacement of the absolute losses.
     """
 
     at: Evaluation
@@ -43,15 +44,16 @@ class Hessian:
 
     @cached_property
     def dense(self) -> bool:
-        """Whether the cells that can move are few enough for a matrix."""
+        """Whether a matrix over the cells that can move is cheaper than products."""
         data, size = self.at.data, self.at.cell_resistance.size
         if size <= DENSE_CELLS or size > MATRIX_CELLS:
             return size <= DENSE_CELLS
+        # Absolute losses and joint pairs need many products, so a matrix pays off up to MATRIX_CELLS.
         stiff = len(self.at.cost.slope) > 0 or len(self.at.networks) > 1
         return stiff or int(np.sum(data.lower < data.upper)) <= DENSE_CELLS
 
     def elsewhere(self, position: Array) -> "Hessian":
-        """Return the derivatives of a cost without absolute losses at other u, (…, cells), within the bounds.
+        """Return the derivatives at another point u, (…, cells), clipped to the bounds; without absolute losses only.
 
         Raises numpy.linalg.LinAlgError where a line is not connected.
         """
@@ -60,7 +62,7 @@ class Hessian:
         return replace(self, at=self.at.elsewhere(cells))
 
     def some(self, panels: Numbers) -> "Hessian":
-        """Return the derivatives at some of many panels, with what is known of them."""
+        """Return the derivatives at the chosen panels, with the gradient and the terms that are already computed."""
         chosen = replace(self, at=self.at.some(panels))
         for name in ("gradient", "_smooth_terms"):
             if name in self.__dict__:
@@ -69,17 +71,17 @@ class Hessian:
 
     @property
     def position(self) -> Array:
-        """u = log r."""
+        """The point u = log r, (…, cells)."""
         return self._flat(self.at.position)
 
     @cached_property
     def residual(self) -> Array:
-        """The projected gradient (…), relative to the cost's scale."""
+        """Largest entry of the projected gradient relative to the cost's scale, (…)."""
         return self.at.projected_gradients(self.gradient.reshape(self.at.cell_resistance.shape))
 
     @cached_property
     def free(self) -> NDArray[np.bool_]:
-        """Cells that no bound holds, (…, cells)."""
+        """Cells outside the active set of the bounds, boolean (…, cells)."""
         return free_cells(self.at, self.gradient)
 
     def _flat(self, maps: Array) -> Array:
@@ -87,7 +89,7 @@ class Hessian:
 
     @cached_property
     def gradient(self) -> Array:
-        """∇φ in u."""
+        """∇φ in u: r·∂φ/∂r + Jᵀ·∂φ/∂y, (…, cells)."""
         return self.direct + self.through
 
     @cached_property
@@ -96,26 +98,26 @@ class Hessian:
 
     @cached_property
     def direct(self) -> Array:
-        """r·∂φ/∂r at fixed readings."""
+        """Part of the gradient at fixed readings, r·∂φ/∂r, (…, cells)."""
         return self._flat(self.at.cell_resistance * self._partials[0])
 
     @cached_property
     def through(self) -> Array:
-        """Jᵀ·∂φ/∂y."""
+        """Part of the gradient through the readings, Jᵀ·∂φ/∂y, (…, cells)."""
         return np.concatenate([self._flat(second.adjoint()) for second in self._second_orders], axis=-1)
 
     @property
     def by_reading(self) -> Array:
-        """∂φ/∂y, (…, frames, rows, columns)."""
+        """Derivative of the cost by the readings, ∂φ/∂y, (…, frames, rows, columns)."""
         return self._partials[1]
 
     def forward(self, step: Array) -> Array:
-        """J·p, the change of the readings, (frames, rows, columns)."""
+        """Return J·p, the change of the readings (frames, rows, columns) for a step p of u, flat."""
         pairs = zip(self.at.networks, step.reshape(self.at.cell_resistance.shape), strict=True)
         return np.stack([network.forward(frame) for network, frame in pairs])
 
     def adjoint(self, weights: Array) -> Array:
-        """Jᵀ·w, flat, for w (frames, rows, columns)."""
+        """Return Jᵀ·w, flat, for weights w (frames, rows, columns)."""
         pairs = zip(self.at.networks, weights, strict=True)
         return np.concatenate([network.adjoint(frame).ravel() for network, frame in pairs])
 
@@ -126,17 +128,18 @@ class Hessian:
 
     @cached_property
     def terms(self) -> sparse.csc_array:
-        """T, (2·frames·cells)² sparse."""
+        """T, second derivatives of the terms by (r; y), sparse (2·frames·cells, 2·frames·cells)."""
         matrix = with_entries(self.at.cost.functions.hessian.structure, self._smooth_terms)
         if not len(self.at.cost.slope):
             return matrix
+        # T = T_smooth + (∂x/∂(r; y))ᵀ diag(w·ψ'') (∂x/∂(r; y)), ψ the smoothed absolute loss of residuals x
         jacobian = self.smoothing.jacobian(self.at)
         weight = self.at.cost.slope * self.smoothing.stiffness(self.at.nonsmooth)
         return sparse.csc_array(matrix + jacobian.T @ (sparse.diags_array(weight) @ jacobian))
 
     @cached_property
     def diagonal_of_terms(self) -> Array:
-        """T's diagonal."""
+        """Diagonal of T, (2·frames·cells): cells, then readings."""
         entries, values = self._entries
         numbers, places = entries.on_diagonal
         diagonal = np.zeros(2 * self.at.cell_resistance.size)
@@ -145,13 +148,14 @@ class Hessian:
 
     @property
     def curvature(self) -> Array:
-        """∂²φ/∂y² of each reading alone, flat."""
+        """Second derivative of the cost by each reading, ∂²φ/∂y², flat."""
         return self.diagonal_of_terms[self.at.cell_resistance.size :]
 
     def product(self, step: Array) -> Array:
-        """∇²φ·p; costs 8 products of (rows, columns) with (columns, lines) matrices and no memory of cells².
+        """Return ∇²φ·p, flat.
 
-        By the matrix over the cells that can move, once there is one.
+        A product costs eight products of (rows, columns) with (columns, lines) matrices and never forms a matrix over
+        the cells. If the matrix over the cells that can move is already computed, it is used instead.
         """
         if "_of_movable" in self.__dict__:
             whole = np.zeros(step.size)
@@ -160,75 +164,85 @@ class Hessian:
         cells = self.at.cell_resistance
         pairs = zip(self._second_orders, step.reshape(cells.shape), strict=True)
         changes, seconds = zip(*(order.products(frame) for order, frame in pairs), strict=True)
+        # (diag r; J)ᵀ T (diag r; J)·p: T applied to the changes (δr; δy) = (r·p; J·p)
         move = np.concatenate([cells.ravel() * step, *(change.ravel() for change in changes)])
         force = self.diagonal_of_terms * move if self._entries[0].alone else self.terms @ move
         through = self.adjoint(force[step.size :].reshape(cells.shape))
+        # + N·p + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)·p
         whole = cells.ravel() * force[: step.size] + through + np.concatenate([second.ravel() for second in seconds])
         return np.asarray(whole + (self.direct - self.through) * step)
 
     def gauss_newton_product(self, step: Array) -> Array:
-        """(JᵀWJ + PᵀKP)·p."""
+        """Return the product with the Gauss–Newton matrix, (JᵀWJ + PᵀKP)·p, flat."""
         through = self.reading_weight * self.forward(step)
         return np.asarray(self.penalty_matrix @ step + self.adjoint(through))
 
     @cached_property
     def reading_weight(self) -> Array:
-        """W, (frames, rows, columns): max(∂²φ/∂y², 0) of squared losses, ρ'(x)/x·(∂x/∂y)² of all others.
+        """Weights W of the readings in the Gauss–Newton matrix, (frames, rows, columns).
 
-        These weights of iteratively reweighted least squares are positive beyond a loss's corner, too.
+        W = max(∂²φ/∂y², 0) for squared losses and ρ'(x)/x·(∂x/∂y)² for all others. The latter are the weights of
+        iteratively reweighted least squares. They are positive even where ρ'' is negative, beyond a loss's corner.
         """
         weight = np.maximum(self.curvature, 0.0)
         if not all(term.loss.squared for term in self.at.cost.terms if term.reads_measurement):
             part = residuals(self.at.cost).data
             _, stiffness = slopes_of(self, part, part.values(self.at))
+            # W_i = Σ_k (∂x_k/∂y_i)²·ρ'(x_k)/x_k
             weight = part.jacobian("by_model", self.at).power(2).T @ stiffness
         return np.asarray(weight.reshape(self.at.cell_resistance.shape))
 
     @cached_property
     def penalty_matrix(self) -> sparse.csr_array:
-        """PᵀKP (frames · cells)², sparse and positive semidefinite."""
+        """Part PᵀKP of the penalties in the Gauss–Newton matrix, sparse (frames·cells, frames·cells), semidefinite."""
         part = residuals(self.at.cost).penalties
         size = self.at.cell_resistance.size
         if not len(part.term):
             return sparse.csr_array((size, size))
+        # P = ∂x/∂u = (∂x/∂r)·diag(r)
         slopes = part.jacobian("by_cells", self.at) @ sparse.diags_array(self.at.cell_resistance.ravel())
         _, stiffness = slopes_of(self, part, part.values(self.at))
         return sparse.csr_array(slopes.T @ (sparse.diags_array(stiffness) @ slopes))
 
     @cached_property
     def only_data(self) -> bool:
-        """Whether a single frame's readings alone enter the second derivatives."""
+        """Whether the second derivatives have no part at fixed readings: one frame, no penalty on its cells."""
         cells, functions = self.at.cell_resistance, self.at.cost.functions
         absolute = functions.nonsmooth_jacobian.pattern[1] < cells.size
         return len(cells) == 1 and not (len(functions.entries.cells) or absolute.any())
 
     @cached_property
     def own_response(self) -> Array:
-        """J's diagonal, flat."""
+        """Diagonal of J, the response of each reading to its own cell, flat."""
         return np.concatenate([network.own_response().ravel() for network in self.at.networks])
 
     @property
     def own(self) -> Array:
-        """The part of each cell's own reading in JᵀWJ's diagonal: W_c·J_cc²."""
+        """Part W_c·J_cc² of each cell's own reading in the diagonal of JᵀWJ, flat."""
         return np.asarray(self.reading_weight.ravel() * self.own_response**2)
 
     @cached_property
     def diagonal(self) -> Array:
-        """An estimate of ∇²φ's diagonal that is nowhere negative: own readings and penalties."""
+        """Nonnegative estimate of the diagonal of ∇²φ from own readings and penalties, flat."""
         return np.asarray(self.own + self.penalty_matrix.diagonal())
 
     @cached_property
     def matrix(self) -> Array:
-        """∇²φ, dense (…, frames · cells, frames · cells)."""
+        """The Hessian ∇²φ, dense (…, frames · cells, frames · cells)."""
         jacobians = [network.sensitivity() for network in self.at.networks]
         matrix = block_diagonal([second.matrix() for second in self._second_orders])
         self._add_terms(matrix, jacobians)
+        # + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y), the curvature of r = exp(u)
         np.einsum("...ii->...i", matrix)[...] += self.direct - self.through
         return matrix
 
     @cached_property
     def _movable(self) -> Numbers:
-        """The numbers of the cells that can move; all, unless a single frame's matrix over fewer of them is smaller."""
+        """Numbers of the cells of `_of_movable`.
+
+        These are the cells with room between their bounds where the second derivatives allow a matrix over a part of
+        the cells: a single frame whose readings enter T on the diagonal only. Otherwise they are all cells.
+        """
         data, entries = self.at.data, self._entries[0]
         free = np.flatnonzero(data.lower < data.upper)
         alone = len(self.at.networks) == 1 and entries.at_model is not None and not entries.crossed
@@ -236,13 +250,15 @@ class Hessian:
 
     @cached_property
     def _of_movable(self) -> Array:
-        """∇²φ between the cells that can move, of a single frame; readings without weight are left out."""
+        """Hessian ∇²φ of a single frame over the cells that can move; readings without weight are left out."""
         entries, values = self._entries
         cells, movable = self.at.cell_resistance.ravel(), self._movable
+        # Position of each cell in the smaller matrix, −1 for cells that cannot move.
         place = np.full(len(cells), -1)
         place[movable] = np.arange(len(movable))
         row, column = entries.at_cells
         own = (place[row] >= 0) & (place[column] >= 0)
+        # N + diag(r) T_rr diag(r) + JᵀT_yy J + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)
         matrix = self._second_orders[0].matrix(movable)
         moved = values[entries.cells] * cells[row] * cells[column]
         matrix[place[row[own]], place[column[own]]] += moved[own]
@@ -251,19 +267,19 @@ class Hessian:
         return matrix
 
     def _square(self, cells: Numbers, weight: Array, readings: Numbers | None = None) -> Array:
-        """JᵀWJ of a single frame between some cells, over the readings (None: all) that have a weight."""
+        """Return JᵀWJ of a single frame over the chosen cells; readings (None: all) without weight are skipped."""
         counted = np.flatnonzero(weight)
         read = counted if readings is None else readings[counted]
         return weighted_square(self.at.networks[0].sensitivity(cells, read), weight[counted])
 
     def between(self, chosen: Numbers) -> Array:
-        """∇²φ between some unknowns (numbers), dense."""
+        """Return the dense Hessian ∇²φ over the chosen unknowns (numbers)."""
         if len(self._movable) == self.at.cell_resistance.size:
             return matrix_between(self.matrix, chosen)
         return matrix_between(self._of_movable, np.searchsorted(self._movable, chosen))
 
     def gauss_newton_between(self, chosen: Numbers) -> Array:
-        """JᵀWJ + PᵀKP between some unknowns (numbers), dense."""
+        """Return the dense Gauss–Newton matrix JᵀWJ + PᵀKP over the chosen unknowns (numbers)."""
         return matrix_between(self._gauss_newton_matrix, chosen)
 
     @cached_property
@@ -274,11 +290,14 @@ class Hessian:
         return np.asarray(block_diagonal(blocks) + self.penalty_matrix.toarray())
 
     def _add_terms(self, matrix: Array, jacobians: Sequence[Array]) -> None:
+        """Add (diag r; J)ᵀ T (diag r; J) in place; matrix (…, cells, cells), one Jacobian for each frame."""
         cells = self._flat(self.at.cell_resistance)
         count = cells.shape[-1]
         entries, values = self._entries
         row, column = entries.at_cells
+        # diag(r) T_rr diag(r)
         matrix[..., row, column] += values[..., entries.cells] * cells[..., row] * cells[..., column]
+        # Jᵀ T_yy J; where T_yy is diagonal, frame by frame
         if entries.at_model is None:
             jacobian = block_diagonal(jacobians)
             matrix += jacobian.T @ (self.terms[count:, count:] @ jacobian)
@@ -290,11 +309,13 @@ class Hessian:
                 span = slice(number * size, (number + 1) * size)
                 matrix[..., span, span] += weighted_square(jacobian, weight[..., span])
         if entries.crossed:
+            # diag(r) T_ry J and its transpose
             cross = cells[:, None] * (self.terms[:count, count:] @ block_diagonal(jacobians))
             matrix += cross + cross.T
 
     @cached_property
     def _entries(self) -> tuple[Entries, Array]:
+        """Places and values of the nonzero entries of T."""
         functions = self.at.cost.functions
         if not len(self.at.cost.slope):
             return functions.entries, self._smooth_terms
@@ -307,7 +328,7 @@ class Hessian:
 
 
 def slopes_of(hessian: Hessian, part: Part, value: Array) -> tuple[Array, Array]:
-    """weight·(ρ'(x), ρ'(x)/x) of every residual x of a part; absolute losses are smoothed."""
+    """Return weight·(ρ'(x), ρ'(x)/x) of the residuals x of a part, (rows) each; absolute losses are smoothed."""
     cost, weights, smoothing = hessian.at.cost, hessian.at.weights, hessian.smoothing
     stiffness: Array = 2 * weights[part.term]
     slope = stiffness * value
@@ -326,19 +347,20 @@ def slopes_of(hessian: Hessian, part: Part, value: Array) -> tuple[Array, Array]
 
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:
-    """Blocks along the diagonal; one alone as it is."""
+    """Return the block-diagonal matrix of the blocks; a single block is returned unchanged."""
     return blocks[0] if len(blocks) == 1 else np.asarray(linalg.block_diag(*blocks))
 
 
 def matrix_between(matrix: Array, chosen: Numbers) -> Array:
-    """Return the part of a matrix between some unknowns; itself where these are all."""
+    """Return the submatrix over the chosen unknowns (numbers); the matrix itself where these are all."""
     return matrix if len(chosen) == len(matrix) else matrix[np.ix_(chosen, chosen)]
 
 
 def weighted_square(matrix: Array, weight: Array) -> Array:
-    """AᵀWA (…, cells, cells); a product of a matrix with its own transpose costs half."""
+    """Return AᵀWA, (…, cells, cells), for A (…, rows, cells) and diagonal weights W (…, rows)."""
     if weight.min(initial=0.0) < 0:
         return (matrix * weight[..., None]).swapaxes(-1, -2) @ matrix
+    # (√W A)ᵀ(√W A): BLAS computes a product of a matrix with its own transpose at half the cost.
     scaled = matrix * np.sqrt(weight)[..., None]
     square: Array = scaled.swapaxes(-1, -2) @ scaled
     return square

@@ -1,7 +1,8 @@
 """Log-barrier interior-point method for plain least squares of a large panel, where many cells end at a bound.
 
-argmin φ(g) − μ Σ log(g − g_low) − μ Σ log(g_high − g) in the conductances g for ever smaller μ, by Newton's method with
-the multipliers of the bounds as unknowns. Without it such frames take ten times the products.
+The method minimises φ(g) − μ Σ log(g − g_low) − μ Σ log(g_high − g) over the conductances g for decreasing μ, by
+Newton's method with the multipliers of the bounds as further unknowns. Without it such frames take ten times the
+products.
 Source: Nocedal & Wright, Numerical Optimization, 2006, sections 19.2 and 19.3.
 """
 
@@ -28,21 +29,22 @@ class InteriorPoint:
     Attributes
     ----------
     start_margin : float
-        Distance from its bounds at which a cell begins, as a share of the median conductance; a fiftieth of what lies
-        between its bounds at most.
+        Distance of the first point from the bounds, as a share of the median conductance; at most a fiftieth of the
+        distance between the bounds of the cell.
     barrier_reduction : float
-        The next μ over this one, after a step of which bounds left at least half.
+        Factor of μ after a step of which bounds left more than half.
     step_to_boundary : float
-        Share of the way to the next bound that a step may go.
+        Share of the distance to the nearest bound that a step may cover.
     min_step : float
-        Share of a step that bounds must leave: conjugate gradients end before (directions of nearly no curvature).
+        Share of a step that bounds must leave. Conjugate gradients end before a longer one, which directions of nearly
+        no curvature cause.
     max_steps, max_halvings : int
-        Of the method, and of one step.
+        Maximum number of steps of the method, and of halvings of one step.
     start_tolerance : float
-        Gradient, of the cost's scale, below which it does not begin: frames in sequence begin at 0.05, what is solved
-        again at its tolerance.
+        Projected gradient, relative to the cost's scale, below which the method does not begin. Frames in sequence
+        begin at 0.05, frames that are solved again at their tolerance.
     max_barrier_share : float
-        Part of the cost that bounds still add where the last steps are left to Newton's method.
+        Share of the cost due to the bounds at which the method ends; the last steps are left to Newton's method.
     """
 
     start_margin: float = 0.05
@@ -55,19 +57,21 @@ class InteriorPoint:
     max_barrier_share: float = 1e-8
 
     def reach(self, room: Array, change: Array) -> float:
-        """Return how far along a change all rooms stay positive, at most one."""
+        """Return the largest share ≤ 1 of a change that keeps all distances `room` positive."""
         falling = (change < 0) & (room > 0)
         nearest = float((-room[falling] / change[falling]).min(initial=np.inf))
         return min(1.0, self.step_to_boundary * nearest)
 
 
+# Without min_step, and with μ reduced after every step, one of two later frames at 100 × 100 takes more than 60 s in
+# place of 5 to 8 s (docs/studies/speed.md).
 METHOD = InteriorPoint()
 
 
 def by_interior_point(start: Evaluation) -> tuple[Evaluation, int]:
-    """Return the cost where the bounds' part in it has become nothing, and the steps.
+    """Return the point at which the barrier's share of the cost has vanished, and the number of steps.
 
-    `start` and none where it is no help.
+    Returns `start` and no steps if the method does not apply, and `start` if the method ends at a higher cost.
     """
     if not crowds_bounds(start):
         return start, 0
@@ -86,7 +90,7 @@ def by_interior_point(start: Evaluation) -> tuple[Evaluation, int]:
 
 
 def crowds_bounds(start: Evaluation) -> bool:
-    """Whether squares of a large frame's readings are all there is, and more cells than lines stand at a bound."""
+    """Return whether the cost is plain least squares of a large frame with more cells at a bound than lines."""
     hessian, data = Hessian(start, Smoothing.start(start)), start.data
     if hessian.dense or not hessian.only_data or not all(term.loss.squared for term in start.cost.terms):
         return False
@@ -99,18 +103,17 @@ def crowds_bounds(start: Evaluation) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Barrier:
-    """Point of the interior-point method.
+    """Iterate of the interior-point method.
 
     Attributes
     ----------
     at : Evaluation
-        The cost.
-    below, above : array
-        z, w, the forces that the bounds of g exert, (rows, columns) cost/siemens.
+    below, above : array, shape (rows, columns)
+        Multipliers z and w of the lower and the upper bounds of g, cost/siemens.
     mean : float
-        μ, the mean force times room that the next step aims at.
+        Barrier parameter μ, the target of z·(g − g_low) and w·(g_high − g).
     length : float
-        Of the last step, as far as bounds let it.
+        Share of the last step that bounds left.
     """
 
     at: Evaluation
@@ -121,7 +124,7 @@ class _Barrier:
 
     @classmethod
     def of(cls, start: Evaluation) -> "_Barrier":
-        """Return a point somewhat inside the bounds, with the same force times room everywhere."""
+        """Return the first iterate: a point inside the bounds with z·(g − g_low) = w·(g_high − g) = μ."""
         low, high = _bounds(start)
         conductance = 1 / start.cell_resistance[0]
         room = np.minimum(METHOD.start_margin * float(np.median(conductance)), (high - low) / 50)
@@ -133,45 +136,49 @@ class _Barrier:
 
     @cached_property
     def conductance(self) -> Array:
+        """Conductances g, (rows, columns) siemens."""
         return np.asarray(1 / self.at.cell_resistance[0])
 
     @cached_property
     def rooms(self) -> tuple[Array, Array]:
-        """(g − g_low, g_high − g), siemens."""
+        """Distances to the bounds (g − g_low, g_high − g), (rows, columns) siemens."""
         low, high = _bounds(self.at)
         return self.conductance - low, high - self.conductance
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
-        """(rows, columns) whether a cell has two bounds that differ."""
+        """Whether the bounds of a cell differ, boolean (rows, columns)."""
         low, high = _bounds(self.at)
         return np.asarray(low < high, dtype=bool)
 
     @cached_property
     def hessian(self) -> Hessian:
+        """Derivatives of φ in u = log r."""
         return Hessian(self.at, Smoothing.start(self.at))
 
     @cached_property
     def gradient(self) -> Array:
-        """∂φ/∂g."""
+        """Gradient ∂φ/∂g = −(∂φ/∂u)/g, (rows, columns)."""
         return np.asarray(-self.hessian.gradient.reshape(self.conductance.shape) / self.conductance)
 
     @property
     def added(self) -> float:
-        """Σ z·(g − g_low) + w·(g_high − g): at most what the bounds keep the cost above its least value."""
+        """Complementarity Σ z·(g − g_low) + w·(g_high − g), an estimate of the cost that the barrier adds."""
         return float(np.sum(self.below * self.rooms[0] + self.above * self.rooms[1]))
 
     @cached_property
     def stiffness(self) -> Array:
-        """z/(g − g_low) + w/(g_high − g), zero where nothing moves."""
+        """Second derivative of the barrier, z/(g − g_low) + w/(g_high − g); zero for cells that cannot move."""
         return _over(self.below, self.rooms[0]) + _over(self.above, self.rooms[1])
 
     def moved(self) -> "_Barrier | None":
-        """Return the point after one step; None where no step leads lower."""
+        """Return the iterate after one step; None if no step lowers the barrier function."""
         mean = self.mean * (METHOD.barrier_reduction if self.length > 0.5 else 1.0)
+        # −∇ of the barrier function: −∂φ/∂g + μ/(g − g_low) − μ/(g_high − g)
         push = np.where(self.moving, -self.gradient + _over(mean, self.rooms[0]) - _over(mean, self.rooms[1]), 0.0)
         step = self._step(push)
         length = min(METHOD.reach(self.rooms[0], step), METHOD.reach(self.rooms[1], -step))
+        # Backtracking until the barrier function falls by a share of the predicted decrease.
         before, along = self._merit(self.at, mean), float(np.sum(push * step))
         for _ in range(METHOD.max_halvings):
             cells = 1 / (self.conductance + length * step)
@@ -183,14 +190,18 @@ class _Barrier:
         return None
 
     def _step(self, push: Array) -> Array:
-        """(∂²φ/∂g² + stiffness)⁻¹·push, by relative steps δg/g; with JᵀWJ where that is indefinite."""
+        """Return the step (∂²φ/∂g² + stiffness)⁻¹·push; with the Gauss–Newton matrix where that is indefinite.
+
+        Conjugate gradients solve for relative steps δg/g, whose Hessian is ∇²φ + diag(∇φ) + stiffness·g².
+        """
         hessian, free = self.hessian, self.moving.ravel()
         chosen, whole = np.flatnonzero(free), np.zeros(push.size)
         stiff = (self.stiffness * self.conductance**2).ravel()
         exact: Linear = lambda step: hessian.product(step) + (stiff + hessian.gradient) * step  # noqa: E731
         precondition = TwoLevel.of(hessian, stiff).over(free, self.at.cell_resistance)
         slope = -(push * self.conductance).ravel()[chosen]
-        # Steps grow exact as the bounds' part fades: residuals of cells there hide those of others.
+        # Accuracy grows as the barrier's share shrinks: residuals of cells at bounds hide those of the others. With
+        # ACCURACY throughout, besides the changes named at METHOD, a later frame takes 83 s (docs/studies/speed.md).
         accuracy = ACCURACY * min(1.0, self.added / self.at.objective) ** 0.25
         rooms = [(room / self.conductance).ravel()[chosen] for room in self.rooms]
 
@@ -205,21 +216,24 @@ class _Barrier:
         return whole.reshape(push.shape) * self.conductance
 
     def _merit(self, at: Evaluation, mean: float) -> float:
+        """Return the barrier function φ − μ Σ log(g − g_low) − μ Σ log(g_high − g); infinite outside the bounds."""
         low, high = _bounds(at)
         inside = (1 / at.cell_resistance[0])[self.moving]
         rooms = np.concatenate([inside - low[self.moving], high[self.moving] - inside])
         return at.objective - mean * float(np.log(rooms).sum()) if np.all(rooms > 0) else float("inf")
 
     def _forced(self, trial: Evaluation, step: Array, mean: float, ahead: float) -> "_Barrier":
-        """Return the trial point with forces that follow as far as they stay positive."""
+        """Return the iterate at the trial point, with multipliers moved as far as they stay positive."""
+        # δz = (μ − z·δg)/(g − g_low) − z, δw = (μ + w·δg)/(g_high − g) − w
         below = _over(mean - self.below * step, self.rooms[0]) - self.below
         above = _over(mean + self.above * step, self.rooms[1]) - self.above
         length = min(METHOD.reach(self.below, below), METHOD.reach(self.above, above))
         return _Barrier(trial, self.below + length * below, self.above + length * above, mean, min(length, ahead))
 
     def put_at_bounds(self) -> Evaluation:
-        """Return the cost with cells at the bound whose barrier curves more than the readings do."""
+        """Return the evaluation with cells put at each bound whose barrier curvature exceeds that of their reading."""
         data = self.at.data
+        # In the conductance: z/(g − g_low) > W·(∂y/∂g)²
         own = self.hessian.own.reshape(self.conductance.shape) / self.conductance**2
         below, above = (_over(*pair) > own for pair in zip((self.below, self.above), self.rooms, strict=True))
         cells = np.where(below, data.upper[0], self.at.cell_resistance[0])
@@ -227,10 +241,10 @@ class _Barrier:
 
 
 def _bounds(at: Evaluation) -> tuple[Array, Array]:
-    """(g_low, g_high) (rows, columns) siemens."""
+    """Return the bounds (g_low, g_high) of the conductance, (rows, columns) siemens each."""
     return 1 / at.data.upper[0], 1 / at.data.lower[0]
 
 
 def _over(force: Array | float, room: Array) -> Array:
-    """force/room; zero where there is no room at all."""
+    """Return force/room; zero where room is zero."""
     return np.asarray(np.divide(force, room, out=np.zeros_like(room), where=room > 0))

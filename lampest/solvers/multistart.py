@@ -1,6 +1,8 @@
-"""Multi-start: plain least squares of two-point readings begins at the convex start, a frame at the estimate before.
+"""Multi-start: choice of the starts of a frame, and of the lowest minimum.
 
-A first frame whose cost may have several minima begins at the baseline, at equal cells, and at the readout's own start.
+Plain least squares of two-point readings begins at the convex start. A frame that follows another begins at the
+previous estimate. A first frame whose cost may have several minima begins at the baseline, at equal cells, and at the
+readout's own start.
 """
 
 from collections.abc import Iterable, Iterator
@@ -18,32 +20,35 @@ from lampest.solvers.preconditioners import Preconditioner
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import MAX_STARTS, VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
 
-BROKEN = (ArithmeticError, ValueError, RuntimeError)  # what numpy, LAPACK, SuperLU and CasADi raise for numbers
+BROKEN = (ArithmeticError, ValueError, RuntimeError)  # raised by numpy, LAPACK, SuperLU and CasADi for bad numbers
+# Where the first start of a first frame met negative curvature, 3 of 9 frames of the bench ended 0.5 to 45 % above the
+# best of three starts (docs/studies/speed.md).
 FIRST_STARTS = 3
-MAX_SPENT, MAX_UNSOLVED = 100, 300  # iterations of all starts, after which a frame with, without an estimate ends
-START_SPREAD = 20.0  # times the apparent resistance, to which scattered starts reach
-SAME_MINIMUM = 1e-9  # of the cost: minima that differ by less are one, reached from two sides
+MAX_SPENT, MAX_UNSOLVED = 100, 300  # iterations of all starts after which a frame ends: with, and without an estimate
+START_SPREAD = 20.0  # largest factor between a scattered start and the apparent resistance
+SAME_MINIMUM = 1e-9  # relative difference of cost below which two minima are the same
 LAST_STEPS = Settings(max_iterations=20)
-# Readings in volt are large beside their noise, and so is the cost against which the test of optimality is scaled.
+# Readings in volt are large compared with their noise, and so is the cost that scales the test of optimality: polishing
+# steps of such readouts have a finer tolerance.
 FINE_STEPS = Settings(tolerance=1e-12, max_iterations=20)
 
 
 def best_solution(
     solver: Solver, data: Data, previous: Array | None, preconditioner: Preconditioner | None = None
 ) -> Solution:
-    """Return the lowest minimum from as many starts as the settings or, by default, the frame asks for.
+    """Return the lowest minimum over the starts of a frame.
 
-    Other solvers continue from the minimum of projected Newton where the cost may have several. Arithmetic that breaks
-    down costs its start; where it does at every start, the status says so.
+    Where the cost may have several minima, solvers other than projected Newton continue from the minimum that projected
+    Newton finds. A start with a numerical breakdown is skipped. If all starts break down, the status states it.
 
     Parameters
     ----------
     solver : Solver
     data : Data
     previous : array, shape (frames, rows, columns), or None
-        Estimate of the frame before, ohm.
+        Estimate of the previous frame, ohm.
     preconditioner : Preconditioner or None
-        From the frame before.
+        Preconditioner of the previous frame.
     """
     with np.errstate(all="ignore"), delayed_interrupt():
         if isinstance(solver, ProjectedNewton):
@@ -58,26 +63,35 @@ def best_solution(
 
 
 def _lowest(solver: Solver, data: Data, previous: Array | None) -> Solution:
+    """Return the lowest minimum that one solver reaches from the starts of a frame."""
     requested, best, tried, spent = solver.settings.starts, None, 0, 0
     first = previous is None or data.first
     most = requested or (FIRST_STARTS if first and several_minima(solver.cost, data) else 1)
     places = chain(starts(solver.cost, data, previous), scattered(data) if requested else ())
     for start in evaluable(solver.cost, data, places):
+        # End after the number of starts, the time limit, or the iterations that a frame may spend on further starts.
         solved = best is not None and best.solved
         enough = tried >= most or (requested is None and spent > MAX_SPENT)
         if tried and (data.overdue or (solved and enough) or (requested is None and spent > MAX_UNSOLVED)):
             break
         solution, tried = solved_from(solver, start), tried + 1
         spent += solution.iterations
+        # Keep the first solution, and any solved one that is clearly lower.
         lower = best is None or not best.solved or solution.objective < best.objective * (1 - SAME_MINIMUM)
         best = solution if best is None or (solution.solved and lower) else best
+        # No direction of negative curvature was met: further starts rarely find a lower minimum (1 of 24 first frames
+        # of the bench, by 0.2 %; docs/studies/speed.md).
         if requested is None and solution.strict and solution.convex:
             break
     return _broken(solver.cost, data) if best is None else replace(best, starts=tried)
 
 
 def several_minima(cost: Cost, data: Data) -> bool:
-    """Return whether there may be several minima: in all but two-point readings whose penalties are convex in log r."""
+    """Return whether the cost may have several minima.
+
+    One minimum is assumed for readouts whose inverse problem is unique, with convex losses, in two cases: plain least
+    squares; and two-sided readings with terms that compare with an earlier frame, all of them convex in log r.
+    """
     if not (all(term.loss.convex for term in cost.terms) and data.readout.unique):
         return True
     if all(term.reads_measurement for term in cost.terms):
@@ -88,7 +102,7 @@ def several_minima(cost: Cost, data: Data) -> bool:
 
 
 def starts(cost: Cost, data: Data, previous: Array | None) -> Iterator[Array]:
-    """Return starts in the order in which they are tried: (frames, rows, columns) ohm."""
+    """Yield the starts of a frame in the order in which they are tried, (frames, rows, columns) ohm each."""
     if all(term.reads_measurement for term in cost.terms) and data.readout.unique:
         yield convex(data, previous)
     if previous is not None:
@@ -98,9 +112,10 @@ def starts(cost: Cost, data: Data, previous: Array | None) -> Iterator[Array]:
 
 
 def scattered(data: Data) -> Iterator[Array]:
-    """Apparent resistances times 1 to START_SPREAD, without end and the same for everybody.
+    """Yield an endless, deterministic sequence of starts: apparent resistances times factors of 1 to START_SPREAD.
 
-    The exponents are fractions of √2·n², which lie evenly (Rudnick, Sarnak & Zaharescu, Invent. Math. 145, 2001).
+    The exponents are the fractional parts of √2·n², which are evenly distributed (Rudnick, Sarnak & Zaharescu, Invent.
+    Math. 145, 2001).
     """
     size = data.measured.size
     for drawn in count():
@@ -110,7 +125,11 @@ def scattered(data: Data) -> Iterator[Array]:
 
 
 def convex(data: Data, near: Array | None) -> Array:
-    """Return the readout's start of every frame, of two-point readings the convex one; near : an estimate, or None."""
+    """Return the readout's start of every frame, (frames, rows, columns) ohm; of two-point readings the convex one.
+
+    `near` is an estimate of the same shape from which it is computed, or None. If the computation breaks down, the
+    uniform start is returned.
+    """
     places = [None] * len(data.measured) if near is None else list(near)
     with suppress(*BROKEN):
         return np.stack([data.readout.start(*three) for three in zip(data.measured, data.upper, places, strict=True)])
@@ -118,12 +137,12 @@ def convex(data: Data, near: Array | None) -> Array:
 
 
 def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:
-    """Return the cost at a start put within the bounds."""
+    """Return the evaluation at a start, clipped to the bounds."""
     return Evaluation.at(cost, data, np.clip(start, data.lower, data.upper))
 
 
 def evaluable(cost: Cost, data: Data, places: Iterable[Array]) -> Iterator[Evaluation]:
-    """Return the cost at those starts where it is a number."""
+    """Yield the evaluations at those starts where the cost is finite."""
     for start in islice(places, MAX_STARTS):
         with suppress(*BROKEN):
             point = evaluated(cost, data, start)
@@ -132,19 +151,21 @@ def evaluable(cost: Cost, data: Data, places: Iterable[Array]) -> Iterator[Evalu
 
 
 def solved_from(solver: Solver, start: Evaluation) -> Solution:
-    """Solve from one start; what an interior-point method left short of an optimum is polished by Newton's steps."""
+    """Solve from one start; Newton's method polishes results of IPOPT that are not settled strict minima."""
     with suppress(*BROKEN):
         return _solved(solver, start)
     return _broken(solver.cost, start.data)
 
 
 def _solved(solver: Solver, start: Evaluation) -> Solution:
+    """Solve from one start and polish the result; arithmetic errors are raised."""
     outcome = solver.solve(start.data, start)
     solution = check(start, outcome)
     settled = solution.strict and solution.kkt_residual <= VERIFIED / 10
     unique = start.data.readout.unique
     if (settled and unique) or isinstance(solver, ProjectedNewton) or outcome.status is not Status.OPTIMUM:
         return solution
+    # Polish from the solver's cells and, if that gives no strict minimum, from the start.
     steps = LAST_STEPS if unique else FINE_STEPS
     newton = ProjectedNewton(solver.cost, steps if solution.solved else solver.settings)
     reached = [solution]
@@ -158,5 +179,6 @@ def _solved(solver: Solver, start: Evaluation) -> Solution:
 
 
 def _broken(cost: Cost, data: Data) -> Solution:
+    """Return a solution of NaN with the status BREAKDOWN."""
     outcome = Outcome(data.measured, np.zeros(0), Status.BREAKDOWN, 0)
     return failure(cost, data, Status.BREAKDOWN, float("nan"), outcome)

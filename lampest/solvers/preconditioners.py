@@ -1,8 +1,8 @@
-"""Preconditioners M ≈ ∇²φ of conjugate gradients, kept from frame to frame while they serve.
+"""Preconditioners M ≈ ∇²φ of conjugate gradients, reused from frame to frame while they are accurate enough.
 
-Small problems: the Cholesky factor of ∇²φ, or of Gauss–Newton's matrix. Large ones: A = T + diag(c) + V S Vᵀ, in ohm, T
-of the penalties, c of each cell's own reading, V two columns for every line; with the coarse space Q = V (VᵀAV)⁻¹ Vᵀ,
-M⁻¹ = Q + (1 − QA) (T + diag(c))⁻¹ (1 − AQ).
+Small problems use the Cholesky factor of ∇²φ, or of the Gauss–Newton matrix. Large problems use derivatives by ohm,
+A = T + diag(c) + V S Vᵀ: T contains the penalties, c the response of each cell's own reading, and V two columns for
+every line. With the coarse space Q = V (VᵀAV)⁻¹ Vᵀ, M⁻¹ = Q + (1 − QA) (T + diag(c))⁻¹ (1 − AQ).
 Source: Nabben & Vuik, SIAM J. Numer. Anal. 42, 2004 (balancing).
 """
 
@@ -24,7 +24,7 @@ from lampest.solvers.hessian import Hessian
 
 # Of the largest entry of a diagonal: double precision does not distinguish a smaller one from zero.
 MIN_DIAGONAL = 1e-12
-SHIFTS = (1e-10, 1e-6, 1e-3)  # of a unit diagonal: where rounding makes Gauss–Newton's matrix indefinite
+SHIFTS = (1e-10, 1e-6, 1e-3)  # added in turn to a unit diagonal: rounding can make Gauss–Newton's matrix indefinite
 WEAK_WEIGHT = 1e-3  # of the largest weight: readings beyond a loss's corner, which still tie a line together
 Numbers = NDArray[np.intp]
 Free = NDArray[np.bool_]
@@ -32,31 +32,41 @@ Free = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Preconditioner(ABC):
-    """M, and the cell resistance (frames, rows, columns) ohm where it was made."""
+    """Preconditioner M.
+
+    Attributes
+    ----------
+    cell_resistance : array, shape (frames, rows, columns)
+        Point at which M was made, ohm.
+    """
 
     cell_resistance: Array
 
     def distance(self, cell_resistance: Array) -> float:
-        """Return the largest change of log r since; infinite for another panel."""
+        """Return the largest |δ log r| between this point and the one of M; infinite for a panel of another shape."""
         if cell_resistance.shape != self.cell_resistance.shape:
             return float("inf")
         return float(np.abs(np.log(cell_resistance / self.cell_resistance)).max())
 
     @abstractmethod
     def over(self, free: Free, cell_resistance: Array) -> Linear:
-        """M⁻¹·p in u = log r between the free cells, flat; symmetric and positive definite."""
+        """Return the product M⁻¹·p in u = log r over the free cells, flat; symmetric and positive definite."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cholesky(Preconditioner):
-    """UᵀU = D⁻¹MD⁻¹ over some cells (numbers).
-
-    Below its diagonal, `triangle` holds what nobody reads.
+    """Cholesky factor UᵀU = D⁻¹MD⁻¹ of a matrix over chosen cells, scaled to a unit diagonal.
 
     Attributes
     ----------
-    diagonal : array
-        Of M, for the other cells.
+    cells : array of int
+        Numbers of the n chosen cells.
+    triangle : array, shape (n, n)
+        U; the entries below its diagonal have no meaning.
+    size : array, shape (n,)
+        D, the roots of the diagonal of M.
+    diagonal : array, shape (cells,)
+        Diagonal of M; its mean for cells that were not chosen.
     norm : float
         ‖UᵀU‖₁.
     """
@@ -69,7 +79,10 @@ class Cholesky(Preconditioner):
 
     @classmethod
     def of(cls, cell_resistance: Array, cells: Numbers, matrix: Array, least: float = 0.0) -> "Cholesky | None":
-        """Return the factor of a matrix over some cells with `least` added to its unit diagonal; None if indefinite."""
+        """Return the factor of a matrix over the chosen cells; None if it is not positive definite.
+
+        `least` is added to the unit diagonal of the scaled matrix.
+        """
         own = matrix.diagonal()
         if not own.min() > 0:
             return None
@@ -86,12 +99,13 @@ class Cholesky(Preconditioner):
         return cls(cell_resistance, cells, triangle, size, diagonal, norm)
 
     def solve(self, values: Array) -> Array:
-        """M⁻¹·p over its own cells."""
+        """Return M⁻¹·p over the chosen cells."""
         return np.asarray(lapack.dpotrs(self.triangle, values / self.size)[0] / self.size)
 
     def inverse(self) -> Array:
-        """M⁻¹ between its own cells, (cells, cells)."""
+        """Return M⁻¹ over the chosen cells, (n, n)."""
         upper = np.triu(lapack.dpotri(self.triangle)[0])
+        # dpotri returns one triangle; the diagonal would count twice in upper + upperᵀ.
         upper.flat[:: len(upper) + 1] /= 2
         return np.asarray((upper + upper.T) / self.size / self.size[:, None])
 
@@ -99,6 +113,7 @@ class Cholesky(Preconditioner):
         chosen = np.flatnonzero(free)
         if np.array_equal(chosen, self.cells):
             return self.solve
+        # Other free cells than those of the factor: its inverse where both agree, 1/diagonal elsewhere.
         place = np.full(free.size, -1)
         place[self.cells] = np.arange(len(self.cells))
         known = place[chosen] >= 0
@@ -115,22 +130,35 @@ class Cholesky(Preconditioner):
 
 @dataclass(frozen=True, eq=False)
 class TwoLevel(Preconditioner):
-    """local : T + diag(c), solve : its inverse. lines : V, or None where they are not worth their cost."""
+    """Balancing preconditioner of large problems.
+
+    Attributes
+    ----------
+    solve : Linear
+        (T + diag(c))⁻¹·x, derivatives by ohm.
+    lines : CoarseLines or None
+        Coarse space V of rows and columns; None where it does not repay its cost.
+    """
 
     solve: Linear
     lines: "CoarseLines | None" = None
 
     @classmethod
     def of(cls, hessian: Hessian, stiffness: Array | None = None) -> "TwoLevel | Woodbury":
-        """Return the preconditioner at a point; Woodbury's where T is diagonal."""
+        """Return the preconditioner at a point, Woodbury's where T is diagonal.
+
+        `stiffness` (cells,) is added to the diagonal in u, such as that of a barrier.
+        """
         cells = hessian.at.cell_resistance
         inverse = sparse.diags_array(1 / cells.ravel())
 
+        # T + diag(c) by ohm: the matrix in u = log r divided by r on both sides
         def local(own: Array) -> sparse.csr_array:
             added = sparse.diags_array(own if stiffness is None else own + stiffness)
             return sparse.csr_array(inverse @ (hessian.penalty_matrix + added) @ inverse)
 
         if len(cells) == 1:
+            # JᵀWJ of a single frame ≈ diag(own) + V S Vᵀ; a floor of the weights keeps lines tied together.
             weight = np.maximum(
                 hessian.reading_weight[0], WEAK_WEIGHT * (hessian.reading_weight.max(initial=0.0) or 1.0)
             )
@@ -166,10 +194,10 @@ class Woodbury(Preconditioner):
     lines: "CoarseLines"
 
     def over(self, free: Free, cell_resistance: Array) -> Linear:
-        """(D + V S Vᵀ)⁻¹ = D⁻¹ − D⁻¹V (S⁻¹ + VᵀD⁻¹V)⁻¹ VᵀD⁻¹ over the free cells."""
+        """Return (D + V S Vᵀ)⁻¹ = D⁻¹ − D⁻¹V (S⁻¹ + VᵀD⁻¹V)⁻¹ VᵀD⁻¹ over the free cells."""
         shape = self.diagonal.shape
         inverse = np.where(free.reshape(shape), 1 / self.diagonal, 0.0)
-        inner = np.zeros_like(self.lines.mixed)  # the diagonal alone, where contrasts are beyond double precision
+        inner = np.zeros_like(self.lines.mixed)  # D⁻¹ alone remains if contrasts exceed double precision
         with catch_warnings(), suppress(np.linalg.LinAlgError):
             simplefilter("ignore", linalg.LinAlgWarning)
             inner = linalg.inv(linalg.inv(self.lines.mixed) + self.lines.between(inverse))
@@ -184,15 +212,17 @@ class Woodbury(Preconditioner):
 
 @dataclass(frozen=True, eq=False)
 class CoarseLines:
-    """V = [diag(v)·U for v in along], U the incidence of cells and lines.
+    """Coarse space V = [diag(v)·U for v in along] of rows and columns, U the incidence of cells and lines.
 
     Attributes
     ----------
-    local : sparse.csr_array
+    local : sparse.csr_array, shape (cells, cells)
         T + diag(c).
-    mixed : array
+    along : array, shape (vectors, rows, columns)
+        The vectors v.
+    mixed : array, shape (vectors · lines, vectors · lines)
         S.
-    coarse : array
+    coarse : array, shape (vectors · lines, vectors · lines)
         (VᵀAV)⁻¹.
     """
 
@@ -203,20 +233,23 @@ class CoarseLines:
 
     @classmethod
     def of(cls, local: sparse.csr_array, along: Array, mixed: Array) -> "CoarseLines | None":
-        """Return the lines' correction; None where most lines add less than what they cross."""
+        """Return the coarse space; None if three quarters of the lines add less than T + diag(c) has along them."""
         if not len(along):
             return None
+        # V with columns of unit length
         row, column = np.indices(along.shape[1:]).reshape(2, -1)
         number, places = np.tile(np.arange(len(row)), 2), np.concatenate([row, along.shape[1] + column])
         incidence = sparse.csr_array((np.ones(len(places)), (number, places)))
         columns = sparse.csr_array(sparse.hstack([sparse.diags_array(side.ravel()) @ incidence for side in along]))
         length = np.sqrt(np.maximum(columns.multiply(columns).sum(axis=0), 1e-300))
         columns = sparse.csr_array(columns @ sparse.diags_array(1 / length))
+        # VᵀAV = Vᵀ(T + diag(c))V + (VᵀV) S (VᵀV)
         crossed, square = (columns.T @ (local @ columns)).toarray(), (columns.T @ columns).toarray()
         added = square @ (mixed * length[:, None] * length) @ square
         if np.quantile(added.diagonal() / crossed.diagonal(), 0.75) < 1:
             return None
         whole = crossed + added
+        # Inverse of the matrix scaled to a unit diagonal, shifted because columns of V can coincide.
         size = np.sqrt(np.maximum(np.abs(whole.diagonal()), 1e-300))
         whole = whole / size[:, None] / size
         whole.flat[:: len(whole) + 1] += SHIFTS[0]  # columns that are alike on even panels
@@ -225,30 +258,30 @@ class CoarseLines:
         return cls(local, along, mixed, (inverse + inverse.T) / 2)
 
     def solve(self, values: Array) -> Array:
-        """Q·x."""
+        """Return Q·x, flat."""
         return self.back(self.coarse @ self.sums(values))
 
     def product(self, values: Array) -> Array:
-        """A·x."""
+        """Return A·x, flat."""
         return np.asarray(self.local @ values + self.back(self.mixed @ self.sums(values)))
 
     def between(self, values: Array) -> Array:
-        """Vᵀ diag(x) V of x (rows, columns)."""
+        """Return Vᵀ diag(x) V for x (rows, columns)."""
         grids = [[first * second * values for second in self.along] for first in self.along]
         return np.block([[bipartite_matrix(line_sums(grid), grid) for grid in row] for row in grids])
 
     def sums(self, values: Array) -> Array:
-        """Vᵀ·x."""
+        """Return Vᵀ·x, (vectors · lines,)."""
         return line_sums(self.along * values.reshape(self.along.shape[1:])).ravel()
 
     def back(self, lines: Array) -> Array:
-        """V·y."""
+        """Return V·y, flat."""
         of_rows, of_columns = np.split(lines.reshape(len(self.along), -1), [self.along.shape[1]], axis=1)
         return np.asarray((self.along * (of_rows[:, :, None] + of_columns[:, None])).sum(axis=0)).ravel()
 
 
 def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
-    """Return a new one at a point, over the free cells or over all."""
+    """Return a new preconditioner at a point: over the free cells on small problems, over all cells on large ones."""
     if not hessian.dense:
         return TwoLevel.of(hessian)
     cells, chosen = hessian.at.cell_resistance, np.flatnonzero(free)
@@ -257,9 +290,9 @@ def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
 
 
 def gauss_newton_factor(hessian: Hessian, free: Free, damping: float = SHIFTS[0]) -> Cholesky | None:
-    """Cholesky factor of Gauss–Newton's matrix over the free cells, with `damping` or more on its unit diagonal.
+    """Return the Cholesky factor of the Gauss–Newton matrix over the free cells, plus `damping` on its unit diagonal.
 
-    None on large problems, or where rounding leaves no positive pivot.
+    Larger shifts are tried if that is not positive definite. Returns None on large problems, or if no shift suffices.
     """
     if not hessian.dense:
         return None
@@ -271,12 +304,12 @@ def gauss_newton_factor(hessian: Hessian, free: Free, damping: float = SHIFTS[0]
 
 
 def floored(diagonal: Array) -> Array:
-    """Return the diagonal, nowhere below MIN_DIAGONAL of its largest entry."""
+    """Return a diagonal with entries raised to at least MIN_DIAGONAL of the largest."""
     return np.asarray(np.maximum(diagonal, MIN_DIAGONAL * (float(diagonal.max(initial=0.0)) or 1.0)))
 
 
 def sparse_inverse(matrix: sparse.csr_array) -> Linear:
-    """Return the inverse of a symmetric matrix whose diagonal may span decades, by sparse LU in symmetric order."""
+    """Return x → K⁻¹·x for a symmetric matrix K whose diagonal may span decades, by sparse LU in symmetric order."""
     diagonal = floored(matrix.diagonal())
     if matrix.nnz <= len(diagonal):
         inverse = 1 / diagonal

@@ -1,8 +1,8 @@
-"""Projected L-BFGS for many panels over a leading axis, about inverse Hessians that are kept from frame to frame.
+"""Projected L-BFGS for many panels over a leading axis, with inverse Hessians that are reused from frame to frame.
 
-Where frames differ little, M⁻¹ ∇φ is nearly Newton's step, and every further step costs one gradient and one product
-with M⁻¹. What has converged leaves the batch. A panel that gets stuck, or whose ∇²φ is not positive definite, is handed
-back unsolved: the solver for single panels takes it.
+If frames differ little, M⁻¹ ∇φ is nearly the Newton step, and every further step costs one gradient and one product
+with M⁻¹. Panels that have converged leave the batch. A panel that finds no step of lower cost, or whose ∇²φ is not
+positive definite, is returned unsolved, and the solver for single panels continues with it.
 Source: Nocedal & Wright, Numerical Optimization, 2006, algorithm 7.4.
 """
 
@@ -27,27 +27,27 @@ from lampest.solvers.solution import Settings
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
-MAX_STEPS = 40  # of a panel in a batch; the solver for single panels goes on from there
-CERTIFIED_DISTANCE = 0.1  # of log r: ∇²φ changes by as much, and its definiteness is shown again beyond
-LAST_STEP = 0.01 * MILLIONTH  # of log r: M⁻¹ ∇φ misses Newton’s step by a tenth of it
+MAX_STEPS = 40  # of a panel in a batch; the solver for single panels continues from there
+CERTIFIED_DISTANCE = 0.1  # of log r: ∇²φ changes by about this share; beyond, its definiteness is tested again
+LAST_STEP = 0.01 * MILLIONTH  # of log r; within CERTIFIED_DISTANCE, M⁻¹ ∇φ is within a tenth of Newton’s step
 
 
 @dataclass(frozen=True, eq=False)
 class InverseHessians:
-    """Inverse Hessians of panels, kept from frame to frame.
+    """Inverse Hessians of panels, reused from frame to frame.
 
     Attributes
     ----------
     inverse : array, shape (panels, cells, cells)
         M⁻¹.
     position : array, shape (panels, cells)
-        Point where M was made, log r; NaN where there is none yet.
+        Point at which M was made, log r; NaN before the first.
     free : array of bool, shape (panels, cells)
-        Cells between which M is ∇²φ.
+        Cells over which M is ∇²φ; M is diagonal for the others.
     positive : array of bool, shape (panels,)
         Whether that ∇²φ was positive definite.
     worn : array of bool, shape (panels,)
-        Whether a step failed since.
+        Whether a step failed since M was made.
     """
 
     inverse: Array
@@ -58,22 +58,22 @@ class InverseHessians:
 
     @classmethod
     def nothing(cls, panels: int, cells: int) -> "InverseHessians":
-        """Return the inverses before the first frame."""
+        """Return the state before the first frame, without any inverse."""
         blank, none = np.zeros((panels, cells), dtype=bool), np.zeros(panels, dtype=bool)
         return cls(np.zeros((panels, cells, cells)), np.full((panels, cells), np.nan), blank, none, ~none)
 
     def distance(self, panels: Numbers, position: Array) -> Array:
-        """(of some panels) the largest change of log r since; infinite where there is nothing."""
+        """Return the largest |δ log r| since M was made, for the chosen panels; infinite where there is no M."""
         moved = np.abs(position - self.position[panels]).max(axis=1)
         return np.where(np.isnan(moved), np.inf, moved)
 
     def shows_minimum(self, panels: Numbers, points: Hessian) -> Mask:
-        """(of some panels) whether ∇²φ was positive definite so near that it still is."""
+        """Return whether ∇²φ was positive definite within CERTIFIED_DISTANCE, over at least these free cells."""
         near = self.distance(panels, points.position) <= CERTIFIED_DISTANCE
         return near & self.positive[panels] & ~(points.free & ~self.free[panels]).any(axis=1)
 
     def newton(self, panels: Numbers, gradient: Array) -> Array:
-        """M⁻¹ g (of some panels, cells)."""
+        """Return M⁻¹ g, (chosen panels, cells)."""
         if panels[-1] - panels[0] == len(panels) - 1:
             together = self.inverse[panels[0] : panels[-1] + 1]
             return np.asarray((together @ gradient[..., None])[..., 0])
@@ -83,10 +83,10 @@ class InverseHessians:
         return step
 
     def renew(self, panels: Numbers, points: Hessian) -> None:
-        """Make M of some panels anew at their points, in place: there are 80 kB of each 10 × 10 panel.
+        """Make M of the chosen panels anew at their points, in place: one inverse of a 10 × 10 panel takes 80 kB.
 
-        M is ∇²φ in relative changes of conductances, whose quadratic model has ∇φ more on the diagonal. Frames that
-        begin at one estimate share M: their Hessians differ by what their residuals add.
+        M is the Hessian in relative changes s of conductances, ∇²φ + diag(∇φ). Frames that begin at the same estimate
+        share M, because their Hessians differ only by the part of their residuals.
         """
         if len(panels) > 1 and not np.ptp(points.position, axis=0).any():
             self.renew(panels[:1], points.some(np.array([0])))
@@ -95,6 +95,7 @@ class InverseHessians:
             return
         matrices = points.matrix.copy()
         np.einsum("...ii->...i", matrices)[...] += points.gradient
+        # M⁻¹ over the free cells; 1/diagonal elsewhere, and everywhere if M is not positive definite.
         for number, panel in enumerate(panels):
             matrix, free = matrices[number], np.flatnonzero(points.free[number])
             scale = np.abs(np.diag(matrix))
@@ -110,13 +111,14 @@ class InverseHessians:
 
 @dataclass(frozen=True, eq=False)
 class BatchOutcome:
-    """Ends of a batch.
+    """Outcome of a batch.
 
     Attributes
     ----------
     points : Hessian
+        Derivatives at the last points.
     solved : array of bool, shape (panels,)
-        Whether a strict minimum is verified there.
+        Whether a strict minimum is verified.
     iterations : array of int, shape (panels,)
     """
 
@@ -125,7 +127,7 @@ class BatchOutcome:
     iterations: NDArray[np.int64]
 
     def where(self, chosen: Mask, otherwise: "BatchOutcome") -> "BatchOutcome":
-        """Return this of the chosen panels, the other of all else."""
+        """Return this outcome for the chosen panels, and `otherwise` for all others."""
         if chosen.all():
             return self
         position = np.where(chosen[:, None], self.points.position, otherwise.points.position)
@@ -135,7 +137,11 @@ class BatchOutcome:
 
 
 def serves(cost: Cost, data: Data) -> bool:
-    """Return whether a batch can minimise a cost: smooth losses, and readings of floating lines without wire."""
+    """Return whether a batch can minimise a cost.
+
+    All losses must be smooth, the readings two-point readings without wiring, and no second derivative may couple
+    cells with readings, or readings with each other.
+    """
     if any(term.loss.enters == "dual" for term in cost.terms) or cost.frames != 1 or data.wiring is not None:
         return False
     entries = cost.functions.entries
@@ -143,16 +149,16 @@ def serves(cost: Cost, data: Data) -> bool:
 
 
 def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settings: Settings) -> BatchOutcome:
-    """Minimise the costs of many panels.
+    """Minimise the costs of many panels of one shape.
 
     Parameters
     ----------
     start : Evaluation
-        With a leading axis of panels, within their bounds.
+        Evaluation with a leading axis of panels, within their bounds.
     inverses : InverseHessians
-        From earlier frames; renewed in place.
+        Inverse Hessians of earlier frames; renewed in place.
     numbers : array, shape (panels,)
-        Places of these panels in `inverses`.
+        Numbers of these panels in `inverses`.
     settings : Settings
     """
     whole = points = Hessian(start, Smoothing(1.0, np.zeros(0)))
@@ -162,6 +168,7 @@ def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settin
     for _ in range(min(MAX_STEPS, settings.max_iterations)):
         if not len(panels):
             break
+        # Panels with a small gradient: renew M where it does not show a minimum, then accept short Newton steps.
         near = points.residual <= settings.tolerance
         if near.any():
             doubtful = near & ~inverses.shows_minimum(numbers[panels], points)
@@ -173,12 +180,14 @@ def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settin
             settled = near & inverses.positive[numbers[panels]] & (np.abs(step).max(axis=1) <= LAST_STEP)
             solved[panels[settled]] = True
             stuck = near & ~inverses.positive[numbers[panels]]
+            # Panels that are accepted, or are no minimum, leave the batch; the accepted ones after their last step.
             staying = ~(settled | stuck)
             if not staying.all():
                 ends[panels] = points.position - np.where(settled[:, None], step, 0.0)
                 points, panels, secants = points.some(np.flatnonzero(staying)), panels[staying], secants.some(staying)
         if not len(panels):
             break
+        # One L-BFGS step of all others. Panels without a step of lower cost leave, too.
         points, secants, moved = _advanced(points, secants, inverses, numbers[panels])
         iterations[panels] += 1
         if not moved.all():
@@ -195,9 +204,10 @@ class Secants:
     Attributes
     ----------
     pairs : tuple of (s, y, 1/sᵀy)
-        The newest last: (panels, cells) each, and (panels); 0 where none counts.
+        Steps s and changes y of the gradient, (panels, cells) each, and 1/sᵀy (panels,), the newest last. 1/sᵀy is 0
+        where a pair does not count.
     most : int
-        Number that is kept.
+        Maximum number of pairs.
     """
 
     pairs: tuple[tuple[Array, Array, Array], ...] = ()
@@ -208,26 +218,29 @@ class Secants:
         return Secants(tuple((step[chosen], change[chosen], size[chosen]) for step, change, size in self.pairs))
 
     def without(self, forgotten: Mask) -> "Secants":
-        """Return the secants, of which those of some panels count no longer."""
+        """Return the secants with those of the `forgotten` panels excluded."""
         return Secants(tuple((s, y, np.where(forgotten, 0.0, size)) for s, y, size in self.pairs))
 
     def after(self, before: Hessian, points: Hessian) -> "Secants":
-        """Return the secants with one step more; cells that are not free at both ends do not count."""
+        """Return the secants with one more step; cells that are not free at both ends are excluded."""
         both = before.free & points.free
         step = np.where(both, points.position - before.position, 0.0)
         change = np.where(both, points.gradient - before.gradient, 0.0)
         along = (step * change).sum(axis=1)
+        # Pairs without positive curvature sᵀy are excluded.
         size = np.where(along > 0, 1 / np.where(along > 0, along, 1.0), 0.0)
         return Secants((*self.pairs, (step, change, size))[-self.most :])
 
     def direction(self, points: Hessian, inverses: InverseHessians, panels: Numbers) -> Array:
-        """−H ∇φ over the free cells by the two-loop recursion, H = M⁻¹ with its corrections."""
+        """Return −H ∇φ over the free cells by the two-loop recursion, H = M⁻¹ corrected by the secants."""
         slope, shares = np.where(points.free, points.gradient, 0.0), list[Array]()
         for step, change, size in reversed(self.pairs):
+            # α = sᵀq/sᵀy, q ← q − α y
             shares.append(size * (step * slope).sum(axis=1))
             slope = slope - shares[-1][:, None] * change
         direction = inverses.newton(panels, slope)
         for (step, change, size), share in zip(self.pairs, reversed(shares), strict=True):
+            # β = yᵀd/sᵀy, d ← d + (α − β) s
             direction += (share - size * (change * direction).sum(axis=1))[:, None] * step
         return np.where(points.free, -direction, 0.0)
 
@@ -235,10 +248,11 @@ class Secants:
 def _advanced(
     points: Hessian, secants: Secants, inverses: InverseHessians, panels: Numbers
 ) -> tuple[Hessian, Secants, Mask]:
-    """Return the points after one step each, and which of them found one that lowers the cost.
+    """Return the points after one step each, their secants, and whether the step lowered the cost.
 
-    Steps are relative changes of conductances, g ← g·(1 − s), in which readings are closest to quadratic.
+    Unknowns of a step are relative changes of conductances, g ← g·(1 − s), in which readings are closest to quadratic.
     """
+    # Renew M after a failed step, and where the point has moved far from it.
     old = inverses.worn[panels] | (inverses.distance(panels, points.position) > STEPS.max_reuse_distance)
     if old.any():
         inverses.renew(panels[old], points.some(np.flatnonzero(old)))
@@ -248,6 +262,7 @@ def _advanced(
     trying, length = np.arange(len(panels)), 1.0
     low, high = points.position - STEPS.max_step, points.position + STEPS.max_step
     most = -np.expm1(-STEPS.max_step)  # relative change of a conductance
+    # Backtracking line search of every panel that has not yet found a step: u − log(1 − t·s), t shortened in turn.
     for attempt in range(STEPS.max_tries):
         target = points.position[trying] - np.log1p(-np.minimum(length * step[trying], most))
         some = points if len(trying) == len(panels) else points.some(trying)
@@ -255,6 +270,7 @@ def _advanced(
         gain = some.at.objectives - trial.at.objectives
         expected = -(some.gradient * (trial.position - some.position)).sum(axis=1)
         invisible = MIN_DECREASE_SHARE * np.abs(some.at.objectives)
+        # Armijo's condition; where the decrease is within rounding, the gradient must halve.
         lowered = np.where(
             np.abs(expected) > invisible,
             gain >= SUFFICIENT_DECREASE * np.abs(expected),

@@ -34,25 +34,28 @@ class Steps:
     Attributes
     ----------
     radius_factor : float
-        Of a rejected step: the radius for the next try.
+        Next trust radius as a share of the length of a rejected step.
     max_step : float
-        Of log r: beyond, the quadratic model of a cell is wrong.
+        Largest change of log r of a cell in one step. Beyond it the quadratic model of a cell is wrong.
     max_tries : int
-        Solves of a direction, in which cells stop at bounds; tries of a step (4⁻¹⁵ is rounding); last steps.
+        Maximum number of solves of one direction, each of which may stop further cells at bounds; of tries of one step,
+        whose radius is then 4⁻¹⁵, within rounding; and of further steps at a point that is stationary but not settled.
     gauss_newton : int
-        Steps with JᵀWJ before a direction of negative curvature is followed.
+        Number of steps with the Gauss–Newton matrix before a direction of negative curvature is followed.
     max_products : tuple of int
-        Of a solve, sparse and dense: a factor anew is cheaper on small problems.
+        Maximum number of products in one solve, (sparse, dense). A new factor is cheaper on small problems.
     max_reuse_products : tuple of int
-        Of a step, sparse and dense, after which a kept preconditioner is made anew.
+        Products of one step, (sparse, dense), beyond which the preconditioner is made anew.
     max_reuse_distance : float
-        Of log r, the same; without it small panels take a third more products.
+        Change of log r beyond which the preconditioner is made anew. Without it small panels take a third more
+        products.
     refactor_distance : float
-        Of log r: second derivatives change by as much. Before a step of its square ∇²φ is factored.
+        Change of log r up to which a factor of ∇²φ still serves as certificate; second derivatives change by about the
+        same share. If the next step is expected to be shorter than its square, ∇²φ is factored before it.
     min_smoothed_cost : float
-        Of the cost's scale: a cost near zero needs no smoothing finer than this.
+        Cost, relative to the cost's scale, below which the smoothing need not become finer.
     min_damping, next_damping, max_damping : float
-        μ of Levenberg's step: to begin with, of a second try, at most.
+        μ of Levenberg's step: first value, least value of a second try, and largest value.
     """
 
     radius_factor: float = 0.25
@@ -74,7 +77,15 @@ STEPS = Steps()
 
 @dataclass(frozen=True)
 class ProjectedNewton:
-    """One cost on one panel shape. preconditioner : the one that the frame before left, or None."""
+    """Solver of one cost on one panel shape.
+
+    Attributes
+    ----------
+    cost : Cost
+    settings : Settings
+    preconditioner : Preconditioner or None
+        Preconditioner that the previous frame ended with.
+    """
 
     cost: Cost
     settings: Settings
@@ -85,7 +96,7 @@ class ProjectedNewton:
         _ = self.cost.functions.hessian.pattern
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:
-        """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
+        """Minimise from `start`. A failed solve does not raise; the outcome's status states the failure."""
         start, iteration = by_interior_point(start)
         iterate, progress = Iterate.of(start, Smoothing.start(start), self.preconditioner), ProgressWindow()
         unsettled, tolerance = 0, self.settings.tolerance
@@ -93,14 +104,17 @@ class ProjectedNewton:
             progress = progress.after(iterate.hessian.smoothing.width, iterate.objective, iterate.residual)
             if data.overdue or progress.stalled:
                 return iterate.outcome(Status.TIME if data.overdue else Status.STALLED, iteration)
+            # Absolute losses: narrow the smoothing once its error exceeds what is left of the gradient.
             stationary = iterate.residual <= tolerance
             if stationary or iterate.residual <= iterate.gap / 2:
+                # At an optimum of the smoothed cost: narrow the smoothing, or end where the certificate holds.
                 if not iterate.sharp(tolerance):
                     iterate, iteration = iterate.sharpened(), iteration + 1
                     continue
                 if iterate.settled or unsettled == STEPS.max_tries:
                     return iterate.outcome(Status.OPTIMUM, iteration)
                 unsettled += 1
+            # One step; without one, the solve ends unless absolute losses can still be smoothed less.
             trial = (negative_curvature_step(iterate) if stationary else None) or descent_step(iterate)
             if trial is None and iterate.sharp(tolerance):
                 return iterate.outcome(Status.OPTIMUM if stationary else Status.BREAKDOWN, iteration)
@@ -119,9 +133,9 @@ class Iterate:
     objective : float
         The smoothed cost φ.
     preconditioner : Preconditioner or None
-        M of an earlier point.
+        Preconditioner M of an earlier point.
     gauss_newton : int
-        Number of further steps with JᵀWJ that may avoid negative curvature.
+        Number of Gauss–Newton steps that are left before a direction of negative curvature is followed.
     convex : bool
         Whether no direction up to this point had negative curvature.
     expected : float
@@ -155,29 +169,30 @@ class Iterate:
 
     @cached_property
     def residual(self) -> float:
-        """The projected gradient, relative to the cost's scale."""
+        """Largest entry of the projected gradient, relative to the cost's scale."""
         return float(self.hessian.residual)
 
     @cached_property
     def gap(self) -> float:
-        """Bound of the cost that the smoothing of absolute losses adds, relative to the cost's scale."""
+        """Duality gap Σ w·(|x| − z·x) of the smoothed absolute losses, relative to the cost's scale."""
         if not len(self.at.nonsmooth):
             return 0.0
         return self.at.dual_gap(self.hessian.smoothing.slope(self.at.nonsmooth)) / self.at.cost_scale
 
     def sharp(self, tolerance: float) -> bool:
-        """Return whether smoothing costs no more than `tolerance` of the cost."""
+        """Return whether the duality gap of the smoothing is at most `tolerance` of the cost."""
+        # The reference is the cost itself, but at least min_smoothed_cost and at most one cost scale.
         allowed = min(self.at.cost_scale, max(self.at.objective, STEPS.min_smoothed_cost * self.at.cost_scale))
         return self.gap * self.at.cost_scale <= tolerance * allowed
 
     @property
     def settled(self) -> bool:
-        """Whether this is a strict minimum, or a plateau from which no direction leads lower."""
+        """Whether this is a certified strict minimum, or a plateau without any gradient or direction of descent."""
         flat = not self.residual and self.certificate.lower is None
         return self.certificate.settled or flat
 
     def sharpened(self) -> "Iterate":
-        """Return the same point with a tenth of the smoothing."""
+        """Return the same point with a tenth of the smoothing width."""
         smoothing = self.hessian.smoothing
         return Iterate.of(self.at, replace(smoothing, width=smoothing.width / 10), convex=self.convex)
 
@@ -197,30 +212,35 @@ class Iterate:
 
     @property
     def known(self) -> Certificate | None:
-        """The newest certificate that was made."""
+        """The newest certificate: of this point if it is computed, otherwise of an earlier one."""
         own: Certificate | None = self.__dict__.get("certificate")
         return own or self.nearby
 
     @property
     def newest(self) -> Preconditioner | None:
-        """The last factor of ∇²φ; without one, the preconditioner of an earlier point."""
+        """The factor of ∇²φ of the newest certificate; without one, the preconditioner of an earlier point."""
         return self.preconditioner if self.known is None or self.known.factor is None else self.known.factor
 
     def outcome(self, status: Status, iterations: int) -> Outcome:
-        """Return the end of a solve, after the certificate's own step where that comes from a factor and certifies."""
+        """Return the outcome at this point.
+
+        A certifying Newton step of the certificate is applied first if it comes from a factor and is short enough for
+        the certificate to remain valid.
+        """
         final: Certificate | None = self.__dict__.get("certificate")
         cells, dual = self.at.cell_resistance, self.hessian.smoothing.slope(self.at.nonsmooth)
         factored = final is not None and final.factor is not None and final.settled and not len(dual)
         if (
             final is not None
             and factored
+            # long enough to improve the estimate, short enough for second derivatives not to change
             and MILLIONTH / 1000 < float(np.abs(final.step).max()) <= STEPS.refactor_distance
         ):
             cells = np.exp(self.at.position + final.step.reshape(cells.shape))
         return Outcome(cells, dual, status, iterations, final, self.newest, self.convex, self.at)
 
     def at_step(self, step: Array) -> "Iterate | None":
-        """Return the point after a step of u (flat), within the bounds; None where its network cannot be solved."""
+        """Return the point after a step of u (flat), clipped to the bounds; None if its network cannot be solved."""
         at = moved_by(self.at, step)
         return (
             None
@@ -229,15 +249,17 @@ class Iterate:
         )
 
     def expects(self, trial: "Iterate") -> float:
-        """Return the expected length of the step after the one to `trial`, of log r; infinite for smoothed losses."""
+        """Return the expected length, in log r, of the step that follows `trial`; infinite for smoothed losses."""
         moved = float(np.abs(trial.at.position - self.at.position).max())
+        # Linear convergence: the next step is shorter by the ratio of the residuals.
         return inf if len(self.at.nonsmooth) else moved * trial.residual / (self.residual or 1.0)
 
 
 def descent_step(point: Iterate) -> Iterate | None:
-    """Return the next point; None where no step lowers the cost.
+    """Return the next point; None if no step lowers the cost.
 
-    Where directions of negative curvature persist, the lower of the trust-region step and Levenberg's is taken.
+    While directions of negative curvature persist, the trust-region step and Levenberg's step are both computed, and
+    the point of lower cost is returned.
     """
     trial = trust_region_step(point)
     if trial is not None and trial.gauss_newton:
@@ -247,16 +269,21 @@ def descent_step(point: Iterate) -> Iterate | None:
 
 
 def trust_region_step(point: Iterate) -> Iterate | None:
-    """Return the next point by a trust-region step; None where no radius gives one that is accepted.
+    """Return the next point by a trust-region step; None if no radius gives an accepted step.
 
-    Every iteration begins with an infinite radius: readings at a rail curve the cost on one side alone.
+    Every iteration begins with an infinite radius: one-sided readings curve the cost on one side only, so that the
+    radius of one iteration need not suit the next.
     """
     hessian, cells = point.hessian, point.at.cell_resistance
+    # Near convergence: compute the certificate now, so that its factor preconditions this step as well.
     if point.expected <= STEPS.refactor_distance**2 and not len(point.at.nonsmooth):
         _ = point.certificate
+    # Preconditioner: the cached one unless the point has moved too far from it.
     free, cached = free_cells(point.at, hessian.gradient), point.newest
     if cached is None or cached.distance(cells) > STEPS.max_reuse_distance:
         cached = preconditioner(hessian, free)
+    # Unknowns are relative changes s of conductances, δu = −log(1 − s) = s + s²/2 + …: their Hessian is ∇²φ + diag(∇φ).
+    # Where lines touch, steps are in log r itself.
     radius, patience, convex = inf, point.gauss_newton, point.convex
     curved = np.zeros_like(hessian.gradient) if shares_conductance(point.at) else hessian.gradient
     exact: Linear = lambda step: hessian.product(step) + curved * step  # noqa: E731
@@ -264,6 +291,7 @@ def trust_region_step(point: Iterate) -> Iterate | None:
     for _ in range(STEPS.max_tries):
         direction = newton_direction(point, cached, free, product, radius)
         convex = convex and not direction.negative
+        # Negative curvature: up to `gauss_newton` times, a Levenberg step or the Gauss–Newton matrix replaces ∇²φ.
         if direction.negative and patience and product is exact:
             damped = None if len(point.at.nonsmooth) else levenberg_step(point)
             if damped is not None:
@@ -273,11 +301,13 @@ def trust_region_step(point: Iterate) -> Iterate | None:
             direction = newton_direction(point, cached, free, product, radius)
         trial = point.at_step(direction.step)
         if trial is not None and decrease_ratio(point, trial, direction.predicted) >= SUFFICIENT_DECREASE:
+            # Accepted: keep the preconditioner and the certificate unless conjugate gradients took too many products.
             worn = direction.products > STEPS.max_reuse_products[hessian.dense]
             patience = patience if direction.negative or product is not exact else STEPS.gauss_newton
             expected = point.expects(trial) if hessian.dense else inf
             cached, nearby = None if worn else cached, None if worn else point.known
             return Iterate(trial.hessian, trial.objective, cached, patience, convex, expected, nearby, point.damping)
+        # Rejected: try again within a smaller radius.
         radius = STEPS.radius_factor * direction.length
         if not radius > 0:
             break
@@ -285,7 +315,7 @@ def trust_region_step(point: Iterate) -> Iterate | None:
 
 
 def decrease_ratio(point: Iterate, trial: Iterate, predicted: float) -> float:
-    """Return actual over predicted decrease; where rounding hides it, 1 if the gradient halved, else −1."""
+    """Return actual over predicted decrease of the cost; within rounding, 1 if the gradient halved, otherwise −1."""
     if not np.isfinite(trial.objective):
         return -1.0
     decrease, rounding = point.objective - trial.objective, MIN_DECREASE_SHARE * abs(point.objective)
@@ -295,7 +325,10 @@ def decrease_ratio(point: Iterate, trial: Iterate, predicted: float) -> float:
 
 
 def shares_conductance(at: Evaluation) -> bool:
-    """Whether lines touch and no penalty says how parallel cells share: in log r they stay near the start's shares."""
+    """Return whether lines touch and no penalty determines how parallel cells share their conductance.
+
+    Steps in log r then keep the shares near those of the start.
+    """
     wiring = at.data.wiring
     return wiring is not None and bool(wiring.joined) and all(term.reads_measurement for term in at.cost.terms)
 
@@ -313,7 +346,7 @@ class Direction:
     length : float
         ‖s‖_M.
     products : int
-        Products with the Hessian in the longest of its solves.
+        Maximum number of products with the Hessian in any of its solves.
     negative : bool
         Whether a direction of negative curvature was met.
     """
@@ -328,10 +361,26 @@ class Direction:
 def newton_direction(
     point: Iterate, precondition: Preconditioner, free: NDArray[np.bool_], product: Linear, radius: float
 ) -> Direction:
-    """Minimise the quadratic model by conjugate gradients; cells beyond a bound stop there, the others go on."""
+    """Return a minimiser of the quadratic model gᵀs + ½ sᵀHs within the trust radius and the bounds.
+
+    Conjugate gradients solve the model over the moving cells. Cells that the solution takes beyond a bound are fixed at
+    it, and the model is solved again over the others.
+
+    Parameters
+    ----------
+    point : Iterate
+    precondition : Preconditioner
+    free : boolean array, shape (cells,)
+        Cells outside the active set.
+    product : Linear
+        H·p over all cells.
+    radius : float
+        Trust radius in the norm of the preconditioner.
+    """
     at, gradient = point.at, point.hessian.gradient
     logarithmic = shares_conductance(at)
     low, high = step_bounds(at, logarithmic=logarithmic)
+    # Forcing term: superlinear convergence (Nocedal & Wright 2006, section 7.1).
     accuracy = min(0.1, point.residual**0.5)
     moving, step, slope = free, np.zeros(free.size), gradient
     products, negative, length, predicted = 0, False, 0.0, -inf
@@ -350,29 +399,32 @@ def newton_direction(
         step, moving = np.clip(step, low, high), moving & ~beyond
         if not moving.any():
             break
+        # Gradient of the model over the moving cells, with the others at their bounds: g + H s_fixed
         slope = gradient + product(np.where(moving, 0.0, step))
     if predicted == -inf:
         predicted = -float(gradient @ step + 0.5 * step @ product(step))
+    # δu = −log(1 − s)
     return Direction(step if logarithmic else -np.log1p(-step), predicted, length, products, negative)
 
 
 def step_bounds(at: Evaluation, *, logarithmic: bool) -> tuple[Array, Array]:
-    """Return the bounds of a step, flat: of log r, or of the relative change of the conductance, 1 − exp(−δ log r)."""
+    """Return lower and upper bounds of a step, flat: of δu, or of the relative change of conductances 1 − exp(−δu)."""
     lower, upper = (bound.ravel() - at.position.ravel() for bound in at.data.log_bounds)
     low, high = np.maximum(lower, -STEPS.max_step), np.minimum(upper, STEPS.max_step)
     return (low, high) if logarithmic else (-np.expm1(-low), -np.expm1(-high))
 
 
 def negative_curvature_step(point: Iterate) -> Iterate | None:
-    """Return a point below a saddle, where the certificate has seen the cost fall; otherwise None."""
+    """Return the certificate's point of lower cost next to a saddle; None if the certificate found none."""
     lower = point.certificate.lower
     return None if lower is None else Iterate.of(lower, point.hessian.smoothing.moved(point.at, lower), convex=False)
 
 
 def levenberg_step(point: Iterate) -> Iterate | None:
-    """Return the point after Levenberg's step (JᵀWJ + PᵀKP + μ·diag)⁻¹·(−∇φ) in log r.
+    """Return the point after Levenberg's step δu = −(JᵀWJ + PᵀKP + μ·diag)⁻¹ ∇φ over the free cells.
 
-    None on large problems, or where no μ lowers the cost.
+    The damping μ of the next step is a tenth if the cost fell by at least half of the predicted decrease (Moré 1978).
+    Returns None on large problems, or if no μ lowers the cost.
     """
     hessian, free = point.hessian, free_cells(point.at, point.hessian.gradient)
     if not hessian.dense or not free.any():
@@ -383,6 +435,7 @@ def levenberg_step(point: Iterate) -> Iterate | None:
         if factor is not None:
             step = np.zeros(free.size)
             step[free] = np.clip(factor.solve(-slope), -STEPS.max_step, STEPS.max_step)
+            # Predicted decrease of the damped model: −½ ∇φᵀδu
             trial, predicted = point.at_step(step), -0.5 * float(step[free] @ slope)
             if trial is not None and (decrease := point.objective - trial.objective) > SUFFICIENT_DECREASE * predicted:
                 eased = damping / 10 if decrease > predicted / 2 else damping

@@ -1,4 +1,4 @@
-"""How a solve ended, and what it found."""
+"""Result of a solve: status, outcome of the solver, and checked solution."""
 
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -17,14 +17,16 @@ from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor
 from lampest.solvers.smoothing import Smoothing
 
+# KKT residual, relative to the cost's scale, up to which an optimum counts as verified.
 VERIFIED = MILLIONTH
+# A cell within 1 % of a bound counts as being at it.
 OPEN_FRACTION = 0.99
 MAX_STARTS = 1000
-SMOOTHING_WIDTH = 1e-8  # of the largest residual with an absolute loss: width of the smoothing
+SMOOTHING_WIDTH = 1e-8  # of the largest residual with an absolute loss: width of the smoothing in a certificate
 
 
 class Status(Enum):
-    """Sentences; only the first five stand for an estimate.
+    """Status of a solve, as a sentence; only the first five statuses come with an estimate.
 
     >>> found.steps[0].solution.status.value
     'optimum verified'
@@ -75,8 +77,8 @@ ADVICE = {
     Status.INFEASIBLE: "Check `bounds`: they may leave no room.",
     Status.BREAKDOWN: "Check the weights and the scene's unit; report the frame if both are right.",
     Status.UNAVAILABLE: "Install IPOPT's linear solver, or take `formulation: reduced`.",
-}  # one sentence for each: what a user can do
-STRICT = (Status.OPTIMUM, Status.HELD)  # minima as certified as can be
+}  # remedy for each status, one sentence
+STRICT = (Status.OPTIMUM, Status.HELD)  # certified strict minima
 OPTIMA = (*STRICT, Status.FLAT, Status.FAINT)
 
 
@@ -87,15 +89,15 @@ class Settings(Validated):
     Attributes
     ----------
     tolerance : float
-        On the solver's scaled optimality error.
+        Limit of the solver's scaled optimality error.
     max_iterations : int
-        Of one solve.
+        Maximum number of iterations of one solve.
     time_limit_s : float or None
-        s that one frame may take, in all starts together; what is then not solved holds NaN and says so. None for no
-        limit: then no result depends on how fast the computer is.
+        Time limit of one frame in s, over all starts together. A frame that is not solved by then holds NaN, and its
+        status states the cause. None for no limit: then no result depends on the speed of the computer.
     starts : int or None
-        Places from which every frame is begun, the lowest minimum is taken; None: three for a first frame, one for each
-        that follows another.
+        Number of starts of every frame, of which the lowest minimum is taken. None for three starts of a first frame
+        and one of each frame that follows another.
 
     >>> lampest.Settings(max_iterations=50).max_iterations
     50
@@ -122,17 +124,19 @@ class Outcome:
     Attributes
     ----------
     cell_resistance : array, shape (frames, rows, columns)
-        Ohm.
+        Cells in ohm.
     dual : array
-        Of the absolute losses, |z| ≤ 1.
+        Duals z of the absolute losses, |z| ≤ 1.
+    status : Status
+    iterations : int
     certificate : Certificate or None
-        Of these cells, or None.
+        Certificate of these cells.
     preconditioner : Preconditioner or None
-        One for a frame like this one, or None.
+        Preconditioner for the next frame.
     convex : bool
         Whether no direction of negative curvature was met.
     at : Evaluation or None
-        The cost at these cells or near them, or None.
+        Evaluation at these cells or near them.
 
     >>> cells, dual = found.cell_resistance, np.zeros(0)
     >>> lampest.Outcome(cells, dual, lampest.Status.APPROXIMATE, iterations=1).iterations
@@ -151,22 +155,31 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A checked estimate; NaN unless it is an optimum, or what else was asked for.
+    """Checked estimate of one solve; NaN unless it is an optimum, or an approximation that was requested.
 
     Attributes
     ----------
     cell_resistance, reading : array, shape (frames, rows, columns)
-        Ohm, and the model's readings.
-    costs : array
-        Of each term.
+        Cells in ohm, and the modelled readings in the readout's unit.
+    costs : array, shape (terms,)
+        Weighted cost of each term.
+    objective : float
+        Cost φ.
     kkt_residual : float
         See `Evaluation.kkt_residual`.
-    at_lower, open_cell : boolean array
-        Where a bound is reached.
-    at, dual, preconditioner, convex : Evaluation or None or Preconditioner or None or array or None or bool
-        See `Outcome`; None where nothing was solved.
+    at_lower, open_cell : boolean array, shape (frames, rows, columns)
+        Whether a cell is at its lower bound, or at its upper bound.
+    status : Status
+    iterations : int
+        Iterations of the solve from the start that gave this solution.
+    at : Evaluation or None
+        Evaluation at the cells; None where nothing was solved.
+    dual : array or None
+    preconditioner : Preconditioner or None
+    convex : bool
+        See `Outcome`.
     starts : int
-        How many were tried.
+        Number of starts that were tried.
 
     >>> found.steps[0].solution.solved
     True
@@ -194,20 +207,19 @@ class Solution:
 
     @property
     def strict(self) -> bool:
-        """Whether it is verified as a strict minimum within the bounds."""
+        """Whether the estimate is verified as a strict minimum within the bounds."""
         return self.status in STRICT
 
     @property
     def optimum(self) -> bool:
-        """Whether it is an optimum over the cells, to double precision."""
+        """Whether the estimate is an optimum over the cells, to double precision."""
         return self.status in OPTIMA
 
 
 class Solver(Protocol):
     """Interface of the solvers of one cost.
 
-    `prepare` builds all that can be built before the first solve. `solve` minimises from a start and never raises for a
-    failed solve.
+    `prepare` compiles the cost before the first solve. `solve` minimises from a start; a failed solve does not raise.
 
     >>> sorted(name for name in vars(lampest.Solver) if not name.startswith("_"))
     ['cost', 'prepare', 'settings', 'solve']
@@ -225,18 +237,31 @@ class Solver(Protocol):
 
 
 def check(start: Evaluation, outcome: Outcome) -> Solution:
-    """Recompute cost and KKT residual outside the solver; keep only a residual ≤ 1e-6 no worse than the start."""
+    """Return the solution of an outcome, after cost and KKT residual are recomputed outside the solver.
+
+    An estimate is kept only if its KKT residual is at most VERIFIED, or its certificate converged, and its cost is not
+    higher than at the start.
+
+    Parameters
+    ----------
+    start : Evaluation
+        Evaluation at the start of the solve.
+    outcome : Outcome
+    """
     cost, data, dual = start.cost, start.data, outcome.dual
     cells = np.clip(outcome.cell_resistance, data.lower, data.upper)
     if not np.all(np.isfinite(cells)):
         status = Status.BREAKDOWN if outcome.status is Status.OPTIMUM else outcome.status
         return failure(cost, data, status, float("nan"), outcome)
+    # Evaluation at the clipped cells, reused where the solver's is the same.
     known = outcome.at is not None and np.array_equal(outcome.at.cell_resistance, cells)
     at = outcome.at if outcome.at is not None and known else start.elsewhere(cells)
     gradient = at.log_gradient(dual)
     residual = at.kkt_residual(dual, gradient)
+    # First order: the cost is not above that of the start, and the KKT residual is small.
     worse = at.objective - start.objective > VERIFIED * start.cost_scale + at.rounding
     level = residual <= VERIFIED
+    # Where the KKT residual is too large, the certificate's step can still be within rounding.
     ended = outcome.status is not Status.TIME and np.all(np.isfinite(gradient))
     if not worse and not level and ended and at.dual_gap(dual) <= VERIFIED * at.cost_scale:
         verdict = outcome.certificate or certificate(_sharp(at, outcome), outcome.preconditioner)
@@ -245,6 +270,7 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
         fault = Status.WORSE if level else Status.UNVERIFIED
         fault = fault if outcome.status is Status.OPTIMUM else outcome.status
         return failure(cost, data, _cause(at, gradient, outcome, fault), residual, outcome)
+    # Second order: definiteness of the Hessian and length of the next Newton step.
     verdict = outcome.certificate or certificate(_sharp(at, outcome), outcome.preconditioner)
     if verdict.definiteness is Definiteness.INDEFINITE:
         return failure(cost, data, Status.SADDLE, residual, outcome)
@@ -254,12 +280,12 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
 
 
 def _sharp(at: Evaluation, outcome: Outcome) -> Hessian:
-    """Return second derivatives with absolute losses smoothed by `SMOOTHING_WIDTH` of the largest residual."""
+    """Return the Hessian with absolute losses smoothed by SMOOTHING_WIDTH of the largest residual."""
     return Hessian(at, Smoothing(SMOOTHING_WIDTH * (float(np.abs(at.nonsmooth).max(initial=0.0)) or 1.0), outcome.dual))
 
 
 def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:
-    """Return the fault; or that digits were lost, where second derivatives are rounding."""
+    """Return the fault; ROUNDED or DRIFT where the second derivatives are within rounding."""
     if fault not in (Status.BREAKDOWN, Status.ITERATIONS, Status.STALLED, Status.UNVERIFIED) or not np.all(
         np.isfinite(gradient)
     ):
@@ -271,12 +297,12 @@ def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> 
     if factor is None:
         return Status.ROUNDED
     longest = float(np.abs(factor.solve(gradient.ravel()[factor.cells])).max(initial=0.0))
-    return Status.DRIFT if longest > np.log(10) else Status.ROUNDED  # a tenfold step: a cell runs off
+    return Status.DRIFT if longest > np.log(10) else Status.ROUNDED  # a tenfold step: a cell diverges
 
 
 @typed
 def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:
-    """Return what a method short of an optimum found, with its cost and its KKT residual.
+    """Return the solution of a method that does not end at an optimum, with its cost and its KKT residual.
 
     >>> import inspect
     >>> list(inspect.signature(lampest.approximation).parameters)
@@ -296,12 +322,12 @@ def _solution(at: Evaluation, residual: float, outcome: Outcome, status: Status)
 
 
 def failure(cost: Cost, data: Data, status: Status, residual: float, outcome: Outcome) -> Solution:
-    """Return a solution that holds NaN and a status."""
+    """Return a solution of NaN with a status, the KKT residual and the iterations of the outcome."""
     nothing = blank(data.measured.shape, len(cost.terms), status)
     return replace(nothing, kkt_residual=residual, iterations=outcome.iterations)
 
 
 def blank(shape: tuple[int, ...], terms: int, status: Status) -> Solution:
-    """Return what holds NaN and a status where nothing was solved; shape : (frames, rows, columns)."""
+    """Return a solution of NaN with a status where nothing was solved; shape (frames, rows, columns)."""
     nothing, flags = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
     return Solution(nothing, nothing, np.full(terms, np.nan), float("nan"), float("nan"), flags, flags, status, 0)

@@ -15,15 +15,16 @@ class ProgressWindow:
     Attributes
     ----------
     width : float
-        Width of the smoothing of absolute losses. Another width is another cost, and begins anew.
+        Width of the smoothing of absolute losses. The window begins anew when it changes, because the cost does.
     history : tuple of (cost, projected gradient)
         The newest last.
     iterations : int
-        Length of the window; well-posed frames end within 15.
+        Length of the window; well-posed frames end within 15 iterations.
     min_decrease : float
-        Of the cost over the window: a joint pair on a plateau still ends verified (test_random_problems).
+        Relative decrease of the cost over the window. A joint pair on a plateau falls by more and still ends verified
+        (test_random_problems).
     min_reduction : float
-        Of the projected gradient over the window: a solve that still converges is not stopped.
+        Share of the projected gradient at the window's begin below which the solve still converges.
     """
 
     width: float = 0.0
@@ -33,14 +34,14 @@ class ProgressWindow:
     min_reduction: float = 0.1
 
     def after(self, width: float, cost: float, residual: float) -> "ProgressWindow":
-        """Return the progress with one more iteration."""
+        """Return the window after one more iteration."""
         previous = self.history if width == self.width else ()
         history = (*previous, (cost, residual))[-self.iterations - 1 :]
         return replace(self, width=width, history=history)
 
     @property
     def stalled(self) -> bool:
-        """Whether neither cost nor gradient fell over the window."""
+        """Whether neither cost nor projected gradient fell by the required amount over a full window."""
         if len(self.history) <= self.iterations:
             return False
         (first, steep), (last, residual) = self.history[0], self.history[-1]

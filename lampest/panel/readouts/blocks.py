@@ -1,6 +1,6 @@
-"""Modules with two-point readouts as one panel: no current crosses a seam, and the network falls into blocks.
+"""Modules with two-point readouts as one panel: no current crosses a seam, so that the network consists of blocks.
 
-For costs that couple cells over seams; all arrays of networks have an axis that counts modules.
+It serves costs that couple cells across seams. All arrays of the inner networks have a leading axis of modules.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,13 @@ from lampest.panel.readouts.wiring import Wiring
 
 @dataclass(frozen=True, kw_only=True)
 class ModulesReadout(TwoPointReadout):
-    """Readings R_jk of each module by itself, as readings of the whole image."""
+    """Two-point readings R_jk of each module alone, as readings of the whole image.
+
+    Attributes
+    ----------
+    layout : Modules
+        Arrangement of the modules.
+    """
 
     layout: Modules = Modules(1, 1, EachModule(1, 1))
 
@@ -33,7 +39,7 @@ class ModulesReadout(TwoPointReadout):
         return BlockNetwork(cell_resistance, 1 / cell_resistance, inner.potentials(), self.layout, inner)
 
     def uniform_start(self, measured: Array) -> Array:
-        """Return the start of each module; see `TwoPointReadout.uniform_start`."""
+        """Return the uniform start of each module; see `TwoPointReadout.uniform_start`."""
         return np.asarray(measured / uniform_factor(self.layout.each.rows, self.layout.each.columns))
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
@@ -45,7 +51,15 @@ class ModulesReadout(TwoPointReadout):
 
 @dataclass(frozen=True, eq=False)
 class BlockNetwork(FloatingNetwork):
-    """Network of an image (rows, columns); inner : networks of all modules."""
+    """Network of an image of modules.
+
+    Attributes
+    ----------
+    layout : Modules
+        Arrangement of the modules.
+    inner : FloatingNetwork
+        Networks of all modules, with a leading axis.
+    """
 
     layout: Modules
     inner: FloatingNetwork
@@ -77,7 +91,7 @@ class BlockNetwork(FloatingNetwork):
         return self.inner.condition()
 
     def scattered(self, blocks: Array) -> Array:
-        """Return blocks (modules, cells, cells) as a matrix over the image's cells."""
+        """Return blocks (modules, cells, cells) as a matrix (cells, cells) over the cells of the image."""
         size, layout = self.conductance.size, self.layout
         numbers = layout.split(np.arange(size).reshape(layout.shape)).reshape(layout.count, -1)
         whole = np.zeros((size, size))
@@ -87,22 +101,23 @@ class BlockNetwork(FloatingNetwork):
 
 @dataclass(frozen=True, eq=False)
 class BlockSecondOrder(SecondOrder):
-    """Second derivatives H of all modules."""
+    """Second derivatives H of all modules; see `SecondOrder`."""
 
     network: BlockNetwork
 
     @cached_property
     def _inner(self) -> SecondOrder:
+        """Second derivatives of the inner networks."""
         return self.network.inner.second_order(self.network.layout.split(self.weights))
 
     def products(self, step: Array) -> tuple[Array, Array]:
-        """Return (J·p, H·p)."""
+        """Return (J·p, H·p), module by module."""
         layout = self.network.layout
         change, second = self._inner.products(layout.split(step))
         return np.asarray(layout.joined(change)), np.asarray(layout.joined(second))
 
     def adjoint(self) -> Array:
-        """Return Jᵀ·w."""
+        """Return Jᵀ·w for the weights, module by module."""
         return np.asarray(self.network.layout.joined(self._inner.adjoint()))
 
     def matrix(self, cells: Numbers | None = None) -> Array:

@@ -1,6 +1,7 @@
-"""The analogue-to-digital converter that a readout ends in: codes, their noise, and the range that they cover.
+"""Analogue-to-digital converter of a readout: codes, their noise, and their range.
 
-Means of codes keep what quantisation leaves, so that a variance over repeated readings is not the noise itself.
+Averages of codes retain a part of the quantisation error. The variance over repeated readings therefore is not the
+noise alone.
 """
 
 from dataclasses import dataclass, replace
@@ -14,12 +15,12 @@ from lampest.files.typed import Configuration, check_range, check_ranges
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 
-MIN_VOLT, MAX_VOLT = 1e-3, 1e3  # V: a thermocouple's; low voltage by IEC 60038
+MIN_VOLT, MAX_VOLT = 1e-3, 1e3  # V: that of a thermocouple; the limit of low voltage in IEC 60038
 
 
 @dataclass(frozen=True, kw_only=True)
 class Converter(Configuration):
-    """Codes from 0 to 2^bits − 1 over voltages from 0 to full scale, which is the supply unless a kind says otherwise.
+    """Converter with codes from 0 to 2^bits − 1 for voltages from 0 to full scale, by default the supply.
 
     Attributes
     ----------
@@ -31,10 +32,10 @@ class Converter(Configuration):
         Conversions that are averaged for one cell.
     noise_lsb : PerLine or {'estimated'}, or None
         Standard deviation of one reading before quantisation, in least significant bits; a number or one for each
-        driven line (`noisy_side`). 'estimated': from the unloaded frames. None: from five or more unloaded frames, else
-        `usual_noise_lsb`.
+        driven line (`noisy_side`). 'estimated': from the unloaded frames. None: from five or more unloaded frames,
+        otherwise `usual_noise_lsb`.
     usual_noise_lsb : float
-        Noise of the shipped boards, sufficient dither for averaging.
+        Noise of the shipped boards, which is sufficient dither for averaging.
     floor_code : int, or None
         Codes at or below it were not recorded: such a reading, zero or infinite by its unit, is a bound.
     passes_volt : tuple[float, float], or None
@@ -69,12 +70,12 @@ class Converter(Configuration):
 
     @property
     def noise_told(self) -> bool:
-        """Whether the noise is specified, and not left to the frames."""
+        """Whether the noise is specified; otherwise frames determine it."""
         return self.noise_lsb not in (None, "estimated")
 
     @property
     def assumed_noise(self) -> PerLine:
-        """`noise_lsb` if it is specified, else the assumption until frames show it."""
+        """`noise_lsb` if it is specified, otherwise `usual_noise_lsb`, the assumption until frames determine it."""
         return self.usual_noise_lsb if self.noise_lsb is None or self.noise_lsb == "estimated" else self.noise_lsb
 
     @property
@@ -111,22 +112,24 @@ class Converter(Configuration):
         return (np.asarray(mean_code, dtype=float) + 0.5) * self.lsb_volt
 
     def recorded_from_sums(self, sums: NDArray[np.integer[Any]], readings: int) -> Array:
-        """Return recorded readings of sums of so many codes; a rail becomes its interval's middle, and is finite."""
+        """Return recorded values of sums of `readings` codes; a code at a rail gives the middle of its interval."""
         return self.recorded_from_volt(self.volt_from_code(sums / readings))
 
     def noise_volt(self, codes: Array | None = None) -> Array:
-        """Return the noise of one reading, or a given noise in LSB, in volt, to be broadcast to (rows, columns)."""
+        """Return the noise of one reading in volt, or that of `codes` in LSB, to be broadcast to (rows, columns)."""
         codes = np.array(self.assumed_noise) if codes is None else codes
         return np.asarray((along(self.noisy_side, codes) if codes.ndim else codes) * self.lsb_volt)
 
     def sigma_code(self) -> Array:
         """Return σ of the mean of `readings` codes, in LSB: σ² = (noise² + 1/12 − b²)/readings + b².
 
-        b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is the part that averaging cannot remove: without noise all readings agree.
-        It is 1/12 for no noise, 0.0000 above half an LSB. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
+        b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is the part of the quantisation error that averaging cannot remove, because
+        without noise all readings agree. It is 1/12 without noise, and negligible above half an LSB. Source: Widrow &
+        Kollár, Quantization Noise, 2008 (dither).
         """
-        # The tail beyond 2000 harmonics is 1/(2π²·2000), and matters only where there is no noise.
+        # The tail beyond 2000 harmonics is 1/(2π²·2000); it matters only without noise, where b² is 1/12.
         harmonic, noise = np.arange(1, 2001, dtype=float), np.array(self.assumed_noise)
+        # Terms of b², one for each harmonic h of the quantisation error (noise (…, 1), harmonic (2000,))
         damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2)) / (2 * np.pi**2 * harmonic**2)
         bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
         return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / self.readings + bias))
@@ -136,15 +139,16 @@ class Converter(Configuration):
         return np.broadcast_to(self.sigma_volt(), np.shape(recorded)).copy()
 
     def sigma_volt(self) -> Array:
-        """Return σ of a mean reading at the converter, V, to be broadcast to (rows, columns)."""
+        """Return σ of the mean of `readings` codes in volt, to be broadcast to (rows, columns)."""
         return self.noise_volt(self.sigma_code())
 
     def rails(self) -> tuple[float, float]:
-        """Return the least and largest recorded reading of a code between the first above the floor and the last one.
+        """Return the least and the largest recorded value that is not a bound.
 
-        A reading beyond is a bound, not a value: a code at a rail only says that the voltage is beyond the code's edge.
+        A reading beyond them is one-sided: a code at a rail, or at the floor, only bounds the voltage by its edge.
         """
         top = 2.0**self.adc_bits - 1
+        # Lower edge of the first valid code, and of the last code; stages before the converter may narrow the range.
         edges = np.array([(self.floor_code or 0) + 1.0, top]) * self.lsb_volt
         if self.passes_volt is not None:
             within = np.add(self.passes_volt, np.array([1, -1]) * NOISE_REACH * float(np.mean(self.sigma_volt())))
@@ -153,22 +157,22 @@ class Converter(Configuration):
         return float(ends.min()), float(ends.max())
 
 
-MIN_REPEATS = 50  # they determine a noise to a tenth
-ENDLESS = 65535  # readings: the part of σ that remains does not average out
+MIN_REPEATS = 50  # repeated readings, which determine a noise to a tenth
+ENDLESS = 65535  # readings, so many that the remaining part of σ is the one that averaging cannot remove
 
 
 def sigma_code(readout: Converter, noise_lsb: PerLine, readings: int | None = None) -> Array:
-    """Return σ of the mean code, in LSB, for another noise and another number of readings."""
+    """Return σ of the mean code in LSB for another noise and, unless None, another number of readings."""
     return np.asarray(replace(readout, noise_lsb=noise_lsb, readings=readings or readout.readings).sigma_code())
 
 
 def averaged_variance(readout: Converter, noise_lsb: PerLine) -> Array:
-    """Return the variance that repeats average out, LSB²: σ²(readings) − σ²(endlessly many)."""
+    """Return the variance that averaging removes, σ²(readings) − σ²(ENDLESS readings), LSB²."""
     return np.asarray(sigma_code(readout, noise_lsb) ** 2 - sigma_code(readout, noise_lsb, ENDLESS) ** 2)
 
 
 def noise_of_variance(readout: Converter, variance: float) -> float:
-    """Return the noise, LSB, of which repeats average out that variance, LSB²; by bisection."""
+    """Return the noise in LSB whose `averaged_variance` is a given one in LSB², by bisection."""
     low, high = 0.0, 2.0**readout.adc_bits
     while high - low > 1e-6:
         middle = (low + high) / 2

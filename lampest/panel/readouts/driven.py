@@ -1,10 +1,11 @@
-"""Circuits that drive the lines of one side, one after the other, each through a resistance, and sense all others.
+"""Circuits that drive the lines of one side, one after the other, each through a resistance, and sense the other side.
 
     V_ij = c_j·U_i·Z_ij/D_i/k_j
 
-U_i : the supply. Idle driven lines are held at ground through their Rd, ties 1/Rd and D_i = Rd_i, or float, no ties and
-D_i = Rd_i + Z_ii. All sensed lines have their loads all the time, ties 1/Rs and k_j = 1, or the one that is read alone,
-no ties and k_j = 1 + Z_jj/Rs_j (Sherman and Morrison). c_j : share of a sensed line's voltage at the converter.
+U_i is the supply, and c_j the share of a sensed line's voltage at the converter. Idle driven lines either are held at
+ground through their Rd (ties 1/Rd, D_i = Rd_i), or float (no ties, D_i = Rd_i + Z_ii). Either all sensed lines have
+their loads all the time (ties 1/Rs, k_j = 1), or only the one that is read (no ties, k_j = 1 + Z_jj/Rs_j by Sherman and
+Morrison's formula).
 """
 
 from abc import abstractmethod
@@ -39,24 +40,24 @@ MAX_ROUNDS, CONVERGED, MIN_RATIO, MAX_RATIO = 40, 1e-3, 0.02, 1e3
 
 
 class DrivenReadout(Readout):
-    """Base of the circuits; kinds are dataclasses that declare their keys in the order of files.
+    """Base of circuits with driven and sensed lines; kinds are dataclasses that declare their keys in the files' order.
 
     Attributes
     ----------
     driven : {'rows', 'columns'}
         Side that is driven.
     drive_ohm : float, or one for each driven line
-        Rd.
+        Rd in ohm.
     sense_ohm : float, or one for each sensed line
-        Channels of the sensed lines.
+        Resistance of the channels of the sensed lines in ohm.
     polarity : {'up', 'down'}
         Whether loads lead to ground or to the supply.
     input_ohm : float, or None
-        Input resistance of the converter.
+        Input resistance of the converter in ohm.
     of_sensed : tuple of str
-        Keys of resistances of sensed lines; the first is the reference of a reading.
+        Keys of resistances of sensed lines; the first one is the reference resistor of a reading.
     idle_floats : bool
-        Whether idle driven lines float, or are held at ground.
+        Whether idle driven lines float; otherwise they are held at ground.
     """
 
     of_sensed: ClassVar[tuple[str, ...]]
@@ -70,7 +71,7 @@ class DrivenReadout(Readout):
 
     @property
     def driving_volt(self) -> float:
-        """Voltage that a driven line is put to, before its resistance."""
+        """Voltage of the source of a driven line, before Rd, in volt."""
         return self.supply_volt
 
     @property
@@ -80,14 +81,14 @@ class DrivenReadout(Readout):
 
     @abstractmethod
     def _sensed(self, lines: int) -> tuple[Array, Array]:
-        """(Rs, c) of the sensed lines: all that stands between one and ground while it is read, ohm; and c."""
+        """Return (Rs, c) of the sensed lines, (lines,): total resistance to ground while read in ohm, and c."""
 
     def _supply(self, resistance: Any) -> Any:
-        """U of a resistance D, volt; arrays and CasADi alike."""
+        """Return U for a resistance D of the driven path, volt; NumPy and CasADi."""
         return self.driving_volt
 
     def _lost(self, current: Array) -> Array:
-        """Vcc − U of a current through the driven line."""
+        """Return Vcc − U for a current through the driven line, volt."""
         return np.zeros(1)
 
     def __post_init__(self) -> None:
@@ -98,7 +99,7 @@ class DrivenReadout(Readout):
             check_resistors("input_ohm", self.input_ohm, most=inf)
 
     def check(self, scene: Surroundings) -> None:
-        """Raise ValueError as every kind does, and unless a list has one resistance for each line."""
+        """Raise ValueError as `Readout.check`, or if a list does not have one resistance for each line."""
         super().check(scene)
         driven, sensed = of_side(self.driven, *scene.panel.shape)
         for name in ("drive_ohm", *self.of_sensed):
@@ -106,7 +107,7 @@ class DrivenReadout(Readout):
 
     @property
     def _end_text(self) -> str:
-        """The end of descriptions."""
+        """Description of the converter, with its input resistance."""
         taken = "" if self.input_ohm is None else f", converter input {self.input_ohm:g} ohm"
         return f"{taken}, {self.converter_description()}"
 
@@ -124,49 +125,54 @@ class DrivenReadout(Readout):
 
     @property
     def _along_sensed(self) -> int:
-        """The axis from one sensed line to the next."""
+        """Axis of an array (…, rows, columns) that counts the sensed lines."""
         return -1 if self.driven == "rows" else -2
 
     def _circuit(self, shape: tuple[int, ...]) -> tuple[Array, Array, Array]:
-        """(Rd, Rs, c), each to be broadcast to (rows, columns)."""
+        """Return (Rd, Rs, c), each to be broadcast to (rows, columns); Rd is at least MIN_OHM where it is a tie."""
         driven, sensed = of_side(self.driven, *shape)
         load, gain = (along(opposite(self.driven), values) for values in self._sensed(sensed))
         drive = along(self.driven, per_line("drive_ohm", self.drive_ohm, driven))
         return drive if self.idle_floats else np.maximum(drive, MIN_OHM), load, gain
 
     def ties(self, measured: Array) -> Array:
-        """1/Rd at the driven lines or none; 1/Rs at the sensed ones or none."""
+        """Return the ties: 1/Rd of driven lines unless they float, 1/Rs of sensed lines if all are loaded, siemens."""
         drive, load, _ = (part.ravel() for part in self._circuit(measured.shape))
         held = np.zeros(len(drive)) if self.idle_floats else 1 / drive
         return np.concatenate(of_side(self.driven, held, 1 / load if self.all_loaded else np.zeros(len(load))))
 
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """c_j·U_i·Z_ij/D_i/k_j."""
+        """Return V_ij = c_j·U_i·Z_ij/D_i/k_j."""
         drive, load, gain = (np.broadcast_to(part, mutual.shape) for part in self._circuit(mutual.shape))
         driven, sensed = of_side(self.driven, row, column)
         if self.idle_floats:
+            # Floating idle lines: V = c·U(D)·Z_ij/D with D = Rd + Z_ii
             resistance = driven + drive
             volt = mutual * gain * self._supply(resistance) / resistance
         else:
             volt = mutual * (self.driving_volt * gain / drive)
+        # One load at a time: /k_j, k_j = 1 + Z_jj/Rs_j
         return volt if self.all_loaded else volt / (sensed * (1 / load) + 1)
 
     def apparent_resistance(self, measured: Array) -> Array:
-        """Return Rs·((Vcc − V_d)·c/V − 1) − Rd, the naive divider's resistance of a reading."""
+        """Return Rs·((Vcc − V_d)·c/V − 1) − Rd, the resistance of a single divider with this reading."""
         drive, load, gain = self._circuit(measured.shape[-2:])
         volt = np.maximum(measured / gain, OPEN_SHARE * self.driving_volt)
+        # (Vcc − V_d)/I with the current I = V/(c·Rs): the sum of cell, load and drive
         whole = load * (self.driving_volt - self._lost(volt / load)) / volt
         return np.asarray(np.maximum(whole - load - drive, MIN_LOAD_SHARE * whole))
 
     def uniform_start(self, measured: Array) -> Array:
-        """Return r_ij = Rs_j·(1 − Σ_k v_kj)/v_ij (…, rows, columns) ohm of idle lines at ground, right where Rd = 0.
+        """Return r_ij = Rs_j·(1 − Σ_k v_kj)/v_ij, (…, rows, columns) ohm, for idle lines at ground.
 
-        Then no sensed line depends on another, and with its load or without, all others stay as they are.
+        This is exact for Rd = 0, where no sensed line depends on another one or on its load. For floating lines it is
+        the apparent resistance.
         """
         if self.idle_floats:
             return super().uniform_start(measured)
         _, load, gain = self._circuit(measured.shape[-2:])
         driven = -3 - self._along_sensed
+        # Voltages over the supply, with a lower limit for open cells.
         share = measured / (self.driving_volt * gain)
         share = np.maximum(share, OPEN_SHARE * share.max(axis=(-2, -1), keepdims=True))
         remainder = 1 - share.sum(axis=driven, keepdims=True)
@@ -174,12 +180,12 @@ class DrivenReadout(Readout):
         return np.asarray(load * np.where(remainder > MIN_LOAD_SHARE, remainder, 1 / (1 + share.shape[driven])) / share)
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
-        """Cells (rows, columns) ohm that reproduce the readings: potentials and cells in turn.
+        """Return cells that reproduce the readings, (rows, columns) ohm, by alternating potentials and cells.
 
-        Given cells, all driven lines p stand at u_p while i is driven and j is read. Given those, Σ_p g_pj (u_p − v_ij)
-        = v_ij/Rs_j is linear in the cells of one sensed line. Both in turn converge to cells that reproduce the
-        readings: some six rounds, up to 40 where drives are large. A start, not an estimate: within MIN_RATIO and
-        MAX_RATIO of the uniform start's.
+        The cells determine the potentials u_p of all driven lines p while i is driven and j is read. Given these
+        potentials, Σ_p g_pj (u_p − v_ij) = v_ij/Rs_j is linear in the cells of one sensed line. The alternation
+        converges in about six rounds, and in up to 40 for large Rd. The result is a start, not an estimate: its
+        conductances stay within MIN_RATIO and MAX_RATIO of those of the uniform start.
         """
         drive, load, gain = self._circuit(measured.shape)
         volt, ideal = self._turned(measured / gain), self._turned(1 / self.uniform_start(measured))
@@ -187,6 +193,7 @@ class DrivenReadout(Readout):
         conductance = ideal if near is None else np.clip(self._turned(1 / near), MIN_RATIO * ideal, MAX_RATIO * ideal)
         for _ in range(MAX_ROUNDS):
             potentials, before = self._driven_potentials(conductance, volt, drive, load), conductance
+            # One linear system for each sensed line j: rows i (driven while j is read), unknowns g_pj.
             solved = np.linalg.solve(potentials - volt.T[:, :, None], (volt / load).T[:, :, None])[:, :, 0].T
             conductance = np.clip(solved, MIN_RATIO * ideal, MAX_RATIO * ideal)
             if np.abs(np.log(conductance / before)).max() < CONVERGED:
@@ -194,44 +201,53 @@ class DrivenReadout(Readout):
         return np.asarray(np.minimum(self._turned(1 / conductance), upper))
 
     def _turned(self, values: Array) -> Array:
-        """(rows, columns) → (driven, sensed), or back."""
+        """Return values (rows, columns) as (driven, sensed), or the reverse."""
         return values if self.driven == "rows" else values.T
 
     def _driven_potentials(self, conductance: Array, volt: Array, drive: Array, load: Array) -> Array:
-        """Return u (sensed, driven, driven) volt of driven lines p, the last axis, while j is read and i is driven.
+        """Return the potentials of driven lines p while j is read and i is driven, (sensed j, driven i, driven p) volt.
 
         Parameters
         ----------
-        conductance, volt : array
-            (driven, sensed) siemens, and voltages of sensed lines.
-        drive, load : array
-            Rd and Rs.
+        conductance : array, shape (driven, sensed)
+            Siemens.
+        volt : array, shape (driven, sensed)
+            Voltages of the sensed lines.
+        drive, load : array, shapes (driven,), (sensed,)
+            Rd and Rs, ohm.
         """
         count = len(drive)
         impedance = inverse_of(conductance, np.concatenate([1 / drive, 1 / load if self.all_loaded else 0 * load]))
+        # Potentials of all lines while line i is driven: Z_·i·Vcc/Rd_i
         at_supply = impedance[:, :count] * (self.driving_volt / drive)
         own = np.broadcast_to(at_supply[:count].T, (len(load), count, count))
         if self.all_loaded:
             return own
+        # Sherman–Morrison: the load of line j draws V_j/(Rs_j + Z_jj), which lowers u_p by Z_jp times this current.
         sinking = at_supply[count:] / (load + np.diag(impedance)[count:])[:, None]
         return np.asarray(own - sinking[:, :, None] * impedance[count:, None, :count])
 
     def nearly_shorted(self, measured: Array) -> Array:
-        """Return shorts, bounded by a share of the start: idle lines at ground make lone cells many times too large."""
+        """Return cells that count as shorts, also bounded by a share of the uniform start, (…, rows, columns) ohm.
+
+        With idle lines at ground the apparent resistance is many times too large.
+        """
         return np.asarray(np.minimum(super().nearly_shorted(measured), SHORT_SHARE * self.uniform_start(measured)))
 
     def _driven_volt(self, current: Array, drive: Array | float) -> Array:
-        """Vcc − Rd I − V_d(I): where a driven line stands while it takes a current, any shape."""
+        """Return the potential Vcc − Rd I − V_d(I) of a driven line with the current I, volt, any shape."""
         return np.asarray(self.driving_volt - drive * current - self._lost(current))
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        """Test v_ij ≤ Vcc − Rd_i Σ_k v_ik/Rs_k over the simultaneous loads k; with idle lines at ground Σ_i v_ij ≤ Vcc.
+        """Return the tests v_ij ≤ Vcc − Rd_i Σ_k v_ik/Rs_k over simultaneous loads k, and Σ_i v_ij ≤ Vcc.
 
-        No sensed line stands above the driven one, which lies below the supply by the loads' current through its Rd.
-        With all driven lines at the supply at once no sensed line stands above it (superposition: Z·t ≤ 1).
+        The first one: no sensed line has a higher potential than the driven one, which is below the supply by the
+        loads' current through its Rd. The second one, for idle lines at ground: if all driven lines were at the supply,
+        no sensed line would be above it (superposition, Z·t ≤ 1).
         """
         drive, load, gain = self._circuit(measured.shape[-2:])
         volt, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0) / gain
+        # Vcc ≥ v_ij + Rd_i Σ_k v_ik/Rs_k + V_d, with the propagated noise of both terms
         drop = (drive if self.all_loaded else 0.0) / load
         sensed, driven = self._along_sensed, -3 - self._along_sensed
         lost = self._lost((volt / load).sum(axis=sensed, keepdims=True))
@@ -249,22 +265,26 @@ class DrivenReadout(Readout):
         return tuple(results)
 
     def most_in_series(self, measured: Array, sigma: Array) -> float:
-        """Rd ≤ min_i (Vcc − V_d − max_j v_ij)/Σ_j v_ij/Rs_j; with one load at a time, of each reading alone."""
+        """Return the upper bound of Rd, min_i (Vcc − V_d − max_j v_ij)/Σ_j v_ij/Rs_j, ohm.
+
+        With one load at a time each reading is taken alone.
+        """
         _, load, gain = self._circuit(measured.shape[-2:])
         volt = np.where(np.isfinite(sigma), measured, 0.0) / gain
         current = volt / load
         if self.all_loaded:
             volt, current = volt.max(axis=self._along_sensed), current.sum(axis=self._along_sensed)
+        # Voltage across Rd and the current through it: Rd ≤ (Vcc − V_d − v)/I
         drop = self._driven_volt(current, 0.0) - volt
         return float(np.min(np.where(current > 0, drop / np.where(current > 0, current, 1.0), np.inf)))
 
     def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
-        """Simulate with every line's channel in its drive or sense resistance; no sense_ohm, no channel."""
+        """Return recorded values with the channels added to drive_ohm, and to sense_ohm unless it is zero."""
         actual = self.with_channels(row_ohm, column_ohm)
         return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
 
     def with_channels(self, row_ohm: Array, column_ohm: Array) -> Self:
-        """Return the circuit with additional resistances in every line's channel, ohm."""
+        """Return the circuit with additional channel resistances, (rows,) and (columns,) ohm."""
         driven, sensed = of_side(self.driven, row_ohm, column_ohm)
         changes: dict[str, Any] = {"drive_ohm": with_channels("drive_ohm", self.drive_ohm, driven)}
         if self.sense_ohm:
@@ -272,7 +292,7 @@ class DrivenReadout(Readout):
         return replace(self, **changes)
 
     def off_by(self, fraction: float) -> Self:
-        """Return the readout with every reference times 1 + fraction."""
+        """Return the circuit with every reference resistor larger by a fraction."""
         name = self.of_sensed[0]
         value: PerLine = getattr(self, name)
         larger = tuple(number * (1 + fraction) for number in as_tuple(value))
@@ -280,6 +300,6 @@ class DrivenReadout(Readout):
         return replace(self, **changes)
 
     def line_numbers(self) -> tuple[LineNumber, ...]:
-        """Return the drive resistances, which may be channels alone, and the references; sense channels are fixed."""
+        """Return the numbers to calibrate: drive resistances, which include channels, and reference resistors."""
         drive = LineNumber("drive_ohm", (self.driven,), channel=True)
         return drive, LineNumber(self.of_sensed[0], (opposite(self.driven),))

@@ -1,6 +1,7 @@
-"""A panel of which all lines but two float, R = Z_jj + Z_kk − 2 Z_jk: its network, and the convex start of a search.
+"""Network of floating lines with two-point readings R = Z_jj + Z_kk − 2 Z_jk, and the convex start of a solve.
 
-∂R_i/∂u_c = g_c D_ic² with D = BᵀZB, the transfer resistances: one operator is both forward and adjoint.
+∂R_i/∂u_c = g_c D_ic² with the transfer resistances D = BᵀZB. As D is symmetric, one operator serves as forward and as
+adjoint product.
 """
 
 from collections.abc import Callable
@@ -15,19 +16,19 @@ from lampest.panel.network import Entries, Loading, Network, NormalByLines, Numb
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, steihaug
 
-# Of R²: smallest diagonal of the stencil, where the lines alone explain a cell's own response.
+# Smallest diagonal of the stencil, relative to R², for cells whose own response is due to their lines alone.
 MIN_DIAGONAL_SHARE = 0.05
 MAX_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32 without noise
-STEP_LENGTHS = tuple(0.5**power for power in range(20))  # of a step: below, none lowers the cost in double precision
-MAX_RELATIVE_MISFIT = 1e-9  # relative misfit of any reading; near a solution each step doubles the digits
+STEP_LENGTHS = tuple(0.5**power for power in range(20))  # shares of a step; smaller ones change the cost by rounding
+MAX_RELATIVE_MISFIT = 1e-9  # relative misfit of any reading at convergence; Newton's steps double the correct digits
 
 
 def grounding(two_point_resistance: Array, parts: Numbers | None = None) -> Array:
-    """Tie to ground: the line with the largest Σ 1/R gets a conductance of that size, all others none.
+    """Return ties to ground, (…, rows + columns) siemens, for two-point resistances (…, rows, columns) ohm.
 
-    (…, rows, columns) ohm → (…, rows + columns) siemens; of one panel where there are parts. parts : (lines) of which
-    each has its ground; None: all are one. A tie at a single line carries no current: potential differences are those
-    of the paper's equation (5).
+    The line with the largest Σ 1/R gets a conductance of that size, all others none. A tie at a single line carries no
+    current, so that potential differences are those of the paper's equation (5). `parts`, (lines,), contains the number
+    of each line's part of a single panel; every part has its own ground. None: one part.
     """
     total = line_sums(1 / two_point_resistance)
     tie = np.zeros_like(total)
@@ -41,26 +42,29 @@ def grounding(two_point_resistance: Array, parts: Numbers | None = None) -> Arra
 
 
 def uniform_factor(rows: int, columns: int) -> float:
-    """R/r = (M + N − 1)/(MN) on a panel of equal cells."""
+    """Return R/r = (M + N − 1)/(MN) of a panel with equal cells."""
     return (rows + columns - 1) / (rows * columns)
 
 
 @dataclass(frozen=True, eq=False)
 class FloatingNetwork(Network):
-    """The readings are two-point resistances in ohm; many networks at once have leading axes."""
+    """Network whose readings are two-point resistances in ohm; many networks at once have leading axes."""
 
     @classmethod
     def solve(cls, conductance: Array, tie: Array) -> "FloatingNetwork":
-        """Solve cells (rows, columns) siemens. Raises numpy.linalg.LinAlgError where a line is not connected."""
+        """Return the solved network of conductances (…, rows, columns) siemens with ties (…, lines) siemens.
+
+        Raises numpy.linalg.LinAlgError if a line is not connected.
+        """
         with np.errstate(divide="ignore"):
             return cls(1 / conductance, conductance, inverse_of(conductance, tie))
 
     def some(self, numbers: Numbers | int) -> "FloatingNetwork":
-        """Return some of many networks, or one of them."""
+        """Return the chosen networks, or a single one by its number."""
         return FloatingNetwork(self.cell_resistance[numbers], self.conductance[numbers], self._impedance[numbers])
 
     def read(self, entries: Entries) -> Array:
-        """R_jk = Z_jj + Z_kk − 2 Z_jk."""
+        """Return R_jk = Z_jj + Z_kk − 2 Z_jk."""
         return across(entries)
 
     @property
@@ -71,11 +75,11 @@ class FloatingNetwork(Network):
         return across(change)
 
     def loading(self, weights: Array) -> Loading:
-        """W = L_w."""
+        """Return W = L_w, the Laplacian with the weights as conductances."""
         return line_sums(weights), -weights
 
     def sensitivity(self, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
-        """D∘D·diag(g)."""
+        """Return J = (D∘D)·diag(g); see `Network.sensitivity`."""
         if cells is None:
             transfer = self.transfer if readings is None else self.transfer[readings]
             response: Array = transfer * transfer
@@ -86,26 +90,27 @@ class FloatingNetwork(Network):
         return chosen
 
     def own_response(self) -> Array:
-        """R²·g: D_ii = R_i."""
+        """Return the diagonal R²·g of J, as D_ii = R_i."""
         return self.reading() ** 2 / self.cell_resistance
 
     def normal_by_lines(self, weight: Array) -> NormalByLines:
-        """Diagonal, rows and columns; see `square_by_lines`."""
+        """Return JᵀWJ as a diagonal plus parts of rows and columns; see `square_by_lines`."""
         return square_by_lines(self.conductance, self.reading(), weight)
 
 
 @dataclass(frozen=True, eq=False)
 class Stencil:
-    """(D∘D)⁻¹ as a preconditioner: (D∘D)_il ≈ 1/A_j² for cells of one row j, 1/B_k² of one column k, R_l² at i = l.
+    """Preconditioner of D∘D, inverted through one matrix over the lines (Woodbury).
 
-    A and B are the lines' total conductances. Inverted through one matrix of lines × lines (Woodbury).
+    (D∘D)_il ≈ 1/A_j² for cells i, l of one row j, 1/B_k² for cells of one column k, and R_l² for i = l. A and B are the
+    total conductances of the lines.
 
     Attributes
     ----------
     diagonal : array, shape (rows, columns)
-        1/d, zero at cells that are left out.
-    inner : array
-        (S⁻¹ + Uᵀ diag(1/d) U)⁻¹, (lines)², U with a column for every line and S its 1/A² or 1/B².
+        1/d; zero for excluded cells.
+    inner : array, shape (lines, lines)
+        (S⁻¹ + Uᵀ diag(1/d) U)⁻¹, U the incidence of cells and lines, S the diagonal matrix of 1/A² and 1/B².
     """
 
     diagonal: Array
@@ -119,8 +124,9 @@ class Stencil:
         return cls(diagonal, np.linalg.inv(np.diag(1 / lines) + bipartite_matrix(line_sums(diagonal), diagonal)))
 
     def solve(self, values: Array) -> Array:
-        """(stencil of D∘D)⁻¹·x over the free cells, (rows, columns)."""
+        """Return the inverse of the stencil times x, (rows, columns), zero for excluded cells."""
         first = self.diagonal * values
+        # (diag(d) + U S Uᵀ)⁻¹ x = x/d − (1/d)·U (S⁻¹ + Uᵀ diag(1/d) U)⁻¹ Uᵀ (x/d)
         lines = self.inner @ np.concatenate([first.sum(axis=1), first.sum(axis=0)])
         rows = len(first)
         solved: Array = first - self.diagonal * (lines[:rows, None] + lines[None, rows:])
@@ -128,10 +134,18 @@ class Stencil:
 
 
 def square_by_lines(conductance: Array, two_point_resistance: Array, weight: Array) -> NormalByLines:
-    """Return JᵀWJ with J = S·diag(g), S = diag(d) + U K Uᵀ the stencil of D∘D; w ≥ 0 (rows, columns).
+    """Return JᵀWJ of two-point readings with the stencil in place of D∘D, J = (diag(d) + U K Uᵀ)·diag(g).
 
     JᵀWJ = diag(g²d²w) + V M Vᵀ with V = [g·dwU, g·U], M = [[0, K], [K, K UᵀwU K]].
-    conductance, two_point_resistance : (rows, columns) siemens and ohm.
+
+    Parameters
+    ----------
+    conductance : array, shape (rows, columns)
+        g in siemens.
+    two_point_resistance : array, shape (rows, columns)
+        R in ohm.
+    weight : array, shape (rows, columns)
+        w ≥ 0.
     """
     cells, lines = _parts(conductance, two_point_resistance)
     heavy = conductance * cells * weight
@@ -141,20 +155,30 @@ def square_by_lines(conductance: Array, two_point_resistance: Array, weight: Arr
 
 
 def _parts(conductance: Array, two_point_resistance: Array) -> tuple[Array, Array]:
-    """(d, K): the diagonal (rows, columns) of the stencil, and 1/A², 1/B² of the lines."""
+    """Return the diagonal d of the stencil, (rows, columns), and K, 1/A² and 1/B² of the lines, (lines,)."""
     of_rows, of_columns = conductance.sum(axis=1) ** -2.0, conductance.sum(axis=0) ** -2.0
     square = two_point_resistance**2
+    # d = R² − 1/A_j² − 1/B_k², because a cell is in both its row and its column
     diagonal = np.maximum(square - of_rows[:, None] - of_columns, MIN_DIAGONAL_SHARE * square)
     return diagonal, np.concatenate([of_rows, of_columns])
 
 
 def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Array:
-    """Cell resistance (rows, columns) ohm from R_m (rows, columns) ohm by damped, projected Newton steps.
+    """Return the minimiser of a convex function whose gradient is the misfit, as cells (rows, columns) ohm.
 
-    g* = argmin ⟨R_m, g⟩ − log det C(g) over g ≥ 1/r_upper, from `near`, an earlier frame's answer, or from
-    R_m·MN/(M + N − 1). As R = ∇ log det C, attainable readings are reproduced, and the result is what plain least
-    squares seeks; else it is a start, not an estimate. Source: Foster's theorem and the concavity of log det (Boyd &
-    Vandenberghe, Convex Optimization, 2004, section 3.1.5).
+    g* = argmin ⟨R_m, g⟩ − log det C(g) over g ≥ 1/r_upper, by damped, projected Newton steps. As R = ∇ log det C,
+    attainable readings are reproduced, and the result is the solution of plain least squares. For other readings it is
+    a start, not an estimate. Source: Foster's theorem and the concavity of log det (Boyd & Vandenberghe, Convex
+    Optimization, 2004, section 3.1.5).
+
+    Parameters
+    ----------
+    measured : array, shape (rows, columns)
+        R_m in ohm.
+    upper : array, shape (rows, columns)
+        Upper bounds r_upper in ohm.
+    near : array, shape (rows, columns), or None
+        Estimate of an earlier frame, from which the iteration begins; None for R_m·MN/(M + N − 1).
     """
     tie, least = grounding(measured), 1 / upper
 
@@ -166,11 +190,13 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
     conductance = np.maximum(1 / first, least)
     value, network = at(conductance)
     for _ in range(MAX_ITERATIONS):
+        # ∇(⟨R_m, g⟩ − log det C) = R_m − R
         gradient = measured - network.reading()
         free = (conductance > least * (1 + 1e-12)) | (gradient < 0)
         if np.max(np.abs(gradient[free] / measured[free]), initial=0) < MAX_RELATIVE_MISFIT:
             break
         step = _step(network, gradient, free)
+        # Backtracking line search, in which no conductance falls by more than a factor of ten.
         for length in STEP_LENGTHS:
             trial = np.maximum(conductance + length * step, np.maximum(least, conductance / 10))
             trial_value, trial_network = at(trial)
@@ -183,14 +209,15 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
 
 
 def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_]) -> Array:
-    """−(D∘D)⁻¹ ∇ on the free cells; (D∘D)·p = −(∂R/∂g)·p."""
+    """Return the Newton step −(D∘D)⁻¹ ∇ over the free cells, (rows, columns) siemens; (D∘D)·p = −(∂R/∂g)·p."""
     step = np.zeros(gradient.shape)
     if gradient.size <= DENSE_CELLS:
         chosen = np.flatnonzero(free)
         transfer = network.transfer if len(chosen) == free.size else network.transfer[np.ix_(chosen, chosen)]
-        curvature = (transfer * transfer).T  # symmetric, and in LAPACK's order
+        curvature = (transfer * transfer).T  # symmetric; the transpose has LAPACK's memory order
         step[free] = scipy.linalg.lapack.dposv(curvature, -gradient[free], lower=1, overwrite_a=1)[1]
         return step
+    # Large panels: conjugate gradients on (D∘D)·p with the stencil as preconditioner.
     stencil = Stencil.of(network.conductance, network.reading(), free)
 
     def over_panel(linear: Callable[[Array], Array], values: Array) -> Array:

@@ -1,6 +1,7 @@
 """Circuits whose idle driven lines are held at a potential all the time, each through its resistance Rd.
 
-A resistance of zero has no tie; a micro-ohm in its place changes readings by 1e-8, below any converter's resolution.
+A resistance of zero would be an infinite tie. It is replaced by a micro-ohm, which changes readings by 1e-8, less than
+the resolution of any converter.
 """
 
 from dataclasses import dataclass
@@ -17,37 +18,37 @@ from lampest.panel.readouts.lines import MIN_OHM, PerLine, Side, lines_text, opp
 
 @dataclass(frozen=True, kw_only=True)
 class GroundedReadout(DrivenReadout):
-    """V = Vcc·Z_ij/Rd_i·Rs_j/(Rc_j + Rs_j)/k_j: driven line i at the supply, idle ones at ground, each through its Rd.
+    """Grounded readout: driven line i is at the supply, idle driven lines at ground, each through its Rd.
 
-    sense: all : every sensed line j has its load Rs_j, behind its channel Rc_j, all the time: ties 1/Rd_i and
-    1/(Rc_j + Rs_j), k_j = 1. sense: one : a multiplexer takes the load from one sensed line to the next and leaves the
-    idle ones floating: ties 1/Rd_i and none, and k_j = 1 + Z_jj/(Rc_j + Rs_j) is what the load does to the line that
-    is read.
+    V = Vcc·Z_ij/Rd_i·Rs_j/(Rc_j + Rs_j)/k_j. With sense: all, every sensed line j has its load Rs_j, behind its channel
+    Rc_j, all the time: ties 1/Rd_i and 1/(Rc_j + Rs_j), k_j = 1. With sense: one, a multiplexer connects the load to
+    one sensed line after the other, and idle sensed lines float: ties 1/Rd_i only, and k_j = 1 + Z_jj/(Rc_j + Rs_j) is
+    the effect of the load on the line that is read.
 
     Attributes
     ----------
     driven : Side
         Side whose lines are driven, one after the other.
     sense : {'all', 'one'}
-        Loads that are connected at a time, see above.
+        Loads that are connected at the same time, see above.
     polarity : {'up', 'down'}
-        'up': the driven line is put to the supply, idle ones and loads lead to ground; 'down': the driven line is put
-        to ground, idle ones and loads (internal pull-ups) to the supply; the converter then sees Vcc − V.
+        'up': the driven line is at the supply, idle ones and loads lead to ground; 'down': the driven line is at
+        ground, idle ones and loads (internal pull-ups) lead to the supply, and the voltage at the converter is Vcc − V.
     load_ohm : PerLine
-        Rs, a number or one for each sensed line.
+        Rs in ohm, a number or one for each sensed line.
     drive_ohm : PerLine
-        Rd, output and channel of every driven line; a number or one for each driven line. Zero is taken for a
+        Rd in ohm, output and channel of every driven line; a number or one for each driven line. Zero counts as a
         micro-ohm.
     sense_ohm : PerLine
-        Rc, the channel between every sensed line and its load; a number or one for each sensed line.
+        Rc in ohm, the channel between every sensed line and its load; a number or one for each sensed line.
     input_ohm : float, or None
-        Input resistance of the converter, parallel to the load; None: none that matters.
+        Input resistance of the converter in ohm, parallel to the load; None: negligible.
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
-    The network's reading is the voltage across the load, for either polarity. No bound but r > 0 holds: other cells
-    raise and lower a reading. Raises ValueError where a number is out of range. Source: node analysis with Z =
-    (L(g) + diag(t))⁻¹.
+    The network's reading is the voltage across the load, for either polarity. No bound except r > 0 holds, because
+    other cells can increase and decrease a reading. Raises ValueError if a number is out of range. Source: node
+    analysis with Z = (L(g) + diag(t))⁻¹.
 
     >>> lampest.GroundedReadout(load_ohm=1000.0).unit
     'volt'
@@ -78,7 +79,7 @@ class GroundedReadout(DrivenReadout):
         return self.sense == "all"
 
     def _sensed(self, lines: int) -> tuple[Array, Array]:
-        """(Rc + Rs, Rs/(Rc + Rs)), the converter parallel to Rs."""
+        """Return (Rc + Rs, Rs/(Rc + Rs)) of the sensed lines, with the converter's input parallel to Rs."""
         load = parallel(per_line("load_ohm", self.load_ohm, lines), self.input_ohm)
         total = load + per_line("sense_ohm", self.sense_ohm, lines)
         return total, load / total
@@ -86,23 +87,23 @@ class GroundedReadout(DrivenReadout):
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualGroundReadout(DrivenReadout):
-    """V = Rf_j·i_j = U·Rf_j·Z_ij/(Rd_i·Rc_j): driven line i at the voltage U, all other lines held at ground.
+    """Virtual-ground readout: driven line i is at the voltage U, all other lines are held at ground.
 
-    Idle driven lines are grounded through their Rd. Every sensed line stands at the virtual ground of an amplifier, or,
-    while another one is read, at ground, through its channel Rc. The amplifier inverts: its output lies Rf·i_j below
-    its reference. What is recorded is how far, a positive number, from 0 to the end of the converter's range; both ends
-    are rails.
+    V = Rf_j·i_j = U·Rf_j·Z_ij/(Rd_i·Rc_j). Idle driven lines are grounded through their Rd. Every sensed line is at the
+    virtual ground of an amplifier, through its channel Rc, or at ground while another one is read. The amplifier
+    inverts: its output is Rf·i_j below its reference. The recorded value is this difference, a positive number from 0
+    to the end of the converter's range. Both ends are rails.
 
     Attributes
     ----------
     driven : Side
         Side whose lines are driven, one after the other.
     drive_ohm : PerLine
-        Rd, output and channel of every driven line.
+        Rd in ohm, output and channel of every driven line.
     sense_ohm : PerLine
-        Rc, between every sensed line and the amplifier.
+        Rc in ohm, between every sensed line and the amplifier.
     feedback_ohm : PerLine
-        Rf. Each is a number or one for each line; Rd and Rc of zero count as a micro-ohm.
+        Rf in ohm. Each resistance is a number or one for each line; Rd and Rc of zero count as a micro-ohm.
     drive_volt : float, or None
         U in volt; None: supply_volt.
     converter_volt : float, or None
@@ -110,8 +111,9 @@ class VirtualGroundReadout(DrivenReadout):
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
-    No bound but r > 0 holds: other cells raise and lower a reading. Raises ValueError where a number is out of range.
-    Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rd at the driven and 1/Rc at the sensed lines.
+    No bound except r > 0 holds, because other cells can increase and decrease a reading. Raises ValueError if a number
+    is out of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rd at the driven and 1/Rc at the sensed
+    lines.
 
     >>> lampest.VirtualGroundReadout(feedback_ohm=1000.0).unit
     'volt'
@@ -148,6 +150,6 @@ class VirtualGroundReadout(DrivenReadout):
         )
 
     def _sensed(self, lines: int) -> tuple[Array, Array]:
-        """(Rc, Rf/Rc)."""
+        """Return (Rc, Rf/Rc) of the sensed lines."""
         sense = np.maximum(per_line("sense_ohm", self.sense_ohm, lines), MIN_OHM)
         return sense, per_line("feedback_ohm", self.feedback_ohm, lines) / sense

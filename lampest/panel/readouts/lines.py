@@ -1,4 +1,4 @@
-"""Numbers that hold for all lines of one side of the panel, or are given for each."""
+"""Numbers of lines: one for all lines of a side of the panel, or one for each."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -9,24 +9,24 @@ from lampest.panel.panel import Array
 
 PerLine = float | tuple[float, ...]
 Side = Literal["rows", "columns"]
-# Beside cells of kilo-ohms: a wire, and an insulator that leaves ten of sixteen digits.
+# Limits of resistances next to cells of kilo-ohms: a wire, and an insulator that leaves ten of sixteen digits.
 MIN_OHM, MAX_OHM = 1e-6, 1e9
 
 
 @dataclass(frozen=True)
 class LineNumber:
-    """A number of the electronics that known resistors in place of the cells determine.
+    """Number of the electronics that known resistors in place of the cells determine.
 
     Attributes
     ----------
     name : str
         Key in a scene, dotted if it belongs to a part.
     sides : tuple of Side
-        Sides whose lines have one number each; with both, a reading has their sum. (): one number for all.
+        Sides whose lines have one number each; with both, a reading depends on their sum. (): one number for all.
     channel : bool
         Whether the number is, or includes, the resistance of a multiplexer's channel.
     in_scene : bool
-        Whether the key is the scene's, and not the readout's.
+        Whether the key belongs to the scene, not to the readout.
     """
 
     name: str
@@ -42,7 +42,7 @@ def opposite(side: Side) -> Side:
 
 
 def of_side(side: Side, rows: Any, columns: Any) -> tuple[Any, Any]:
-    """Return (value of the side, value of the opposite side) of the values of rows and columns; its own inverse."""
+    """Return the values of rows and columns as (value of the side, value of the opposite side), and the reverse."""
     return (rows, columns) if side == "rows" else (columns, rows)
 
 
@@ -63,7 +63,7 @@ def lines_text(value: PerLine, unit: str = "ohm") -> str:
 
 
 def check_lines(name: str, value: PerLine, *, open_end: bool = False) -> None:
-    """Raise ValueError unless every number is finite and not negative, nor zero with an open end."""
+    """Raise ValueError unless every number is finite and not negative, and positive with an open end."""
     if not as_tuple(value):
         raise ValueError(f"{name} lists no number")
     if not all(0 < number < np.inf or (number == 0 and not open_end) for number in as_tuple(value)):
@@ -71,21 +71,21 @@ def check_lines(name: str, value: PerLine, *, open_end: bool = False) -> None:
 
 
 def check_resistors(name: str, value: PerLine, *, open_end: bool = True, most: float = MAX_OHM) -> None:
-    """Raise ValueError as `check_lines`, and if a resistance is so small or so large that digits are lost."""
+    """Raise ValueError as `check_lines`, or if a nonzero resistance is outside MIN_OHM to `most`."""
     check_lines(name, value, open_end=open_end)
     if not all(MIN_OHM <= number <= most for number in as_tuple(value) if number):
         raise ValueError(f"{name} must lie between {MIN_OHM:g} and {most:g} ohm")
 
 
 def per_line(name: str, value: PerLine, lines: int) -> Array:
-    """Return the number for every line, (lines). Raises ValueError if a list has another length."""
+    """Return the number of every line, (lines,). Raises ValueError if a list has another length."""
     if isinstance(value, tuple) and len(value) != lines:
         raise ValueError(f"{name} lists {len(value)} numbers, but there are {lines} such lines")
     return np.array(value) if isinstance(value, tuple) else np.full(lines, value)
 
 
 def with_channels(name: str, value: PerLine, channels: Array) -> tuple[float, ...]:
-    """Return the numbers plus the extra resistance of every line's channel. Raises ValueError if one is negative."""
+    """Return the numbers of all lines plus their additional channels, ohm. Raises ValueError if a sum is negative."""
     total = per_line(name, value, len(channels)) + channels
     if np.any(total < 0):
         raise ValueError(f"the spread of the channels makes a resistance negative; give a larger {name}")
@@ -93,5 +93,5 @@ def with_channels(name: str, value: PerLine, channels: Array) -> tuple[float, ..
 
 
 def parallel(ohm: Array, shunt: float | None) -> Array:
-    """Return the parallel resistance of two; `shunt` may be None."""
+    """Return the resistance of `ohm` and `shunt` in parallel; a shunt of None is absent."""
     return ohm if shunt is None else np.asarray(1 / (1 / ohm + 1 / shunt))

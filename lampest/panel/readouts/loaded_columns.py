@@ -16,10 +16,16 @@ from lampest.panel.readouts.lines import LineNumber, PerLine, Side, lines_text, 
 
 @dataclass(frozen=True)
 class Diode(Configuration):
-    """V_d = s·ln(1 + I/I_s), I_s such that V_d is drop_volt at at_ampere; Shockley's law.
+    """Diode by Shockley's law, V_d = s·ln(1 + I/I_s), with I_s such that V_d is drop_volt at at_ampere.
 
-    drop_volt : at the current at_ampere, as in a data sheet. slope_volt : s = n·kT/q, the increase of
-        the drop by an e-fold of current; a decade's is 2.303 s.
+    Attributes
+    ----------
+    drop_volt : float
+        Voltage drop in volt at the current at_ampere, as in a data sheet.
+    at_ampere : float
+        Current in ampere.
+    slope_volt : float
+        s = n·kT/q in volt, the increase of the drop for an e-fold current; 2.303 s for a decade.
 
     >>> lampest.Diode(drop_volt=0.6, at_ampere=1e-3, slope_volt=0.05).drop_volt
     0.6
@@ -30,7 +36,7 @@ class Diode(Configuration):
     slope_volt: float = 0.05
 
     def __post_init__(self) -> None:
-        # n·kT/q is 0.02 V in the cold with n = 1, and an LED's 0.2 V; a Schottky drops 0.1 V, an LED 4 V.
+        # n·kT/q is 0.02 V in the cold with n = 1, and 0.2 V for an LED; a Schottky diode drops 0.1 V, an LED 4 V.
         check_ranges(self, 0.01, 10, "drop_volt")
         check_ranges(self, 1e-7, 10, "at_ampere")
         check_ranges(self, 0.015, 0.5, "slope_volt")
@@ -42,57 +48,60 @@ class Diode(Configuration):
 
     @cached_property
     def _saturation(self) -> float:
-        """I_s ampere."""
+        """Saturation current I_s in ampere."""
         return float(self.at_ampere / np.expm1(self.drop_volt / self.slope_volt))
 
     def drop(self, current: Array) -> Array:
-        """V_d at a current, ampere → volt."""
+        """Return the drop V_d in volt at a current in ampere, any shape."""
         return np.asarray(self.slope_volt * np.log1p(current / self._saturation))
 
     def left(self, supply_volt: float, resistance: Any) -> Any:
-        """I·R with Vcc = I·R + V_d(I): what the diode leaves to a resistance, volt; arrays and CasADi alike.
+        """Return the voltage I·R across a resistance in series with the diode, Vcc = I·R + V_d(I); NumPy and CasADi.
 
         With A = I_s R/s and w = A e^{V_d/s} the equation is w + ln w = Vcc/s + A + ln A, and I·R = s (w − A). Newton's
-        method begins right of the root, and the equation's concavity keeps all further steps left of it, growing.
+        method begins above the root. As the equation is concave, all further iterates are below it and increase.
         """
+        # A = I_s R/s, right-hand side Vcc/s + A + ln A, and the start w = right + ln(1 + e^−right)
         part = resistance * (self._saturation / self.slope_volt)
         right = part + _logarithm(part) + supply_volt / self.slope_volt
         omega = right + _logarithm(1 + e**-right)
-        for _ in range(7):  # five suffice for the value at any resistance, its second derivatives need two more
+        # Newton: w ← w (1 + right − ln w)/(1 + w) for w + ln w = right
+        for _ in range(7):  # five suffice for the value at any resistance, second derivatives need two more
             omega = omega * (1 + right - _logarithm(omega)) / (1 + omega)
         return self.slope_volt * (omega - part)
 
 
 def _logarithm(value: Any) -> Any:
-    """Return ln of an array, or of CasADi's matrices by their own method."""
+    """Return ln of an array or of a CasADi matrix."""
     return value.log() if hasattr(value, "log") else np.log(value)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedColumnsReadout(DrivenReadout):
-    """V = Vcc·Z_ij/(Rd_i + Z_ii): driven line i, sensed line j with its load Rs_j, other driven lines floating.
+    """Loaded columns: one line is driven, all sensed lines are loaded, all other driven lines float.
 
-    Behind a diode it is V = U·Z_ij/(Rd_i + Z_ii), U what the diode leaves of Vcc; see `Diode.left`.
+    V = Vcc·Z_ij/(Rd_i + Z_ii) for driven line i and sensed line j with its load Rs_j. With a diode it is
+    V = U·Z_ij/(Rd_i + Z_ii), U the remaining voltage; see `Diode.left`.
 
     Attributes
     ----------
     driven : Side
         Side whose lines are driven, one after the other.
     polarity : {'up', 'down'}
-        'up': the driven line is put to the supply and loads lead to ground; 'down': the driven line is put to ground
-        and loads lead to the supply (internal pull-ups), so that the converter sees Vcc − V.
+        'up': the driven line is at the supply and loads lead to ground; 'down': the driven line is at ground
+        and loads lead to the supply (internal pull-ups), so that the voltage at the converter is Vcc − V.
     load_ohm : PerLine
-        Rs, a number or one for each sensed line.
+        Rs in ohm, a number or one for each sensed line.
     drive_ohm : PerLine
-        Rd, between the supply and the driven line, the channel included; a number or one for each driven line.
+        Rd in ohm, between the supply and the driven line, including the channel; a number or one for each driven line.
     diode : Diode, or None
-        In series with Rd, or None.
+        Diode in series with Rd.
     input_ohm : float, or None
-        Input resistance of the converter, parallel to every load; None: none that matters.
+        Input resistance of the converter in ohm, parallel to every load; None: negligible.
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
-    The network's reading is the voltage across the load, for either polarity. Raises ValueError where a number is out
+    The network's reading is the voltage across the load, for either polarity. Raises ValueError if a number is out
     of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rs at the sensed lines.
 
     >>> lampest.LoadedColumnsReadout(load_ohm=10000.0).unit
@@ -127,24 +136,27 @@ class LoadedColumnsReadout(DrivenReadout):
         return super()._lost(current) if self.diode is None else self.diode.drop(current)
 
     def _driven_potentials(self, conductance: Array, volt: Array, drive: Array, load: Array) -> Array:
-        """Return potentials from currents: Σ_j v_ij/Rs_j through the driven line, none through floating ones.
+        """Return the potentials from currents: Σ_j v_ij/Rs_j through the driven line, none through floating ones.
 
-        Without current u_p Σ_j g_pj = Σ_j g_pj v_ij.
+        For a floating line u_p Σ_j g_pj = Σ_j g_pj v_ij.
         """
         potentials = (volt @ conductance.T) / conductance.sum(axis=1)
+        # The driven line is above every sensed one: a lower limit against noise.
         driven = self._driven_volt((volt / load).sum(axis=1), drive)
         np.fill_diagonal(potentials, np.maximum(driven, volt.max(axis=1) * (1 + 1e-6)))
         return np.asarray(potentials[None])
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """Return r_ij ≥ u_i/I_i − Rs_j, I_i = Σ_j V_ij/Rs_j the driven line's current, u_i = Vcc − Rd_i I_i − V_d.
+        """Return the lower bounds r_ij ≥ u_i/I_i − Rs_j of the cells, (…, rows, columns) ohm.
 
-        Every sensed line takes at least the current through its own cell, and I_i is the total, raised by the noise.
+        I_i = Σ_j V_ij/Rs_j is the current of the driven line, increased by its noise, and u_i = Vcc − Rd_i I_i − V_d
+        its potential. The bound holds because I_i is at least the current through each cell and its load alone.
         """
         drive, load, _ = self._circuit(measured.shape[-2:])
         sensed = self._along_sensed
         noise = np.zeros_like(measured) if sigma is None else np.where(np.isfinite(sigma), sigma, measured)
         current = (measured / load).sum(axis=sensed, keepdims=True)
+        # Upper bound of the current, and with it a lower bound of the potential
         current = current + NOISE_REACH * np.sqrt(((noise / load) ** 2).sum(axis=sensed, keepdims=True))
         least = np.maximum(self._driven_volt(current, drive), 0) / current - load
         return np.asarray(np.maximum(least, super().least_cells(measured, sigma)))

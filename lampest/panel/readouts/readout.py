@@ -1,6 +1,7 @@
-"""How a panel is read: lines tied to ground, a reading as an equation, and the converter that turns it into codes.
+"""Base of the readouts: ties of the lines to ground, the equation of a reading, and the converter.
 
-A kind of readout is one file: it states its ties and its reading. All else has a default that follows from these two.
+A kind of readout is one file that defines its ties and its reading. All other methods have defaults that follow from
+these two.
 """
 
 from abc import ABC, abstractmethod
@@ -17,12 +18,12 @@ from lampest.panel.readouts.lines import LineNumber, of_side, per_line
 from lampest.panel.readouts.tied import TiedNetwork
 from lampest.panel.readouts.wiring import WiredNetwork, Wiring
 
-MIN_LOAD_SHARE = 1e-3  # of a load: remaining apparent resistance of a reading at its end
-SHORT_SHARE = 1e-6  # of the apparent resistance: between it and a dead short readings change by a millionth
+MIN_LOAD_SHARE = 1e-3  # of a load: least apparent resistance, for readings at the end of the range
+SHORT_SHARE = 1e-6  # of the apparent resistance: readings of such a cell differ by a millionth from those of a short
 
 
 class Surroundings(Protocol):
-    """Scene as a readout needs it; series_ohm : in series with every reading, broadcast to (rows, columns)."""
+    """Interface of a scene for a readout."""
 
     @property
     def panel(self) -> Panel:
@@ -30,16 +31,16 @@ class Surroundings(Protocol):
 
     @property
     def series_ohm(self) -> Array:
-        """Resistance in series with every reading, ohm."""
+        """Resistance in series with every reading, ohm, to be broadcast to (rows, columns)."""
 
     @property
     def wiring(self) -> Wiring | None:
-        """Wire, contacts and touching lines, or None."""
+        """Wire, contacts and touching lines; None without any."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeTest:
-    """An inequality that readings of a circuit keep whatever its cells are.
+    """Inequality that readings of a circuit satisfy for any cells, tested on frames.
 
     Attributes
     ----------
@@ -61,9 +62,9 @@ class FreeTest:
 
 @dataclass(frozen=True, kw_only=True)
 class Readout(Converter, ABC):
-    """Base of readouts: the circuit that a kind states; its converter's fields are those of `Converter`.
+    """Base of readouts: the circuit of a kind, with the fields of its converter from `Converter`.
 
-    A recorded reading lies between 0 and the supply in volt at the converter; `rails` describes readings beyond.
+    At the converter, recorded readings are voltages between 0 and the supply; `rails` are the limits of valid readings.
 
     Attributes
     ----------
@@ -74,7 +75,7 @@ class Readout(Converter, ABC):
     homogeneous : bool
         Whether a common factor on all cells multiplies all readings.
     unique : bool
-        Whether plain least squares without noise has one minimum; else solvers search.
+        Whether plain least squares without noise has one minimum; otherwise solvers begin at several starts.
     in_series : bool
         Whether the scene's series resistance adds to every reading.
     series_name : str
@@ -94,7 +95,7 @@ class Readout(Converter, ABC):
 
     @property
     def mirrored(self) -> bool:
-        """Whether the converter sees Vcc minus the network's reading."""
+        """Whether the voltage at the converter is Vcc minus the network's reading."""
         return False
 
     @property
@@ -115,30 +116,31 @@ class Readout(Converter, ABC):
     def description(self) -> str:
         """Return the circuit and its numbers with their units, in words."""
 
-    # The circuit, which every kind states.
+    # The circuit, which every kind defines.
 
     @abstractmethod
     def ties(self, measured: Array) -> Array:
-        """Return t (rows + columns) siemens, the ties of lines to ground, for a panel's readings (rows, columns)."""
+        """Return the ties t of the lines to ground, (rows + columns,) siemens, for readings (rows, columns)."""
 
     @abstractmethod
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """Return y = h(Z_jj, Z_kk, Z_jk) element by element, (rows, columns) ohm; NumPy arrays and CasADi alike."""
+        """Return y = h(Z_jj, Z_kk, Z_jk) of impedances (rows, columns) ohm, elementwise; NumPy and CasADi."""
 
     @abstractmethod
     def apparent_resistance(self, measured: Array) -> Array:
-        """Return the cells (…, rows, columns) ohm that would give each reading alone on the panel."""
+        """Return the cells (…, rows, columns) ohm that would give each reading if they were alone on the panel."""
 
     # Consequences of the circuit.
 
     def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
-        """Return t of a panel whose lines (lines) belong to parts that no cell joins, or None."""
+        """Return the ties t; `parts`, (lines,), is the number of each line's part, None for a connected panel."""
         return self.ties(measured)
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
-        """Return the solved network of cells (rows, columns) ohm; wiring : between cells and terminals, or None.
+        """Return the solved network of cells (rows, columns) ohm.
 
-        Raises numpy.linalg.LinAlgError where a line is loose.
+        `ties` are the conductances of the lines to ground, siemens, and `wiring` lies between cells and terminals.
+        Raises numpy.linalg.LinAlgError if a line is not connected.
         """
         if wiring is not None:
             return WiredNetwork.solve(cell_resistance, ties, self, wiring)
@@ -146,84 +148,95 @@ class Readout(Converter, ABC):
         return TiedNetwork(cell_resistance, conductance, inverse_of(conductance, ties), self)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
-        """Return y of cells (rows, columns) or (frames, rows, columns) ohm, any contrast; the same shape."""
+        """Return the readings y of cells (rows, columns) or (frames, rows, columns) ohm of any contrast; same shape."""
         if cell_resistance.ndim == 3:
             return np.stack([self.exact_reading(frame, wiring) for frame in cell_resistance])
         with np.errstate(divide="ignore"):
             return self.network(cell_resistance, self.ties(cell_resistance), wiring).reading()
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
-        """Return cells (rows, columns) ohm to start a search from; near : an earlier estimate, or None."""
+        """Return cells to start a solve from, (rows, columns) ohm.
+
+        Parameters
+        ----------
+        measured : array, shape (rows, columns)
+            Readings.
+        upper : array, shape (rows, columns)
+            Upper bounds, ohm.
+        near : array, shape (rows, columns), or None
+            Earlier estimate, ohm.
+        """
         return self.uniform_start(measured) if near is None else near
 
     def uniform_start(self, measured: Array) -> Array:
-        """Return cells (…, rows, columns) ohm as if all were equal, if the kind can improve on apparent ones."""
+        """Return cells (…, rows, columns) ohm as if all were equal; by default the apparent resistance."""
         return self.apparent_resistance(measured)
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """Return lower bounds of cells, given their readings (…, rows, columns), ohm."""
+        """Return lower bounds of the cells, (…, rows, columns) ohm, for readings and their σ (None: unknown)."""
         return self.nearly_shorted(measured)
 
     def nearly_shorted(self, measured: Array) -> Array:
-        """Return cells (…, rows, columns) ohm with the readings of dead shorts."""
+        """Return cells (…, rows, columns) ohm whose readings do not differ from those of shorts."""
         return SHORT_SHARE * self.apparent_resistance(measured)
 
     def resolution(self, measured: Array, sigma: Array) -> Array:
-        """Return r_max = |∂y_c/∂g_c|/σ at the start: an open cell in its place changes its reading by the noise σ.
+        """Return the resolution limit r_max = |∂y_c/∂g_c|/σ at the uniform start, (…, rows, columns) ohm.
 
-        (…, rows, columns) ohm. Never below twice the start.
+        An open cell in place of a cell of r_max changes its reading by the noise σ. r_max is at least twice the start.
         """
         if measured.ndim > 2:
             return np.stack([self.resolution(*both) for both in zip(measured, sigma, strict=True)])
         start = self.uniform_start(measured)
         response = self.network(start, self.ties(measured)).own_response()
+        # |∂y_c/∂g_c|/σ = |J_cc|/(g σ) = |J_cc|·r/σ
         return np.asarray(np.maximum(np.abs(response) * start / sigma, 2 * start))
 
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
-        """Return the factor by which all cells grew together; 1 if readings do not show it.
+        """Return the common factor of all cells relative to a prediction; 1 if the kind cannot determine it.
 
         Parameters
         ----------
         measured, expected : array, shape (rows, columns)
             Readings and their prediction.
         chosen : boolean array
-            Those that count.
+            Readings that are used.
         """
         return 1.0
 
     # Information of readings on the circuit.
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        """Return inequalities that the circuit's readings (frames, rows, columns) satisfy for any cells.
+        """Return tests of inequalities that the circuit's readings satisfy for any cells.
 
-        sigma : likewise, infinite where a reading is no value.
+        `measured` and `sigma` are (frames, rows, columns); sigma is infinite for readings that are no values.
         """
         return ()
 
     def most_in_series(self, measured: Array, sigma: Array) -> float:
         """Return the largest possible resistance in series with the panel, ohm; 0 if the kind has none.
 
-        measured, sigma : as above, by a circuit that has none in series.
+        `measured` and `sigma` are those of `free_tests`, computed for a circuit without resistance in series.
         """
         return 0.0
 
     # Between recorded values and the network's readings.
 
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
-        """Return the network's reading of a recorded one, any shape ending in (rows, columns)."""
+        """Return the network's readings of recorded values, (…, rows, columns)."""
         return self.supply_volt - recorded if self.mirrored else recorded
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
-        """Return the recorded reading of a network's, any shape ending in (rows, columns)."""
+        """Return the recorded values of the network's readings, (…, rows, columns)."""
         return self.supply_volt - reading if self.mirrored else reading
 
     @property
     def direction(self) -> float:
-        """1 where a network's reading grows with the recorded one, -1 where it falls."""
+        """1 if the network's reading grows with the recorded value, -1 if it falls."""
         return -1.0 if self.mirrored else 1.0
 
     def rails_reached(self, recorded: Array) -> str:
-        """Return 'the rail of 0.005 volt', or both, that recorded readings reach or pass; '' if none does."""
+        """Return the rails that recorded readings exceed, in words; '' if no reading does."""
         least, largest = self.rails()
         beyond = ((least, recorded < least), (largest, recorded > largest))
         reached = [f"{rail:.3g}" for rail, readings in beyond if np.any(readings)]
@@ -235,9 +248,9 @@ class Readout(Converter, ABC):
         return sigma
 
     def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
-        """Return recorded readings (frames, rows, columns) of cells, without the converter.
+        """Return recorded values (frames, rows, columns) of cells, without noise and quantisation.
 
-        row_ohm, column_ohm : additional series resistance of every line's channel, ohm.
+        `row_ohm` and `column_ohm` are additional series resistances of every line's channel, (lines of a side,) ohm.
         """
         return self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
 
@@ -288,24 +301,27 @@ class Readout(Converter, ABC):
 
 
 def with_memory(readout: Readout, fraction: float, volt: Array) -> Array:
-    """Return the voltages V at the converter that keeps a part m of the previous channel's charge, of U, volt.
+    """Return the voltages V at a converter that keeps a share m of the previous channel's voltage.
 
         V_n = (1 − m)·U_n + m·V_(n−1)
 
-    n counts the channels in scan order; the first one of a frame follows the last one of the same frame.
+    U are the true voltages. n counts the channels in scan order; the first channel of a frame follows the last one of
+    the same frame.
 
     Parameters
     ----------
+    readout : Readout
     fraction : float
         m.
-    volt : array
-        (…, rows, columns) in the panel's order.
+    volt : array, shape (…, rows, columns)
+        U in the panel's order.
     """
+    # Recursion along the scan from V_0 = 0.
     channels = in_scan_order(readout, volt)
     held, last = np.empty_like(channels), np.zeros(channels.shape[:-1])
     for number in range(channels.shape[-1]):
         last = held[..., number] = (1 - fraction) * channels[..., number] + fraction * last
-    # What would have been left of the last channel had it been held before the first: the ring closes.
+    # Periodic frame: V_0 = V_last adds m^n·V_last to channel n, and V_last itself is larger by 1/(1 − m^N).
     fading = fraction ** np.arange(1, channels.shape[-1] + 1)
     held += fading * (last / (1 - fading[-1]))[..., None]
     return in_panel_order(readout, held, volt.shape)
@@ -314,20 +330,30 @@ def with_memory(readout: Readout, fraction: float, volt: Array) -> Array:
 def without_memory(readout: Readout, fraction: float, recorded: Array, sigma: Array) -> tuple[Array, Array]:
     """Return recorded readings without memory, and their σ: U_n = (V_n − m·V_(n−1))/(1 − m).
 
-    recorded, sigma : of the same shape, in the readout's unit. Both voltages' noise is in U_n: (1 + m²)^½/(1 − m) times
-    as much where they have the same. After a channel that says nothing (NaN), any voltage may be remembered.
+    U_n contains the noise of both voltages, √(1 + m²)/(1 − m) times that of one if they are equal. After a channel
+    without a value (NaN), the remembered voltage is unknown: uniformly distributed over the converter's range.
+
+    Parameters
+    ----------
+    readout : Readout
+    fraction : float
+        m.
+    recorded, sigma : array, shape (…, rows, columns)
+        Recorded values V and their standard deviations, in the readout's unit.
     """
 
     def before_it(values: Array) -> Array:
+        """Return for every channel the value of the previous one in scan order."""
         return in_panel_order(readout, np.roll(in_scan_order(readout, values), 1, axis=-1), values.shape)
 
     def slope(volt: Array) -> Array:
-        """|∂recorded/∂V|, half a step of the converter within the supply where V is at its ends."""
+        """Return |∂recorded/∂V| by central differences, at least half an LSB away from the ends of the range."""
         step = 1e-3 * readout.lsb_volt
         inside = np.clip(volt, readout.lsb_volt / 2, readout.full_scale_volt - readout.lsb_volt / 2)
         ends = readout.recorded_from_volt(inside + step) - readout.recorded_from_volt(inside - step)
         return np.abs(ends) / (2 * step)
 
+    # U_n = (V_n − m·V_(n−1))/(1 − m), with σ propagated to volt, through the difference, and back.
     volt = readout.volt_from_recorded(recorded)
     noise = sigma / slope(volt)
     before, noise_before = before_it(volt), before_it(noise)
@@ -339,13 +365,13 @@ def without_memory(readout: Readout, fraction: float, recorded: Array, sigma: Ar
 
 
 def in_scan_order(readout: Readout, values: Array) -> Array:
-    """(…, rows, columns) → (…, channels)."""
+    """Return values (…, rows, columns) in scan order, (…, channels)."""
     turned = values.swapaxes(-1, -2) if readout.by_columns else values
     return turned.reshape(*values.shape[:-2], -1)
 
 
 def in_panel_order(readout: Readout, channels: Array, shape: tuple[int, ...]) -> Array:
-    """(…, channels) → (…, rows, columns)."""
+    """Return values (…, channels) in scan order as an array of `shape` (…, rows, columns)."""
     if not readout.by_columns:
         return channels.reshape(shape)
     return channels.reshape(*shape[:-2], shape[-1], shape[-2]).swapaxes(-1, -2)

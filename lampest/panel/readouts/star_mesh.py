@@ -1,6 +1,6 @@
-"""Two-point resistances of cells, by an inverse where it promises its digits, else by star–mesh elimination.
+"""Two-point resistances of cells, by an inverse if its condition allows, otherwise by star–mesh elimination.
 
-Symbols: w (networks, lines, lines) conductances between lines in siemens; their diagonals are never read.
+Symbols: w (networks, lines, lines) conductances between lines in siemens; their diagonals are not used.
 """
 
 from contextlib import suppress
@@ -13,15 +13,17 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.floating import FloatingNetwork, grounding
 
 Index = NDArray[np.intp]
-SAFE_CONDITION = 1e4  # rounding times that leaves 11 digits; ordinary panels have about 3·(rows + columns)
+SAFE_CONDITION = 1e4  # amplification of rounding that leaves 11 digits; usual panels have about 3·(rows + columns)
 
 
 @typed
 def two_point_resistance(cell_resistance: Array) -> Array:
-    """R = f(r): two-point resistances of a panel, (rows, columns) or (frames, rows, columns) ohm → the same shape.
+    """Return the two-point resistances R = f(r) of a panel, (rows, columns) or (frames, rows, columns) ohm.
 
-    At least ten digits of every entry are right; see `exact_two_point_resistance`, also for open cells and shorts.
-    Raises ValueError where a cell is negative or no number. Source: paper, equations (5)-(10).
+    Input and result have the same shape.
+
+    At least ten digits of every entry are correct. Open cells and shorts are allowed; see
+    `exact_two_point_resistance`. Raises ValueError if a cell is negative or NaN. Source: paper, equations (5)-(10).
 
     >>> lampest.two_point_resistance(np.full((2, 2), 1000.0)).round(6)
     array([[750., 750.],
@@ -39,14 +41,16 @@ def two_point_resistance(cell_resistance: Array) -> Array:
 
 
 def exact_two_point_resistance(cell_resistance: Array) -> Array:
-    """R = f(r) with all but the last one or two digits right in every entry, whatever the contrast of the cells.
+    """Return R = f(r) with all but the last one or two digits correct in every entry, for any contrast of the cells.
 
-    (rows, columns) or (frames, rows, columns) ohm → the same shape. A cell of infinite resistance is open and one of
-    zero is a short; lines that nothing connects have R = inf, lines that shorts connect have R = 0.
-    Removing a line s leaves w_ab + w_as·w_sb/Σ_c w_sc between the others, without a subtraction; of the last two it
-    leaves 1/R. Half of the lines of one side are removed, in turn each half, then likewise among those that are left:
-    all pairs cost a small multiple of (rows + columns)³. Raises ValueError where a cell is negative or no number.
-    Source: Alfa, Xue, Ye, Mathematics of Computation 71 (2002), after Grassmann, Taksar, Heyman (1985).
+    Input and result are (rows, columns) or (frames, rows, columns) ohm. A cell of infinite resistance is open, one of
+    zero resistance is a short. Lines without a connection have R = inf, lines that shorts connect have R = 0.
+
+    Star–mesh elimination of a line s leaves w_ab + w_as·w_sb/Σ_c w_sc between the others, without a subtraction. The
+    conductance between the last two lines is 1/R. All pairs are obtained by recursion: one half of the lines of a side
+    is eliminated, and in a copy the other half. The cost is a small multiple of (rows + columns)³. Raises ValueError if
+    a cell is negative or NaN. Source: Alfa, Xue, Ye, Mathematics of Computation 71 (2002), after Grassmann, Taksar,
+    Heyman (1985).
     """
     if not np.all(cell_resistance >= 0):
         raise ValueError("cell resistances must be zero or positive, and numbers")
@@ -64,9 +68,20 @@ def exact_two_point_resistance(cell_resistance: Array) -> Array:
 
 
 def _all_pairs(weights: Array, rows: int) -> tuple[Array, Index, Index]:
-    """Conductance between every row and every column once all other lines are removed, with their numbers; all 1-d.
+    """Return the conductances between every row and every column after elimination of all other lines.
 
-    weights : (1, lines, lines), rows first.
+    Parameters
+    ----------
+    weights : array, shape (1, lines, lines)
+        Conductances between lines, rows first.
+    rows : int
+        Number of rows.
+
+    Returns
+    -------
+    conductance : array, shape (pairs,)
+    row, column : array of int, shape (pairs,)
+        Numbers of the two lines of each pair.
     """
     lines, first_column = np.arange(weights.shape[1])[None], rows
     shorted = bool(np.any(np.isinf(weights)))
@@ -76,7 +91,7 @@ def _all_pairs(weights: Array, rows: int) -> tuple[Array, Index, Index]:
         half = size - size // 2
         places = np.arange(first, first + size)
         opposite = np.setdiff1d(np.arange(rows + columns), places)
-        # Both halves are as large: of an odd number of lines the one in the middle is in either.
+        # Both halves have the same size: for an odd number of lines, the middle one stays in both.
         parts = []
         for stay, go in ((places[:half], places[half:]), (places[-half:], places[:-half])):
             order = np.concatenate([stay, opposite, go] if first == 0 else [opposite, stay, go])
@@ -88,15 +103,16 @@ def _all_pairs(weights: Array, rows: int) -> tuple[Array, Index, Index]:
 
 
 def _without_last(weights: Array, count: int, *, shorted: bool) -> Array:
-    """Return the networks without their last `count` lines; `weights` is overwritten."""
+    """Return the networks after star–mesh elimination of their last `count` lines; `weights` is overwritten."""
     for last in range(weights.shape[1] - 1, weights.shape[1] - 1 - count, -1):
         spokes, mesh = weights[:, last, :last], weights[:, :last, :last]
+        # w_ab += w_as·w_sb/Σ_c w_sc
         total = spokes.sum(axis=1, keepdims=True)
         share = np.divide(spokes, total, out=np.zeros_like(spokes), where=total > 0)
         if not shorted:
             mesh += spokes[:, :, None] * share[:, None, :]
             continue
-        # The limit of one large conductance for all shorts: they share all incoming current.
+        # Shorts are the limit of one large conductance: all current of the line divides equally among them.
         endless = np.isinf(spokes)
         among = endless / np.maximum(endless.sum(axis=1, keepdims=True), 1)
         share = np.where(np.isinf(total), among, share)

@@ -1,4 +1,4 @@
-"""Networks with tied lines and any reading y = h(Z_jj, Z_kk, Z_jk): the derivatives of h by CasADi."""
+"""Networks with tied lines and any reading y = h(Z_jj, Z_kk, Z_jk), with derivatives of h by CasADi."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -9,14 +9,20 @@ from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.network import Entries, Network, ReadCircuit
 from lampest.panel.panel import Array
 
-# What `equation_derivatives` gives of h(p, q, t), p = Z_jj, q = Z_kk, t = Z_jk, in this order.
+# Outputs of `equation_derivatives` for h(p, q, t), p = Z_jj, q = Z_kk, t = Z_jk, in this order.
 SLOPES = ("p", "q", "t")
 CURVATURES = ("pp", "pq", "pt", "qq", "qt", "tt")
 
 
 @dataclass(frozen=True, eq=False)
 class TiedNetwork(Network):
-    """readout : states the equation."""
+    """Network whose readings are an equation of a readout.
+
+    Attributes
+    ----------
+    readout : ReadCircuit
+        Readout that defines h.
+    """
 
     readout: ReadCircuit
 
@@ -25,7 +31,7 @@ class TiedNetwork(Network):
 
     @cached_property
     def _derivatives(self) -> dict[str, Array]:
-        """Derivatives of h by name, each (rows, columns)."""
+        """First and second derivatives of h by name, (rows, columns) each."""
         shape = self.conductance.shape
         entries = (np.broadcast_to(part, shape).ravel() for part in self.entries(self._impedance))
         values = equation_derivatives(self.readout, *shape)(*entries).reshape(-1, *shape)
@@ -43,11 +49,12 @@ class TiedNetwork(Network):
 @guarded
 @lru_cache(maxsize=64)
 def equation_derivatives(readout: ReadCircuit, rows: int, columns: int) -> Compiled:
-    """∂h and ∂²h of three flat (rows · columns) inputs, row by row: SLOPES and CURVATURES, flat."""
+    """Return the function of p, q and t, flat (rows · columns) each, with the outputs SLOPES and CURVATURES, flat."""
     import casadi
 
     flat = {name: casadi.SX.sym(name, rows * columns) for name in SLOPES}
     reading = readout.reading(*(casadi.reshape(entry, columns, rows).T for entry in flat.values()))
+    # Every reading depends on its own entries only, so the gradient of the sum contains the elementwise derivatives.
     total = casadi.sum1(casadi.vec(casadi.densify(reading).T))
     slopes = {name: casadi.gradient(total, entry) for name, entry in flat.items()}
     seconds = [casadi.gradient(casadi.sum1(slopes[name[0]]), flat[name[1]]) for name in CURVATURES]
@@ -58,7 +65,7 @@ def equation_derivatives(readout: ReadCircuit, rows: int, columns: int) -> Compi
 @guarded
 @lru_cache(maxsize=64)
 def reads_own(readout: ReadCircuit, rows: int, columns: int) -> tuple[bool, bool]:
-    """Whether the reading asks for the rows' own impedances Z_jj, and for the columns' Z_kk."""
+    """Return whether the reading depends on the rows' impedances Z_jj, and whether on the columns' Z_kk."""
     import casadi
 
     row, column, mutual = (casadi.SX.sym(name, rows, columns) for name in SLOPES)

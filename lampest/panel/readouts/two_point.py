@@ -1,4 +1,4 @@
-"""Two-point readout: one row and one column are selected, all other lines float; a divider reads the resistance."""
+"""Two-point readout: one row and one column are selected, all other lines float, a divider measures the resistance."""
 
 from dataclasses import dataclass, replace
 from math import inf
@@ -15,28 +15,29 @@ from lampest.panel.readouts.readout import SHORT_SHARE, FreeTest, Readout, Surro
 from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.panel.readouts.wiring import Wiring
 
-AT_ONCE = 1 << 16  # sums of a chunk of rows, half a megabyte
+AT_ONCE = 1 << 16  # sums that are computed at once: half a megabyte
 
 
 @dataclass(frozen=True, kw_only=True)
 class TwoPointReadout(Readout):
-    """R_jk = Z_jj + Z_kk − 2 Z_jk, all other lines floating; an ADC reads a divider with a reference resistor.
+    """Two-point readout R_jk = Z_jj + Z_kk − 2 Z_jk, all other lines floating, by a divider with a reference resistor.
 
-    supply_volt : divider supply and ADC reference in volt.
-
-    Recorded is the value of the divider equation, as if the converter took no current, with the scene's series
-    resistance. Raises ValueError if a number is out of range. Source: paper, equation (1) (across the sensor) and
-    section V.B (across the reference).
+    The recorded value is that of the divider equation, as if the converter took no current. It includes the scene's
+    series resistance. Raises ValueError if a number is out of range. Source: paper, equation (1) (across the sensor)
+    and section V.B (across the reference).
 
     Attributes
     ----------
+    supply_volt : float
+        Supply of the divider and reference of the converter in volt.
     reference_ohm : float
         Reference resistor in ohm.
     measured_across : 'reference' or 'sensor'
         'reference': R = (Vcc − V)/V · Rref; 'sensor': R = V/(Vcc − V) · Rref.
     input_ohm : float or None
-        Input resistance of the converter, parallel to the measured resistor; None: none that matters. adc_bits,
-        readings, noise_lsb : see `Converter`.
+        Input resistance of the converter, parallel to the measured resistor; None: negligible.
+    adc_bits, readings, noise_lsb
+        See `Converter`.
 
     >>> lampest.TwoPointReadout(adc_bits=12).unit
     'ohm'
@@ -74,18 +75,18 @@ class TwoPointReadout(Readout):
         return grounding(measured, parts)
 
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """R = Z_jj + Z_kk − 2 Z_jk in ohm; paper, equations (5)-(10)."""
+        """Return R = Z_jj + Z_kk − 2 Z_jk in ohm; paper, equations (5)-(10)."""
         return row + column - 2 * mutual
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
-        """Return the network; without wire by the arithmetic of floating lines, which costs less."""
+        """Return the solved network; without wiring by the arithmetic of floating lines, which costs less."""
         if wiring is not None:
             return super().network(cell_resistance, ties, wiring)
         conductance = 1 / cell_resistance
         return FloatingNetwork(cell_resistance, conductance, inverse_of(conductance, ties))
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
-        """R = f(r), without wire with at least ten digits at any contrast."""
+        """Return R = f(r); without wiring with at least ten correct digits for any contrast."""
         if wiring is not None:
             return super().exact_reading(cell_resistance, wiring)
         return two_point_resistance(cell_resistance)
@@ -94,26 +95,26 @@ class TwoPointReadout(Readout):
         return measured
 
     def uniform_start(self, measured: Array) -> Array:
-        """R·MN/(M + N − 1): right for equal cells."""
+        """Return R·MN/(M + N − 1), exact for equal cells."""
         return np.asarray(measured / uniform_factor(*measured.shape[-2:]))
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
-        """Cells that reproduce attainable readings exactly; see `convex_start`."""
+        """Return cells that reproduce attainable readings exactly; see `convex_start`."""
         return convex_start(measured, upper, near)
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """Return r ≥ R: parallel paths only lower a reading; paper, equation (12)."""
+        """Return the lower bounds r ≥ R: parallel paths lower a reading; paper, equation (12)."""
         return measured.copy()
 
     def resolution(self, measured: Array, sigma: Array) -> Array:
-        """r_max = R²/σ: an open cell in its place changes R by the noise; at least twice a uniform panel's cell."""
+        """Return r_max = R²/σ, at least twice the uniform start: an open cell in its place changes R by the noise σ."""
         return np.asarray(np.maximum(measured**2 / sigma, 2 * self.uniform_start(measured)))
 
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
-        """Return the mean of the shortest half of log R_m/R, so that a load on some lines does not count.
+        """Return exp of the mean of the shortest half of log R_m/R, which a load on some lines does not affect.
 
-        Two-point resistances are homogeneous: with all cells they grow by one factor. 1 without readings. Source:
-        Andrews et al., Robust Estimates of Location, 1972 (the shorth).
+        Two-point resistances are homogeneous: a common factor of all cells is the factor of all readings. The result is
+        1 without readings. Source: Andrews et al., Robust Estimates of Location, 1972 (the shorth).
         """
         steps = np.sort(np.log(measured[chosen] / expected[chosen]), axis=None)
         half = len(steps) // 2 + 1
@@ -123,7 +124,7 @@ class TwoPointReadout(Readout):
         return float(np.exp(steps[first : first + half].mean()))
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        """R_jk ≤ R_jq + R_pq + R_pk; see `four_point_excess`."""
+        """Return the test of R_jk ≤ R_jq + R_pq + R_pk; see `four_point_excess`."""
         law = "R_jk <= R_jq + R_pq + R_pk of any two rows and columns"
         single = four_point_excess(measured, sigma)
         return (FreeTest(law, single.max(axis=(1, 2)), measured[0].size ** 2, single),)
@@ -135,7 +136,7 @@ class TwoPointReadout(Readout):
         return np.asarray(self._between_lines(recorded) - scene.series_ohm)
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
-        """R + R_series, as the divider shows it."""
+        """Return R + R_series, distorted by the converter's input resistance, (…, rows, columns) ohm."""
         total = np.asarray(reading + scene.series_ohm)
         if self.input_ohm is None:
             return total
@@ -145,7 +146,10 @@ class TwoPointReadout(Readout):
         return np.asarray(total * (1 + self.reference_ohm / self.input_ohm))
 
     def _between_lines(self, recorded: Array) -> Array:
-        """Return the resistance between the divider's ends without the converter's input; open beyond the input."""
+        """Return the resistance of lines and panel without the converter's input resistance.
+
+        Across the sensor, a recorded value above the input resistance becomes nearly open.
+        """
         if self.input_ohm is None:
             return recorded
         if self.measured_across == "sensor":
@@ -153,26 +157,26 @@ class TwoPointReadout(Readout):
         return np.asarray(recorded / (1 + self.reference_ohm / self.input_ohm))
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
-        """Return σ of the reading: σ without a converter's input, else times ∂R/∂(recorded)."""
+        """Return σ of the readings: σ of the recorded values times ∂R/∂(recorded)."""
         if self.input_ohm is None:
             return sigma
         slope = self._between_lines(recorded) / recorded
         return np.asarray(sigma * slope ** (2 if self.measured_across == "sensor" else 1))
 
     def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
-        """Return R + R_series + the additional resistance of both channels."""
+        """Return R + R_series plus the additional resistance of both channels, (frames, rows, columns) ohm."""
         total = self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
         return np.asarray(total + (row_ohm[:, None] + column_ohm[None, :]))
 
     def beyond(self, network: Network, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
-        """Return the additional resistance of both channels."""
+        """Return the change of the readings by the additional resistance of both channels, (rows, columns) ohm."""
         total = self.to_recorded(network.reading(), scene) + (row_ohm[:, None] + column_ohm[None, :])
         return np.asarray(self.from_recorded(total, scene) - network.reading())
 
     def shared_errors(
         self, cells: Array, measured: Array, scene: Surroundings, reference: float, channel: float
     ) -> Array:
-        """−(R + R_series)·reference, and `channel` in every reading of the line; see `Readout.shared_errors`."""
+        """Return −(R + R_series)·reference, then `channel` for each line; see `Readout.shared_errors`."""
         rows, columns = measured.shape[-2:]
         lines = np.zeros((rows + columns if channel else 0, *measured.shape))
         if channel:
@@ -187,7 +191,10 @@ class TwoPointReadout(Readout):
         return (LineNumber("series_resistance_ohm", ("rows", "columns"), channel=True, in_scene=True),)
 
     def recorded_from_volt(self, volt: Array) -> Array:
-        """R = (Vcc − V)/V·Rref across the reference, R = V/(Vcc − V)·Rref across the sensor: 0 or infinite at rails."""
+        """Return R of voltages V at the converter: 0 or infinite at the rails.
+
+        R = (Vcc − V)/V·Rref across the reference, R = V/(Vcc − V)·Rref across the sensor.
+        """
         volt = np.asarray(volt, dtype=float)
         ends = self.supply_volt - volt, volt
         upper, lower = ends if self.measured_across == "reference" else ends[::-1]
@@ -195,27 +202,35 @@ class TwoPointReadout(Readout):
             return np.asarray(upper / lower * self.reference_ohm)
 
     def volt_from_recorded(self, recorded: Array) -> Array:
-        """V = Vcc·Rref/(R + Rref) across the reference, V = Vcc·R/(R + Rref) across the sensor; any shape."""
+        """Return V = Vcc·Rref/(R + Rref) across the reference, V = Vcc·R/(R + Rref) across the sensor; any shape."""
         with np.errstate(divide="ignore"):
             ratio = np.asarray(recorded, dtype=float) / self.reference_ohm
             return np.asarray(self.supply_volt / (1 + (ratio if self.measured_across == "reference" else 1 / ratio)))
 
     def sigma(self, recorded: Array) -> Array:
-        """σ_R = (R + Rref)²/Rref · σ_V/Vcc (delta method), R with the series resistance; any shape, ohm."""
+        """Return σ_R = (R + Rref)²/Rref · σ_V/Vcc (delta method), R including the series resistance; any shape, ohm."""
         total = np.asarray(recorded, dtype=float) + self.reference_ohm
         return np.asarray(total**2 * (self.sigma_volt() / (self.reference_ohm * self.supply_volt)))
 
 
 def four_point_excess(resistance: Array, sigma: Array) -> Array:
-    """max_pq (R_jk − R_jq − R_pq − R_pk)/σ of all four for every reading; all (frames, rows, columns), in ohm.
+    """Return max_pq (R_jk − R_jq − R_pq − R_pk)/σ for every reading, (frames, rows, columns).
 
-    Two-point resistances are distances: from row j over column q and row p to column k no path is shorter than the
-    direct one. Source: effective resistance is a metric (Klein & Randić, J. Math. Chem. 12, 1993), applied three times.
-    The shortest way over any q from row j to row p is taken before the shortest over any p, (rows² · columns) sums. A
-    reading with infinite σ takes no part: −∞. So has a frame without a reading that is larger than the least of its
-    row, its column and the panel together, which no way undercuts.
+    Effective resistance is a metric (Klein & Randić, J. Math. Chem. 12, 1993): no path from row j over column q and row
+    p to column k is shorter than R_jk. σ is that of all four readings together. The shortest path over any q from row j
+    to row p is computed first, then the shortest over any p: (rows² · columns) sums. The result is −∞ for readings with
+    infinite σ. It is also −∞ for a frame in which no reading exceeds the sum of the least readings of its row, of its
+    column and of the panel, because no path is shorter than this sum.
+
+    Parameters
+    ----------
+    resistance : array, shape (frames, rows, columns)
+        Readings R in ohm.
+    sigma : array, same shape
+        Standard deviations; infinite for readings that are excluded.
     """
     value = np.where(np.isfinite(sigma), resistance, np.inf)
+    # Only frames with a reading above the bound min_q R_jq + min_p R_pk + min_pq R_pq need the search.
     row, column = (value.min(axis=axis, keepdims=True) for axis in (2, 1))
     long = np.isfinite(value) & (value > row + column + row.min(axis=1, keepdims=True))
     excess, frames = np.full(value.shape, -np.inf), np.flatnonzero(long.any(axis=(1, 2)))
@@ -224,10 +239,12 @@ def four_point_excess(resistance: Array, sigma: Array) -> Array:
     together = max(1, AT_ONCE // max(value[:, 0].size * rows, 1))
     for begin in range(0, rows if len(frames) else 0, together):
         some = slice(begin, begin + together)
+        # Row to row, for rows j of this chunk and all rows p: min_q (R_jq + R_pq), and its variance
         over = value[:, some, None] + value[:, None]
         middle = over.argmin(axis=3)[..., None]
         between = np.take_along_axis(over, middle, axis=3)
         spread = np.take_along_axis(variance[:, some, None] + variance[:, None], middle, axis=3)
+        # Row to column: min_p (min_q (R_jq + R_pq) + R_pk), and the variance of all four readings
         way = between + value[:, None]
         last = way.argmin(axis=2)[:, :, None]
         noise = variance[:, some] + np.take_along_axis(spread + variance[:, None], last, axis=2)[:, :, 0]

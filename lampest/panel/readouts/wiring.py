@@ -1,7 +1,8 @@
-"""Wire, contacts and touching lines between the terminals and the cells, all exact; the network seen from terminals.
+"""Exact networks with wire resistance, contacts and touching lines between the terminals and the cells.
 
-Every cell takes one segment of wire more than the one before it, the first included, as in badcrossbar (Joksas &
-Mehonic, SoftwareX 12, 2020). A contact is in series with the first segment; lines touch beyond the contacts.
+The path to every cell has one segment of wire more than the path to the previous cell; the first cell has one segment,
+as in badcrossbar (Joksas & Mehonic, SoftwareX 12, 2020). A contact is in series with the first segment. Lines touch
+between their contacts and their wire.
 """
 
 from collections.abc import Sequence
@@ -22,12 +23,17 @@ from lampest.panel.readouts.tied import TiedNetwork
 
 @dataclass(frozen=True)
 class Lines(Configuration):
-    """Resistance of the lines themselves (conductive thread, ITO), in ohm for the way from one cell to the next.
+    """Resistance of the lines themselves (conductive thread, ITO).
 
-    row_ohm_per_cell, column_ohm_per_cell : of a row from column to column, and of a column from row to row; the way
-        from the terminal to the first cell counts as one more. Zero: none.
-    rows_enter : the side at which the rows' terminals are; at the left, column 0 is the nearest.
-    columns_leave : the side at which the columns' terminals are; at the bottom, the last row is the nearest.
+    Attributes
+    ----------
+    row_ohm_per_cell, column_ohm_per_cell : float
+        Resistance in ohm of a row from column to column, and of a column from row to row. The segment from the terminal
+        to the first cell has the same resistance. Zero: none.
+    rows_enter : {'left', 'right'}
+        Side of the rows' terminals; at the left, column 0 is the nearest.
+    columns_leave : {'bottom', 'top'}
+        Side of the columns' terminals; at the bottom, the last row is the nearest.
 
     >>> lampest.Lines(row_ohm_per_cell=1.0).resist
     True
@@ -50,9 +56,12 @@ class Lines(Configuration):
 
 @dataclass(frozen=True)
 class ContactPrior(Configuration):
-    """Prior of the contacts of one side's lines, in ohm: a number, or one for each line.
+    """Prior of the contact resistances of one side's lines; a number, or one for each line.
 
-    mean_ohm, sd_ohm : mean and standard deviation. sd_ohm 0: known.
+    Attributes
+    ----------
+    mean_ohm, sd_ohm : PerLine
+        Mean and standard deviation in ohm; a deviation of 0 means that the contact is known.
 
     >>> lampest.ContactPrior(mean_ohm=5.0, sd_ohm=2.0).sd_ohm
     2.0
@@ -68,9 +77,12 @@ class ContactPrior(Configuration):
 
 @dataclass(frozen=True)
 class Contacts(Configuration):
-    """Resistance between every line and its terminal, the same in all frames, as far as it is known.
+    """Prior of the resistance between every line and its terminal, the same in all frames.
 
-    rows, columns : of the lines of either side.
+    Attributes
+    ----------
+    rows, columns : ContactPrior
+        Contacts of the lines of either side.
 
     >>> lampest.Contacts(rows=lampest.ContactPrior(5.0, 2.0)).rows.mean_ohm
     5.0
@@ -80,11 +92,11 @@ class Contacts(Configuration):
     columns: ContactPrior = ContactPrior()
 
     def mean(self, shape: tuple[int, ...]) -> Array:
-        """(lines) ohm. Raises ValueError where a list has another length."""
+        """Return the means of all lines, (lines,) ohm, rows first. Raises ValueError if a list has another length."""
         return self._of_lines("mean_ohm", shape)
 
     def deviation(self, shape: tuple[int, ...]) -> Array:
-        """(lines) ohm. Raises ValueError where a list has another length."""
+        """Return the standard deviations of all lines, (lines,) ohm. Raises ValueError if a list has another length."""
         return self._of_lines("sd_ohm", shape)
 
     def _of_lines(self, name: str, shape: tuple[int, ...]) -> Array:
@@ -93,7 +105,7 @@ class Contacts(Configuration):
 
     @classmethod
     def of(cls, mean: Array, deviation: Array, rows: int) -> "Contacts":
-        """Return the contacts from (lines) ohm each, rows first."""
+        """Return the contacts from means and deviations, (lines,) ohm each, rows first."""
         both = np.stack([mean, deviation])
         return cls(*(ContactPrior(*map(tuple, part.tolist())) for part in (both[:, :rows], both[:, rows:])))
 
@@ -105,11 +117,11 @@ class Wiring:
     Attributes
     ----------
     lines : Lines
-        Their wire.
+        Wire of the lines.
     joined : tuple of tuple of int
         Groups of lines that touch, by their numbers, rows first.
     contacts : Contacts or None
-        Or None.
+        Prior of the contacts.
     """
 
     lines: Lines = Lines()
@@ -117,12 +129,16 @@ class Wiring:
     contacts: Contacts | None = None
 
     def contact_ohm(self, shape: tuple[int, ...]) -> Array:
-        """(lines) ohm, as far as it is known."""
+        """Return the mean contact resistances, (lines,) ohm; zero without contacts."""
         return np.zeros(sum(shape)) if self.contacts is None else self.contacts.mean(shape)
 
     def path_ohm(self, shape: tuple[int, ...]) -> Array:
-        """Wire from terminal to terminal through every cell, (rows, columns) ohm; of contacts as much as may be."""
+        """Return the resistance of wire and contacts from terminal to terminal through every cell, (rows, columns) ohm.
+
+        Contacts count with their means plus NOISE_REACH standard deviations.
+        """
         rows, columns = shape
+        # Segments from the terminal of the row, and of the column, to every cell.
         along, down = np.arange(1, columns + 1), np.arange(1, rows + 1)
         along = along[::-1] if self.lines.rows_enter == "right" else along
         down = down[::-1] if self.lines.columns_leave == "bottom" else down
@@ -133,7 +149,8 @@ class Wiring:
         return np.asarray(wire + most[:rows, None] + most[rows:])
 
     def nodes(self, count: int) -> Array:
-        """Return E (lines, nodes): 1 where a line belongs to a node; lines that touch are one."""
+        """Return E, (lines, nodes), 1 where a line belongs to a node; lines that touch are one node."""
+        # Every line belongs to the node of the first line of its group.
         first = np.arange(count)
         for group in self.joined:
             first[list(group)] = min(group)
@@ -142,26 +159,28 @@ class Wiring:
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """K·i = e, the currents i through cells under potential differences e = Bᵀp of terminals at p.
+    """Factorisation of K·i = e for the currents i through cells, with potential differences e = Bᵀp of the terminals.
 
-    K = diag(r) + T, T_cd = Σ of the wire that cells c and d share on their ways to terminals. Block elimination: the
-    lines of one side are rungs, the others' wire the rails. The rungs passed so far are a source with an internal
-    conductance, to which each rung adds its own and each segment of the rails its resistance. Costs long·short³.
+    K = diag(r) + T, T_cd the resistance of the wire that the paths of cells c and d to the terminals share. K is solved
+    by block elimination along a ladder: the lines of one side are its rungs, the wire of the other side its rails. The
+    rungs passed so far act as a source with an internal conductance. Each rung adds its own conductance to it, and each
+    segment of the rails its resistance. The cost is long·short³.
 
     Attributes
     ----------
     swapped : bool
         Whether the columns are the rungs.
     outer, inner : slice
-        Steps that put rungs and their cells in order; rungs enter at their first cell, rails leave at the last.
-    rung : array
-        (rungs, n, n) siemens, of every rung's own K⁻¹.
-    passed : array
-        (rungs, n, n), the share of the current that gets through the next segment of the rails.
-    shown : array
-        (rungs, n, n) siemens, the conductance of all rungs so far beyond that segment.
-    segment_ohm : array
-        (rungs, n) of the rails, the contacts in the last.
+        Slices that order the rungs, and the cells of a rung: a rung enters at its first cell, rails leave at the last
+        rung.
+    rung : array, shape (rungs, n, n)
+        Inverse of K of every rung alone, siemens.
+    passed : array, shape (rungs, n, n)
+        Share of the source current that passes the next segment of the rails.
+    shown : array, shape (rungs, n, n)
+        Conductance of all rungs so far, as seen behind that segment, siemens.
+    segment_ohm : array, shape (rungs, n)
+        Resistance of the segments of the rails, ohm; the last one includes the contacts.
     """
 
     swapped: bool
@@ -174,10 +193,7 @@ class Ladder:
 
     @classmethod
     def of(cls, cells: Array, wiring: Wiring) -> "Ladder":
-        """Return the ladder of cells (rows, columns) ohm in the panel's order.
-
-        The longer side's lines are the rungs.
-        """
+        """Return the ladder of cells (rows, columns) ohm; the lines of the longer side are the rungs."""
         lines, swapped = wiring.lines, cells.shape[1] > cells.shape[0]
         flipped = [lines.columns_leave == "top", lines.rows_enter == "right"]
         ohm = [lines.row_ohm_per_cell, lines.column_ohm_per_cell]
@@ -188,6 +204,7 @@ class Ladder:
         turned = (cells.T if swapped else cells)[outer, inner]
         count, size = turned.shape
         steps, every = np.arange(1, size + 1), np.arange(size)
+        # K of one rung: cells c and d share min(c, d) segments and the rung's contact; r on the diagonal.
         matrix = np.tile(ohm[0] * np.minimum.outer(steps, steps).astype(float), (count, 1, 1))
         matrix += contacts[0][outer, None, None]
         matrix[:, every, every] += turned
@@ -196,6 +213,7 @@ class Ladder:
         rung = np.linalg.inv(matrix)
         passed, shown, before = np.empty_like(rung), np.empty_like(rung), np.zeros((size, size))
         for number in range(count):
+            # Y ← (1 + (Y + Y_rung)·diag(segment))⁻¹ (Y + Y_rung), the conductance behind the next segment
             total = before + rung[number]
             passed[number] = np.linalg.inv(np.eye(size) + total * segment[number])
             before = shown[number] = passed[number] @ total
@@ -207,8 +225,10 @@ class Ladder:
         own = self.rung @ turned
         source, potential = np.empty_like(own), np.empty_like(own)
         before, after = np.zeros(own.shape[1:]), np.zeros(own.shape[1:])
+        # Forward: source current of all rungs so far, behind each segment.
         for number in range(len(own)):
             before = source[number] = self.passed[number] @ (before + own[number])
+        # Backward: currents through the segments, and potentials of the rails at each rung.
         for number in reversed(range(len(own))):
             current = source[number] - self.shown[number] @ after
             after = potential[number] = after + self.segment_ohm[number, :, None] * current
@@ -218,20 +238,23 @@ class Ladder:
 
 @dataclass(frozen=True, eq=False)
 class WiredNetwork(TiedNetwork):
-    """Network with wire: the terminals' currents are BC·p, C = K⁻¹Bᵀ; Z = (BC + diag t)⁻¹, touching lines taken as one.
+    """Network with wiring between terminals and cells.
 
-    D = (r C Z)ᵀ are the potential differences across the cells for a unit current into every terminal; ∂Z_ab/∂g_c =
-    −D_ac D_bc as without wire. With X = diag(r) − r K⁻¹ r + DᵀCᵀ r, those for a unit current through every cell,
-    ∂D_ac/∂g_d = −D_ad X_dc. Without wire X = BᵀZB.
+    The currents of the terminals at potentials p are BC·p with C = K⁻¹Bᵀ, and Z = (BC + diag t)⁻¹ with touching lines
+    as one node. D = (r C Z)ᵀ are the potential differences across the cells for a unit current into every terminal;
+    ∂Z_ab/∂g_c = −D_ac D_bc as without wiring. X = diag(r) − r K⁻¹ r + DᵀCᵀ r are the differences for a unit current
+    through every cell; ∂D_ac/∂g_d = −D_ad X_dc. Without wiring X = BᵀZB.
 
     Attributes
     ----------
-    ties : array, shape (lines)
-        Siemens.
-    wiring, ladder : Ladder or Wiring
-        Wire between terminals and cells, and its K⁻¹.
-    currents : array
-        C (cells, lines) siemens.
+    ties : array, shape (lines,)
+        Ties t of the terminals to ground, siemens.
+    wiring : Wiring
+        Wire, contacts and touching lines.
+    ladder : Ladder
+        Factorisation of K.
+    currents : array, shape (cells, lines)
+        C in siemens.
     """
 
     ties: Array
@@ -241,19 +264,24 @@ class WiredNetwork(TiedNetwork):
 
     @classmethod
     def solve(cls, cell_resistance: Array, ties: Array, readout: ReadCircuit, wiring: Wiring) -> "WiredNetwork":
-        """Solve cells (rows, columns) ohm. Raises numpy.linalg.LinAlgError where a line is not connected."""
+        """Return the solved network of cells (rows, columns) ohm.
+
+        Raises numpy.linalg.LinAlgError if a line is not connected.
+        """
         rows, columns = cell_resistance.shape
         ladder = Ladder.of(cell_resistance, wiring)
         currents = ladder.solve(incidence(rows, columns)).reshape(-1, rows + columns)
         through = currents.reshape(rows, columns, -1)
+        # B C: currents of every terminal for a unit potential at each
         admittance = np.concatenate([through.sum(axis=1), -through.sum(axis=0)])
         nodes = wiring.nodes(rows + columns)
+        # Z = E (Eᵀ (BC + diag t) E)⁻¹ Eᵀ
         impedance = nodes @ np.linalg.inv(nodes.T @ (admittance + np.diag(ties)) @ nodes) @ nodes.T
         return cls(cell_resistance, 1 / cell_resistance, impedance, readout, ties, wiring, ladder, currents)
 
     @cached_property
     def potential_differences(self) -> Array:
-        """D = (r C Z)ᵀ (lines, cells) ohm."""
+        """D = (r C Z)ᵀ, (lines, cells) ohm."""
         return np.asarray((self.cell_resistance.reshape(-1, 1) * (self.currents @ self._impedance)).T)
 
     def changes(self, step: Array) -> Entries:
@@ -262,7 +290,7 @@ class WiredNetwork(TiedNetwork):
         return self.entries((differences * (self.conductance * step).ravel()) @ differences.T)
 
     def drawn(self, loading: Loading) -> Array:
-        """diag(Dᵀ W D)."""
+        """Return diag(Dᵀ W D), (rows, columns)."""
         differences = self.potential_differences
         drawn = np.sum(differences * bipartite(*loading, differences), axis=0)
         return np.asarray(drawn.reshape(self.conductance.shape))
@@ -274,21 +302,22 @@ class WiredNetwork(TiedNetwork):
         return differences[row, row, column], differences[rows + column, row, column]
 
     def driven_through(self, sources: Array) -> Array:
-        """X·s (cells, patterns) volt of currents s (cells, patterns) that are driven through cells."""
+        """Return X·s, (cells, patterns) volt, for currents s (cells, patterns) ampere that are driven through cells."""
         resistance = self.cell_resistance.reshape(-1, 1)
         pushed = resistance * sources
         drawn = self.ladder.solve(pushed.reshape(*self.conductance.shape, -1)).reshape(pushed.shape)
         return np.asarray(pushed - resistance * drawn + self.potential_differences.T @ (self.currents.T @ pushed))
 
     def transfer_between(self, cells: Numbers | None) -> Array:
-        """X, which wire makes another matrix than BᵀZB."""
+        """Return X over the numbered cells (None: all), (cells, cells) ohm; with wiring it differs from BᵀZB."""
         whole = self.driven_through(np.eye(self.conductance.size))
         return whole if cells is None else whole[np.ix_(cells, cells)]
 
     def contact_response(self) -> Array:
-        """∂y/∂c of the lines' contacts c, (rows, columns, lines): ∂Z_ab/∂c_l = X_la X_lb with X = 1 − diag(t) Z.
+        """Return ∂y/∂c for the lines' contacts c, (rows, columns, lines) per ohm.
 
-        X_la is the current that enters line l while a unit current enters terminal a.
+        ∂Z_ab/∂c_l = X_la X_lb with X = 1 − diag(t) Z. X_la is the current that enters line l while a unit current
+        enters terminal a.
         """
         entering = np.eye(len(self.ties)) - self.ties[:, None] * self._impedance
         return np.stack([self.read_change(self.entries(np.outer(line, line))) for line in entering], axis=-1)
@@ -299,16 +328,19 @@ class WiredNetwork(TiedNetwork):
 
 @dataclass(frozen=True, eq=False)
 class WiredSecondOrder(SecondOrder):
-    """H of weights at a network with wire."""
+    """Second derivatives H of a network with wiring; see `SecondOrder`."""
 
     network: WiredNetwork
 
     def adjoint(self) -> Array:
-        """g·diag(Dᵀ W D)."""
+        """Return Jᵀ·w = g·diag(Dᵀ W D), (rows, columns)."""
         return np.asarray(self.network.conductance * self.network.drawn(self.loading))
 
     def products(self, step: Array) -> tuple[Array, Array]:
-        """Return (J·p, g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D))), dDᵀ = X·(g·p·Dᵀ), W' from the slopes' change."""
+        """Return J·p and H·p = g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D)), (rows, columns) each.
+
+        dDᵀ = X·(g·p·Dᵀ), and W' is the change of W by the change of the slopes of h.
+        """
         network, change = self.network, self.network.changes(step)
         differences = network.potential_differences
         moved = network.driven_through((differences * (network.conductance * step).ravel()).T).T
@@ -316,22 +348,24 @@ class WiredSecondOrder(SecondOrder):
         return network.read_change(change), network.conductance * (twice + network.drawn(self.loading_change(change)))
 
     def _twice_between(self, cells: Numbers | None) -> Array:
+        """Return Dᵀ W D over the numbered cells (None: all), (cells, cells)."""
         chosen = self.network.potential_differences[:, slice(None) if cells is None else cells]
         return np.asarray(chosen.T @ bipartite(*self.loading, chosen))
 
 
 def contact_responses(networks: Sequence[Network]) -> Array:
-    """∂y/∂c (networks · cells, lines) of wired networks, one after the other."""
+    """Return ∂y/∂c of wired networks, one after the other, (networks · cells, lines)."""
     wired = [network for network in networks if isinstance(network, WiredNetwork)]
     return np.concatenate([network.contact_response().reshape(network.conductance.size, -1) for network in wired])
 
 
 def wire_responses(network: Network, lines: Lines) -> Array:
-    """Return ∂y/∂ρ of the wire of all rows and of all columns from cell to cell, (2, …, rows, columns).
+    """Return ∂y/∂ρ for the wire ρ per cell of all rows, and of all columns, (2, …, rows, columns).
 
-    ∂Z_ab/∂ρ = Σ I_a I_b over its segments, I_a the current through a segment, and so through all cells beyond it, for
-    a unit current into a.
+    ∂Z_ab/∂ρ = Σ I_a I_b over all segments of the wire. I_a is the current through a segment for a unit current into a,
+    which is the sum of the currents through all cells beyond the segment.
     """
+    # Currents through the cells, g·D, then cumulated from the far end to each segment.
     currents = network.potential_differences * network.flat_conductance[..., None, :]
     maps, responses = currents.reshape(*currents.shape[:-1], *network.conductance.shape[-2:]), []
     for axis, near_first in ((-1, lines.rows_enter == "left"), (-2, lines.columns_leave == "top")):
@@ -341,7 +375,7 @@ def wire_responses(network: Network, lines: Lines) -> Array:
 
 
 def incidence(rows: int, columns: int) -> Array:
-    """Bᵀ (rows, columns, lines): +1 at a cell's row, −1 at its column."""
+    """Return Bᵀ, (rows, columns, lines): +1 at a cell's row, −1 at its column."""
     matrix = np.zeros((rows, columns, rows + columns))
     row, column = np.indices((rows, columns))
     matrix[row, column, row], matrix[row, column, rows + column] = 1.0, -1.0

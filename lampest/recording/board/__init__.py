@@ -1,1 +1,1 @@
-"""From the board to the file: protocol (no I/O), port (the serial door), stream, journal, record."""
+"""Recording from boards: protocol (without I/O), serial port, stream of frames, journal, and record."""

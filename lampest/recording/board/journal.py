@@ -1,6 +1,7 @@
-"""Journal: the file of a running recording, appended frame by frame; others can read along, and a crash loses nothing.
+"""Journal: file of a running recording, to which frames are appended.
 
-Its layout is the recording's. Single writer, multiple readers (SWMR): flushed frames stay readable after kill -9.
+It has the layout of a recording. Other processes can read it meanwhile (single writer, multiple readers, SWMR), and
+flushed frames remain readable after a crash.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,7 +28,14 @@ from lampest.recording.recording import FORMAT
 
 @dataclass(frozen=True)
 class Journal:
-    """Open, growing recording file, and the paths of the datasets with a row for every frame."""
+    """Open, growing recording file.
+
+    Attributes
+    ----------
+    file : h5py.File
+    paths : tuple of str
+        Paths of the datasets with a row for every frame.
+    """
 
     file: h5py.File
     paths: tuple[str, ...]
@@ -35,7 +43,7 @@ class Journal:
     @classmethod
     @contextmanager
     def create(cls, path: Path, scene: Scene, readings: int) -> Iterator["Journal"]:
-        """Make the file. Raises InputError where it cannot be made or a file of that name exists."""
+        """Create and yield a journal. Raises InputError if the file cannot be created, or exists."""
         check_output(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -50,18 +58,18 @@ class Journal:
                 yield cls(file, tuple(path for path, *_ in acquisition.growing(scene.circuit)))
 
     def append(self, samples: Sequence[Sample], recorded: Array, roles: Sequence[int]) -> None:
-        """Add frames, which then survive; recorded (frames, rows, columns). Raises InputError: the disk is full."""
+        """Append frames with recorded values (frames, rows, columns), and flush them. Raises InputError if it fails."""
         fields = [vars(sample.frame) | vars(sample) for sample in samples]
         names = ("time", "sums", *(name for name, *_ in acquisition.FRAME_FIELDS))
         time, sums, *acquired = ([field[name] for field in fields] for name in names)
         self._push(self.paths, (recorded, time, roles, sums, *acquired), acquisition.FRAME_CHECKSUM)
 
     def mark(self, time: float, label: str) -> None:
-        """Add an event, whose label is cut to 16 characters."""
+        """Append an event; its label is cut to 16 characters."""
         self._push(acquisition.EVENT_PATHS, ([time], [hdf5.ascii_array(label)]), acquisition.EVENT_CHECKSUM)
 
     def keep(self, source: h5py.File, damaged: NDArray[np.intp], frames: int) -> None:
-        """Add the undamaged frames and events of another journal; damaged frames count as lost before the next one."""
+        """Append the undamaged frames and events of another journal; damaged frames count as lost before the next."""
         whole, lost = np.setdiff1d(np.arange(frames), damaged), self.paths.index("acquisition/lost")
         dropped = np.diff(whole, prepend=-1) - 1
         for part in acquisition.blocks(len(whole), int(np.prod(self.file["entry/raw/sums"].shape[1:]))):
@@ -75,7 +83,7 @@ class Journal:
         self._push(acquisition.EVENT_PATHS, [column[events] for column in rows], acquisition.EVENT_CHECKSUM)
 
     def _push(self, paths: Sequence[str], values: Sequence[Sequence[Any] | Array], checksum: str) -> None:
-        """Add rows; their checksums follow once the rows are in the file."""
+        """Append rows, and then their checksums, once the rows are in the file."""
         try:
             columns = [self._extend(path, value) for path, value in zip(paths, values, strict=True)]
             self.file.flush()
@@ -85,7 +93,7 @@ class Journal:
             raise InputError(f"{self.file.filename}: cannot be written ({' '.join(str(error).split())})") from error
 
     def _extend(self, path: str, values: Sequence[Any] | NDArray[Any]) -> NDArray[Any]:
-        """Add values as the dataset holds them; a number beyond its range is the largest."""
+        """Append values in the dataset's type, integers clipped to its maximum, and return them."""
         dataset = self.file[f"entry/{path}"]
         if dataset.dtype.kind == "u":
             values = np.minimum(np.asarray(values, np.uint64), np.iinfo(dataset.dtype).max)
@@ -96,6 +104,7 @@ class Journal:
 
 
 def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
+    """Create the groups, datasets and attributes of a journal."""
     circuit, frames, time, label = scene.circuit, group_of(scene.circuit), *acquisition.EVENT_PATHS
     growing = (
         *acquisition.growing(circuit),

@@ -1,6 +1,6 @@
-"""Serial port with a board behind it: find, open, wait for HELLO, set, start, read; keys pressed meanwhile.
+"""Serial port of a board: search, opening, HELLO, settings, start and reading; keys pressed meanwhile.
 
-The one place with pyserial.
+No other module uses pyserial.
 """
 
 import contextlib
@@ -20,12 +20,12 @@ from lampest.files.errors import InputError
 from lampest.recording.board import protocol
 from lampest.recording.board.protocol import Answer, Foreign, Frame, Garbage, Hello, Kind, Message, command
 
-# Silence after which a board is asked who it is: a Mega's bootloader listens for one second after a reset, and must not
-# be confused.
+# Silence after which a board is identified anew. A Mega's bootloader listens for one second after a reset, and must not
+# receive other bytes.
 SILENCE_SECONDS = 2.5
-HELLO_SECONDS = 8.0  # longest wait for a board: a slow bootloader, and HELLOs a second apart
+HELLO_SECONDS = 8.0  # maximum wait for a board: a slow bootloader, and HELLOs a second apart
 ANSWER_SECONDS = 0.5  # wait for an answer
-ARDUINO_VENDORS = (0x2341, 0x2A03, 0x1A86, 0x0403)  # USB: Arduino (two), WCH and FTDI, whose chips clones have
+ARDUINO_VENDORS = (0x2341, 0x2A03, 0x1A86, 0x0403)  # USB vendors: Arduino (two), and WCH and FTDI for clones
 
 
 class NoBoardError(InputError):
@@ -58,9 +58,9 @@ def only_port() -> str:
 
 
 class Board:
-    """Open port; its state is the unread messages and the number of bytes received.
+    """Open port of a board, with its unread messages and the number of bytes received.
 
-    Every method raises OSError where the board is unplugged.
+    Every method raises OSError if the board is unplugged.
     """
 
     def __init__(self, port: serial.SerialBase, url: str) -> None:
@@ -73,7 +73,7 @@ class Board:
     @classmethod
     @contextmanager
     def open(cls, url: str) -> Iterator["Board"]:
-        """Open a port by its name or pyserial URL (socket://, rfc2217://) and reset its board. Raises NoBoardError."""
+        """Open a port by its name or pyserial URL (socket://, rfc2217://), and reset the board. Raises NoBoardError."""
         try:
             port = serial.serial_for_url(url, protocol.BAUD, timeout=0.05, write_timeout=2.0, exclusive=True)
         except (OSError, ValueError) as error:
@@ -97,7 +97,7 @@ class Board:
         return waiting or self._arrived()
 
     def hello(self) -> Hello:
-        """Wait for the board's HELLO; ask, and stop a board that did not reset. Raises NoBoardError for silence."""
+        """Return the board's HELLO; a board that did not reset is stopped and identified. Raises NoBoardError."""
         began = time.monotonic()
         requested = began - ANSWER_SECONDS
         while time.monotonic() < began + HELLO_SECONDS:
@@ -105,7 +105,7 @@ class Board:
             for item in messages:
                 if isinstance(item, Hello) and not item.running:
                     return item
-            # Whatever talks without a HELLO was not reset by opening the port.
+            # A board that sends frames without a HELLO was not reset by opening the port.
             patient = 0.3 if any(isinstance(item, Frame) for item in messages) else SILENCE_SECONDS
             if time.monotonic() > max(began + patient, requested + ANSWER_SECONDS):
                 self._port.write(command(Kind.STOP) + command(Kind.IDENTIFY))
@@ -114,25 +114,25 @@ class Board:
         raise NoBoardError(f"{self._url}: no lampest board answered within {HELLO_SECONDS:g} s, {line}")
 
     def order(self, kind: Kind, value: int = 0) -> None:
-        """Send a command until it is answered. Raises InputError where it is refused, NoBoardError for silence."""
+        """Send a command until it is answered. Raises InputError if it is refused, NoBoardError without an answer."""
         tag = next(self._tags) % 256
 
         def wanted(item: Message) -> bool:
             return isinstance(item, Answer) and (item.command, item.tag) == (kind, tag)
 
         answer = self._ask(command(kind, tag, value), wanted, kind.name)
-        # A board that runs already has carried out a START whose answer was lost.
+        # A running board has carried out an earlier START whose answer was lost.
         runs = kind is Kind.START and answer.result is protocol.Result.REFUSED_RUNNING
         if answer.result is not protocol.Result.DONE and not runs:
             raise InputError(f"{self._url}: {kind.name} {value} refused: {answer.result.value}")
 
     def identify(self) -> Hello:
-        """Ask for a HELLO. Raises NoBoardError where none comes."""
+        """Request and return a HELLO. Raises NoBoardError without an answer."""
         hello: Hello = self._ask(command(Kind.IDENTIFY), lambda item: isinstance(item, Hello), "IDENTIFY")
         return hello
 
     def _ask(self, wire: bytes, wanted: Callable[[Message], bool], name: str) -> Any:
-        """Send until the wanted message comes; other messages, except garbage, wait to be read."""
+        """Send until the wanted message arrives, and return it; other messages except garbage remain to be read."""
         for _ in range(4):  # a line may be disturbed
             self._port.write(wire)
             until = time.monotonic() + ANSWER_SECONDS
@@ -145,6 +145,7 @@ class Board:
         raise NoBoardError(f"{self._url}: the board does not answer {name}")
 
     def _arrived(self) -> tuple[Message, ...]:
+        """Return the messages that new bytes complete. Raises InputError for another version, or an invalid HELLO."""
         data = self._port.read(self._port.in_waiting or 1)
         self.heard += len(data)
         self._receiver, messages = self._receiver.feed(data)
@@ -159,7 +160,10 @@ class Board:
         return messages
 
     def start(self, rows: int, columns: int, readings: int, period_us: int | None) -> Hello:
-        """Set the board and start it; period None: 1 s or the shortest. Returns its settings. Raises InputError."""
+        """Configure and start the board; return its settings. A period of None is 1 s, or the shortest possible one.
+
+        Raises InputError if the board refuses a setting.
+        """
         self.order(Kind.STOP)
         self._waiting = []
         for kind, value in ((Kind.SET_ROWS, rows), (Kind.SET_COLUMNS, columns), (Kind.SET_READINGS, readings)):
@@ -180,9 +184,9 @@ class Board:
         return settings
 
     def stop(self) -> tuple[Message, ...]:
-        """Stop the board; return all messages up to its answer, as far as they arrive within 2 s.
+        """Stop the board, and return all messages up to its answer that arrive within 2 s.
 
-        A board that is gone or does not answer is ignored.
+        Missing boards and missing answers are ignored.
         """
         with contextlib.suppress(OSError, InputError):
             self.order(Kind.STOP)

@@ -1,6 +1,6 @@
-"""Protocol between board and host: bytes in, messages out, and back; no I/O.
+"""Protocol between board and host: conversion of bytes to messages and back, without I/O.
 
-The same layouts and numbers stand in firmware/lampest_board/protocol.h; tests hold the two together.
+The same layouts and numbers are in firmware/lampest_board/protocol.h; tests compare the two.
 """
 
 import struct
@@ -16,7 +16,7 @@ PROTOCOL_VERSION = 1
 BAUD = 500_000
 MAX_ROWS = MAX_COLUMNS = 16
 MAX_CODE = 1023
-MAX_READINGS = np.iinfo(np.uint16).max // MAX_CODE  # whose sum of codes fits into 16 bits
+MAX_READINGS = np.iinfo(np.uint16).max // MAX_CODE  # the sum of so many codes fits into 16 bits
 _HELLO = struct.Struct("<BBBBBBBBHIIHHIBBB")
 _HELLO_WIRING = struct.Struct("<BI")
 _FRAME = struct.Struct("<BBBBBIIH")
@@ -27,23 +27,26 @@ WIRINGS: tuple[Literal["two_point"], Literal["loaded_columns"]] = ("two_point", 
 
 
 def crc16(data: bytes) -> int:
-    """Return CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, neither reflected nor inverted."""
+    """Return the CRC-16/CCITT-FALSE of data: polynomial 0x1021, start 0xFFFF, neither reflected nor inverted."""
     return crc_hqx(data, 0xFFFF)
 
 
 def stuffed(body: bytes) -> bytes:
-    """Return a body without zeros (COBS). Source: Cheshire & Baker, IEEE/ACM Trans. Networking 7(2), 1999."""
+    """Return a body encoded without zeros (COBS).
+
+    Source: Cheshire & Baker, IEEE/ACM Transactions on Networking 7(2), 1999.
+    """
     pieces = []
     *runs, last = body.split(b"\0")
     for run in runs:
         pieces += [run[begin : begin + 254] for begin in range(0, len(run) + 1, 254)]
-    # A full piece at the end needs no empty one behind it.
+    # A full piece at the end is not followed by an empty one.
     pieces += [last[begin : begin + 254] for begin in range(0, max(len(last), 1), 254)]
     return b"".join(bytes([len(piece) + 1]) + piece for piece in pieces)
 
 
 def unstuffed(data: bytes) -> bytes | None:
-    """Return the body that COBS encoded, or None if its codes do not end with the data."""
+    """Return the body of COBS-encoded data, or None if the data are not valid."""
     pieces, place = [], 0
     while place < len(data):
         code, end = data[place], place + data[place]
@@ -55,7 +58,7 @@ def unstuffed(data: bytes) -> bytes | None:
 
 
 def message(body: bytes) -> bytes:
-    """Return the bytes of a body on the wire."""
+    """Return the bytes on the wire of a body, with its CRC."""
     return b"\0" + stuffed(body + struct.pack(">H", crc16(body))) + b"\0"
 
 
@@ -64,7 +67,7 @@ MAX_STUFFED = len(stuffed(b"\1" * (_FRAME.size + 2 * (MAX_ROWS * MAX_COLUMNS + 1
 
 
 class Kind(IntEnum):
-    """Kinds of messages: up to 15 from the board, above to the board."""
+    """Kinds of messages: from the board up to 15, to the board above."""
 
     HELLO = 1
     FRAME = 2
@@ -97,7 +100,8 @@ RESULT_CODES = tuple(Result)
 class Hello:
     """Identity and settings of a board, sent after a reset, once a second while idle, and on request.
 
-    With loaded columns reference_milliohm is the load of every column, and drive_milliohm in series with each row.
+    With loaded columns, reference_milliohm is the load of every column, and drive_milliohm the resistance in series
+    with each row.
     """
 
     rows: int
@@ -135,13 +139,27 @@ class Hello:
 
     @property
     def size(self) -> tuple[int, int, int]:
-        """Rows, columns and readings."""
+        """Numbers of rows, columns and readings."""
         return self.rows, self.columns, self.readings
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Frame of one scan: sums (rows, columns) of `readings` codes each, device_ms at its start, ticks missed before."""
+    """Frame of one scan.
+
+    Attributes
+    ----------
+    readings : int
+        Number of codes in each sum.
+    sequence : int
+        Number of the frame since the board was started.
+    device_ms : int
+        Board's clock at the start of the scan in ms.
+    missed : int
+        Scans that the board could not begin in time before this one.
+    sums : array, shape (rows, columns)
+        Sums of codes.
+    """
 
     readings: int
     sequence: int
@@ -152,7 +170,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer of the board to the command with this tag, and the value in force."""
+    """Answer of the board to a command, identified by its tag, with the value in force."""
 
     command: int
     tag: int
@@ -179,14 +197,14 @@ Message = Hello | Frame | Answer | Foreign | Garbage
 
 @dataclass(frozen=True)
 class Receiver:
-    """Bytes since the last zero; feeding it gives the next receiver and the messages now complete."""
+    """State of reception: the bytes since the last zero. `feed` returns the next state and the complete messages."""
 
     pending: bytes = b""
 
     def feed(self, data: bytes) -> tuple["Receiver", tuple[Message, ...]]:
-        """Cut data at zeros and read each piece; never raises, whatever the bytes."""
+        """Return the next state and the messages that the data complete; no data raise an error."""
         *pieces, pending = (self.pending + data).split(b"\0")
-        # One byte too many is enough to know that a piece is no message.
+        # One byte more than MAX_STUFFED suffices to recognise a piece that is no message.
         return Receiver(pending[: MAX_STUFFED + 1]), tuple(_read_piece(piece) for piece in pieces if piece)
 
 
@@ -196,8 +214,9 @@ def command(kind: Kind, tag: int = 0, value: int = 0) -> bytes:
 
 
 def _read_piece(piece: bytes) -> Message:
+    """Return the message in the bytes between two zeros."""
     content = unstuffed(piece) if len(piece) <= MAX_STUFFED else None
-    # The CRC over a body and its own CRC is zero.
+    # The CRC of a body followed by its CRC is zero.
     if content is None or len(content) < 4 or crc16(content) != 0:
         return Garbage(len(piece))
     body = content[:-2]
@@ -222,7 +241,7 @@ def _read_hello(body: bytes) -> Hello:
 def _read_frame(body: bytes) -> Frame:
     _, _, rows, columns, readings, sequence, device_ms, missed = _FRAME.unpack_from(body)
     sums = np.frombuffer(body, "<u2", offset=_FRAME.size).astype(np.uint16).reshape(rows, columns)
-    # More than a CRC of 16 bits can promise: no converter gives such a sum.
+    # A 16-bit CRC misses some errors, so that the range of the sums is checked as well.
     possible = readings <= MAX_READINGS and sums.max() <= readings * MAX_CODE
     if not (possible and rows <= MAX_ROWS and columns <= MAX_COLUMNS and readings):
         raise ValueError("no board sends such a frame")

@@ -1,6 +1,6 @@
-"""Recording of a board into a file: frame by frame while it runs, rewritten as a clean recording at the end.
+"""Recording of a board: frames are appended to a journal, which is rewritten as a recording at the end.
 
-`record` reads from a port; a `Recorder` takes the samples of a watched port, on request.
+`record` reads from a port. A `Recorder` records the samples of a watched port on request.
 """
 
 import contextlib
@@ -30,7 +30,7 @@ from lampest.recording.board.stream import CLOCK_STOPPED, UNFIT_SECONDS, Sample,
 from lampest.recording.recording import MEASURED, UNLOADED, Recording, recording_file
 from lampest.recording.stored import StoredRecording, opened, save_parts
 
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot, no separator: a file of one folder, and no hidden one
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot or separator: a visible file within the folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,9 +50,9 @@ class Recorded:
     clock_stopped : bool
         Whether the board's clock stood still at any time.
     parted : int
-        Frames that lack a module.
+        Frames without the readings of a module.
     behind : int
-        Frames that the port still held at the end.
+        Frames that the port still contained at the end.
     ended_by : str
         Signal that ended the recording, such as SIGINT (Ctrl-C), or ''.
     noise_lsb : float, or None
@@ -77,7 +77,17 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a recording: newest sample (None while waiting), frames and lost ones so far, a sentence or ''."""
+    """Progress of a recording.
+
+    Attributes
+    ----------
+    sample : Sample or None
+        Newest sample; None while waiting for the board.
+    frames, lost : int
+        Numbers of frames, and of lost frames, so far.
+    state : str
+        Sentence on the state of the board, or ''.
+    """
 
     sample: Sample | None
     frames: int
@@ -99,7 +109,7 @@ def record(  # noqa: PLR0913 # the options of a command
 ) -> Recorded:
     """Record frames from a board into the file `out`, in ohm or volt as the readout gives them.
 
-    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end it, with all frames that the port has delivered by then.
+    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end the recording; frames that the port has received by then are included.
 
     Parameters
     ----------
@@ -113,20 +123,20 @@ def record(  # noqa: PLR0913 # the options of a command
     seconds : float, or None
         Time after which to end.
     scene : Scene, or None
-        Scene that the board must fit, and is set to; by default the board's own.
+        Scene that the board must fit, and by which it is configured; by default the board's own.
     baseline : int
         Number of unloaded frames at the beginning.
     period : float, or None
         Time between frames in s; by default 1 s, or the shortest possible if that is longer.
     on_progress : callable
-        Called after every frame, and when the board comes or goes.
+        Called after every frame, and when the board appears or disappears.
     keys : callable
         Returns the keys pressed since its last call; each marks an event.
 
     Raises
     ------
     InputError
-        If the board does not answer or fit, `out` exists, or no frame came. Earlier frames are in the file.
+        If the board does not answer or fit, `out` exists, or no frame arrives. Earlier frames are in the file.
     """
     check_output(out)
     if out.exists():
@@ -169,18 +179,20 @@ def record(  # noqa: PLR0913 # the options of a command
 
 
 class Recorder:
-    """Recorder on request: takes every sample from one thread; any thread may start or end a recording.
+    """Recorder on request: one thread passes all samples, and any thread may start or end a recording.
 
-    The unloaded frames with which a watch began, or the last zero that was asked for, come first in every file.
+    Every file begins with the unloaded frames of the watch, or with those after the last request of `zero`.
 
-    Attributes
+    Parameters
     ----------
     folder : Path
-        Of the files.
+        Folder of the files.
+    scene : Scene or None
+        Scene of the recordings.
     baseline : int
-        So many frames are unloaded.
+        Number of unloaded frames.
     say : callable
-        Gets a sentence, and whether a recording runs.
+        Called with a sentence, and with whether a recording is running.
     """
 
     def __init__(self, folder: Path, scene: Scene | None, baseline: int, say: Callable[[str, bool], None]) -> None:
@@ -193,17 +205,17 @@ class Recorder:
         self._finishing: list[Thread] = []
 
     def ask(self, name: str) -> None:
-        """Start a recording of that name, '' for the time, or end a running one; from any thread. Raises InputError."""
+        """Start a recording by its name ('': the time), or end a running one; for any thread. Raises InputError."""
         if name and not NAME.fullmatch(name):
             raise InputError("a recording's name has up to 64 letters, digits, - and _")
         self._asked.append(name)
 
     def zero(self) -> None:
-        """Declare the next frames unloaded, for the next recordings; an event in a running one."""
+        """Declare the next frames as unloaded ones of later recordings; a running recording has an event instead."""
         self._zeroed.set()
 
     def take(self, sample: Sample) -> None:
-        """Take a sample; a recording starts once there are unloaded ones."""
+        """Process a sample; a requested recording starts once all unloaded frames are known."""
         try:
             if self._zeroed.is_set():
                 self._zeroed.clear()
@@ -223,7 +235,7 @@ class Recorder:
             self._end(str(error))
 
     def close(self) -> None:
-        """End a running recording; every file is closed afterwards, whatever signals come."""
+        """End a running recording, and wait until all files are closed, without regard to signals."""
         if self._journal is not None:
             self._end()
         with deaf():
@@ -231,6 +243,7 @@ class Recorder:
                 thread.join()
 
     def _begin(self, name: str, sample: Sample) -> None:
+        """Start a recording with the unloaded frames and a sample. Raises InputError if the file exists."""
         self._path, self._frames = self._folder / f"{name or time.strftime('live_%Y-%m-%d_%H-%M-%S')}.h5", 0
         if self._path.exists():
             raise InputError(f"{self._path}: exists already; a recording is never written over")
@@ -240,12 +253,13 @@ class Recorder:
             self._grow(self._journal, (sample,), 0)
 
     def _grow(self, journal: Journal, samples: tuple[Sample, ...], unloaded: int) -> None:
+        """Append samples, of which the first `unloaded` ones are unloaded, and report the progress."""
         appended(journal, samples, self._scene, unloaded)
         self._frames += len(samples)
         self._say(f"recording {self._path}: {self._frames} frames", self._journal is not None)
 
     def _end(self, trouble: str = "") -> None:
-        """Close the journal here, and make a clean file of it beside: frames go on."""
+        """Close the journal, and rewrite it as a recording in another thread, because frames continue to arrive."""
         if self._journal is None:
             self._say(f"not recorded: {trouble}", self._journal is not None)
             return
@@ -267,7 +281,7 @@ class Recorder:
 
 
 def journal_of(out: Path, sample: Sample, scene: Scene | None) -> contextlib.AbstractContextManager[Journal]:
-    """Create a growing file for samples like the given one. Raises InputError as `Journal.create`."""
+    """Return a new journal for samples of the same board as the given one. Raises InputError as `Journal.create`."""
     agreed, _ = agreed_and_recorded(sample, scene)
     return Journal.create(out, agreed, sample.hello.readings)
 
@@ -279,7 +293,7 @@ def appended(
     unloaded: int,
     keys: Callable[[], str] = lambda: "",
 ) -> None:
-    """Write samples of which the first so many are unloaded, and mark their events and the keys pressed."""
+    """Append samples, of which the first `unloaded` ones are unloaded, with their events and the pressed keys."""
     recorded = np.stack([agreed_and_recorded(sample, scene)[1] for sample in batch])
     journal.append(batch, recorded, [UNLOADED if number < unloaded else MEASURED for number in range(len(batch))])
     for sample in batch:
@@ -288,9 +302,10 @@ def appended(
 
 
 def _wanted(batches: Samples, frames: int | None, seconds: float | None, period: float) -> Samples:
-    """Yield batches until so many frames, or s on the board's clock; the host's ends it 5 %, a period and 1 s later.
+    """Yield batches up to a number of frames, or up to a time in s on the board's clock.
 
-    Raises InputError where frames are counted and none has come for 30 s and three periods.
+    The host's clock ends a timed recording 5 %, a period and 1 s later. Raises InputError if frames are counted and
+    none has arrived for UNFIT_SECONDS and three periods.
     """
     count, began, heard = 0, None, time.monotonic()
     for batch in batches:
@@ -312,10 +327,10 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
 
 
 def repair(path: Path) -> tuple[int, int]:
-    """Rewrite an unfinished recording as a clean one, with σ of every reading; a finished one stays as it is.
+    """Rewrite an unfinished recording as a finished one, with σ of every reading; finished ones remain unchanged.
 
-    Returns the number of frames, and of damaged ones that are dropped and count as lost. Raises InputError where
-    nothing can be read, or someone is still recording into it.
+    Returns the numbers of frames and of damaged frames, which are removed and count as lost. Raises InputError if
+    nothing can be read, or if the file is still being recorded.
     """
     own(path)
     with hdf5.existing_file(path) as file:
@@ -340,7 +355,7 @@ def repair(path: Path) -> tuple[int, int]:
 
 
 def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float | None]:
-    """Rewrite the journal at `path`, or another one, as a clean recording; return scene, frames and noise."""
+    """Rewrite the journal at `path`, or another one, as a recording at `path`; return scene, frames and noise."""
     own(path)
     with deaf():
         recording = opened(journal or path)
@@ -355,7 +370,7 @@ def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float
 
 
 def _with_sigma(recording: Recording, noise: float | None) -> Recording:
-    """Return the recording with σ of every reading, from the noise of its repeats if known."""
+    """Return the recording with σ of every reading, by the noise of its repeats in LSB if it is known."""
     readout = recording.scene.readout
     if readout is None or recording.scene.panel.modules is not None:  # whose modules have their own
         return recording
@@ -364,7 +379,7 @@ def _with_sigma(recording: Recording, noise: float | None) -> Recording:
 
 
 def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
-    """Return the noise of a reading in LSB, by differences of successive unloaded codes; None below 50."""
+    """Return the noise of a reading in LSB from differences of successive unloaded codes; None below MIN_REPEATS."""
     total, count, readout = 0.0, 0, None
     for part in parts:
         readout, sums = part.scene.readout, part.raw_sums
@@ -374,9 +389,11 @@ def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
         pairs = (part.role[1:] == UNLOADED) & (part.role[:-1] == UNLOADED)
         if part.acquisition is not None:
             pairs &= np.diff(part.acquisition.session.astype(int)) == 0
+        # Codes near the rails are excluded: their noise is clipped.
         inside = (mean_code > 2) & (mean_code < MAX_CODE - 2)
         difference = np.diff(mean_code, axis=0)[(inside[1:] & inside[:-1]) & pairs[:, None, None]]
         total, count = total + float(np.sum(difference**2)), count + len(difference)
     if readout is None or count < MIN_REPEATS:
         return None
+    # The variance of a difference of two readings is twice that of one.
     return noise_of_variance(readout, total / count / 2)

@@ -1,8 +1,8 @@
-"""Several boards as one: each scans a module, and their simultaneous frames are one frame of the whole image.
+"""Several boards as one: each scans a module, and their simultaneous frames form a frame of the whole image.
 
-A board's time on the host's clock is its own plus the least delay of its newest frames, s = min(arrival − time). The
-first module's board leads, or while it is gone the next one: its frames are the moments, and of every other board that
-frame counts which began nearest. A board that drops out is missing from the image until it is back.
+A board's time on the host's clock is its own time plus the least delay of its newest frames, s = min(arrival − time).
+The board of the first module leads, or the next one while it is absent: its frames define the times of the image. Every
+other board contributes its frame nearest in time. An absent board is missing from the image until it returns.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,8 +22,8 @@ from lampest.recording.board.port import only_port
 from lampest.recording.board.stream import RETRY_SECONDS, Sample, Samples, board_samples
 
 LATE_SECONDS = 0.3  # s, and 1.5 periods, after which a silent board counts as missing
-Stamped = tuple[float, Sample]  # s on the host's clock, when the scan began
-Arrived = SimpleQueue[tuple[int, Sample | str | InputError | None]]  # by board
+Stamped = tuple[float, Sample]  # start of the scan in s on the host's clock, and the sample
+Arrived = SimpleQueue[tuple[int, Sample | str | InputError | None]]  # board, and its sample, state, error or end
 
 
 def samples_of(
@@ -33,7 +33,7 @@ def samples_of(
     on_state: Callable[[str], None] = lambda sentence: None,
     ending: Callable[[], bool] = lambda: False,
 ) -> Samples:
-    """Yield samples as `board_samples`, of one board (none named: the only one) or of one for each module, in order."""
+    """Return samples as `board_samples`: of one board (by default the only one), or of one for each module in order."""
     if scene is None or scene.panel.modules is None:
         if len(ports) > 1:
             raise InputError("--port: several boards need a scene with panel: {modules: ...}, a board for each module")
@@ -54,14 +54,22 @@ def samples_of(
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """State of the alignment: of each board the waiting frames, oldest first, the last one shown, and recent delays.
+    """State of the alignment of several boards.
 
     Attributes
     ----------
+    waiting : tuple of tuple of Stamped
+        Waiting frames of each board, oldest first.
+    shown : tuple of Stamped or None
+        Last frame of each board in the image.
+    delays : tuple of tuple of float
+        Recent delays of each board in s.
     moment, began : float or None
-        Of the image's newest and first frame, s on the host's clock.
+        Times of the newest and of the first frame of the image in s on the host's clock.
     missing : tuple of int
-        Boards not in the newest.
+        Boards that are missing from the newest frame.
+    frames : int
+        Number of frames of the image so far.
     """
 
     waiting: tuple[tuple[Stamped, ...], ...]
@@ -78,16 +86,16 @@ class Alignment:
         return cls(((),) * boards, (None,) * boards, ((),) * boards)
 
     def taking(self, board: int, sample: Sample) -> "Alignment":
-        """Return the state with one more frame of a board; after a restart its clock is compared anew."""
+        """Return the state after a frame of a board; the delays begin anew after a restart."""
         known = [*filter(None, [self.shown[board]]), *self.waiting[board]]
         before = self.delays[board] if known and known[-1][1].session == sample.session else ()
         delays, waiting = list(self.delays), list(self.waiting)
-        delays[board] = (*before, sample.host_time - sample.time)[-50:]  # the least of these sets the board's clock
+        delays[board] = (*before, sample.host_time - sample.time)[-50:]  # the least of these relates the two clocks
         waiting[board] = (*waiting[board], (sample.time + min(delays[board]), sample))
         return replace(self, waiting=tuple(waiting), delays=tuple(delays))
 
     def frame(self, now: float) -> "tuple[Alignment, dict[int, Sample]] | None":
-        """Return the next state and its frame, board → sample; None while a present board may still send its part."""
+        """Return the next state and its samples by board; None while a present board may still send its frame."""
         led = self._led(now)
         if led is None:
             return None
@@ -98,7 +106,7 @@ class Alignment:
             if not (late or board in self.missing) and (not known or known[-1][0] < at - period / 2):
                 return None
             nearest = min(known, key=lambda stamped: abs(stamped[0] - at), default=None)
-            # Half a period, and the jitter of clocks.
+            # Half a period, plus the jitter of clocks.
             if nearest is not None and abs(nearest[0] - at) <= 0.75 * period:
                 parts[board] = nearest
         remaining = [
@@ -112,7 +120,7 @@ class Alignment:
         return after, {board: sample for board, (_, sample) in parts.items()}
 
     def _led(self, now: float) -> Stamped | None:
-        """Return the frame that defines the next moment, from the first present board; None if it has not come."""
+        """Return the frame that defines the next time, from the first present board; None before it has arrived."""
         if self.moment is None:
             if not all(self.waiting):
                 return None
@@ -130,7 +138,7 @@ class Alignment:
 
 @dataclass(frozen=True, eq=False)
 class _Boards:
-    """Boards of the modules that are read, `numbers`, one at each port."""
+    """Boards of the modules `numbers`, one at each port."""
 
     scene: Scene
     layout: Modules
@@ -138,6 +146,7 @@ class _Boards:
     ports: Sequence[str]
 
     def samples(self, period: float | None, on_state: Callable[[str], None], ending: Callable[[], bool]) -> Samples:
+        """Yield samples of the whole image in batches; see `board_samples`."""
         current, ended, arrived = Alignment.of(len(self.ports)), Event(), Arrived()
         states, listening = [""] * len(self.ports), set(range(len(self.ports)))
         modules = [self.scene.of_modules[number] for number in self.numbers]
@@ -179,7 +188,7 @@ class _Boards:
                 thread.join()
 
     def _image(self, parts: dict[int, Sample], before: Alignment, after: Alignment) -> Sample:
-        """Return the boards' frames as one, with the first board's clock and the restarts of all."""
+        """Return the boards' frames as one sample, with the clock of the first board and the restarts of all."""
         every, first = list(parts.values()), next(iter(parts.values()))
         each, (rows, columns) = self.layout.each, self.layout.shape
         sums = np.full((self.layout.count, each.rows, each.columns), NO_SUM, dtype=np.uint16)
@@ -206,9 +215,10 @@ class _Boards:
 
 
 def _listen(board: int, port: str, own: Scene, period: float | None, arrived: Arrived, ended: Event) -> None:
-    """Queue a board's samples and states until the end, then None; an error before its first sample ends it.
+    """Queue a board's samples and states until the end, then None.
 
-    One that fails later is opened anew, as often as need be: a hub that hangs is unplugged, and comes back.
+    An error before the first sample ends the queue. After a later error the port is opened again, any number of times:
+    hubs that hang are unplugged and plugged in again.
     """
     sessions = 0
     while not ended.is_set():

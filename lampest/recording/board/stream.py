@@ -1,4 +1,4 @@
-"""Frames from a board in the order of time, through lost frames, resets and unplugging."""
+"""Frames from a board in temporal order, despite lost frames, resets and unplugging."""
 
 import time
 from collections import Counter
@@ -20,13 +20,16 @@ SHARED = {
     "two_point": ("supply_volt", "reference_ohm", "measured_across", "adc_bits"),
     "loaded_columns": ("driven", "polarity", "supply_volt", "adc_bits", "load_ohm"),
 }
-UNFIT_SECONDS = 30.0  # s without a fitting frame on a line that is not silent
+UNFIT_SECONDS = 30.0  # s without a valid frame on a line that is not silent
 RETRY_SECONDS = 0.2  # s between attempts to open a port
 CLOCK_STOPPED = "clock stopped"  # label of the event
 
 
 def scene_of(hello: Hello, scene: Scene | None) -> Scene:
-    """Return the scene on which HELLO and the user's scene agree; None: the board's own. Raises InputError."""
+    """Return the user's scene, completed by the board's HELLO; without one, the board's. Raises InputError.
+
+    An error is raised if the two contradict each other, or if the scene exceeds the limits of the board.
+    """
     declared = declared_readout(hello)
     if scene is None:
         return Scene(Panel(hello.rows, hello.columns), declared)
@@ -54,7 +57,7 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
 
 
 def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
-    """Return the readout that a board declares."""
+    """Return the readout that a board declares in its HELLO."""
     reference, drive = hello.reference_milliohm / 1000, hello.drive_milliohm / 1000
     known: dict[str, Any] = {"supply_volt": hello.supply_millivolt / 1000, "adc_bits": hello.adc_bits}
     known["readings"] = hello.readings
@@ -65,10 +68,13 @@ def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Frame with its place in the recording.
+    """Frame with its position in the recording.
 
     Attributes
     ----------
+    frame : Frame
+    hello : Hello
+        Settings of the board.
     time : float
         Time since the first frame in s, by the board's clock; across a restart of the board by the host's.
     host_time : float
@@ -101,23 +107,24 @@ Samples = Generator[tuple[Sample, ...], None, None]
 
 @dataclass(frozen=True, eq=False)
 class Scanning:
-    """Run of a started board: its numbers and its clock grow together, modulo 2³².
+    """Run of a started board: frame numbers and clock increase together, modulo 2³².
 
-    A scan may begin up to a period late. What came before is sent again by some lines; that is no frame. Where the
-    numbers of two frames in a row follow each other, but their clock does not follow the newest one, the clock has
-    jumped if the numbers went on, and the numbers began anew if the clock did. A clock that stands still costs no
-    frame.
+    A scan may begin up to a period late. Some lines repeat old messages, which are no frames. If two consecutive frames
+    follow each other but not the newest sample, either the clock has jumped (the numbers continue), or the numbers have
+    restarted (the clock continues). A clock that stands still costs no frame.
 
     Attributes
     ----------
+    hello : Hello
+        Settings of the board.
     session : int
         Session of the next frame.
     last : Sample, or None
-        The recording's newest sample.
+        Newest sample of the recording.
     before, earlier : Sample, or None
         The two newest samples of this run.
     stray : Frame, or None
-        Frame that followed no other.
+        Newest frame that did not follow another one.
     stopped : bool
         Whether the clock stands still.
     since : float
@@ -134,14 +141,15 @@ class Scanning:
     since: float = field(default_factory=time.time)
 
     def taking(self, frame: Frame) -> tuple["Scanning", tuple[Sample, ...]]:
-        """Return the run with a further frame, and its samples: one, two, or none if the frame does not follow."""
+        """Return the run after a further frame, and the new samples: one, two, or none if the frame does not follow."""
         if self.before is None:
             return self._with(self._first(frame))
-        for newest in (self.last or self.before, self.before):  # which differ where the last one is in doubt
+        for newest in (self.last or self.before, self.before):  # these differ after `doubted`
             if self._follows(frame, newest.frame, newest.host_time):
                 steps, elapsed_ms = _since(newest.frame, frame)
                 sample = self._sample(frame, newest.time + elapsed_ms / 1000, steps - 1)
                 return replace(self, before=newest)._with(sample)
+        # Two consecutive frames that follow each other: the clock has jumped, or the numbers have restarted.
         stray = self.stray
         if stray and _since(stray, frame)[0] == 1 and (first := self._resumed(stray, frame)) is not None:
             run, more = self._with(first)[0].taking(frame)
@@ -149,11 +157,15 @@ class Scanning:
         return replace(self, stray=frame), ()
 
     def doubted(self) -> "Scanning":
-        """Return the run after a silence: had it accepted a wrong frame, no other frame would ever follow."""
+        """Return the run without its newest sample, after a silence.
+
+        If that sample was a wrong frame, no other frame would follow it.
+        """
         return replace(self, before=self.earlier, stray=None)
 
     def _with(self, sample: Sample) -> tuple["Scanning", tuple[Sample, ...]]:
-        # A late scan explains two frames at the same time, but not three.
+        """Return the run after an accepted sample, and the sample, with an event if the clock stopped."""
+        # A late scan explains two frames with equal times, but not three.
         elapsed_ms = _since(self.earlier.frame, sample.frame)[1] if self.earlier else 1
         stopped = elapsed_ms == 0 and self.hello.period > 2e-3
         if stopped and not self.stopped:
@@ -162,18 +174,22 @@ class Scanning:
         return replace(run, stopped=stopped), (sample,)
 
     def _sample(self, frame: Frame, at: float, lost: int, anew: int = 0, *, jump: bool = False) -> Sample:
-        """Return a sample at a time, but later than the last one; anew : 1 if the numbers started again."""
+        """Return a sample at a time in s, moved behind the last one if necessary; `anew` is 1 after a restart."""
         now = time.time()
         if self.last is not None and at <= self.last.time:
             at = self.last.time + max(now - self.last.host_time, self.hello.period)
         return Sample(frame, self.hello, at, now, lost, self.session + anew, jump)
 
     def _first(self, frame: Frame) -> Sample:
-        """Return the first sample of a run; numbers start with 0, unless the clock had no time for so many frames."""
+        """Return the first sample of a run.
+
+        Numbers start with 0, so that earlier frames are lost, unless the clock shows that there was no time for them.
+        """
         time_for_all = 990 * frame.sequence * self.hello.period <= min(frame.device_ms + 2, self._most_ms(self.since))
         return self._sample(frame, 0.0, frame.sequence if time_for_all else 0)
 
     def _follows(self, frame: Frame, before: Frame, host_time: float) -> bool:
+        """Return whether number and clock of a frame can follow those of an earlier one, received at host_time."""
         (steps, elapsed_ms), most_ms = _since(before, frame), self._most_ms(host_time)
         # The board counts its missed scans; either scan may begin up to a period late.
         most_ms = min(most_ms, 1010 * (1 + steps * (1 + frame.missed)) * self.hello.period + 2)
@@ -181,13 +197,13 @@ class Scanning:
 
     def _most_ms(self, host_time: float) -> float:
         """Return the largest possible advance of the board's clock since a time of the host's, in ms."""
-        # A simulated board runs 300 times as fast as a real one.
+        # The factor 1000 covers simulated boards, which run 300 times as fast as a real one.
         return 1e3 * (1000 * max(time.time() - host_time, 0.0) + 10 + 3 * self.hello.period)
 
     def _resumed(self, frame: Frame, after: Frame) -> Sample | None:
-        """Return the first sample after a jump of the clock or of the numbers; None if the frame is a repetition.
+        """Return the first sample after a jump of the clock or a restart of the numbers; None for a repetition.
 
-        after : the frame after it, whose clock follows where the numbers began anew.
+        `after` is the next frame, whose clock follows that of `frame` if the numbers have restarted.
         """
         assert self.before is not None and self.last is not None
         newest = max(self.before.time, self.last.time)
@@ -196,18 +212,18 @@ class Scanning:
             return self._sample(frame, newest + (steps + frame.missed) * self.hello.period, steps - 1, jump=True)
         if not (0 < elapsed_ms < COUNTER // 2 and self._follows(after, frame, time.time())):
             return None
-        # After a longer silence of the line the board is asked who it is.
+        # Longer gaps are impossible here: after SILENCE_SECONDS the board is identified anew.
         moved = min(elapsed_ms / 1000, SILENCE_SECONDS + max(time.time() - self.last.host_time, self.hello.period))
         return self._sample(frame, newest + moved, max(round(moved / self.hello.period) - 1, 0), anew=1)
 
 
 def _since(before: Frame, frame: Frame) -> tuple[int, int]:
-    """Return the frames and ms from one frame to another."""
+    """Return the number of frames and the time in ms from one frame to another, modulo 2³²."""
     return (frame.sequence - before.sequence) % COUNTER, (frame.device_ms - before.device_ms) % COUNTER
 
 
 def agreed_and_recorded(sample: Sample, scene: Scene | None) -> tuple[Scene, Array]:
-    """Return the scene as `scene_of`, and its readings (rows, columns) of the mean codes, ohm or volt."""
+    """Return the scene of `scene_of`, and the recorded values of a sample, (rows, columns) ohm or volt."""
     agreed = scene if scene and scene.panel.modules else scene_of(sample.hello, scene)  # modules agreed one by one
     return agreed, recorded_of_sums(agreed, sample.frame.sums, sample.frame.readings)
 
@@ -219,17 +235,23 @@ def board_samples(
     on_state: Callable[[str], None] = lambda sentence: None,
     ending: Callable[[], bool] = lambda: False,
 ) -> Samples:
-    """Yield samples as they come, in batches, which may be empty. Close the generator to stop the board.
+    """Yield samples as they arrive, in batches, which may be empty. Closing the generator stops the board.
 
-    Raises InputError where no board answers at first, where it does not fit the scene, cannot be that fast, or the line
-    talks without a frame that fits.
+    Raises InputError if no board answers at first, if the board does not fit the scene or the period, or if the line
+    delivers no valid frame for UNFIT_SECONDS.
 
     Parameters
     ----------
+    url : str
+        Port name or pyserial URL.
+    scene : Scene or None
+        Scene that the board must fit.
+    period : float or None
+        Time between frames in s.
     on_state : callable
-        Called with a sentence when the board is gone.
+        Called with a sentence when the board disappears.
     ending : callable
-        Asked again and again; once it says so, what the port has delivered comes as one last batch.
+        Called repeatedly; once it returns True, the messages that the port has received follow as a last batch.
     """
     line = _Line(url, scene, period, ending)
     while not ending():
@@ -258,7 +280,7 @@ def board_samples(
 
 
 class _Line:
-    """Line to a board: its settings, the newest sample, the time since one fitted, and unfit items since then."""
+    """Connection to a board: settings, newest sample, and the messages since then that were no valid frames."""
 
     def __init__(self, url: str, scene: Scene | None, period: float | None, ending: Callable[[], bool]) -> None:
         self._url, self._scene, self._period, self._ending = url, scene, period, ending
@@ -266,18 +288,18 @@ class _Line:
         self.renew()
 
     def renew(self) -> None:
-        """Start the time of unfit items anew: a frame fitted, or no board is present."""
+        """Restart the time of invalid messages: a frame was valid, or no board is present."""
         self._since, self._unfit = time.monotonic(), Counter[str]()
 
     def check(self, period: float = 0.0) -> None:
-        """Raise InputError where the line has talked for 30 s and three periods, and nothing fitted."""
+        """Raise InputError if the line delivered only invalid messages for UNFIT_SECONDS and three periods."""
         waited = time.monotonic() - self._since
         if self._unfit and waited > UNFIT_SECONDS + 3 * period:
             came = ", ".join(f"{number} {kind}" for kind, number in self._unfit.most_common())
             raise InputError(f"{self._url}: nothing fit for {waited:.0f} s, though the line is not silent ({came})")
 
     def connection(self, board: Board) -> Samples:
-        """Yield samples until the board is gone or the end is requested; a restarted board is set and started again."""
+        """Yield samples until the board disappears or the end is requested; restarted boards are started again."""
         hello = board.hello()
         try:
             while True:
@@ -298,6 +320,7 @@ class _Line:
             board.stop()
 
     def _run(self, board: Board, hello: Hello) -> Samples:
+        """Yield samples of one run until the board restarts or the end is requested."""
         run = Scanning(hello, 0 if self.last is None else self.last.session + 1, self.last)
         silent_after = max(SILENCE_SECONDS, 3 * hello.period)
         heard = time.monotonic()
@@ -310,6 +333,7 @@ class _Line:
             if over or ending:
                 return
             self.check(hello.period)
+            # Silence: identify the board, and end the run if it has restarted.
             if time.monotonic() - heard > silent_after:
                 came = board.heard
                 try:
@@ -324,6 +348,7 @@ class _Line:
                 heard = time.monotonic()
 
     def _taken(self, run: Scanning, messages: Sequence[Message]) -> tuple[Scanning, tuple[Sample, ...], bool]:
+        """Return the run after messages, the new samples, and whether the board has restarted."""
         samples: tuple[Sample, ...] = ()
         for item in messages:
             more, instead = tuple[Sample, ...](), "answers"

@@ -1,1 +1,1 @@
-"""Other programs' files as recordings: CSV, .npy, .mat."""
+"""Import of other programs' files as recordings: text tables, sheets, and arrays."""

@@ -1,4 +1,4 @@
-"""Frames of foreign files, and the arrays of .npy, .npz and .mat files as such frames."""
+"""Frames of foreign files, and their construction from the arrays of .npy, .npz and .mat files."""
 
 import struct
 import warnings
@@ -41,17 +41,17 @@ class Frames:
     Attributes
     ----------
     numbers : array
-        All numbers of the file, in its unit and order; NaN if missing, infinite if the file says so.
+        All numbers of the file, in its unit and order; NaN if missing; infinite numbers are kept.
     number : array, shape (frames, rows, columns)
-        Index into `numbers`; -1: no number for the cell.
+        Index into `numbers`; -1 for a cell without a number.
     named : callable
-        Index → place in the file; -1 → the file.
+        Function index → place in the file; -1 → the file.
     timing : callable, or None
-        Unit or None → times of the frames; may raise InputError. None: no times in the file.
+        Function unit (or None) → times of the frames, which may raise InputError. None: no times in the file.
     notes : tuple of str
         Sentences on the interpretation of the file.
     words : tuple of str
-        Names of columns or arrays in which the unit may stand.
+        Names of columns or arrays, which may contain the unit.
     """
 
     numbers: Array
@@ -80,8 +80,11 @@ class Frames:
 class Layout(Validated):
     """Base of users' own file layouts.
 
-    kind : the word by which `--layout` asks for it. An installed package names an object of it in the entry point group
-    `lampest.layouts`; from Python the object itself is `import_file(..., layout=...)`.
+    Attributes
+    ----------
+    kind : str
+        Name for the option `--layout`. An installed package registers an object of the class in the entry point group
+        `lampest.layouts`. In Python the object itself is passed as `import_file(..., layout=...)`.
 
     >>> issubclass(lampest.Layout, lampest.Layout)
     True
@@ -93,7 +96,7 @@ class Layout(Validated):
     def read(self, path: Path, rows: int, columns: int) -> tuple[Array, Array | None]:
         """Return readings (frames, rows, columns), NaN where missing, and times (frames) in the file's unit or None.
 
-        Raises InputError with the place in the file where it cannot be read.
+        Raises InputError with the place in the file that cannot be read.
         """
 
     def frames(self, path: Path, shape: Shape) -> Frames:
@@ -115,13 +118,13 @@ class Layout(Validated):
 
 
 def check_count(where: object, values: int) -> None:
-    """Raise InputError where a file claims more values than are imported."""
+    """Raise InputError if a file claims to have more values than are imported."""
     if 8 * values > MAX_BYTES:
         raise InputError(f"{where}: {values} values, more than {MAX_BYTES // 8} are not imported")
 
 
 def check_archive(path: Path) -> None:
-    """Raise InputError where a file is no zip archive, or its parts claim more bytes than are imported."""
+    """Raise InputError if a file is no zip archive, or claims to unpack to more bytes than are imported."""
     with reading(path), zipfile.ZipFile(path) as archive:
         claimed = sum(part.file_size for part in archive.infolist())
     if claimed > MAX_BYTES:
@@ -130,7 +133,7 @@ def check_archive(path: Path) -> None:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn any exception of a parser into one InputError: damaged files raise arbitrary ones."""
+    """Convert any exception of a parser into an InputError: damaged files raise arbitrary ones."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -143,6 +146,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def _of_npy(path: Path) -> Arrays:
+    """Return the array of a .npy file under the name ''."""
     array = np.load(path, mmap_mode="r", allow_pickle=False)
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
         raise InputError(f"{path}: holds no plain array of real numbers")
@@ -151,6 +155,7 @@ def _of_npy(path: Path) -> Arrays:
 
 
 def _of_npz(path: Path) -> Arrays:
+    """Return the arrays of real numbers of a .npz file by name."""
     check_archive(path)
     arrays = {}
     with zipfile.ZipFile(path) as archive:
@@ -165,7 +170,7 @@ def _of_npz(path: Path) -> Arrays:
 
 
 def _of_mat(path: Path) -> Arrays:
-    """Read arrays in MATLAB's shape, in the file's order."""
+    """Return the arrays of a .mat file by name, in MATLAB's shapes and in the file's order."""
     # Source: MATLAB, MAT-File Format, 2020. Damaged files end SciPy's reader in a segmentation fault.
     data = path.read_bytes()
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
@@ -198,7 +203,7 @@ def _element(view: memoryview, at: int, order: str) -> tuple[str, memoryview, in
 
 
 def _matrix(body: memoryview, order: str) -> Arrays:
-    """Return name → values of a matrix element; nothing of texts, structures, cells and complex values."""
+    """Return the values of a matrix element by name; empty for texts, structures, cells and complex values."""
     _, flags, at = _element(body, 0, order)
     _, size, at = _element(body, at, order)
     _, name, at = _element(body, at, order)
@@ -212,7 +217,7 @@ def _matrix(body: memoryview, order: str) -> Arrays:
 
 
 def _of_level_7(path: Path) -> Arrays:
-    """Read arrays of MATLAB's HDF5 files, whose axes are reversed."""
+    """Return the arrays of one of MATLAB's HDF5 files, whose axes are reversed in the file."""
     arrays = {}
     try:
         with hdf5.existing_file(path) as file:
@@ -227,13 +232,13 @@ def _of_level_7(path: Path) -> Arrays:
     return arrays
 
 
-READERS = {".npy": _of_npy, ".npz": _of_npz, ".mat": _of_mat}  # arrays of other values than real numbers are left out
+READERS = {".npy": _of_npy, ".npz": _of_npz, ".mat": _of_mat}  # they return arrays of real numbers only
 
 
 def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
-    """Return frames (frames, rows, columns) of the only array that fits, or of the variable, in the first fitting way.
+    """Return the frames of the only array that fits the panel, or of the array `variable`, by the first fitting layout.
 
-    Raises InputError where the file is damaged, claims too much, or none or several fit.
+    Raises InputError if the file is damaged or too large, or if no array or several arrays fit.
     """
     with reading(path):
         arrays = READERS[path.suffix.lower()](path)
@@ -281,8 +286,10 @@ def _chosen(path: Path, arrays: Arrays, fits: dict[str, list[str]], shape: Shape
 
 
 def _fits(size: Sequence[int], wanted: Sequence[int | None]) -> bool:
+    """Return whether a shape agrees with a wanted one, in which None is any positive length."""
     return len(size) == len(wanted) and all(has and want in (has, None) for has, want in zip(size, wanted, strict=True))
 
 
 def _by(size: Sequence[int]) -> str:
+    """Return a shape in words, such as '2 × 3'."""
     return " × ".join(map(str, size)) or "one value"

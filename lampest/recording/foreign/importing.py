@@ -53,7 +53,7 @@ def import_file(  # noqa: PLR0913 # the options of a command
     scene : Scene, or None
         None: a panel of this size, and resistances alone.
     unit : {'ohm', 'kohm', 'volt', 'mV', 'code'}, or None
-        None: by the header, else by the values and the scene.
+        None: by the header, otherwise by the values and the scene.
     baseline_frames : int
         Number of unloaded frames at the beginning.
     transpose : bool
@@ -65,10 +65,10 @@ def import_file(  # noqa: PLR0913 # the options of a command
     missing : {'mark', 'skip-frame', 'refuse'}
         Missing readings become NaN, their frames are left out, or they are an error.
     layout : str, Layout, or None
-        Columns of a table as a header would call them, 'time,row,column,value'; or a `Layout`, or the kind of an
+        Names of the columns as in a header, 'time,row,column,value'; or a `Layout`, or the kind of an
         installed one. None: by the header, or by the number of columns.
     time_unit : {'s', 'ms', 'us'}, or None
-        Unit of times that are numbers; None: by the column's name, else by the numbers.
+        Unit of times that are numbers; None: by the column's name, otherwise by the numbers.
 
     Returns
     -------
@@ -198,6 +198,7 @@ def _of_sheets(path: Path, shape: Shape, wanted: str | None, layout: str | None)
 
 
 def _clock(frames: Frames, period: float | None, unit: str | None, path: Path) -> Clock:
+    """Return the times of frames: by a period, from the file, or one frame a second."""
     number = np.arange(len(frames.number), dtype=float)
     if period is not None:
         if not 0 < period < float("inf"):
@@ -212,7 +213,7 @@ def _clock(frames: Frames, period: float | None, unit: str | None, path: Path) -
 
 
 def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tuple[NDArray[np.bool_], str]:
-    """Return which frames stay, (frames), and a note on missing readings. Raises InputError if none would stay."""
+    """Return the frames that are kept, boolean (frames,), and a note. Raises InputError if none would be kept."""
     gaps = np.asarray(blank.any(axis=(1, 2)))
     if not np.any(gaps):
         return ~gaps, "no reading is missing"
@@ -227,6 +228,7 @@ def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tupl
 
 
 def _assumed(scene: Scene, *, given: bool) -> str:
+    """Return a note on the numbers of the scene that affect the recording, and on those that are assumed."""
     series = f"series resistance {scene.series_text}" if scene.circuit.unit == "ohm" else ""
     pitch = "" if "panel.pitch_mm" in scene.assumed else f"pitch {scene.panel.pitch_mm:g} mm"
     values = " and ".join(filter(None, (series, pitch)))

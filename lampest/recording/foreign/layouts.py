@@ -1,4 +1,4 @@
-"""Layouts of panels in tables and arrays: which number of a file is the reading of which cell."""
+"""Layouts of panels in tables: assignment of the numbers of a file to frames and cells."""
 
 import re
 from collections import Counter
@@ -19,11 +19,12 @@ Cells = dict[int, tuple[int, int]]
 
 
 def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
-    """Return the frames (frames, rows, columns) of a table, by its header and the number of fields of its lines.
+    """Return the frames of a table, with the layout by its header and by the number of fields of its lines.
 
-    Raises InputError where neither determines it, or something does not fit.
+    Raises InputError if these do not determine the layout, or if the table does not fit the panel.
     """
     cells, names = shape[0] * shape[1], table.names
+    # One value a line; else one frame a line; else one row a line; else again without empty columns.
     order = _single_values(table, shape)
     if order is not None:
         return _frames_of_single_values(table, shape, order)
@@ -47,7 +48,7 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
 
 
 def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cells, str] | None:
-    """Return column → (row, column) of the cell in its name, and a sentence; None if names hold no cells."""
+    """Return (row, column) of the cells in the names of columns, by column, and a sentence; None without such names."""
     named = {field: cell for field, name in enumerate(names) if (cell := cell_of(name)) and not role_of(name)}
     if not named:
         return None
@@ -70,7 +71,7 @@ def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cel
 
 
 def _cells_by_number(names: Sequence[str], shape: Shape) -> tuple[Cells, str] | None:
-    """Return columns named by one word and all numbers of the panel's cells; None without these."""
+    """Return the cells of columns that are named by one word and the numbers of all cells, and a sentence; or None."""
     lines = {field: line for field, name in enumerate(names) if (line := line_of(name)) and not role_of(name)}
     first = min((number for _, number in lines.values()), default=0)
     cells = {field: divmod(number - first, shape[1]) for field, (_, number) in lines.items()}
@@ -81,7 +82,10 @@ def _cells_by_number(names: Sequence[str], shape: Shape) -> tuple[Cells, str] | 
 
 
 def _frames_in_lines(table: ReadingsTable, shape: Shape, named: tuple[Cells, str] | None) -> Frames:
-    """Return frames of one line each; cells by name or, if `named` is None, row by row in the order of the fields."""
+    """Return the frames of a table with one frame a line.
+
+    `named` contains the cells by column, and a sentence. None: cells row by row in the order of the fields.
+    """
     names = table.names
     roles = [role_of(name) for name in names]
     times = [field for field, role in enumerate(roles) if role in ("date", "time")]
@@ -102,7 +106,7 @@ def _frames_in_lines(table: ReadingsTable, shape: Shape, named: tuple[Cells, str
 
 
 def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
-    """Return role → field in a table of single values: row, column, value, frame, time, date; None for other tables."""
+    """Return the fields of a table of single values by role: row, column, cell, value, frame, time, date; or None."""
     cells = shape[0] * shape[1]
     if any(table.names):
         roles = [role_of(name) for name in table.names]
@@ -122,7 +126,7 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
 
 
 def _line_numbers(table: ReadingsTable, field: int) -> Array:
-    """Return row or column numbers of all lines: 3, R3 or 'row 3'; NaN for any other text."""
+    """Return the row or column numbers in a field of all lines, from 3, R3 or 'row 3'; NaN for any other text."""
     values, unread = table.values[:, field].copy(), table.words[:, field]
     texts = table.fields[unread, field]
     lines = {text: line_of(text) or ("", np.nan) for text in set(texts)}
@@ -131,7 +135,7 @@ def _line_numbers(table: ReadingsTable, field: int) -> Array:
 
 
 def _indices(table: ReadingsTable, field: int) -> Index:
-    """Return row or column numbers as integers. Raises InputError if one is none."""
+    """Return the row or column numbers in a field as integers. Raises InputError for any other text."""
     values = _line_numbers(table, field)
     bad = ~np.isfinite(values) | (values != np.round(values)) | (np.abs(values) > np.iinfo(np.int32).max)
     table.refuse(bad, field, "{0} is no index")
@@ -139,7 +143,7 @@ def _indices(table: ReadingsTable, field: int) -> Index:
 
 
 def _frames_of_single_values(table: ReadingsTable, shape: Shape, order: dict[str, int]) -> Frames:
-    """Return frames from lines with row, column and value, and the frame's number or time; other cells are missing."""
+    """Return the frames of a table of single values, with the fields `order` by role; other cells are missing."""
     rows, columns, first = _cells_of_lines(table, order, shape)
     cells = rows * shape[1] + columns
     frames, how = _frame_numbers(table, cells, order)
@@ -158,7 +162,10 @@ def _frames_of_single_values(table: ReadingsTable, shape: Shape, order: dict[str
 
 
 def _cells_of_lines(table: ReadingsTable, order: dict[str, int], shape: Shape) -> tuple[Index, Index, int]:
-    """Return row and column of all lines from 0, and the file's first index; one field may name or number the cell."""
+    """Return row and column of all lines, counted from 0, and the file's first index (0 or 1).
+
+    A single field may name or number the cell.
+    """
     if "cell" in order and not {"row", "column"} <= set(order):
         texts = table.fields[:, order["cell"]]
         cells = {text: cell_of(text) for text in set(texts)}
@@ -178,7 +185,7 @@ def _cells_of_lines(table: ReadingsTable, order: dict[str, int], shape: Shape) -
 
 
 def _frame_numbers(table: ReadingsTable, cells: Index, order: dict[str, int]) -> tuple[Index, str]:
-    """Return each line's frame from 0, and a note on how frames are distinguished; '' if all lines are one frame."""
+    """Return each line's frame, counted from 0, and a note on how frames are distinguished."""
     if "frame" in order:
         return np.unique(_indices(table, order["frame"]), return_inverse=True)[1], ""
     if "time" not in order:
@@ -193,7 +200,7 @@ def _frame_numbers(table: ReadingsTable, cells: Index, order: dict[str, int]) ->
 
 
 def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
-    """Return (lines) whether a frame begins at a line: its number comes again, or a title stands before it."""
+    """Return whether a frame begins at a line, (lines,): its number occurs again, or a title precedes it."""
     numbers_of_frame, begins = set[int](), np.zeros(len(numbers), dtype=bool)
     for line, number in enumerate(numbers.tolist()):
         if number in numbers_of_frame or (ended[line] and line):
@@ -203,7 +210,7 @@ def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
 
 
 def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
-    """Return frames from lines with a row each; one more field is the row's name or the time."""
+    """Return the frames of a table with one row of the panel a line; further fields are the row's name or the time."""
     alone, titles = table.source.counts[table.lines] == 1, ""
     if table.width > 2 and np.any(alone) and not np.all(alone):
         table, titles = table.only(~alone), "; a number alone in a line is taken as a title"
@@ -227,7 +234,7 @@ def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
 
 
 def _before_the_row(table: ReadingsTable, extra: int, rows: int) -> tuple[Index | None, list[int]]:
-    """Return (lines) row numbers from 0 by the lines' names, or None; and the columns that hold times."""
+    """Return the rows by the names of the lines, (lines,) counted from 0, or None; and the columns with times."""
     roles = [role_of(name) for name in table.names[:extra]]
     times = [field for field, role in enumerate(roles) if role in ("time", "date")]
     labelled = [field for field, role in enumerate(roles) if role not in ("time", "date", "frame")]
@@ -247,7 +254,7 @@ def _before_the_row(table: ReadingsTable, extra: int, rows: int) -> tuple[Index 
 
 
 def _column_order(table: ReadingsTable, extra: int, columns: int) -> tuple[list[int], str]:
-    """Return the column of the panel of each field, by names that number them, else in order; and a note."""
+    """Return the panel's column of each field, by numbers in their names or in their order, and a note."""
     names = table.names[extra:]
     lines = [line for name in names if (line := line_of(name))]
     numbers = [number for _, number in lines]
@@ -259,7 +266,19 @@ def _column_order(table: ReadingsTable, extra: int, columns: int) -> tuple[list[
 
 
 def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], str, str | None]:
-    """Return (lines) frame (-1: none) and row, first lines of frames, a note on skipped lines, kind of titles."""
+    """Return the assignment of lines without row names to frames and rows.
+
+    Returns
+    -------
+    frame, row : array of int, shape (lines,)
+        Frame, -1 for none, and row of every line.
+    begins : list of int
+        First line of every frame.
+    note : str
+        Note on skipped lines.
+    title : str or None
+        Kind of the titles between frames.
+    """
     groups, title = _grouped(table, rows)
     frame, row = np.full(len(table.lines), -1), np.zeros(len(table.lines), dtype=np.intp)
     begins: list[int] = []
@@ -282,7 +301,7 @@ def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], s
 
 
 def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
-    """Return lines by frame, and the kind of the titles between frames; None: any, or none."""
+    """Return the lines of every frame, and the kind of the titles between frames; None for any kind, or no titles."""
     kinds = table.kinds
     apart = [line for line in range(1, len(kinds)) if kinds[line]]
     often = Counter(kind for line in apart for kind in kinds[line])

@@ -1,4 +1,4 @@
-"""Lines and fields of texts and sheets, and the lines and columns among them that hold readings."""
+"""Tables of foreign files: lines and fields of texts and sheets, and the lines and columns with readings."""
 
 import csv
 import datetime
@@ -21,10 +21,10 @@ from lampest.recording.foreign.arrays import Frames, Index, Shape, Timing, check
 from lampest.recording.foreign.words import clock_of, has_decimal_comma, is_stamp, line_of, number_of, role_of
 
 MAX_FIELDS = 10_000_000  # 50 bytes each in memory
-SAMPLED = 50_000  # characters or fields of a file's beginning that decide how it is written
+SAMPLED = 50_000  # characters or fields at the beginning of a file that determine its notation
 SAMPLED_LINES = 1000
 DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
-COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)  # not where Excel has no number
+COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)  # not Excel's words for no number
 # '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
 DATE, TIME = r"(?:\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} )?", r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
 STAMPED = re.compile(rf"\s*\[?({DATE}{TIME})\s*(?:\]|->|>|\|)\s*")
@@ -40,7 +40,17 @@ NUMBER = re.compile(r"\d+(?:[.,:]\d+)*")
 
 
 class FieldLine(NamedTuple):
-    """Nonempty line: its number in the file, its fields, a terminal's time before it or ''."""
+    """Nonempty line of a file.
+
+    Attributes
+    ----------
+    number : int
+        Number of the line in the file.
+    texts : sequence of str
+        Fields.
+    stamp : str
+        A terminal's time before the line, or ''.
+    """
 
     number: int
     texts: Sequence[str]
@@ -53,16 +63,21 @@ class FieldLines:
 
     Attributes
     ----------
+    source : str
+        Name of the file or sheet.
     word : str
         'line' or 'row'.
     at : callable
-        Line number and field or None → place in the file.
-    fields : array
-        (lines, width) texts, '' beyond the end of a line.
-    counts : array of int
-        (lines) number of fields.
-    comment, blank : array
-        (lines) whether a line is a comment, and whether an empty line stands before it.
+        Function (line number, field or None) → place in the file.
+    notes : tuple of str
+        Sentences on the interpretation of the file.
+    lines : sequence of FieldLine
+    fields : array of str, shape (lines, width)
+        Fields; '' beyond the end of a line.
+    counts : array of int, shape (lines,)
+        Number of fields.
+    comment, blank : boolean array, shape (lines,)
+        Whether a line is a comment, and whether an empty line precedes it.
     """
 
     source: str
@@ -83,7 +98,7 @@ class FieldLines:
 def _lines(
     source: str, word: str, at: Callable[[int, int | None], str], notes: Iterable[str], lines: Iterable[FieldLine]
 ) -> FieldLines:
-    """Return lines as a table. Raises InputError if it is larger than imports may be."""
+    """Return lines as a table. Raises InputError if it is too large."""
     read, total, width = list[FieldLine](), 0, 0
     for line in lines:
         read.append(line)
@@ -100,9 +115,9 @@ def _lines(
 
 
 def lines_of_text(path: Path) -> FieldLines:
-    """Read the lines of a text file; the separator of fields is the sign that gives most numbers.
+    """Return the lines of a text file; the separator of fields is the sign that gives most numbers.
 
-    Raises InputError with the line where the file is no text, is too large, or a quotation mark is not closed.
+    Raises InputError with the line if the file is no text or too large, or if a quotation mark is not closed.
     """
     text, notes = _decoded(path)
     read: list[FieldLine] = []
@@ -134,7 +149,7 @@ def lines_of_text(path: Path) -> FieldLines:
 
 
 def _decoded(path: Path) -> tuple[str, list[str]]:
-    """Return the text in UTF-8, or in UTF-16 by its mark or its zero bytes, and a note on the latter."""
+    """Return the text of a file in UTF-8, or in UTF-16 by its mark or its zero bytes, and notes on the encoding."""
     data = path.read_bytes()
     count = max(data.count(b"\n"), data.count(b"\r"))
     if count > MAX_FIELDS:
@@ -166,6 +181,7 @@ def _delimiter(lines: Sequence[str]) -> str:
 
 
 def _split(place: str, line: str, delimiter: str) -> list[str]:
+    """Return the fields of a line. Raises InputError with the place for a misplaced quotation mark."""
     if delimiter == " ":
         return line.split()
     if '"' not in line:
@@ -178,10 +194,10 @@ def _split(place: str, line: str, delimiter: str) -> list[str]:
 
 
 def lines_of_sheets(path: Path, wanted: str | None, least: int) -> dict[str, FieldLines]:
-    """Return name → lines of every nonempty sheet, or of the wanted one, in the file's order.
+    """Return the lines of every nonempty sheet, or of the wanted one, by name in the file's order.
 
-    Read row by row, because a few bytes may claim 10¹⁰ cells. least : fields that a line of any table must have.
-    Raises InputError where the file is no readable .xlsx, has no such sheet, or a sheet is too large.
+    Sheets are read row by row, because a few bytes may claim 10¹⁰ cells. `least` is the least number of fields of a
+    table. Raises InputError if the file is no readable .xlsx, has no such sheet, or has a sheet that is too large.
     """
     check_archive(path)
     with extra("tables"):
@@ -207,7 +223,7 @@ def lines_of_sheets(path: Path, wanted: str | None, least: int) -> dict[str, Fie
 
 
 def _rows_of_sheet(sheet: Any, least: int) -> Iterator[FieldLine]:
-    """Yield the nonempty rows, without empty cells at their end."""
+    """Yield the nonempty rows without empty cells at their ends."""
     sheet.reset_dimensions()  # a file's own statement of its size may be wrong
     count = width = 0
     for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
@@ -222,7 +238,7 @@ def _rows_of_sheet(sheet: Any, least: int) -> Iterator[FieldLine]:
 
 
 def _text_of_cell(value: Any) -> str:
-    """Return a cell as a text file would have it, with all digits of a number."""
+    """Return a cell as the text of a text file, with all digits of a number."""
     if isinstance(value, datetime.timedelta):
         value = value.total_seconds()
     return "" if value is None else str(value).strip().removesuffix(".0" if isinstance(value, float) else "")
@@ -230,24 +246,28 @@ def _text_of_cell(value: Any) -> str:
 
 @dataclass(frozen=True, eq=False)
 class ReadingsTable:
-    """Lines and columns of a file that hold readings.
+    """Lines and columns of a file with readings.
 
     Attributes
     ----------
+    source : FieldLines
+        All lines of the file.
     lines : array of int
-        Lines of the file.
+        Numbers of the lines in `source`.
     columns : array of int
-        Fields of these lines.
-    fields : array
-        (lines, columns) texts.
-    values : array
-        Numbers of the texts, NaN for none.
-    words : array
+        Numbers of their fields.
+    fields : array of str, shape (lines, columns)
+        Texts.
+    values : array, shape (lines, columns)
+        Numbers of the texts; NaN for other texts.
+    words : boolean array, shape (lines, columns)
         Whether a text is neither a number nor a missing reading.
     comma : bool
         Whether numbers have a decimal comma.
     names : tuple of str
-        Names of the columns, '' without a header.
+        Names of the columns; '' without a header.
+    notes : tuple of str
+        Sentences on the interpretation of the file.
     """
 
     source: FieldLines
@@ -267,7 +287,7 @@ class ReadingsTable:
 
     @cached_property
     def before(self) -> list[dict[str, str]]:
-        """(lines) text → 'line 3' of the lines between each line and the previous one; both empty for a blank line."""
+        """Texts between each line and the previous one, with their places such as 'line 3'; '' for a blank line."""
         between = []
         for last, line in pairwise([-1, *self.lines.tolist()]):
             blank = {"": ""} if self.source.blank[last + 1 : line + 1].any() else {}
@@ -277,7 +297,7 @@ class ReadingsTable:
 
     @cached_property
     def kinds(self) -> list[set[str]]:
-        """(lines) kinds of the lines between each line and the previous one; titles alike but for numbers agree."""
+        """Kinds of the texts between each line and the previous one; titles that differ in numbers only are equal."""
         return [set(map(kind_of, passed)) for passed in self.before]
 
     def place(self, line: int, field: int | None) -> str:
@@ -286,15 +306,26 @@ class ReadingsTable:
         return self.source.at(number, None if field is None else int(self.columns[field]))
 
     def only(self, lines: Any = slice(None), columns: Any = slice(None)) -> "ReadingsTable":
-        """Return the table with some of its lines and columns; other lines count as titles of the next one."""
+        """Return the table with chosen lines and columns; other lines count as titles of the next line."""
         parts = {name: getattr(self, name)[lines][:, columns] for name in ("fields", "values", "words")}
         names = tuple(np.array(self.names, dtype=object)[columns])
         return replace(self, lines=self.lines[lines], columns=self.columns[columns], names=names, **parts)
 
     def frames(self, at: Sequence[Any], fields: Sequence[int], shape: Shape, timing: Timing, note: str) -> Frames:
-        """Return frames of the readings in some fields, without those in frame -1. Raises InputError if one is a word.
+        """Return the frames of the readings in given fields. Raises InputError if a reading is a word.
 
-        at : frame, row and column of each, to broadcast to (lines, fields).
+        Parameters
+        ----------
+        at : sequence of array
+            Frame (-1: none), row and column of each reading, to be broadcast to (lines, fields).
+        fields : sequence of int
+            Fields of the readings.
+        shape : tuple of int
+            Rows and columns of the panel.
+        timing : callable or None
+            See `Frames`.
+        note : str
+            Note on the layout.
         """
         for field in fields:
             self.refuse(self.words[:, field], field, f"{{0!r}} is no number (field {field + 1} of the line)")
@@ -312,12 +343,12 @@ class ReadingsTable:
         return Frames(self.values.ravel(), number, named, timing, (*self.notes, note), names)
 
     def refuse(self, bad: NDArray[np.bool_], field: int, why: str) -> None:
-        """Raise InputError with the place of the first bad line, and `why` with the field's text in its braces."""
+        """Raise InputError with the place of the first bad line; `why` is a template for the field's text."""
         for line in np.flatnonzero(bad)[:1].tolist():
             raise InputError(f"{self.place(line, field)}: {why.format(self.fields[line, field][:40] or 'nothing')}")
 
     def timing(self, columns: Sequence[int], lines: Sequence[int]) -> Timing:
-        """Return times of frames from columns (date and time of day may be two) of these lines, else from stamps."""
+        """Return the times of frames from columns (date and time of day may be two), otherwise from stamps."""
         if not columns:
             stamps = [self.source.lines[self.lines[line]].stamp for line in lines]
             return self._timing(stamps, "", lines, None, "the terminal's, ") if all(stamps) else None
@@ -327,7 +358,7 @@ class ReadingsTable:
         return self._timing(texts, name, lines, chosen[-1], f"column {name!r} in " if name else "first field in ")
 
     def title_timing(self, begins: Sequence[int], title: str | None) -> Timing:
-        """Return times from titles before blocks, if each block has one; title : kind of these lines."""
+        """Return the times of frames from titles of a kind before each block; None if a block has none."""
         before = [self.before[line] for line in begins]
         own = [" ".join(text for text in passed if title in (None, kind_of(text))) for passed in before]
         matches = [TITLE_TIME.search(text or " ".join(passed)) for text, passed in zip(own, before, strict=True)]
@@ -344,15 +375,15 @@ class ReadingsTable:
 
 
 def kind_of(text: str) -> str:
-    """Return a line without its numbers, in which titles of all frames agree."""
+    """Return a line with '#' in place of its numbers, which is the same for the titles of all frames."""
     return NUMBER.sub("#", text)
 
 
 def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTable:
-    """Return the lines with readings, their header, and notes on lines left out.
+    """Return the lines with readings, their header, and notes on omitted lines.
 
-    layout : the columns' names, separated by commas, in place of the file's own. Raises InputError where there are
-    none, a line has more fields than the others, or the layout another number.
+    `layout` contains names of the columns, separated by commas, in place of the file's. Raises InputError if there are
+    no readings, if a line has more fields than the others, or if the layout has another number of columns.
     """
     fields, counts, comment = source.fields, source.counts, source.comment
     if fields.size == 0 or np.all(comment):
@@ -361,12 +392,14 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     numbers = [number_of(text, comma=comma) for text in fields.flat]
     values = np.array(numbers, dtype=float).reshape(fields.shape)
     words = np.array([number is None for number in numbers], dtype=bool).reshape(fields.shape)
+    # Lines with readings, and their width: the usual number of fields without empty ones at the end.
     data = _data_lines(source, values, words)
     often = Counter(counts[data].tolist())
     usual = max(often, key=lambda count: (often[count], count), default=0)
     width = usual
     while width > 1 and np.all(fields[data & (counts == usual), width - 1] == ""):
         width -= 1
+    # The header may widen the table; a repeated header, and lines cut at the beginning, are no readings.
     header = _header_line(fields, data, ~np.isnan(values), width)
     if header is not None:
         width = max(width, min(usual, 1 + int(np.flatnonzero(fields[header] != "")[-1])))
@@ -401,7 +434,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
 
 
 def _data_lines(source: FieldLines, values: Array, words: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return lines that hold a number or a word for a missing one, and few other words."""
+    """Return whether a line has a number or a word for a missing one, and few other words, boolean (lines,)."""
     fields, filled = source.fields, source.fields != ""
     strange = {text for text in set(fields[words].tolist()) if not is_stamp(text) and line_of(text) is None}
     foreign, total = np.zeros(len(fields), dtype=int), filled.sum(axis=1)
@@ -412,7 +445,7 @@ def _data_lines(source: FieldLines, values: Array, words: NDArray[np.bool_]) -> 
 
 
 def _header_line(fields: NDArray[Any], data: NDArray[np.bool_], numeric: NDArray[np.bool_], width: int) -> int | None:
-    """Return the first data line if it counts columns; else the line before if it names as many fields; else None."""
+    """Return the header: the first data line if it counts columns, or the previous line if it names the fields."""
     if not np.any(data):
         return None
     first = int(np.argmax(data))

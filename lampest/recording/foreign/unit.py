@@ -1,4 +1,4 @@
-"""Unit of foreign numbers: as specified, by their header, or the only one that values and scene permit."""
+"""Unit of foreign numbers: specified, named in the header, or the only one that values and scene permit."""
 
 from collections.abc import Callable, Sequence
 
@@ -13,7 +13,7 @@ from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
 
 FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
 RESISTANCES = ("ohm", "kohm")
-MIN_USED = 0.01  # of the converter's range: readings that use less were taken in another unit or range
+MIN_USED = 0.01  # least share of the converter's range that readings use; less indicates another unit
 
 
 def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
@@ -29,8 +29,7 @@ def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
 def understood_unit(values: Array, named: Sequence[str], scene: Scene | None, source: object) -> tuple[str, str]:
     """Return the unit of values (any shape, NaN if missing), and a sentence on the reason.
 
-    named : units that the header permits, () if it names none. Raises InputError where no unit fits, or
-    two do.
+    `named` are the units that the header permits, () if it names none. Raises InputError if no unit fits, or several.
     """
     readout = None if scene is None else scene.readout
     possible = RESISTANCES if readout is None else tuple(FACTORS) if readout.unit == "ohm" else ("volt", "mV", "code")
@@ -99,7 +98,7 @@ def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
         ends = [readout.lsb_volt * end for end in ends]
     low, volt, high = ends
     half = np.abs(high - low) / 2
-    # As many lie on steps by chance once in a thousand times.
+    # A value then is on a step by chance with a probability of ½ at most, and ten values once in a thousand times.
     if len(values) < 10 or np.median(half) * 4 > readout.lsb_volt / readout.readings:
         return None
     for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):  # many programs take the latter
@@ -112,17 +111,17 @@ def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
 
 
 def _rounding(values: Array) -> float:
-    """Return half of the last written digit of values, as far as it is visible."""
+    """Return half a unit of the last decimal digit with which values are written."""
     slack = 1e-12 * np.maximum(1.0, np.abs(values))
     digits = (digit for digit in range(9) if np.all(np.abs(values - np.round(values, digit)) <= slack))
     return 0.5 * 10.0 ** -next(digits, 9)
 
 
 def recorded_values(values: Array, unit: str, scene: Scene, place: Callable[[int, int, int], str]) -> Array:
-    """Convert values in their unit to the recorded quantity of the readout, (frames, rows, columns); NaN stays NaN.
+    """Return values converted from their unit to the readout's recorded quantity, (frames, rows, columns); NaN is kept.
 
-    A code or a voltage at a rail, an infinite resistance and one of zero stay unchanged: bounds. Raises InputError
-    with the place (frame, row, column) of a value that is impossible.
+    Codes and voltages at a rail, infinite resistances and those of zero remain bounds. Raises InputError with the place
+    (frame, row, column) of an impossible value.
     """
     scaled, readout = values * FACTORS[unit], scene.readout
 
@@ -145,7 +144,7 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Callable[[int
 
 
 def check_shorted(recorded: Array, scene: Scene, unit: str, source: object) -> None:
-    """Raise InputError where most readings stand at the rail of a shorted cell: another unit, or another range."""
+    """Raise InputError if most readings are at the rail of a shorted cell: unit or range are probably wrong."""
     readout = scene.readout
     if readout is None:
         return

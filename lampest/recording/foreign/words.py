@@ -16,7 +16,7 @@ from lampest.recording.acquisition import COUNTER
 
 
 def _by_word(**words: str) -> dict[str, str]:
-    """Return word → meaning, of words that are separated by blanks."""
+    """Return the meanings by word, for lists of words that are separated by blanks."""
     return {word: meaning for meaning, listed in words.items() for word in listed.split()}
 
 
@@ -30,7 +30,7 @@ ROLE_OF_WORD = _by_word(
     time="time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel elapsed clock "
     "millis micros ms us µs s sec second seconds unix epoch",
 )
-QUANTITIES = {"resistance": ("ohm", "kohm"), "voltage": ("volt", "mV")}  # whose names leave two units
+QUANTITIES = {"resistance": ("ohm", "kohm"), "voltage": ("volt", "mV")}  # names that permit two units
 UNITS_OF_WORD = _by_word(
     ohm="ohm ohms ω",
     kohm="kohm kohms kω kiloohm kiloohms k",
@@ -61,8 +61,8 @@ CELLS = (
 )
 ONE_NUMBER = re.compile(rf"([^\W\d]*){GAP}(\d+){GAP}")
 
-MAX_LENGTH = 100  # characters of a name or a number that are looked at: patterns would take long over more
-# What programs write where they have no number: NumPy, R, MATLAB, JSON, Arduino's Print (ovf), multimeters (OL),
+MAX_LENGTH = 100  # characters of a name or a number that are analysed; patterns would take long for more
+# Words for missing or infinite numbers, as written by NumPy, R, MATLAB, JSON, Arduino's Print (ovf), multimeters (OL),
 # Microsoft's C library (1.#QNAN) and Excel (#DIV/0!).
 NO_NUMBERS = _by_word(
     nan="nan -nan +nan na n/a null none nil ovf -ovf ol o.l o.l. overload overflow over err error missing ? ?? . -inf "
@@ -72,8 +72,8 @@ NO_NUMBERS = _by_word(
 NUMBER = r"[+-]?(\d+({0}\d*)?|{0}\d+|\d{{1,3}}({1}\d{{3}})+({0}\d*)?)([eE][+-]?\d+)?"
 POINT, COMMA = (re.compile(NUMBER.format(*signs), re.ASCII) for signs in ((r"\.", ","), (",", r"\.")))
 
-EPOCH = 1e9  # s since 1970 begin there, in 2001; a board's own clock would have run for thirty years
-MAX_CUT = 0.1  # of the stamps may be cut and interpolated: more are another clock, or no times
+EPOCH = 1e9  # least time in s since 1970, in 2001; a board's own clock would have run for thirty years
+MAX_CUT = 0.1  # share of the stamps that may be cut and interpolated; more indicate another clock, or no times
 STAMP = re.compile(
     r"(?=\d)(?:(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})(?=[T ,]|$))?[T ,]*"
     r"(?:(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d+))?)?\s*([AP]M\b)?)?\s*(Z|UTC|[+-]\d{2}:?\d{2})?",
@@ -86,7 +86,7 @@ Where = Callable[[int], str]
 
 
 def parted(name: str) -> tuple[str, str]:
-    """Return a name in small letters, its words joined by underscores, and the unit at its end as written or ''."""
+    """Return a name in lower case, its words joined by underscores, and the unit at its end as written, or ''."""
     text, unit = name[:MAX_LENGTH].strip(), ""
     match = PARTED.fullmatch(text)
     if match and (match[2].strip(" _") in tuple("[(<{") or match[3].lower() in UNITS or ELECTRIC.fullmatch(match[3])):
@@ -95,13 +95,13 @@ def parted(name: str) -> tuple[str, str]:
 
 
 def role_of(name: str) -> str | None:
-    """Return 'row', 'column', 'cell', 'value', 'frame', 'date' or 'time'; None for any other name. Ignores units."""
+    """Return the role of a name without its unit: 'row', 'column', 'cell', 'value', 'frame', 'date', 'time' or None."""
     plain, unit = parted(name)
     return ROLE_OF_WORD.get(plain) or ("time" if unit.lower() in TIME_UNIT_OF_WORD else None)
 
 
 def cell_of(name: str) -> tuple[int, int] | None:
-    """Return (row, column) of r0c0, R1C1, 'row 0 col 3', c3_r0, Z1S1, cell_0_3, (0, 3), [0][3]; else None."""
+    """Return (row, column) of names such as r0c0, R1C1, 'row 0 col 3', c3_r0, cell_0_3, (0, 3), [0][3]; else None."""
     plain, _ = parted(name)
     for match in filter(None, (pattern.fullmatch(plain) for pattern in CELLS)):
         if len(match[1]) + len(match[2]) < 12:
@@ -110,7 +110,7 @@ def cell_of(name: str) -> tuple[int, int] | None:
 
 
 def line_of(name: str) -> tuple[str, int] | None:
-    """Return word and number of R3, 'row 3', 3, col_3, such as ('r', 3); None for any other name."""
+    """Return word and number, such as ('r', 3), of names such as R3, 'row 3', 3 or col_3; None for other names."""
     match = ONE_NUMBER.fullmatch(parted(name)[0])
     return (match[1].strip("_"), int(match[2])) if match and len(match[2]) < 10 else None
 
@@ -118,7 +118,7 @@ def line_of(name: str) -> tuple[str, int] | None:
 def units_of(names: Sequence[str]) -> tuple[str, ...]:
     """Return the electrical units that the names of columns or arrays permit; () if they name none.
 
-    Raises InputError where they name a unit that is not imported, or contradict each other.
+    Raises InputError if they name a unit that is not imported, or contradict each other.
     """
     permitted: tuple[str, ...] = ()
     for units in filter(None, map(_units_of_one, names)):
@@ -129,7 +129,7 @@ def units_of(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _units_of_one(name: str) -> tuple[str, ...]:
-    """Return the units of the unit, else of the whole name, else of its first or last word."""
+    """Return the units that a name permits by its unit, otherwise by the whole name, its first or its last word."""
     plain, unit = parted(name)
     if unit in ("v", "V"):
         return ("volt",)
@@ -141,16 +141,16 @@ def _units_of_one(name: str) -> tuple[str, ...]:
 
 
 def has_decimal_comma(fields: Sequence[str]) -> bool:
-    """Return whether a comma reads more of these fields than a point; if equal, whether only commas occur."""
+    """Return whether more of the fields are numbers with a decimal comma than with a point; if equal, by the signs."""
     comma, point = ([field for field in fields if pattern.fullmatch(field)] for pattern in (COMMA, POINT))
     text = "".join(comma)
     return len(comma) > len(point) or (len(comma) == len(point) and "," in text and "." not in text)
 
 
 def number_of(text: str, *, comma: bool) -> float | None:
-    """Return the number of a text; NaN for words for a missing one, None for any other word.
+    """Return the number of a text; NaN for words for a missing number, None for any other word.
 
-    comma : whether it is decimal; the other sign may set thousands apart.
+    `comma` states whether the comma is the decimal sign; the other sign may separate thousands.
     """
     if len(text) <= MAX_LENGTH and (COMMA if comma else POINT).fullmatch(text):
         return float(text.replace(".", "").replace(",", ".") if comma else text.replace(",", ""))
@@ -159,7 +159,17 @@ def number_of(text: str, *, comma: bool) -> float | None:
 
 
 class Clock(NamedTuple):
-    """Times of frames in s; date and time of the first one, ISO 8601, if the file names it; a sentence on both."""
+    """Times of the frames of a file.
+
+    Attributes
+    ----------
+    seconds : array, shape (frames,)
+        Times in s.
+    start : str or None
+        Date and time of the first frame, ISO 8601, if the file contains it.
+    sentence : str
+        Sentence on both.
+    """
 
     seconds: Array
     start: str | None
@@ -182,7 +192,7 @@ def clock_of(texts: Sequence[str], name: str, where: Where, *, comma: bool, unit
     ----------
     texts : sequence of str
     name : str
-        Name of the column, in which the unit of numbers may stand.
+        Name of the column, which may contain the unit of numbers.
     where : callable
         Number of a text → its place in the file.
     comma : bool
@@ -193,7 +203,7 @@ def clock_of(texts: Sequence[str], name: str, where: Where, *, comma: bool, unit
     Raises
     ------
     InputError
-        If one is no time, if dates can be read in two ways, if times do not grow, or if a unit is given for dates.
+        If a text is no time, dates are ambiguous, times do not increase, or a unit is given for dates.
     """
     numbers = [number_of(text, comma=comma) for text in texts]
     if numbers.count(None) <= MAX_CUT * len(numbers):
@@ -226,7 +236,7 @@ def clock_of(texts: Sequence[str], name: str, where: Where, *, comma: bool, unit
 
 
 def _iso(text: str, way: str) -> str:
-    """Return a stamp in ISO 8601 by the order of its date's parts. Raises ValueError if it does not fit the order."""
+    """Return a stamp in ISO 8601, by an order of its date's parts. Raises ValueError if it does not fit this order."""
     match = STAMP.fullmatch(text.strip())
     if match is None or (match[2] or "none") not in DATES.get(way, "none"):
         raise ValueError
@@ -243,16 +253,17 @@ def _iso(text: str, way: str) -> str:
 
 
 def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -> Clock:
-    """Return times of numbers in a unit, or in the one that the column's name or the numbers themselves show.
+    """Return the clock of times as numbers, in a given unit or in one inferred from the column's name or the numbers.
 
-    Raises InputError where they do not grow.
+    Raises InputError if the times do not increase.
     """
     steps, finite = np.diff(values), values[np.isfinite(values)]
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     largest = float(np.max(values[_longest_growing(values)], initial=0.0))
     whole = bool(np.all(finite == np.round(finite)))
-    rises = np.concatenate([[False], steps[:-1] > COUNTER / 2])  # as one cut stamp does, before it falls
+    rises = np.concatenate([[False], steps[:-1] > COUNTER / 2])  # a cut stamp rises before it falls; no wrap-around
     again = np.cumsum(np.concatenate([[False], (steps < -COUNTER / 2) & ~rises]))
+    # Unit: as specified, by the name, by the usual step of whole numbers, or by the size of times since 1970.
     plain, suffix = parted(name)
     named = unit or TIME_UNIT_OF_WORD.get(suffix.lower()) or TIME_UNIT_OF_WORD.get(plain)
     # Frames come every 10 ms to 10 s.
@@ -279,11 +290,10 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
 
 
 def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
-    """Return times that grow, and a sentence on those that are interpolated.
+    """Return increasing times, and a sentence on those that are interpolated.
 
-    A cut line has a stamp that is missing, or that does not fit those around it.
-
-    Raises InputError with the place of the first such stamp, where they are more than a few.
+    The stamp of a cut line is missing, or does not fit its neighbours. Raises InputError with the place of the first
+    such stamp if their share exceeds MAX_CUT.
     """
     grow = _longest_growing(seconds)
     cut = np.flatnonzero(~grow)
@@ -301,7 +311,7 @@ def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
 
 
 def _longest_growing(values: Array) -> NDArray[np.bool_]:
-    """Return which of the values are its longest growing subsequence, the last of equally long ones."""
+    """Return the longest increasing subsequence of values, boolean (n,); the last one of equally long ones."""
     ends, numbers, before = list[float](), list[int](), list[int]()
     for number, value in enumerate(values.tolist()):
         length = bisect_left(ends, value) if np.isfinite(value) else -1

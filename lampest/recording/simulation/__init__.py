@@ -1,4 +1,4 @@
-"""Simulated recordings: loads on a panel, their course, the electronics, and effects that no scene names."""
+"""Simulated recordings: loads on a panel, their course, the electronics, and effects outside the scene."""
 
 from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, read_simulations, run, simulate

@@ -1,4 +1,4 @@
-"""Simulated electronics: circuit, multiplexers, converter, and effects that no scene names, from cells to readings."""
+"""Simulated electronics from cells to readings: circuit, multiplexers, converter, and effects outside the scene."""
 
 import zlib
 from collections.abc import Callable, Sequence
@@ -17,12 +17,12 @@ from lampest.panel.readouts.wiring import Contacts, Lines
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import SINES
 
-SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # a strip of copper tape, and the insulation between two lines
+SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # limits of true cells: a strip of copper tape, and the insulation between two lines
 
 
 @dataclass(frozen=True)
 class Unmodelled(Configuration):
-    """Effects that enter the data but not the recording's scene. Zero or None: absent.
+    """Effects in the data that the recording's scene does not contain. Zero or None: absent.
 
     Attributes
     ----------
@@ -54,8 +54,8 @@ class Unmodelled(Configuration):
     gain_spread : float, or None
         Standard deviation of a factor on all voltages of a frame, drawn for every frame.
     load_speed_mm_s : float, or None
-        Speed of loads along x, to and fro over TRAVEL_MM, also during a scan; the truth is that of the middle of the
-        scan.
+        Speed of loads along x, back and forth over TRAVEL_MM, also during a scan; the truth is that of the middle of
+        the scan.
     inl_lsb : float, or None
         Largest, smooth deviation of the converter's curve from a straight line, in least significant bits.
     wire_ohm_per_cell : float, or None
@@ -63,9 +63,9 @@ class Unmodelled(Configuration):
     reading_error : float, or None
         Standard deviation of the logarithm of a factor on each recorded reading, the same in all frames.
     response_loss : float, or None
-        Fraction by which the film's answer is smaller, in the logarithm of its resistance.
+        Fraction by which the film's response is smaller, in the logarithm of its resistance.
     response_spread : float, or None
-        Standard deviation of the logarithm of a factor on each cell's answer.
+        Standard deviation of the logarithm of a factor on each cell's response.
 
     >>> lampest.Unmodelled(channel_spread_ohm=3.0).channel_spread_ohm
     3.0
@@ -119,22 +119,28 @@ def measured(
     scanned: Sequence[Array] = (),
     on_frame: Callable[[], None] = lambda: None,
 ) -> tuple[Array, NDArray[np.int64] | None]:
-    """Return (recorded readings, Σ code): the readout's readings, and the sums of the converter's codes.
+    """Return recorded readings and the sums of the converter's codes, (frames, rows, columns) each.
 
-    Both (frames, rows, columns). Readings come from the mean code with the nominal reference; the codes from the true
-    one. Without a readout readings are exact and there are no sums. Raises ValueError where the spread of the channels
-    leaves a reading without positive resistance.
+    Codes follow from the true reference resistor, readings from the mean code and the nominal one. Without a readout,
+    readings are exact and there are no sums. Raises ValueError if the spread of the channels makes a resistance
+    negative.
 
     Parameters
     ----------
+    scene : Scene
     cells : array, shape (frames, rows, columns)
-        Ohm.
+        True cells in ohm.
+    unmodelled : Unmodelled
+    seed : int
+        Seed of all random numbers.
+    period_s : float
+        Time between frames in s.
     scanned : sequence of array
-        For loads that travel, the cells while each line is read, in order.
+        For moving loads, the cells (frames, rows, columns) while each line is read, in order.
     on_frame : callable
-        Called after each frame was converted.
+        Called after each frame is converted.
     """
-    if (layout := scene.panel.modules) is not None:  # each with random numbers of its own
+    if (layout := scene.panel.modules) is not None:  # every module has its own random numbers
         modules = []
         for number, own in enumerate(scene.of_modules):
             inside = (..., *layout.cells(number))
@@ -147,6 +153,7 @@ def measured(
         recorded[..., list(scene.dead_modules), :, :] = np.nan
         codes = [sums for _, sums in modules if sums is not None]
         return layout.joined(recorded), layout.joined(np.stack(codes, axis=-3)) if codes else None
+    # The true circuit: reference, contacts and wire differ from those of the scene.
     off = unmodelled.reference_tolerance * random_stream(seed, "reference").uniform(-1, 1)
     actual = scene.circuit.off_by(off)
     if scene.contacts is not None:
@@ -155,8 +162,9 @@ def measured(
         lines, more = scene.lines or Lines(), unmodelled.wire_ohm_per_cell
         row, column = lines.row_ohm_per_cell + more, lines.column_ohm_per_cell + more
         scene = replace(scene, lines=replace(lines, row_ohm_per_cell=row, column_ohm_per_cell=column))
+    # Exact readings of the true circuit, line by line for moving loads, with an error of each reading.
     total, *passes = [_read(actual, scene, part, unmodelled, seed, period_s) for part in scanned or [cells]]
-    if passes:  # each line was read in its own
+    if passes:  # every line from the pass in which it was read
         axis = 2 if actual.by_columns else 1
         each = [part.take(line, axis) for line, part in enumerate([total, *passes])]
         total = np.stack(each, axis=axis)
@@ -167,6 +175,7 @@ def measured(
         raise ValueError("unmodelled.channel_spread_ohm makes a resistance negative; give a series resistance above it")
     if scene.readout is None:
         return total, None
+    # Voltages at the converter: memory of the previous channel, gain, ripple, nonlinearity, saturation; then codes.
     if scene.converter_memory is not None:
         volt = with_memory(actual, scene.converter_memory, actual.volt_from_recorded(total))
         total = actual.recorded_from_volt(volt)
@@ -178,7 +187,7 @@ def measured(
 
 
 def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:
-    """Return readings of cells (frames, rows, columns) ohm, with a leak and a contact from their begin on."""
+    """Return recorded readings of cells (frames, rows, columns) ohm, with leak and contact from their begin on."""
     begin, cells = int(np.ceil((unmodelled.begins_s or 0.0) / period_s)), np.where(scene.panel.present, cells, np.inf)
     whole = actual.simulated(cells, scene, *_channel_errors(scene, unmodelled, seed, late=False))
     if unmodelled.contact_ohm:
@@ -195,7 +204,7 @@ def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, s
 
 
 def true_contacts(scene: Scene, seed: int) -> Contacts:
-    """Draw contacts as the scene specifies them; none is below zero."""
+    """Return contacts drawn from the scene's prior, truncated at zero, with deviations of zero."""
     contacts, shape = scene.contacts or Contacts(), scene.panel.shape
     normal = random_stream(seed, "contacts").standard_normal(sum(shape))
     ohm = np.maximum(contacts.mean(shape) + contacts.deviation(shape) * normal, 0.0)
@@ -203,9 +212,9 @@ def true_contacts(scene: Scene, seed: int) -> Contacts:
 
 
 def _channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int, *, late: bool) -> tuple[Array, Array]:
-    """Return δ_j of rows and δ_k of columns, ohm, beyond the scene; unnamed series resistance is on the driven side.
+    """Return the additional channel resistances of rows, (rows,), and of columns, (columns,), ohm.
 
-    late : with the additional resistance of a contact.
+    Unmodelled series resistance is added on the driven side. `late` adds the resistance of a bad contact.
     """
     rows, columns = scene.panel.shape
     channel = unmodelled.channel_spread_ohm * random_stream(seed, "channels").standard_normal(rows + columns)
@@ -218,13 +227,16 @@ def _channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int, *, late: bo
 def sums_of_codes(
     readout: Readout, total: Array, unmodelled: Unmodelled, seed: int, on_frame: Callable[[], None] = lambda: None
 ) -> NDArray[np.int64]:
-    """Return Σ over the readings of code(V + noise), recorded readings (frames, rows, columns) → 1; outliers random."""
+    """Return Σ code(V + noise) over `readings` conversions of recorded readings `total`, (frames, rows, columns).
+
+    Outliers are random codes.
+    """
     noise, outliers = random_stream(seed, "noise"), random_stream(seed, "outliers")
     sigma = readout.noise_volt() * (1.0 if unmodelled.noise_factor is None else unmodelled.noise_factor)
     sums = np.empty(total.shape, dtype=np.int64)
     for frame, volt in enumerate(readout.volt_from_recorded(total)):
         sums[frame] = 0
-        for first in range(0, readout.readings, 64):  # at once
+        for first in range(0, readout.readings, 64):  # 64 conversions at once
             shape = (min(64, readout.readings - first), *volt.shape)
             codes = readout.code_from_volt(volt + sigma * noise.standard_normal(shape))
             if unmodelled.outlier_probability > 0:
@@ -236,7 +248,7 @@ def sums_of_codes(
 
 
 def raw_sums(readout: Readout | None, sums: NDArray[np.int64] | None) -> NDArray[np.uint16] | None:
-    """Return the sums as a recording holds them; None if readings · (2^bits − 1) does not fit into 16 bits."""
+    """Return the sums as 16-bit integers for a recording; None if readings · (2^bits − 1) does not fit."""
     if readout is None or sums is None or readout.readings * (2**readout.adc_bits - 1) >= 2**16:
         return None
     return sums.astype(np.uint16)
@@ -255,7 +267,7 @@ def _disturbed(readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int,
         wave = in_panel_order(readout, np.sin(2 * np.pi * time + phase[:, None]), volt.shape)
         volt = volt + unmodelled.supply_ripple_lsb * readout.lsb_volt * wave
     if unmodelled.inl_lsb:
-        weights = random_stream(seed, "inl").standard_normal(SINES)  # of half a wave over the range, one wave and so on
+        weights = random_stream(seed, "inl").standard_normal(SINES)  # of sines with ½, 1, 1½, … periods over the range
 
         def sines(at: Array) -> Array:
             waves = (weight * np.sin(np.pi * number * at) for number, weight in enumerate(weights, 1))

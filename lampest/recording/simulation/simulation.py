@@ -1,8 +1,8 @@
-"""Simulated recordings with their truth, from the loads on a panel and its electronics; files that describe them.
+"""Simulated recordings with their truth, from loads on a panel and its electronics, and the files that define them.
 
-A file is YAML with an optional sweep. A number may be given as `{uniform: [low, high]}`: it is drawn from the seed and
-by the place where it stands, so that other drawn numbers do not change it. A recording keeps the drawn numbers, in
-/entry/truth/simulation.
+A file is YAML with an optional sweep. A number may be given as `{uniform: [low, high]}`: it is drawn from a random
+stream of the seed and of its place in the file, so that other drawn numbers do not affect it. A recording contains the
+drawn numbers, in /entry/truth/simulation.
 """
 
 import re
@@ -30,9 +30,9 @@ from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM, Unmodelled, measured, random_stream, raw_sums
 
-TRAVEL_MM = 20.0  # two cells of the usual panel: a load that starts in the middle stays on it
-PUMPED_S = 1.0  # that a pump, or the pull before a release, takes; an assumption
-MOMENTS = 8  # within a frame's period at which the film feels the load
+TRAVEL_MM = 20.0  # two cells of the usual panel: a moving load that starts in the middle stays on the panel
+PUMPED_S = 1.0  # duration of a pump, or of the pull before a release; an assumption
+MOMENTS = 8  # time steps of the film's memory within a frame period
 
 
 @dataclass(frozen=True)
@@ -80,12 +80,16 @@ class Course(Configuration):
                 raise ValueError(f"{name} must be below 1")
 
     def contact_and_suction(self, time: Array) -> tuple[Array, Array]:
-        """Return factors of contact pressure and suction, (frames) s → 1; suction starts when the approach is over."""
+        """Return the factors of contact pressure and of suction, (frames,) each, at times (frames,) in s.
+
+        Suction starts at the end of the approach.
+        """
         touched = time - self.start_s
         factor = 1 + self.breathing_depth * np.sin(2 * np.pi * self.breathing_hz * touched)
         if self.release_at_s is not None:
             factor = factor * (1 - _ramp(time - self.release_at_s, self.release_s))
         suction = _ramp(touched - self.approach_s, self.attachment_s)
+        # Pumps: an exponential loss by pump_loss per period, made up within PUMPED_S at the begin of the next one.
         if self.pump_s:
             since = np.maximum(touched - self.approach_s - self.attachment_s, 0.0)
             lost = (1 - self.pump_loss) ** (np.mod(since, self.pump_s) / self.pump_s)
@@ -97,7 +101,7 @@ class Course(Configuration):
 
 
 def _ramp(time: Array, length: float) -> Array:
-    """Return 3x² − 2x³ with x = time/length clipped to 0 and 1; a step at 0 for no length."""
+    """Return 3x² − 2x³ with x = time/length clipped to 0 and 1; a step at time 0 for a length of 0."""
     if length == 0:
         return (time >= 0).astype(float)
     part = np.clip(time / length, 0, 1)
@@ -106,7 +110,16 @@ def _ramp(time: Array, length: float) -> Array:
 
 @dataclass(frozen=True)
 class Cells(Configuration):
-    """Unloaded cells r0 = resistance_ohm · exp(spread · z), z standard normal; patch_mm is the edge of their film.
+    """Unloaded cells, r0 = resistance_ohm · exp(spread · z) with standard normal z.
+
+    Attributes
+    ----------
+    resistance_ohm : float
+        Median resistance in ohm.
+    spread : float
+        Standard deviation of log r0.
+    patch_mm : float
+        Edge length of the film of a cell in mm.
 
     >>> lampest.Cells(resistance_ohm=3000.0).resistance_ohm
     3000.0
@@ -130,7 +143,7 @@ class Simulation(Configuration):
     seed : int
         Seed of all random numbers.
     scene : Scene
-        Scene that the estimator gets.
+        Scene of the recording, which is also the estimator's.
     cells : Cells
         The unloaded cells.
     baseline_frames, frames : int
@@ -142,9 +155,9 @@ class Simulation(Configuration):
     course : Course
         Contact and suction over time.
     water, film, response : Water, Film, AnyResponse, or None
-        True depth, film and response, where the scene leaves them open or is wrong; None: as the scene says.
+        True depth, film and response if they differ from those of the scene; None: as in the scene.
     unmodelled : Unmodelled
-        Effects that the scene does not name.
+        Effects that the scene does not specify.
     output : str, or None
         Path of the recording, relative to the simulation's file.
 
@@ -202,10 +215,17 @@ class Simulation(Configuration):
 
 @typed
 def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable[[], None] = lambda: None) -> Recording:
-    """Simulate r = r0·e^drift·f(p)·e^(α(T − T_b)) and its measured readings: a recording with its truth, by the seed.
+    """Return a simulated recording with its truth: r = r0·e^drift·f(p)·e^(α(T − T_b)), and the measured readings of r.
 
-    on_frame : called after each frame was converted.
-    Raises ValueError where a cell's or a measured resistance leaves its range.
+    Parameters
+    ----------
+    simulation : Simulation
+    name : str
+        Name of the recording.
+    on_frame : callable
+        Called after each frame is converted.
+
+    Raises ValueError if a cell's or a measured resistance is out of range.
 
     >>> lampest.simulate(lampest.Simulation(schema=1, seed=1, scene=recording.scene, frames=2)).recorded.shape
     (5, 2, 3)
@@ -213,7 +233,8 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     scene, unmodelled, frames = simulation.scene, simulation.unmodelled, simulation.all_frames
     time, moves = np.arange(frames) * simulation.frame_period_s, bool(unmodelled.load_speed_mm_s)
     each = scene.panel.network
-    # Pressures, cells, their factors, readings, sums; and cells while each line is read.
+    # Memory: pressures, cells, their factors, readings and sums; for moving loads also the cells while each line is
+    # read.
     size = 8.0 * (10 + moves * sum(each.shape)) * simulation.values
     check_memory(size, f"{frames} frames of {scene.panel.crossings} cells")
     loaded_time = time - time[simulation.baseline_frames]
@@ -243,9 +264,10 @@ def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
     Parameters
     ----------
     time : array, shape (frames)
-        s after the first measured frame; loads are absent before it.
+        Times in s after the first measured frame; loads are absent before it.
     later_s : float
-        From the middle of the scan; loads that travel TRAVEL_MM along x and back are elsewhere then, and press as much.
+        Time after the middle of the scan in s. It changes the position of moving loads, which travel TRAVEL_MM along x
+        and back, but not their pressure.
     """
     panel, way = simulation.scene.panel, (simulation.unmodelled.load_speed_mm_s or 0.0) * (time + later_s)
     way = np.mod(way + TRAVEL_MM / 2, 2 * TRAVEL_MM)
@@ -261,10 +283,18 @@ def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 
 
 def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
-    """Return r = r0·e^drift·f(p)·e^(α(T − T_b)), (frames, rows, columns) ohm; later_s : see `pressure_at`.
+    """Return the true cells r = r0·e^drift·f(p)·e^(α(T − T_b)), (frames, rows, columns) ohm.
 
-    r0 is log-normal, and each cell drifts at its own rate, beside one that all share. Raises ValueError where a cell
-    leaves its range.
+    r0 is log-normal. Each cell drifts at its own rate plus a rate that all cells share. Raises ValueError if a cell is
+    out of range.
+
+    Parameters
+    ----------
+    simulation : Simulation
+    time : array, shape (frames,)
+        Times in s after the first frame.
+    later_s : float
+        See `pressure_at`.
     """
     scene, unmodelled = simulation.scene, simulation.unmodelled
 
@@ -288,7 +318,7 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 
 
 def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
-    """Return r relative to a flat, unloaded film in air, (frames, rows, columns), with drawn film parameters."""
+    """Return r over that of a flat, unloaded film in air, (frames, rows, columns), with drawn film parameters."""
     scene, first, step = simulation.scene, time[simulation.baseline_frames], simulation.frame_period_s / MOMENTS
     response, film = simulation.response or scene.response or PUBLISHED, simulation.film or scene.film
     if film is None:
@@ -299,7 +329,7 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     def strength(name: str, value: float | Literal["auto"], most: float) -> Array:
         assert value != "auto"
         stream = random_stream(simulation.seed, f"film {name}")
-        # All cells together vary by the film's deviation, each by its spread.
+        # A factor of all cells with the film's deviation, and one of each cell with its spread.
         shared, own = stream.standard_normal(), stream.standard_normal(water.shape)
         return np.minimum(value * np.exp(film.deviation * shared + film.cell_spread * own), most)
 
@@ -307,6 +337,7 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     creep = strength("creep", film.creep_per_decade, film.most["creep_per_decade"])
     gain = np.broadcast_to(film.answer * response.gains, water.shape)
     memory, ratios = FilmMemory.at_rest(hysteresis, creep, gain, water, response), list[Array]()
+    # The film's memory advances in MOMENTS steps per frame; the last step of each frame gives its ratio.
     for begin in range(0, len(time), 64):
         felt = time[begin : begin + 64, None] - step * np.arange(MOMENTS)[::-1] - first
         for number, loaded in enumerate(pressure_at(simulation, felt.ravel(), later_s) - water, 1):
@@ -322,16 +353,24 @@ def run(
     on_frame: Callable[[int, int], None] = lambda done, frames: None,
     settings: tuple[str, ...] = (),
 ) -> list[Path]:
-    """Simulate all that a file describes and write the recordings; returns their paths.
+    """Simulate all recordings of a file and write them; return their paths.
 
-    Without `out` they go where the file's `output` says; with it, to that file, or to that folder where the file sweeps
-    into several. All are computed before the first is written.
+    All recordings are computed before the first one is written. Raises InputError if a file or a value is invalid.
 
-    on_frame : called with how many frames how many are done. Raises InputError.
+    Parameters
+    ----------
+    path : Path
+        Simulation file.
+    out : Path or None
+        Path of a single recording, or folder of several ones; None: the paths in the file's `output`.
+    on_frame : callable
+        Called with the number of frames done and the number of all frames.
+    settings : tuple of str
+        Entries PATH=VALUE that override those of the file.
     """
     planned = read_simulations(path, settings)
     targets = _targets(path, out, [name for name, _ in planned])
-    # Of a value with its truth and sums, and of a file, at most, in bytes.
+    # Upper bounds in bytes: of a value with its truth and sums, and of a file.
     needed = sum(32 * simulation.values + 100_000 for _, simulation in planned)
     check_memory(needed, f"{path}: all recordings of the sweep at once")
     check_room(targets[0], needed)
@@ -349,9 +388,9 @@ def run(
 
 @typed
 def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[str, Simulation]]:
-    """Return every combination of a file's sweep: (output path as the file names it, simulation).
+    """Return the pairs (output path as in the file, simulation) of all combinations of a file's sweep.
 
-    settings : PATH=VALUE entries that override the file's. Raises InputError with line and column.
+    `settings` are entries PATH=VALUE that override those of the file. Raises InputError with line and column.
 
     >>> _ = Path("simulation.yaml").write_text("{schema: 1, seed: 1, scene: {panel: {rows: 2, columns: 3}}}")
     >>> len(lampest.read_simulations(Path("simulation.yaml")))
@@ -370,7 +409,7 @@ def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[s
 
 
 def _drawn(document: Document) -> Document:
-    """Return a copy with a drawn number for every `{uniform: [low, high]}`, by the seed. Raises InputError."""
+    """Return the document with a drawn number in place of every `{uniform: [low, high]}`. Raises InputError."""
     content = document.content
     seed = content.get("seed") if isinstance(content, dict) else None
     if type(seed) is not int or seed < 0:
@@ -393,7 +432,7 @@ def _drawn(document: Document) -> Document:
 
 
 def _filled(document: Document, template: str, seed: int, number: int, assignments: dict[str, Any]) -> str:
-    """Return the output's name with {seed}, {case} and the last words of swept paths filled in; also {word:03d}."""
+    """Return the output's name with {seed}, {case} and the last words of swept paths replaced; also {word:03d}."""
     values = {path.split(".")[-1]: value for path, value in assignments.items()} | {"seed": seed, "case": number}
 
     def value(match: re.Match[str]) -> str:

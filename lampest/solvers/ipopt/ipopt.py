@@ -1,4 +1,7 @@
-"""IPOPT (Wächter & Biegler, Mathematical Programming 106, 2006) with node voltages as unknowns."""
+"""Solver IPOPT with node voltages as unknowns.
+
+Source: Wächter & Biegler, Mathematical Programming 106, 2006.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -25,17 +28,17 @@ STATUS = {
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Invalid_Option": Status.UNAVAILABLE,
 }
-SPLIT_START = 0.01  # (split unit) p, q begin as far from their bound 0 as IPOPT's option bound_push has it by default
-PUSH = 1e-9  # of a bound, at least of 1: how far IPOPT keeps off it; far below what a cell is known to
-# A start brings its multipliers, see `Ipopt._multipliers`; from these the adaptive barrier follows.
+SPLIT_START = 0.01  # distance of p, q from their bound 0 at the start, in split units: IPOPT's default of bound_push
+PUSH = 1e-9  # distance that IPOPT keeps from a bound, relative to max(bound, 1); far below the accuracy of a cell
+# The start has its own multipliers (`Ipopt._multipliers`), from which IPOPT derives the adaptive barrier parameter.
 WARM = {
     "warm_start_bound_push": PUSH,
     "warm_start_bound_frac": PUSH,
-    "warm_start_mult_bound_push": 1e-15,  # times the room to a bound it is below any tolerance
+    "warm_start_mult_bound_push": 1e-15,  # times the distance to a bound, below any tolerance
     "warm_start_init_point": "yes",
     "mu_strategy": "adaptive",
 }
-# A start in the right minimum must not be pushed out of it: a low barrier, and no retreat from the bounds.
+# A start in the right minimum must not be pushed out of it: low barrier parameter, small distance to the bounds.
 CLOSE_START = {"mu_init": 1e-7, "bound_mult_init_method": "mu-based", "bound_push": PUSH, "bound_frac": PUSH}
 # MUMPS orders by approximate minimum degree (0), the fastest: see docs/studies/speed.md.
 OPTIONS = {"mumps_pivot_order": 0, "bound_relax_factor": 0.0, "nlp_scaling_method": "none", "print_level": 0}
@@ -43,27 +46,44 @@ OPTIONS = {"mumps_pivot_order": 0, "bound_relax_factor": 0.0, "nlp_scaling_metho
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Bounds of the conductances. low, high : (cells) flat, in units that make them of order one."""
+    """Bounds of the conductances.
+
+    Attributes
+    ----------
+    low, high : array, shape (cells,)
+        In units in which conductances are of order one.
+    """
 
     low: Array
     high: Array
 
     def multipliers(self, conductance: Array, pull: Array, barrier: float) -> Array:
-        """z_high − z_low of every cell: at an active bound the outward pull −∂φ/∂g, elsewhere barrier/distance."""
+        """Return the bound multipliers z_high − z_low, (cells,).
+
+        At an active bound this is the outward pull −∂φ/∂g, elsewhere it is barrier/distance.
+
+        Parameters
+        ----------
+        conductance : array, shape (cells,)
+        pull : array, shape (cells,)
+            −∂φ/∂g.
+        barrier : float
+            Barrier parameter μ.
+        """
         below, above = conductance - self.low, self.high - conductance
         on_low, on_high = below <= PUSH * np.maximum(self.low, 1), above <= PUSH * np.maximum(self.high, 1)
         inside = barrier / np.where(on_high, 1, above) - barrier / np.where(on_low, 1, below)
         return np.where(on_low, np.minimum(pull, 0), np.where(on_high, np.maximum(pull, 0), inside))
 
     def settled(self, conductance: Array, multiplier: Array) -> Array:
-        """Conductances, put on a bound where the multiplier exceeds the distance that the barrier leaves to it."""
+        """Return the conductances, put on a bound where its multiplier exceeds the distance to it, (cells,)."""
         lowered = np.where(-multiplier > conductance - self.low, self.low, conductance)
         return np.where(multiplier > self.high - conductance, self.high, lowered)
 
 
 @dataclass(frozen=True)
 class Ipopt:
-    """One cost, readout and formulation on one panel shape; the program is built once and kept."""
+    """Solver of one cost, readout and formulation on one panel shape; the program is built once and cached."""
 
     cost: Cost
     readout: Readout
@@ -75,9 +95,10 @@ class Ipopt:
         _ = self._built
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:
-        """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
+        """Minimise from `start`. A failed solve does not raise; the outcome's status states the failure."""
         if data.overdue:
             return Outcome(start.cell_resistance, np.zeros_like(self.cost.slope), Status.TIME, 0)
+        # Units: resistances in s, the geometric mean of the apparent ones; split residuals in their largest.
         scale = float(np.exp(np.mean(np.log(data.apparent_resistance))))
         split = start.of_terms(self.cost.functions.split)
         split_scale = max(float(np.abs(split).max(initial=0)), 1e-12)
@@ -86,12 +107,14 @@ class Ipopt:
         values = data.given.flat | own
         parameters = np.concatenate([np.atleast_1d(values[name]) for name in self._built.parameters])
         x0 = self._start(start, scale, split / split_scale)
-        # No network reads a cell that is smaller than `Readout.nearly_shorted`.
+        # Smaller cells than `Readout.nearly_shorted` do not change any reading.
+        # Bounds of conductances s/r; potentials are free, p and q are at least 0.
         least = np.minimum(np.maximum(data.lower, data.readout.nearly_shorted(data.measured)), data.upper)
         limits = Limits(scale / data.upper.ravel(), scale / least.ravel())
         lbx, ubx = np.full(len(x0), -np.inf), np.full(len(x0), np.inf)
         lbx[: least.size], ubx[: least.size], lbx[len(x0) - 2 * len(split) :] = limits.low, limits.high, 0.0
         warm = {} if len(split) else self._multipliers(start, scale, x0, parameters, limits)
+        # Solve from the start and its multipliers; then cells at bounds, and duals from the last multipliers.
         result, stats = self._built.minimise(x0=x0, p=parameters, lbg=0, ubg=0, lbx=lbx, ubx=ubx, **warm)
         conductance, multiplier = (result[name][: data.measured.size] for name in ("x", "lam_x"))
         with np.errstate(divide="ignore"):
@@ -103,6 +126,7 @@ class Ipopt:
         return Outcome(cells.reshape(data.measured.shape), dual, status, int(stats["iter_count"]))
 
     def _start(self, start: Evaluation, scale: float, split: Array) -> Array:
+        """Return x0 = (conductance, potentials, p, q) at the start; p and q are the parts of the split residuals."""
         conductance = scale / start.cell_resistance.ravel()
         potentials = [self.formulation.potentials(self.readout, network) / scale for network in start.networks]
         blocks = self.cost.functions.split_blocks
@@ -113,7 +137,10 @@ class Ipopt:
     def _multipliers(
         self, start: Evaluation, scale: float, x0: Array, parameters: Array, limits: Limits
     ) -> dict[str, Array]:
-        """λ for which voltages are stationary at the start, z of the bounds; empty where digits do not suffice."""
+        """Return IPOPT's initial multipliers by name: λ of the balance, for which voltages are stationary, and z.
+
+        Empty if double precision does not suffice for λ.
+        """
         slopes = np.split(self._built.slope(x0, parameters) / scale, len(start.networks))
         frames = zip(start.networks, start.data.ties, slopes, strict=True)
         try:
@@ -121,7 +148,7 @@ class Ipopt:
         except np.linalg.LinAlgError:
             return {}
         gradient, conductance = start.log_gradient(np.zeros(0)), x0[: start.cell_resistance.size]
-        # What a Newton step leaves of the gradient, at most IPOPT's own mu_init.
+        # Barrier parameter: the gradient that a Newton step leaves (quadratic convergence), at most IPOPT's mu_init.
         barrier = min(start.projected_gradient(gradient) ** 2, 0.1)
         pull = gradient.ravel() / (conductance * start.cost_scale)
         of_bounds = np.zeros(len(x0))
@@ -135,12 +162,14 @@ class Ipopt:
 
 @dataclass(frozen=True, eq=False)
 class Built(CasadiOwner):
-    """A program that serves all weights.
+    """Compiled program, for all weights of the terms.
 
     Attributes
     ----------
+    solver : casadi.Function
+        IPOPT's interface in CasADi.
     parameters : tuple of str
-        Their names in order.
+        Names of the parameters in their order.
     slope : Compiled
         ∂f/∂(potentials) of (x, p).
     """
@@ -151,7 +180,7 @@ class Built(CasadiOwner):
 
     @guarded
     def minimise(self, **arguments: Any) -> tuple[dict[str, Array], dict[str, Any]]:
-        """(flat results by CasADi's names, statistics)."""
+        """Return (flat results by CasADi's names, statistics of the solve)."""
         results = self.solver(**arguments)
         return {name: np.asarray(value).ravel() for name, value in results.items()}, self.solver.stats()
 

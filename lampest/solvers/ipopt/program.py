@@ -15,17 +15,18 @@ from lampest.solvers.ipopt.formulations import Formulation
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Symbols of the program; x = (conductance, potentials, split), g = (balance, split_balance) = 0.
+    """Symbols of the nonlinear program with x = (conductance, potentials, split), g = (balance, split_balance) = 0.
 
     Attributes
     ----------
     split : casadi.SX
-        p and q of residuals that enter through duals, then of others, in units of their size.
+        Parts p and q of the residuals that enter through duals, then of the other split residuals, in units of
+        `split_scale`.
     split_balance : casadi.SX
-        The equations of the former, so that their multipliers are the last.
+        Equations of the residuals that enter through duals; their multipliers are the last ones.
     parameters : mapping
-        Name → symbol: what `Given` holds, `ties` (lines, frames) in 1/s, the terms' `weights`, `scale` s in ohm,
-        `cost_scale`, the size of the cost, and `split_scale`, that of the residuals that are split.
+        Name → symbol: the fields of `Given`, `ties` (lines, frames) in 1/s, `weights` of the terms, `scale` s in ohm,
+        `cost_scale` (size of the cost) and `split_scale` (size of the split residuals).
     """
 
     conductance: casadi.SX
@@ -38,23 +39,24 @@ class Program:
 
     @property
     def unknown(self) -> casadi.SX:
-        """x."""
+        """Unknowns x as one column."""
         return casadi.vertcat(self.conductance, self.potentials, self.split)
 
     @property
     def parameter(self) -> casadi.SX:
-        """p: all parameters, one after the other."""
+        """All parameters as one column."""
         return casadi.vertcat(*(casadi.vec(symbol) for symbol in self.parameters.values()))
 
     @property
     def nlp(self) -> dict[str, casadi.SX]:
-        """The program as CasADi's solvers take it."""
+        """The program in the form of CasADi's solvers."""
         constraints = casadi.vertcat(self.balance, self.split_balance)
         return {"x": self.unknown, "p": self.parameter, "f": self.objective, "g": constraints}
 
     @classmethod
     def build(cls, cost: Cost, readout: Readout, formulation: Formulation) -> "Program":
-        """Write the program down with whole matrices."""
+        """Build the program of a cost, a readout and a formulation from symbolic matrices."""
+        # Unknown conductances, parameters, and one network for each frame.
         given = cost.symbols().given
         rows, columns = cost.panel.shape
         tie = casadi.SX.sym("tie", rows + columns, cost.frames)
@@ -66,6 +68,7 @@ class Program:
             for frame, cells in enumerate(frames)
         ]
         reading = casadi.horzcat(*(network.reading for network in networks))
+        # Objective: losses of the residuals, with non-smooth ones lowered to p, q ≥ 0 and equations.
         pairs = cost.residuals(Symbols(scale / conductance, reading, given))
         weights = casadi.SX.sym("weights", len(cost.terms))
         parts = [lowered(group, split_scale) for group in program_groups(summands(cost.terms, pairs, weights))]
@@ -83,14 +86,14 @@ class Program:
         )
 
     def slope(self) -> casadi.Function:
-        """∂f/∂(potentials), dense."""
+        """Return the function (x, p) → ∂f/∂(potentials), dense."""
         slope = casadi.densify(casadi.gradient(self.objective, self.potentials))
         return casadi.Function("slope", [self.unknown, self.parameter], [slope], ["x", "p"], ["slope"])
 
     def hessian(self) -> casadi.Function:
-        """∇²(σf + λᵀg), upper triangle, (x, x) sparse.
+        """Return the function (x, p, σ, λ) → ∇²(σf + λᵀg), upper triangle, (x, x) sparse.
 
-        Kirchhoff's law is bilinear: its second derivatives are one block between conductances and potentials.
+        The current balance is bilinear: its second derivatives are one block between conductances and potentials.
         """
         weight = casadi.SX.sym("weight")
         network_multiplier = casadi.SX.sym("network_multiplier", self.balance.shape[0])
