@@ -1,9 +1,8 @@
 """Posterior covariance of log r from samples, in product form: no matrix over the cells is formed.
 
-A sample is ε = A⁻¹ (Jᵀ Ω (τ z₁ + V z₃) + s Zᵀ √((C − B) Ω) z₂ + Zᵀ H z₂ + W z₄ − M ε₀) with standard normal z, in the
-symbols of `lampest.posterior.dense`. It costs one solve by conjugate gradients. Its covariance is S up to two terms:
-both penalty terms have the same z₂, and the prior term ε s⁴ is omitted. Standard deviations from n samples scatter by
-1/√(2n).
+A sample is ε = A⁻¹ (Jᵀ Ω (τ z₁ + V z₃) + s Zᵀ √((C − B) Ω) z₂ + Zᵀ H z₅ + W z₄ − M ε₀) with standard normal z, in the
+symbols of `lampest.posterior.dense`. It costs one solve by conjugate gradients. Its covariance is S but for the prior
+term ε s⁴. Standard deviations from n samples scatter by 1/√(2n).
 """
 
 from collections.abc import Callable
@@ -150,10 +149,11 @@ class SampledErrors(DenseErrors):
             pull = random.standard_normal(len(size))
             if self.drawn is not None:
                 noise = noise + self.drawn @ random.standard_normal(self.drawn.shape[1])
-            # Jᵀ Ω (τ z₁ + V z₃) + s Zᵀ √((C − B) Ω) z₂ + Zᵀ H z₂ + W z₄ − M ε₀
+            # Jᵀ Ω (τ z₁ + V z₃) + s Zᵀ √((C − B) Ω) z₂ + W z₄ + Zᵀ H z₅ − M ε₀
             right = self._adjoint(noise) + self._rows.T @ (size * pull)
-            right += model.penalty_jacobian.T @ (model.steady_pull * pull)
             right += model.weight_pulls @ random.standard_normal(model.weight_pulls.shape[1])
+            if model.steady_pull.any():
+                right += model.penalty_jacobian.T @ (model.steady_pull * random.standard_normal(len(size)))
             if self.before is not None:
                 known = previous @ self.before.last[number] + baseline @ self.before.baseline[number]
                 right -= model.penalty_jacobian.T @ known

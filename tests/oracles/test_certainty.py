@@ -17,7 +17,7 @@ from lampest import (
     Recording,
     Scene,
     Solution,
-    Squared,
+    Student,
     two_point_resistance,
 )
 from lampest.cost.given import Background
@@ -129,7 +129,7 @@ def compared() -> tuple[LinearModel, Array, Array]:
     cells = before * np.exp(0.1 * rng.standard_normal((1, 3, 4)))
     exact = two_point_resistance(cells)
     readings = Readings.of(scene, exact * (1 + 0.15 * rng.standard_normal((1, 3, 4))), 0.15 * exact)
-    changes = RelativeChange(weight=10.0), LogRatio(weight=10.0, loss=Squared())
+    changes = RelativeChange(weight=10.0), LogRatio(weight=10.0, loss=Student(corner=0.1))
     estimator = Estimator((Misfit(), *changes, Gradient(weight=0.1, loss=Huber(corner=150.0))), "reduced")
     data = estimator.data(readings, Background(scene, previous=before, baseline=1.05 * before))
     at = evaluated(estimator.cost(scene, 1, partial=data.partial), data, cells)
@@ -170,7 +170,7 @@ def test_samples_of_unit_draws_add_up_to_the_covariance(unit_draws: Callable[[in
     covariance = root @ root.T
     known = DenseMemory(covariance[:12, :12], covariance[12:, 12:], covariance[:12, 12:])
     matrices = DenseErrors(model, known, drawn)
-    each = len(model.noise) + len(model.penalty_term) + 2 + model.weight_pulls.shape[1]
+    each = len(model.noise) + 2 * len(model.penalty_term) + 2 + model.weight_pulls.shape[1]
     count = each + 24
     last, baseline = np.vstack([np.zeros((each, 24)), root.T]).reshape(count, 2, 12).swapaxes(0, 1)
     samples = SampledErrors(model, SampledMemory(last, baseline, 5), drawn, samples=count, accuracy=1e-12)
