@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,11 +15,14 @@ from wild_board import IDLE, Script, WildBoard, hundred_a_second, wild_board, wi
 from lampest import Faults, InputError, Panel, Recording, Scene, TwoPointReadout
 from lampest.cli.board import report_recorded
 from lampest.panel.panel import EachModule, Modules
-from lampest.recording.board import stream
+from lampest.panel.readouts.converter import noise_of_variance
+from lampest.recording.acquisition import Acquisition
+from lampest.recording.board import several, stream
 from lampest.recording.board.protocol import Frame, Hello, message
-from lampest.recording.board.record import Recorded, record
+from lampest.recording.board.record import Recorded, Recorder, _wanted, noise_from_repeats, record
 from lampest.recording.board.several import LATE_SECONDS, Alignment, samples_of
-from lampest.recording.board.stream import Sample, Scanning, board_samples
+from lampest.recording.board.stream import Sample, Samples, Scanning, board_samples
+from lampest.recording.recording import MEASURED, UNLOADED
 from tests.bodies import hello_body
 
 Sent = Iterator[tuple[float, bytes]]
@@ -472,3 +476,134 @@ def test_a_clock_that_runs_slow_loses_no_frame_of_the_other() -> None:
     here, frames = shown(here, 1e9)
     assert [one for one, _ in seen + frames] == list(range(400))
     assert sum(other is None for _, other in seen + frames) <= 12
+
+
+def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Sample]]) -> tuple[list[Sample], list[str]]:
+    """The image of four boards that send these samples and then fall silent, and what is said meanwhile."""
+    states, silent = list[str](), set[str]()
+
+    def samples(port: str, *rest: Any) -> Samples:
+        yield from ((sample,) for sample in boards[port])
+        silent.add(port)
+        while not rest[-1]():
+            time.sleep(1e-3)
+
+    monkeypatch.setattr(several, "board_samples", samples)
+    monkeypatch.setattr(several, "time", lambda: 0.0)
+    batches = samples_of([*boards], SCENE, PERIOD, states.append, lambda: len(silent) == len(boards))
+    return [sample for batch in batches for sample in batch], states
+
+
+def test_boards_are_one_image_that_names_who_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second board lacks the frames 2 and 3, the third restarts and says that it lost two frames."""
+    boards = {name: [sent(number, number * PERIOD) for number in range(6)] for name in "abcd"}
+    del boards["b"][2:4]
+    boards["c"][4:] = [replace(sample, session=1, lost=2, clock_jump=True) for sample in boards["c"][4:]]
+    boards["d"] = [replace(sample, frame=replace(sample.frame, missed=3)) for sample in boards["d"]]
+    images, states = image_of(monkeypatch, boards)
+    assert [image.missing for image in images] == [0, 0, 1, 1, 0, 0]
+    assert [image.events for image in images] == [(), (), ("gone: 0,1",), (), ("back: 0,1",), ()]
+    assert [image.frame.sequence for image in images] == [0, 1, 2, 3, 4, 5]
+    assert {image.frame.missed for image in images} == {3}
+    assert [image.session for image in images] == [0, 0, 0, 0, 1, 1]
+    assert [image.clock_jump for image in images] == [False] * 4 + [True] * 2
+    assert not any(image.lost for image in images), "no board lacks it where the others have it"
+    np.testing.assert_allclose([image.time for image in images], PERIOD * np.arange(6), atol=1e-9)
+    np.testing.assert_allclose([image.host_time for image in images], PERIOD * np.arange(6), atol=1e-9)
+    assert {(image.hello.rows, image.hello.columns) for image in images} == {(6, 8)}
+    parts = LAYOUT.split(np.array([image.frame.sums for image in images]))
+    assert [[int(module[0, 0]) for module in image] for image in parts][1:3] == [[1] * 4, [2, 65535, 2, 2]]
+    assert set(states) == {"module 0,1 at b: no frame came"}
+
+
+def test_frames_that_all_boards_lost_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    boards = {name: [sent(number, number * PERIOD) for number in (0, 1, 4)] for name in "abcd"}
+    for lost, samples in enumerate(boards.values(), 2):
+        samples[0], samples[-1] = replace(samples[0], lost=7), replace(samples[-1], lost=lost)
+    images, states = image_of(monkeypatch, boards)
+    assert ([image.lost for image in images], states) == ([0, 0, 2], [])
+
+
+def test_a_request_records_behind_the_unloaded_frames(tmp_path: Path) -> None:
+    said: list[tuple[str, bool]] = []
+    path = tmp_path / "one.h5"
+    recorder = Recorder(tmp_path, None, 2, lambda sentence, runs: said.append((sentence, runs)))
+    with pytest.raises(InputError, match="up to 64 letters"):
+        recorder.ask("a/b")
+    recorder.ask("one")
+    for number in range(8):
+        if number == 4:
+            recorder.zero()
+        recorder.take(sent(number, 0.1 * number))
+    recorder.ask("")
+    recorder.take(sent(8, 0.8))
+    recorder.close()
+    growing = [(f"recording {path}: {count} frames", True) for count in (2, 3, 4, 5, 6, 7, 8)]
+    assert said == [*growing, (f"closing {path}", False), (f"recorded 8 frames: {path}", False)]
+    found = Recording.load(path)
+    assert found.acquisition is not None and found.raw_sums is not None
+    assert found.acquisition.sequence.tolist() == [*range(8)]
+    assert found.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 6
+    assert found.acquisition.event_label == ("zero",) and found.acquisition.event_time[0] == pytest.approx(100.4)
+    del said[:]
+    for name in ("one", "two"):
+        recorder.ask(name)
+        for number in range(9, 11):
+            recorder.take(sent(number, 0.1 * number))
+    recorder.close()
+    again = Recording.load(tmp_path / "two.h5")
+    assert again.acquisition is not None and again.acquisition.sequence.tolist() == [4, 5, 9, 10], "since the zero"
+    assert said[0] == (f"not recorded: {path}: exists already; a recording is never written over", False)
+
+
+def batches_of(*sizes: int) -> Samples:
+    numbers = itertools.count()
+    yield from (tuple(sent(number, 0.1 * number - 100) for number in itertools.islice(numbers, size)) for size in sizes)
+
+
+# Frames and seconds at most, and what is left of batches of 2, 0, 3 and 2 frames, 0.1 s apart, of 0.05 s each.
+ENDS = (
+    (None, None, [2, 0, 3, 2]),
+    (4, None, [2, 0, 2]),
+    (5, None, [2, 0, 3]),
+    (6, None, [2, 0, 3, 1]),
+    (None, 0.25, [2, 0, 1]),
+    (None, 0.35, [2, 0, 2]),
+    (3, 0.35, [2, 0, 1]),
+    (4, 0.25, [2, 0, 1]),
+)
+
+
+def test_a_recording_ends_after_its_frames_or_seconds() -> None:
+    for frames, seconds, sizes in ENDS:
+        assert [len(batch) for batch in _wanted(batches_of(2, 0, 3, 2), frames, seconds, 0.1)] == sizes
+
+
+def test_noise_comes_from_pairs_of_unloaded_codes_that_follow_each_other() -> None:
+    """Pairs over a restart, of loaded frames and at the ends of the converter count as nothing."""
+    rng, readings, frames = np.random.default_rng(3), 4, 60
+    readout = TwoPointReadout(readings=readings)
+    sums = np.round(readings * (500 + 3 * rng.standard_normal((frames, 2, 3)))).astype(np.uint16)
+    sums[30:] += 800
+    sums[50:] += np.arange(0, 1000, 100, dtype=np.uint16)[:, None, None]
+    sums[::2, 0, 0], sums[::2, 0, 1], sums[1::2, 0, :2] = 2 * readings, 1021 * readings, 500 * readings
+    codes = sums[:50].reshape(50, 6)[:, 2:] / readings
+    differences = np.concatenate([np.diff(codes[:30], axis=0), np.diff(codes[30:], axis=0)])
+    numbers = np.arange(frames)
+    session, nothing = (numbers >= 30).astype(np.uint16), np.zeros(frames, np.uint16)
+    counters = numbers * 1.0, numbers, numbers, nothing, nothing, session
+
+    def first(count: int) -> Recording:
+        return Recording(
+            Scene(Panel(2, 3), readout),
+            readout.recorded_from_sums(sums[:count], readings),
+            numbers[:count] * 1.0,
+            np.where(numbers < 50, UNLOADED, MEASURED).astype(np.uint8)[:count],
+            raw_sums=sums[:count],
+            raw_readings=readings,
+            acquisition=Acquisition(*(counter[:count] for counter in counters), np.zeros(0)),
+        )
+
+    assert noise_from_repeats([first(frames)]) == noise_of_variance(readout, np.mean(differences**2) / 2)
+    assert noise_from_repeats([first(13)]) is None, "48 pairs"
+    assert noise_from_repeats([first(14)]) is not None, "52 pairs"
