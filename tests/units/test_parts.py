@@ -30,6 +30,7 @@ from lampest.runs.executors import Serial
 
 Command = Callable[..., SimpleNamespace]
 SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
+FEW = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout())
 UNLOADED = 6
 RUN = """
 schema: 1
@@ -70,7 +71,8 @@ def frames(count: int, scene: lampest.Scene = SCENE) -> Array:
     pressed = 0.5 * (1 - np.cos(np.linspace(0, 2 * np.pi, count - UNLOADED)))[:, None, None]
     cells[UNLOADED:, 1:3, 2:4] *= np.exp(-pressed)
     exact = np.asarray(readout.to_recorded(readout.exact_reading(cells), scene))
-    return exact + np.asarray(readout.sigma(exact)) * rng.standard_normal(exact.shape)
+    sigma = 0.0 if readout.noise_lsb is None else np.asarray(readout.sigma(exact))
+    return exact + sigma * rng.standard_normal(exact.shape)
 
 
 def save(folder: Path, values: Array, scene: lampest.Scene = SCENE, role: Any = None) -> None:
@@ -137,6 +139,44 @@ def test_a_run_that_was_killed_goes_on_and_finds_the_same(tmp_path: Path) -> Non
     assert started(tmp_path, "killed", 400).returncode == 0
     same(*(content(tmp_path / name / "results.h5") for name in ("undisturbed", "killed")))
     assert not list(tmp_path.rglob("*.part")) and not list(tmp_path.rglob("*.parts"))
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_an_ended_run_goes_on_behind_its_last_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, apart: bool
+) -> None:
+    """Three parts of 16 frames, of estimates that look back or do not; the second is damaged before it goes on."""
+    monkeypatch.setattr(stored, "MAX_READINGS", 100)
+    monkeypatch.setattr(stored, "PART_READINGS", 96)
+    save(tmp_path, frames(48, FEW), FEW)
+    penalty = "gradient" if apart else "gradient_of_relative_change"
+    entry = f"{{formulation: reduced, terms: {{misfit: {{}}, {penalty}: {{weight: 1e-3}}}}}}"
+    (tmp_path / "run.yaml").write_text(f"schema: 1\nrecordings: [long.h5]\nestimators: {{one: {entry}}}\n")
+    run = read_run(tmp_path / "run.yaml")
+    assert run_batch(run, tmp_path / "whole", Serial()).done == 1
+    write, written = batch.write_carried, list[str]()
+
+    def counted(path: Path, carried: Any) -> None:
+        if len(written) == 2:
+            raise KeyboardInterrupt
+        written.append(path.name)
+        write(path, carried)
+
+    monkeypatch.setattr(batch, "write_carried", counted)
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(run, tmp_path / "ended", Serial())
+    task = batch.Task(run.cases[0], tmp_path / "ended")
+    assert written == ["000000_carried.h5", "000001_carried.h5"]
+    assert (task.whole_parts, task.frames_done) == ([0, 1], 32)
+    assert batch.parts_to_solve(task) == ([2] if apart else [])
+    task.carried(1).write_bytes(b"damaged")
+    assert task.carried_over(0) is not None and task.carried_over(1) is None
+    del written[:]
+    monkeypatch.setattr(batch, "write_carried", lambda path, carried: (written.append(path.name), write(path, carried)))
+    assert run_batch(run, tmp_path / "ended", Serial()).done == 1
+    assert written == ["000001_carried.h5", "000002_carried.h5"]
+    assert task.frames_done == 48 and not list(tmp_path.rglob("*.parts"))
+    same(*(content(tmp_path / name / "results.h5") for name in ("whole", "ended")))
 
 
 @pytest.mark.parametrize("fresh", [False, True])

@@ -419,6 +419,9 @@ def test_ports_and_modules_must_be_as_many() -> None:
         samples_of(("a", "b"), dead)
     with pytest.raises(InputError, match="several boards need a scene"):
         samples_of(("a", "b"), None)
+    larger = Scene(Panel(modules=Modules(2, 3, EachModule(3, 4))), TwoPointReadout(readings=2))
+    with pytest.raises(InputError, match=r"reads 6 modules: .* order \[0, 0\], \[0, 1\], \[0, 2\], \[1, 0\], …; not 7"):
+        samples_of("abcdefg", larger)
 
 
 def sent(number: int, at: float, arrived: float | None = None) -> Sample:
@@ -478,12 +481,50 @@ def test_a_clock_that_runs_slow_loses_no_frame_of_the_other() -> None:
     assert sum(other is None for _, other in seen + frames) <= 12
 
 
-def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Sample]]) -> tuple[list[Sample], list[str]]:
+def test_a_board_is_waited_for_until_it_is_late() -> None:
+    both = Alignment.of(2).taking(0, sent(0, 0.0)).taking(1, sent(0, -0.4 * PERIOD))
+    here, parts = both.frame(0.0) or pytest.fail("a part that began 0.4 periods before belongs to the frame")
+    assert here.moment == 0.0 and [*parts] == [0, 1]
+    late = 1.5 * PERIOD + LATE_SECONDS
+    assert LATE_SECONDS == 0.3
+    alone = here.taking(0, sent(1, PERIOD))
+    assert alone.frame(PERIOD + late - 1e-3) is None
+    gone, parts = alone.frame(PERIOD + late + 1e-3) or pytest.fail("it is late")
+    assert [*parts] == [0] and gone.missing == (1,)
+    other, late = here.taking(1, sent(1, 0.9 * PERIOD)), 2.5 * PERIOD + LATE_SECONDS
+    assert other.frame(late - 1e-3) is None
+    led, parts = other.frame(late + 1e-3) or pytest.fail("the second board leads")
+    assert [*parts] == [1] and led.moment == pytest.approx(0.9 * PERIOD) and led.began == 0.0
+
+
+def test_a_boards_clock_is_set_by_the_quickest_of_fifty_frames() -> None:
+    here = Alignment.of(1)
+    for number in range(60):
+        here = here.taking(0, sent(number, number * PERIOD, number * PERIOD + (0.01 if number == 12 else 0.02)))
+    assert len(here.delays[0]) == 50
+    assert [here.waiting[0][number][0] - number * PERIOD for number in (11, 12, 59)] == pytest.approx(
+        [0.02, 0.01, 0.01]
+    )
+    assert here.taking(0, replace(sent(60, 9.0, 9.5), session=1)).delays == (pytest.approx((-99.5,)),)
+
+
+def test_the_image_begins_where_every_board_has_come() -> None:
+    here = Alignment.of(2)
+    for number in range(-1, 3):
+        here = here.taking(0, sent(number + 1, number * PERIOD))
+    assert here.frame(1e9) is None
+    assert shown(here.taking(1, sent(7, 0.4 * PERIOD)), 0.1 * PERIOD)[1] == [(1, 7)]
+
+
+def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> tuple[list[Sample], list[str]]:
     """The image of four boards that send these samples and then fall silent, and what is said meanwhile."""
     states, silent = list[str](), set[str]()
 
     def samples(port: str, *rest: Any) -> Samples:
-        yield from ((sample,) for sample in boards[port])
+        for sample in boards[port]:
+            if isinstance(sample, InputError):
+                raise sample
+            yield (sample,)
         silent.add(port)
         while not rest[-1]():
             time.sleep(1e-3)
@@ -496,10 +537,13 @@ def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Sample]]) -
 
 def test_boards_are_one_image_that_names_who_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The second board lacks the frames 2 and 3, the third restarts and says that it lost two frames."""
-    boards = {name: [sent(number, number * PERIOD) for number in range(6)] for name in "abcd"}
+    boards = {name: [sent(number, 5 + number * PERIOD) for number in range(6)] for name in "abcd"}
     del boards["b"][2:4]
     boards["c"][4:] = [replace(sample, session=1, lost=2, clock_jump=True) for sample in boards["c"][4:]]
-    boards["d"] = [replace(sample, frame=replace(sample.frame, missed=3)) for sample in boards["d"]]
+    boards["d"] = [
+        replace(sent(number, at, at + 0.01), frame=replace(sent(number, at).frame, missed=3))
+        for number, at in enumerate(5 + PERIOD * np.arange(6))
+    ]
     images, states = image_of(monkeypatch, boards)
     assert [image.missing for image in images] == [0, 0, 1, 1, 0, 0]
     assert [image.events for image in images] == [(), (), ("gone: 0,1",), (), ("back: 0,1",), ()]
@@ -509,11 +553,17 @@ def test_boards_are_one_image_that_names_who_is_gone(monkeypatch: pytest.MonkeyP
     assert [image.clock_jump for image in images] == [False] * 4 + [True] * 2
     assert not any(image.lost for image in images), "no board lacks it where the others have it"
     np.testing.assert_allclose([image.time for image in images], PERIOD * np.arange(6), atol=1e-9)
-    np.testing.assert_allclose([image.host_time for image in images], PERIOD * np.arange(6), atol=1e-9)
+    np.testing.assert_allclose([image.host_time for image in images], 5.01 + PERIOD * np.arange(6), atol=1e-9)
     assert {(image.hello.rows, image.hello.columns) for image in images} == {(6, 8)}
     parts = LAYOUT.split(np.array([image.frame.sums for image in images]))
     assert [[int(module[0, 0]) for module in image] for image in parts][1:3] == [[1] * 4, [2, 65535, 2, 2]]
     assert set(states) == {"module 0,1 at b: no frame came"}
+
+
+def test_a_board_that_never_answers_ends_the_image_with_its_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    boards = {name: [sent(0, 0.0)] for name in "abc"} | {"d": [InputError("no board at d")]}
+    with pytest.raises(InputError, match="no board at d"):
+        image_of(monkeypatch, boards)
 
 
 def test_frames_that_all_boards_lost_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
