@@ -156,4 +156,4 @@ def _fault(document: Document, validate: Callable[[Document], Any]) -> str:
 
 
 def _without_position(error: InputError) -> str:
-    return re.sub(r"^.*?:\d+:\d+: ", "", str(error), count=1)
+    return re.sub(r"^.*?:\d+:\d+: ", "", str(error))

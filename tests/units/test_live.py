@@ -345,6 +345,62 @@ def test_zero_is_taken_anew_live_where_nothing_touches_the_panel() -> None:
     assert json.loads(view_text(view, 0.0))["zero"] == view.zero
 
 
+SMALL = Scene(Panel(3, 4), TwoPointReadout(), 140.0, response=PublishedResponse())
+
+
+def shown_frames(state: PanelState, *cells: Any) -> tuple[PanelState, list[Picture]]:
+    """A frame a second of such cells."""
+    found = []
+    for number, each in enumerate(cells, 1):
+        ohm = two_point_resistance(np.broadcast_to(np.asarray(each, dtype=float), (3, 4))) + 140
+        state, picture = engine_module.solved_scan(state, Scan(ohm, None, float(number), time.time()), number, 0)
+        found.append(picture)
+    return state, found
+
+
+def resting_panel(estimator: Estimator = LSM, *, hasty: bool = False) -> PanelState:
+    cells = np.full((3, 4), 3000.0)
+    resting = Readings.of(SMALL, two_point_resistance(cells) + 140)
+    return PanelState.begin(estimator, SMALL, 1.0, resting, hasty=hasty)
+
+
+def test_a_zero_that_is_asked_for_is_the_mean_of_the_next_frames() -> None:
+    loaded = np.full((3, 4), 3000.0)
+    loaded[1, 2] = 1500.0
+    state, (before,) = shown_frames(resting_panel(), loaded)
+    assert before.relative_change[1, 2] == pytest.approx(-50, abs=1e-3) and before.verdict == "pressing"
+    waiting, _ = shown_frames(dataclasses.replace(state, missing=2, recent=()), loaded)
+    assert (waiting.missing, waiting.zeroed, len(waiting.recent)) == (1, "", 1)
+    zeroed, _ = shown_frames(waiting, loaded)
+    assert (zeroed.missing, zeroed.zeroed, zeroed.recent) == (None, ASKED, ())
+    after, (same, eased) = shown_frames(zeroed, loaded, 3000.0)
+    np.testing.assert_allclose(same.relative_change, 0, atol=1e-3)
+    assert eased.relative_change[1, 2] == pytest.approx(100, abs=1e-2) and after.zeroed == ""
+    none, _ = shown_frames(dataclasses.replace(state, missing=1, recent=()), np.full((3, 4), 1e-3))
+    assert none.missing is None
+
+
+def test_a_second_look_finds_what_the_first_left_open() -> None:
+    """Weights chosen by the data, and error bars; its cells are only told where weights or the minimum differ."""
+    cells = 3000 * np.exp(0.05 * np.random.default_rng(1).standard_normal((3, 4)))
+    cells[1, 2] = 1500.0
+    state, (picture,) = shown_frames(resting_panel(METHODS["smooth"], hasty=True), cells)
+    look = state.look
+    assert look is not None and (look.number, look.time) == (1, 1.0) and look.due
+    assert picture.force is not None and np.isnan(picture.force.deviation)
+    found = look.findings()
+    assert found.number == 1 and found.force is not None and found.force.deviation > 0
+    assert found.weights is not None and found.weights != look.stream.weights and found.lower is not None
+    stream = found.apply_to(state.stream)
+    assert (stream.weights, stream.weighed_at) == (found.weights, found.weighed_at)
+    assert stream.previous is found.lower
+    assert dataclasses.replace(found, lower=None).apply_to(state.stream).previous is state.stream.previous
+    keeping = dataclasses.replace(stream, keeps_weights=True)
+    for objective, lower in ((0.0, False), (np.inf, True)):
+        again = dataclasses.replace(look, stream=keeping, objective=objective).findings()
+        assert (again.lower is not None) == lower
+
+
 def settle(engine: Engine) -> None:
     """Wait until every frame that was taken has been solved."""
     for _ in range(2000):
