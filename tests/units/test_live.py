@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support import live_pictures
+from wild_board import IDLE
 
 from lampest import Arrival, InputError, Misfit, Readings, Rod, Scene, Settings, two_point_resistance
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
@@ -21,12 +22,24 @@ from lampest.loads.pressure import Pressure, Tare, total_force
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
 from lampest.panel.response import Film, PublishedResponse
+from lampest.recording.board import record as record_module
+from lampest.recording.board.protocol import Frame
+from lampest.recording.board.stream import Sample
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, Unmodelled, read_simulations, simulate
 from lampest.report.live import engine as engine_module
+from lampest.report.live import run as run_module
 from lampest.report.live.engine import Engine, FrameSource, with_picture
 from lampest.report.live.message import Message, Picture, View, view_text
-from lampest.report.live.run import METHODS, chosen, from_recording
+from lampest.report.live.run import (
+    METHODS,
+    LiveBoard,
+    chosen,
+    from_board,
+    from_recording,
+    recorded_from_board,
+    recorder_of,
+)
 from lampest.report.live.state import ASKED, PanelState
 from lampest.report.live.watcher import Scan
 
@@ -399,6 +412,45 @@ def test_a_second_look_finds_what_the_first_left_open() -> None:
     for objective, lower in ((0.0, False), (np.inf, True)):
         again = dataclasses.replace(look, stream=keeping, objective=objective).findings()
         assert (again.lower is not None) == lower
+
+
+def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the page's button, and by `out`; the second of three frames lost two before it."""
+    hello = dataclasses.replace(IDLE, readings=64, period_us=500_000)
+    sums = np.full((4, 3, 4), 64 * 700, np.uint16)
+    sums[2:, 1, 2] = 64 * 720
+    frames = [Frame(64, number, 500 * number, 0, each) for number, each in enumerate(sums)]
+    samples = [Sample(each, hello, 0.5 * number, 50.0, 2 * (number == 1), 0) for number, each in enumerate(frames)]
+
+    def arriving(*source: Any) -> Any:
+        yield from (samples[:2], (), samples[2:])
+
+    for module in (run_module, record_module):
+        monkeypatch.setattr(module, "samples_of", arriving)
+    monkeypatch.chdir(tmp_path)
+    board = LiveBoard(("port",), None, 2)
+    with Engine("port", "LSM", LSM, 2) as engine, recorder_of(board, engine) as (recorder, asks):
+        assert recorder is not None and asks.record is not None and engine.shown.thing.recording == ("", False)
+        asks.record("one")
+        from_board(engine, board, 3, recorder.take)
+        assert engine.shown.thing.recording == (f"recording {tmp_path / 'one.h5'}: 3 frames", True)
+        asks.tare()
+        assert engine._zero_asked.is_set() and recorder._zeroed.is_set()
+        engine.finish()
+        button = engine.shown.thing
+    out = dataclasses.replace(board, out=tmp_path / "two.h5")
+    with Engine("port", "LSM", LSM, 2) as engine, recorder_of(out, engine) as (recorder, asks):
+        assert recorder is None and asks.record is None
+        assert recorded_from_board(engine, out, 3).frames == 3
+        engine.finish()
+        written = engine.shown.thing
+    for view, name in ((button, "one"), (written, "two")):
+        assert (view.frames, view.lost, view.state) == (3, 2, "receiving") and view.picture is not None
+        assert (view.picture.number, view.picture.time, view.picture.arrived) == (3, 1.0, 50.0)
+        assert np.unravel_index(np.argmax(np.abs(view.picture.measured_change)), (3, 4)) == (1, 2)
+        found = Recording.load(tmp_path / f"{name}.h5")
+        assert found.role.tolist() == [UNLOADED, UNLOADED, MEASURED]
+        np.testing.assert_array_equal(found.raw_sums, sums[:3])
 
 
 def settle(engine: Engine) -> None:
