@@ -125,7 +125,7 @@ def test_scales_end_at_round_numbers() -> None:
     assert ends == [30, 40, 5] and signed_scale(values, "x", 1.0).norm.vmin == -30
     banded = banded_scale(values, "change [%]")
     assert banded.label == "change [%] (ends at ±50 %)" and banded.ticks == list(range(-50, 51, 10))
-    assert banded.norm.boundaries.tolist() == [*range(-5, -55, -5)][::-1] + [*range(5, 55, 5)]
+    assert banded.norm.boundaries.tolist() == [*range(-50, 0, 5), *range(5, 55, 5)]
     assert banded_scale([np.array([700.0])], "x").norm.vmax == 100
     assert [plain_number(value) for value in (-0.5, 1e3)] == ["−0.5", "1000"]
     assert short_title("y" * 22) == "y" * 22 and short_title("y" * 23) == "y" * 21 + "…"
