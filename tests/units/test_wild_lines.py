@@ -581,7 +581,43 @@ def test_a_request_records_behind_the_unloaded_frames(tmp_path: Path) -> None:
     recorder.close()
     again = Recording.load(tmp_path / "two.h5")
     assert again.acquisition is not None and again.acquisition.sequence.tolist() == [4, 5, 9, 10], "since the zero"
+    assert again.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 2
     assert said[0] == (f"not recorded: {path}: exists already; a recording is never written over", False)
+
+
+def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    samples = [sent(number, 0.1 * number - 100) for number in range(5)]
+    changes: tuple[dict[str, Any], ...] = ({"lost": 2}, {"clock_jump": True}, {"events": (stream.CLOCK_STOPPED,)})
+    for number, change in enumerate((*changes, {"missing": 1, "session": 3}), 1):
+        samples[number] = replace(samples[number], **change)
+    asked: list[Any] = []
+
+    def arriving(urls: object, scene: object, period: object, on_state: Any, ending: Any) -> Samples:
+        asked.append((urls, scene, period, ending()))
+        yield tuple(samples[:2])
+        on_state("the board is gone")
+        yield ()
+        yield tuple(samples[2:])
+        yield ()
+
+    monkeypatch.setattr("lampest.recording.board.record.samples_of", arriving)
+    steps: list[tuple[int, int, str]] = []
+    for name, ports, limits in (("a", "p", {"seconds": 2.0}), ("b", ["p", "q"], {"frames": 5}), ("c", None, {})):
+        del steps[:]
+        done = record(
+            ports,
+            tmp_path / name,
+            period=0.1,
+            on_progress=lambda at: steps.append((at.frames, at.lost, at.state)),
+            **limits,
+        )
+        counts = {"frames": 5, "lost": 2, "restarts": 3, "clock_jumps": 1, "parted": 1, "behind": 0}
+        assert {key: getattr(done, key) for key in counts} == counts and done.clock_stopped
+        assert (done.path, done.ended_by, done.noise_lsb) == (tmp_path / name, "", None)
+        assert done.silent == (1.55 if name == "a" else 0.0)
+        assert steps == [(1, 0, ""), (2, 2, ""), (2, 2, "the board is gone"), (3, 2, ""), (4, 2, ""), (5, 2, "")]
+        assert Recording.load(done.path).role.tolist() == [MEASURED] * 5
+    assert asked == [(urls, None, 0.1, False) for urls in (("p",), ["p", "q"], ())]
 
 
 def batches_of(*sizes: int) -> Samples:
