@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import socket
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -35,8 +36,8 @@ from lampest.report.live.message import (
     view_text,
     with_detected,
 )
+from lampest.report.live.publish import publish_at
 from lampest.report.live.publish.lsl import LslPublish
-from lampest.report.live.publish.osc import OscPublish
 from lampest.report.live.run import METHODS, scan_of
 from lampest.report.live.state import read_load, verdict_of
 from lampest.report.live.watcher import Unloaded, Watched, in_one_batch, watcher
@@ -162,7 +163,15 @@ def test_a_row_has_a_number_for_every_channel() -> None:
 def test_osc_has_a_message_for_every_number_and_map() -> None:
     from pythonosc.osc_bundle import OscBundle
 
-    sent = [OscPublish(path="panel")._bundle(message_of(load)).dgram for load in (None, LAMPREY)]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        ear.bind(("127.0.0.1", 0))
+        ear.settimeout(10)
+        way = publish_at(f"osc://127.0.0.1:{ear.getsockname()[1]}/panel")
+        with way.opened(print) as (where, send):
+            send(message_of())
+            send(message_of(LAMPREY))
+        sent = [ear.recv(65536) for _ in range(2)]
+    assert where == way.where and where.startswith("osc://127.0.0.1:")
     silent, told = ({part.address.removeprefix("/panel/"): part.params for part in OscBundle(each)} for each in sent)
     assert set(told) - set(silent) == {"answer", "probability", "sentence", "detection"}
     known = {"sequence": [7], "time": [7.0], "size": [2, 3], "force": [1.5], "force_sd": [0.25], "solved": [True]}

@@ -13,7 +13,6 @@ import pytest
 from wild_board import IDLE, Script, WildBoard, hundred_a_second, wild_board, wire
 
 from lampest import Faults, InputError, Panel, Recording, Scene, TwoPointReadout
-from lampest.cli.board import report_recorded
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts.converter import noise_of_variance
 from lampest.recording.acquisition import Acquisition
@@ -94,23 +93,6 @@ def test_a_flood_does_not_stretch_the_time(tmp_path: Path, script: Script) -> No
     with pytest.raises(InputError, match="ended before the first frame"):
         recorded(script, tmp_path, seconds=0.2)
     assert time.monotonic() - began < 10
-
-
-def falls_silent(hello: Hello) -> Sent:
-    """Thirty frames, and then nothing."""
-    for number in range(30):
-        yield 0.01, wire(hello, number)
-
-
-@pytest.mark.slow
-def test_silence_at_the_end_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with wild_board(falls_silent) as board:
-        done = record(board.port, tmp_path / "out.h5", seconds=1.0, period=0.01)
-    assert (done.frames, done.lost, done.silent) == (30, 0, 0.7)
-    report_recorded(done)
-    assert "lampest: no frame came in the last 0.7 s\n" in capsys.readouterr().err
-    with wild_board(hundred_a_second) as board:
-        assert record(board.port, tmp_path / "whole.h5", seconds=0.5, period=0.01).silent == 0.0
 
 
 def test_frames_are_found_in_a_flood(tmp_path: Path) -> None:
@@ -235,22 +217,6 @@ def test_a_clock_that_stands_still_costs_no_frame_and_is_named_once(tmp_path: Pa
     assert not any(sample.clock_jump for sample in found)
 
 
-def frozen(hello: Hello) -> Sent:
-    """Good frames, whose clock stands still after the fifth."""
-    for number in itertools.count():
-        yield 0.01, wire(hello, number, 1000 + 10 * min(number, 5))
-
-
-def test_a_recording_names_the_clock_that_stands_still(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    done = recorded(frozen, tmp_path, frames=40)
-    found = Recording.load(tmp_path / "r.h5")
-    assert (done.frames, done.lost, done.restarts, done.clock_jumps) == (40, 0, 0, 0)
-    assert found.acquisition is not None and found.acquisition.event_label == ("clock stopped",)
-    assert 0.35 < found.time[-1] < 3
-    report_recorded(done)
-    assert "the board's clock stood still" in capsys.readouterr().err
-
-
 def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None:
     random = np.random.default_rng(4343)
     sent, ahead, came = [], 100_000, []
@@ -279,23 +245,6 @@ def test_ticks_that_the_board_missed_are_no_jump() -> None:
     run, _ = run_of((0, 500), (1, 510))
     _, (sample,) = run.taking(replace(frame(2, 5520), missed=500))
     assert sample.time == pytest.approx(5.02) and not sample.clock_jump
-
-
-def jumping(hello: Hello) -> Sent:
-    """Good frames; the clock goes back by 5 s twice, and forward by 5 s."""
-    for number in itertools.count():
-        jumps = np.searchsorted((40, 80, 120), number, side="right")
-        yield 0.01, wire(hello, number, 20_000 + 10 * number + (0, -5_000, 0, -5_000)[jumps])
-
-
-def test_a_recording_holds_the_jumps_of_the_clock_as_events(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    done = recorded(jumping, tmp_path, frames=160)
-    found = Recording.load(tmp_path / "r.h5").acquisition
-    assert (done.frames, done.lost, done.restarts, done.clock_jumps) == (160, 0, 0, 3)
-    assert found is not None and found.event_label == ("clock jump",) * 3
-    np.testing.assert_allclose(found.event_time, (0.4, 0.8, 1.2), atol=1e-9)
-    report_recorded(done)
-    assert "3 jumps of the board's clock" in capsys.readouterr().err
 
 
 def test_a_wrong_frame_that_was_believed_is_doubted_after_a_silence() -> None:
@@ -616,7 +565,10 @@ def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytes
         assert (done.path, done.ended_by, done.noise_lsb) == (tmp_path / name, "", None)
         assert done.silent == (1.55 if name == "a" else 0.0)
         assert steps == [(1, 0, ""), (2, 2, ""), (2, 2, "the board is gone"), (3, 2, ""), (4, 2, ""), (5, 2, "")]
-        assert Recording.load(done.path).role.tolist() == [MEASURED] * 5
+        found = Recording.load(done.path)
+        assert found.role.tolist() == [MEASURED] * 5 and found.acquisition is not None
+        assert found.acquisition.event_label == ("clock jump", stream.CLOCK_STOPPED)
+        np.testing.assert_allclose(found.acquisition.event_time, found.time[[2, 3]])
     assert asked == [(urls, None, 0.1, False) for urls in (("p",), ["p", "q"], ())]
 
 
