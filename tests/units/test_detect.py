@@ -362,6 +362,11 @@ def test_one_frame_shows_no_change(tmp_path: Path) -> None:
     recorded(frames=1).save(tmp_path / "one.h5")
     answer = detect_recording(tmp_path / "one.h5")
     assert answer.answer == CANNOT_SAY and "one frame" in answer.why
+    scene, values = Scene(PANEL), np.full((3, 8, 10), 500.0)
+    for frames, known in ((2, False), (3, True)):
+        few = Recording(scene, values[:frames], np.arange(float(frames)), (np.arange(frames) > 0).astype(np.uint8))
+        found = known_of(Prepared(few))
+        assert isinstance(found, Known) if known else found.why == "the noise is unknown, and too few frames show it"
 
 
 def test_errors_are_those_that_the_scene_names() -> None:

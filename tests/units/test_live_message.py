@@ -154,6 +154,12 @@ def test_a_row_has_a_number_for_every_channel() -> None:
     assert {name: row[name] for name in known} == known and np.isnan(row["until_s"])
     places = {channel.label: channel.place for channel in message.channels()}
     assert places["change_1_2"] == (0.02, 0.01) and places["force"] is None
+    third = np.full((2, 3), 1 / 3)
+    picture = dataclasses.replace(drawn(third, Force(1 / 3, 0.1), third, third), arrived=50.0)
+    view = dataclasses.replace(message.view, deviation=1 / 3)
+    content = Message(message.panel, picture, view).content(0.0)
+    assert [content[name][0] for name in ("cells", "change", "pressure")] == [0.33, 0.333, 0.3333]
+    assert (content["force"], content["force_sd"], content["force_sd_of"]) == (0.3333, 0.3333, None)
     silent = message_of()
     assert np.isnan(silent.row()[-len(ANSWER) :]).all() and silent.signature == (7, "", "")
     gone = dataclasses.replace(silent, picture=dataclasses.replace(silent.picture, verdict="unsolved"))
