@@ -145,7 +145,7 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
     if _beyond_noise((slope**2 / np.maximum(own, 1e-300)).sum(), repeats):
         gain = float(np.sqrt(max((slope**2).sum() / repeats - own.mean(), 0.0) * few))
     degrees = repeats * (lines - 1) * (channels - apart.shape[1]) * share
-    return Scatter(float(np.sqrt(noise)), max(int(degrees), 1), gain, together, apart)
+    return Scatter(float(np.sqrt(max(noise, 0.0))), max(int(degrees), 1), gain, together, apart)
 
 
 def _beyond_noise(squares: float, degrees: int) -> bool:

@@ -157,4 +157,4 @@ def _fault(document: Document, validate: Callable[[Document], Any]) -> str:
 
 def _without_position(error: InputError) -> str:
     """Return the message of an error without file, line and column."""
-    return re.sub(r"^.*?:\d+:\d+: ", "", str(error), count=1)
+    return re.sub(r"^.*?:\d+:\d+: ", "", str(error))

@@ -234,24 +234,6 @@ def handshake(lampest: Run, host: str, words: tuple[str, ...], headers: dict[str
 
 
 @pytest.mark.slow
-def test_osc_carries_the_frame(lampest: Run) -> None:
-    from pythonosc.osc_bundle import OscBundle
-
-    port = free_port(socket.SOCK_DGRAM)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
-        ear.bind(("127.0.0.1", port))
-        ear.settimeout(10)
-        assert replayed(lampest, f"osc://127.0.0.1:{port}/panel").code == 0
-        bundle = OscBundle(ear.recv(65536))
-    told = {message.address: message.params for message in bundle}
-    assert told["/panel/size"] == [10, 10] and len(told["/panel/cells"]) == 100
-    pressed = np.clip(told["/panel/pressure"], 0, 40).sum() / 10
-    assert 0 < told["/panel/force"][0] <= pressed + 0.02, "saturated cells of the rim count with what is determined"
-    assert isinstance(told["/panel/alarm"][0], str)
-    assert told["/panel/verdict"][0].startswith("pressing") and told["/panel/solved"] == [True]
-
-
-@pytest.mark.slow
 def test_lsl_is_a_described_stream(lampest: Run) -> None:
     import pylsl
 

@@ -5,20 +5,36 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from support import invented_case
 from typer.main import get_command
 
-from lampest import Estimator, InputError, Misfit, Recording, export_results, read_results, read_scene, write_results
+from lampest import (
+    Estimator,
+    InputError,
+    Misfit,
+    Panel,
+    Recording,
+    Scene,
+    TwoPointReadout,
+    export_results,
+    read_results,
+    read_scene,
+    write_results,
+)
 from lampest.cli import app, screen
 from lampest.files.whole import sparing, write_whole
+from lampest.recording.board.record import Progress, Recorded
 from lampest.report.compare import compare
 from lampest.report.live.engine import Engine
 from lampest.report.live.run import from_recording
+from lampest.report.plots.style import WIDTH_INCH
 from lampest.studies.study import Row, Study
 
 Command = Callable[..., SimpleNamespace]
@@ -136,6 +152,77 @@ def test_no_progress_where_there_is_no_terminal(capsys: pytest.CaptureFixture[st
     with screen.progress("cases") as on_case:
         on_case(3, 9)
     assert capsys.readouterr().err == ""
+
+
+RECORDED = Recorded(
+    path=Path("r.h5"),
+    scene=Scene(Panel(3, 4), TwoPointReadout(), 140.0),
+    frames=7,
+    lost=2,
+    restarts=1,
+    clock_jumps=0,
+    clock_stopped=False,
+    parted=0,
+    behind=0,
+    ended_by="",
+    noise_lsb=0.704,
+    silent=0.0,
+)
+
+
+# What a recording ended with, and the warning that follows.
+WARNED: tuple[tuple[dict[str, Any], str], ...] = (
+    ({}, ""),
+    ({"clock_jumps": 1}, "1 jump of the board's clock; "),
+    ({"clock_jumps": 12}, "12 jumps of the board's clock; "),
+    ({"clock_stopped": True}, "the board's clock stood still; "),
+    ({"parted": 3}, "3 of the 7 frames lack a module; "),
+    ({"silent": 1.26}, "no frame came in the last 1.3 s"),
+    ({"scene": Scene(Panel(3, 4), TwoPointReadout())}, "no series resistance is assumed, "),
+    ({"ended_by": "SIGINT"}, "SIGINT ended the recording; no frame was still in the port then"),
+    ({"ended_by": "SIGHUP", "behind": 4}, "SIGHUP ended the recording; 4 of the 7 frames were still in the port then"),
+)
+
+
+def test_a_recording_ends_with_a_line_and_its_warnings(lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: dict[str, Any] = {}
+    words = ("record", "--port", "p", "--out", "r.h5", "--count", "7", "--baseline", "2", "--period", "0.5")
+    for ended, said in WARNED:
+
+        def record(*places: object, on_progress: Any, keys: Any, made: Any = ended, **options: Any) -> Recorded:
+            asked.update(options, places=places, keys=keys())
+            on_progress(Progress(None, 0, 0, "the board is gone"))
+            return replace(RECORDED, **made)
+
+        monkeypatch.setattr("lampest.recording.board.record.record", record)
+        done = lampest(*words)
+        assert asked.pop("places") == (["p"], Path("r.h5"))
+        assert asked == {"frames": 7, "seconds": None, "scene": None, "baseline": 2, "period": 0.5, "keys": ""}
+        assert done.out == "7 frames, 2 lost, 1 restarts of the board, noise of one reading 0.70 LSB: r.h5\n"
+        warnings = [line for line in done.err.splitlines() if "interrupted" not in line]
+        assert len(warnings) == bool(said) and all(line.startswith(f"lampest: {said}") for line in warnings)
+        assert done.code == (130 if "ended_by" in ended else 0)
+
+
+def test_the_strongest_frame_of_a_file_is_drawn(
+    tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = np.full((4, 2, 3), 500.0)
+    values[1, 0, 0], values[3, 1, 2] = 490.0, 400.0
+    role = np.array([0, 1, 1, 1], dtype=np.uint8)
+    drawn: list[Any] = []
+    monkeypatch.setattr("lampest.report.plots.maps_figure", lambda tiles, *rest, **more: drawn.append((*tiles, more)))
+    monkeypatch.setattr("lampest.report.plots.save", lambda figure, path: None)
+    recording = Recording(Scene(Panel(2, 3)), values, 0.5 * np.arange(4.0), role)
+    recording.save(tmp_path / "r.h5")
+    done = lampest("info", tmp_path / "r.h5", "--picture", tmp_path / "x.png")
+    assert done.code == 0 and done.out.endswith("x.png\n")
+    ((tile, width),) = drawn
+    assert (tile.title, tile.note) == ("r", "readings of frame 3 at 1.5 s")
+    assert tile.values[1, 2] == pytest.approx(-20) and width == {"width": WIDTH_INCH / 2}
+    replace(recording, role=np.ones(4, dtype=np.uint8)).save(tmp_path / "bare.h5")
+    done = lampest("info", tmp_path / "bare.h5", "--picture", tmp_path / "x.png")
+    assert done.code == 2 and "has no unloaded frames to compare with; lampest tare names some" in done.err
 
 
 def test_a_simulation_is_overridden(tmp_path: Path, lampest: Command) -> None:

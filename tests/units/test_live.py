@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support import live_pictures
+from wild_board import IDLE
 
 from lampest import Arrival, InputError, Misfit, Readings, Rod, Scene, Settings, two_point_resistance
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
@@ -21,12 +22,24 @@ from lampest.loads.pressure import Pressure, Tare, total_force
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
 from lampest.panel.response import Film, PublishedResponse
+from lampest.recording.board import record as record_module
+from lampest.recording.board.protocol import Frame
+from lampest.recording.board.stream import Sample
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, Unmodelled, read_simulations, simulate
 from lampest.report.live import engine as engine_module
+from lampest.report.live import run as run_module
 from lampest.report.live.engine import Engine, FrameSource, with_picture
 from lampest.report.live.message import Message, Picture, View, view_text
-from lampest.report.live.run import METHODS, chosen, from_recording
+from lampest.report.live.run import (
+    METHODS,
+    LiveBoard,
+    chosen,
+    from_board,
+    from_recording,
+    recorded_from_board,
+    recorder_of,
+)
 from lampest.report.live.state import ASKED, PanelState
 from lampest.report.live.watcher import Scan
 
@@ -343,6 +356,101 @@ def test_zero_is_taken_anew_live_where_nothing_touches_the_panel() -> None:
     change = np.abs(view.picture.relative_change).max()
     assert change < 0.6 * np.abs(plain.relative_change).max()
     assert json.loads(view_text(view, 0.0))["zero"] == view.zero
+
+
+SMALL = Scene(Panel(3, 4), TwoPointReadout(), 140.0, response=PublishedResponse())
+
+
+def shown_frames(state: PanelState, *cells: Any) -> tuple[PanelState, list[Picture]]:
+    """A frame a second of such cells."""
+    found = []
+    for number, each in enumerate(cells, 1):
+        ohm = two_point_resistance(np.broadcast_to(np.asarray(each, dtype=float), (3, 4))) + 140
+        state, picture = engine_module.solved_scan(state, Scan(ohm, None, float(number), time.time()), number, 0)
+        found.append(picture)
+    return state, found
+
+
+def resting_panel(estimator: Estimator = LSM, *, hasty: bool = False) -> PanelState:
+    cells = np.full((3, 4), 3000.0)
+    resting = Readings.of(SMALL, two_point_resistance(cells) + 140)
+    return PanelState.begin(estimator, SMALL, 1.0, resting, hasty=hasty)
+
+
+def test_a_zero_that_is_asked_for_is_the_mean_of_the_next_frames() -> None:
+    loaded = np.full((3, 4), 3000.0)
+    loaded[1, 2] = 1500.0
+    state, (before,) = shown_frames(resting_panel(), loaded)
+    assert before.relative_change[1, 2] == pytest.approx(-50, abs=1e-3) and before.verdict == "pressing"
+    waiting, _ = shown_frames(dataclasses.replace(state, missing=2, recent=()), loaded)
+    assert (waiting.missing, waiting.zeroed, len(waiting.recent)) == (1, "", 1)
+    zeroed, _ = shown_frames(waiting, loaded)
+    assert (zeroed.missing, zeroed.zeroed, zeroed.recent) == (None, ASKED, ())
+    after, (same, eased) = shown_frames(zeroed, loaded, 3000.0)
+    np.testing.assert_allclose(same.relative_change, 0, atol=1e-3)
+    assert eased.relative_change[1, 2] == pytest.approx(100, abs=1e-2) and after.zeroed == ""
+    none, _ = shown_frames(dataclasses.replace(state, missing=1, recent=()), np.full((3, 4), 1e-3))
+    assert none.missing is None
+
+
+def test_a_second_look_finds_what_the_first_left_open() -> None:
+    """Weights chosen by the data, and error bars; its cells are only told where weights or the minimum differ."""
+    cells = 3000 * np.exp(0.05 * np.random.default_rng(1).standard_normal((3, 4)))
+    cells[1, 2] = 1500.0
+    state, (picture,) = shown_frames(resting_panel(METHODS["smooth"], hasty=True), cells)
+    look = state.look
+    assert look is not None and (look.number, look.time) == (1, 1.0) and look.due
+    assert picture.force is not None and np.isnan(picture.force.deviation)
+    found = look.findings()
+    assert found.number == 1 and found.force is not None and found.force.deviation > 0
+    assert found.weights is not None and found.weights != look.stream.weights and found.lower is not None
+    stream = found.apply_to(state.stream)
+    assert (stream.weights, stream.weighed_at) == (found.weights, found.weighed_at)
+    assert stream.previous is found.lower
+    assert dataclasses.replace(found, lower=None).apply_to(state.stream).previous is state.stream.previous
+    keeping = dataclasses.replace(stream, keeps_weights=True)
+    for objective, lower in ((0.0, False), (np.inf, True)):
+        again = dataclasses.replace(look, stream=keeping, objective=objective).findings()
+        assert (again.lower is not None) == lower
+
+
+def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the page's button, and by `out`; the second of three frames lost two before it."""
+    hello = dataclasses.replace(IDLE, readings=64, period_us=500_000)
+    sums = np.full((4, 3, 4), 64 * 700, np.uint16)
+    sums[2:, 1, 2] = 64 * 720
+    frames = [Frame(64, number, 500 * number, 0, each) for number, each in enumerate(sums)]
+    samples = [Sample(each, hello, 0.5 * number, 50.0, 2 * (number == 1), 0) for number, each in enumerate(frames)]
+
+    def arriving(*source: Any) -> Any:
+        yield from (samples[:2], (), samples[2:])
+
+    for module in (run_module, record_module):
+        monkeypatch.setattr(module, "samples_of", arriving)
+    monkeypatch.chdir(tmp_path)
+    board = LiveBoard(("port",), None, 2)
+    with Engine("port", "LSM", LSM, 2) as engine, recorder_of(board, engine) as (recorder, asks):
+        assert recorder is not None and asks.record is not None and engine.shown.thing.recording == ("", False)
+        asks.record("one")
+        from_board(engine, board, 3, recorder.take)
+        assert engine.shown.thing.recording == (f"recording {tmp_path / 'one.h5'}: 3 frames", True)
+        asks.tare()
+        assert engine._zero_asked.is_set() and recorder._zeroed.is_set()
+        engine.finish()
+        button = engine.shown.thing
+    out = dataclasses.replace(board, out=tmp_path / "two.h5")
+    with Engine("port", "LSM", LSM, 2) as engine, recorder_of(out, engine) as (recorder, asks):
+        assert recorder is None and asks.record is None
+        assert recorded_from_board(engine, out, 3).frames == 3
+        engine.finish()
+        written = engine.shown.thing
+    for view, name in ((button, "one"), (written, "two")):
+        assert (view.frames, view.lost, view.state) == (3, 2, "receiving") and view.picture is not None
+        assert (view.picture.number, view.picture.time, view.picture.arrived) == (3, 1.0, 50.0)
+        assert np.unravel_index(np.argmax(np.abs(view.picture.measured_change)), (3, 4)) == (1, 2)
+        found = Recording.load(tmp_path / f"{name}.h5")
+        assert found.role.tolist() == [UNLOADED, UNLOADED, MEASURED]
+        np.testing.assert_array_equal(found.raw_sums, sums[:3])
 
 
 def settle(engine: Engine) -> None:

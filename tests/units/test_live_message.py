@@ -2,8 +2,12 @@
 
 import dataclasses
 import json
+import socket
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -15,13 +19,16 @@ from lampest.loads.recognition.breathing import Breathing
 from lampest.panel.response import PublishedResponse, ratio_from_pressure
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, simulate
-from lampest.report.detect.answer import Detected
+from lampest.report.detect.answer import ANSWERS, Detected
 from lampest.report.detect.detection import detect_recording
 from lampest.report.live import watcher as watcher_module
 from lampest.report.live.engine import Engine, with_picture
+from lampest.report.live.handover import Errand
 from lampest.report.live.message import (
+    ANSWER,
     HISTORY_FRAMES,
     UNKNOWN,
+    VERDICTS,
     Message,
     Picture,
     View,
@@ -29,6 +36,8 @@ from lampest.report.live.message import (
     view_text,
     with_detected,
 )
+from lampest.report.live.publish import publish_at
+from lampest.report.live.publish.lsl import LslPublish
 from lampest.report.live.run import METHODS, scan_of
 from lampest.report.live.state import read_load, verdict_of
 from lampest.report.live.watcher import Unloaded, Watched, in_one_batch, watcher
@@ -123,6 +132,107 @@ def test_the_history_keeps_its_newest_points() -> None:
     content = json.loads(view_text(view, 0.0, known=HISTORY_FRAMES + 46))
     assert content["history"] == [[HISTORY_FRAMES + number, 1.0] for number in (47.0, 48.0, 49.0)]
     assert json.loads(view_text(view, 0.0, known=HISTORY_FRAMES + 49))["picture"] is None
+
+
+def message_of(load: Attachment | None = None, alarm: str = "", number: int = 7) -> Message:
+    """A frame of 2 × 3 cells under a load, and what is said of it."""
+    change, panel = np.arange(6.0).reshape(2, 3) - 4, Panel(2, 3)
+    picture = drawn(change, Force(1.5, 0.1), 1000 + change, change / 2, change > 1, number=number)
+    picture = dataclasses.replace(picture, verdict="pressing", status="fine", arrived=50.0)
+    detected = None if load is None else Detected.of("here", (load,), 4.0)
+    view = View("here", "LSM", "receiving", panel, picture=picture, detected=detected, alarm=alarm, deviation=0.25)
+    return Message(panel, picture, view)
+
+
+def test_a_row_has_a_number_for_every_channel() -> None:
+    message = message_of(LAMPREY, "a lamprey")
+    row = dict(zip([channel.label for channel in message.channels()], message.row().tolist(), strict=True))
+    pressing, lamprey = float(VERDICTS.index("pressing")), float(ANSWERS.index("lamprey"))
+    known = {"sequence": 7.0, "force": 1.5, "verdict": pressing, "solved": 1.0, "force_sd": 0.25}
+    known |= {"change_0_0": -4.0, "change_1_2": 1.0, "pressure_0_1": -1.5, "cells_1_0": 999.0}
+    known |= {"answer": lamprey, "alarm": 1.0, "since_s": 6.0, "diameter_mm": 35.0}
+    assert {name: row[name] for name in known} == known and np.isnan(row["until_s"])
+    places = {channel.label: channel.place for channel in message.channels()}
+    assert places["change_1_2"] == (0.02, 0.01) and places["force"] is None
+    third = np.full((2, 3), 1 / 3)
+    picture = dataclasses.replace(drawn(third, Force(1 / 3, 0.1), third, third), arrived=50.0)
+    view = dataclasses.replace(message.view, deviation=1 / 3)
+    content = Message(message.panel, picture, view).content(0.0)
+    assert [content[name][0] for name in ("cells", "change", "pressure")] == [0.33, 0.333, 0.3333]
+    assert (content["force"], content["force_sd"], content["force_sd_of"]) == (0.3333, 0.3333, None)
+    silent = message_of()
+    assert np.isnan(silent.row()[-len(ANSWER) :]).all() and silent.signature == (7, "", "")
+    gone = dataclasses.replace(silent, picture=dataclasses.replace(silent.picture, verdict="unsolved"))
+    assert not gone.solved and gone.row()[3] == 0.0
+
+
+def test_osc_has_a_message_for_every_number_and_map() -> None:
+    from pythonosc.osc_bundle import OscBundle
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        ear.bind(("127.0.0.1", 0))
+        ear.settimeout(10)
+        way = publish_at(f"osc://127.0.0.1:{ear.getsockname()[1]}/panel")
+        with way.opened(print) as (where, send):
+            send(message_of())
+            send(message_of(LAMPREY))
+        sent = [ear.recv(65536) for _ in range(2)]
+    assert where == way.where and where.startswith("osc://127.0.0.1:")
+    silent, told = ({part.address.removeprefix("/panel/"): part.params for part in OscBundle(each)} for each in sent)
+    assert set(told) - set(silent) == {"answer", "probability", "sentence", "detection"}
+    known = {"sequence": [7], "time": [7.0], "size": [2, 3], "force": [1.5], "force_sd": [0.25], "solved": [True]}
+    known |= {"verdict": ["pressing"], "status": ["fine"], "alarm": [""], "change": [-4, -3, -2, -1, 0, 1]}
+    known |= {"pressure": [-2, -1.5, -1, -0.5, 0, 0.5], "cells": [996, 997, 998, 999, 1000, 1001]}
+    assert silent == known
+    assert told["answer"] == ["lamprey"] and told["sentence"][0].startswith("lamprey attached since 6.0 s")
+    assert json.loads(told["detection"][0])["answer"] == "lamprey"
+
+
+def test_lsl_stamps_a_frame_once_and_tells_an_answer_when_it_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+    streams: dict[str, list[Any]] = {}
+
+    def outlet(info: Any) -> SimpleNamespace:
+        streams[info.name] = [info]
+        return SimpleNamespace(push_sample=lambda *sample: streams[info.name].append(sample))
+
+    def info(name: str, kind: str, channels: int, rate: float, form: str, source: str) -> SimpleNamespace:
+        return SimpleNamespace(name=name, about=(kind, channels, rate, form, source), desc=lambda: Described())
+
+    monkeypatch.setattr("time.time", lambda: 52.0)
+    stub = {"StreamInfo": info, "StreamOutlet": outlet, "local_clock": lambda: 10.0, "IRREGULAR_RATE": 0.0}
+    monkeypatch.setitem(sys.modules, "pylsl", SimpleNamespace(set_config_content=lambda text: None, **stub))
+    with LslPublish.at(urlsplit("lsl://panel"), None).opened(print) as (where, send):
+        for message in (
+            message_of(),
+            message_of(CUP),
+            message_of(CUP, "alarm"),
+            message_of(CUP, "alarm", 8),
+        ):
+            send(message)
+    (numbers, *rows), (texts, *answers) = streams["panel"], streams["panel-answer"]
+    size = len(message_of().row())
+    assert where == "lsl://panel" and numbers.about == ("Pressure", size, 0.0, "float32", "panel")
+    assert texts.about == ("Markers", 1, 0.0, "string", "panel-answer")
+    assert [(row[0], stamp) for row, stamp in rows] == [(7.0, 8.0), (8.0, 8.0)]
+    assert [json.loads(text)["alarm"] for ((text,),) in answers] == ["", "alarm"]
+
+
+class Described:
+    """What a stream is described by."""
+
+    def append_child(self, name: str) -> "Described":
+        return self
+
+    def append_child_value(self, name: str, value: str) -> None:
+        assert isinstance(value, str)
+
+
+def test_an_urgent_errand_waits_for_urgent_ones_alone() -> None:
+    look, urgent, other = Errand("look", int), Errand("look", int, urgent=True), Errand("check", int)
+    assert look.queued([other]) == [other, look]
+    assert Errand("look", float).queued([look, other]) == [Errand("look", float), other]
+    assert look.queued([urgent]) == [urgent] and urgent.queued([look]) == [urgent] == urgent.queued([urgent])
+    assert look.done() == 0
 
 
 SCENE = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +29,7 @@ from lampest.runs.executors import Serial
 
 Command = Callable[..., SimpleNamespace]
 SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
+FEW = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout())
 UNLOADED = 6
 RUN = """
 schema: 1
@@ -70,7 +70,8 @@ def frames(count: int, scene: lampest.Scene = SCENE) -> Array:
     pressed = 0.5 * (1 - np.cos(np.linspace(0, 2 * np.pi, count - UNLOADED)))[:, None, None]
     cells[UNLOADED:, 1:3, 2:4] *= np.exp(-pressed)
     exact = np.asarray(readout.to_recorded(readout.exact_reading(cells), scene))
-    return exact + np.asarray(readout.sigma(exact)) * rng.standard_normal(exact.shape)
+    sigma = 0.0 if readout.noise_lsb is None else np.asarray(readout.sigma(exact))
+    return exact + sigma * rng.standard_normal(exact.shape)
 
 
 def save(folder: Path, values: Array, scene: lampest.Scene = SCENE, role: Any = None) -> None:
@@ -139,6 +140,55 @@ def test_a_run_that_was_killed_goes_on_and_finds_the_same(tmp_path: Path) -> Non
     assert not list(tmp_path.rglob("*.part")) and not list(tmp_path.rglob("*.parts"))
 
 
+@pytest.mark.parametrize("apart", [True, False])
+def test_an_ended_run_goes_on_behind_its_last_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, apart: bool
+) -> None:
+    """Three parts of 16 frames, of estimates that look back or do not; the second is damaged before it goes on.
+
+    Parts that stand apart are solved in any order, by an executor or by the case itself.
+    """
+    told: list[tuple[int, int]] = []
+
+    class Backwards(Serial):
+        def results(self, function: Any, arguments: Sequence[Any]) -> Any:
+            return super().results(function, arguments[::-1])
+
+    monkeypatch.setattr(stored, "MAX_READINGS", 100)
+    monkeypatch.setattr(stored, "PART_READINGS", 96)
+    save(tmp_path, frames(48, FEW), FEW)
+    penalty = "gradient" if apart else "gradient_of_relative_change"
+    entry = f"{{formulation: reduced, terms: {{misfit: {{}}, {penalty}: {{weight: 1e-3}}}}}}"
+    (tmp_path / "run.yaml").write_text(f"schema: 1\nrecordings: [long.h5]\nestimators: {{one: {entry}}}\n")
+    run = read_run(tmp_path / "run.yaml")
+    assert run_batch(run, tmp_path / "whole", Backwards(), on_frames=lambda *frames: told.append(frames)).done == 1
+    assert told[-1] == (48, 48) and told == sorted(told)
+    write, written = batch.write_carried, list[str]()
+
+    def counted(path: Path, carried: Any) -> None:
+        if len(written) == 2:
+            raise KeyboardInterrupt
+        written.append(path.name)
+        write(path, carried)
+
+    monkeypatch.setattr(batch, "write_carried", counted)
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(run, tmp_path / "ended", Serial())
+    task = batch.Task(run.cases[0], tmp_path / "ended")
+    assert written == ["000000_carried.h5", "000001_carried.h5"]
+    assert (task.whole_parts, task.frames_done) == ([0, 1], 32)
+    assert batch.parts_to_solve(task) == ([2] if apart else [])
+    task.carried(1).write_bytes(b"damaged")
+    assert task.carried_over(0) is not None and task.carried_over(1) is None
+    del written[:]
+    monkeypatch.setattr(batch, "parts_to_solve", lambda task: [])
+    monkeypatch.setattr(batch, "write_carried", lambda path, carried: (written.append(path.name), write(path, carried)))
+    assert run_batch(run, tmp_path / "ended", Serial()).done == 1
+    assert written == ["000001_carried.h5", "000002_carried.h5"]
+    assert task.frames_done == 48 and not list(tmp_path.rglob("*.parts"))
+    same(*(content(tmp_path / name / "results.h5") for name in ("whole", "ended")))
+
+
 @pytest.mark.parametrize("fresh", [False, True])
 def test_a_folder_of_parts_that_is_a_link_out_is_left_alone(tmp_path: Path, small: None, fresh: bool) -> None:
     save(tmp_path, frames(40))
@@ -155,27 +205,6 @@ def test_a_folder_of_parts_that_is_a_link_out_is_left_alone(tmp_path: Path, smal
 
 
 @pytest.mark.slow
-def test_parts_are_tasks_in_any_order(tmp_path: Path, small: None) -> None:
-    """An executor gets them one by one where estimates do not look back, and results are the same."""
-    asked: list[Any] = []
-
-    class Backwards(Serial):
-        def results(self, function: Any, arguments: Sequence[Any]) -> Any:
-            asked.extend(arguments)
-            return super().results(function, arguments[::-1])
-
-    save(tmp_path, frames(90))
-    (tmp_path / "run.yaml").write_text(RUN)
-    run = read_run(tmp_path / "run.yaml")
-    run_batch(run, tmp_path / "backwards", Backwards())
-    assert [(task.case.name, number) for task, number in asked[:-3]] == [("auto", number) for number in range(5)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("lampest.runs.batch.parts_to_solve", lambda task: [])
-        run_batch(run, tmp_path / "forwards", Serial())
-    same(*(content(tmp_path / name / "results.h5") for name in ("forwards", "backwards")))
-
-
-@pytest.mark.slow
 def test_parts_differ_from_the_whole_by_the_solvers_tolerance(tmp_path: Path) -> None:
     """Where noise and circuit are asked of all frames alike: parts have 32, the load is largest in the middle."""
     save(tmp_path, frames(60))
@@ -186,33 +215,6 @@ def test_parts_differ_from_the_whole_by_the_solvers_tolerance(tmp_path: Path) ->
     same(parts, whole, 1e-5)
     sentences = [value for name, value in parts.items() if name.endswith("@model_check")]
     assert all(b"; of a long recording 60 frames between 0 and 59 were asked" in value for value in sentences)
-
-
-@pytest.mark.slow
-def test_how_far_a_long_case_is(tmp_path: Path, small: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Frames of frames, part by part; another thread tells them."""
-    told: list[tuple[int, int]] = []
-    done: list[int] = []
-    seen = threading.Event()
-    write = batch.write_results
-
-    def written(path: Path, *things: Any) -> None:
-        write(path, *things)
-        done.extend([20] if path.parent.suffix == ".parts" else [])
-        while path.parent.suffix == ".parts" and (not told or told[-1] != (sum(done), 60)):
-            assert seen.wait(30)
-            seen.clear()
-
-    def heard(*frames: int) -> None:
-        told.append(frames)
-        seen.set()
-
-    save(tmp_path, frames(60))
-    (tmp_path / "run.yaml").write_text(RUN.split("  relative:")[0])
-    monkeypatch.setattr(batch, "EVERY_SECONDS", 0.01)
-    monkeypatch.setattr(batch, "write_results", written)
-    assert run_batch(read_run(tmp_path / "run.yaml"), tmp_path / "out", Serial(), on_frames=heard).done == 1
-    assert {(20, 60), (40, 60), (60, 60)} <= set(told) and told == sorted(told)
 
 
 @pytest.mark.slow

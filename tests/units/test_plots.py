@@ -21,8 +21,8 @@ from lampest import CaseResult, InputError, Panel, PressurePlot, Scene, Water, w
 from lampest.loads.pressure import pressure_of
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.report.plots import PLOTS, Plot, picture, plot_of, plot_results
-from lampest.report.plots.maps import MapPainter, Scale, Tile, banded_scale, change_scale
-from lampest.report.plots.style import change_text, new_figure, save
+from lampest.report.plots.maps import MapPainter, Scale, Tile, banded_scale, change_scale, log_scale, signed_scale
+from lampest.report.plots.style import change_text, new_figure, plain_number, round_numbers, save, short_title
 from lampest.report.words import digits
 from lampest.runs.columns import FRAMES, Column
 from lampest.runs.held import COLUMNS
@@ -111,6 +111,24 @@ def test_resistances_over_an_unknown_reference_are_in_units_of_it(reference: flo
     scene = replace(case.scene, readout=TwoPointReadout(reference_ohm=reference))
     figure = plot_of("resistance").draw((replace(case, scene=scene),))
     assert {f"reading {unit}", f"resistance {unit}"} <= {axes.get_ylabel() for axes in figure.axes}
+
+
+def test_scales_end_at_round_numbers() -> None:
+    assert round_numbers(0.2, 30) == [0.2, 0.5, 1, 2, 5, 10, 20]
+    decade = np.geomspace(0.3, 40, 101)
+    scale = log_scale([decade, np.array([np.nan, -1.0, np.inf])], "r")
+    assert (scale.norm.vmin, scale.norm.vmax, scale.ticks) == (0.2, 50, [0.2, 0.5, 1, 2, 5, 10, 20, 50])
+    wide, nothing = log_scale([decade * 1e4], "r"), log_scale([np.array([-1.0])], "r")
+    assert (wide.norm.vmin, wide.norm.vmax) == (200, 500) and (nothing.norm.vmin, nothing.norm.vmax) == (1, 10)
+    values = [np.append(np.linspace(-23, 7, 99), 900.0)]
+    ends = [signed_scale(values, "x", *limits).norm.vmax for limits in ((1.0,), (40.0,), (1.0, 5.0))]
+    assert ends == [30, 40, 5] and signed_scale(values, "x", 1.0).norm.vmin == -30
+    banded = banded_scale(values, "change [%]")
+    assert banded.label == "change [%] (ends at ±50 %)" and banded.ticks == list(range(-50, 51, 10))
+    assert banded.norm.boundaries.tolist() == [*range(-50, 0, 5), *range(5, 55, 5)]
+    assert banded_scale([np.array([700.0])], "x").norm.vmax == 100
+    assert [plain_number(value) for value in (-0.5, 1e3)] == ["−0.5", "1000"]
+    assert short_title("y" * 22) == "y" * 22 and short_title("y" * 23) == "y" * 21 + "…"
 
 
 def maps_of(figure: Figure) -> list[Axes]:

@@ -2,8 +2,11 @@
 
 import csv
 import dataclasses
+import logging
+import warnings
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,10 +14,12 @@ import pytest
 from support import METHODS, invented_case
 
 from lampest import CaseResult, InputError, Results, write_results
+from lampest.files.process import ALLOWED, in_bytes, libraries_to_the_log, memory_limit
 from lampest.report.compare import figures_of
-from lampest.report.detect.pressed import pressed, pressed_of, pressed_table, write_pressed
+from lampest.report.detect.pressed import figure, pressed, pressed_of, pressed_table, write_pressed
 from lampest.report.page.compared import Batch, read_batch
 from lampest.report.page.page import report, write_report
+from lampest.report.words import digits, median_text, no_formula, spanned, text_of
 
 EMPTY = {"meta", "link", "img", "br"}
 
@@ -72,6 +77,72 @@ class Page(HTMLParser):
 
     def values(self, attribute: str) -> list[str]:
         return [str(given[attribute]) for _, given in self.tags if attribute in given]
+
+
+WORDS: tuple[tuple[Any, str], ...] = (
+    (digits(0.0012345), "0.00123"),
+    (digits(1e-4), "0.000100"),
+    (digits(9.9e-5), "9.90e−5"),
+    (digits(-3050.4, 2), "−3,050"),
+    (digits(999999.0), "999,999"),
+    (digits(1e6), "1.00e6"),
+    (digits(0.0), "0"),
+    (digits(12.3456, 3, 0.0123), "12.3456"),
+    (digits(np.nan), "not a number"),
+    (digits(np.inf), "∞"),
+    (digits(-np.inf), "−∞"),
+    (text_of(None), ""),
+    (text_of(np.nan), ""),
+    (text_of(0.5), "0.500"),
+    (text_of(0.5, ".1f"), "0.5"),
+    (median_text(np.array([3.0, np.nan, 1.0, 8.0])), "3.00 (1.00 to 8.00)"),
+    (median_text(np.array([2.0, 2.0])), "2.00"),
+    (median_text(np.array([np.nan])), ""),
+    (spanned(np.array([672.91, np.nan, 219.5]), "ohm"), "219.5 to 672.9 ohm"),
+    (spanned(np.array([np.nan]), "ohm"), "unknown"),
+    (figure(12.345, 0.0), "12.3"),
+    (figure(-12.345, 0.56), "−12.35 ± 0.56"),
+    (figure(12.345, 56.0), "12 ± 56"),
+    (figure(1.23456, 0.00012), "1.235 ± 0.000"),
+    (in_bytes(999), "999 bytes"),
+    (in_bytes(1000), "0.977 KiB"),
+    (in_bytes(3 * 2**20), "3 MiB"),
+    (in_bytes(26.8 * 2**30), "26.8 GiB"),
+)
+
+
+def test_numbers_in_words() -> None:
+    for said, expected in WORDS:
+        assert said == expected
+    assert [no_formula(text) for text in ("=1", "+1", "-1", "@a", "\ta", "\ra", "a=1", -1)] == [
+        *("'=1", "'+1", "'-1", "'@a", "'\ta", "'\ra"),
+        *("a=1", -1),
+    ]
+
+
+def test_memory_that_may_be_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    for setting, size in (("8GB", 8 * 2**30), ("1.5 m", 1.5 * 2**20), ("7KiB", 7 * 2**10), ("12", 12.0)):
+        monkeypatch.setenv(ALLOWED, setting)
+        assert memory_limit() == size
+    for wrong in ("0", "GB", "1X", "-1"):
+        monkeypatch.setenv(ALLOWED, wrong)
+        with pytest.raises(InputError, match="is no size such as 8GB"):
+            memory_limit()
+    monkeypatch.delenv(ALLOWED)
+    monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=10_000))
+    assert memory_limit() == 9_000
+
+
+def test_warnings_go_to_the_log_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LAMPEST_LOG", str(tmp_path / "log.txt"))
+    logger = logging.getLogger("py.warnings")
+    with libraries_to_the_log():
+        assert not (tmp_path / "log.txt").exists() and not logger.propagate
+        with warnings.catch_warnings():
+            warnings.simplefilter("default")
+            warnings.warn("what a library says", stacklevel=1)
+    assert "what a library says" in (tmp_path / "log.txt").read_text()
+    assert logger.propagate and not [one for one in logger.handlers if isinstance(one, logging.FileHandler)]
 
 
 @pytest.mark.slow

@@ -6,19 +6,22 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from wild_board import IDLE, Script, WildBoard, hundred_a_second, wild_board, wire
 
 from lampest import Faults, InputError, Panel, Recording, Scene, TwoPointReadout
-from lampest.cli.board import report_recorded
 from lampest.panel.panel import EachModule, Modules
-from lampest.recording.board import stream
+from lampest.panel.readouts.converter import noise_of_variance
+from lampest.recording.acquisition import Acquisition
+from lampest.recording.board import several, stream
 from lampest.recording.board.protocol import Frame, Hello, message
-from lampest.recording.board.record import Recorded, record
+from lampest.recording.board.record import Recorded, Recorder, _wanted, noise_from_repeats, record
 from lampest.recording.board.several import LATE_SECONDS, Alignment, samples_of
-from lampest.recording.board.stream import Sample, Scanning, board_samples
+from lampest.recording.board.stream import Sample, Samples, Scanning, board_samples
+from lampest.recording.recording import MEASURED, UNLOADED
 from tests.bodies import hello_body
 
 Sent = Iterator[tuple[float, bytes]]
@@ -90,23 +93,6 @@ def test_a_flood_does_not_stretch_the_time(tmp_path: Path, script: Script) -> No
     with pytest.raises(InputError, match="ended before the first frame"):
         recorded(script, tmp_path, seconds=0.2)
     assert time.monotonic() - began < 10
-
-
-def falls_silent(hello: Hello) -> Sent:
-    """Thirty frames, and then nothing."""
-    for number in range(30):
-        yield 0.01, wire(hello, number)
-
-
-@pytest.mark.slow
-def test_silence_at_the_end_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with wild_board(falls_silent) as board:
-        done = record(board.port, tmp_path / "out.h5", seconds=1.0, period=0.01)
-    assert (done.frames, done.lost, done.silent) == (30, 0, 0.7)
-    report_recorded(done)
-    assert "lampest: no frame came in the last 0.7 s\n" in capsys.readouterr().err
-    with wild_board(hundred_a_second) as board:
-        assert record(board.port, tmp_path / "whole.h5", seconds=0.5, period=0.01).silent == 0.0
 
 
 def test_frames_are_found_in_a_flood(tmp_path: Path) -> None:
@@ -231,22 +217,6 @@ def test_a_clock_that_stands_still_costs_no_frame_and_is_named_once(tmp_path: Pa
     assert not any(sample.clock_jump for sample in found)
 
 
-def frozen(hello: Hello) -> Sent:
-    """Good frames, whose clock stands still after the fifth."""
-    for number in itertools.count():
-        yield 0.01, wire(hello, number, 1000 + 10 * min(number, 5))
-
-
-def test_a_recording_names_the_clock_that_stands_still(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    done = recorded(frozen, tmp_path, frames=40)
-    found = Recording.load(tmp_path / "r.h5")
-    assert (done.frames, done.lost, done.restarts, done.clock_jumps) == (40, 0, 0, 0)
-    assert found.acquisition is not None and found.acquisition.event_label == ("clock stopped",)
-    assert 0.35 < found.time[-1] < 3
-    report_recorded(done)
-    assert "the board's clock stood still" in capsys.readouterr().err
-
-
 def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None:
     random = np.random.default_rng(4343)
     sent, ahead, came = [], 100_000, []
@@ -275,23 +245,6 @@ def test_ticks_that_the_board_missed_are_no_jump() -> None:
     run, _ = run_of((0, 500), (1, 510))
     _, (sample,) = run.taking(replace(frame(2, 5520), missed=500))
     assert sample.time == pytest.approx(5.02) and not sample.clock_jump
-
-
-def jumping(hello: Hello) -> Sent:
-    """Good frames; the clock goes back by 5 s twice, and forward by 5 s."""
-    for number in itertools.count():
-        jumps = np.searchsorted((40, 80, 120), number, side="right")
-        yield 0.01, wire(hello, number, 20_000 + 10 * number + (0, -5_000, 0, -5_000)[jumps])
-
-
-def test_a_recording_holds_the_jumps_of_the_clock_as_events(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    done = recorded(jumping, tmp_path, frames=160)
-    found = Recording.load(tmp_path / "r.h5").acquisition
-    assert (done.frames, done.lost, done.restarts, done.clock_jumps) == (160, 0, 0, 3)
-    assert found is not None and found.event_label == ("clock jump",) * 3
-    np.testing.assert_allclose(found.event_time, (0.4, 0.8, 1.2), atol=1e-9)
-    report_recorded(done)
-    assert "3 jumps of the board's clock" in capsys.readouterr().err
 
 
 def test_a_wrong_frame_that_was_believed_is_doubted_after_a_silence() -> None:
@@ -358,32 +311,8 @@ def steady(hello: Hello) -> Iterator[tuple[float, bytes]]:
         yield PERIOD, wire(hello, number)
 
 
-def pausing(hello: Hello) -> Iterator[tuple[float, bytes]]:
-    """Ten frames, then none for a while."""
-    for number in itertools.count():
-        if number == 10:
-            yield 1.2, b""
-        yield PERIOD, wire(hello, number + (24 if number >= 10 else 0))
-
-
 def opened(stack: ExitStack, *scripts: Script) -> list[WildBoard]:
     return [stack.enter_context(wild_board(script)) for script in scripts]
-
-
-@pytest.mark.slow
-def test_a_board_that_falls_silent_is_missing_alone_and_comes_back(tmp_path: Path) -> None:
-    with ExitStack() as stack:
-        boards = opened(stack, steady, pausing, steady, steady)
-        ports = [board.port for board in boards]
-        done = record(ports, tmp_path / "r.h5", frames=60, scene=SCENE, period=PERIOD, baseline=3)
-    found = Recording.load(tmp_path / "r.h5")
-    parts = np.isnan(LAYOUT.split(found.recorded))
-    gone = parts.all(axis=(2, 3))
-    assert done.frames == 60 and done.lost == 0 and not gone[:, [0, 2, 3]].any()
-    assert 15 <= gone[:, 1].sum() == done.parted <= 40 and not gone[-3:, 1].any()
-    assert found.acquisition is not None and found.acquisition.event_label[:2] == ("gone: 0,1", "back: 0,1")
-    assert np.diff(found.time) == pytest.approx(PERIOD, abs=0.6 * PERIOD)
-    assert found.readings().enough(SCENE).any()
 
 
 @pytest.mark.slow
@@ -404,9 +333,11 @@ def test_a_board_that_answers_without_frames_for_long_comes_back(
     with ExitStack() as stack:
         ports = [board.port for board in opened(stack, steady, hanging, steady, steady)]
         done = record(ports, tmp_path / "r.h5", frames=140, scene=SCENE, period=PERIOD, baseline=3)
-    gone = np.isnan(LAYOUT.split(Recording.load(tmp_path / "r.h5").recorded)).all(axis=(2, 3))
+    found = Recording.load(tmp_path / "r.h5")
+    gone = np.isnan(LAYOUT.split(found.recorded)).all(axis=(2, 3))
     assert done.frames == 140 and done.lost == 0 and not gone[:, [0, 2, 3]].any()
     assert 5 <= gone[:, 1].sum() == done.parted <= 110 and not gone[-3:, 1].any()
+    assert np.diff(found.time) == pytest.approx(PERIOD, abs=0.6 * PERIOD) and found.readings().enough(SCENE).any()
 
 
 def test_ports_and_modules_must_be_as_many() -> None:
@@ -415,6 +346,9 @@ def test_ports_and_modules_must_be_as_many() -> None:
         samples_of(("a", "b"), dead)
     with pytest.raises(InputError, match="several boards need a scene"):
         samples_of(("a", "b"), None)
+    larger = Scene(Panel(modules=Modules(2, 3, EachModule(3, 4))), TwoPointReadout(readings=2))
+    with pytest.raises(InputError, match=r"reads 6 modules: .* order \[0, 0\], \[0, 1\], \[0, 2\], \[1, 0\], …; not 7"):
+        samples_of("abcdefg", larger)
 
 
 def sent(number: int, at: float, arrived: float | None = None) -> Sample:
@@ -472,3 +406,220 @@ def test_a_clock_that_runs_slow_loses_no_frame_of_the_other() -> None:
     here, frames = shown(here, 1e9)
     assert [one for one, _ in seen + frames] == list(range(400))
     assert sum(other is None for _, other in seen + frames) <= 12
+
+
+def test_a_board_is_waited_for_until_it_is_late() -> None:
+    both = Alignment.of(2).taking(0, sent(0, 0.0)).taking(1, sent(0, -0.4 * PERIOD))
+    here, parts = both.frame(0.0) or pytest.fail("a part that began 0.4 periods before belongs to the frame")
+    assert here.moment == 0.0 and [*parts] == [0, 1]
+    late = 1.5 * PERIOD + LATE_SECONDS
+    assert LATE_SECONDS == 0.3
+    alone = here.taking(0, sent(1, PERIOD))
+    assert alone.frame(PERIOD + late - 1e-3) is None
+    gone, parts = alone.frame(PERIOD + late + 1e-3) or pytest.fail("it is late")
+    assert [*parts] == [0] and gone.missing == (1,)
+    other, late = here.taking(1, sent(1, 0.9 * PERIOD)), 2.5 * PERIOD + LATE_SECONDS
+    assert other.frame(late - 1e-3) is None
+    led, parts = other.frame(late + 1e-3) or pytest.fail("the second board leads")
+    assert [*parts] == [1] and led.moment == pytest.approx(0.9 * PERIOD) and led.began == 0.0
+
+
+def test_a_boards_clock_is_set_by_the_quickest_of_fifty_frames() -> None:
+    here = Alignment.of(1)
+    for number in range(60):
+        here = here.taking(0, sent(number, number * PERIOD, number * PERIOD + (0.01 if number == 12 else 0.02)))
+    assert len(here.delays[0]) == 50
+    assert [here.waiting[0][number][0] - number * PERIOD for number in (11, 12, 59)] == pytest.approx(
+        [0.02, 0.01, 0.01]
+    )
+    assert here.taking(0, replace(sent(60, 9.0, 9.5), session=1)).delays == (pytest.approx((-99.5,)),)
+
+
+def test_the_image_begins_where_every_board_has_come() -> None:
+    here = Alignment.of(2)
+    for number in range(-1, 3):
+        here = here.taking(0, sent(number + 1, number * PERIOD))
+    assert here.frame(1e9) is None
+    assert shown(here.taking(1, sent(7, 0.4 * PERIOD)), 0.1 * PERIOD)[1] == [(1, 7)]
+
+
+def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> tuple[list[Sample], list[str]]:
+    """The image of four boards that send these samples and then fall silent, and what is said meanwhile."""
+    states, silent = list[str](), set[str]()
+
+    def samples(port: str, *rest: Any) -> Samples:
+        for sample in boards[port]:
+            if isinstance(sample, InputError):
+                raise sample
+            yield (sample,)
+        silent.add(port)
+        while not rest[-1]():
+            time.sleep(1e-3)
+
+    monkeypatch.setattr(several, "board_samples", samples)
+    monkeypatch.setattr(several, "time", lambda: 0.0)
+    batches = samples_of([*boards], SCENE, PERIOD, states.append, lambda: len(silent) == len(boards))
+    return [sample for batch in batches for sample in batch], states
+
+
+def test_boards_are_one_image_that_names_who_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second board lacks the frames 2 and 3, the third restarts and says that it lost two frames."""
+    boards = {name: [sent(number, 5 + number * PERIOD) for number in range(6)] for name in "abcd"}
+    del boards["b"][2:4]
+    boards["c"][4:] = [replace(sample, session=1, lost=2, clock_jump=True) for sample in boards["c"][4:]]
+    boards["d"] = [
+        replace(sent(number, at, at + 0.01), frame=replace(sent(number, at).frame, missed=3))
+        for number, at in enumerate(5 + PERIOD * np.arange(6))
+    ]
+    images, states = image_of(monkeypatch, boards)
+    assert [image.missing for image in images] == [0, 0, 1, 1, 0, 0]
+    assert [image.events for image in images] == [(), (), ("gone: 0,1",), (), ("back: 0,1",), ()]
+    assert [image.frame.sequence for image in images] == [0, 1, 2, 3, 4, 5]
+    assert {image.frame.missed for image in images} == {3}
+    assert [image.session for image in images] == [0, 0, 0, 0, 1, 1]
+    assert [image.clock_jump for image in images] == [False] * 4 + [True] * 2
+    assert not any(image.lost for image in images), "no board lacks it where the others have it"
+    np.testing.assert_allclose([image.time for image in images], PERIOD * np.arange(6), atol=1e-9)
+    np.testing.assert_allclose([image.host_time for image in images], 5.01 + PERIOD * np.arange(6), atol=1e-9)
+    assert {(image.hello.rows, image.hello.columns) for image in images} == {(6, 8)}
+    parts = LAYOUT.split(np.array([image.frame.sums for image in images]))
+    assert [[int(module[0, 0]) for module in image] for image in parts][1:3] == [[1] * 4, [2, 65535, 2, 2]]
+    assert set(states) == {"module 0,1 at b: no frame came"}
+
+
+def test_a_board_that_never_answers_ends_the_image_with_its_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    boards = {name: [sent(0, 0.0)] for name in "abc"} | {"d": [InputError("no board at d")]}
+    with pytest.raises(InputError, match="no board at d"):
+        image_of(monkeypatch, boards)
+
+
+def test_frames_that_all_boards_lost_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    boards = {name: [sent(number, number * PERIOD) for number in (0, 1, 4)] for name in "abcd"}
+    for lost, samples in enumerate(boards.values(), 2):
+        samples[0], samples[-1] = replace(samples[0], lost=7), replace(samples[-1], lost=lost)
+    images, states = image_of(monkeypatch, boards)
+    assert ([image.lost for image in images], states) == ([0, 0, 2], [])
+
+
+def test_a_request_records_behind_the_unloaded_frames(tmp_path: Path) -> None:
+    said: list[tuple[str, bool]] = []
+    path = tmp_path / "one.h5"
+    recorder = Recorder(tmp_path, None, 2, lambda sentence, runs: said.append((sentence, runs)))
+    with pytest.raises(InputError, match="up to 64 letters"):
+        recorder.ask("a/b")
+    recorder.ask("one")
+    for number in range(8):
+        if number == 4:
+            recorder.zero()
+        recorder.take(sent(number, 0.1 * number))
+    recorder.ask("")
+    recorder.take(sent(8, 0.8))
+    recorder.close()
+    growing = [(f"recording {path}: {count} frames", True) for count in (2, 3, 4, 5, 6, 7, 8)]
+    assert said == [*growing, (f"closing {path}", False), (f"recorded 8 frames: {path}", False)]
+    found = Recording.load(path)
+    assert found.acquisition is not None and found.raw_sums is not None
+    assert found.acquisition.sequence.tolist() == [*range(8)]
+    assert found.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 6
+    assert found.acquisition.event_label == ("zero",) and found.acquisition.event_time[0] == pytest.approx(100.4)
+    del said[:]
+    for name in ("one", "two"):
+        recorder.ask(name)
+        for number in range(9, 11):
+            recorder.take(sent(number, 0.1 * number))
+    recorder.close()
+    again = Recording.load(tmp_path / "two.h5")
+    assert again.acquisition is not None and again.acquisition.sequence.tolist() == [4, 5, 9, 10], "since the zero"
+    assert again.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 2
+    assert said[0] == (f"not recorded: {path}: exists already; a recording is never written over", False)
+
+
+def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    samples = [sent(number, 0.1 * number - 100) for number in range(5)]
+    changes: tuple[dict[str, Any], ...] = ({"lost": 2}, {"clock_jump": True}, {"events": (stream.CLOCK_STOPPED,)})
+    for number, change in enumerate((*changes, {"missing": 1, "session": 3}), 1):
+        samples[number] = replace(samples[number], **change)
+    asked: list[Any] = []
+
+    def arriving(urls: object, scene: object, period: object, on_state: Any, ending: Any) -> Samples:
+        asked.append((urls, scene, period, ending()))
+        yield tuple(samples[:2])
+        on_state("the board is gone")
+        yield ()
+        yield tuple(samples[2:])
+        yield ()
+
+    monkeypatch.setattr("lampest.recording.board.record.samples_of", arriving)
+    steps: list[tuple[int, int, str]] = []
+    for name, ports, limits in (("a", "p", {"seconds": 2.0}), ("b", ["p", "q"], {"frames": 5}), ("c", None, {})):
+        del steps[:]
+        done = record(
+            ports,
+            tmp_path / name,
+            period=0.1,
+            on_progress=lambda at: steps.append((at.frames, at.lost, at.state)),
+            **limits,
+        )
+        counts = {"frames": 5, "lost": 2, "restarts": 3, "clock_jumps": 1, "parted": 1, "behind": 0}
+        assert {key: getattr(done, key) for key in counts} == counts and done.clock_stopped
+        assert (done.path, done.ended_by, done.noise_lsb) == (tmp_path / name, "", None)
+        assert done.silent == (1.55 if name == "a" else 0.0)
+        assert steps == [(1, 0, ""), (2, 2, ""), (2, 2, "the board is gone"), (3, 2, ""), (4, 2, ""), (5, 2, "")]
+        found = Recording.load(done.path)
+        assert found.role.tolist() == [MEASURED] * 5 and found.acquisition is not None
+        assert found.acquisition.event_label == ("clock jump", stream.CLOCK_STOPPED)
+        np.testing.assert_allclose(found.acquisition.event_time, found.time[[2, 3]])
+    assert asked == [(urls, None, 0.1, False) for urls in (("p",), ["p", "q"], ())]
+
+
+def batches_of(*sizes: int) -> Samples:
+    numbers = itertools.count()
+    yield from (tuple(sent(number, 0.1 * number - 100) for number in itertools.islice(numbers, size)) for size in sizes)
+
+
+# Frames and seconds at most, and what is left of batches of 2, 0, 3 and 2 frames, 0.1 s apart, of 0.05 s each.
+ENDS = (
+    (None, None, [2, 0, 3, 2]),
+    (4, None, [2, 0, 2]),
+    (5, None, [2, 0, 3]),
+    (6, None, [2, 0, 3, 1]),
+    (None, 0.25, [2, 0, 1]),
+    (None, 0.35, [2, 0, 2]),
+    (3, 0.35, [2, 0, 1]),
+    (4, 0.25, [2, 0, 1]),
+)
+
+
+def test_a_recording_ends_after_its_frames_or_seconds() -> None:
+    for frames, seconds, sizes in ENDS:
+        assert [len(batch) for batch in _wanted(batches_of(2, 0, 3, 2), frames, seconds, 0.1)] == sizes
+
+
+def test_noise_comes_from_pairs_of_unloaded_codes_that_follow_each_other() -> None:
+    """Pairs over a restart, of loaded frames and at the ends of the converter count as nothing."""
+    rng, readings, frames = np.random.default_rng(3), 4, 60
+    readout = TwoPointReadout(readings=readings)
+    sums = np.round(readings * (500 + 3 * rng.standard_normal((frames, 2, 3)))).astype(np.uint16)
+    sums[30:] += 800
+    sums[50:] += np.arange(0, 1000, 100, dtype=np.uint16)[:, None, None]
+    sums[::2, 0, 0], sums[::2, 0, 1], sums[1::2, 0, :2] = 2 * readings, 1021 * readings, 500 * readings
+    codes = sums[:50].reshape(50, 6)[:, 2:] / readings
+    differences = np.concatenate([np.diff(codes[:30], axis=0), np.diff(codes[30:], axis=0)])
+    numbers = np.arange(frames)
+    session, nothing = (numbers >= 30).astype(np.uint16), np.zeros(frames, np.uint16)
+    counters = numbers * 1.0, numbers, numbers, nothing, nothing, session
+
+    def first(count: int) -> Recording:
+        return Recording(
+            Scene(Panel(2, 3), readout),
+            readout.recorded_from_sums(sums[:count], readings),
+            numbers[:count] * 1.0,
+            np.where(numbers < 50, UNLOADED, MEASURED).astype(np.uint8)[:count],
+            raw_sums=sums[:count],
+            raw_readings=readings,
+            acquisition=Acquisition(*(counter[:count] for counter in counters), np.zeros(0)),
+        )
+
+    assert noise_from_repeats([first(frames)]) == noise_of_variance(readout, np.mean(differences**2) / 2)
+    assert noise_from_repeats([first(13)]) is None, "48 pairs"
+    assert noise_from_repeats([first(14)]) is not None, "52 pairs"

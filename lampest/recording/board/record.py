@@ -319,7 +319,7 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
             late = (number for number, item in enumerate(batch, 1) if item.time + item.hello.period > seconds - 1e-3)
             until = next(late, None)
             batch = batch[:until]
-            ended = until is not None or time.monotonic() - began > 1.05 * seconds + period + 1
+            ended |= until is not None or time.monotonic() - began > 1.05 * seconds + period + 1
         count += len(batch)
         yield batch
         if ended:

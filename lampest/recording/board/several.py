@@ -164,7 +164,7 @@ class _Boards:
                     board, item = arrived.get(timeout=0.02)
                     if isinstance(item, Sample):
                         current, states[board] = current.taking(board, item), ""
-                    elif isinstance(item, InputError) and (current.moment is None or len(listening) == 1):
+                    elif isinstance(item, InputError):  # no frame of this board came, so there is no image yet
                         raise item
                     elif item is None:
                         listening.discard(board)
@@ -203,7 +203,7 @@ class _Boards:
             replace(first.hello, rows=rows, columns=columns),
             (after.moment or 0.0) - (after.began or 0.0),
             max(sample.host_time for sample in every),
-            min((sample.lost for sample in fresh), default=0) if before.frames else 0,
+            min(sample.lost for sample in fresh) if before.frames else 0,
             sum(last[1].session for last in after.shown if last is not None),
             any(sample.clock_jump for sample in fresh),
             len(after.missing),

@@ -95,7 +95,7 @@ class Course(Configuration):
             lost = (1 - self.pump_loss) ** (np.mod(since, self.pump_s) / self.pump_s)
             rising = (since >= self.pump_s) * (1 - _ramp(np.mod(since, self.pump_s), PUMPED_S))
             suction = suction * (lost - (lost - 1 + self.pump_loss) * rising)
-        if self.pull_off and self.release_at_s is not None:
+        if self.release_at_s is not None:
             suction = suction * (1 + self.pull_off * _ramp(time - self.release_at_s + PUMPED_S, PUMPED_S))
         return _ramp(touched, self.approach_s) * factor, suction * factor
 

@@ -251,8 +251,12 @@ def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -
 
 def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
     """(σ (rows, columns) from differences of neighbouring frames, how it was found)."""
+    seen = np.isfinite(value).any(axis=0)
+    steps = np.isfinite(np.diff(value, axis=0)).any(axis=0)
+    median, relative = np.full((2, *seen.shape), np.nan)
+    median[seen] = np.nanmedian(value[:, seen], axis=0)
     with np.errstate(invalid="ignore"):
-        relative = sigma_of_frames(np.log(value))
+        relative[steps] = sigma_of_frames(np.log(value[:, steps]))
     size = float(np.nanmedian(relative))
     message = f"the noise is unknown: {100 * size:.2g} % a reading, from differences of neighbouring frames"
-    return np.nanmedian(value, axis=0) * np.fmax(np.nan_to_num(relative), max(size, 1e-6)), (message,)
+    return median * np.fmax(np.nan_to_num(relative), max(size, 1e-6)), (message,)
