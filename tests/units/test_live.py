@@ -430,20 +430,20 @@ def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, mo
     monkeypatch.chdir(tmp_path)
     board = LiveBoard(("port",), None, 2)
     with Engine("port", "LSM", LSM, 2) as engine, recorder_of(board, engine) as (recorder, asks):
-        assert recorder is not None and asks.record is not None and engine.shown.thing.recording == ("", False)
+        assert recorder is not None and asks.record is not None and engine.shown.item.recording == ("", False)
         asks.record("one")
         from_board(engine, board, 3, recorder.take)
-        assert engine.shown.thing.recording == (f"recording {tmp_path / 'one.h5'}: 3 frames", True)
+        assert engine.shown.item.recording == (f"recording {tmp_path / 'one.h5'}: 3 frames", True)
         asks.tare()
         assert engine._zero_asked.is_set() and recorder._zeroed.is_set()
         engine.finish()
-        button = engine.shown.thing
+        button = engine.shown.item
     out = dataclasses.replace(board, out=tmp_path / "two.h5")
     with Engine("port", "LSM", LSM, 2) as engine, recorder_of(out, engine) as (recorder, asks):
         assert recorder is None and asks.record is None
         assert recorded_from_board(engine, out, 3).frames == 3
         engine.finish()
-        written = engine.shown.thing
+        written = engine.shown.item
     for view, name in ((button, "one"), (written, "two")):
         assert (view.frames, view.lost, view.state) == (3, 2, "receiving") and view.picture is not None
         assert (view.picture.number, view.picture.time, view.picture.arrived) == (3, 1.0, 50.0)
