@@ -340,7 +340,6 @@ def tuned() -> Tuned:
     return tune(subject(Gradient(weight="auto"), bump()))
 
 
-@pytest.mark.slow
 def test_point_has_the_papers_misfit_and_penalty_and_the_true_error() -> None:
     made = bump()
     point = solve_at(subject(Gradient(weight="auto"), made), 2e-5, None)
@@ -353,7 +352,6 @@ def test_point_has_the_papers_misfit_and_penalty_and_the_true_error() -> None:
     assert_allclose(point.error, np.sqrt(np.mean(error**2)))
 
 
-@pytest.mark.slow
 def test_evidence_is_laplaces_at_each_estimate() -> None:
     """−2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1, up to what λ does not change."""
     made = bump()
@@ -374,7 +372,6 @@ def test_evidence_is_laplaces_at_each_estimate() -> None:
     assert_allclose(first[0] - second[0], first[1] - second[1], atol=1e-4)
 
 
-@pytest.mark.slow
 def test_what_a_held_cell_leaves_is_the_integral_of_its_density() -> None:
     """The cost's slope and Gauss-Newton curvature by differences, the integral by quadrature."""
     made = bump()
@@ -403,13 +400,11 @@ def test_what_a_held_cell_leaves_is_the_integral_of_its_density() -> None:
     assert_allclose(bound_evidence(model), expected, rtol=1e-5)
 
 
-@pytest.mark.slow
 def test_morozovs_weight_misses_the_readings_by_their_noise(tuned: Tuned) -> None:
     (weight,) = (choice.weight for choice in tuned.choices if choice.rule == "Morozov")
     assert_allclose(tuned.curves.at(weight).misfit, 20, rtol=0.05)
 
 
-@pytest.mark.slow
 def test_l_curve_finds_the_corner_of_a_hyperbola() -> None:
     """x = √(1 + t²) + t, y = √(1 + t²) − t with t = log(λ/10) is curved most at t = 0."""
     weights = np.geomspace(1e-3, 1e5, 41)
@@ -434,7 +429,6 @@ def test_rule_in_use_is_what_a_run_goes_by(penalty: Term) -> None:
     assert_allclose(used.error, np.sqrt(np.mean(error**2)), rtol=1e-4)
 
 
-@pytest.mark.slow
 def test_no_choice_beats_hindsight_and_the_curves_are_in_order(tuned: Tuned) -> None:
     weights = tuned.curves.values("weight")
     assert np.all(np.diff(weights) > 0)
