@@ -108,16 +108,6 @@ class Detector:
         stands_out = self.search.matched(response).T @ (response.T @ errors)
         return calm if stands_out.max() < SIGNIFICANT else None
 
-    def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
-        """One candidate whether or not anything else would do; from everywhere, unless the start of before fits."""
-        fit = None if start is None else self._whole(frame, start, start, frame)
-        if fit is None or fit.chi2 > MAX_MEAN_SQUARE * frame.measured.size:
-            field, calm = field_fit(frame)
-            (begin,) = self._coarse((candidate,), field, calm)
-            anew = self._whole(frame, begin, field, calm)
-            fit = anew if fit is None or anew.chi2 < fit.chi2 else fit
-        return fit
-
     def with_errors(self, frame: Observation, fit: Fit) -> tuple[Observation, Whitening]:
         """Return the frame without readings that contradict a fit, and the errors about the cells that it explains."""
         calm = frame.without(self._contradicting(frame, fit))
@@ -144,13 +134,6 @@ class Detector:
     def explained(self, frame: Observation, fit: Fit) -> Explained:
         """Return the cells that a fit to a frame explains."""
         return self._fitting(fit.candidate, frame).explained(fit)
-
-    def _whole(self, frame: Observation, fit: Fit, explains: Fit, calm: Observation) -> Fit:
-        """Return a single fit, sharpened, with the whole width of its posterior."""
-        scatter = frame.baseline.model_errors.response
-        calm, fit = self._sharpened(frame, fit, explains, calm, scatter)
-        whitening = Whitening.of(calm, self.explained(calm, fit), scatter)
-        return self._fitting(fit.candidate, calm).best(fit.parameters, whitening)
 
     def _sharpened(
         self, frame: Observation, fit: Fit, explains: Fit, calm: Observation, scatter: float
