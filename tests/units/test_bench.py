@@ -16,6 +16,7 @@ from lampest.cost.cost import Cost
 from lampest.estimate.sequence import first_stream
 from lampest.runs.config import Terms
 from lampest.solvers.multistart import evaluated
+from lampest.studies import bench as bench_module
 from lampest.studies.bench import (
     STUDY,
     Bench,
@@ -171,6 +172,35 @@ def test_all_methods_are_told_together_only_where_none_was_left_out() -> None:
     found = [(row.rows, row.method, row.frames) for row in bench_rows(frames)]
     assert [about for about in found if about[1] == "all"] == [(8, "all", "first")]
     assert len(found) == 1 + 3 + 2 + 2
+
+
+def test_tables_of_a_bench_show_medians_and_what_others_take_over_ours() -> None:
+    ours, theirs = timed(8, [0.05, 0.002, 0.003, 0.006]), timed(8, [0.4, 0.03, 0.03, 0.03], solver="nodal")
+    ours[1:] = [replace(frame, iterations=2 + number, gap=1e-13) for number, frame in enumerate(ours[1:])]
+    theirs[2:] = [replace(theirs[2], gap=2e-3, status="no"), replace(theirs[3], gap=np.inf, solved=False, status="no")]
+    frames = [replace(frame, memory_mb=70.0 + frame.frame) for frame in ours] + theirs
+    row = bench_rows(frames)[1]
+    assert (row.ms, row.ms_quartile_1, row.ms_quartile_3) == pytest.approx((3, 2.5, 4.5))
+    assert (row.inverses, row.iterations, row.count, row.verified, row.solved) == (pytest.approx(3000), 3, 3, 3, 3)
+    found = dict(tables(Bench(BenchFile(1, (8,)), tuple(frames))))
+    assert found["solvers: all methods together"].cells == (
+        ("8 × 8", "reduced", "first", "50.0", "", "50,000", "1", "< 1e-12", "1/1", "70"),
+        ("8 × 8", "reduced", "later", "3.00", "", "3,000", "3", "< 1e-12", "3/3", "73"),
+        ("8 × 8", "nodal", "first", "400", "8.00", "400,000", "1", "< 1e-12", "1/1", ""),
+        ("8 × 8", "nodal", "later", "30.0", "10.0", "30,000", "1", "inf", "1/3", ""),
+    )
+    assert found["methods: the reduced solver"].cells[1][:6] == ("8 × 8", "LSM", "later", "3.00", "2.50–4.50", "3,000")
+    assert "growth: time ∝ side^exponent" not in found
+
+
+def test_frames_after_the_first_are_solved_in_turns_until_they_take_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The fake clock: the first frame takes 0.3 s, the next 0.4, 0.2 and 0.1 s, those of the last 2 s and less."""
+    clock, solve = iter([0.3, 0.4, 0.2, 0.1, 2.0, 0.01]), bench_module.pushed
+    monkeypatch.setattr(bench_module, "pushed", lambda *given: solve(*given)._replace(seconds=next(clock)))
+    few = BenchFile(1, (3,), frames=2, repeats=3, limits=alone())
+    found = run_bench(replace(few, estimators={"LSM": few.estimators["LSM"]}), quiet)
+    assert [frame.seconds for frame in found.frames] == [0.3, 0.1, 2.0] and list(clock) == [0.01]
+    assert [frame.kind for frame in found.frames] == ["first", "later", "later"] and not found.left_out
 
 
 def test_what_there_is_no_time_for_is_left_out_and_named() -> None:
