@@ -160,8 +160,9 @@ class SharedError:
         return getattr(sizes, self.setting) or 0.0
 
 
+REFERENCE = SharedError("reference_tolerance", _reference)
 KNOWN_ERRORS = (  # as large as their sizes, whatever frames show
-    SharedError("reference_tolerance", _reference),
+    REFERENCE,
     SharedError("channel_spread_ohm", _channels),
 )
 HIDDEN_ERRORS = (  # determined by still cells (`lampest.estimate.still_cells`)
@@ -178,11 +179,12 @@ def error_columns(
 ) -> Array:
     """U (n, …, rows, columns) of these errors in the unit of the network's readings, of one standard deviation each.
 
+    The reference has a column in every scene, of zeros where its size is 0: channels stand behind it.
     measured : readings (…, rows, columns).
     """
-    none = np.zeros((0, *measured.shape))
-    parts = (error.columns(network, measured, scene, size) for error in errors if (size := error.size(sizes)))
-    return np.concatenate([none, *parts])
+    sized = [(error, error.size(sizes)) for error in errors]
+    parts = [error.columns(network, measured, scene, size) for error, size in sized if size or error is REFERENCE]
+    return np.concatenate([np.zeros((0, *measured.shape)), *parts])
 
 
 @dataclass(frozen=True)
