@@ -414,6 +414,9 @@ def test_l_curve_finds_the_corner_of_a_hyperbola() -> None:
     assert_allclose(l_curve(tuple(points)), 10, rtol=1e-6)
     turned = tuple(replace(point, misfit=1 / point.penalty, penalty=1 / point.misfit) for point in points)
     assert l_curve(turned) is None
+    wavy = [replace(point, penalty=float(np.exp(-0.1 * t - np.tanh(t)))) for point, t in zip(points, t, strict=True)]
+    bent = l_curve([replace(point, misfit=point.weight) for point in wavy])
+    assert 10 < bent < 100, "where it bends the other way counts for nothing"
 
 
 @pytest.mark.slow

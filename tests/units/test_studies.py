@@ -16,13 +16,13 @@ from docs.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
 from lampest import Array, InputError, Panel, Recording, Scene
 from lampest.runs.config import read_run
 from lampest.runs.results import Results
-from lampest.studies import tradeoff
+from lampest.studies import common, tradeoff, weights
 from lampest.studies.paper import page, sides
 from lampest.studies.paper.page import Paper, PublishedNumber, counts, covered
 from lampest.studies.paper.sides import FILE, LoadSeen, Published, Side, StepsSeen, read_published
 from lampest.studies.tradeoff import Plan, Simulated, TradeoffFile, TradeoffFrame, label, read_plan, run_tradeoff
 from lampest.studies.tradeoff_report import STUDY, front, ladder_rows, on_front, tradeoff_figure, tradeoff_table
-from lampest.studies.weights import why_not
+from lampest.studies.weights import CurvePoint, why_not
 from tests.small_files import TRADEOFF, exact, write_recording
 
 RUNGS = ["naive", "scaled", "linearised", "truncated 2", "reduced", "nodal"]
@@ -313,6 +313,35 @@ def test_the_figure_of_a_tradeoff_numbers_its_formulations() -> None:
     assert legend.get_title().get_text() == "1 reduced    2 naive    3 slow"
     best = tradeoff_figure(ladder_rows([replace(one, gap=0.0) for one in MEASURED], "method")).axes[1]
     assert best.get_ylim()[0] == pytest.approx(1e-12 / 30) and list(best.lines[-1].get_ydata()) == [1e-12] * 2
+
+
+def test_a_call_takes_the_lesser_of_wall_and_processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    for wall, cpu in ((3.0, 2.0), (2.0, 3.0)):
+        clocks = {"perf_counter": iter([10.0, 10.0 + wall]), "process_time": iter([1.0, 1.0 + cpu])}
+        for name, times in clocks.items():
+            monkeypatch.setattr(common, name, times.__next__)
+        assert common.clocked(lambda: "done") == ("done", 2.0)
+
+
+def test_curves_are_refined_about_the_least_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each new weight is solved from its nearest neighbour that was; between the best and the two beside it."""
+    starts = list[tuple[float, Any]]()
+
+    def solved(subject: Any, weight: float, start: Any) -> CurvePoint:
+        starts.append((round(weight, 3), start))
+        return CurvePoint(weight, 1, error=abs(np.log10(weight) - 1.6), cells=round(weight))
+
+    monkeypatch.setattr(weights, "solve_at", solved)
+    curves = weights.Curves(None, ()).extended([100.0, 1.0, 10.0, 1e3])
+    assert starts == [(1, None), (10, None), (100, None), (1000, None)]
+    assert curves.extended([40.0]).at(40.0).solved and starts[-1] == (40, 100)
+    finer = curves.finer()
+    assert finer.best().weight == pytest.approx(31.623, rel=1e-4)
+    assert [round(one) for one in finer.values("weight")] == [1, 10, 32, 100, 316, 1000] and finer.at(10.0).cells == 10
+    first = weights.Curves(None, tuple(replace(point, error=point.weight) for point in curves.points)).finer()
+    assert [round(one) for one in first.values("weight")] == [1, 3, 10, 32, 100, 1000]
+    unknown = weights.Curves(None, (CurvePoint(1.0),))
+    assert unknown.finer() is unknown and unknown.best() is None
 
 
 def test_front_holds_what_nothing_beats() -> None:
