@@ -158,6 +158,9 @@ def test_a_window_opens_where_a_load_comes_and_closes_when_it_has_been_calm() ->
     (load,) = watch.attachments
     assert not watch.opened and not load.present and load.until_s == 1.75 and watch.modules[2] is None
     np.testing.assert_allclose(watch.modules[1].resting, watch.modules[0].resting, atol=1e-3)
+    for time in (63.0, 63.25, 63.5):
+        watch = watch.push(image_of(layout, loaded), sigma, time)
+    assert [(load.since_s, load.present) for load in watch.ended().attachments] == [(1.0, False), (63.0, True)]
 
 
 def test_a_watch_over_modules_begins_where_theirs_stand_and_they_go_on_from_there() -> None:
@@ -263,31 +266,6 @@ def test_recognition_looks_where_something_changed(tmp_path: Path, monkeypatch: 
     assert progress == [*((done, 23) for done in range(20)), (23, 23)]
     assert len(answer.attachments) == 1 and answer.attachments[0].distance((150, 255)) < 5
     assert set(looks) == {(10, 10)} and len(looks) <= 5
-
-
-@pytest.mark.slow
-def test_a_window_closes_when_it_has_been_calm_and_the_modules_go_on(tmp_path: Path) -> None:
-    """Two visits at one place, two minutes apart, each counted once; no window is open in the end."""
-    rod = Rod(centre_mm=(30, 30), diameter_mm=30, mass_g=500)
-    course = Course(start_s=1.0, release_at_s=6.0)
-    made = Simulation(schema=1, seed=7, scene=SCENE, frames=110, frame_period_s=1.0, loads=(rod,), course=course)
-    recording = simulate(made)
-    values = recording.recorded.copy()
-    values[-20:-5] = values[5:20]
-    replace(recording, recorded=values).save(tmp_path / "mat.h5")
-    found = list[ImageWatch]()
-    ended = ImageWatch.ended
-
-    def noted(self: ImageWatch) -> ImageWatch:
-        found.append(self)
-        return ended(self)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ImageWatch, "ended", noted)
-        answer = detect_recording(tmp_path / "mat.h5")
-    assert len(answer.attachments) == 2, answer.attachments
-    assert all(load.distance((30, 30)) < 6 for load in answer.attachments)
-    assert [len(watch.opened) for watch in found] == [1]
 
 
 def detected(whole: Recording) -> Detected:

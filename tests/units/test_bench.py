@@ -108,22 +108,6 @@ def test_all_solvers_agree_where_they_say_they_solved(tiny: Bench) -> None:
     assert tiny.left_out == ()
 
 
-@pytest.mark.slow
-def test_rows_are_ratios_of_medians(tiny: Bench) -> None:
-    rows = bench_rows(tiny.frames)
-    found = {(row.rows, row.columns, row.method, row.solver, row.frames != "later"): row for row in rows}
-    assert len(found) == 2 * 6 * (5 + 2)
-    for (high, wide, method, _, first), row in found.items():
-        reduced = found[high, wide, method, "reduced", first]
-        assert row.ratio == pytest.approx(row.ms / reduced.ms)
-        assert row.count == (5 if method == "all" else 1) * (2 if first else 4)
-        assert row.ms_quartile_1 <= row.ms <= row.ms_quartile_3
-        assert row.verified <= row.solved <= row.count
-    assert found[3, 3, "LSR-dCR", "reduced", True].frames == "pair"
-    assert found[2, 4, "LSR-dCR", "reduced", True].frames == "first"
-    assert growth(rows) == []
-
-
 def test_a_solver_alone_is_given_no_gap() -> None:
     found = bench_rows(run_bench(BenchFile(1, (3,), frames=1, repeats=1, limits=alone()), quiet).frames)
     assert {row.solver for row in found} == {"reduced"} and all(row.gap is None for row in found)

@@ -83,21 +83,6 @@ def test_baselines_are_judged_by_the_cost_that_they_minimise() -> None:
     assert all(solve.verified for solve in found), found
 
 
-def test_rows_count_what_the_solves_say() -> None:
-    tiny = run_atlas(read_tiny())
-    doctored = (
-        replace(tiny[0], audited=1.0),
-        replace(tiny[1], solved=False, status=f"{CRASHED}ValueError: no"),
-        *tiny[2:],
-    )
-    found = atlas_rows(doctored)
-    assert sum(row.solves for row in found) == len(tiny)
-    assert (found[0].doubtful, found[0].crashed, found[0].verified, found[0].named) == (1, 1, 0, 0)
-    for row in found:
-        assert row.verified + row.named + row.doubtful + row.crashed == row.solves
-    assert atlas_remarks(doctored)[0].startswith(f"{len(tiny) - 2} of {len(tiny)} solves end with a verified optimum")
-
-
 def test_digits() -> None:
     one = np.array([1.0, 2.0])
     assert correct_digits(one, one) == 15

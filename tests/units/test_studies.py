@@ -63,7 +63,6 @@ def test_no_reconstruction_errs_by_what_it_ignores(found: list[TradeoffFrame]) -
     rows = {row.formulation: row for row in ladder_rows(found) if (row.rows, row.columns) == (8, 8)}
     assert rows["naive"].cell_error > 60
     assert rows["reduced"].reached > 0.9
-    assert rows["reduced"].memory_mb is None
 
 
 TINY = """\
@@ -347,12 +346,6 @@ def test_curves_are_refined_about_the_least_error(monkeypatch: pytest.MonkeyPatc
 def test_front_holds_what_nothing_beats() -> None:
     assert front([(3, 1), (1, 5), (2, 5), (2, 2), (4, 1), (5, 0)]) == [1, 3, 0, 5]
     assert front([]) == []
-
-
-@pytest.mark.slow
-def test_fastest_rung_is_on_the_front(found: list[TradeoffFrame]) -> None:
-    rows = [row for row in ladder_rows(found) if (row.rows, row.columns) == (8, 8)]
-    assert min(rows, key=lambda row: row.frame_ms).formulation in on_front(rows)
 
 
 @pytest.mark.slow
