@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import log
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from docs.studies.bench import SolverLimits, SolversFile, Trf, _Point
 from docs.studies.bench_pages import MARKED, PAGES, sections, with_tables
 from docs.studies.mats import LEAST_S, MOST_S, PUBLISHED, MatAnswer, Mats, MatSolve, solved_mats, table
-from lampest import Huber, InputError, Misfit, Panel, Recording, Settings
+from lampest import Course, Huber, InputError, Misfit, Panel, Recording, Settings
 from lampest.cost.cost import Cost
 from lampest.estimate.sequence import first_stream
 from lampest.runs.config import Terms
@@ -27,6 +28,7 @@ from lampest.studies.bench import (
     bench_remarks,
     bench_rows,
     growth,
+    loads,
     run_bench,
     tables,
 )
@@ -185,6 +187,31 @@ def test_frames_after_the_first_are_solved_in_turns_until_they_take_a_second(mon
     found = run_bench(replace(few, estimators={"LSM": few.estimators["LSM"]}), quiet)
     assert [frame.seconds for frame in found.frames] == [0.3, 0.1, 2.0] and list(clock) == [0.01]
     assert [frame.kind for frame in found.frames] == ["first", "later", "later"] and not found.left_out
+
+
+def test_memory_is_measured_of_each_solver_on_square_panels_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    few = BenchFile(1, (3, (3, 4)), frames=4, repeats=1, memory=(3,), limits=BenchLimits(nodal=3))
+    few = replace(few, estimators={"LSM": few.estimators["LSM"]})
+    monkeypatch.setattr(bench_module, "peak_memory", lambda work, task: {"reduced": 7.0, "nodal": 9.0}[task[3]])
+    found = {(frame.shape, frame.solver, frame.memory_mb) for frame in run_bench(few, quiet).frames}
+    assert found == {((3, 3), "reduced", 7.0), ((3, 3), "nodal", 9.0), ((3, 4), "reduced", None)}
+    pushed = list[object]()
+    stream = SimpleNamespace(push=lambda readings: (pushed.append(readings) or stream, None))
+    monkeypatch.setattr(bench_module, "first_stream", lambda *given: stream)
+    bench_module.solve_two_frames((few, (3, 3), "LSM", "reduced"))
+    assert len(pushed) == 2
+
+
+def test_loads_of_a_bench_stand_at_shares_of_the_panel() -> None:
+    """Of 9 × 11 cells, 80 by 100 mm: a mouth of 35 % of 90 mm, three rods, a mouth beside the first."""
+    (third,), breathing = loads(0, (9, 11))
+    assert third.centre_mm == pytest.approx((49.0, 40.8)) and third.diameter_mm == pytest.approx(31.5)
+    rods, still = loads(1, (9, 11))
+    places = [(*rod.centre_mm, rod.diameter_mm, rod.mass_g) for rod in rods]
+    assert np.allclose(places, [(30, 24, 40, 680), (70, 28, 40, 300), (40, 60, 40, 1200)]) and still == Course()
+    (mouth, beside), growing = loads(2, (9, 11))
+    assert mouth.centre_mm == pytest.approx((60, 44)) and mouth.diameter_mm == 35 and beside == rods[0]
+    assert growing == replace(breathing, start_s=-0.4, approach_s=2) and loads(3, (9, 11)) == ((third,), breathing)
 
 
 def test_what_there_is_no_time_for_is_left_out_and_named() -> None:
