@@ -19,7 +19,7 @@ from lampest.loads.recognition.breathing import Breath, Breathing
 from lampest.loads.recognition.candidates import FIELD, FLAT, NOTHING, Several
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import Verdict, prior_cost
-from lampest.loads.recognition.fit import Fit
+from lampest.loads.recognition.fit import Fit, Fitting
 from lampest.loads.recognition.observation import Baseline, Explained, ModelErrors, Observation, Whitening, counting
 from lampest.loads.recognition.pumping import Pumping
 from lampest.loads.recognition.watch import Panelled, Watch
@@ -182,7 +182,7 @@ def test_several_loads_are_their_parts_in_a_row() -> None:
         and list(FLAT.start(disc)) == [0]
         and not len(NOTHING.start(disc))
     )
-    assert FLAT.priors(PANEL)["flat"][:2] == (0, 5)
+    assert FLAT.priors(PANEL)["flat"] == (0, 5, 0.7, 0)
 
 
 def test_a_fit_of_another_kind_begins_with_the_same_disc() -> None:
@@ -210,6 +210,28 @@ def test_a_fit_of_another_kind_begins_with_the_same_disc() -> None:
     )
     assert report["diameter_mm"][1][2] == pytest.approx(30) and report["suction_kpa"][1][4] == pytest.approx(-6)
     assert mouth.blind(begin)[2] == pytest.approx(1.1 / 30) and rod.blind(rod.start(disc))[2] == pytest.approx(0.7 / 30)
+
+
+def test_a_fit_is_as_wide_as_its_prior_where_nothing_was_read_and_else_as_its_curvature() -> None:
+    """One pressure of 5 ± 5 kPa on all cells, at 5 kPa; its evidence is a Gaussian's over that of the prior."""
+    for sigma in (1e9, 1.0):
+        frame = at_rest(sigma)
+        fitting, whitening, parameters = (
+            Fitting(SMALL.panel, 6.0, FLAT, frame),
+            Whitening.at_rest(frame),
+            np.array([5.0]),
+        )
+        likelihood = fitting.about(parameters, whitening)
+        point, fit = fitting.at(parameters, likelihood), fitting.stays(parameters, whitening)
+        variance = 1 / float(point.normal[0, 0])
+        assert fit.covariance[0, 0] == pytest.approx(variance) and (variance == pytest.approx(25)) == (sigma == 1e9)
+        assert fit.evidence == pytest.approx(np.log(variance / 25) / 2 - point.cost - whitening.volume)
+        errors = whitening @ frame.residual(fit.change)
+        assert fit.chi2 == pytest.approx(errors @ errors) and point.cost == pytest.approx(errors @ errors / 2 + 0.5)
+        assert fit.score == pytest.approx(point.cost + whitening.volume) and fit.scatter == 0
+        step = 1e-4
+        ends = [fitting.at(parameters + sign * step, likelihood).cost for sign in (1, -1)]
+        assert point.gradient[0] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-3)
 
 
 def fit_of(candidate: Any, disc: Disc, evidence: float = 0.0, change: float = 3.0, chi2: float = 80.0) -> Fit:
