@@ -19,7 +19,7 @@ from lampest.loads.recognition.breathing import Breath, Breathing
 from lampest.loads.recognition.candidates import FIELD, FLAT, NOTHING, Several
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import Verdict, prior_cost
-from lampest.loads.recognition.fit import Fit, Fitting
+from lampest.loads.recognition.fit import Fit, Fitting, paid, prior, states
 from lampest.loads.recognition.observation import Baseline, Explained, ModelErrors, Observation, Whitening, counting
 from lampest.loads.recognition.pumping import Pumping
 from lampest.loads.recognition.watch import Panelled, Watch
@@ -232,6 +232,25 @@ def test_a_fit_is_as_wide_as_its_prior_where_nothing_was_read_and_else_as_its_cu
         step = 1e-4
         ends = [fitting.at(parameters + sign * step, likelihood).cost for sign in (1, -1)]
         assert point.gradient[0] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-3)
+
+
+def test_a_field_is_quiet_or_changed_and_pays_for_unlike_neighbours() -> None:
+    """By 0.6 of a cell's square and 0.1 of each neighbour's; beside a border a cell stands for those it has not."""
+    panel, change = Panel(3, 3), np.zeros((3, 3))
+    for place, size, expected in (
+        ((1, 1), 0.5, [[0, 1, 0], [1, 2, 1], [0, 1, 0]]),
+        ((1, 1), 0.215, [[0, 1, 0], [1, 1, 1], [0, 1, 0]]),
+        ((0, 0), 0.215, [[2, 1, 0], [1, 0, 0], [0, 0, 0]]),
+        ((0, 0), -3.0, [[3, 3, 0], [3, 0, 0], [0, 0, 0]]),
+    ):
+        one = change.copy()
+        one[place] = size
+        np.testing.assert_array_equal(states(panel, one), expected)
+    unlike = paid(panel, np.array([[0, 1, 0], [0, 0, 0], [0, 0, 3]]))
+    assert unlike == pytest.approx(5 + 9 * np.log1p(3 * np.exp(-4)))
+    frame = at_rest(scene=replace(SMALL, panel=Panel(1, 2)))
+    both = 2.0 * 0.4 * frame.baseline.near[0, 1]
+    np.testing.assert_allclose(prior(frame, np.array([1.0, 2.0])), [[1, both], [both, 4]])
 
 
 def fit_of(candidate: Any, disc: Disc, evidence: float = 0.0, change: float = 3.0, chi2: float = 80.0) -> Fit:
