@@ -150,6 +150,16 @@ def test_impossible_ratios_are_refused(ratio: float, lower: float, upper: float)
         pressure_of(values[0][:, :3], values[1][:, :3], values[2][:, :3], AIR)
 
 
+def test_temperatures_are_of_this_world() -> None:
+    """Each number may be at the ends of its range, and beyond neither of them."""
+    ends = (("coefficient_per_kelvin", -1.0, 1.0), ("coefficient_sd_per_kelvin", 0.0, 1.0))
+    for name, low, high in (*ends, ("baseline_celsius", -273.15, 1000.0), ("measured_celsius", -273.15, 1000.0)):
+        assert [getattr(dataclasses.replace(COOLING, **{name: end}), name) for end in (low, high)] == [low, high]
+        for beyond in (low - 0.01, high + 0.01):
+            with pytest.raises(ValueError, match=name):
+                dataclasses.replace(COOLING, **{name: beyond})
+
+
 def test_scene_with_and_without_the_new_keys() -> None:
     for scene in SCENES.values():
         assert validated(parse_document(to_yaml(scene), "scene"), Scene) == scene
