@@ -164,8 +164,9 @@ class SharedError:
         return getattr(sizes, self.setting) or 0.0
 
 
+REFERENCE = SharedError("reference_tolerance", _reference)
 KNOWN_ERRORS = (  # their sizes are fixed; frames do not determine them
-    SharedError("reference_tolerance", _reference),
+    REFERENCE,
     SharedError("channel_spread_ohm", _channels),
 )
 HIDDEN_ERRORS = (  # determined by still cells (`lampest.estimate.still_cells`)
@@ -182,11 +183,12 @@ def error_columns(
 ) -> Array:
     """Return U, (n, …, rows, columns), of errors of one standard deviation each, in the readings' unit.
 
-    `measured` are the readings of the network, (…, rows, columns).
+    `measured` are the readings of the network, (…, rows, columns). The reference has a column in every scene, of zeros
+    where its size is 0.
     """
-    none = np.zeros((0, *measured.shape))
-    parts = (error.columns(network, measured, scene, size) for error in errors if (size := error.size(sizes)))
-    return np.concatenate([none, *parts])
+    sized = [(error, error.size(sizes)) for error in errors]
+    parts = [error.columns(network, measured, scene, size) for error, size in sized if size or error is REFERENCE]
+    return np.concatenate([np.zeros((0, *measured.shape)), *parts])
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lampest import Array, two_point_resistance
 from lampest.panel.kirchhoff import current_balance, injected, laplacian
+from lampest.panel.panel import as_panels_have
 from lampest.panel.readouts.floating import FloatingNetwork, grounding
 
 QUICK = settings(derandomize=True, deadline=None, max_examples=25, database=None)
@@ -221,3 +222,8 @@ def test_any_line_may_be_grounded(cells: Array) -> None:
 def test_frames_are_solved_one_by_one() -> None:
     frames = np.stack([random_panel((3, 4), seed) for seed in range(3)])
     assert_array_equal(two_point_resistance(frames), [two_point_resistance(frame) for frame in frames])
+
+
+def test_numbers_beyond_any_panel_are_nothing_or_infinite() -> None:
+    values = np.array([0.0, 1e-300, -1e-300, 5.0, 1e300, -1e300, np.inf])
+    np.testing.assert_array_equal(as_panels_have(values), [0, 0, 0, 5, np.inf, -np.inf, np.inf])

@@ -25,8 +25,6 @@ from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.report.detect.detection import detect_recording
 
-pytestmark = pytest.mark.slow
-
 PANEL = Panel(9, 11, 10.0)
 READOUT = TwoPointReadout(kind="two_point", noise_lsb=0.7)
 CENTRE = (52.0, 37.0)
@@ -115,6 +113,7 @@ SINGLE: dict[str, tuple[Any, str, float, Panel]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SINGLE)
 def test_a_load_is_called_what_it_is(name: str) -> None:
     """Also where a mouth is neither round nor even, or hangs over the edge of the panel."""
@@ -138,6 +137,7 @@ SMALL = ((25.0, {"pressure_kpa": -9, "rim_width_mm": 5}), (27.0, {"pressure_kpa"
 UNEVEN = ((36.0, {"unevenness": 0.2}), (28.0, {"unevenness": 0.2}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("places", "forms", "panel", "unmodelled"),
     [
@@ -160,6 +160,7 @@ def test_two_mouths_are_two(places: Any, forms: Any, panel: Panel, unmodelled: U
         np.testing.assert_allclose([disc[:2] for disc in discs], places, atol=5.0)
 
 
+@pytest.mark.slow
 def test_loads_do_not_stand_in_one_place() -> None:
     fit = verdict_on(MOUTH).best
     both = Several.of((OralDisc.candidate, OralDisc.candidate))
@@ -170,6 +171,7 @@ def test_loads_do_not_stand_in_one_place() -> None:
         assert prior_cost(PANEL, twice) == pytest.approx(prior_cost(PANEL, fit) + alone + cost + RARE_LOG_ODDS, abs=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("told", [0.0, 0.05])
 def test_errors_of_readings_that_stay_are_allowed_for(told: float) -> None:
     """A panel of which every reading is off by 5 %, the same in all frames: its unloaded cells are off by a half."""
@@ -183,6 +185,7 @@ def test_errors_of_readings_that_stay_are_allowed_for(told: float) -> None:
         assert verdict.goodness > 1.4 or verdict.sucks_at(None) < 0.5
 
 
+@pytest.mark.slow
 def test_the_field_is_none_of_a_reading_that_stands_alone() -> None:
     blocks = [Block(centre_mm=place, length_mm=60, width_mm=14, mass_g=300) for place in ((40, 20), (60, 55))]
     frame = frames_of(recorded(*blocks))[0]
@@ -192,6 +195,7 @@ def test_the_field_is_none_of_a_reading_that_stands_alone() -> None:
     assert np.abs(fooled.change - clean.change).max() < 0.3 and fooled.evidence > clean.evidence - 30
 
 
+@pytest.mark.slow
 def test_what_is_no_shape_is_unlike_any() -> None:
     blocks = [
         Block(centre_mm=place, length_mm=length, width_mm=14, mass_g=300, angle_deg=angle)
@@ -201,6 +205,7 @@ def test_what_is_no_shape_is_unlike_any() -> None:
     assert verdict.best.candidate.label == "unlike any" and max(verdict.shares) > 0.99 and verdict.sucks_at(None) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "angle_deg"), [((15.0, 15.0), 135.0), ((52.0, 37.0), 45.0), ((75.0, 47.0), 20.0), ((40.0, 60.0), 90.0)]
 )
@@ -211,6 +216,7 @@ def test_a_thin_line_is_no_lamprey(place: tuple[float, float], angle_deg: float)
     assert verdict.sucks_at(None) < 0.1
 
 
+@pytest.mark.slow
 def test_hidden_suction_counts_less() -> None:
     verdict = verdict_on(MOUTH)
     assert verdict.best.change.max() > 1 and prior_cost(PANEL, verdict.best) == pytest.approx(0, abs=0.1)
@@ -243,6 +249,7 @@ def test_drift_and_outliers_are_nothing(seed: int) -> None:
     assert all(verdict.best.candidate.label in ("nothing", FLAT.label) for verdict in verdicts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [(4, 6), (3, 5), (1, 1)])
 @pytest.mark.parametrize("ohm", [20.0, 160.0])
 def test_an_outlier_does_not_move_the_mouth(ohm: float, place: tuple[int, int]) -> None:
@@ -266,6 +273,7 @@ def test_an_outlier_is_the_reading_that_the_others_contradict() -> None:
     assert list(outliers(weight, residual)) == [17]
 
 
+@pytest.mark.slow
 def test_strong_suction_leaves_no_smaller_disc_possible(tmp_path: Path) -> None:
     """Cells that suction opens change the readings by little more, but by much where they would close again."""
     scene = Scene(Panel(10, 10), TwoPointReadout(), series_resistance_ohm=140.0)
@@ -326,6 +334,7 @@ def test_memory_of_a_lamprey_is_nothing(creep: float) -> None:
     assert one.sucks > 0.9 and one.since_s == pytest.approx(5, abs=2) and one.until_s == pytest.approx(16, abs=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load", [STRONG, SMALL_ROD], ids=["mouth", "rod"])
 @pytest.mark.parametrize("drift", [0.0, 0.02])
 def test_what_is_attached_stays_until_the_readings_step(load: Shape, drift: float) -> None:
@@ -334,6 +343,7 @@ def test_what_is_attached_stays_until_the_readings_step(load: Shape, drift: floa
     assert (one.sucks > 0.5) == (load is STRONG)
 
 
+@pytest.mark.slow
 def test_an_hour_at_a_frame_every_ten_seconds_is_kept_from_the_first_frame_to_the_last() -> None:
     (one,) = watched([load_that_leaves(Film(0.24, 0.03))], minutes=60, drift=0.02, period=10)
     assert one.since_s == pytest.approx(55, abs=6) and one.until_s == pytest.approx(3765, abs=6)
@@ -352,12 +362,6 @@ def test_a_known_load_ends_by_a_step_and_not_by_an_opinion(monkeypatch: pytest.M
     monkeypatch.setattr(Detector, "verdict", judged)
     (one,) = watched([load_that_leaves(None)])
     assert len(verdicts) > 1 and one.since_s == pytest.approx(5, abs=2) and one.until_s == pytest.approx(16, abs=2)
-
-
-def test_drift_of_hours_is_little_and_mostly_common_to_all_cells() -> None:
-    covariance = ModelErrors().resting_covariance(6 * 3600, 4)
-    assert 0.02 < np.sqrt(covariance[0, 0]) < 0.1 and covariance[0, 1] > 0.5 * covariance[0, 0]
-    assert ModelErrors().resting_sd(86400) < 2 * ModelErrors().resting_sd(3600)
 
 
 def test_a_weaker_lamprey_that_comes_back_to_its_place_is_seen() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from laws.recognised import PATCH_MM, frame_under, verdict_on
 
+import lampest
 from docs.studies.attachments import SLIDES_S, SLIDING, TOUCH_S, UNLOADED, recording, seen
 from lampest import Array, Course, Faults, OralDisc, Panel, Recording, Rod, Scene, Simulation, TwoPointReadout, simulate
 from lampest.estimate.prepared import Prepared
@@ -17,6 +18,7 @@ from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fitting, along_diameter
 from lampest.loads.recognition.image import ImageWatch, Window
 from lampest.loads.recognition.observation import ModelErrors, Whitening
+from lampest.loads.recognition.watch import Panelled
 from lampest.panel.panel import EachModule, Modules
 from lampest.report.detect.answer import LAMPREY, Detected
 from lampest.report.detect.detection import Known, detect_recording, known_of, measured_frames
@@ -54,6 +56,10 @@ def test_a_window_is_the_network_of_its_modules() -> None:
     assert (own.cells[1].start, own.x_mm, own.y_mm, own.numbers) == (7, 74.0, 0.0, (1, 2, 4, 5))
     cells = np.exp(np.random.default_rng(1).uniform(6, 7, own.scene.panel.shape))
     circuit = own.scene.circuit
+    assert circuit.unit == "ohm" and np.all(circuit.series_ohm == 140) and circuit.series_ohm.shape == (12, 14)
+    apart = [SCENE.of_modules[0].circuit.uniform_start(part) for part in (cells[:6, 7:], cells[6:, :7])]
+    np.testing.assert_array_equal(circuit.uniform_start(cells)[:6, 7:], apart[0])
+    np.testing.assert_array_equal(circuit.uniform_start(cells)[6:, :7], apart[1])
     slopes = circuit.network(cells, circuit.ties(cells), None).sensitivity(np.array([3, 100]))
     for column, cell in enumerate((3, 100)):
         moved = cells.copy()
@@ -67,17 +73,25 @@ def test_a_window_is_the_network_of_its_modules() -> None:
 
 
 def test_a_load_that_two_windows_see_is_that_of_the_window_around_it_and_loads_stand_in_order_of_time() -> None:
-    windows = [Window.about(SCENE, np.array(place)) for place in ([69.0, 57.0], [143.0, 57.0])]
+    """Among them those that left before; a load that came back where one ended is that one."""
+    windows = [Window.about(SCENE, np.array(place)) for place in ([69.0, 100.0], [143.0, 100.0])]
     for nearest, window in enumerate(windows):
         place = float(window.middle[0])
         loads = [
-            Attachment(0.9, 1.0, (place + seen - own.x_mm, 0.5), (float(own.middle[1]), 0.5), (40.0, 1.0))
+            Attachment(0.9, 1.0, (place + seen - own.x_mm, 0.5), (float(own.middle[1] - own.y_mm), 0.5), (40.0, 1.0))
             for seen, own in enumerate(windows)
         ]
         first = replace(loads[nearest], since_s=0.0, x_mm=(place - 60.0 - window.x_mm, 0.5))
         seen_by = [(load, first) if number == nearest else (load,) for number, load in enumerate(loads)]
         every = merged(windows, *seen_by)
-        assert [(load.since_s, load.x_mm[0]) for load in every] == [(0.0, place - 60.0), (1.0, place + nearest)]
+        assert [(load.since_s, load.place) for load in every] == [
+            (0.0, (place - 60.0, 89)),
+            (1.0, (place + nearest, 89)),
+        ]
+        gone = replace(every[1], x_mm=(place - 5.0, 0.5), since_s=0.5, until_s=0.9)
+        again = replace(gone, until_s=1.1)
+        past = merged(windows, *seen_by, past=(every[1], gone, again))
+        assert past == (every[0], gone, every[1]), "one that is present is another's, or a window closed over it"
 
 
 def test_one_load_hides_none_that_stands_apart_from_it_or_in_the_same_window() -> None:
@@ -89,11 +103,131 @@ def test_one_load_hides_none_that_stands_apart_from_it_or_in_the_same_window() -
     assert len(merged(windows, (mouth, rod), ())) == 2
 
 
-def merged(windows: list[Window], *loads: tuple[Attachment, ...]) -> tuple[Attachment, ...]:
+def merged(
+    windows: list[Window], *loads: tuple[Attachment, ...], past: tuple[Attachment, ...] = ()
+) -> tuple[Attachment, ...]:
     """The loads of several windows, each once."""
     watches: Any = [SimpleNamespace(attachments=own) for own in loads]
     opened = tuple((window, watch, 0.0) for window, watch in zip(windows, watches, strict=True))
-    return ImageWatch(None, (), opened)._merged()
+    return ImageWatch(None, (), opened, past)._merged()
+
+
+def image_of(layout: Modules, cells: Array) -> Array:
+    """Readings of modules, each a network of its own."""
+    return layout.joined(np.stack([lampest.two_point_resistance(own) for own in layout.split(cells)]))
+
+
+def begun(layout: Modules, cells: Array, dead: tuple[int, ...] = ()) -> tuple[ImageWatch, Array]:
+    """A panel of modules with some unread ones after three unloaded frames at 0 s, and σ of its readings."""
+    scene = Scene(Panel(modules=layout), READOUT, 140.0)
+    measured, water = image_of(layout, cells), np.zeros(layout.shape)
+    sigma = 0.002 * measured
+    for number in dead:
+        sigma[layout.cells(number)] = np.inf
+    panelled = Panelled(scene, Detector(scene.panel, 6.0), water, ModelErrors())
+    return ImageWatch.begin(panelled, measured, sigma, np.stack([measured] * 3), 0.0), sigma
+
+
+def test_a_window_opens_where_a_load_comes_and_closes_when_it_has_been_calm() -> None:
+    """A quarter of the middle of three modules, x 44 to 74 mm, falls to 0.4 of its resistance from 1 s to 1.5 s."""
+    layout, resting = Modules(1, 3, EachModule(4, 4), 4.0), np.full((4, 12), 3000.0)
+    loaded = resting.copy()
+    loaded[1:3, 5:7] *= 0.4
+    watch, sigma = begun(layout, resting, dead=(2,))
+    assert watch.modules[2] is None and not watch.touched(np.stack([image_of(layout, resting)] * 3))
+    assert watch.touched(np.stack([image_of(layout, loaded)] * 3)) and watch.change is None
+    for time, cells in [(0.5, resting), (1.0, loaded), (1.25, loaded), (1.5, loaded)]:
+        before, watch = watch, watch.push(image_of(layout, cells), sigma, time)
+        assert len(watch.opened) == (time > 1.0), "a frame of its own may be an outlier"
+    ((window, inside, touched_s),) = watch.opened
+    assert (window.numbers, inside.begun, touched_s, inside.present) == ((1,), 1.0, 1.5, True)
+    assert watch.modules[1] is before.modules[1] and watch.modules[0] is not before.modules[0]
+    seen_there = replace(before.modules[1], mean=np.log(image_of(layout, loaded)[:, 4:8]).ravel())
+    assert watch._place(1, seen_there) == pytest.approx((59, 15), abs=1)
+    assert watch.doubt == "something touched the panel at 1.0 s, and has not been still for long enough"
+    assert watch.stands_out == inside.stands_out > 100 > watch.modules[0].stands_out
+    watch = watch.ended()
+    (load,) = watch.attachments
+    assert load.place == pytest.approx((59, 15), abs=0.1) and load.since_s == 1.0
+    assert load.present and watch.doubt == ""
+    np.testing.assert_allclose(watch.change[loaded < resting], np.log(0.4), atol=0.1)
+    assert not watch.change[:, :4].any() and not watch.change[:, 8:].any()
+    for time in (1.75, 2.0, 61.4, 62.4):
+        assert len(watch.opened) == 1
+        watch = watch.push(image_of(layout, resting), sigma, time)
+    (load,) = watch.attachments
+    assert not watch.opened and not load.present and load.until_s == 1.75 and watch.modules[2] is None
+    np.testing.assert_allclose(watch.modules[1].resting, watch.modules[0].resting, atol=1e-3)
+    for time in (63.0, 63.25, 63.5):
+        watch = watch.push(image_of(layout, loaded), sigma, time)
+    assert [(load.since_s, load.present) for load in watch.ended().attachments] == [(1.0, False), (63.0, True)]
+
+
+def test_a_watch_over_modules_begins_where_theirs_stand_and_they_go_on_from_there() -> None:
+    """The fourth module is not read: there, what is usual of the others stands in."""
+    layout = Modules(2, 2, EachModule(3, 3))
+    watch, sigma = begun(
+        layout, layout.joined(np.array([3.0, 2.0, 1.5, 1.0])[:, None, None] * np.full((3, 3), 1e3)), (3,)
+    )
+    parts, ones, times = [], np.ones(9), ((5.0, 1.0), (3.0, 2.5), (4.0, 2.0))
+    for number, (part, (rested, rest_s)) in enumerate(zip(watch.modules[:3], times, strict=True), 1):
+        recent, test = (0.1 * number * ones, 0.2 * number * ones), replace(part.test, loud=part.test.loud * 0 + number)
+        means = {"mean": -number * ones, "recent": recent, "window": ((rest_s + 0.25, ones),) if number > 1 else ()}
+        parts.append(replace(part, test=test, rested=rested, rest_s=rest_s, **means))
+    watch = replace(watch, modules=(*parts, None))
+    window = Window.about(watch.panelled.scene, np.array([20.0, 20.0]))
+    assert window.numbers == (0, 1, 2, 3)
+    inside = watch._begun(window, sigma)
+    assert (inside.rested, inside.rest_s, inside.begun, inside.uneven) == (3.0, 2.5, 2.75, False)
+    assert np.all(inside.test.loud == 3) and inside.window[0][0] == 2.75 and len(inside.window) == 1
+    usual = np.log(2e3 * 5 / 9)
+    for found, expected in (
+        (inside.resting, np.log(np.array([3e3, 2e3, 1.5e3]) * 5 / 9)),
+        (inside.window[0][1], np.log(np.array([3e3, 2e3, 1.5e3]) * 5 / 9)),
+        (inside.mean, [-1, -2, -3]),
+        (inside.recent[0], [0.1, 0.2, 0.3]),
+        (inside.recent[1], [0.2, 0.4, 0.6]),
+    ):
+        each = layout.split(found.reshape(6, 6))
+        np.testing.assert_allclose(each[:, 1, 1], [*expected, usual], rtol=1e-9)
+        assert np.ptp(each, axis=(1, 2)).max() < 1e-9
+    numbers = np.arange(36.0)
+    later = {"resting": numbers, "mean": numbers + 40, "recent": (numbers + 80, numbers + 120), "rest_s": 7.0}
+    left = replace(inside, **later, rested=8.0, begun=9.0, window=((9.5, numbers),), uncovered_s=6.0)
+    whole, corner = (replace(window, numbers=numbers) for numbers in (window.numbers, (1,)))
+    opened = replace(watch, opened=((whole, left, 20.0), (corner, left, 21.0)))
+    assert len(opened._closed(79.9).opened) == 2 and opened._closed(79.9).modules == opened.modules
+    closed = opened._closed(80.0)
+    assert [at for *_, at in closed.opened] == [21.0] and closed.modules[1] is parts[1] and closed.modules[3] is None
+    for number in (0, 2):
+        own, cells = closed.modules[number], layout.split(numbers.reshape(6, 6))[number].ravel()
+        for place, found in enumerate((own.resting, own.mean, *own.recent)):
+            np.testing.assert_array_equal(found, cells + 40 * place)
+        assert (own.rest_s, own.rested, own.begun, own.uncovered_s, own.window) == (7, 8, 9, 6, left.window)
+        assert own.test is parts[number].test
+
+
+def test_an_image_shows_the_largest_change_and_the_first_doubt_of_its_windows_and_modules() -> None:
+    windows = [Window.about(SCENE, np.array(place)) for place in ([69.0, 57.0], [143.0, 57.0])]
+    assert [window.numbers for window in windows] == [(0, 1, 3, 4), (1, 2, 4, 5)]
+    changes = np.full((12, 14), -1.0), np.full((12, 14), 0.5)
+    changes[1][3, 2] = 2.0
+    watches: list[Any] = [
+        SimpleNamespace(change=change, doubt=doubt, stands_out=3.0, ended=lambda: late)
+        for change, doubt in zip(changes, ("", "second"), strict=True)
+    ]
+    late: Any = SimpleNamespace(attachments=())
+    alone: Any = SimpleNamespace(doubt="module", stands_out=9.0)
+    opened = tuple((window, watch, 5.0) for window, watch in zip(windows, watches, strict=True))
+    image = ImageWatch(SimpleNamespace(scene=SCENE), (alone,) * 6, opened)
+    assert image.doubt == "second" and image.stands_out == 3.0, "modules under windows do not count"
+    whole = image.change
+    assert (whole[0, 0], whole[0, 8], whole[0, 20], whole[3, 9], whole[4, 9]) == (-1, -1, 0.5, 2, -1)
+    ended = image.ended()
+    assert [at for *_, at in ended.opened] == [5.0, 5.0] and all(watch is late for _, watch, _ in ended.opened)
+    half = replace(image, opened=opened[:1])
+    assert half.doubt == "module" and half.stands_out == 9.0 and not half.change[:, 14:].any()
+    assert replace(image, opened=()).change is None and replace(image, modules=(None,), opened=()).doubt == ""
 
 
 def test_a_window_covers_the_modules_that_a_load_may_reach() -> None:
@@ -132,31 +266,6 @@ def test_recognition_looks_where_something_changed(tmp_path: Path, monkeypatch: 
     assert progress == [*((done, 23) for done in range(20)), (23, 23)]
     assert len(answer.attachments) == 1 and answer.attachments[0].distance((150, 255)) < 5
     assert set(looks) == {(10, 10)} and len(looks) <= 5
-
-
-@pytest.mark.slow
-def test_a_window_closes_when_it_has_been_calm_and_the_modules_go_on(tmp_path: Path) -> None:
-    """Two visits at one place, two minutes apart, each counted once; no window is open in the end."""
-    rod = Rod(centre_mm=(30, 30), diameter_mm=30, mass_g=500)
-    course = Course(start_s=1.0, release_at_s=6.0)
-    made = Simulation(schema=1, seed=7, scene=SCENE, frames=110, frame_period_s=1.0, loads=(rod,), course=course)
-    recording = simulate(made)
-    values = recording.recorded.copy()
-    values[-20:-5] = values[5:20]
-    replace(recording, recorded=values).save(tmp_path / "mat.h5")
-    found = list[ImageWatch]()
-    ended = ImageWatch.ended
-
-    def noted(self: ImageWatch) -> ImageWatch:
-        found.append(self)
-        return ended(self)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ImageWatch, "ended", noted)
-        answer = detect_recording(tmp_path / "mat.h5")
-    assert len(answer.attachments) == 2, answer.attachments
-    assert all(load.distance((30, 30)) < 6 for load in answer.attachments)
-    assert [len(watch.opened) for watch in found] == [1]
 
 
 def detected(whole: Recording) -> Detected:

@@ -278,7 +278,6 @@ def test_open_creep_is_found_where_a_load_was_taken_off(creep: float) -> None:
     assert film.hysteresis == (0.24, pytest.approx(0.024))
 
 
-@pytest.mark.slow
 def test_open_creep_stays_open_where_nothing_was_released() -> None:
     film = estimated_creep(0.05, release=False).film
     assert film.creep.mean == pytest.approx(Film.usual["creep_per_decade"].mean, rel=0.5)

@@ -7,8 +7,17 @@ import pytest
 
 from lampest import Array, Cells, Panel, Scene, Simulation, SuctionCup, Systematic, Temperature, TwoPointReadout, Water
 from lampest.files.document import parse_document, to_yaml, validated
-from lampest.loads.pressure import pressure_of, water_pressure
-from lampest.panel.response import RESPONSE_SD, VACUUM_KPA, ratio_from_pressure
+from lampest.loads.film import ERRORS
+from lampest.loads.pressure import (
+    Pressure,
+    PressureTrack,
+    Tare,
+    determined,
+    pressure_of,
+    total_force,
+    water_pressure,
+)
+from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA, Film, ratio_from_pressure
 from lampest.recording.simulation.simulation import simulate
 
 COOLING = Temperature(-0.003, 20.0, 8.0, 0.001)
@@ -141,6 +150,16 @@ def test_impossible_ratios_are_refused(ratio: float, lower: float, upper: float)
         pressure_of(values[0][:, :3], values[1][:, :3], values[2][:, :3], AIR)
 
 
+def test_temperatures_are_of_this_world() -> None:
+    """Each number may be at the ends of its range, and beyond neither of them."""
+    ends = (("coefficient_per_kelvin", -1.0, 1.0), ("coefficient_sd_per_kelvin", 0.0, 1.0))
+    for name, low, high in (*ends, ("baseline_celsius", -273.15, 1000.0), ("measured_celsius", -273.15, 1000.0)):
+        assert [getattr(dataclasses.replace(COOLING, **{name: end}), name) for end in (low, high)] == [low, high]
+        for beyond in (low - 0.01, high + 0.01):
+            with pytest.raises(ValueError, match=name):
+                dataclasses.replace(COOLING, **{name: beyond})
+
+
 def test_scene_with_and_without_the_new_keys() -> None:
     for scene in SCENES.values():
         assert validated(parse_document(to_yaml(scene), "scene"), Scene) == scene
@@ -161,3 +180,50 @@ def test_the_film_is_a_common_error_and_the_scatter_of_its_cells_is_none() -> No
         np.exp(change), *ends, dataclasses.replace(scene, systematic=Systematic(response_sd=0.25)), own=own
     )
     assert np.allclose(stated.own, slope * np.sqrt(0.05**2 + (0.25 * change) ** 2), rtol=0.2)
+
+
+def test_another_baseline_makes_the_panel_as_it_is_the_zero() -> None:
+    """What the film keeps of a load that left is in the new baseline; it fades from there."""
+    film = Film(creep_per_decade=0.1)
+    track, none = PressureTrack.begin(dataclasses.replace(AIR, film=film), tare=Tare(frames=5)), np.ones((4, 3))
+    for time in range(30):
+        track = track.after(np.full((4, 3), 0.3), float(time))
+    track = track.after(np.full((4, 3), 0.9), 30.0)
+    assert track.zeroed == 0.0 and np.allclose(track.peak, -np.log(0.3)) and len(track.watch.frames) == 5
+    again = track.rebased(33.0)
+    assert (again.zeroed, again.watch.zeroed, again.watch.frames) == (33.0, 33.0, ())
+    np.testing.assert_allclose(again.zeros, -track.films.fading(3.0))
+    at_once, later, before = (
+        one.pressure(none, none, none, time).pressure for one, time in ((again, 33.0), (again, 93.0), (track, 33.0))
+    )
+    np.testing.assert_allclose(at_once, 0, atol=1e-9)
+    assert np.all(before < -0.05) and np.all(later > 0.02), "without it, a load seems to have left"
+    assert (
+        PressureTrack.begin(AIR).rebased(1.0).watch is None and PressureTrack.begin(AIR).after(none, 1.0).time is None
+    )
+
+
+def test_a_force_is_the_sum_over_pressed_cells() -> None:
+    """kPa on 10 × 10 mm are 0.1 N; own errors add in quadrature, common ones themselves."""
+    panel = Scene(Panel(1, 4), water=Water(100.0))
+    pressure, own, common = np.array([[2.0, 4.0, 99.0, 50.0]]), np.array([[3.0, 4, 9, 7]]), np.array([[5.0, 7, 9, 1]])
+    flags = {"saturated": np.array([[0, 1, 1, 1]]), "pressing": np.array([[1, 1, 0, 1]])}
+    blank = dict.fromkeys(("lower", "upper", "errors"), 0 * pressure)
+    load = Pressure(pressure=pressure, own=own, common=common, **flags, **blank)
+    assert total_force(panel, load) == pytest.approx((5.6, 0.1 * np.hypot(74**0.5, 13), 2))
+    told = dataclasses.replace(panel, response=PUBLISHED)
+    most = PUBLISHED.told_kpa[1] - 0.981
+    np.testing.assert_allclose(determined(told, pressure, own), [[[2, 4, most, most]], [[3, 4, 0, 0]]])
+    assert total_force(told, load) == pytest.approx((0.1 * (6 + most), 0.1 * np.hypot(5, 12), 2))
+    np.testing.assert_allclose(water_pressure(Panel(3, 2), Water(70.0))[:, 1], 9.81e-3 * np.array([70, 80, 90]))
+
+
+def test_a_cell_is_off_by_what_its_film_kept_and_by_temperature() -> None:
+    """Of a load that has left a share `residue` stays; beneath the largest load it counts by √(1 − x²/peak²)."""
+    scene = dataclasses.replace(AIR, film=Film(creep_per_decade=0.05), temperature=COOLING)
+    track = PressureTrack.begin(scene).after(np.full((4, 3), 0.3 * np.exp(0.036)), 10.0)
+    left = np.hypot(track.residue * np.log(0.3), ERRORS.resting_sd(1.0))
+    assert track.residue > 0.01
+    for ratio, share in ((0.3, 0.0), (0.3**0.5, 0.75), (1.0, 1.0)):
+        kept = track._kept(np.full((4, 3), ratio * np.exp(0.036)), 70.0)
+        np.testing.assert_allclose(kept, np.hypot(left * share**0.5, 12 * 0.001), rtol=1e-6)

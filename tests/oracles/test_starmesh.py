@@ -13,11 +13,9 @@ from lampest.panel.readouts.floating import FloatingNetwork, grounding
 from lampest.panel.readouts.star_mesh import SAFE_CONDITION, exact_two_point_resistance, two_point_resistance
 from tests.netlist import in_digits
 
-pytestmark = pytest.mark.slow
-
 FOURTEEN_DIGITS = 1e-14
 TEN_DIGITS = 1e-10
-SHAPES = [(1, 1), (1, 9), (9, 1), (2, 2), (3, 5), (2, 32), (32, 2), (16, 16)]
+SHAPES = [(1, 1), (1, 9), (9, 1), (2, 2), (2, 32), (32, 2), (16, 16), (3, 5)]
 
 
 def structured(shape: tuple[int, int], rng: np.random.Generator, decades: float) -> Iterator[tuple[str, Array]]:
@@ -69,6 +67,7 @@ def test_fourteen_digits_in_every_structured_case(shape: tuple[int, int]) -> Non
         assert_allclose(exact_two_point_resistance(cells), in_digits(cells), rtol=FOURTEEN_DIGITS, err_msg=name)
 
 
+@pytest.mark.slow
 def test_fourteen_digits_at_one_to_fifteen_decades() -> None:
     rng = np.random.default_rng(2)
     for decades in range(1, 16):
@@ -89,6 +88,7 @@ def test_rank_one_panels_over_sixteen_decades(shape: tuple[int, int]) -> None:
     assert_allclose(exact_two_point_resistance(1 / np.outer(a, b)), expected, rtol=FOURTEEN_DIGITS)
 
 
+@pytest.mark.slow
 def test_unsafe_inverse_is_noticed() -> None:
     """Wherever fewer than ten digits of the inverse are right, its condition says so; 50 digits are the witness."""
     unsafe = wrong = 0
@@ -103,12 +103,14 @@ def test_unsafe_inverse_is_noticed() -> None:
     assert 50 < wrong < unsafe < 500
 
 
+@pytest.mark.slow
 def test_unsafe_inverse_is_noticed_on_larger_panels() -> None:
     """The same with up to 40 × 40 cells; the exact map is the witness."""
     for name, cells in many(1500, 41, 5):
         assert_allclose(two_point_resistance(cells), exact_two_point_resistance(cells), rtol=TEN_DIGITS, err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (10, 10), (16, 16), (2, 64), (64, 64)])
 @pytest.mark.parametrize("decades", [0, 0.3, 1, 2, 3])
 def test_ordinary_panels_are_safe(shape: tuple[int, int], decades: float) -> None:
@@ -148,6 +150,7 @@ def test_lines_that_nothing_connects_are_infinitely_apart(scale: float) -> None:
     assert_array_equal(two_point_resistance(np.full((1, 1), np.inf)), [[np.inf]])
 
 
+@pytest.mark.slow
 def test_shorts_join_lines() -> None:
     """A cell of no resistance is what ever smaller cells tend to; R is 0 between what shorts connect."""
     rng = np.random.default_rng(9)
@@ -171,6 +174,7 @@ def test_cells_that_cannot_be(wrong: float) -> None:
             forward(cells)
 
 
+@pytest.mark.slow
 def test_laws_hold_to_the_last_digits_at_any_contrast() -> None:
     """Scaling by powers of two bit for bit; permutation, transposition; Foster's Σ g·R = M + N − 1; frames in a row."""
     rng = np.random.default_rng(10)
@@ -186,6 +190,7 @@ def test_laws_hold_to_the_last_digits_at_any_contrast() -> None:
     assert_array_equal(exact_two_point_resistance(frames), [exact_two_point_resistance(frame) for frame in frames])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("decades", [0, 15])
 def test_a_panel_of_hundred_by_hundred_keeps_its_digits(decades: float) -> None:
     """All pairs for a small multiple of one inverse, where an elimination for every pair would take minutes."""

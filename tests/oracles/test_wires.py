@@ -257,7 +257,7 @@ def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
     mean, deviation = PRIOR.mean((4, 5)), PRIOR.deviation((4, 5))
 
     def cost(place: Array) -> float:
-        cells, ohm = np.exp(place[:20]).reshape(4, 5), place[20:] * deviation + mean
+        cells, ohm = np.exp(place[:20]).reshape(4, 5), np.maximum(place[20:] * deviation + mean, 0.0)
         wiring = replace(scene, contacts=Contacts.of(ohm, deviation, 4)).wiring
         read = readout.network(cells, readout.ties(readings.value), wiring).reading()
         steps = np.gradient(cells)

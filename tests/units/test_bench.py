@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import log
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +12,12 @@ import pytest
 from docs.studies.bench import SolverLimits, SolversFile, Trf, _Point
 from docs.studies.bench_pages import MARKED, PAGES, sections, with_tables
 from docs.studies.mats import LEAST_S, MOST_S, PUBLISHED, MatAnswer, Mats, MatSolve, solved_mats, table
-from lampest import Huber, InputError, Misfit, Panel, Recording, Settings
+from lampest import Course, Huber, InputError, Misfit, Panel, Recording, Settings
 from lampest.cost.cost import Cost
 from lampest.estimate.sequence import first_stream
 from lampest.runs.config import Terms
 from lampest.solvers.multistart import evaluated
+from lampest.studies import bench as bench_module
 from lampest.studies.bench import (
     STUDY,
     Bench,
@@ -26,6 +28,7 @@ from lampest.studies.bench import (
     bench_remarks,
     bench_rows,
     growth,
+    loads,
     run_bench,
     tables,
 )
@@ -107,22 +110,6 @@ def test_all_solvers_agree_where_they_say_they_solved(tiny: Bench) -> None:
     assert tiny.left_out == ()
 
 
-@pytest.mark.slow
-def test_rows_are_ratios_of_medians(tiny: Bench) -> None:
-    rows = bench_rows(tiny.frames)
-    found = {(row.rows, row.columns, row.method, row.solver, row.frames != "later"): row for row in rows}
-    assert len(found) == 2 * 6 * (5 + 2)
-    for (high, wide, method, _, first), row in found.items():
-        reduced = found[high, wide, method, "reduced", first]
-        assert row.ratio == pytest.approx(row.ms / reduced.ms)
-        assert row.count == (5 if method == "all" else 1) * (2 if first else 4)
-        assert row.ms_quartile_1 <= row.ms <= row.ms_quartile_3
-        assert row.verified <= row.solved <= row.count
-    assert found[3, 3, "LSR-dCR", "reduced", True].frames == "pair"
-    assert found[2, 4, "LSR-dCR", "reduced", True].frames == "first"
-    assert growth(rows) == []
-
-
 def test_a_solver_alone_is_given_no_gap() -> None:
     found = bench_rows(run_bench(BenchFile(1, (3,), frames=1, repeats=1, limits=alone()), quiet).frames)
     assert {row.solver for row in found} == {"reduced"} and all(row.gap is None for row in found)
@@ -171,6 +158,60 @@ def test_all_methods_are_told_together_only_where_none_was_left_out() -> None:
     found = [(row.rows, row.method, row.frames) for row in bench_rows(frames)]
     assert [about for about in found if about[1] == "all"] == [(8, "all", "first")]
     assert len(found) == 1 + 3 + 2 + 2
+
+
+def test_tables_of_a_bench_show_medians_and_what_others_take_over_ours() -> None:
+    ours, theirs = timed(8, [0.05, 0.002, 0.003, 0.006]), timed(8, [0.4, 0.03, 0.03, 0.03], solver="nodal")
+    ours[1:] = [replace(frame, iterations=2 + number, gap=1e-13) for number, frame in enumerate(ours[1:])]
+    theirs[2:] = [replace(theirs[2], gap=2e-3, status="no"), replace(theirs[3], gap=np.inf, solved=False, status="no")]
+    frames = [replace(frame, memory_mb=70.0 + frame.frame) for frame in ours] + theirs
+    row = bench_rows(frames)[1]
+    assert (row.ms, row.ms_quartile_1, row.ms_quartile_3) == pytest.approx((3, 2.5, 4.5))
+    assert (row.inverses, row.iterations, row.count, row.verified, row.solved) == (pytest.approx(3000), 3, 3, 3, 3)
+    found = dict(tables(Bench(BenchFile(1, (8,)), tuple(frames))))
+    assert found["solvers: all methods together"].cells == (
+        ("8 × 8", "reduced", "first", "50.0", "", "50,000", "1", "< 1e-12", "1/1", "70"),
+        ("8 × 8", "reduced", "later", "3.00", "", "3,000", "3", "< 1e-12", "3/3", "73"),
+        ("8 × 8", "nodal", "first", "400", "8.00", "400,000", "1", "< 1e-12", "1/1", ""),
+        ("8 × 8", "nodal", "later", "30.0", "10.0", "30,000", "1", "inf", "1/3", ""),
+    )
+    assert found["methods: the reduced solver"].cells[1][:6] == ("8 × 8", "LSM", "later", "3.00", "2.50–4.50", "3,000")
+    assert "growth: time ∝ side^exponent" not in found
+
+
+def test_frames_after_the_first_are_solved_in_turns_until_they_take_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The fake clock: the first frame takes 0.3 s, the next 0.4, 0.2 and 0.1 s, those of the last 2 s and less."""
+    clock, solve = iter([0.3, 0.4, 0.2, 0.1, 2.0, 0.01]), bench_module.pushed
+    monkeypatch.setattr(bench_module, "pushed", lambda *given: solve(*given)._replace(seconds=next(clock)))
+    few = BenchFile(1, (3,), frames=2, repeats=3, limits=alone())
+    found = run_bench(replace(few, estimators={"LSM": few.estimators["LSM"]}), quiet)
+    assert [frame.seconds for frame in found.frames] == [0.3, 0.1, 2.0] and list(clock) == [0.01]
+    assert [frame.kind for frame in found.frames] == ["first", "later", "later"] and not found.left_out
+
+
+def test_memory_is_measured_of_each_solver_on_square_panels_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    few = BenchFile(1, (3, (3, 4)), frames=4, repeats=1, memory=(3,), limits=BenchLimits(nodal=3))
+    few = replace(few, estimators={"LSM": few.estimators["LSM"]})
+    monkeypatch.setattr(bench_module, "peak_memory", lambda work, task: {"reduced": 7.0, "nodal": 9.0}[task[3]])
+    found = {(frame.shape, frame.solver, frame.memory_mb) for frame in run_bench(few, quiet).frames}
+    assert found == {((3, 3), "reduced", 7.0), ((3, 3), "nodal", 9.0), ((3, 4), "reduced", None)}
+    pushed = list[object]()
+    stream = SimpleNamespace(push=lambda readings: (pushed.append(readings) or stream, None))
+    monkeypatch.setattr(bench_module, "first_stream", lambda *given: stream)
+    bench_module.solve_two_frames((few, (3, 3), "LSM", "reduced"))
+    assert len(pushed) == 2
+
+
+def test_loads_of_a_bench_stand_at_shares_of_the_panel() -> None:
+    """Of 9 × 11 cells, 80 by 100 mm: a mouth of 35 % of 90 mm, three rods, a mouth beside the first."""
+    (third,), breathing = loads(0, (9, 11))
+    assert third.centre_mm == pytest.approx((49.0, 40.8)) and third.diameter_mm == pytest.approx(31.5)
+    rods, still = loads(1, (9, 11))
+    places = [(*rod.centre_mm, rod.diameter_mm, rod.mass_g) for rod in rods]
+    assert np.allclose(places, [(30, 24, 40, 680), (70, 28, 40, 300), (40, 60, 40, 1200)]) and still == Course()
+    (mouth, beside), growing = loads(2, (9, 11))
+    assert mouth.centre_mm == pytest.approx((60, 44)) and mouth.diameter_mm == 35 and beside == rods[0]
+    assert growing == replace(breathing, start_s=-0.4, approach_s=2) and loads(3, (9, 11)) == ((third,), breathing)
 
 
 def test_what_there_is_no_time_for_is_left_out_and_named() -> None:

@@ -1,8 +1,8 @@
 """What `lampest detect` is made of: sentences, events, --json, detections.h5, the timeline, and what it cannot say."""
 
-import dataclasses
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,13 +12,20 @@ import numpy as np
 import pytest
 from support import invented_case
 
-from lampest import Block, Faults, InputError, OralDisc, Panel, Recording, Rod, Scene, Systematic, Water
+from lampest import Block, Faults, InputError, OralDisc, Panel, Recording, Ring, Rod, Scene, Systematic, Water
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.breathing import Breath, Breathing
-from lampest.loads.recognition.observation import ModelErrors
+from lampest.loads.recognition.candidates import FIELD, FLAT, NOTHING, Several
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.evidence import Verdict, prior_cost
+from lampest.loads.recognition.fit import Fit, Fitting, paid, prior, states
+from lampest.loads.recognition.observation import Baseline, Explained, ModelErrors, Observation, Whitening, counting
 from lampest.loads.recognition.pumping import Pumping
+from lampest.loads.recognition.watch import Panelled, Watch
+from lampest.loads.shapes.disc import Disc
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
+from lampest.panel.response import ratio_from_pressure
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
 from lampest.report.detect.answer import (
@@ -51,7 +58,7 @@ PANEL = Panel(8, 10, 10.0)
 MOUTH = OralDisc(centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
 BREATHING = Course(start_s=1, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.1)
 SEEN = Attachment(0.99, 6.0, (44.1, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), cells=12, area_mm2=(1200.0, 100.0))
-BREATHES = dataclasses.replace(SEEN, sucks_s=6.0, breath=Breathing(6.0, hertz=(1.1, 0.05), depth=(0.08, 0.01)))
+BREATHES = replace(SEEN, sucks_s=6.0, breath=Breathing(6.0, hertz=(1.1, 0.05), depth=(0.08, 0.01)))
 
 
 def recorded(seed: int = 2, **known: Any) -> Recording:
@@ -64,11 +71,11 @@ def recorded(seed: int = 2, **known: Any) -> Recording:
 def solved_case(faults: Faults | None = None, **known: Any) -> CaseResult:
     """The same as a case of results; faults, known : what the scene says besides."""
     recording = recorded()
-    scene = dataclasses.replace(recording.scene, faults=faults, **known)
-    recording = dataclasses.replace(recording, scene=scene)
+    scene = replace(recording.scene, faults=faults, **known)
+    recording = replace(recording, scene=scene)
     readings = recording.readings()
     resting = readings[[0, 1, 2]].mean()
-    return dataclasses.replace(
+    return replace(
         invented_case("LSM", "mouth", (6, 8, 10), scene=scene),
         measured=readings.value[3:],
         measured_baseline=resting.value,
@@ -79,13 +86,273 @@ def solved_case(faults: Faults | None = None, **known: Any) -> CaseResult:
     )
 
 
+SMALL = Scene(Panel(2, 3), TwoPointReadout(noise_lsb=0.7), 140.0)
+
+
+def at_rest(sigma: float = 1.0, errors: ModelErrors | None = None, scene: Scene = SMALL, **known: Any) -> Observation:
+    """A frame of 2 × 3 cells of 3 kohm that read 2 kohm, with so much noise; 540 s after the baseline."""
+    measured = np.full(scene.panel.shape, 2000.0)
+    baseline = Baseline.of(measured, np.full(measured.shape, sigma), scene, errors or ModelErrors())
+    return Observation(measured, np.full(measured.shape, sigma), baseline, 0 * measured, 540.0, **known)
+
+
+def test_offsets_are_those_of_channels_reference_and_readings() -> None:
+    """Of 2 rows and 3 columns 3 ohm each; of the reference 0.6 %, of readings 2 % of all that is in series."""
+    found = ModelErrors(reading_error=0.02).offsets(np.full((2, 3), 1000.0), SMALL)
+    rows, columns = np.indices((2, 3)).reshape(2, 6)
+    lines = [*(rows == 0, rows == 1), *(columns == number for number in range(3))]
+    expected = np.column_stack([*(3.0 * line for line in lines), np.full(6, 0.006 * 1140), 0.02 * 1140 * np.eye(6)])
+    np.testing.assert_allclose(found, expected)
+
+
+def test_cells_at_rest_wander_by_decades_of_minutes() -> None:
+    """1 % a decade by itself, 2 % with all others, and 0.2 % at once: 540 s are a decade."""
+    expected = 0.02**2 + (0.01**2 + 0.002**2) * np.eye(3)
+    np.testing.assert_allclose(ModelErrors().resting_covariance(540.0, 3), expected)
+    np.testing.assert_allclose(ModelErrors().resting_covariance(0.0, 3), 0.002**2 * np.eye(3))
+
+
+def test_readings_without_worth_leave_what_was_assumed() -> None:
+    """Of unloaded cells a mean within e^±3 of the readings and 40 % about it; of ln r/r0 a half, and three of them."""
+    frame = at_rest(1e9)
+    covariance = frame.baseline.covariance
+    np.testing.assert_allclose(covariance[:6, :6], 9.0 + 0.16 * np.eye(6), rtol=1e-6)
+    np.testing.assert_allclose(covariance[6:, 6:], np.eye(6), atol=1e-6)
+    np.testing.assert_allclose(frame.baseline.logarithm, np.log(3000), rtol=1e-6)
+    np.testing.assert_allclose([frame.map, frame.highest], [np.zeros((2, 3)), np.full((2, 3), 1.5)], atol=1e-6)
+
+
+def test_the_errors_of_a_frame_add_up() -> None:
+    """σ² + V Vᵀ + (J E) C (J E)ᵀ + J (T + t) Jᵀ, and the root of it."""
+    frame = at_rest(2.0, common=np.arange(12.0).reshape(6, 2))
+    slope = frame.slope(np.zeros((2, 3)))
+    both, resting = np.hstack([slope, frame.offsets]), frame.baseline.model_errors.resting_covariance(540.0, 6)
+    expected = 4.0 * np.eye(6) + frame.common @ frame.common.T + both @ frame.baseline.covariance @ both.T
+    expected += slope @ resting @ slope.T
+    np.testing.assert_allclose(frame.covariance(slope), expected)
+    np.testing.assert_allclose(frame.covariance(slope, 0.3 * np.eye(6)), expected + 0.3 * slope @ slope.T)
+    rest, coarse = Whitening.at_rest(frame), Whitening.coarse(frame, np.zeros((2, 3)))
+    np.testing.assert_allclose(rest.root @ rest.root.T, expected)
+    np.testing.assert_allclose(coarse.root @ coarse.root.T, expected + 0.04 * slope @ slope.T)
+    assert rest.volume == pytest.approx(np.linalg.slogdet(expected)[1] / 2)
+    np.testing.assert_allclose(rest.root @ (rest @ np.ones(6)), np.ones(6))
+    dropped = frame.without(np.array([1, 5])).sigma.ravel()
+    assert list(dropped) == [2, 2000, 2, 2, 2, 2000]
+
+
+def test_a_film_departs_by_shares_of_what_it_answers() -> None:
+    """s² (x K xᵀ + w²) + b bᵀ of two cells a pitch apart, K of a fifth for all and a fifth for neighbours."""
+    baseline = at_rest(scene=replace(SMALL, panel=Panel(1, 2))).baseline
+    change, edges, patches = np.array([[-1.0, 0.5]]), np.array([[0.1, 0.2]]), np.array([[2.0, 1.0]])
+    near = np.exp(-1 / (2 * 1.5**2))
+    np.testing.assert_allclose(baseline.near, [[1, near], [near, 1]])
+    uneven = np.array([[1.0, -0.5 * (0.2 + 0.2 * near)], [-0.5 * (0.2 + 0.2 * near), 0.25]])
+    shared = 0.15**2 * np.outer(change, change) + 0.13**2 * np.outer(patches, patches)
+    expected = 0.3**2 * (uneven + np.diag([0.3**2, 0.6**2])) + shared
+    np.testing.assert_allclose(baseline.film(Explained(change, edges, patches), 0.3), expected)
+
+
+def test_a_change_is_that_of_the_response_under_water_and_ends_where_a_cell_is_open() -> None:
+    frame = replace(at_rest(), water=np.full((2, 3), 2.0))
+    pressure = np.array([[0.0, 5.0, 20.0], [-3.0, -8.0, 500.0]])
+    change, slope = frame.change(pressure)
+    np.testing.assert_allclose(change, np.log(ratio_from_pressure(pressure + 2) / ratio_from_pressure(2.0)))
+    np.testing.assert_allclose(slope, (frame.change(pressure + 1e-4)[0] - change) / 1e-4, rtol=0.05, atol=1e-6)
+    far, flat = frame.change(np.full((2, 3), -1e4))
+    assert np.all(far == 12) and np.all(flat == 0)
+
+
+def test_counted_readings_have_a_finite_sigma() -> None:
+    found = counting(np.array([1.0, 0.0, -1.0, np.inf, np.nan]), np.array([2.0, 3, 4, 5, 6]))
+    np.testing.assert_array_equal(found, [1, 3e3, 4e3, 5e3, 6e3])
+
+
+def test_several_loads_are_their_parts_in_a_row() -> None:
+    mouth, rod, disc = OralDisc.candidate, Rod.candidate, Disc(20.0, 10.0, 30.0, 18.0, -6.0, 40.0, 0.1, 0.0)
+    both, begins = Several.of((mouth, rod)), (mouth.start(disc), rod.start(disc))
+    assert (both.label, both.sucks, Several.of((mouth, mouth)).sucks) == ("lamprey or cup and rod", False, True)
+    parameters = both.start(disc)
+    np.testing.assert_array_equal(parameters, np.concatenate(begins))
+    np.testing.assert_array_equal(
+        both.blind(parameters), np.concatenate([mouth.blind(begins[0]), rod.blind(begins[1])])
+    )
+    assert [part for part, _ in both.loads(parameters)] == [mouth, rod]
+    assert next(iter(both.priors(PANEL))) == "0.x" and len(both.priors(PANEL)) == len(parameters)
+    pressure, slopes = both.pressure(PANEL, 6.0, parameters)
+    each = [part.pressure(PANEL, 6.0, own) for part, own in both.loads(parameters)]
+    np.testing.assert_array_equal(pressure, each[0][0] + each[1][0])
+    np.testing.assert_array_equal(slopes[len(begins[0]) :], each[1][1])
+    again = both.like(Several.of((rod, mouth)), np.concatenate(begins[::-1]))
+    np.testing.assert_array_equal(again, np.concatenate([mouth.like(rod, begins[1]), rod.like(mouth, begins[0])]))
+    assert both.like(mouth, begins[0]) is None and both.like(FLAT, np.zeros(1)) is None
+    pressure, slopes = FLAT.pressure(PANEL, 6.0, np.array([2.5]))
+    assert (
+        np.all(pressure == 2.5)
+        and np.all(slopes == 1)
+        and list(FLAT.start(disc)) == [0]
+        and not len(NOTHING.start(disc))
+    )
+    assert FLAT.priors(PANEL)["flat"] == (0, 5, 0.7, 0)
+
+
+def test_a_fit_of_another_kind_begins_with_the_same_disc() -> None:
+    """A full disc presses in the mean as the rim and its suction do, at least a little; a rim is at least half a mm."""
+    mouth, ring, rod = OralDisc.candidate, Ring.candidate, Rod.candidate
+    disc = Disc(20.0, 10.0, 30.0, 18.0, -6.0, 40.0, 0.1, -0.2)
+    bearing, hole = 6 * 0.36 / 0.64, 0.36
+    begin, uneven = mouth.start(disc), np.array([0.1, 0.2, 0.3, 0.4])
+    expected = [20, 10, np.log(30), np.log(6), np.log(6), np.log(40 - bearing), 0.1, -0.2, 0, 0, 0, 0]
+    np.testing.assert_allclose(begin, expected)
+    np.testing.assert_allclose(ring.start(disc)[2:5], [np.log(30), np.log(6), np.log(40)])
+    np.testing.assert_allclose(rod.start(disc)[2:4], np.log([30, 40 * (1 - hole) - 6 * hole]))
+    begin[-4:] = uneven
+    np.testing.assert_array_equal(rod.like(mouth, begin)[-4:], uneven)
+    full = Disc(20.0, 10.0, 30.0, 0.0, 0.0, 0.2, 0.0, 0.0)
+    np.testing.assert_allclose(mouth.start(full)[2:6], [np.log(30), np.log(5.5), 0, np.log(0.5)])
+    np.testing.assert_allclose(rod.start(full)[3], np.log(0.2))
+    narrow = full._replace(diameter_mm=10.0, inner_mm=9.8)
+    np.testing.assert_allclose(mouth.start(narrow)[3], np.log(0.5))
+    np.testing.assert_allclose(mouth.start(full._replace(diameter_mm=10.0))[3], np.log(4))
+    assert rod.like(FLAT, np.zeros(1)) is None
+    report = mouth.report(begin)
+    assert {name: value for name, (value, _) in report.items()} == pytest.approx(
+        {"x_mm": 20, "y_mm": 10, "diameter_mm": 30, "suction_kpa": -6}
+    )
+    assert report["diameter_mm"][1][2] == pytest.approx(30) and report["suction_kpa"][1][4] == pytest.approx(-6)
+    assert mouth.blind(begin)[2] == pytest.approx(1.1 / 30) and rod.blind(rod.start(disc))[2] == pytest.approx(0.7 / 30)
+
+
+def test_a_fit_is_as_wide_as_its_prior_where_nothing_was_read_and_else_as_its_curvature() -> None:
+    """One pressure of 5 ± 5 kPa on all cells, at 5 kPa; its evidence is a Gaussian's over that of the prior."""
+    for sigma in (1e9, 1.0):
+        frame = at_rest(sigma)
+        fitting, whitening, parameters = (
+            Fitting(SMALL.panel, 6.0, FLAT, frame),
+            Whitening.at_rest(frame),
+            np.array([5.0]),
+        )
+        likelihood = fitting.about(parameters, whitening)
+        point, fit = fitting.at(parameters, likelihood), fitting.stays(parameters, whitening)
+        variance = 1 / float(point.normal[0, 0])
+        assert fit.covariance[0, 0] == pytest.approx(variance) and (variance == pytest.approx(25)) == (sigma == 1e9)
+        assert fit.evidence == pytest.approx(np.log(variance / 25) / 2 - point.cost - whitening.volume)
+        errors = whitening @ frame.residual(fit.change)
+        assert fit.chi2 == pytest.approx(errors @ errors) and point.cost == pytest.approx(errors @ errors / 2 + 0.5)
+        assert fit.score == pytest.approx(point.cost + whitening.volume) and fit.scatter == 0
+        step = 1e-4
+        ends = [fitting.at(parameters + sign * step, likelihood).cost for sign in (1, -1)]
+        assert point.gradient[0] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-3)
+
+
+def test_a_field_is_quiet_or_changed_and_pays_for_unlike_neighbours() -> None:
+    """By 0.6 of a cell's square and 0.1 of each neighbour's; beside a border a cell stands for those it has not."""
+    panel, change = Panel(3, 3), np.zeros((3, 3))
+    for place, size, expected in (
+        ((1, 1), 0.5, [[0, 1, 0], [1, 2, 1], [0, 1, 0]]),
+        ((1, 1), 0.215, [[0, 1, 0], [1, 1, 1], [0, 1, 0]]),
+        ((0, 0), 0.215, [[2, 1, 0], [1, 0, 0], [0, 0, 0]]),
+        ((0, 0), -3.0, [[3, 3, 0], [3, 0, 0], [0, 0, 0]]),
+    ):
+        one = change.copy()
+        one[place] = size
+        np.testing.assert_array_equal(states(panel, one), expected)
+    unlike = paid(panel, np.array([[0, 1, 0], [0, 0, 0], [0, 0, 3]]))
+    assert unlike == pytest.approx(5 + 9 * np.log1p(3 * np.exp(-4)))
+    frame = at_rest(scene=replace(SMALL, panel=Panel(1, 2)))
+    both = 2.0 * 0.4 * frame.baseline.near[0, 1]
+    np.testing.assert_allclose(prior(frame, np.array([1.0, 2.0])), [[1, both], [both, 4]])
+
+
+def fit_of(candidate: Any, disc: Disc, evidence: float = 0.0, change: float = 3.0, chi2: float = 80.0) -> Fit:
+    """A fit that begins with a disc; ln r/r0 of all cells is the same."""
+    parameters, nothing = candidate.start(disc), np.zeros(0)
+    cells = np.full(PANEL.shape, change)
+    return Fit(candidate, parameters, nothing, cells, nothing, nothing, chi2, 0.0, 0.0, evidence)
+
+
+DISC = Disc(40.0, 30.0, 30.0, 18.0, -6.0, 40.0, 0.0, 0.0)
+
+
+def test_rare_loads_cost_beforehand() -> None:
+    """One in twenty each further load; impossible are loads in one place, and suction that raises no cell."""
+    assert prior_cost(PANEL, fit_of(Rod.candidate, DISC, change=-1.0)) == 0
+    twice = Several.of((Rod.candidate, Rod.candidate))
+    for apart in (0.0, 20.0, 27.0, 31.0):
+        fit = replace(
+            fit_of(twice, DISC),
+            parameters=np.concatenate([twice.parts[0].start(disc) for disc in (DISC, DISC._replace(y_mm=30 + apart))]),
+        )
+        share = max(30 - apart, 0) / 30
+        assert prior_cost(PANEL, fit) == pytest.approx(np.log(20) + 60 * (1 - np.exp(-((share / 0.25) ** 2))))
+    full = np.log(ratio_from_pressure(-6.0))
+    for rise in (0.0, 0.1, 0.5):
+        cost = prior_cost(PANEL, fit_of(OralDisc.candidate, DISC, change=rise))
+        assert cost == pytest.approx(60 * np.exp(-((rise / max(0.2, 0.25 * full)) ** 2)))
+
+
+def test_a_verdict_weighs_half_of_what_evidence_says_and_less_where_nothing_fits() -> None:
+    """80 readings; differences of evidence count by EVIDENCE_SHARE, over χ² per reading beyond 1."""
+    frame: Any = SimpleNamespace(
+        measured=np.zeros(PANEL.shape), highest=np.full(PANEL.shape, 3.0), baseline=at_rest().baseline
+    )
+    uniform = [fit_of(NOTHING, DISC, -50.0), fit_of(FLAT, DISC, -46.0)]
+    rod, mouth, field = (
+        fit_of(kind, DISC, one) for kind, one in ((Rod.candidate, 3.0), (OralDisc.candidate, 5.0), (FIELD, 1.0))
+    )
+    verdict = Verdict.of(PANEL, [*uniform, rod, mouth, field], frame)
+    expected = np.exp(0.5 * np.array([-50, -46, 3, 5, 1]))
+    np.testing.assert_allclose(verdict.shares, expected / expected.sum(), rtol=1e-6)
+    assert (
+        verdict.best is mouth
+        and verdict.loads == (mouth, rod)
+        and verdict.goodness == 1
+        and verdict.evidence == pytest.approx(5)
+    )
+    assert verdict.nothing == pytest.approx(sum(verdict.shares[:2]))
+    for disc, share in (
+        (None, verdict.shares[3]),
+        (DISC._replace(x_mm=54.9), verdict.shares[3]),
+        (DISC._replace(x_mm=55.1), 0),
+    ):
+        assert verdict.sucks_at(disc) == pytest.approx(share / (1 - verdict.nothing))
+    alone = Verdict.of(PANEL, uniform, frame)
+    assert alone.shares[1] / alone.shares[0] == pytest.approx(np.exp(4)) and alone.loads == ()
+    poor = Verdict.of(PANEL, [*uniform, replace(rod, chi2=160.0)], frame)
+    assert poor.goodness == 2 and poor.shares[2] / poor.shares[1] == pytest.approx(np.exp(49 / 4))
+
+
+def test_the_mean_of_a_bare_panel_follows_its_readings() -> None:
+    """As the mean of all frames, then over 20 s; the median of three keeps an outlier out. In 1e-4 of ln y."""
+    scene = replace(SMALL, panel=Panel(4, 4))
+    panelled = Panelled(scene, Detector(scene.panel, 6.0), np.zeros((4, 4)), ModelErrors())
+    measured = np.full((4, 4), 1312.5)
+    watch = Watch.begin(panelled, measured, 0.01 * measured, np.stack([measured] * 5), 0.0)
+    assert watch.rested == 5 and np.all(watch.test.loud == 1) and watch.resting[0] == pytest.approx(np.log(1312.5))
+    for time, change, mean, rested in (
+        (1, 1, 0, 5),
+        (2, 1, 0.5, 5),
+        (3, 1, 2 / 3, 5),
+        (4, 90, 0.75, 5),
+        (5, 1, 0.8, 5),
+        (15, 1, 0.9, 5),
+    ):
+        watch = watch.followed(measured * np.exp(1e-4 * change), 0.01 * measured, float(time))
+        np.testing.assert_allclose(1e4 * (watch.mean - np.log(1312.5)), mean, atol=1e-6)
+        assert (watch.rest_s, watch.rested, watch.present) == (time, rested, False) and watch.resting is watch.mean
+    assert watch.test.loud[0] == pytest.approx((0.95**5) * 0.5, abs=1e-3)
+    gone = replace(watch, uncovered_s=3.0)
+    assert gone.doubt == "something stood on the panel in its unloaded frames, and left at 3.0 s"
+    assert watch.doubt == "" and replace(watch, uneven=True).doubt.startswith("a load may lie on the panel")
+    assert watch.ended() is watch and watch.change is None
+
+
 def test_the_sentence_says_what_where_since_when_and_how_strong() -> None:
     answer = Detected.of("mouth", (BREATHES,), 4.0)
     assert answer.answer == LAMPREY and answer.probability == pytest.approx(0.9875, abs=1e-3)
     assert answer.sentence == (
         "lamprey attached since 6.0 s, 35 ± 2 mm at (44, 46) mm, −11 ± 2 kPa, breathing 1.1 Hz, 8 ± 1 % (P = 0.99)"
     )
-    gone = dataclasses.replace(BREATHES, until_s=30.0)
+    gone = replace(BREATHES, until_s=30.0)
     assert "lamprey attached from 6.0 s to 30.0 s" in Detected.of("mouth", (gone,), 4.0).sentence
     assert "and 1 more" in Detected.of("mouth", (BREATHES, BREATHES), 4.0).sentence
 
@@ -103,21 +370,21 @@ def test_the_sentence_says_what_where_since_when_and_how_strong() -> None:
     ],
 )
 def test_the_answer_follows_from_two_probabilities(change: dict[str, Any], rate: float, answer: str, why: str) -> None:
-    breath = dataclasses.replace(BREATHES.breath, **({"odds": 0.0} if rate == 1.0 else {}) | change)
-    one = dataclasses.replace(BREATHES, breath=breath)
+    breath = replace(BREATHES.breath, **({"odds": 0.0} if rate == 1.0 else {}) | change)
+    one = replace(BREATHES, breath=breath)
     said, probability, reason = answer_of(one, rate)
     assert said == answer and 0.5 <= probability <= 1 and reason.startswith(why) and bool(reason) == bool(why)
 
 
 def test_what_hardly_sucks_presses() -> None:
-    assert answer_of(dataclasses.replace(BREATHES, sucks=0.02), 4.0)[0] == PRESSES
+    assert answer_of(replace(BREATHES, sucks=0.02), 4.0)[0] == PRESSES
 
 
 def test_the_most_alarming_attachment_is_the_answer() -> None:
-    rod = dataclasses.replace(SEEN, sucks=0.0, suction_kpa=None)
+    rod = replace(SEEN, sucks=0.0, suction_kpa=None)
     assert Detected.of("two", (BREATHES, rod), 4.0).answer == LAMPREY
     assert Detected.of("two", (rod,), 4.0).sentence.startswith("contact since 6.0 s, 35 ± 2 mm at (44, 46) mm")
-    gone = dataclasses.replace(BREATHES, since_s=9.0, until_s=30.0)
+    gone = replace(BREATHES, since_s=9.0, until_s=30.0)
     assert "attached since 6.0 s" in Detected.of("two", (BREATHES, gone), 4.0).sentence, "what is there comes first"
     nothing = Detected.of("none", (), 4.0)
     assert nothing.sentence == "nothing" and nothing.probability < 1, "a load may be too weak for a step"
@@ -125,8 +392,8 @@ def test_the_most_alarming_attachment_is_the_answer() -> None:
 
 def test_a_part_that_a_later_look_does_not_see_has_not_left() -> None:
     """Nothing leaves without a step: what was seen since the step alone was a part of another load."""
-    fin, part = SEEN, dataclasses.replace(SEEN, x_mm=(80.0, 0.6))
-    old = dataclasses.replace(part, since_s=2.0)
+    fin, part = SEEN, replace(SEEN, x_mm=(80.0, 0.6))
+    old = replace(part, since_s=2.0)
     for before, again, kept in (((fin, part), True, (None,)), ((fin, old), True, (None, None))):
         assert tuple(one.until_s for one in continued_by(before, [fin], 6.0, again=again)) == kept
     assert [one.until_s for one in continued_by((fin, part), [fin], 9.0)] == [None, 9.0]
@@ -135,20 +402,20 @@ def test_a_part_that_a_later_look_does_not_see_has_not_left() -> None:
 def test_the_signs_add_up_and_the_sentence_says_which_decided() -> None:
     """Odds of pumps and of breath are independent; a pause of one does not outweigh the other."""
     flat = Pumping.begin(np.ones(1), np.zeros(1), 0.0, 0)
-    pumps = dataclasses.replace(flat, logarithm=flat.logarithm + np.array([0, 0, 6.0]).reshape(3, 1, 1, 1, 1))
-    still = dataclasses.replace(SEEN, track=pumps)
+    pumps = replace(flat, logarithm=flat.logarithm + np.array([0, 0, 6.0]).reshape(3, 1, 1, 1, 1))
+    still = replace(SEEN, track=pumps)
     answer = Detected.of("mouth", (still,), 1.0)
     assert answer.answer == LAMPREY and "pumping up its suction" in answer.sentence
     assert answer.content()["attachments"][0]["pumps"] == pytest.approx(still.pumps, abs=1e-4)
-    silent, both = (dataclasses.replace(still, breath=Breathing(odds)) for odds in (-3.0, 2.0))
+    silent, both = (replace(still, breath=Breathing(odds)) for odds in (-3.0, 2.0))
     assert answer_of(silent, 4.0)[0] == LAMPREY and both.lives > max(both.breathes, both.pumps)
-    assert dataclasses.replace(SEEN, breath=Breathing(2.0)).lives == pytest.approx(1 / (1 + np.exp(-2)))
+    assert replace(SEEN, breath=Breathing(2.0)).lives == pytest.approx(1 / (1 + np.exp(-2)))
 
 
 def test_windows_add_up_and_one_does_not_turn_the_answer() -> None:
     """A cup that was shaken stays one, and a mouth one, where a single window looks otherwise."""
     shaken, own = (Breath(8.0, suction, (1.1, 0.1), (0.05, 0.01)) for suction in (1e-4, 0.99))
-    unclear = dataclasses.replace(own, suction=0.2)
+    unclear = replace(own, suction=0.2)
     cup, mouth = Breathing().after(shaken, full=True), Breathing().after(own, full=True)
     assert cup.suction < 1e-3 and mouth.suction == pytest.approx(0.99, rel=0.01)
     assert cup.after(own, full=True).suction < 0.01
@@ -157,20 +424,20 @@ def test_windows_add_up_and_one_does_not_turn_the_answer() -> None:
 
 def test_what_sucked_has_sucked_when_its_suction_has_leaked() -> None:
     """A look in which a load stands out less says how it fades; one in which it stands out more says what it is."""
-    cup = dataclasses.replace(SEEN, clear=900.0)
+    cup = replace(SEEN, clear=900.0)
     for clear, sucks in ((200.0, 0.99), (2000.0, 0.01)):
-        rest = dataclasses.replace(SEEN, sucks=0.01, diameter_mm=None, clear=clear)
+        rest = replace(SEEN, sucks=0.01, diameter_mm=None, clear=clear)
         (found,) = continued_by((cup,), [rest], 400.0, again=True)
         assert found.sucks == sucks and (found.diameter_mm is None) == (sucks < 0.5)
 
 
 def test_a_probability_that_rounds_to_one_is_none() -> None:
-    sure = dataclasses.replace(BREATHES, sucks=1.0, breath=dataclasses.replace(BREATHES.breath, odds=9.0))
+    sure = replace(BREATHES, sucks=1.0, breath=replace(BREATHES.breath, odds=9.0))
     assert Detected.of("mouth", (sure,), 4.0).sentence.endswith("(P > 0.99)")
 
 
 def test_events_say_when_it_touched_sucked_moved_and_left() -> None:
-    one = dataclasses.replace(BREATHES, sucks_s=8.0, moved_s=(12.0,), until_s=20.0)
+    one = replace(BREATHES, sucks_s=8.0, moved_s=(12.0,), until_s=20.0)
     answer = Detected.of("mouth", (one,), 4.0)
     kinds = [("touched", 6.0), ("attached", 8.0), ("moved", 12.0), ("released", 20.0)]
     assert [(event.kind, event.time_s) for event in answer.events] == kinds
@@ -218,9 +485,9 @@ def test_pumps_tell_a_mouth_where_breath_cannot_be_seen() -> None:
     """At one frame a second; a cup that leaks as fast, without pumps, stays something that sucks."""
     panel, times = Panel(6, 6), {"frames": 300, "frame_period_s": 1.0, "baseline_frames": 5}
     course = Course(start_s=3, approach_s=0.5, attachment_s=1, pump_s=50, pump_loss=0.3, release_at_s=290, pull_off=0.5)
-    scene, mouth = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0), dataclasses.replace(MOUTH, centre_mm=(26, 24))
+    scene, mouth = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0), replace(MOUTH, centre_mm=(26, 24))
     found = []
-    for pumps in (course, dataclasses.replace(course, pump_s=300.0, pump_loss=0.5)):
+    for pumps in (course, replace(course, pump_s=300.0, pump_loss=0.5)):
         recording = simulate(Simulation(1, 5, scene, loads=(mouth,), course=pumps, **times))
         known = known_of(Prepared(recording))
         assert isinstance(known, Known)
@@ -230,8 +497,9 @@ def test_pumps_tell_a_mouth_where_breath_cannot_be_seen() -> None:
     assert "whether suction is pumped up again shows within minutes" in found[1].sentence
 
 
+@pytest.mark.slow
 def test_results_are_answered_from_their_readings() -> None:
-    for case in (solved_case(), dataclasses.replace(solved_case(), sigma=None, sigma_baseline=None)):
+    for case in (solved_case(), replace(solved_case(), sigma=None, sigma_baseline=None)):
         (answer,) = detect_results(Results((case,)))
         assert answer.answer == SUCKS and answer.attachments[0].diameter_mm is not None
         assert answer.attachments[0].diameter_mm[0] == pytest.approx(33, abs=2)
@@ -287,7 +555,7 @@ def test_readings_that_faults_blind_do_not_count() -> None:
     assert np.isinf(case.sigma[:, 7]).all() and np.isinf(case.sigma[:, 0, 1]).all()
     wild = case.measured.copy()
     wild[np.isinf(case.sigma)] *= np.random.default_rng(3).uniform(0.2, 5, int(np.isinf(case.sigma).sum()))
-    (first,), (other,) = (detect_results(Results((one,))) for one in (case, dataclasses.replace(case, measured=wild)))
+    (first,), (other,) = (detect_results(Results((one,))) for one in (case, replace(case, measured=wild)))
     assert first.answer == other.answer == SUCKS
     assert first.attachments[0].diameter_mm == pytest.approx(other.attachments[0].diameter_mm, rel=0.02)
 
@@ -345,15 +613,15 @@ def test_a_mat_speaks_of_contacts_alone(tmp_path: Path) -> None:
 
 
 def test_a_sentence_describes_six_contacts_and_counts_the_others() -> None:
-    contacts = [dataclasses.replace(SEEN, sucks=0.0, diameter_mm=None, x_mm=(float(x), 1.0)) for x in range(8)]
+    contacts = [replace(SEEN, sucks=0.0, diameter_mm=None, x_mm=(float(x), 1.0)) for x in range(8)]
     sentence = Detected.of("mat", contacts, 4.0).sentence
     assert sentence.startswith("8 contacts: ") and sentence.count("; ") == 6 and "; 2 more (" in sentence
 
 
 def test_of_two_contacts_each_keeps_its_own_history() -> None:
     """Also where a third comes that is nearer to one of them than nothing else."""
-    left, right = (dataclasses.replace(SEEN, sucks=0.0, diameter_mm=None, x_mm=(x, 1.0)) for x in (10.0, 90.0))
-    new = dataclasses.replace(left, x_mm=(60.0, 1.0), since_s=9.0)
+    left, right = (replace(SEEN, sucks=0.0, diameter_mm=None, x_mm=(x, 1.0)) for x in (10.0, 90.0))
+    new = replace(left, x_mm=(60.0, 1.0), since_s=9.0)
     found = continued_by((left, right), [new, left, right], 9.0)
     assert sorted((one.x_mm[0], one.since_s) for one in found) == [(10.0, 6.0), (60.0, 9.0), (90.0, 6.0)]
 

@@ -4,12 +4,24 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from docs.studies.extremes import extremes_figure
-from lampest import Data, Estimator, Panel, Recording, Scene, Settings, Status, TwoPointReadout, two_point_resistance
+from lampest import (
+    Data,
+    Estimator,
+    Faults,
+    Panel,
+    Recording,
+    Scene,
+    Settings,
+    Status,
+    TwoPointReadout,
+    two_point_resistance,
+)
 from lampest.cost.given import Background, Given
 from lampest.cost.terms import CellResistance, Gradient, Misfit
 from lampest.recording.readings import AT_LEAST, AT_MOST
@@ -71,21 +83,6 @@ def test_baselines_are_judged_by_the_cost_that_they_minimise() -> None:
     assert all(solve.verified for solve in found), found
 
 
-def test_rows_count_what_the_solves_say() -> None:
-    tiny = run_atlas(read_tiny())
-    doctored = (
-        replace(tiny[0], audited=1.0),
-        replace(tiny[1], solved=False, status=f"{CRASHED}ValueError: no"),
-        *tiny[2:],
-    )
-    found = atlas_rows(doctored)
-    assert sum(row.solves for row in found) == len(tiny)
-    assert (found[0].doubtful, found[0].crashed, found[0].verified, found[0].named) == (1, 1, 0, 0)
-    for row in found:
-        assert row.verified + row.named + row.doubtful + row.crashed == row.solves
-    assert atlas_remarks(doctored)[0].startswith(f"{len(tiny) - 2} of {len(tiny)} solves end with a verified optimum")
-
-
 def test_digits() -> None:
     one = np.array([1.0, 2.0])
     assert correct_digits(one, one) == 15
@@ -104,6 +101,162 @@ def test_forward_map_of_every_case_against_fifty_digits(case: str) -> None:
     assert correct_digits(two_point_resistance(scene.cells[1]), certified) > 9.9
     broken = ~np.isfinite(certified)
     assert not np.any(broken) or scene.faults is not None
+
+
+def made(case: str, decades: float = 0.0, noise: float = 0.0, shape: tuple[int, int] = (4, 7)) -> tuple[Any, ...]:
+    """A recording of a case, its scene, and its cells over the usual ones (rows, columns) ohm of seed 3."""
+    recording, scene = recording_of(AtlasSample(case, *shape, decades, noise, 3))
+    usual = 3000 * 10 ** np.random.default_rng([3, *shape, 1]).uniform(-0.15, 0.15, shape)
+    return recording, scene, scene.cells / usual
+
+
+def test_cases_differ_from_usual_cells_as_their_names_say() -> None:
+    """Of 4 × 7 cells the one that breaks is (2, 2); the second frame halves a fifth of them."""
+    _, _, usual = made("all times 1e6")
+    assert np.allclose(usual[0], 1e6) and set(np.round(usual[1] / 1e6, 9).flat) == {0.5, 1.0}
+    halved, whole, (row, column) = usual[1] / 1e6, np.ones((4, 7)), np.indices((4, 7))
+    cell, inf, nothing = (row == 2) & (column == 2), np.inf, Faults()
+    for case, places, factor, faults in (
+        ("open cell", cell, 1e9, None),
+        ("open row", row == 2, 1e9, None),
+        ("open column", column == 2, 1e9, None),
+        ("shorted cell", cell, 1e-9, None),
+        ("shorted row", row == 2, 1e-9, None),
+        ("open cell, known", cell, inf, replace(nothing, open=((2, 2),))),
+        ("shorted cell, known", cell, 0.0, replace(nothing, shorted=((2, 2),))),
+        ("dead row, known", row == 2, inf, replace(nothing, dead_rows=(2,))),
+        ("dead column, known", column == 2, inf, replace(nothing, dead_columns=(2,))),
+        ("weight 0", cell, 1.0, None),
+    ):
+        _, scene, factors = made(case)
+        np.testing.assert_allclose(factors, np.where(places, factor, 1.0) * [whole, halved], rtol=1e-9)
+        assert scene.faults == faults and CASES[case].single_fault == (case != "weight 0")
+    for case, high in (("two clusters", (row < 2) | (column < 3)), ("checkerboard", (row + column) % 2 == 1)):
+        np.testing.assert_allclose(made(case, 6.0)[2][0], np.where(high, 1e3, 1e-3))
+        assert CASES[case].contrasted
+    random = np.log10(made("log-uniform", 6.0)[2][0])
+    assert -3 < random.min() < -2 and 2 < random.max() < 3
+    np.testing.assert_allclose(np.sort(made("1 mOhm to 1 GOhm")[2][0].ravel()) * 3000, np.logspace(-3, 9, 28))
+    rails, series = made("codes at both rails"), made("at the series resistance")
+    np.testing.assert_allclose(rails[2][0], np.where(row == 2, 1e6, 1) * np.where(row + column == 0, 1e-6, 1))
+    assert rails[1].readout == TwoPointReadout(readings=1) and rails[0].sigma is None
+    assert (
+        np.all(series[1].cells[:, 2, 2] == 1e-3)
+        and series[1].series_ohm == series[0].scene.series_resistance_ohm == 140
+    )
+    still = made("identical frames", noise=0.1)
+    np.testing.assert_array_equal(still[0].recorded[0], still[0].recorded[1])
+    assert [made(f"weight {word}")[1].weight for word in ("0", "1e-12", "1e12")] == [0, 1e-12, 1e12]
+
+
+def test_readings_of_a_case_are_exact_but_for_their_noise() -> None:
+    """A reading is at least a hundredth of the exact one; a series resistance has noise of its own."""
+    rng = np.random.default_rng([3, 4, 7, 2])
+    noise, own = rng.standard_normal((2, 4, 7)), rng.standard_normal((2, 4, 7))
+    for relative in (0.0, 0.01, 0.8):
+        recording, scene, _ = made("weight 0", noise=relative)
+        exact = two_point_resistance(scene.cells) * np.maximum(1 + relative * noise, 0.01)
+        np.testing.assert_allclose(recording.recorded, exact)
+        np.testing.assert_allclose(recording.sigma, max(relative, 1e-9) * exact)
+        recording, scene, _ = made("at the series resistance", noise=relative)
+        exact = two_point_resistance(scene.cells) * np.maximum(1 + relative * noise, 0.01) + 140
+        np.testing.assert_allclose(recording.recorded, np.maximum(exact + 140 * relative * own, 1e-3))
+    recording, scene, _ = made("dead row, known")
+    assert np.all(recording.recorded[:, 2] == 3000) and np.all(recording.sigma[:, 2] == 3000)
+    recording, scene, _ = made("codes at both rails")
+    readout = TwoPointReadout(readings=1)
+    assert recording.recorded[0, 0, 0] == recording.recorded.min() > 0
+    away = readout.volt_from_recorded(recording.recorded) - readout.volt_from_recorded(
+        two_point_resistance(scene.cells)
+    )
+    assert 0.25 * readout.lsb_volt < np.abs(away[:, 1]).max() < 5 * readout.lsb_volt
+
+
+def test_scenes_of_an_atlas_are_solved_by_both_formulations_where_its_file_says_so() -> None:
+    atlas = AtlasFile(
+        1,
+        Grid((2, (3, 4)), (1.0, 9.0), (0.0, 10.0), seeds=2),
+        Grid((3,), (6.0,), (1.0,)),
+        nodal=Grid((2, 3), (1.0,), (0.0, 1.0)),
+    )
+    random = [task for task in atlas.tasks if task.sample.case == "log-uniform"]
+    assert [(task.sample.shape, task.sample.decades, task.sample.noise, task.sample.seed) for task in random] == [
+        (shape, decades, noise, seed)
+        for shape in ((2, 2), (3, 4))
+        for decades in (1, 9)
+        for noise in (0, 0.1)
+        for seed in (0, 1)
+    ]
+    assert [len(task.formulations) for task in random] == [2, *15 * [1]]
+    both = {task.sample.case for task in atlas.tasks if task.formulations == ("reduced", "nodal")}
+    contrasted = {"two clusters", "checkerboard"}
+    assert both == set(CASES) - contrasted - {"2 x 64"}, "of six decades, and of more than 99 cells, there are none"
+    assert {task.sample.decades for task in atlas.tasks if task.sample.case in contrasted} == {6}
+    assert {task.sample.shape for task in atlas.tasks if task.sample.case == "M x 1"} == {(9, 1)}
+    assert atlas.audit_cells == 64 and not [*Grid(()).samples("1 x 1")]
+    for wrong in (
+        {"sizes": (0,)},
+        {"sizes": (65,)},
+        {"decades": (16,)},
+        {"noise": (101,)},
+        {"noise": (-1,)},
+        {"seeds": 1001},
+    ):
+        with pytest.raises(ValueError, match=r"must|between|at"):
+            Grid(**{"sizes": (64,)} | wrong)
+    assert Grid((1, 64), (0.0, 15.0), (0.0, 100.0), 1000).shapes == ((1, 1), (64, 64)) and Grid((1,), seeds=0)
+    for wrong, sentence in (
+        ({"estimators": {}}, "at least one"),
+        ({"grid": Grid(()), "structured": Grid(())}, "no scene"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            replace(atlas, **wrong)
+
+
+def test_fifty_digits_of_two_apart_and_of_a_loop() -> None:
+    """1 ohm beside 2, 3 and 4 ohm in series; lines without a path between them have none."""
+    np.testing.assert_allclose(fifty_digits(np.array([[1.0, np.inf], [np.inf, 2.0]])), [[1, np.inf], [np.inf, 2]])
+    expected = [[1 * 9 / 10, 2 * 8 / 10], [3 * 7 / 10, 4 * 6 / 10]]
+    np.testing.assert_allclose(fifty_digits(np.array([[1.0, 2.0], [3.0, 4.0]])), expected, rtol=1e-15)
+    np.testing.assert_allclose(fifty_digits(np.array([[0.0, 2.0], [3.0, 4.0]]))[0], [0, 2 * 7 / 9], atol=1e-20)
+
+
+def solve(**changes: Any) -> Solve:
+    """A verified solve of a random panel."""
+    known = {"case": "log-uniform", "rows": 3, "columns": 4, "decades": 6.0, "noise": 0.01, "seed": 0, "part": "frame"}
+    known |= {"method": "LSM", "formulation": "reduced", "solved": True, "status": "optimum verified", "iterations": 4}
+    known |= {"residual": 1e-9, "audited": 2e-9, "excess": -1.0, "model_digits": 11.0, "forward_digits": 12.0}
+    return Solve(**known | changes)
+
+
+def test_rows_and_remarks_of_an_atlas_count_solves() -> None:
+    solves = [
+        solve(),
+        solve(audited=1e-3, residual=1e-10, excess=1e-3, model_digits=9.5, iterations=10),
+        solve(
+            solved=False, status="stopped: too many iterations", model_digits=np.nan, forward_digits=9.0, iterations=7
+        ),
+        solve(solved=False, status=f"{CRASHED}KeyError: no", residual=1.0),
+        solve(case="open cell", decades=0.0),
+        solve(case="open cell", decades=0.0, noise=0.1),
+    ]
+    assert [mild(one) for one in (solves[0], replace(solves[0], decades=7.0), solves[5])] == [True, False, False]
+    row = atlas_rows(solves)[0]
+    counts = {"solves": 4, "verified": 1, "named": 1, "doubtful": 1, "crashed": 1, "worse": 1}
+    digits = {"forward_digits": 9, "model_digits": 9.5, "residual": 1e-9, "audited": 1e-3}
+    for name, value in (counts | digits | {"iterations": 5.5, "most_iterations": 10}).items():
+        assert getattr(row, name) == value, name
+    assert row.statuses.startswith("2 × optimum verified; 1 × stopped")
+    assert atlas_remarks(solves) == [
+        "4 of 6 solves end with a verified optimum or a sentence (66.67 %)",
+        "all: 3 of 6 verified (50.00 %)",
+        "contrast up to 10⁶ or a single fault, noise up to 1 %: 2 of 5 verified (40.00 %)",
+        "  log-uniform: 1 of 4 verified (25.00 %)",
+        "  open cell: 1 of 1 verified (100.00 %)",
+        "1 × stopped: too many iterations",
+        "1 × crashed: KeyError: no",
+    ]
+    assert atlas_remarks([])[0].endswith("(none tried)")
 
 
 def test_audit_is_the_kkt_residual() -> None:

@@ -1,19 +1,29 @@
 """The trade-off on tiny panels, shipped files of studies, the tables of pages. No timing is asserted."""
 
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from support import invented_case
 
 from docs.studies.audit import Audited, audit_remarks, audit_rows
 from docs.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
+from lampest import Array, InputError, Panel, Recording, Scene
 from lampest.runs.config import read_run
-from lampest.studies.paper.page import PublishedNumber, counts, covered
-from lampest.studies.paper.sides import FILE, read_published
-from lampest.studies.tradeoff import TradeoffFrame, label, read_plan, run_tradeoff
-from lampest.studies.tradeoff_report import front, ladder_rows, on_front
-from lampest.studies.weights import why_not
-from tests.small_files import TRADEOFF
+from lampest.runs.results import Results
+from lampest.studies import common, tradeoff, weights
+from lampest.studies.paper import page, sides
+from lampest.studies.paper.page import Paper, PublishedNumber, counts, covered
+from lampest.studies.paper.sides import FILE, LoadSeen, Published, Side, StepsSeen, read_published
+from lampest.studies.tradeoff import Plan, Simulated, TradeoffFile, TradeoffFrame, label, read_plan, run_tradeoff
+from lampest.studies.tradeoff_report import STUDY, front, ladder_rows, on_front, tradeoff_figure, tradeoff_table
+from lampest.studies.weights import CurvePoint, why_not
+from tests.small_files import TRADEOFF, exact, write_recording
 
 RUNGS = ["naive", "scaled", "linearised", "truncated 2", "reduced", "nodal"]
 
@@ -53,18 +63,289 @@ def test_no_reconstruction_errs_by_what_it_ignores(found: list[TradeoffFrame]) -
     rows = {row.formulation: row for row in ladder_rows(found) if (row.rows, row.columns) == (8, 8)}
     assert rows["naive"].cell_error > 60
     assert rows["reduced"].reached > 0.9
-    assert rows["reduced"].memory_mb is None
+
+
+TINY = """\
+schema: 1
+recordings: [small.h5]
+estimators: {LSM: {terms: {misfit: {}}}}
+formulations: [naive, reduced]
+frames: 2
+repeats: 3
+patience_s: 1000
+"""
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    """An unloaded and two measured frames of 3 × 4 cells, without noise."""
+    folder = tmp_path_factory.mktemp("tiny")
+    write_recording(folder / "small.h5")
+    (folder / "tiny.yaml").write_text(TINY)
+    return read_plan(folder / "tiny.yaml")
+
+
+def test_a_gap_is_relative_to_the_cost_of_the_noise(tiny: Plan) -> None:
+    """φ of LSM is a sum of squares in ohm²; the noise costs Σ σ². Readings themselves are the naive estimate."""
+    (recording,) = tiny.recordings
+    naive, reduced = (tradeoff.run_tradeoff(tiny)[part] for part in (slice(2), slice(2, 4)))
+    readings = recording.readings()
+    for number, (first, best) in enumerate(zip(naive, reduced, strict=True)):
+        value, truth = readings.value[number + 1], recording.truth_cell_resistance[number + 1]
+        cost, noise = np.sum((exact([value])[0] - value) ** 2), np.sum(readings.sigma[number + 1] ** 2)
+        assert (first.frame, first.solver, best.frame, best.solver) == (number, "naive", number, "reduced")
+        assert first.objective == pytest.approx(cost, rel=1e-6)
+        assert first.gap == pytest.approx(cost / noise, rel=1e-6) and best.gap == 0
+        assert first.cell_error == pytest.approx(np.median(100 * np.abs(value / truth - 1))) and first.baseline_s > 0
+        assert best.cell_error < 1e-3 > best.changed_error
+
+
+def test_a_time_is_the_least_of_all_turns_and_of_wall_and_processor(
+    tiny: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The fake clock: of turn n 5 − n s by the wall; by the processor 9 s, 1 s in the second frame of the second."""
+    passage, turns, first = tradeoff._passage, count(), list[str]()
+
+    def timed(task: Any) -> tuple[Any, Array]:
+        estimates, _ = passage(task)
+        first.append(task[0].method.kind)
+        turn = next(turns) // 2
+        steps = tuple(replace(step, seconds=5.0 - turn) for step in estimates.steps)
+        changed = replace(estimates, steps=steps, baseline=replace(estimates.baseline, seconds=7.0 - turn))
+        return changed, np.array([9.0, 1.0 if turn == 1 else 9.0])
+
+    monkeypatch.setattr(tradeoff, "_passage", timed)
+    found = run_tradeoff(tiny)
+    assert first == ["naive", "reduced"] * 3 and all(one.iterations >= 0 and one.solved for one in found)
+    assert [one.seconds for one in found] == [3, 1] * 2 and {one.baseline_s for one in found} == {5}
+    run_tradeoff(tiny._replace(settings=replace(tiny.settings, patience_s=0.0)))
+    assert first[6:] == ["naive", "reduced"], "no turn begins after the patience"
+    joint = tiny._replace(settings=replace(tiny.settings, repeats=1))
+    monkeypatch.setattr(tradeoff, "_passage", lambda task: (replace(passage(task)[0], joint_start=True), np.ones(2)))
+    assert {one.baseline_s for one in run_tradeoff(joint)} == {0}, "it is solved with the first frame"
+
+
+def test_memory_is_that_of_each_formulation_on_two_frames(tiny: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    tasks, steps = list[tuple[str, int]](), list[tuple[int, int]]()
+
+    def peak(work: Any, task: Any) -> float:
+        tasks.append((task[0].method.kind, len(task[1].time)))
+        return 10.0 * len(tasks)
+
+    monkeypatch.setattr(tradeoff, "peak_memory", peak)
+    settings = replace(tiny.settings, memory="LSM", repeats=1)
+    found = run_tradeoff(Plan(settings, tiny.recordings), lambda *step: steps.append(step))
+    assert tasks == [("naive", 3), ("reduced", 3)] and steps == [(1, 3), (2, 3), (3, 3)]
+    assert [one.memory_mb for one in found] == [10, 10, 20, 20]
+
+
+def test_errors_of_changed_cells_are_those_beyond_five_percent() -> None:
+    truth = np.array([[[100.0, 100.0, 100.0]], [[100.0, 106.0, 104.0]], [[100.0, 100.0, 95.1]]])
+    recording = SimpleNamespace(truth_cell_resistance=truth, role=np.array([0, 1, 1]))
+    cells = np.array([[[101.0, 106 * 1.3, 104 * 0.9]], [[102.0, 100.0, 95.1]]])
+    estimates: Any = SimpleNamespace(recording=recording, frame=np.array([1, 2]), cell_resistance=cells)
+    every, changed = tradeoff.errors(estimates)
+    assert every == pytest.approx([10, 0]) and changed == pytest.approx([30, np.nan], nan_ok=True)
+    recording.role = np.array([1, 1, 1])
+    np.testing.assert_allclose(tradeoff.errors(estimates)[1], changed), "else against the first frame"
+    recording.truth_cell_resistance = None
+    assert np.isnan(tradeoff.errors(estimates)).all() and tradeoff.errors(estimates)[0].shape == (2,)
+
+
+def test_the_first_frames_are_the_unloaded_and_the_first_measured_ones() -> None:
+    values = np.arange(1.0, 7.0)[:, None, None] * np.ones((2, 3))
+    recording = Recording(Scene(Panel(2, 3)), values, np.arange(6.0), np.array([0, 1, 1, 0, 1, 1], dtype=np.uint8))
+    assert list(tradeoff.first_frames(recording, 3).time) == [0, 1, 2, 3, 4]
+    assert list(tradeoff.first_frames(recording, 2).time) == [0, 1, 2, 3]
+    with pytest.raises(InputError, match="at least two measured frames"):
+        tradeoff.first_frames(recording, 1)
+
+
+def settings(**changes: Any) -> TradeoffFile:
+    """Of a trade-off of one recording, by default with the five methods of the paper."""
+    return TradeoffFile(**{"schema": 1, "recordings": ("a.h5",)} | changes)
+
+
+def test_large_panels_are_left_to_the_fast_formulations_and_methods() -> None:
+    """The nodal one solves at most 16 lines, pixel by pixel is for ten; methods with a joint pair have 16, too."""
+    everyone = settings()
+    every = ["naive", "scaled", "linearised", "truncated 1", "truncated 2", "truncated 4", "reduced"]
+    for shape, more in (((10, 9), ["nodal", "per_pixel"]), ((11, 3), ["nodal"]), ((3, 16), ["nodal"]), ((17, 3), [])):
+        assert list(everyone.rungs(shape)) == every + more
+    assert everyone.methods((16, 16)) == ["LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR"]
+    assert everyone.methods((4, 17)) == ["LSM", "LSR-CR", "LSR-gCR"]
+    assert list(everyone.rungs((1000, 1000))) == every and "naive" not in everyone.rungs((1001, 1))
+    assert (everyone.frames, everyone.repeats, everyone.patience_s) == (5, 3, 3.0)
+
+
+REFUSED: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"recordings": ()}, "name recordings"),
+    ({"estimators": {}}, "at least one"),
+    ({"formulations": ("naive",)}, "must hold reduced"),
+    ({"formulations": ("reduced", "reduced")}, "twice"),
+    ({"frames": 1}, "2"),
+    ({"frames": 1001}, "1000"),
+    ({"repeats": 0}, "1"),
+    ({"repeats": 1001}, "1000"),
+    ({"memory": "mine"}, "none of the estimators"),
+    ({"patience_s": -1.0}, "patience_s"),
+    ({"sizes": ()}, "at least one"),
+    ({"sizes": (7,)}, "8"),
+    ({"sizes": (1001,)}, "1000"),
+    ({"sizes": (8, (8, 8))}, "twice"),
+    ({"sizes": (8,), "seed": -1}, "seed"),
+)
+
+
+def test_settings_of_a_tradeoff_out_of_range_are_refused() -> None:
+    for changes, sentence in REFUSED:
+        with pytest.raises(ValueError, match=sentence):
+            Simulated(**changes) if "sizes" in changes else settings(**changes)
+
+
+def test_the_ends_of_all_ranges_of_a_tradeoff_are_allowed() -> None:
+    assert settings(frames=2, repeats=1, patience_s=0.0).frames == settings(frames=1000, repeats=1000).repeats - 998
+    assert Simulated(sizes=(8, (8, 1000)), seed=0).diameter_mm == 35
+
+
+def test_simulated_mouths_stand_beside_the_middle_of_every_panel(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, simulate = list[Any](), tradeoff.simulate
+
+    def noted(simulation: Any, name: str) -> Recording:
+        made.append(simulation)
+        return simulate(simulation, name)
+
+    monkeypatch.setattr(tradeoff, "simulate", noted)
+    recordings = [*Simulated(sizes=(8, (9, 10)), diameter_mm=28.0, seed=5).recordings(2)]
+    assert [recording.name for recording in recordings] == ["8x8_clean_10bit", "9x10_clean_10bit"]
+    assert [len(recording.measured_frames()) for recording in recordings] == [2, 2]
+    assert [recording.scene.panel.shape for recording in recordings] == [(8, 8), (9, 10)]
+    mouths = [simulation.loads[0] for simulation in made]
+    assert [mouth.centre_mm for mouth in mouths] == [(34, 36), (44, 36)]
+    assert [(mouth.diameter_mm, mouth.rim_width_mm) for mouth in mouths] == [(28, pytest.approx(4.8))] * 2
+    assert {simulation.seed for simulation in made} == {5} and {one.scene.series_resistance_ohm for one in made} == {
+        140
+    }
+
+
+def frame(**changes: Any) -> TradeoffFrame:
+    """A measured frame of a trade-off."""
+    known: dict[str, Any] = {
+        "rows": 3,
+        "columns": 4,
+        "recording": "a",
+        "method": "LSM",
+        "solver": "reduced",
+        "frame": 1,
+        "seconds": 0.004,
+        "objective": 2.0,
+        "gap": 0.0,
+        "iterations": 3,
+        "solved": True,
+        "status": "optimum verified",
+        "baseline_s": 0.01,
+        "cell_error": 1.0,
+        "changed_error": 2.0,
+    }
+    return TradeoffFrame(**known | changes)
+
+
+NAN = float("nan")
+MEASURED = [
+    frame(frame=0, seconds=0.02),
+    frame(gap=1e-6, cell_error=3.0, changed_error=NAN),
+    frame(frame=2, seconds=0.006, gap=NAN, cell_error=NAN, changed_error=NAN, solved=False),
+    *(frame(solver="naive", frame=number, seconds=0.001, gap=5e3, cell_error=60.0) for number in (0, 1)),
+    *(frame(solver="slow", frame=number, seconds=0.9, gap=1.0, changed_error=9.0) for number in (0, 1)),
+    *(frame(method="other", recording="b", frame=number, seconds=0.5, memory_mb=17.3) for number in (0, 1)),
+]
+
+
+def test_a_row_has_medians_of_its_frames() -> None:
+    (row,) = ladder_rows(MEASURED[:3])
+    expected = {"rows": 3, "columns": 4, "recording": "a", "method": "LSM", "formulation": "reduced"}
+    expected |= {"first_ms": 30, "frame_ms": 5, "cell_error": 2, "changed_error": 2, "gap": 1e-6, "worst_gap": np.inf}
+    expected |= {"reached": 2 / 3, "frames": 3, "failed": 1, "memory_mb": None}
+    assert vars(row) == pytest.approx(expected)
+    unknown = [replace(one, cell_error=NAN) for one in MEASURED[:2]]
+    assert ladder_rows(unknown)[0].cell_error is None
+    together = ladder_rows(MEASURED)[0]
+    assert (together.method, together.recording, together.frames) == ("all", "all", 5)
+    assert [(row.method, row.formulation) for row in STUDY.rows(MEASURED)] == [
+        *(("all" if name == "reduced" else "LSM", name) for name in ("reduced", "naive", "slow")),
+        *(2 * [("LSM", "reduced"), ("LSM", "naive"), ("LSM", "slow"), ("other", "reduced")]),
+    ]
+
+
+def test_the_table_of_a_tradeoff_marks_its_fronts() -> None:
+    """A formulation is on the front of time and error, or on that of time and gap; of the first method alone."""
+    assert tradeoff_table(MEASURED).cells == (
+        ("3 × 4", "LSM", "reduced", "30", "5", "2", "2", "1e-06 / inf", "67", "1/3", "*"),
+        ("3 × 4", "LSM", "naive", "11", "1", "60", "2", "5e+03 / 5e+03", "0", "0/2", "*"),
+        ("3 × 4", "LSM", "slow", "910", "900", "1", "9", "1e+00 / 1e+00", "0", "0/2", ""),
+    )
+    rows = ladder_rows(MEASURED[:7])
+    rows[0].changed_error = None
+    assert on_front(rows) == ["reduced", "naive"]
+    rows[2].gap = 1e-9
+    assert on_front(rows) == ["reduced", "naive", "slow"]
+
+
+def test_the_figure_of_a_tradeoff_numbers_its_formulations() -> None:
+    rows = ladder_rows([*MEASURED, *(replace(one, rows=5, changed_error=NAN) for one in MEASURED)], "method")
+    figure = tradeoff_figure(rows)
+    error, gap, none, _ = figure.axes
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles == ["(a) 3 × 4 cells", "(b) 3 × 4 cells", "(c) 5 × 4 cells", "(d) 5 × 4 cells"]
+    assert [axes.get_ylabel() for axes in (error, gap)] == ["median error of changed cells [%]", "objective gap"]
+    assert [axes.get_xlabel() for axes in figure.axes] == ["", "", *["time per frame [ms]"] * 2]
+    assert [text.get_text() for text in none.texts] == ["no truth"] and figure.get_size_inches()[1] == 5.2
+    numbers = {text.get_text(): (text.xy, text.get_color()) for text in gap.texts}
+    black = {"1": ((5.0, 1e-6), "white"), "2": ((1.0, 5e3), "white"), "3": ((900.0, 1.0), "black")}
+    assert {text: (pytest.approx(place), ink) for text, (place, ink) in black.items()} == numbers
+    other, step, *_, floor = gap.lines
+    assert (other.get_label(), step.get_label()) == ("other", "LSM: Pareto front")
+    np.testing.assert_allclose(other.get_xydata(), [[500, 1e-12]])
+    np.testing.assert_allclose(step.get_xydata(), [[1, 5e3], [5, 1e-6]])
+    assert gap.get_xscale() == gap.get_yscale() == "log" and floor is not step
+    (legend,) = figure.legends
+    assert legend.get_title().get_text() == "1 reduced    2 naive    3 slow"
+    best = tradeoff_figure(ladder_rows([replace(one, gap=0.0) for one in MEASURED], "method")).axes[1]
+    assert best.get_ylim()[0] == pytest.approx(1e-12 / 30) and list(best.lines[-1].get_ydata()) == [1e-12] * 2
+
+
+def test_a_call_takes_the_lesser_of_wall_and_processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    for wall, cpu in ((3.0, 2.0), (2.0, 3.0)):
+        clocks = {"perf_counter": iter([10.0, 10.0 + wall]), "process_time": iter([1.0, 1.0 + cpu])}
+        for name, times in clocks.items():
+            monkeypatch.setattr(common, name, times.__next__)
+        assert common.clocked(lambda: "done") == ("done", 2.0)
+
+
+def test_curves_are_refined_about_the_least_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each new weight is solved from its nearest neighbour that was; between the best and the two beside it."""
+    starts = list[tuple[float, Any]]()
+
+    def solved(subject: Any, weight: float, start: Any) -> CurvePoint:
+        starts.append((round(weight, 3), start))
+        return CurvePoint(weight, 1, error=abs(np.log10(weight) - 1.6), cells=round(weight))
+
+    monkeypatch.setattr(weights, "solve_at", solved)
+    curves = weights.Curves(None, ()).extended([100.0, 1.0, 10.0, 1e3])
+    assert starts == [(1, None), (10, None), (100, None), (1000, None)]
+    assert curves.extended([40.0]).at(40.0).solved and starts[-1] == (40, 100)
+    finer = curves.finer()
+    assert finer.best().weight == pytest.approx(31.623, rel=1e-4)
+    assert [round(one) for one in finer.values("weight")] == [1, 10, 32, 100, 316, 1000] and finer.at(10.0).cells == 10
+    first = weights.Curves(None, tuple(replace(point, error=point.weight) for point in curves.points)).finer()
+    assert [round(one) for one in first.values("weight")] == [1, 3, 10, 32, 100, 1000]
+    unknown = weights.Curves(None, (CurvePoint(1.0),))
+    assert unknown.finer() is unknown and unknown.best() is None
 
 
 def test_front_holds_what_nothing_beats() -> None:
     assert front([(3, 1), (1, 5), (2, 5), (2, 2), (4, 1), (5, 0)]) == [1, 3, 0, 5]
     assert front([]) == []
-
-
-@pytest.mark.slow
-def test_fastest_rung_is_on_the_front(found: list[TradeoffFrame]) -> None:
-    rows = [row for row in ladder_rows(found) if (row.rows, row.columns) == (8, 8)]
-    assert min(rows, key=lambda row: row.frame_ms).formulation in on_front(rows)
 
 
 @pytest.mark.slow
@@ -117,7 +398,15 @@ def test_table_one_is_the_same_in_the_shipped_run() -> None:
 def test_a_quarter_is_of_the_published_number() -> None:
     row = PublishedNumber("Fig. 8-a", "measured", "%", -80.0, (-60.0, -59.9, -100.1, float("nan")))
     assert [row.reproduced(number) for number in range(4)] == [True, False, False, False]
-    assert counts([row], ["one"]).endswith("1 of 1 (one).")
+    assert counts([row], ["one"]) == "within a quarter of the published number: 1 of 1 (one)."
+    assert counts([row, row], ["one", "two"]).endswith("number: 2 of 2 (one), 0 of 2 (two).")
+    table = page.sheet([row, row._replace(ours=(12345.6, -80.0, 1.0, 2.0))], ("clean", "real", "far", "none"))
+    assert table.headers == ("", "place", "published", "clean", "real", "far", "none") and table.best == {
+        (0, 3),
+        (1, 4),
+    }
+    assert table.cells[0] == ("measured [%]", "Fig. 8-a", "−80.0", "−60.0", "−59.9", "−100", "–")
+    assert table.cells[1][3:] == ("12,346", "−80.0", "1.00", "2.00")
 
 
 def test_a_mouth_covers_its_rim() -> None:
@@ -125,6 +414,146 @@ def test_a_mouth_covers_its_rim() -> None:
     change[2:6, 3:8] = -80.0
     change[3:5, 4:7], change[0, 0] = 300.0, -39.0
     assert covered(change) == (4, 5)
+
+
+@pytest.fixture(scope="module")
+def published() -> Published:
+    return read_published(FILE)
+
+
+def compared_side(word: str, factor: float, published: Published) -> Side:
+    """Maps of 2 × 3 cells that have the published ranges times a factor; mouths that cover 1 × 2 cells."""
+    changes = {}
+    for row in published.ranges:
+        for number in (0, 1):
+            changes[row.method, number] = factor * np.array([[row.low, row.low, row.high], [row.high] * 2 + [NAN]])
+    steps = {(row.method, row.steps): StepsSeen(factor * row.error_percent, 1.0, 2.0) for row in published.errors[1:]}
+    loads = {load.letter: LoadSeen(changes["LSM", 0], (-20.0, 31.25)) for load in published.loads}
+    mouth = Recording(Scene(Panel(2, 3)), np.ones((1, 2, 3)), np.zeros(1), np.zeros(1, dtype=np.uint8))
+    return Side(f"{word} scenes", word, [mouth, mouth], loads, changes, steps)
+
+
+@pytest.fixture(scope="module")
+def beside(published: Published) -> dict[tuple[str, str], PublishedNumber]:
+    both = [compared_side("clean", 1.0, published), compared_side("real", 0.5, published)]
+    return {(row.figure, row.quantity): row for row in page.published_beside(both, published)}
+
+
+def test_every_published_number_stands_beside_that_of_every_side(
+    beside: dict[tuple[str, str], PublishedNumber], published: Published
+) -> None:
+    """Of 2 × 6 ranges, 2 × 2 counts, 3 × 7 figures, 3 changes, 2 slopes and 2 × 4 values of bent cells."""
+    assert len(beside) == 50
+    told = {
+        ("Fig. 8-b", "LSM, smallest change"): ("%", -99.5, (-99.5, -49.75)),
+        ("Fig. 8-b", "LSM, largest change"): ("%", 11873.9, (11873.9, 5936.95)),
+        ("Fig. 9-d", "mouth of 25 mm, rows covered"): ("cells", 3, (1, 1)),
+        ("Fig. 9-d", "mouth of 25 mm, columns covered"): ("cells", 3, (2, 2)),
+        ("Table I", "LSR-CR, all steps: data error"): ("%", 7.36, (7.36, 3.68)),
+        ("Table I", "LSR-CR, all steps: its standard deviation"): ("%", 7.85, (1, 1)),
+        ("Table I", "LSR-CR, all steps: time"): ("s", 10.2, (2, 2)),
+        ("Table I", "LSM, all steps: data error"): ("%", 1.33, (NAN, NAN)),
+        ("Fig. 1-e", "ΔR/R₀ at −10 kPa"): ("%", 654, (654, 654)),
+        ("Fig. 1-e, inset", "sensitivity from 2.5 to 28 kPa"): ("1/kPa", -0.016, (-0.016, -0.016)),
+        ("Fig. 2-a", "unloaded resistance at 20 1/m"): ("ohm", 1030, (1030, 1030)),
+        ("Fig. 2-d", "ΔR/R₀ at 40 kPa, at 58.8 1/m"): ("%", -81, (-81, -81)),
+    }
+    for key, (unit, number, ours) in told.items():
+        row = beside[key]
+        assert (row.unit, row.published) == (unit, number)
+        assert row.ours == pytest.approx(ours, nan_ok=True)
+    paper = Paper(published, ("clean", "real"), [*beside.values()], {})
+    first = vars(page.rows(paper)[0])
+    assert first == {
+        "figure": "Fig. 8-a",
+        "quantity": "measured, smallest change",
+        "unit": "%",
+        "published": -82.6,
+        "clean": -82.6,
+        "real": pytest.approx(-41.3),
+    }
+
+
+def test_the_page_counts_ranges_and_mean_errors_and_sets_times_apart(
+    beside: dict[tuple[str, str], PublishedNumber], published: Published
+) -> None:
+    written = page.page_of(Paper(published, ("clean scenes", "real scenes"), [*beside.values()], {"fig1e": Figure()}))
+    assert "18 of 19 (clean scenes), 0 of 19 (real scenes)" in written, "one method has no results"
+    assert "Of rows and columns, within a quarter of the published number: 0 of 4 (clean scenes)" in written
+    assert written.count("data:image/png;base64,") == 1 and written.index("all steps: time") > written.index(
+        '<h2 id="errors'
+    )
+    assert written.count("all steps: time") == 3 and written.count("all steps: data error") == 3
+
+
+def test_curves_of_the_paper_go_through_its_numbers(published: Published) -> None:
+    flat, bent = page.response_figure(published), page.bending_figure(published)
+    (curve, points), (inset,) = flat.axes[0].lines, flat.axes[0].child_axes
+    np.testing.assert_allclose(points.get_xydata(), [[-10, 654], [40, -94], [235, -98]])
+    for figure_curve, dots in ((curve, points), bent.axes[0].lines):
+        through = np.interp(dots.get_xdata(), *figure_curve.get_data())
+        np.testing.assert_allclose(through, dots.get_ydata(), rtol=5e-3)
+    slope, *bars = inset.lines
+    assert (curve.get_xdata()[0], curve.get_xdata()[-1], slope.get_xdata()[-1]) == (-10, 235, 60)
+    assert [list(bar.get_ydata()) for bar in bars] == [[-0.192] * 2, [-0.016] * 2]
+    assert np.interp(10.0, *slope.get_data()) == pytest.approx(-0.016, rel=0.1)
+    ends = [curve.get_ydata()[-1] for curve in bent.axes[1].lines[::2]]
+    assert ends == pytest.approx([-94, -82, -69, -81]) == [dot.get_ydata()[0] for dot in bent.axes[1].lines[1::2]]
+    texts = [text.get_text() for text in bent.axes[1].get_legend().get_texts()]
+    assert texts == ["flat", "radius 50 mm", "radius 33 mm", "radius 17 mm"]
+
+
+def test_maps_of_a_side_say_its_range_and_the_papers(published: Published) -> None:
+    side = compared_side("clean", 0.5, published)
+    tiles = page.tiles_of(side, published)
+    assert {name: len(of) for name, of in tiles.items()} == {"fig6": 6, "fig8": 6, "fig9": 2}
+    assert tiles["fig6"][0].title == "(a) aluminium rod of 40 mm and 680 g"
+    assert tiles["fig6"][0].note == "measured −49.8 … +5937 %\nfilm feels −20.0 … +31.2 kPa"
+    assert tiles["fig8"][0].title == "(a) measured two-point"
+    assert tiles["fig8"][1].note == "ours −49.8 … +5937 %\npaper −99.5 … +11874 %"
+    assert tiles["fig9"][1].title == "(d) mouth of 25 mm, LSR-gCR" and tiles["fig9"][1].values is side.change(
+        "LSR-gCR", 1
+    )
+    assert tiles["fig9"][1].note == "ours 1 × 2 cells, paper 3 × 3"
+    with pytest.raises(InputError, match="no results of mine"):
+        side.change("mine")
+
+
+def mouth_of(values: list[float], name: str) -> Recording:
+    """Two unloaded frames of 100 and 102 ohm, then some that have these in one of 2 × 3 cells."""
+    recorded = np.full((2 + len(values), 2, 3), 101.0)
+    recorded[:2] = np.array([100.0, 102.0])[:, None, None]
+    recorded[2:, 0, 1] = values
+    role = (np.arange(len(recorded)) > 1).astype(np.uint8)
+    pressure = np.arange(float(recorded.size)).reshape(recorded.shape)
+    return Recording(Scene(Panel(2, 3)), recorded, np.arange(len(recorded)), role, truth_pressure=pressure, name=name)
+
+
+def test_a_side_shows_the_strongest_frame_of_clean_scenes_and_else_the_first(tmp_path: Path) -> None:
+    mouths = [mouth_of([90.0, 50.5, 99.0], "large"), mouth_of([202.0, 101.0], "small")]
+    assert [sides.furthest_frame(mouth) for mouth in mouths] == [1, 0]
+    np.testing.assert_allclose(sides.unloaded(mouths[0]), 101)
+    changes = {("LSM", number): np.arange(3.0)[:, None, None] * np.ones((2, 3)) for number in (0, 1)}
+    for word, frame, measured in (("clean", 1, -50.0), ("panel", 0, 100 * (90 / 101 - 1))):
+        side = sides.shown(Side("some", word, mouths, {}, changes, {}))
+        assert side.change("LSM")[0, 0] == frame and side.change("LSM", 1)[0, 0] == 0
+        assert side.change("measured")[0, 1] == pytest.approx(measured) and side.change("measured")[1, 1] == 0
+        assert side.change("measured", 1)[0, 1] == pytest.approx(100)
+    mouths[0].save(tmp_path / "load.h5")
+    load = sides._load(tmp_path / "load.h5")
+    assert load.felt == (18, 23) and load.change[0, 1] == pytest.approx(-50)
+
+
+def test_steps_of_a_side_are_those_of_its_large_mouth() -> None:
+    """Means of |f(r) − R|/R in percent, of the frames but the first for what follows it."""
+    cases = [invented_case(method, mouth) for method in ("LSM", "LSR-dCR") for mouth in ("large", "small")]
+    cases = [replace(case, measured=case.reading_model / 1.05, solve_time=np.array([9.0, 1.0, 3.0])) for case in cases]
+    changes, steps = sides._optima(Results(tuple(cases)), [mouth_of([1.0], name) for name in ("large", "small")])
+    assert changes.keys() == {(method, number) for method in ("LSM", "LSR-dCR") for number in (0, 1)}
+    np.testing.assert_array_equal(changes["LSR-dCR", 1], cases[3].relative_change)
+    assert steps["LSM", "all"].error == pytest.approx(5)
+    assert steps["LSR-dCR", "following"].time == 2 and steps["LSR-dCR", "initial"].time == pytest.approx(9)
+    assert steps["LSM", "all"].time == pytest.approx(13 / 3) and steps["LSM", "all"].error_sd == pytest.approx(0)
 
 
 def test_an_audit_in_which_every_estimator_fails_keeps_no_promise() -> None:

@@ -184,7 +184,7 @@ class _ChangedCells:
         first, second, _ = self.panel.neighbours
         linked = self.moved.flat[first] & self.moved.flat[second]
         pairs = coo_array((linked[linked], (first[linked], second[linked])), shape=2 * (self.moved.size,))
-        _, labels = connected_components(pairs, directed=False)
+        _, labels = connected_components(pairs)
         groups = [labels.reshape(self.moved.shape) == label for label in dict.fromkeys(labels[self.moved.ravel()])]
         sure = [
             group for group in groups if abs(self.more[group].sum()) > SIGNIFICANT * np.hypot.reduce(self.errors[group])
