@@ -497,7 +497,6 @@ def test_pumps_tell_a_mouth_where_breath_cannot_be_seen() -> None:
     assert "whether suction is pumped up again shows within minutes" in found[1].sentence
 
 
-@pytest.mark.slow
 def test_results_are_answered_from_their_readings() -> None:
     for case in (solved_case(), replace(solved_case(), sigma=None, sigma_baseline=None)):
         (answer,) = detect_results(Results((case,)))
