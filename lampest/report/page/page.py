@@ -276,9 +276,10 @@ def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str
 
 
 def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
-    """Compare each pair of cases with error bars; the pairs that differ most come first.
+    """Return the significant differences of each pair of cases with error bars, the largest share first.
 
-    a − b > √((a − a_low)² + (b_high − b)²) for a > b: Zou and Donner, Stat. Med. 27, 2008; exact if independent.
+    For a > b the difference is significant if a − b > √((a − a_low)² + (b_high − b)²), which is exact for independent
+    errors. Source: Zou and Donner, Stat. Med. 27, 2008.
     """
     known = [(case, arms) for case in cases if (arms := _arms(case)) is not None]
     pairs = []

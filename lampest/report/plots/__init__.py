@@ -1,4 +1,4 @@
-"""Pictures of results; nothing here solves anything. To add one: write its `Plot` into a file here, name it in PLOTS.
+"""Pictures of results, without any solve. To add one, write its `Plot` into a file here and add it to PLOTS.
 
 A package adds plots by naming them in the entry point group `lampest.plots`, a script by handing one to `plot_results`.
 """
