@@ -20,8 +20,8 @@ from lampest.studies.common import Shape, Sizes, SquaredMethod, paper_methods, s
 from lampest.studies.study import column
 
 GRID = "log-uniform"
-OPEN = 1e9  # factor of a cell that is broken and not known to be; of a short its inverse
-USUAL_OHM = 3000.0  # of a cell, before a case changes it
+OPEN = 1e9  # factor of a broken cell that the scene does not state; its inverse is that of a short
+USUAL_OHM = 3000.0  # resistance of a cell before a case changes it
 Generator = np.random.Generator
 
 
@@ -47,10 +47,13 @@ class Made(NamedTuple):
 
     Attributes
     ----------
+    cells : array, shape (2, rows, columns)
+    faults, readout, series_ohm
+        Entries of the scene.
     still : bool
         Whether both frames are equal, including noise.
     weight : float or None
-        Of all penalties, instead of their own.
+        Weight of all penalties, instead of their own.
     """
 
     cells: Array
