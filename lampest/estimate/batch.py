@@ -51,6 +51,7 @@ def push_streams(
     inverses : InverseHessians
         Inverse Hessians of the streams by number, from solves of earlier frames; they are updated in place.
     """
+    # Weights first; then batches; whatever a batch does not solve is pushed alone.
     streams = _weighed(streams, readings)
     solved = _solved_together(streams, readings, inverses, StreamBatch.push)
     alone = {n: stream.push(readings[n]) for n, stream in enumerate(streams) if stream is not None and n not in solved}
@@ -335,6 +336,7 @@ class StreamBatch:
         """Return the checked solutions of all panels; None where one is not verified."""
         points, data, at = ended.points, self.data, ended.points.at
         cells = at.cell_resistance
+        # cells at a bound, to the solver's tolerance; a panel is `held` if bounds that matter keep a cell
         at_lower, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
         held = np.asarray((~points.free & (data.lower < data.upper).reshape(points.free.shape)).any(axis=1))
         solutions: list[Solution | None] = [None] * len(cells)

@@ -111,6 +111,7 @@ def frame_misfit(model: Array, measured: Array, sigma: Array, resolution: Array 
     squares[np.isinf(sigma) & np.isfinite(model).any(axis=(1, 2), keepdims=True)] = 0.0
     chi_square = squares.sum(axis=(1, 2))
     readings = np.isfinite(sigma).sum(axis=(1, 2))
+    # degrees of freedom: readings − tr A, at least 1
     followed = np.full(len(model), np.nan) if resolution is None else np.nansum(resolution, axis=(1, 2))
     degrees = np.where(np.isnan(chi_square), np.nan, np.maximum(readings - followed, 1.0))
     figures = {"chi_square": chi_square, "degrees_of_freedom": degrees, "tail": chi_square_tail(chi_square, degrees)}
@@ -356,6 +357,7 @@ class Estimates:
         if self.sigma is None or not known.any():
             return ""
         count = np.isfinite(self.sigma).sum(axis=(1, 2))
+        # √(χ² per reading) of the median frame
         factor = float(np.sqrt(np.median(chi_square[known] / count[known])))
         if factor < OVERRULED_MISFIT:
             return ""
@@ -422,6 +424,7 @@ def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
         return None
     warmth = estimates.recording.scene.temperature
     with np.errstate(divide="ignore"):
+        # standard deviation from the 95 % interval of ln(r/r0): width/(2 · 1.96)
         width = np.log(estimates._bars["ratio_upper"]) - np.log(estimates._bars["ratio_lower"])
     change = np.log(estimates.cell_resistance / estimates.baseline_resistance)
     return change - (0.0 if warmth is None else warmth.logarithm), width / (2 * TWO_SIDED)

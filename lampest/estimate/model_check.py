@@ -223,6 +223,7 @@ def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[
         Returns the check of one module, given its number.
     """
     readings = recording.readings()
+    # modules with the largest change of their readings, without dead and differing ones
     change = mean_change(*map(layout.split, (readings.plain_values, baseline_readings(recording, readings).value)))
     moved = change[recording.role == MEASURED].max(axis=0, initial=0.0)
     unfit = {*recording.scene.dead_modules, *module_factors(recording, layout)}
@@ -439,6 +440,7 @@ def _explanation(rival: Rival, question: Question) -> Explanation | None:
 def with_some_in_series(rival: Rival, question: Question) -> Explanation | None:
     """Return a rival's explanation with the best one of SERIES_POINTS resistances in series; None without any."""
     most = 0.0 if rival.in_series is not None else most_in_series(rival, question)
+    # increasing resistances, each fit starting at the cells of the one before
     explanations: list[Explanation] = []
     for ohm in np.linspace(0, most, SERIES_POINTS)[int(rival.scene.specified_in_series == 0) :] if most else ():
         explanation = Explanation.of(

@@ -169,6 +169,7 @@ def with_still_cells(seen: NoiseEstimate, recording: Recording, sizes: Systemati
     scene, resting = recording.scene, seen.readings[unloaded].mean()
     still = seen.with_motion(scene, scan_share(scene, resting, seen.readings, measured), measured)
     strongest = strongest_frame(still.readings.plain_values, resting.value, measured)
+    # two frames: the strongest, and the first or the last
     chosen = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
     hidden = possible_errors(scene, sizes, resting, still.readings[chosen], seen.frame)
     own = hidden.sizes.reading_error or 0.0 if hidden is not None and hidden.certain else 0.0
@@ -340,6 +341,7 @@ def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: ND
 
     def left(share: float) -> tuple[list[float], float]:
         """Return the tails of χ² and Σ ln(1 + χ²) of the frames after share·Δ·τ is subtracted."""
+        # y − s Δτ, the readings as if taken in the middle of their frame
         freed = replace(readings, value=np.maximum(readings.value - share * moved, MIN_REMAINING * readings.value))
         fits = [fit for frame in moving if (fit := fitted(scene, freed[frame], patient=True)) is not None]
         tails = [fit.tail for fit in fits] + [1.0] * (len(moving) - len(fits))

@@ -149,6 +149,7 @@ def _variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
         shared["supply_volt"] = specified.full_scale_volt
     known = [getattr(specified, name) for name in RESISTORS if hasattr(specified, name)]
     for name in names.intersection(RESISTORS) if known else ():
+        # the specified resistor takes the role of the kind's own; a list for lines becomes its mean where one is needed
         shared[name] = float(np.mean(known[0])) if hints[name] is float else known[0]
     for chosen in product(*words.values()):
         yield kind(**shared, **dict(zip(words, chosen, strict=True)))
@@ -193,6 +194,7 @@ def changes_beyond_noise(scene: Scene, readings: Readings, role: NDArray[np.uint
         return np.zeros((0, *scene.panel.shape))
     resting, values = readings[unloaded].mean().value, readings[measured].plain_values
     change = np.log(scene.circuit.apparent_resistance(values) / scene.circuit.apparent_resistance(resting))
+    # a change counts if it exceeds six standard deviations of the reading and MIN_CHANGE
     beyond = (np.abs(values - resting) > OUTLIER_THRESHOLD * readings.sigma[measured]) & (np.abs(change) > MIN_CHANGE)
     return np.where(beyond, change, 0.0)
 

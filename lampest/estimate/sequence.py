@@ -305,6 +305,7 @@ class Parts:
                 continue
             part = self._part(frames) if carried is None or not start.rested else None
             if carried is not None:
+                # a finished part: its memory continues the stream; a joint baseline is found again by its frames
                 start = start if part is None else self._with_baseline(start, part)
                 stream = carried.onto(start)
             elif part is not None:
@@ -370,6 +371,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
             continue
         recording = of_parts((lead, part))
         taken, own = Prepared(recording).frame_noise.readings, _own_frames(recording, frames)
+        # the strongest frame of the part, by the change of its cleaned readings
         size: Array = np.where(
             taken.enough(stored.scene)[own], mean_change(taken.plain_values[own], resting.value), -1.0
         )

@@ -248,6 +248,7 @@ def _frames(bench: BenchFile, recording: Recording, part: BenchPart, end: float)
                 break
         reached = {name: turn.objective for name, turn in turns[0].items()}
         best = min(reached, key=lambda name: reached[name])
+        # scale of the gap: φ_best + 1e-9 Σ R²
         size = reached[best] + 1e-9 * float(np.sum(readings[frame].value ** 2))
         for name, turn in turns[0].items():
             gap = (turn.objective - reached[best]) / size if turn.step.solution.solved else np.inf

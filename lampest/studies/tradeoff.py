@@ -285,6 +285,7 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
         for name, run in runs.items()
     }
     least = np.nanmin(list(objective.values()), axis=0)
+    # (φ − φ_best)/(φ_best + φ_noise)
     gaps = {name: (own - least) / (least + [_noise_cost(*cost) for cost in costs]) for name, own in objective.items()}
     for name, run in runs.items():
         first = run[0][0]
@@ -311,6 +312,7 @@ def errors(estimates: Estimates) -> tuple[Array, Array]:
     truth = recording.truth_cell_resistance
     if truth is None:
         return np.full(frames, np.nan), np.full(frames, np.nan)
+    # changed cells: by more than 5 % from the median of the true unloaded cells
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     resting = np.median(truth[unloaded], axis=0) if len(unloaded) else truth[0]
     error = relative_error(estimates.cell_resistance, truth[estimates.frame])

@@ -312,11 +312,13 @@ class Joint:
         """Return E x² of the steps, (frames − 1, cells)."""
         less = np.zeros((len(self.stiffness), len(self.shift)))
         less[:, self._sharing :] = np.eye(len(self.stiffness))
+        # E x² = x² + var(u_{t+1} − u_t − c_t)
         return np.asarray(self.steps**2 + self.chain.step_variance(less)[:, : self.cells])
 
     def newton(self) -> tuple[Array, Array]:
         """Return the Gauss-Newton step of (u, w), (frames, cells + n), and of (z, c)."""
         shared = np.einsum("tri,tr->i", self.frames.shared, self._through)
+        # ½ ∂Φ/∂z = Σ_t Uᵀ ½ ∂misfit/∂f + z (or its deviation from ẑ), ½ ∂Φ/∂c_t = −Σ_i λ_ti x_ti + c_t/τ²
         slope = np.concatenate([shared, -np.sum(self.stiffness * self.steps, axis=1)]) + self._shifted * self.certainty
         cells, shift = self.chain.solve(-np.where(self.pressed, 0.0, self.gradient)[..., None], -slope[:, None])
         return cells[..., 0], shift[:, 0]
@@ -414,6 +416,7 @@ def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
         taken = np.einsum("fi,fg,gi->i", across, covariance[np.ix_(free, free)], across, optimize=True)
         return np.asarray(1 / np.maximum(alone - taken, IGNORANCE))
 
+    # diag(P J̃ᵀ J̃), the diagonal of the averaging kernel
     followed = np.einsum("ij,ri,rj->i", covariance, rows, rows, optimize=True)
     shares, variance = (followed[free], np.ones(len(free))), np.diag(covariance)
     across = whole[cells, joint.cells :]
@@ -439,6 +442,7 @@ def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tupl
     numbers = range(resting - 1, len(joint.position))
     certainties = (_certainty(joint, chain, t).widened(answer[t]).of_frame(0) for t in numbers)
     baseline, *certainty = (certainty_.by_conductance() for certainty_ in certainties)
+    # cov(u_t, u_baseline) of each cell, for the variance of changes: from Φ, and from the errors beyond it
     together = chain.since(resting - 1)[1:, : joint.cells] + np.sum(answer[resting:] * answer[resting - 1], axis=2)
     together = together.reshape(-1, *baseline.deviation.shape)
     pairs = zip(certainty, together, strict=True)

@@ -243,6 +243,7 @@ class Method(Validated):
             if readings.partial:
                 below, above = self._beyond(state, readings, step, model)
                 if track.beyond is not None:
+                    # missing unloaded readings of a joint pair widen the intervals of all later frames, too
                     below, above = np.maximum(below, track.beyond[0]), np.maximum(above, track.beyond[1])
                 elif len(step.solution.cell_resistance) == 2 and state.resting.missing(state.scene).any():
                     track = replace(track, beyond=(below, above))

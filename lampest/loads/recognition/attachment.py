@@ -88,6 +88,7 @@ class Attachment:
     @property
     def lives(self) -> float:
         """Probability that it is a mouth, given that it sucks: the product of the odds of breath and of pumps."""
+        # ln odds of breath, at least −ln 20, because one mouth in twenty never shows its breath; ln odds of pumps add
         breathes = max(log(max(self.breathes, 1e-9) / max(1 - self.breathes, 1e-9)), -RARE_LOG_ODDS)
         return 1 / (1 + exp(-breathes - self._pumping))
 
@@ -126,6 +127,7 @@ class Attachment:
         """
         if self.sucks > 0.5 > later.sucks and later.clear < self.clear:
             return self
+        # a move: farther than three standard deviations of the distance, and than 3 mm
         far = NOISE_REACH * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
@@ -156,6 +158,7 @@ def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[A
                 apart = frame.baseline.scene.panel.pitch_mm / 2
                 pairs: dict[str, Any] = {"x_mm": (disc.x_mm, apart), "y_mm": (disc.y_mm, apart)}
                 for name, (value, slopes) in candidate.report(own).items():
+                    # σ² = sᵀ C s, with s the derivative of the quantity by φ
                     pairs[name] = value, float(np.sqrt(slopes @ covariance @ slopes))
                 attachment = replace(attachment, sucks_s=since if attachment.sucks > 0.5 else None, **pairs)
             attachments.append(attachment)
@@ -191,12 +194,14 @@ class _ChangedCells:
         change, sd = cells.state.reshape(shape), np.sqrt(np.diag(cells.covariance)).reshape(shape)
         moved = np.abs(change) > NOISE_REACH * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
         resting = np.exp(-frame.baseline.logarithm)
+        # Δg = g₀ (e^−x − 1) and σ = g₀ e^−x σ_x of x = ln r/r₀
         more, errors = resting * np.expm1(-change), resting * np.exp(-change) * sd
         return cls(change, moved, more, errors, frame.baseline.scene.panel)
 
     def groups(self) -> list[NDArray[np.bool_]]:
         """Return the groups of neighbouring changed cells with a significant conductance; all of them if none is."""
         first, second, _ = self.panel.neighbours
+        # connected components of the changed cells; a group counts if |Σ Δg| > SIGNIFICANT · √Σ σ²
         linked = self.moved.flat[first] & self.moved.flat[second]
         pairs = coo_array((linked[linked], (first[linked], second[linked])), shape=2 * (self.moved.size,))
         _, labels = connected_components(pairs, directed=False)
@@ -208,6 +213,7 @@ class _ChangedCells:
 
     def load(self, group: NDArray[np.bool_]) -> Attachment:
         """Return an attachment with the centre, area and conductance of a group of cells."""
+        # centre of the cells weighted by |ln r/r₀|, to half a pitch
         weight, apart = np.abs(self.change) * (group if group.any() else 1.0), self.panel.pitch_mm / 2
         x, y = (float(np.nansum(weight * line) / weight.sum()) for line in self.panel.places_mm)
         count, square = int(group.sum()), self.panel.pitch_mm**2
@@ -233,6 +239,7 @@ def continued_by(
         leaves without a step, except those that arrived with the step, which were parts of another load.
     """
     attachments, left = list(before), [number for number, attachment in enumerate(before) if attachment.present]
+    # Greedy matching: the load with the nearest attachment first, within the larger diameter of both.
     apart = [min((attachments[number].distance(load.place) for number in left), default=inf) for load in loads]
     for load in (loads[number] for number in np.argsort(apart, kind="stable")):
         near = min(left, key=lambda number: attachments[number].distance(load.place), default=None)

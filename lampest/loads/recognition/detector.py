@@ -119,6 +119,7 @@ class Detector:
         if errors @ errors >= MAX_MEAN_SQUARE * errors.size:
             return None
         response = whitening @ frame.slope(np.zeros(frame.measured.shape))
+        # scores (B t)ᵀ e of the templates, N(0, 1) without a load
         stands_out = self.search.matched(response).T @ (response.T @ errors)
         return calm if stands_out.max() < SIGNIFICANT else None
 
@@ -161,6 +162,7 @@ class Detector:
         resting = baseline.model_errors.resting_covariance(frame.seconds, cells)
         spread = resting + baseline.film(self.explained(frame, fit), fit.scatter)
         both = np.hstack([calm.slope(fit.change), calm.offsets])
+        # P Aᵀ: the baseline's covariance times Aᵀ, and that of drift and film times (∂f/∂ln r)ᵀ; C = root rootᵀ
         before = baseline.covariance[:cells] @ both.T + spread @ both[:, :cells].T
         mean = (before @ cho_solve((whitening.root, True), fit.residual)).reshape(fit.change.shape)
         prior = baseline.covariance[:cells, :cells] + spread
@@ -225,6 +227,7 @@ class Detector:
         for load in kinds:
             fitting, descents = self._fitting(load, calm), list[Linearisation]()
             for disc in (starts[template] for template in load.templates):
+                # a descent that stays above the best one by MAX_LOG_RATIO is given up
                 most = min((descent.cost for descent in descents), default=np.inf) + MAX_LOG_RATIO
                 descents.append(fitting.descended(load.start(disc), likelihood, SEARCH.evaluations // 2, most))
             fits.append(
@@ -267,6 +270,7 @@ class Detector:
         fitting, explained = self._fitting(fit.candidate, calm), self.explained(calm, fit)
         response = calm.baseline.model_errors.response
         errors = [Whitening.of(calm, explained, level * response) for level in self.response_levels]
+        # type-II maximum likelihood of the film's deviation on a grid
         levels = [fitting.stays(fit.parameters, whitening).evidence for whitening in errors]
         whitening = errors[int(np.argmax(levels))]
         return fitting.best(fit.parameters, whitening), whitening
@@ -277,6 +281,7 @@ class Detector:
         It starts from its own φ and, if that does not come close to the best cost, from the place of the best fit.
         """
         fitting, most = self._fitting(fit.candidate, calm), best.cost + MAX_LOG_RATIO
+        # equal errors for all candidates: otherwise a poor candidate would excuse its misfit by its own errors
         descended = fitting.best(fit.parameters, whitening, most)
         like = fit.candidate.like(best.candidate, best.parameters) if descended.cost > most else None
         return descended if like is None else best_of([descended, fitting.best(like, whitening, most)])
@@ -328,6 +333,7 @@ class Detector:
         if verdict.best.candidate is FIELD or verdict.goodness > MAX_MEAN_SQUARE:
             return True
         explained = [verdict.best.change != 0, *(under(self.panel, disc) for disc in discs_of(verdict.best))]
+        # states 2 and 3 of the field outside the loads: changes of a few kPa and more
         left = np.where(np.any(explained, axis=0), 0.0, field.change)
         return bool(states(self.panel, left).max() > 1)
 
@@ -353,6 +359,7 @@ class Detector:
             frame = replace(calm, baseline=replace(baseline, scene=replace(baseline.scene, response=bent)))
             fits.append(self._fitting(fit.candidate, frame).best(fit.parameters, whitening, quick=True))
         shares = softmax(EVIDENCE_SHARE * np.array([other.evidence for other in fits]))
+        # law of total covariance: mean of the covariances within the curves, and covariance between them
         apart = np.array([other.parameters for other in fits]) - fit.parameters
         within = np.tensordot(shares, [other.covariance for other in fits], 1)
         return replace(fit, covariance=within + (shares[:, None] * apart).T @ apart)

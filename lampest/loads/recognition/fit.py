@@ -277,6 +277,7 @@ class Fitting:
             zeros = np.zeros_like(fit.change)
             return Explained(fit.change, np.hypot(*np.gradient(fit.change, self.panel.pitch_mm)), zeros)
         pressure, by_parameter = self.pressure(fit.parameters)
+        # |∇p| (kPa/mm): the change of pressure by a shift of 1 mm across an edge
         shift = np.sqrt((by_parameter[self.centred] ** 2).sum(axis=0))
         small, large = (self.pressure(fit.parameters, by)[0] for by in (0.9, 1.1))
         more, less, small, large = (
@@ -323,6 +324,7 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
         return fit
     place = names.index("diameter")
     others = np.ix_(*2 * [np.arange(len(names)) != place])
+    # Profile: step ln d in both directions until P(δ) is negligible, all other parameters fitted.
     points = [fitting.settled(fit.parameters, whitening, held=place)[0]]
     apart = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))  # as points of a patch are
     for step in (1, -1) * np.array(max(apart, fit.covariance[place, place] ** 0.5 / 2)):
@@ -334,6 +336,7 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
     # Prior precision of a centre that is uniform within a pitch: beyond, it would touch other patches.
     centred = np.diag(fitting.centred * 12 / fitting.panel.pitch_mm**2)
     precisions = [(point.normal + centred)[others] for point in points]
+    # P(δ) ∝ e^(−cost) |H|^(−½), with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ − φ̂)(φ − φ̂)ᵀ)
     share = softmax(
         [-point.cost - np.linalg.slogdet(own)[1] / 2 for point, own in zip(points, precisions, strict=True)]
     )
@@ -375,6 +378,7 @@ def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
     errors, left = whitening @ most_probable.apart, frame.residual(change)
     misfit = Whitening(np.linalg.cholesky(frame.covariance(frame.slope(change)))) @ left
     cost = float(errors @ errors) / 2
+    # ln P(R | states) = −½ eᵀ (A P Aᵀ + C)⁻¹ e − ½ ln det (A P Aᵀ + C), and ln P(states) of the Potts field
     likely = float(misfit @ misfit), cost, whitening.volume, -cost - whitening.volume - paid(panel, of_cells)
     return Fit(FIELD, none, none.reshape(0, 0), change, none.reshape(0, change.size), left, *likely), most_probable
 

@@ -314,6 +314,7 @@ class ImageWatch:
                 x, y = (load.x_mm[0] + window.x_mm, load.x_mm[1]), (load.y_mm[0] + window.y_mm, load.y_mm[1])
                 every.append((window, replace(load, x_mm=x, y_mm=y)))
         every.sort(key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1])))
+        # nearest to its window's middle first; equal loads of other windows are dropped
         merged: list[tuple[Window, Attachment]] = []
         for window, load in every:
             if not any(window is not neighbour and _same_load(load, seen) for neighbour, seen in merged):

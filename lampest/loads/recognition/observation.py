@@ -107,6 +107,7 @@ class ModelErrors:
         layout, (rows, columns) = scene.panel.modules, measured.shape
         row, column = np.indices(measured.shape)
         if layout is not None:
+            # every module has channels of its own: number its lines separately
             row, column = row + rows * (column // layout.each.columns), column + columns * (row // layout.each.rows)
         in_ohm = scene.circuit.unit == "ohm"
         total = (measured + scene.series_ohm if in_ohm else measured).reshape(-1, 1)
@@ -241,6 +242,7 @@ class Baseline:
             residual = measured.ravel() - network.reading().ravel() - spread @ state[cells:]
             return residual, np.hstack([network.sensitivity(), spread]), np.diag(noise) + shared
 
+        # A first fit identifies outliers; the second one, without them, is solved to convergence.
         coarse = most_probable(model, mean, mean, prior, MAX_STEP / 10)
         noise[outliers(coarse.whitening, coarse.apart)] *= DROPPED_FACTOR**2
         fine = most_probable(model, coarse.state, mean, prior, 1e-6)
@@ -319,6 +321,7 @@ class Observation:
     def change(self, pressure: Array) -> tuple[Array, Array]:
         """Return x of pressures (rows, columns) kPa, and dx/dp in 1/kPa; |x| is at most MAX_LOG_CHANGE."""
         response, step = self.baseline.response, 1e-3  # kPa, for a central difference: F has corners
+        # x = κ (ln F(p + p_w) − ln F(p_w)) at p and p ± step
         near = pressure + self.water + np.array([0.0, step, -step])[:, None, None]
         change, up, down = response.gains * (response.logarithm(near) - self._immersed)
         return np.clip(change, -MAX_LOG_CHANGE, MAX_LOG_CHANGE), (up - down) / (2 * step) * (
@@ -342,6 +345,7 @@ class Observation:
         cells : array, shape (cells, cells)
             Further covariance of ln r, added to T.
         """
+        # H = (J, E); H (C + T) Hᵀ with T on the block of the cells
         both, errors = np.hstack([slope, self.offsets]), self.baseline.covariance.copy()
         errors[: len(slope), : len(slope)] += self.baseline.model_errors.resting_covariance(self.seconds, len(slope))
         errors[: len(slope), : len(slope)] += cells

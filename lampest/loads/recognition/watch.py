@@ -276,6 +276,7 @@ class Watch:
         """Return the watch after a frame, as `push`, with step detection only."""
         counts = np.isfinite(sigma).ravel()
         logarithm = np.where(counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.mean)
+        # the median of three frames, so that a single wrong reading is no step
         shown = np.median([*self.recent, logarithm], axis=0)
         sigma = counting(sigma, np.exp(self.resting).reshape(sigma.shape))
         return replace(self, recent=(self.recent[-1], logarithm), sigma=sigma)._stepped(shown, logarithm, time)
@@ -327,6 +328,7 @@ class Watch:
         scores = self.test.scores(shown - self.mean)
         fading = self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)  # score of the fading residue of a load
         if np.any(scores >= (self._least_step if self.present else np.maximum(self.test.least(), MIN_CHANGE * fading))):
+            # A step: either back to the level before the last step, or the beginning of a new interval.
             resumed = self._resumed(shown)
             if resumed is not self:
                 return resumed._stepped(shown, logarithm, time)
@@ -415,6 +417,7 @@ class Watch:
 
     def _recognised(self, time: float) -> "Watch":
         """Return the watch with the loads that are recognised from the median frame of the window."""
+        # Recognition of the median frame; the next one follows after twice the time since the step.
         again, scores = time + max(time - self.begun, FIRST_S), self.test.scores(self.mean - self.resting)
         size, clear = self.test.sizes(self.mean - self.resting), scores >= self.test.least()
         median = np.median([logarithm for _, logarithm in self.window], axis=0)
@@ -422,6 +425,7 @@ class Watch:
         verdict = self.panelled.detector.verdict(frame, self.verdict if self.known else None)
         change, before = verdict.best.change, self._before
         least = NOISE_REACH * self.panelled.errors.residue * np.sum(change * before)
+        # No load, or only the residue of the former one: the load has left, unless its cells still show it.
         memory = not self.known and np.sum(change**2) < least  # the film's residue in the cells of the former load
         if memory or verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing):  # odds: some steps are noise
             if self._left(frame) and not (self.known and np.any(clear)):
@@ -455,6 +459,7 @@ class Watch:
         settled = [frame for frame in self.window[:-1] if frame[0] > self.judged_s]
         times, logarithms = np.array([at for at, _ in settled]), np.array([logarithm for _, logarithm in settled])
         lasted = float(times[-1] - times[0])
+        # complete if it lasts WINDOW_S but for 2.5 mean steps
         full = lasted > WINDOW_S - 2.5 * lasted / max(len(times) - 1, 1)
         attachments, fit, detector = list(self.attachments), self.verdict.best, self.panelled.detector
         for place, breath in breaths(times, logarithms, self.seen, fit, self.test.whitening, detector):

@@ -267,6 +267,7 @@ def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: N
         Cells that cannot be distinguished from open ones; they do not count.
     """
     moved = np.log(readings.shown / resting.shown)
+    # ln of readings over unloaded ones without the common change, against σ of that logarithm
     moved -= np.nanmedian(moved)
     now, before, least = readings.sigma_of_values, resting.sigma_of_values, np.asarray(NOTICED_PERCENT / 100)
     if now is not None and before is not None:

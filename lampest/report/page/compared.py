@@ -140,6 +140,8 @@ def matched(recordings: Recordings) -> Matched:
     """
     originals, left_out = without_copies(recordings)
     often = Counter(name for cases in originals.values() for name in cases)
+    # Sets of estimators with at least `least` recordings each; the number of paired differences is (estimators − 1) ·
+    # recordings.
     options = []
     for least in sorted(set(often.values()), reverse=True):
         known = [name for name, count in often.items() if count >= least]
@@ -354,6 +356,7 @@ def comparison_of(batch: Batch, generator: np.random.Generator) -> Comparison | 
     values = _values(match, criterion.per_cell, criterion.average)
     block = block_length(values) if single else 1
     standings = _standings(match.estimators, values, picks(len(values), block, generator.spawn(1)[0]))
+    # geometric mean over the units of the median time per frame
     times = np.exp(_values(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median).mean(axis=0))
     milliseconds = dict(zip(match.estimators, times.tolist(), strict=True))
     return Comparison(criterion, match, units, values, block, standings, milliseconds)

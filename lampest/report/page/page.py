@@ -285,6 +285,7 @@ def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
     pairs = []
     for (first, (first_below, first_above)), (second, (second_below, second_above)) in combinations(known, 2):
         both, difference = first.solved & second.solved, first.relative_change - second.relative_change
+        # half width of the interval of the difference towards zero
         reach = np.where(difference > 0, np.hypot(first_below, second_above), np.hypot(first_above, second_below))
         significant = np.where(np.abs(difference) > reach, difference, np.nan)
         if np.any(both):

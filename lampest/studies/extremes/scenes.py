@@ -91,6 +91,7 @@ def recording_of(sample: AtlasSample) -> tuple[Recording, Made]:
     Cells are equal for every noise. Readings are exact ones times 1 + noise, digitised if there is a converter.
     """
     rng = np.random.default_rng([sample.seed, sample.rows, sample.columns, 1])
+    # cells within a factor of 2 of each other; a fifth of them have half their resistance under load
     usual = USUAL_OHM * 10 ** rng.uniform(-0.15, 0.15, sample.shape)
     cells = np.stack([usual, np.where(rng.random(sample.shape) < 0.2, 0.5, 1.0) * usual])
     scene = CASES[sample.case].make(cells, sample, rng)
