@@ -145,7 +145,7 @@ def fitted(
         with np.errstate(all="ignore"):
             data = cells_alone().data(readings.alone(), Background(scene))
             data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
-            # Levenberg-Marquardt without bounds suffices where cells explain the readings exactly, which is usual.
+            # The Levenberg-Marquardt method suffices where cells explain the readings exactly, which is usual.
             fit = _fitted_near(data, readings, convex(data, None)[0] if near is None else near, scene, effects)
             if fit.chi_square <= EXACT_CHI_SQUARE or effects:
                 return fit

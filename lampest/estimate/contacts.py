@@ -90,7 +90,7 @@ class SolvedContacts:
         whole[model.free] = follow
         left = rows - errors.forward(whole)
         charged = model.penalty_jacobian @ whole
-        # S = (E − J F)ᵀ Ω (E − J F) + ε F ᵀF + (L F)ᵀ Λ (L F), equal to Eᵀ Ω (E − J F) but without cancellation
+        # S = (E − J F)ᵀ Ω (E − J F) + ε s² FᵀF + (L F)ᵀ Λ (L F), equal to Eᵀ Ω (E − J F) but without cancellation
         schur = left.T @ (model.data_curvature[:, None] * left) + IGNORANCE * model.scale * follow.T @ follow
         schur += charged.T @ (model.penalty_curvature[:, None] * charged)
         return np.asarray(schur / self.scale + np.diag(self.precision))

@@ -344,7 +344,7 @@ class FittedPair:
         return scores_with_errors(self.change, precision, candidates) + added + self._prior_score
 
     def off_by_one(self, score: float) -> bool:
-        """Whether the error of a single reading reaches a lower score than `score`.
+        """Return whether the error of a single reading reaches a lower score than `score`.
 
         An outlier in the frame in which a load arrives is hard to detect in time.
         """

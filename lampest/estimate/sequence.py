@@ -148,8 +148,8 @@ def first_stream(
 ) -> Stream:
     """Return the stream before a recording's first measured frame.
 
-    Open weights are chosen here. Networks with the same converter and faults share the weights that those networks
-    choose that differ most from rest.
+    Open weights are chosen here. Networks with equal converters and faults share one choice, made by those of them that
+    differ most from rest.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
-MAX_SOLVES, SETTLED = 4, 0.2  # of an estimate; change of ln λ that changes no reported figure
+MAX_SOLVES, SETTLED = 4, 0.2  # half the largest number of solves; change of ln λ that changes no reported figure
 MAX_SWEEPS = 6  # over several penalties: each converges within a few
 MIN_FREEDOM = 0.05  # degrees of freedom of a residual: with fewer, the scale of the residuals is not determined
 AnyObjective = TypeVar("AnyObjective", bound=Objective)

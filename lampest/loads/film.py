@@ -390,7 +390,7 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, 
     Parameters
     ----------
     gain : float
-        Response of the film over that of an unbent one.
+        Share of the response that bending leaves.
     change, sd : array, shape (frames, rows, columns)
         ln(r/r_rest) and its standard deviation.
     time : array, shape (frames,)

@@ -67,7 +67,7 @@ def _lines(sentences: Iterable[Sentence]) -> list[str]:
 
 
 def _frames(role: NDArray[np.uint8], time: Array) -> Iterator[Sentence]:
-    """Yield how many frames there are, and when they were taken."""
+    """Yield the numbers of frames and their times."""
     unloaded, measured = int(np.sum(role == UNLOADED)), int(np.sum(role == MEASURED))
     yield "frames", f"{len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s"
 

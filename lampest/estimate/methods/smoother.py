@@ -339,7 +339,7 @@ class Walk:
         return (1 + self.most**2 / (1 + self.most**2)) * (1 + self.most**-2) ** 2
 
     def _size(self, squares: Array) -> Array:
-        """S."""
+        """Return S = K E x²/q², (frames − 1, cells)."""
         return averaged(squares) / self.deviation**2
 
 

@@ -39,10 +39,14 @@ def write_report(
 
     Parameters
     ----------
+    paths : sequence of Path
+        Results files.
+    out : Path
+        The page.
     on_recording : callable
-        Gets how many of how many recordings are drawn.
+        Receives the numbers of drawn and of all recordings.
     frames : range or None
-        As `read_results` takes them.
+        Frames of the recordings, as in `read_results`.
     """
     write_whole(out, report(compared.read_batch(paths, frames), on_recording))
 

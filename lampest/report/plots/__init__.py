@@ -171,7 +171,7 @@ def _chosen(show: str | Plot, frame: int | None) -> Plot:
 
 
 def _check_form(target: Path | None) -> None:
-    """Raise InputError where a file is asked for that is no picture of lampest."""
+    """Raise InputError for a file name whose type lampest cannot draw."""
     kind = "" if target is None or target.suffix in SUFFIXES else guess_type(target)[0] or ""
     if kind.startswith(("image/", "application/postscript")):
         raise InputError(f"{target}: {PICTURES}")
