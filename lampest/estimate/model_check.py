@@ -180,7 +180,7 @@ class ExplainedRecording:
             best, effect = better_rival(rivals, question, None if fault else explanation), besides.best
             if effect.name and (effect.fits_noise or not fault) and (not best.name or effect.count < best.count):
                 best = effect
-        # The sentence.
+        # Verdict in words: the fault, the best alternative, or neither; then the noise.
         if not whole:
             sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing or bounds"
         elif fault:
