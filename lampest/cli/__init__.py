@@ -98,7 +98,7 @@ COMMANDS: dict[str, tuple[str, Callable[..., None], str]] = {  # name → (part 
     },
     "study paper": ("Study", studies.paper, "--out results/paper"),
 }
-OLD = {  # word of the release before → new name
+OLD = {  # word of the previous release → new name
     "ports": "record --list",
     "repair": "check --repair",
     "tune": "study weights",
@@ -113,7 +113,7 @@ GROUPS = {
 
 
 def _build() -> None:
-    """Add all commands and groups in the parts of the help, then the hidden words of the release before."""
+    """Add all commands and groups in the parts of the help, then the hidden words of the previous release."""
     groups: dict[str, typer.Typer] = {"": app}
 
     def add(group: str, word: str, command: Callable[..., None], example: str, **further: Any) -> None:
@@ -147,7 +147,7 @@ _build()
 
 
 def main() -> None:
-    """Run the command; input errors end with code 2 and one sentence, Ctrl-C and its kin with 130."""
+    """Run the command; input errors end with code 2 and one sentence, Ctrl-C and similar signals with 130."""
     os.environ.update({name: value for name, value in ONE_THREAD.items() if name not in os.environ})
     try:
         with ending_signals(), libraries_to_the_log(), extra():

@@ -179,7 +179,7 @@ def live(
     source: LiveBoard | Replay = LiveBoard(tuple(port or ()), scene_of(scene, None), baseline, period, out)
     if recording is not None:
         source = Replay(recording, speed, baseline)
-    with ending_signals():  # a board gets its command to stop, however live ends
+    with ending_signals():  # every end of the command sends the board its command to stop
         done = run_live(
             source,
             chosen(estimator, config, tuple(assign or ())),
@@ -193,7 +193,10 @@ def live(
 
 
 def report_recorded(done: "Recorded") -> None:
-    """Say what was recorded, and which resistance may be missing; a recording that was interrupted ends with 130."""
+    """Print a summary of a recording and warnings about it.
+
+    Raises typer.Exit with code 130 for an interrupted recording.
+    """
     noise = "" if done.noise_lsb is None else f", noise of one reading {done.noise_lsb:.2f} LSB"
     say(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
     if done.clock_jumps:

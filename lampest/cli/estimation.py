@@ -1,4 +1,4 @@
-"""Commands that make files to begin with and recordings, and estimate cells."""
+"""Commands that write starter files and recordings, and estimate cells."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -107,7 +107,7 @@ def refuse_large(cases: "Sequence[Case]") -> None:
 
     panels: dict[Path, Panel | None] = {}
     for path in {case.path for case in cases}:
-        # One that cannot be read fails when its turn comes.
+        # An unreadable recording fails later, as a case of its own.
         with suppress(InputError), recording_file(path) as (_, scene, _, _):
             panels[path] = scene.panel
     for case in cases:

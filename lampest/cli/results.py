@@ -1,4 +1,4 @@
-"""Commands that read results and say what there is."""
+"""Commands that read, compare, draw, export and describe recordings and results."""
 
 import dataclasses
 import json
@@ -159,7 +159,7 @@ def detect(
 
 
 def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder: Path, *, everything: bool) -> None:
-    """Write the files of what was detected, and print sentences and tables."""
+    """Write the files of the answers, and print their sentences and tables."""
     from lampest.files.whole import refuse_inputs
     from lampest.report.detect.answer import FILE, event_table, load_table, write_detections
     from lampest.report.detect.pressed import FILE as PRESSED

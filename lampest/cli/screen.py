@@ -177,7 +177,7 @@ def _layout(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int) ->
     lines = [[line for text in held for line in text.split("\n")] for held in columns]
     whole = [max(word, *map(len, held)) for word, held in zip(words, lines, strict=True)]
     least = [max(word, *map(_longest_word, held)) for word, held in zip(words, columns, strict=True)]
-    names = [min(least[0], max(words[0], 12)), *least[1:]]  # below, a name is not cut into lines
+    names = [min(least[0], max(words[0], 12)), *least[1:]]  # names are cut, but not below 12 characters
     full = [max(len(header), width) for header, width in zip(headers, whole, strict=True)]
     for gap, steps in ((2, (whole, least)), (1, (whole, least, names))):
         widths = list(full)
@@ -204,7 +204,7 @@ def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequenc
     from rich.console import Console
     from rich.table import Table as RichTable
 
-    padding = (0, gap - 1, 0, 0)  # the box itself has a blank between columns
+    padding = (0, gap - 1, 0, 0)  # the box adds one blank between columns
     drawn = RichTable(box=box.SIMPLE_HEAD, padding=padding, pad_edge=False)
     for header, width in zip(headers, widths, strict=True):
         drawn.add_column("\n".join(_folded(header, width)), no_wrap=True, width=width)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from lampest.studies.study import Study
 
 Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="The study's YAML file; else the shipped one.")]
-# Word → the module of the study, and what it says of itself. A further study is a module with its STUDY, named here.
+# Word → module of the study, and its help text. To add a study, write a module with its STUDY and add it here.
 STUDIES = {
     "bench": (
         "lampest.studies.bench",

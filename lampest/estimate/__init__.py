@@ -1,1 +1,1 @@
-"""Methods of estimation: estimator, weights left to the data, frames as they come, frames of a recording."""
+"""Methods of estimation: estimators, choice of weights, streams of frames, whole recordings, checks."""

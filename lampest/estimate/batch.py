@@ -1,4 +1,4 @@
-"""Frames of many streams at once: as many as possible in batches, all others one by one."""
+"""Frames of many streams at once: in batches over a leading axis where possible, all others one by one."""
 
 import os
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -32,16 +32,16 @@ from lampest.solvers.multistart import BROKEN, SAME_MINIMUM, several_minima
 from lampest.solvers.projected_lbfgs import BatchOutcome, InverseHessians, serves, solve
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Status
 
-MIN_PANELS_PER_THREAD = 20  # panels of a thread: with fewer, threads cost more than they save
-MAX_BLOCK_FRAMES = 40  # that are solved together: 50 MB of inverse Hessians at 20 × 20
-MAX_BLOCK_CELLS = 400  # of their network: with more, inverse Hessians cost more than they save (docs/studies/speed.md)
+MIN_PANELS_PER_THREAD = 20  # with fewer panels in a thread, threads cost more than they save
+MAX_BLOCK_FRAMES = 40  # frames that are solved together: 50 MB of inverse Hessians at 20 × 20
+MAX_BLOCK_CELLS = 400  # of a network: with more, inverse Hessians cost more than they save (docs/studies/speed.md)
 W = TypeVar("W")
 
 
 def push_streams(
     streams: Sequence[Stream | None], readings: Readings, inverses: InverseHessians
 ) -> list[tuple[Stream | None, Step | None]]:
-    """Return every stream after its frame, and the step that solved it; None stays None.
+    """Return every stream after its frame, and the frame's step; None stays None.
 
     Parameters
     ----------
@@ -49,8 +49,9 @@ def push_streams(
     readings : Readings
         One frame of each stream, (streams, rows, columns).
     inverses : InverseHessians
-        Of every stream by its number, from solves of earlier frames; renewed in place.
+        Inverse Hessians of the streams by number, from solves of earlier frames; they are updated in place.
     """
+    # Weights first; then batches; whatever a batch does not solve is pushed alone.
     streams = _weighed(streams, readings)
     solved = _solved_together(streams, readings, inverses, StreamBatch.push)
     alone = {n: stream.push(readings[n]) for n, stream in enumerate(streams) if stream is not None and n not in solved}
@@ -58,7 +59,11 @@ def push_streams(
 
 
 def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Stream | None]:
-    """Return the streams, with new weights for all that are alike where the frame of any is due to choose them."""
+    """Return the streams with weights; streams of one group choose them together.
+
+    A group has one estimator, converter and faults. If the frame of any of its streams is due to choose weights, the
+    streams with the largest change from rest choose them for all.
+    """
     weighed, groups = list(streams), dict[Hashable, dict[int, Stream]]()
     for number, stream in enumerate(streams):
         if stream is None or not stream.chooses_weights or not (stream.rested or not stream.estimator.relative):
@@ -81,11 +86,17 @@ def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Strea
 
 
 def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Step]]:
-    """Yield the stream after each of its next frames, and the step that solved it; readings : (frames, rows, columns).
+    """Generate the stream after each of its next frames, with the frame's step.
 
-    Frames of a network that depend on no earlier one are solved over a leading axis, all begun at the last estimate.
-    There are MAX_BLOCK_FRAMES of them at most. A frame that the batch hands back is pushed alone, as is the only frame
-    where there can be no block.
+    Up to MAX_BLOCK_FRAMES frames that are independent of each other are solved over a leading axis, all from the last
+    estimate on. Frames that the batch does not solve are pushed alone. Where no block is possible, a single frame is
+    pushed.
+
+    Parameters
+    ----------
+    stream : Stream
+    readings : Readings
+        The next frames, (frames, rows, columns).
     """
     size, count, solved = readings.value[0].size, 1, dict[int, tuple[Stream, Step]]()
     if size <= MAX_BLOCK_CELLS and not stream.first and stream.is_independent:
@@ -99,7 +110,7 @@ def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Ste
 
 
 def solve_baselines(streams: Sequence[Stream | None]) -> list[Stream | None]:
-    """Return every stream with its baseline; None stays None."""
+    """Return every stream with its baseline, solved in batches where possible; None stays None."""
     first = next(stream for stream in streams if stream is not None)
     resting = [first.resting if stream is None else stream.resting for stream in streams]
     inverses = InverseHessians.nothing(len(streams), first.resting.value.size)
@@ -115,7 +126,7 @@ def _solved_together(
     inverses: InverseHessians,
     solve: Callable[["StreamBatch", InverseHessians], Sequence[W | None]],
 ) -> dict[int, W]:
-    """Return the results of `solve` for the streams that batches solve, by number; blocks run in threads."""
+    """Return the results of `solve` by number, of the streams that batches can solve; batches run in threads."""
 
     def solved(block: StreamBatch) -> dict[int, W]:
         with np.errstate(all="ignore"), suppress(*BROKEN):
@@ -131,7 +142,7 @@ def _solved_together(
 
 
 def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[StreamBatch]":
-    """Streams that can be solved together, those of one kind of cost and one history in one batch."""
+    """Generate batches of the streams that can be solved together, those with the same cost and the same state."""
     groups: dict[tuple[object, ...], dict[int, Stream]] = {}
     cores = 1 if parent_process() else len(os.sched_getaffinity(0))  # of several processes each has one
     partial = ((readings.side != 0) | (readings.seen < 1)).any(axis=(1, 2)).tolist()
@@ -155,7 +166,10 @@ def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[
 
 
 def _in_batches(stream: Stream, readings: Readings, number: int, *, partial: bool) -> bool:
-    """Whether a batch may minimise a stream's frame, or the baseline that it lacks: weights are numbers."""
+    """Return whether a batch can solve a stream's frame, or its missing baseline.
+
+    A batch has the reduced formulation, unwired two-point readouts, the solver's default limits and known weights.
+    """
     estimator, method = stream.estimator, stream.estimator.method
     if not isinstance(method, OptimalMethod) or method.kind not in ("reduced", "auto") or estimator.weighs_previous:
         return False
@@ -173,9 +187,9 @@ def _in_batches(stream: Stream, readings: Readings, number: int, *, partial: boo
 
 @lru_cache(maxsize=256)
 def _unweighted(estimator: Estimator, *, rested: bool) -> Estimator:
-    """Return the estimator with weights of one; before the baseline, the terms that it has.
+    """Return the estimator with all weights 1, before the baseline with its absolute terms only.
 
-    Equal ones share an object.
+    Equal estimators share one object, so that streams can be grouped by identity.
     """
     terms = estimator.terms if rested else estimator.absolute_terms
     unit = replace(estimator, terms=tuple(replace(term, weight=1.0) for term in terms))
@@ -189,16 +203,17 @@ class StreamBatch:
     Attributes
     ----------
     numbers : array
-        Numbers of the streams among all, which are of one shape and one kind of cost.
+        Numbers of the streams among all.
     streams : sequence of Stream
+        Streams of one shape and one kind of cost.
     cost : Cost
-        With weights of one.
+        The common cost, with all weights 1.
     data : Data
-        Of their frames, over a leading axis.
+        Data of the streams' frames, over a leading axis.
     weights : array, shape (streams, terms)
     settings : Settings
     weight_sigma : sequence of tuple
-        Of each stream, see `Objective`.
+        Standard deviations of ln λ of each stream, see `Objective`.
     """
 
     numbers: NDArray[np.intp]
@@ -213,7 +228,17 @@ class StreamBatch:
     def of(
         cls, numbers: NDArray[np.intp], streams: Sequence[Stream], frames: Readings, place: int
     ) -> "StreamBatch | None":
-        """frames : (streams, rows, columns). place : as in `Data`. None where batches cannot serve the cost."""
+        """Return the batch of some streams; None where batches do not support the cost.
+
+        Parameters
+        ----------
+        numbers : integer array, shape (streams,)
+        streams : sequence of Stream
+        frames : Readings
+            One frame of each stream, (streams, rows, columns).
+        place : int
+            Number of the batch, as in `Data`.
+        """
         first = streams[0]
         estimator = _unweighted(first.estimator, rested=first.rested)
         behind = Background(first.scene, first.period)
@@ -230,10 +255,7 @@ class StreamBatch:
         return cls(numbers, streams, cost, data.of_panels(place), weights, estimator.solver, sigma)
 
     def solve_baselines(self, inverses: InverseHessians) -> list[Step | None]:
-        """Return the step of every baseline, with the surroundings for error bars.
-
-        None where no minimum was verified.
-        """
+        """Return the step of every baseline, with the point for error bars; None where no minimum was verified."""
         ended, steps = self._solved(inverses)
         for number, step in enumerate(steps):
             if step is not None and self.streams[number].track is not None:
@@ -242,7 +264,7 @@ class StreamBatch:
         return steps
 
     def push(self, inverses: InverseHessians) -> list[tuple[Stream, Step] | None]:
-        """Return every stream after its frame, with error bars where it has them."""
+        """Return every stream after its frame, and the frame's step; None where no minimum was verified."""
         (ended, steps), begin = self._solved(inverses), perf_counter()
         barred = self._error_bars(ended, steps)
         seconds = (perf_counter() - begin) / max(len(barred), 1)
@@ -250,7 +272,7 @@ class StreamBatch:
         return [None if step is None else self._after(n, step, barred.get(n), seconds) for n, step in every]
 
     def _error_bars(self, ended: BatchOutcome, steps: Sequence[Step | None]) -> dict[int, tuple[Track, Bars]]:
-        """Return the track after its frame and the error bars of every panel that has them, by number."""
+        """Return the track after the frame and the error bars, by number, of the streams with error bars."""
         barred = dict[int, tuple[Track, Bars]]()
         for number, (stream, step) in enumerate(zip(self.streams, steps, strict=True)):
             if step is not None and stream.track is not None:
@@ -260,7 +282,17 @@ class StreamBatch:
         return barred
 
     def _after(self, number: int, step: Step, barred: tuple[Track, Bars] | None, seconds: float) -> tuple[Stream, Step]:
-        """Return a stream after its frame, with error bars where it has them."""
+        """Return a stream after its frame, and its step with error bars if there are any.
+
+        Parameters
+        ----------
+        number : int
+            Number of the stream in the batch.
+        step : Step
+        barred : (Track, Bars) or None
+        seconds : float
+            Wall time of the error bars, s.
+        """
         stream = self.streams[number]
         stream = replace(stream, previous=step.solution.cell_resistance[0], previous_deviation=None, first=False)
         if barred is None:
@@ -270,7 +302,7 @@ class StreamBatch:
         return stream, replace(step, bars=bars, bars_seconds=seconds)
 
     def _solved(self, inverses: InverseHessians) -> tuple[BatchOutcome, list[Step | None]]:
-        """Return where the panels ended, and the step of each; None where the batch found no verified minimum."""
+        """Return the lowest minima of all starts, and the step of each panel; None where none is verified."""
         begin, minima = perf_counter(), list[BatchOutcome]()
         for start in self._starts(inverses, minima):
             minima.append(solve(self._at(start, self.weights), inverses, self.numbers, self.settings))
@@ -284,7 +316,7 @@ class StreamBatch:
         return ended, steps
 
     def _starts(self, inverses: InverseHessians, minima: Sequence[BatchOutcome]) -> Iterator[Array]:
-        """Yield starts as `lampest.solvers.multistart.starts`; minima : where those before ended."""
+        """Generate starts as `lampest.solvers.multistart.starts`; `minima` are the outcomes of those before."""
         several = several_minima(self.cost, self.data)
         if self.streams[0].rested:
             yield _previous(self.streams)[:, None]
@@ -304,6 +336,7 @@ class StreamBatch:
         """Return the checked solutions of all panels; None where one is not verified."""
         points, data, at = ended.points, self.data, ended.points.at
         cells = at.cell_resistance
+        # cells at a bound, to the solver's tolerance; a panel is `held` if bounds that matter keep a cell
         at_lower, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
         held = np.asarray((~points.free & (data.lower < data.upper).reshape(points.free.shape)).any(axis=1))
         solutions: list[Solution | None] = [None] * len(cells)
@@ -328,13 +361,13 @@ class StreamBatch:
 
 
 def _previous(streams: Sequence[Stream]) -> Array:
-    """(streams, rows, columns) the cells before their frames."""
+    """Return the last estimates of the streams, or their baselines, (streams, rows, columns) ohm."""
     pairs = ((stream.previous, stream.baseline_resistance) for stream in streams)
     return np.stack([resting if previous is None else previous for previous, resting in pairs])
 
 
 def _objective(stream: Stream) -> Objective:
-    """Return the terms that a batch minimises, with their weights."""
+    """Return the objective of a stream's frame or of its missing baseline, with known weights."""
     estimator = stream.estimator
     if estimator.automatic and stream.weights is not None:
         return estimator.with_weights(stream.weights, stream.weight_sigma)

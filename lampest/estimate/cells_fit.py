@@ -1,9 +1,10 @@
-"""Cells that explain the readings of one frame, or of two with few moved cells, under a circuit; no estimator is asked.
+"""Least-squares fit of the cells to one frame, or to two frames with few moved cells, under a given circuit.
 
-A frame has as many cells as readings, so that a misfit remains only where cells would have to be negative. Over the
-cone g ≥ 0 it is χ² with as many degrees of freedom as cells stand at the cone, and smaller where the truth lies inside
-(Shapiro, Biometrika 72, 1985: chi-bar-squared). Two frames say more: under the right circuit the cells that no load
-touches stand still. The cells that must have moved for the rest to stand still are counted, each at the same price.
+A frame has as many cells as readings, so a misfit remains only where cells would have to be negative. Over the cone
+g ≥ 0 the misfit is χ² with one degree of freedom for each cell at the boundary of the cone, and smaller where the truth
+lies inside (chi-bar-squared; Shapiro, Biometrika 72, 1985). Two frames determine more: under the right circuit the
+cells that no load touches stand still. The fit of two frames selects the cells that moved, each at the same cost in the
+evidence.
 """
 
 from collections.abc import Sequence
@@ -31,33 +32,40 @@ from lampest.recording.readings import Readings
 from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated, solved_from
 from lampest.solvers.solution import Settings
 
-EXACT_CHI_SQUARE = 1e-2  # χ² that changes no verdict
+EXACT_CHI_SQUARE = 1e-2  # χ² so small that it changes no verdict
 FIT = LevenbergMarquardt(evaluations=16, settled=EXACT_CHI_SQUARE / 2, share=0.1, damping=0.0, longest=1.5)
-# Cells at the edge of r > 0 take some 20 iterations, a circuit that cannot explain its readings hundreds.
+# Fits with cells at the boundary r = 0 take some 20 iterations, circuits that cannot explain the readings hundreds.
 BRIEF = Settings(max_iterations=25)
-MIN_CELL_FACTOR = 1e-3  # of the least cell of estimates: a short behind a drive resistor of a kilo-ohm is smaller
-# χ² for each reading that noise at the edge of r > 0 never leaves; without it checks take four times longer.
+# Factor on the lower bound that estimates have: a short behind a drive resistor of a kilo-ohm is smaller than that.
+MIN_CELL_FACTOR = 1e-3
+# χ² for each reading that noise never reaches: a circuit is given up above it. Without it checks take four times as
+# long.
 MAX_CHI_SQUARE = 10.0
-CELL_PRECISION = UNKNOWN_SD**-2  # a cell that no reading sees may be anything within e^±10
-SERIES_UNIT = 0.1  # of the largest resistance in series: what a step of log r by 1 is to it
+CELL_PRECISION = UNKNOWN_SD**-2  # prior precision of log r of a cell that no reading determines
+SERIES_UNIT = 0.1  # of the largest resistance in series: the unit of that unknown, comparable to a step of log r by 1
 
 
 @cache
 def cells_alone() -> Estimator:
-    """Plain least squares over r > 0; made when it is asked for, because installed methods are looked for then."""
+    """Return the estimator of plain least squares over r > 0, created at the first call.
+
+    Its creation looks for installed methods, which must not happen at import.
+    """
     return Estimator((Misfit(weighting="noise"),), "reduced", bounds=Bounds("none", "none"), error_bars=False)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CellsFit(SumOfSquares):
-    """Fit of the cells to one frame over log r; no Jacobian on panels of more than MAX_CELLS.
+    """Fit of the cells to one frame, as a sum of squares over log r; no Jacobian on panels of more than MAX_CELLS.
 
     Attributes
     ----------
     readings : Readings
         (rows, columns).
-    cells : array
-        The same shape, ohm.
+    cells : array, shape (rows, columns)
+        Cell resistances, ohm.
+    ridge : float
+        Prior precision of each log r.
     """
 
     readings: Readings
@@ -75,17 +83,17 @@ class CellsFit(SumOfSquares):
 
     @property
     def small(self) -> bool:
-        """Whether the panel has no more than MAX_CELLS."""
+        """Whether the panel has no more than MAX_CELLS cells, and the fit a Jacobian."""
         return bool(self.jacobian.size)
 
     @property
     def chi_square(self) -> float:
-        """Σ residual²."""
+        """χ² = Σ ((f(r) − y)/σ)²."""
         return 2 * self.cost
 
     @cached_property
     def degrees(self) -> float:
-        """Number of readings less the degrees of freedom of the cells; at least 1."""
+        """Degrees of freedom of χ²: the readings less those that the cells follow; at least 1."""
         return max(float(np.sum(self.readings.seen)) - _followed(self.normal), 1.0)
 
     @cached_property
@@ -95,17 +103,18 @@ class CellsFit(SumOfSquares):
 
     @cached_property
     def gain(self) -> Array:
-        """K (cells, readings): derivative of the log cells by the readings."""
+        """K (cells, readings): derivative of the fitted log cells with respect to the readings."""
         assert self.readings.sigma is not None
+        # K = (J̃ᵀ J̃ + ridge)⁻¹ J̃ᵀ/σ, with J̃ = ∂y/∂log r / σ
         return np.asarray(np.linalg.solve(self.normal, self.jacobian.T / self.readings.sigma.ravel()))
 
     def response(self, errors: Array) -> Array:
-        """Return K U: the effect on the log cells (cells, n) of errors U of the readings (n, rows, columns)."""
+        """Return K U, the change of the log cells (cells, n) by errors U of the readings (n, rows, columns)."""
         return np.asarray(self.gain @ errors.reshape(len(errors), self.cells.size).T)
 
     @property
     def tail(self) -> float:
-        """P(χ² of so many degrees is as large)."""
+        """P(χ²_degrees ≥ chi_square), the tail probability of the misfit under noise alone."""
         return float(chi_square_tail(self.chi_square, self.degrees))
 
 
@@ -117,26 +126,32 @@ def fitted(
     patient: bool = False,
     effects: Sequence[Effect] = (),
 ) -> CellsFit | None:
-    """argmin Σ ((f(r) − y)/σ)² of one frame over r > 0; None where it is not reached, or arithmetic breaks down.
+    """Return argmin Σ ((f(r) − y)/σ)² of one frame over r > 0; None where the solver or arithmetic fails.
 
     Parameters
     ----------
-    near : array or None
-        Cells (rows, columns) ohm to begin at; None: the readout's start.
+    scene : Scene
+    readings : Readings
+        y and σ, (rows, columns).
+    near : array, shape (rows, columns), optional
+        Cells in ohm to begin at; by default the readout's start.
     patient : bool
-        Every start is tried, else a few iterations must do.
+        Whether every start is tried, and any misfit accepted. Otherwise few iterations are allowed, and a fit far from
+        noise is given up.
     effects : sequence of Effect
-        Of the network beside its circuit; the fit that is reached from `near` is taken then.
+        Effects in the network beside its circuit. With effects the fit that the first loop reaches is returned.
     """
     try:
         with np.errstate(all="ignore"):
             data = cells_alone().data(readings.alone(), Background(scene))
             data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
+            # The Levenberg-Marquardt method suffices where cells explain the readings exactly, which is usual.
             fit = _fitted_near(data, readings, convex(data, None)[0] if near is None else near, scene, effects)
             if fit.chi_square <= EXACT_CHI_SQUARE or effects:
                 return fit
             if not patient and fit.chi_square > MAX_CHI_SQUARE * readings.value.size:
                 return None
+            # Elsewhere cells stand at the boundary r = 0, and the solver of the estimates finds the minimum.
             alone = cells_alone() if patient else replace(cells_alone(), solver=BRIEF)
             solver = alone.problem(scene, 1, float("inf"), partial=data.partial)
             start = None if patient else evaluated(solver.cost, data, fit.cells[None])
@@ -149,7 +164,7 @@ def fitted(
 
 
 def _fitted_near(data: Data, readings: Readings, start: Array, scene: Scene, effects: Sequence[Effect]) -> CellsFit:
-    """Return the least squares that the loop reaches from cells; on panels too large for it, the start itself."""
+    """Return the fit that Levenberg-Marquardt reaches from `start`; on panels of more than MAX_CELLS, the start."""
     bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
 
     def model(position: Array) -> CellsFit:
@@ -161,7 +176,7 @@ def _fitted_near(data: Data, readings: Readings, start: Array, scene: Scene, eff
 
 
 def _residual(network: Network, readings: Readings) -> tuple[Array, Array]:
-    """((y − y_measured)/σ, 1/σ), both (rows, columns): 0 where nothing was read, or a bound is kept."""
+    """Return (y − y_measured)/σ and 1/σ, both (rows, columns); 0 where nothing was read, or a bound is satisfied."""
     assert readings.sigma is not None
     missed = (network.reading() - readings.value) / readings.sigma
     counted = (readings.seen > 0) & ((readings.side == 0) | (readings.side * missed < 0))
@@ -169,27 +184,34 @@ def _residual(network: Network, readings: Readings) -> tuple[Array, Array]:
 
 
 def _followed(normal: Array) -> float:
-    """Σ s²/(1 + s²) over the singular values s of J/σ: how many numbers of the noise the unknowns follow."""
+    """Return Σ s²/(1 + s²) over the singular values s of J/σ, the degrees of freedom of the unknowns."""
     seen = np.linalg.eigvalsh(normal) - CELL_PRECISION
     return float(np.sum(seen / (1 + seen)))
 
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """argmin χ² of an unloaded panel and a frame while only some cells have moved, beside a factor common to all.
+    """Joint least-squares fit of an unloaded panel and a frame in which only some cells have moved.
 
-    Unknowns are log r of the unloaded cells, that of the factor, the resistance in series in SERIES_UNIT of `most` (the
-    largest one, ohm; 0: as it is), and the changes of moved cells beside the factor.
+    The unknowns, in this order, are log r of the unloaded cells (cells,), the logarithm of a factor common to all
+    cells (1,), the resistance in series in units of SERIES_UNIT · `most` (1,), and the changes of the moved cells
+    beside the common factor (moved,).
 
     Attributes
     ----------
+    rival : Rival
+        The circuit.
+    question : Question
+        The frames to explain.
+    most : float
+        Largest resistance in series, ohm; 0 keeps it at its value.
     pair : tuple of Readings
         The readings of both frames.
-    position : array
-        log r of each (2, cells).
-    moved : boolean array, shape (cells)
-    series : array
-        d residual/d(the third), where the fit began.
+    position : array, shape (2, cells)
+        log r of both frames.
+    moved : boolean array, shape (cells,)
+    series : array, shape (2·cells,)
+        Derivative of the residual with respect to the resistance in series, where the fit began.
     """
 
     rival: Rival
@@ -206,9 +228,18 @@ class JointFit:
     ) -> "JointFit":
         """Return the circuit's best explanation of both frames.
 
-        Moved cells are chosen anew until the score no longer falls.
+        The selection of moved cells and the fit alternate until the score no longer falls.
 
-        cells, moved : where to begin, (rows, columns) ohm of both frames, and which of them moved.
+        Parameters
+        ----------
+        rival : Rival
+        question : Question
+        cells : sequence of array, shape (rows, columns)
+            Initial cells of both frames, ohm.
+        moved : boolean array
+            Initial moved cells.
+        most : float
+            Largest resistance in series, ohm; 0 keeps it at its value.
         """
         position = np.log([frame.ravel() for frame in cells])
         start = cls(rival, question, most, question.readings(rival), position, moved.ravel(), np.zeros(0))
@@ -230,11 +261,13 @@ class JointFit:
         return JointFit.of(rival, self.question, list(cells), self.moved, most)
 
     def tied(self) -> "JointFit":
-        """Return the least χ² while all but the moved cells keep what they were, beside a common factor.
+        """Return the fit with the least χ² in which all cells but the moved ones change by a common factor only.
 
-        It begins where linear theory says that to tie them costs least: the gap is closed by a step of both frames.
+        The search begins at the least χ² of linear theory: the changes of the still cells are set to the common one,
+        and a step of all unknowns compensates for that.
         """
         fit, place = replace(self, series=self._secant()), len(self.moved) + 1
+        # argmin |e − J_f gap + J step|², with e the residual, J of all unknowns and J_f of the frame's log cells
         gap = np.where(self.moved, 0.0, self._change)
         step = _solved(fit.squares.jacobian, fit.slopes[1] @ gap - fit.residual)
         step *= min(1.0, FIT.longest / max(float(np.abs(step).max()), 1e-300))
@@ -248,7 +281,7 @@ class JointFit:
         return start.stepped(least.position)
 
     def stepped(self, step: Array) -> "JointFit":
-        """Return the fit a step of its unknowns further."""
+        """Return the fit after a step of its unknowns."""
         size = len(self.moved)
         position = self.position + step[:size]
         position[1] += step[size]
@@ -279,7 +312,7 @@ class JointFit:
 
     @cached_property
     def slopes(self) -> tuple[Array, Array]:
-        """Derivatives of the residual by log r of the unloaded panel, and of the frame; each (2·cells, cells)."""
+        """Derivatives of the residual by log r of the unloaded panel and of the frame, each (2·cells, cells)."""
         resting, frame = (
             solved[0].sensitivity() * _residual(*solved)[1].reshape(-1, 1) for solved in self._solved_networks
         )
@@ -295,33 +328,36 @@ class JointFit:
 
     @cached_property
     def _common(self) -> Array:
-        """d residual/d(all unknowns but the last)."""
+        """Derivative of the residual by all unknowns but the changes of moved cells, (2·cells, cells + 2)."""
         resting, frame = self.slopes
         return np.column_stack([resting + frame, frame.sum(axis=1), self.series])
 
     @property
     def _change(self) -> Array:
-        """Change of log r less that of the cells that did not move."""
+        """Change of log r less the median change of the still cells, (cells,)."""
         change = self.position[1] - self.position[0]
         return np.asarray(change - np.median(change if self.moved.all() else change[~self.moved]))
 
     @cached_property
     def _freed(self) -> SumOfSquares:
-        """The sum of squares over the changes of all cells, with the other unknowns at their best."""
+        """The sum of squares over the changes of all cells, with the other unknowns projected out."""
         requested = np.column_stack([self.slopes[1], self.residual])
+        # variable projection: (1 − C C⁺) [J_f | e], with C of the other unknowns
         left = requested - self._common @ _solved(self._common, requested)
         return SumOfSquares(left[:, -1], left[:, :-1], CELL_PRECISION)
 
     def chosen_anew(self) -> NDArray[np.bool_]:
-        """Return which cells must have moved (cells), by linear theory about this fit."""
+        """Return the moved cells (cells,) that `select_changed` finds by linear theory about this fit."""
         precision = self._freed.normal
+        # s = P d, where P d̂ = P d − gradient at the unrestricted minimum d̂ of linear theory
         slope = precision @ self._change - self._freed.gradient
         starts = [self.moved, *usual_starts(np.linalg.solve(precision, slope))]
         return select_changed(slope, precision, starts)[1]
 
     @property
     def score(self) -> float:
-        """−2 ln evidence up to a constant: χ², moved cells, readings taken for bounds, a resistance in series."""
+        """−2 ln evidence up to a constant: χ², and the costs of moved cells, bounds and a resistance in series."""
+        # MOVED_COST |M| + ln |P_MM + 1| + Σ d_M², the prior d_M ~ N(0, 1) of moved cells at the fitted changes
         slab = self._freed.normal[np.ix_(self.moved, self.moved)] + np.eye(int(self.moved.sum()))
         moved = MOVED_COST * len(slab) + np.linalg.slogdet(slab)[1] + np.sum(self._change[self.moved] ** 2)
         bounds = sum(int(readings.bounds.sum()) for readings in self.pair)
@@ -329,21 +365,21 @@ class JointFit:
 
     @cached_property
     def _expected(self) -> float:
-        """χ² of mere noise; at least 1. Cells at the edge of r > 0 follow none of it."""
+        """Expected χ² of noise alone, at least 1: the readings less the degrees of freedom of the unknowns."""
         return max(float(sum(readings.plain.sum() for readings in self.pair)) - _followed(self.squares.normal), 1.0)
 
     @property
     def beyond_noise(self) -> float:
-        """The score without the χ² of noise alone."""
+        """The score less the expected χ² of noise alone."""
         return self.score - self._expected
 
     @property
     def excess(self) -> float:
-        """χ² over that of mere noise, at least 1: by how much films that creep exceed the noise, for one."""
+        """χ² over that of noise alone, at least 1; creeping films, for example, exceed 1."""
         return max(2 * self.squares.cost / self._expected, 1.0)
 
 
 def _solved(matrix: Array, wanted: Array) -> Array:
-    """argmin |matrix·x − wanted|² + CELL_PRECISION·|x|²."""
+    """Return argmin |matrix·x − wanted|² + CELL_PRECISION·|x|²."""
     normal = matrix.T @ matrix + CELL_PRECISION * np.eye(matrix.shape[1])
     return np.asarray(np.linalg.solve(normal, matrix.T @ wanted))

@@ -1,11 +1,12 @@
-"""Evidence of which cells changed between the unloaded panel and a frame: a spike and a slab.
+"""Selection of changed cells with a spike-and-slab prior.
 
 Log changes d of cells that stand still are N(0, P⁻¹). A cell moved with odds of one to four, and then by N(0, 1). The
 changes of the moved cells M are integrated out:
 
     −2 ln evidence = dᵀ P d + MOVED_COST |M| + ln |P_MM + 1| − s_Mᵀ (P_MM + 1)⁻¹ s_M,   s = P d
 
-Cells are exchanged one by one, each time the one that lowers this most, by the sweep operator.
+The search adds or removes one cell at a time, each time the one that lowers −2 ln evidence most. The sweep operator
+updates all gains after an exchange in O(cells²).
 Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The American Statistician 33, 1979.
 """
 
@@ -17,35 +18,41 @@ from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 
-MOVED_COST = 2.8  # −2 ln of the odds that a cell moved: one in five
-PARAMETER_COST = 12.0  # the same of a bound, an effect or a resistance in series that an explanation needs
-MIN_STILL_SHARE = 0.3  # of the cells must stand still: else a load covers the panel
+MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
+PARAMETER_COST = 12.0  # −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs
+MIN_STILL_SHARE = 0.3  # of the cells: with fewer still cells, a load covers the panel
 
 Chosen = NDArray[np.bool_]
 
 
 def mostly_still(moved: NDArray[np.bool_]) -> bool:
-    """Whether more than half of the cells are where they were."""
+    """Return whether fewer than half of the cells moved."""
     return 2 * int(moved.sum()) < moved.size
 
 
 def away_from_changed(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return the still cells of all frames, flat, without those that touch one that moved.
+    """Return the still cells of all frames without the neighbours of moved cells, as the skirt of a load moves these.
 
-    A load does not end at a cell.
+    Where less than MIN_STILL_SHARE of the cells would remain, all still cells are returned.
+
+    Parameters
+    ----------
+    still : boolean array, shape (frames · cells,)
+    shape : tuple of int
+        Rows and columns.
     """
     apart = ~touching(~still.reshape(-1, *shape)).ravel()
     return apart if apart.mean() >= MIN_STILL_SHARE else still
 
 
 def touching(chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the chosen cells (frames, rows, columns) with those that touch one."""
+    """Return the chosen cells with their eight neighbours, (frames, rows, columns)."""
     around = np.pad(chosen, ((0, 0), (1, 1), (1, 1)))
     return np.asarray(sliding_window_view(around, (3, 3), axis=(1, 2)).any(axis=(-2, -1)))
 
 
 def usual_starts(change: Array) -> list[Chosen]:
-    """Return the moved cells that a search may begin with: none, all, and the half that changed most; (cells) each."""
+    """Return the sets of moved cells that a search begins with: none, all, and the half that changed most."""
     away = np.abs(change - np.median(change))
     return [np.zeros(len(change), dtype=bool), np.ones(len(change), dtype=bool), away > np.median(away)]
 
@@ -53,16 +60,16 @@ def usual_starts(change: Array) -> list[Chosen]:
 def select_changed(
     slope: Array, precision: Array, starts: Sequence[Chosen], loaded: Chosen | None = None
 ) -> tuple[float, Chosen]:
-    """Select the moved cells.
+    """Return the moved cells with the largest evidence that a search from several starts finds.
 
     Parameters
     ----------
     slope : array, shape (cells,)
-        s.
+        s = P d.
     precision : array, shape (cells, cells)
         P.
     starts : sequence of boolean array, shape (cells,)
-        Moved cells that the search begins with; the best of what it ends with is taken.
+        Moved cells that each search begins with; the best end is returned.
     loaded : boolean array, shape (cells,), optional
         Cells that moved in any case.
 
@@ -80,8 +87,19 @@ def select_changed(
 
 
 def _exchange_cells(slope: Array, slab: Array, moved: Chosen, fixed: Chosen) -> tuple[float, Chosen]:
-    """Exchange single cells, but for the fixed ones, until none lowers −2 ln evidence; slab : P + 1."""
+    """Exchange single cells until no exchange lowers −2 ln evidence; fixed cells stay moved.
+
+    Parameters
+    ----------
+    slope : array, shape (cells,)
+        s.
+    slab : array, shape (cells, cells)
+        P + 1.
+    moved, fixed : boolean array, shape (cells,)
+    """
     inside, outside = np.flatnonzero(moved), np.flatnonzero(~moved)
+    # Table of the sweep operator [P + 1 | s], swept by the moved cells M: block (M, M) is −(P_MM + 1)⁻¹, the last
+    # column holds (P_MM + 1)⁻¹ s_M within M, and s − P_·M (P_MM + 1)⁻¹ s_M outside.
     moved, inverse = moved.copy(), np.linalg.inv(slab[np.ix_(inside, inside)])
     table = np.column_stack([slab, slope])
     pulled, across = inverse @ table[inside], slab[np.ix_(outside, inside)]
@@ -90,12 +108,15 @@ def _exchange_cells(slope: Array, slab: Array, moved: Chosen, fixed: Chosen) -> 
     table[inside], table[np.ix_(inside, inside)] = pulled, -inverse
     table[np.ix_(outside, inside)] = pulled[:, outside].T
     for _ in range(4 * len(slope)):
+        # Decrease of −2 ln evidence if a cell is added: s²/p − ln p − MOVED_COST with its pivot p; if it is removed:
+        # MOVED_COST − s²/|p| − ln |p|.
         pivots = np.maximum(np.abs(np.diag(table)), 1e-300)
         gains = np.where(moved, -1, 1) * (table[:, -1] ** 2 / pivots - MOVED_COST) - np.log(pivots)
         cell = int(np.argmax(np.where(fixed, -np.inf, gains)))
         if fixed[cell] or not gains[cell] > 0:
             break
         cost, moved[cell] = cost - float(gains[cell]), not moved[cell]
+        # sweep by this cell: T ← T − t_·c t_c·/t_cc, with row and column c scaled by 1/|t_cc|
         pivot, row, column = table[cell, cell], table[cell].copy(), table[:, cell].copy()
         table -= np.outer(column, row / pivot)
         table[cell], table[:, cell], table[cell, cell] = row / abs(pivot), column / abs(pivot), -1 / pivot
@@ -103,19 +124,22 @@ def _exchange_cells(slope: Array, slab: Array, moved: Chosen, fixed: Chosen) -> 
 
 
 def scores_with_errors(change: Array, precision: Array, columns: Array) -> Array:
-    """Return −2 log evidence with one error more, for each of several; moved cells are only added.
+    """Return −2 ln evidence with one further error, separately for each of several errors, (errors,).
 
     The change of still cells is d = a θ + noise with θ ~ N(0, 1): the precision P becomes
-    P − P a aᵀ P/(1 + aᵀ P a). Compared with no error, −2 log evidence has log(1 + aᵀ P a) more.
+    P − P a aᵀ P/(1 + aᵀ P a). Compared with no error, −2 ln evidence has ln(1 + aᵀ P a) more. The selection of moved
+    cells is greedy: cells are only added.
 
     Parameters
     ----------
     change : array, shape (cells,)
+        d.
     precision : array, shape (cells, cells)
-        Of the change without these errors.
+        P, of the change without these errors.
     columns : array, shape (cells, errors)
-        a of each.
+        a of each error.
     """
+    # w = P a (errors, cells), k = 1 + aᵀ P a; P d loses w (wᵀ d)/k, and P + 1 loses w wᵀ/k
     weighted = (precision @ columns).T
     within = 1 + np.sum(weighted * columns.T, axis=1)
     pulled = weighted @ change / within
@@ -127,12 +151,16 @@ def scores_with_errors(change: Array, precision: Array, columns: Array) -> Array
         of_cell = np.take_along_axis(weighted, cells[:, None], axis=1)
         return np.asarray(slab[cells] - of_cell * weighted / within[:, None])
 
+    # dᵀ P d − (aᵀ P d)²/k, less the gain of moved cells, plus ln k
     unexplained = float(change @ precision @ change) - within * pulled**2
     return np.asarray(unexplained - _gained(slope, size, column) + np.log(within))
 
 
 def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Array]) -> Array:
-    """Return the gain in −2 ln evidence of cells that are added one after the other, largest gain first, (hypotheses).
+    """Return the total decrease of −2 ln evidence by greedily added cells, (hypotheses,).
+
+    All hypotheses are treated at once. The matrices P + 1 are factored by pivoted Cholesky, one column for each added
+    cell, so that they are never stored.
 
     Parameters
     ----------
@@ -141,7 +169,7 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
     size : array, shape (hypotheses, cells)
         Diagonal of each P + 1.
     column : callable
-        Returns one column of each P + 1, (hypotheses, cells), by the cells' numbers (hypotheses,).
+        Returns one column of each P + 1, (hypotheses, cells), for one cell's number of each hypothesis, (hypotheses,).
     """
     every, total, taken = np.arange(len(vector)), np.zeros(len(vector)), np.zeros(vector.shape, dtype=bool)
     rows = np.empty((len(vector), 16, vector.shape[1]))  # of the pivoted Cholesky factors of the cells taken
@@ -157,6 +185,8 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
         if number == rows.shape[1]:
             rows = np.concatenate([rows, np.empty_like(rows)], axis=1)
         before = rows[:, :number]
+        # Schur complement by the new cell c: column ← column − Σ_k l_k l_kc, s ← s − column s_c/p, and the diagonal
+        # loses l².
         added = column(cells) - np.matmul(before[every, :, cells][:, None], before)[:, 0]
         pivot = np.where(active, added[every, cells], 1.0)[:, None]
         added = np.where(active[:, None], added, 0.0)

@@ -1,12 +1,15 @@
-"""Contact resistances that are estimated beside the cells, once, with the unloaded panel (or the joint first pair).
+"""Estimation of contact resistances by variable projection, together with the unloaded panel or the joint first pair.
 
-The least of φ(u, c) + s² Σ ((c − mean)/sd)² over log r = u and contacts c, by variable projection: for given contacts
-the cells are solved as ever; a Gauss-Newton step in c then knows that they would follow. With E = ∂x/∂c and the gain K
+    minimise φ(u, c) + s² Σ ((c − mean)/sd)²   over u = log r and the contacts c
 
-    S = Eᵀ Ω (E − J K E) + s²/sd²,   step = −S⁻¹ (½ ∂φ/∂c + s² (c − mean)/sd²),   cov c = s² S⁻¹,
+For given contacts the cells are solved as usual. A Gauss-Newton step in c then includes the response of the cells. With
+E = ∂x/∂c, the Jacobian J, the curvature Ω of the data term and the gain K of the cells
 
-with S, the Schur complement of the cells, as a sum of squares that do not cancel. Frames that follow take c as known
-but for cov c, an error that all readings share. Plain least squares fits any contacts: they stay at their prior there.
+    S = Eᵀ Ω (E − J K E) + s²/sd²,   step = −S⁻¹ (½ ∂φ/∂c + s² (c − mean)/sd²),   cov c = s² S⁻¹.
+
+S is the Schur complement of the cells; it is computed as a sum of squares to avoid cancellation. Later frames take c as
+known, with cov c as an error that all readings share. Plain least squares fits any contacts, so that they stay at their
+prior there.
 Source: Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973.
 """
 
@@ -24,20 +27,24 @@ from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.track import errors_of
 from lampest.recording.readings import Readings
 
-# Two or three steps suffice: readings are nearly linear in contacts. Cells are solved no better than the last gain.
+# Two or three steps suffice, because readings are nearly linear in contacts. `settled` is the accuracy of the cells.
 FIT = LevenbergMarquardt(evaluations=20, settled=1e-6, damping=0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class SolvedContacts:
-    """The cells solved for contacts `ohm`, as a sum of squares over the contacts; all (lines) ohm.
+    """The cells solved for given contacts, as a sum of squares over the contacts with the normal matrix S/s².
 
     Attributes
     ----------
+    step : Step
+        Solution of the cells.
+    ohm : array, shape (lines,)
+        The contacts c, ohm.
     scale : float
         s².
-    mean, precision : array
-        Of the prior. Its normal matrix is S/s².
+    mean, precision : array, shape (lines,)
+        Mean and 1/sd² of the prior, ohm and 1/ohm².
     """
 
     step: Step
@@ -48,7 +55,7 @@ class SolvedContacts:
 
     @property
     def cost(self) -> float:
-        """½ (φ/s² + the prior's part); infinite where the cells have no optimum."""
+        """½ (φ/s² + Σ ((c − mean)/sd)²); infinite where the cells have no optimum."""
         if self.step.surroundings() is None:
             return np.inf
         away = self.ohm - self.mean
@@ -62,12 +69,12 @@ class SolvedContacts:
 
     @cached_property
     def _response(self) -> Array:
-        """E, the response of the readings to the contacts."""
+        """E, the derivative of the readings by the contacts, (readings, lines)."""
         return contact_responses(self._model.at.networks)
 
     @cached_property
     def gradient(self) -> Array:
-        """Gradient of the cost with respect to the contacts."""
+        """Gradient of the cost with respect to the contacts, (lines,)."""
         slope = self._response.T @ self._model.at.partials(np.clip(self._model.dual, -1, 1))[1].ravel()
         return np.asarray(slope / (2 * self.scale) + self.precision * (self.ohm - self.mean))
 
@@ -77,11 +84,13 @@ class SolvedContacts:
         model = self._model
         cells, rows = model.at.cell_resistance, model.through @ self._response
         errors = errors_of(model, None)
+        # F = −∂u/∂c: the response of the free cells to contacts; `left` is E − J F
         follow = errors.answer(rows, *np.zeros((2, cells[0].size, len(self.ohm))))
         whole = np.zeros((cells.size, len(self.ohm)))
         whole[model.free] = follow
         left = rows - errors.forward(whole)
         charged = model.penalty_jacobian @ whole
+        # S = (E − J F)ᵀ Ω (E − J F) + ε s² FᵀF + (L F)ᵀ Λ (L F), equal to Eᵀ Ω (E − J F) but without cancellation
         schur = left.T @ (model.data_curvature[:, None] * left) + IGNORANCE * model.scale * follow.T @ follow
         schur += charged.T @ (model.penalty_curvature[:, None] * charged)
         return np.asarray(schur / self.scale + np.diag(self.precision))
@@ -90,15 +99,20 @@ class SolvedContacts:
 def with_contacts(
     state: S, readings: Readings, solved: Step, solve: Callable[[SequenceState, Readings, Array], Step]
 ) -> tuple[S, Step]:
-    """Return the state that knows its contacts, and the step that was solved for them.
+    """Return the state with estimated contacts, and the step that was solved for them.
+
+    Both are unchanged where the scene names no contacts, or where the estimate has no error bars: these determine how
+    well the contacts are known.
 
     Parameters
     ----------
+    state : SequenceState
     readings : Readings
-        What `solved` was solved from.
+        Readings from which `solved` was solved.
+    solved : Step
+        Solution with the contacts at the prior's mean.
     solve : callable
-        The same for another state, begun at cells. As they are where the scene names no contacts, or the estimate gets
-        no error bars, which say how well they are known.
+        Solves the readings for another state, from given cells on.
     """
     prior, shape, model = state.scene.contacts, state.scene.panel.shape, solved.surroundings()
     if prior is None or state.track is None or model is None:

@@ -35,9 +35,18 @@ AT_RAILS = {  # in place of the solver's own sentence where readings are at or b
 
 
 def barred_maps(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[str, Array]:
-    """Name → (frames, rows, columns), as the properties of `Estimates`; ratio_lower, ratio_upper : of r/r0.
+    """Return the error bars by name, as the properties of `Estimates` have them, (frames, rows, columns) each.
 
-    σ_r = r·σ(log r), and r·exp(−below) to r·exp(above); infinite, or 0 of shares, where a frame has no bars.
+    σ_r = r·σ(log r), and the interval reaches from r·exp(−below) to r·exp(above). `ratio_lower` and `ratio_upper` are
+    the interval of r/r0. In a frame without error bars they are infinite, and shares are 0.
+
+    Parameters
+    ----------
+    cells : array, shape (frames, rows, columns)
+        r, ohm.
+    baseline : array, shape (rows, columns)
+        r0, ohm.
+    steps : tuple of Step
     """
     ratio = cells / baseline
 
@@ -47,7 +56,7 @@ def barred_maps(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[
         stacked = np.stack([blank if part is None else getattr(part, name) for part in parts])
         return np.where(np.isnan(cells), np.nan, stacked)
 
-    with np.errstate(over="ignore"):  # a cell of which nothing is known reaches to infinity
+    with np.errstate(over="ignore"):  # the interval of an undetermined cell extends to infinity
         lower, upper = ratio * np.exp(-frames("below", change=True)), ratio * np.exp(frames("above", change=True))
         return {
             "cell_resistance_errors": cells * frames("deviation"),
@@ -67,7 +76,7 @@ def barred_maps(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[
 
 
 class Barred(property):
-    """A property (frames, rows, columns) that estimates with error bars alone have; else None."""
+    """A property (frames, rows, columns) of estimates with error bars; None for estimates without."""
 
     def __init__(self, part: str, about: str) -> None:
         super().__init__(lambda estimates: (getattr(estimates, part) or {}).get(self._name), doc=about)
@@ -82,16 +91,27 @@ class Barred(property):
 
 
 def frame_misfit(model: Array, measured: Array, sigma: Array, resolution: Array | None) -> dict[str, Array]:
-    """χ² = Σ ((model − measured)/σ)² of every frame, all (frames, rows, columns); σ is infinite where no value is.
+    """Return the misfit χ² = Σ ((model − measured)/σ)² of every frame with its significance.
 
-    Gives, each (frames), NaN where a frame failed: chi_square; degrees_of_freedom = readings − tr A, A the averaging
-    kernel with `resolution` on its diagonal, and tail = P(χ² ≥ chi_square), both NaN where that is unknown; worst_row
-    and worst_column, the lines that hold most of it, and their shares.
+    Parameters
+    ----------
+    model, measured, sigma : array, shape (frames, rows, columns)
+        In the readout's unit; sigma is infinite where there is no value.
+    resolution : array, shape (frames, rows, columns), or None
+        Diagonal of the averaging kernel A.
+
+    Returns
+    -------
+    dict of array, shape (frames,)
+        NaN where a frame failed. chi_square; degrees_of_freedom = readings − tr A and tail = P(χ² ≥ chi_square), both
+        NaN without `resolution`; worst_row and worst_column, the lines with the largest parts of χ²; worst_row_share
+        and worst_column_share, these parts.
     """
     squares = ((model - measured) / sigma) ** 2
     squares[np.isinf(sigma) & np.isfinite(model).any(axis=(1, 2), keepdims=True)] = 0.0
     chi_square = squares.sum(axis=(1, 2))
     readings = np.isfinite(sigma).sum(axis=(1, 2))
+    # degrees of freedom: readings − tr A, at least 1
     followed = np.full(len(model), np.nan) if resolution is None else np.nansum(resolution, axis=(1, 2))
     degrees = np.where(np.isnan(chi_square), np.nan, np.maximum(readings - followed, 1.0))
     figures = {"chi_square": chi_square, "degrees_of_freedom": degrees, "tail": chi_square_tail(chi_square, degrees)}
@@ -107,22 +127,36 @@ def frame_misfit(model: Array, measured: Array, sigma: Array, resolution: Array 
 class Estimates:
     """Cell resistances of a recording's measured frames, with their error bars, changes and pressures.
 
-    Values of cells are (frames, rows, columns) over the measured frames, NaN where a frame failed. What needs
-    error bars is None where there are none: the noise is unknown, the panel is large, or the method ends at no
-    optimum. A frame that alone has none holds infinity.
+    Values of cells are (frames, rows, columns) over the measured frames, NaN where a frame failed. Properties that need
+    error bars are None where there are none: the noise is unknown, the panel is large, or the method ends at no
+    optimum. If a single frame has no error bars, its values are infinite.
 
     Parameters
     ----------
-    recording, estimator : the data and the method; weights that were chosen for the whole recording are numbers.
-    frame : (frames) index into the recording.
-    readings, resting : (frames, rows, columns) and (rows, columns) what it was given: numbers, bounds, or nothing.
-    baseline_resistance : (rows, columns) ohm, cells of the unloaded panel.
-    baseline, steps : how the baseline and every frame were solved; with `joint_start` the first step holds both.
-    baseline_bars : the baseline's error bars, or None.
-    joint_start : whether the first frame was solved together with the baseline.
-    prepared : the recording's preparation; of a part of a long recording that of the frames which stand for all.
-    contacts : of the lines, as far as they are known afterwards; None where the scene names none.
-    automatic : whether the data chose a weight.
+    recording : Recording
+    estimator : Estimator
+        Weights that were chosen for the whole recording are numbers.
+    frame : integer array, shape (frames,)
+        Indices of the measured frames in the recording.
+    readings, resting : Readings
+        Readings of the frames (frames, rows, columns), and of the unloaded panel (rows, columns): values, bounds, or
+        missing.
+    baseline_resistance : array, shape (rows, columns)
+        Cells of the unloaded panel, ohm.
+    baseline : Step
+        Solve of the baseline.
+    baseline_bars : Certainty or None
+        Error bars of the baseline.
+    steps : tuple of Step
+        Solve of every frame; with `joint_start` the first step includes the baseline.
+    joint_start : bool
+        Whether the first frame was solved together with the baseline.
+    prepared : Prepared
+        Preparation of the recording; for a part of a long recording that of the frames which represent it.
+    contacts : Contacts or None
+        Estimated contacts of the lines; None where the scene names none.
+    automatic : bool
+        Whether the data chose a weight.
 
     >>> isinstance(found, lampest.Estimates), found.cell_resistance.shape
     (True, (2, 2, 3))
@@ -156,42 +190,42 @@ class Estimates:
 
     @property
     def measured(self) -> Array:
-        """(frames, rows, columns) in the readout's unit, series resistance taken off; NaN where nothing was read."""
+        """Readings in the readout's unit, less the series resistance, (frames, rows, columns); NaN where missing."""
         return self.readings.shown
 
     @property
     def measured_baseline(self) -> Array:
-        """(rows, columns) the same unit, of the unloaded frames, or of the first that can be read where none can."""
+        """Mean of the unloaded readings in the same unit, (rows, columns); without any, the first readable frame."""
         return self.resting.shown
 
     @property
     def sigma(self) -> Array | None:
-        """Standard deviation of `measured`, infinite where it is a bound or nothing; None where unknown."""
+        """Standard deviation of `measured`, infinite for bounds and missing readings; None where unknown."""
         return self.readings.sigma_of_values
 
     @property
     def sigma_baseline(self) -> Array | None:
-        """The same of `measured_baseline`."""
+        """Standard deviation of `measured_baseline`; None where unknown."""
         return self.resting.sigma_of_values
 
     @property
     def missing_readings(self) -> NDArray[np.int64]:
-        """(frames) how many readings say nothing, besides those that the scene's faults make blind."""
+        """Number of missing readings, (frames,), without those that the scene's faults make blind."""
         return np.asarray(self.readings.missing(self.recording.scene).sum(axis=(1, 2)))
 
     @property
     def bound_readings(self) -> NDArray[np.int64]:
-        """(frames) how many readings are at a rail of the converter, zero, or below the series resistance."""
+        """Number of readings at a rail of the converter, zero, or below the series resistance, (frames,)."""
         return np.asarray(self.readings.bounds.sum(axis=(1, 2)))
 
     @property
     def time(self) -> Array:
-        """(frames) s."""
+        """Time of every frame, (frames,) s."""
         return self.recording.time[self.frame]
 
     @property
     def status(self) -> tuple[str, ...]:
-        """(frames) how each solve ended, a sentence; it names the converter's rails where they leave cells open."""
+        """Outcome of each solve in a sentence, (frames,); it names rails of the converter that leave cells open."""
         readout, messages = self.recording.scene.readout, []
         if readout is None or self.recording.scene.panel.modules is not None:
             return tuple(step.status for step in self.steps)
@@ -203,7 +237,7 @@ class Estimates:
 
     @property
     def solved(self) -> NDArray[np.bool_]:
-        """(frames) False where a frame failed."""
+        """Whether each frame was solved, (frames,)."""
         return np.array([step.solution.solved for step in self.steps])
 
     @property
@@ -219,12 +253,12 @@ class Estimates:
 
     @property
     def open_cell(self) -> NDArray[np.bool_]:
-        """(frames, rows, columns) where a cell cannot be told from an open one."""
+        """Whether a cell cannot be distinguished from an open one, (frames, rows, columns)."""
         return np.stack([step.solution.open_cell[-1] for step in self.steps]) & self.recording.scene.panel.present
 
     @property
     def at_lower_bound(self) -> NDArray[np.bool_]:
-        """(frames, rows, columns) where a cell stands at its lower bound."""
+        """Whether a cell is at its lower bound, (frames, rows, columns)."""
         return np.stack([step.solution.at_lower[-1] for step in self.steps])
 
     cell_resistance_errors = Barred("_bars", "Standard deviation of r, ohm; infinite where a cell may be open.")
@@ -246,10 +280,10 @@ class Estimates:
 
     @property
     def reading_sigma(self) -> Array | None:
-        """Standard deviation of every reading about the model's, (frames, rows, columns) in the readout's unit.
+        """Posterior predictive standard deviation of every reading, (frames, rows, columns) in the readout's unit.
 
-        The errors of the cells, the noise and the model's error; also of a reading that is missing. None without error
-        bars; NaN where a frame has none.
+        It includes the errors of the cells, the noise and the model's error, and exists for missing readings, too.
+        None without error bars; NaN in a frame without.
         """
         deviation = [None if step.bars is None else step.bars.reading for step in self.steps]
         noise, scene = self.readings.sigma, self.recording.scene
@@ -258,13 +292,15 @@ class Estimates:
         of_cells = np.stack([np.full(scene.panel.shape, np.nan) if frame is None else frame for frame in deviation])
         if scene.readout is not None:
             model = np.stack([step.solution.reading[-1] for step in self.steps])
+            # σ² = σ² of the cells' errors + noise², with the noise of bounds and missing readings at the model's
+            # reading
             at_model = self.noise.sigma_factor * scene.readout.sigma(scene.circuit.to_recorded(model, scene))
             noise = np.where(self.readings.plain, noise, at_model)
         return np.asarray(np.hypot(of_cells, noise))
 
     @property
     def error_bar_time(self) -> Array | None:
-        """Wall time of every frame's error bars, (frames) s."""
+        """Wall time of every frame's error bars, (frames,) s; None without error bars."""
         return None if self._bars is None else np.array([step.bars_seconds for step in self.steps])
 
     @property
@@ -275,22 +311,22 @@ class Estimates:
 
     @property
     def saturated(self) -> NDArray[np.bool_] | None:
-        """(frames, rows, columns) where the response does not tell the pressure."""
+        """Whether the response does not determine the pressure, (frames, rows, columns)."""
         return None if self.pressure is None or self._load is None else self._load.saturated.astype(bool)
 
     @property
     def pressing(self) -> NDArray[np.bool_] | None:
-        """(frames, rows, columns) where a load presses, beyond errors and the film's residue of earlier loads."""
+        """Whether a load presses, beyond errors and the film's residue of earlier loads, (frames, rows, columns)."""
         return None if self.pressure is None or self._load is None else self._load.pressing.astype(bool)
 
     @property
     def tared(self) -> tuple[str, ...] | None:
-        """(frames) why zero was taken anew after a frame, '' where it was not; None unless the estimator is to."""
+        """Reason for a new zero of pressures after each frame, (frames,); '' without; None without `Estimator.tare`."""
         return None if self._load is None or self.estimator.tare is None else self._load.tared
 
     @property
     def model_check(self) -> ModelCheck:
-        """Whether the scene's circuit can have made the recording's readings, in a sentence."""
+        """The check whether the scene's circuit explains the recording's readings."""
         check, number = self.prepared.check, self.prepared.recording.number
         if not self._is_part or number is None:
             return check
@@ -315,12 +351,13 @@ class Estimates:
 
     @property
     def _overruled(self) -> str:
-        """Whether penalties whose weights the data chose keep the readings from being met, in words; ''."""
+        """The misfit in words where penalties with chosen weights make it large against the noise; else ''."""
         chi_square = self.misfit.get("chi_square", np.zeros(0)) if self.automatic else np.zeros(0)
         known = np.isfinite(chi_square)
         if self.sigma is None or not known.any():
             return ""
         count = np.isfinite(self.sigma).sum(axis=(1, 2))
+        # √(χ² per reading) of the median frame
         factor = float(np.sqrt(np.median(chi_square[known] / count[known])))
         if factor < OVERRULED_MISFIT:
             return ""
@@ -341,7 +378,7 @@ class Estimates:
 
     @property
     def misfit(self) -> dict[str, Array]:
-        """Every frame's misfit against its noise; see `frame_misfit`. Empty where the noise is unknown."""
+        """Misfit of every frame against its noise, see `frame_misfit`; empty where the noise is unknown."""
         if self.sigma is None:
             return {}
         model = np.stack([step.solution.reading[-1] for step in self.steps])
@@ -367,7 +404,7 @@ class Estimates:
 
     @cached_property
     def _load(self) -> Pressure | None:
-        """Pressures with errors; None without error bars, for the response's uncertainty is then unknown."""
+        """Pressures with errors; None without error bars, because the uncertainty of r/r0 is then unknown."""
         if self._bars is None:
             return None
         interval = self._bars["ratio_lower"], self._bars["ratio_upper"]
@@ -377,14 +414,17 @@ class Estimates:
 
 
 def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
-    """(ln(r/r0) without the effect of temperature, its standard deviation), (frames, rows, columns).
+    """Return ln(r/r0) without the effect of temperature and its standard deviation; None without error bars.
 
-    None without error bars.
+    Returns
+    -------
+    change, deviation : array, shape (frames, rows, columns)
     """
     if estimates._bars is None:
         return None
     warmth = estimates.recording.scene.temperature
     with np.errstate(divide="ignore"):
+        # standard deviation from the 95 % interval of ln(r/r0): width/(2 · 1.96)
         width = np.log(estimates._bars["ratio_upper"]) - np.log(estimates._bars["ratio_lower"])
     change = np.log(estimates.cell_resistance / estimates.baseline_resistance)
     return change - (0.0 if warmth is None else warmth.logarithm), width / (2 * TWO_SIDED)

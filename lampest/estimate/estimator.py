@@ -1,4 +1,4 @@
-"""One method of estimation: which terms, which formulation, which bounds."""
+"""Estimators: terms, formulation, bounds and settings of one method of estimation."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,22 +23,25 @@ from lampest.solvers.solution import Settings, Solver
 class Estimator(Objective):
     """Terms, the method that minimises them, its settings, and bounds.
 
-    Raises InputError without a data term, for a formulation that does not exist or does not fit the terms, where a term
-    weighs the previous frame by its error bars and there can be none, or where a part is of another class.
+    Raises InputError without a data term, for a formulation that does not exist or does not support the terms, where a
+    term weighs the previous frame by its error bars and there can be none, or where a part is of another class.
 
     Attributes
     ----------
+    terms : tuple of Term
     formulation : MethodName or Method
-        How the estimate is computed, a word or a method with its options.
+        The method that computes the estimate: its name, or a method with options.
+    solver : Settings
+    bounds : Bounds
     error_bars : 'auto' or bool
-        Whether estimates get them; 'auto': on panels of up to 600 cells, or where a term needs them. Only verified
-        optima of readings whose noise is known can have them.
+        Whether to compute error bars; 'auto': on panels of up to 600 cells, or where a term needs them. Only verified
+        optima of readings with known noise can have them.
     auto_weight : AutoWeight
-        How weights are chosen that the terms leave open.
+        Choice of the weights that the terms leave open.
     tare : Tare or None
-        When the zero of pressures is taken anew, because nothing touches the panel; None: never.
+        When to set the zero of pressures anew because nothing touches the panel; None: never.
     weight_sigma : tuple of float
-        See `Objective`; set where weights are chosen.
+        Standard deviations of ln λ of chosen weights, see `Objective`.
 
     >>> lampest.Estimator((lampest.Misfit(),), formulation="reduced").relative
     False
@@ -72,7 +75,7 @@ class Estimator(Objective):
 
     @cached_property
     def method(self) -> Method:
-        """The method that the formulation's word names."""
+        """The method of the formulation."""
         return named_method(self.formulation)
 
     @property
@@ -82,20 +85,21 @@ class Estimator(Objective):
 
     @property
     def uses_previous(self) -> bool:
-        """Whether estimates depend on those of earlier frames by more than where their search begins."""
+        """Whether estimates depend on earlier estimates, beyond the start of their search."""
         return self.relative or not self.method.optimum
 
     def has_error_bars(self, readings: Readings) -> bool:
-        """Whether estimates of such readings get error bars."""
+        """Return whether estimates of such readings have error bars."""
         rows, columns = readings.value.shape[-2:]
         few = rows * columns <= MATRIX_CELLS or self.weighs_previous
         requested = self.error_bars if isinstance(self.error_bars, bool) else few
         return requested and self.method.optimum and readings.sigma is not None
 
     def effort(self, panel: Panel) -> tuple[float, float]:
-        """(s, bytes) of a first frame with penalties, about; zeros where less is asked for.
+        """Return the approximate time (s) and memory (bytes) of a first frame with penalties; zeros without penalties.
 
-        Gradients took 12 s and 275 MB at 100 × 100 cells, 80 s and 787 MB at 280 × 280; one core of 2026.
+        Calibrated on gradient penalties: 12 s and 275 MB at 100 × 100 cells, 80 s and 787 MB at 280 × 280, on one core
+        of 2026.
         """
         each = panel if panel.modules is None else panel.modules.each
         penalised = self.method.optimum and any(not term.reads_measurement for term in self.terms)
@@ -103,12 +107,20 @@ class Estimator(Objective):
         return 12 * size**1.1, 1e8 * size
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError where the formulation cannot serve the scene."""
+        """Raise InputError where the formulation does not support the scene."""
         self.method.check_scene(scene)
 
     def problem(self, scene: Scene, frames: int, period: float, *, partial: bool = False) -> Solver:
-        """Return the solver for one frame, or for two jointly, `period` seconds apart.
+        """Return the solver for one frame, or for two frames jointly; it is built once per process.
 
-        It is built once per process.
+        Parameters
+        ----------
+        scene : Scene
+        frames : int
+            1 or 2.
+        period : float
+            Time between frames, s.
+        partial : bool
+            Whether readings may be bounds or missing.
         """
         return self.method.solver(self.cost(scene, frames, partial=partial), scene, self.solver, period)

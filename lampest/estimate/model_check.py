@@ -1,4 +1,9 @@
-"""Whether the circuit that a scene specifies can have made the readings, and which other explains them better."""
+"""Check of the scene's circuit: whether it explains the readings, and which other circuit explains them better.
+
+One frame: are there positive cells that explain the readings within their noise, and do the readings satisfy the
+circuit's inequalities? Two frames: the evidence of a circuit decreases with the number of cells that must have moved
+between the unloaded panel and a loaded frame. A rival is named if its evidence is larger by MIN_EVIDENCE_GAIN.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -32,31 +37,33 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN
 
 EXPLAINED = "the circuit explains its readings"
-# Of the log of a module's median reading at rest, beside the others': none of 1,640 simulated modules whose cells
-# scatter by 0.2 goes so far, and a reference off by 20 % does.
+# Deviation of ln of a module's median reading at rest from the other modules: none of 1,640 simulated modules whose
+# cells scatter by 0.2 exceeds it, and a reference that is off by 20 % does.
 MIN_AWAY = 0.15
-MAX_MISSING = 0.1  # of the readings: with a fifth missing or bounds, nothing shows which cells must have moved
-MAX_SERIES_SHARE = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
-SERIES_POINTS = 5  # resistances in series that are tried; values between are reached by steps
+MAX_MISSING = 0.1  # share of missing readings or bounds: with a fifth, moved cells can no longer be identified
+MAX_SERIES_SHARE = 0.98  # of the largest resistance in series that readings allow: all of it would short the panel
+SERIES_POINTS = 5  # resistances in series that are tried; Gauss-Newton steps reach values between them
 
 
 @dataclass(frozen=True)
 class ModelCheck:
-    """Result of the check, for people in `sentence` (ASCII, as results files keep it).
+    """Result of the check.
 
     Attributes
     ----------
     explains : bool or None
-        Whether nothing speaks against the specified circuit; None: not checked, because the noise is unknown or no fit
-        was found.
+        Whether the specified circuit explains the readings and no other explains them better; None: not checked,
+        because the noise is unknown or no fit was found.
+    sentence : str
+        The result in words, ASCII.
     better : str
-        The circuit that explains the readings better, as a scene would name it; ''.
+        The circuit or the effects that explain the readings better, in the words of a scene; ''.
     noise : float
-        By how much the unloaded frames scatter beyond the specified noise; 1 where not noticeably.
+        Factor of the unloaded frames' scatter over the specified noise; 1 where it is not significant.
     together : str
-        How all cells changed alike, in words; ''.
+        The common change of all cells in words; '' where it is not significant.
     besides : bool
-        Whether effects beside the circuit explain best.
+        Whether `better` names effects beside the circuit.
     lying : bool
         Whether a load may lie on the unloaded panel.
 
@@ -74,33 +81,34 @@ class ModelCheck:
 
     @property
     def mark(self) -> str:
-        """'yes', 'no', 'noise' where σ is in doubt and the circuit is not, or 'not checked'."""
+        """The result in a word: 'yes', 'no', 'noise' where only σ is in doubt, or 'not checked'."""
         if self.explains is None:
             return "not checked"
         return "no" if not self.explains else "yes" if self.noise == 1 else "noise"
 
     def without(self, outliers: int) -> "ModelCheck":
-        """Return the check with the count of outliers that were left out."""
+        """Return the check with the number of omitted outliers in its sentence."""
         message = f"; {outliers} outlier{'s' if outliers > 1 else ''} of one frame left out" if outliers else ""
         return replace(self, sentence=self.sentence + message)
 
 
 @dataclass(frozen=True, eq=False)
 class ExplainedRecording:
-    """A recording as its circuit explains it.
+    """A recording with its explanation by the scene's circuit.
 
     Attributes
     ----------
     recording : Recording
-        As the electronics passed it.
+        Its scene includes a saturated stage where the readings show one.
     readings : Readings
-        Of all its frames; outliers are missing.
+        Readings of all frames; outliers are missing.
     question : Question
-        The unloaded panel's mean, and the frames that differ most from it.
+        The unloaded frames, and the measured ones that differ most from them.
     bounded, missing : float
-        Shares of the readings of these frames that are bounds, or missing.
+        Shares of bounds and of missing readings in these frames.
     explanation : Explanation or None
-        Cells that explain both; None where none do, or bounds are too many.
+        Cells that explain these frames; None where no fit is found, or more than MAX_MISSING of the readings are
+        bounds.
     """
 
     recording: Recording
@@ -112,12 +120,13 @@ class ExplainedRecording:
 
     @classmethod
     def of(cls, recording: Recording, outliers: NDArray[np.bool_]) -> "ExplainedRecording":
-        """Return the explanation of a recording whose noise is known; without an unloaded frame the first stands in."""
+        """Return the explanation of a recording whose noise is known; without an unloaded frame the first is used."""
         scene, role = recording.scene, recording.role
         specified = Rival(scene, np.where(outliers, np.nan, recording.recorded), recording.sigma)
         readings, named = specified.readings(), np.arange(len(role)) if recording.number is None else recording.number
         resting = np.flatnonzero(role == UNLOADED) if np.any(role == UNLOADED) else np.array([0])
         standing = np.setdiff1d(np.flatnonzero(role == MEASURED), resting)
+        # The most strongly loaded frame, averaged with those that are equal to it within their noise.
         used = replace(readings, seen=readings.seen * specified.nearly_gaussian(1))
         noise = noise_factor(used[resting])
         if len(standing):
@@ -131,13 +140,13 @@ class ExplainedRecording:
 
     @cached_property
     def fault(self) -> str:
-        """Reason why the circuit cannot have made the readings, in words; ''."""
+        """The reason why the circuit cannot have made the readings, in words; '' where there is none."""
         unexplained = "" if self.explanation is None else _unexplained(self.explanation, self.question)
         return unexplained or broken_law(self.question.specified, self.question) or self.below
 
     @cached_property
     def below(self) -> str:
-        """The reading that lies below the series resistance by more than its noise, in words; ''."""
+        """The reading that lies significantly below its series resistance, in words; '' where there is none."""
         scene, readings, question = self.recording.scene, self.readings, self.question
         if scene.circuit.unit != "ohm" or readings.sigma is None:
             return ""
@@ -152,14 +161,16 @@ class ExplainedRecording:
         )
 
     def check(self, besides: CircuitEffects) -> ModelCheck:
-        """Return the check of the circuit, where other circuits and these effects may explain more."""
+        """Return the check of the circuit against its rivals and against these effects."""
         question, noise, fault, explanation = self.question, self.question.widening, self.fault, self.explanation
         few_bounds, scene = self.bounded <= MAX_MISSING, self.recording.scene
+        # No fit and no contradiction: too many bounds, or the solver failed.
         if explanation is None and not fault:
             if not few_bounds:
                 lawful = f"no readings break a law of the circuit; {100 * self.bounded:.0f} % of them are bounds"
                 return ModelCheck(explains=True, sentence=f"{lawful}, and no cells were fitted")
             return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
+        # Rivals and effects compete by evidence if enough readings are values.
         best, whole = BetterExplanation(), self.missing <= MAX_MISSING and (few_bounds or bool(self.below))
         if whole:
             change = changes_beyond_noise(scene, self.readings, self.recording.role)
@@ -169,6 +180,7 @@ class ExplainedRecording:
             best, effect = better_rival(rivals, question, None if fault else explanation), besides.best
             if effect.name and (effect.fits_noise or not fault) and (not best.name or effect.count < best.count):
                 best = effect
+        # Verdict in words: the fault, the best alternative, or neither; then the noise.
         if not whole:
             sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing or bounds"
         elif fault:
@@ -184,7 +196,7 @@ class ExplainedRecording:
         )
 
     def effects(self) -> CircuitEffects:
-        """Return the effects beside the circuit, in the frames that changed most and in the last one."""
+        """Return the effects beside the circuit, from the frames that changed most and from the last frame."""
         scene, role, explanation = self.recording.scene, self.recording.role, self.explanation
         last = np.flatnonzero(role == MEASURED)[-1:]
         if explanation is None or explanation.pair is None or scene.readout is None or not np.any(role == UNLOADED):
@@ -201,16 +213,17 @@ class ExplainedRecording:
 
 
 def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[[int], ModelCheck]) -> ModelCheck:
-    """Return the check of the circuits of those modules whose readings move most.
+    """Return the joint check of the modules whose readings change most.
 
     Parameters
     ----------
     recording : Recording
     layout : Modules
     of_module : callable
-        Returns the check of a module by its number.
+        Returns the check of one module, given its number.
     """
     readings = recording.readings()
+    # modules with the largest change of their readings, without dead and differing ones
     change = mean_change(*map(layout.split, (readings.plain_values, baseline_readings(recording, readings).value)))
     moved = change[recording.role == MEASURED].max(axis=0, initial=0.0)
     unfit = {*recording.scene.dead_modules, *module_factors(recording, layout)}
@@ -230,18 +243,19 @@ def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[
 
 
 def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
-    """Return by which factor the unloaded readings of a module differ from those of the others.
+    """Return the factors by which the unloaded readings of single modules differ from those of the others.
 
     Returns
     -------
     dict
-        Number of the module to the factor: NaN where no reading is a value; modules like most are left out.
+        Number of the module to its factor, NaN where no reading is a value. Modules that do not differ are left out.
     """
     readings = recording.readings()[recording.role == UNLOADED] if UNLOADED in recording.role else recording.readings()
     values = np.moveaxis(np.log(layout.split(readings.plain_values)), 1, 0).reshape(layout.count, -1)
     read = np.isfinite(values).any(axis=1)
     factors, levels = dict.fromkeys(np.flatnonzero(~read).tolist(), np.nan), np.nanmedian(values[read], axis=1)
     for place, number in enumerate(np.flatnonzero(read).tolist() if len(levels) > 2 else ()):
+        # ln level less the median of the others, against 5 robust standard deviations of these and MIN_AWAY
         others = np.delete(levels, place)
         away = levels[place] - np.median(others)
         if abs(away) > max(MIN_AWAY, SIGNIFICANT * MAD_TO_SIGMA * float(np.median(np.abs(others - np.median(others))))):
@@ -250,7 +264,7 @@ def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
 
 
 def noise_factor(resting: Readings) -> float:
-    """√(χ²/degrees) of unloaded frames (frames, rows, columns) about their mean; 1 where that is no noted excess."""
+    """Return √(χ²/degrees) of unloaded frames (frames, rows, columns) about their mean, see `noted_excess`."""
     plain = np.all(resting.plain, axis=0)
     if resting.sigma is None:
         return 1.0
@@ -259,7 +273,7 @@ def noise_factor(resting: Readings) -> float:
 
 
 def _unexplained(explanation: "Explanation", question: Question) -> str:
-    """Return the unexplained part of the readings, in words; '' where there is none."""
+    """Return the significant misfit of the explanation in words; '' where there is none."""
     worst = int(np.argmin([fit.tail for fit in explanation.fits]))
     fit, what = explanation.fits[worst], question.loaded if worst else "the unloaded panel"
     if fit.tail >= SIGNIFICANCE:
@@ -274,7 +288,7 @@ def _unexplained(explanation: "Explanation", question: Question) -> str:
 
 
 def broken_law(rival: Rival, question: Question) -> str:
-    """Return the inequality of a circuit that readings break by more than their noise, in words; '' where none."""
+    """Return the circuit's inequality that the readings violate significantly, in words; '' where there is none."""
     readings = rival.readings()
     sigma = replace(readings, seen=readings.seen * question.specified.nearly_gaussian(1)).sigma_of_values
     assert sigma is not None
@@ -295,9 +309,9 @@ class Explanation:
     rival : Rival
         The circuit.
     fits : tuple of CellsFit
-        Of the unloaded panel and of the frame.
+        Fits of the unloaded panel and, if there is one, of the loaded frame.
     pair : FittedPair or None
-        Of both, where circuits can be compared; None without a frame, or on a panel too large for it.
+        The pair of both; None without a loaded frame, or on a panel of more than MAX_CELLS.
     """
 
     rival: Rival
@@ -312,11 +326,13 @@ class Explanation:
 
         Parameters
         ----------
+        rival : Rival
+        question : Question
         near : Explanation or None
-            Of a circuit much like it, or None.
+            Explanation by a similar circuit, at whose cells the fits begin.
         patient : bool
-            The fit is searched for from every start, and taken whatever it leaves; else a circuit is given up as soon
-            as it fails.
+            Whether the fit is searched for from every start and accepted with any misfit. Otherwise the circuit is
+            given up at the first frame that it does not explain.
         """
         fits: list[CellsFit] = []
         try:
@@ -335,31 +351,33 @@ class Explanation:
 
     @cached_property
     def score(self) -> float:
-        """−2 log density of the frame; a bound costs as much as a moved cell: no circuit gains by reading less."""
+        """−2 ln density of the loaded frame, and PARAMETER_COST for each bound, so that no circuit gains by bounds."""
         bounds = sum(int(fit.readings.bounds.sum()) for fit in self.fits)
         return 0.0 if self.pair is None else self.pair.density + PARAMETER_COST * bounds
 
     @property
     def moving(self) -> NDArray[np.bool_]:
-        """Cells that have moved, boolean (rows, columns); none where circuits cannot be compared."""
+        """The moved cells, boolean (rows, columns); none without a pair."""
         shape = self.fits[0].cells.shape
         return np.zeros(shape, dtype=bool) if self.pair is None else self.pair.without_effects.moved.reshape(shape)
 
     def joint(self, question: Question, moving: NDArray[np.bool_]) -> JointFit:
-        """Both frames explained by the network itself, as if these cells had moved to begin with."""
+        """Return the joint fit of both frames by the exact network, with these cells as the first moved ones."""
         return JointFit.of(self.rival, question, [fit.cells for fit in self.fits], moving)
 
 
 def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> BetterExplanation:
-    """Return the rival that explains the readings where the scene's circuit does not, or by MIN_EVIDENCE_GAIN better.
+    """Return the rival that explains the readings where the scene's circuit does not, or better by MIN_EVIDENCE_GAIN.
+
+    Rivals under which most cells have moved do not count, because the still cells cannot be identified then.
 
     Parameters
     ----------
     rivals : list of Rival
         The scene's circuit first.
+    question : Question
     specified : Explanation or None
-        Its explanation; None where it has none. No rival is one under which most cells have moved, for nothing then
-        shows which have not, or as many as under the scene's circuit.
+        The explanation by the scene's circuit; None where it does not explain the readings.
     """
     if specified is None:
         tried = (with_some_in_series(rivals[0], question), *(_explanation(rival, question) for rival in rivals[1:]))
@@ -370,6 +388,7 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
         )
     if specified.pair is None:
         return BetterExplanation()
+    # Exact joint fits; the scene's circuit is compared only where it leaves more than noise.
     given = specified.joint(question, specified.moving)
     if given.beyond_noise < MIN_EVIDENCE_GAIN:
         return BetterExplanation()
@@ -385,12 +404,12 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
 
 
 def _beaten(specified: JointFit, best: JointFit) -> bool:
-    """Whether a rival explains better by MIN_EVIDENCE_GAIN, wider where even the rival leaves more than noise."""
+    """Return whether a rival explains better by MIN_EVIDENCE_GAIN times the excess of its own misfit over noise."""
     return bool(specified.beyond_noise > best.beyond_noise + MIN_EVIDENCE_GAIN * best.excess)
 
 
 def _beyond_channels(specified: Explanation, rival: Rival, question: Question) -> bool:
-    """Whether a rival's resistance in series explains better by MIN_EVIDENCE_GAIN where channels may differ, too."""
+    """Return whether a rival's resistance in series explains better even if channels may differ from each other."""
     explanation = None if rival.in_series is None else _explanation(rival, question)
     if explanation is None or explanation.pair is None or specified.pair is None:
         return True
@@ -398,7 +417,7 @@ def _beyond_channels(specified: Explanation, rival: Rival, question: Question) -
 
 
 def _others(given: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:
-    """Return the fits of the specified circuit and of its likeliest rivals by linear theory, with exact networks."""
+    """Generate joint fits of the MAX_CANDIDATES best rivals of linear theory, and all with a resistance in series."""
     plain = (_explanation(rival, question) for rival in rivals)
     better = (explanation for explanation in plain if explanation is not None and explanation.score < specified.score)
     likely = sorted(better, key=lambda explanation: explanation.score)[:MAX_CANDIDATES]
@@ -414,19 +433,14 @@ def _others(given: JointFit, specified: Explanation, rivals: list[Rival], questi
 
 
 def _explanation(rival: Rival, question: Question) -> Explanation | None:
-    """Return a rival's explanation.
-
-    Where there is none, it is that with the resistance in series that explains best of a few.
-    """
+    """Return a rival's explanation; where there is none, that with the best one of a few resistances in series."""
     return Explanation.of(rival, question) or with_some_in_series(rival, question)
 
 
 def with_some_in_series(rival: Rival, question: Question) -> Explanation | None:
-    """Return a rival's explanation with the resistance in series that explains best of a few.
-
-    None where there is none.
-    """
+    """Return a rival's explanation with the best one of SERIES_POINTS resistances in series; None without any."""
     most = 0.0 if rival.in_series is not None else most_in_series(rival, question)
+    # increasing resistances, each fit starting at the cells of the one before
     explanations: list[Explanation] = []
     for ohm in np.linspace(0, most, SERIES_POINTS)[int(rival.scene.specified_in_series == 0) :] if most else ():
         explanation = Explanation.of(
@@ -437,7 +451,7 @@ def with_some_in_series(rival: Rival, question: Question) -> Explanation | None:
 
 
 def most_in_series(rival: Rival, question: Question) -> float:
-    """Return the largest resistance in series that the readings allow, ohm; 0 where there is none, or no telling."""
+    """Return the largest resistance in series that the readings allow, ohm; 0 where none is possible or known."""
     if not rival.scene.circuit.series_name or len(question.standing) == 0:
         return 0.0
     without = rival.with_series(0.0)

@@ -1,7 +1,7 @@
-"""Error of the model: by how much more than their noise readings are missed, whatever the cells.
+"""Error of the model: the excess of the residuals over the noise that no cells explain.
 
-The reference estimate (`lampest.posterior.reference`) judges it on frames under load. Where the evidence for it is
-strong under every description of the cells, it is part of the readings' σ, and so of weights, bounds and error bars.
+The reference estimate (`lampest.posterior.reference`) measures it on frames under load. Where the evidence for it is
+strong under every description of the cells, it enters the σ of the readings, and so weights, bounds and error bars.
 """
 
 from collections.abc import Iterator
@@ -30,17 +30,18 @@ from lampest.solvers.multistart import BROKEN, best_solution
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
-MIN_READINGS = 100  # of which the largest twentieth says how far tails reach; with fewer, one outlier looks like all
+MIN_READINGS = 100  # their largest twentieth measures the tail; with fewer, a single outlier would decide it
 
 
 def error_factor(scale: ErrorScale) -> float:
-    """Return σ with the model's error over σ of the noise, or 1: 95 % of the readings then lie within 1.96 σ.
+    """Return the factor on σ with which 95 % of the residuals lie within 1.96 σ; 1 without strong evidence.
 
-    An error of all readings shows in the scale of Student's t, one of few readings in the tail.
+    An error of all readings shows in the scale of Student's t, an error of few readings in the tail.
     """
-    # Where nothing is wrong, mouths at their limits gain 23 at most; static errors of 7 % gain 76.
+    # In −2 ln evidence, mouths at their limits gain 23 at most where nothing is wrong; static errors of 7 % gain 76.
     if scale.readings < MIN_READINGS or scale.gain(1.0) < MIN_EVIDENCE_GAIN:
         return 1.0
+    # tail: empirical 95 % point; whole: that of Student's t, whose squared scale exceeds 1 by that of the error
     tail = scale.tail / TWO_SIDED
     whole = student_two_sided(MODEL.degrees_of_freedom) / TWO_SIDED * np.sqrt(scale.best**2 - 1)
     factor = max(tail, float(np.hypot(1.0, whole)))
@@ -48,12 +49,12 @@ def error_factor(scale: ErrorScale) -> float:
 
 
 def with_model_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
-    """Return the noise of a single network with the model's error, where readings under load show one.
+    """Return the noise of a single network, including the model's error where readings under load show one.
 
-    Where still cells can say how far each reading is off on its own, that is the model's error. Elsewhere cells are
-    described by steps between neighbours and by changes since rest. Each description takes cells that it does
-    not expect for errors of the readings, so an error is believed where both need one. Its size is the larger one:
-    errors that stay from frame to frame hardly show in changes.
+    If still cells determine each reading's own error, that is the model's error. Otherwise the cells are described in
+    two ways, by differences between neighbours and by changes since rest. Each description mistakes unexpected cells
+    for errors of the readings, so an error is accepted only if both need one. The larger size is taken: errors that
+    stay constant from frame to frame hardly show in changes.
     """
     readings, scene = noise.readings, recording.scene
     if noise.possible_errors is not None:
@@ -74,27 +75,32 @@ def with_model_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimat
 
 
 def with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
-    """Return the noise with each reading's own error in σ, for weights; error bars know it as one that frames share.
+    """Return the noise with each reading's own error in σ, for the choice of weights.
 
-    Repeats do not reduce it, so σ of an unloaded frame is such that their mean has all of it.
+    Error bars treat it separately, as an error that all frames share. Averaging does not reduce it, so σ of each of
+    n unloaded frames includes √n times the error.
     """
     sigma = noise.readings.sigma
     if sigma is None or not noise.reading_error:
         return noise
     unloaded = recording.role == UNLOADED
     repeats = np.where(unloaded, np.sqrt(unloaded.sum()), 1.0)[:, None, None]
+    # σ² ← σ² + (√n e)²: the mean of the n unloaded frames then has the whole error e
     own = repeats * own_errors(noise.readings.value, recording.scene, noise.reading_error)
     return noise.with_sigma(np.hypot(sigma, own))
 
 
 def scaled(noise: NoiseEstimate, factor: float) -> NoiseEstimate:
-    """Return the noise with σ times a factor, which is the model's error."""
+    """Return the noise with σ multiplied by the factor of the model's error."""
     sigma = noise.readings.sigma
     return noise if sigma is None else replace(noise.with_sigma(factor * sigma), model_factor=factor)
 
 
 def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Data], Cost]]:
-    """Frames under load as both descriptions have them; changes since rest where there are unloaded frames."""
+    """Generate the solves and the cost of frames under load under both descriptions of the cells.
+
+    The second description, by changes since rest, needs unloaded frames.
+    """
     scene, resting = recording.scene, baseline_readings(recording, readings)
     frame = deciding_frame(recording, readings, resting)
     if frame is None:

@@ -1,6 +1,7 @@
-"""A panel of modules frame by frame: every module by a stream of its own, their steps as one step of the image.
+"""Streams of a panel of modules.
 
-Where the scene asks for terms that go over the seams, the image is one problem whose network falls into modules.
+Every module has a stream of its own, and their steps are joined to one step of the image. Where the scene requests
+terms across the seams (`coupled`), the image is one problem whose network is block diagonal over the modules.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,9 +29,9 @@ from lampest.recording.readings import Readings
 from lampest.solvers.projected_lbfgs import InverseHessians
 from lampest.solvers.solution import OPTIMA, Status
 
-WORST = (*OPTIMA, Status.APPROXIMATE)  # of all that count as estimates, the last is the weakest
+WORST = (*OPTIMA, Status.APPROXIMATE)  # statuses that count as estimates; the last is the weakest
 C = TypeVar("C", Certainty, Change)
-Own = Callable[[Scene, int | None], tuple[Estimator, Readings]]  # of a network: its module's number, or None
+Own = Callable[[Scene, int | None], tuple[Estimator, Readings]]  # arguments: a network's scene, its module or None
 
 
 @ONE_BLAS_THREAD
@@ -42,9 +43,13 @@ def begin_stream(
     noise: NoiseEstimate | None = None,
     own: Own | None = None,
 ) -> Stream:
-    """Return the stream of a scene, of modules or not; see `Stream.begin`.
+    """Return the stream of a scene with or without modules; the other parameters are those of `Stream.begin`.
 
-    own : returns the estimator and the resting readings of each network; None: those of the whole.
+    Parameters
+    ----------
+    own : callable, optional
+        Returns the estimator and the resting readings of each network; by default those of the whole panel.
+
     Raises InputError as `Stream.begin`, and as `_coupled_scene`.
     """
     layout = scene.panel.modules
@@ -74,9 +79,9 @@ def begin_stream(
 
 
 def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
-    """Return the image as one panel whose network falls into modules; neighbours over a seam are so much farther apart.
+    """Return the scene of the whole image, with a block diagonal network and places that include the seams.
 
-    Raises InputError where a module is wired, or has no two-point readout, and where error bars are asked for.
+    Raises InputError where a module is wired or has no two-point readout, and where error bars are requested.
     """
     layout = scene.panel.modules
     assert layout is not None
@@ -97,16 +102,16 @@ def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
 
 @dataclass(frozen=True, eq=False)
 class CoupledStream(Stream):
-    """Stream of a coupled image. A module of which nothing was read is NaN, whatever terms say of it."""
+    """Stream of a coupled image. Modules without a value are NaN, although terms across seams determine them."""
 
     @property
     def baseline_resistance(self) -> Array:
-        """(rows, columns) ohm; NaN where the baseline is not solved, and of modules that were not read."""
+        """Cells of the baseline, (rows, columns) ohm; NaN where it is not solved, and in modules without a value."""
         return np.where(self._unread(self.resting), np.nan, super().baseline_resistance)
 
     @property
     def is_independent(self) -> bool:
-        """False: a batch has no network that falls into modules."""
+        """False, because batches do not support block diagonal networks."""
         return False
 
     def push(self, readings: Readings) -> tuple[Stream, Step]:
@@ -119,7 +124,7 @@ class CoupledStream(Stream):
         return stream, replace(step, solution=replace(solution, cell_resistance=cells, reading=reading))
 
     def _unread(self, readings: Readings) -> NDArray[np.bool_]:
-        """(rows, columns) of modules without any value."""
+        """Return the cells of modules without any value, (rows, columns)."""
         assert isinstance(self.scene.readout, ModulesReadout)
         layout = self.scene.readout.layout
         parts = layout.split(readings.plain)
@@ -129,7 +134,13 @@ class CoupledStream(Stream):
 
 @dataclass(frozen=True, eq=False)
 class ModulesStream(Stream):
-    """modules : the stream of each, by its number; None of a dead one. All else is of the whole image."""
+    """Stream of a panel of independent modules.
+
+    Attributes
+    ----------
+    modules : tuple of Stream or None
+        Streams of the modules by number, None for a dead one. All other attributes are those of the whole image.
+    """
 
     modules: tuple[Stream | None, ...] = ()
 
@@ -144,7 +155,7 @@ class ModulesStream(Stream):
 
     @ONE_BLAS_THREAD
     def push(self, readings: Readings) -> tuple["ModulesStream", Step]:
-        """Push a frame, as `Stream.push`; modules with too few readings stay as they were, and are NaN in the image."""
+        """Push a frame, as `Stream.push`; modules with too few readings are unchanged, and NaN in the image."""
         layout = self._layout
         inverses = self.prepared or InverseHessians.nothing(layout.count, layout.each.rows * layout.each.columns)
         modules, steps = zip(*push_streams(self.modules, readings.each(layout.split), inverses), strict=True)
@@ -154,10 +165,7 @@ class ModulesStream(Stream):
     def sequence(
         self, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple[Stream, list[Step]]:
-        """Solve a sequence, as `Stream.sequence`.
-
-        Methods that need all frames together take one module after the other.
-        """
+        """Solve a sequence, as `Stream.sequence`; methods that need all frames solve one module after the other."""
         if not self.estimator.method.needs_all_frames:
             return super().sequence(resting, readings, on_frame)
         layout, frames = self._layout, len(readings.value)
@@ -174,16 +182,16 @@ class ModulesStream(Stream):
 
     @property
     def is_independent(self) -> bool:
-        """False: modules are the batch."""
+        """False, because the modules of a frame already form a batch."""
         return False
 
     def weights_due(self, readings: Readings) -> bool:
-        """Modules choose their weights themselves."""
+        """Return False, because modules choose their weights themselves."""
         return False
 
     @property
     def baseline_resistance(self) -> Array:
-        """(rows, columns) ohm; NaN where the baseline of a module is not solved, or the module is dead."""
+        """Cells of the baseline, (rows, columns) ohm; NaN in dead modules and those without a solved baseline."""
         parts = [None if stream is None else stream.baseline_resistance for stream in self.modules]
         return np.asarray(_joined_maps(self._layout, parts, np.nan))
 
@@ -196,7 +204,7 @@ class ModulesStream(Stream):
 
     @property
     def parts(self) -> tuple[SequenceState | None, ...]:
-        """See `SequenceState.parts`."""
+        """The streams of the modules, see `SequenceState.parts`."""
         return self.modules
 
     def with_parts(self, parts: tuple[SequenceState | None, ...]) -> "ModulesStream":
@@ -205,7 +213,7 @@ class ModulesStream(Stream):
         return replace(self, modules=modules, first=False)
 
     def rested_whole(self) -> "ModulesStream":
-        """Return the stream with the baselines of the modules as one, once all that can be are solved."""
+        """Return the stream with the joined baselines of the modules; unchanged where no module has one."""
         steps = [None if stream is None else stream.baseline for stream in self.modules]
         if all(step is None for step in steps):
             return self
@@ -222,9 +230,15 @@ class ModulesStream(Stream):
 
 
 def _joined_maps(layout: Modules, parts: Sequence[NDArray[Any] | None], missing: float) -> Any:
-    """Return maps (…, rows, columns) of all modules as one map of the image; None where no module has any.
+    """Return the maps (…, rows, columns) of all modules joined to one map of the image; None without any map.
 
-    missing : stands for the maps of the other modules.
+    Parameters
+    ----------
+    layout : Modules
+    parts : sequence of array or None
+        Map of each module.
+    missing : float
+        Value of modules without a map.
     """
     first = next((part for part in parts if part is not None), None)
     if first is None:
@@ -234,7 +248,7 @@ def _joined_maps(layout: Modules, parts: Sequence[NDArray[Any] | None], missing:
 
 
 def _joined(layout: Modules, kind: type[C], parts: Sequence[C | None]) -> C | None:
-    """Join the parts of all modules, with nothing known of those without error bars; None where none has any."""
+    """Return the joined error bars of all modules, infinite for modules without; None where no module has any."""
     if all(part is None for part in parts):
         return None
     unknown = ("deviation", "below", "above")
@@ -244,7 +258,16 @@ def _joined(layout: Modules, kind: type[C], parts: Sequence[C | None]) -> C | No
 
 
 def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
-    """Return the modules' steps as one of the image; costs are summed, and the KKT residual is the largest of all."""
+    """Return the steps of the modules joined to one step of the image.
+
+    Costs and times are summed; the KKT residual, iterations and starts are the largest; the status is the weakest.
+
+    Parameters
+    ----------
+    layout : Modules
+    steps : sequence of Step or None
+        Step of each module, None for a dead one.
+    """
     present = [step for step in steps if step is not None]
     solved = [step for step in present if step.solution.solved]
     counted, first = solved or present[:1], present[0].solution
@@ -276,7 +299,7 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
 
 
 def _sentence(layout: Modules, steps: Sequence[Step | None], status: Status) -> str:
-    """Return the weakest of the modules' statuses, and why some have no estimate."""
+    """Return the weakest status of the modules, and the reasons why modules have no estimate, in words."""
     why: dict[str, list[int]] = {}
     for number, step in enumerate(steps):
         if step is None or not step.solution.solved:

@@ -1,4 +1,4 @@
-"""Noise of a recording as its own frames show it, and readings that allow for it."""
+"""Estimation of a recording's noise from its own frames, and of readings with the corresponding σ."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,13 +24,13 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-MIN_UNLOADED_FRAMES = 5  # unloaded frames from which on noise that a scene leaves open is taken from them
+MIN_UNLOADED_FRAMES = 5  # unloaded frames from which noise is estimated if the scene does not specify it
 MAX_NAMED = 3  # modules in one sentence
 
-SCAN_SHARES = (0.25, 0.5, 0.75, 1.0)  # of the period that a scan may take
-MIN_REDUCTION = 3.0  # by which χ² must fall, and the rms of Δ·τ in σ below which nobody would notice it
+SCAN_SHARES = (0.25, 0.5, 0.75, 1.0)  # shares of the period that a scan may take
+MIN_REDUCTION = 3.0  # factor by which χ² must fall; also the rms of Δ·τ in σ below which motion is imperceptible
 
-# What the readings of a frame share, as the summary and as warnings have it.
+# Errors that the readings of a frame share: the texts of the summary and of warnings.
 SHARED = (
     ("{:.2g} % gain", "the gain of a frame varies by {:.2g} %"),
     ("{:.2g} LSB along a scan", "the lines of a scan vary together by {:.2g} LSB"),
@@ -46,26 +46,28 @@ class NoiseEstimate:
     ----------
     outliers : boolean array, shape (frames, rows, columns)
     outlier_rate : float
-        Share of the unloaded readings that are, or, without enough of them, of all.
+        Share of outliers among the unloaded readings, or among all where there are too few unloaded frames.
     warnings : tuple of str
         Contradictions of the scene and pitfalls, a line each.
     readings : Readings
-        Of all frames, which allow for all this.
+        Readings of all frames, with corrections and the estimated σ.
     factor, factor_error : float
-        Of each reading's own noise against the specified one, and its standard deviation; NaN where fewer than two
-        unloaded frames show nothing.
+        Measured over specified standard deviation of each reading's own noise, and the error of this ratio; NaN where
+        the frames do not determine it.
     sigma_factor : float
-        Factor of σ, 1 where nothing contradicts the scene.
+        Applied factor on σ; 1 where nothing contradicts the scene.
     frame : FrameNoise or None
-        Errors that the readings of a frame share, or None.
+        Errors that the readings of a frame share; None where none is significant.
     possible_errors : Possible or None
-        What still cells leave possible of errors that all frames share, or None.
+        Errors that all frames share, as far as the still cells leave them possible; None where that is unknown.
     scan_share : float
-        Of its period that a scan seems to take, where loads move within it; else 0.
+        Share of its period that a scan seems to take, where loads move within it; else 0.
     of_modules : tuple of NoiseEstimate or None
-        The same of each module, None of a dead one; () of a single network.
+        Noise of each module, None for a dead one; () for a single network.
     corrected_effects : CircuitEffects or None
-        The effects that are taken off the readings, or None.
+        Effects that are taken off the readings; None where there are none.
+    model_factor : float
+        Part of `sigma_factor` that is the model's error.
     """
 
     outliers: NDArray[np.bool_]
@@ -84,22 +86,22 @@ class NoiseEstimate:
 
     @property
     def sentence(self) -> str:
-        """The warnings as one."""
+        """All warnings in one sentence."""
         return "; ".join(self.warnings)
 
     @property
     def corrections(self) -> str:
-        """The effects that are taken off the readings, in words; ''."""
+        """The effects that are taken off the readings, in words; '' where there are none."""
         return "" if self.corrected_effects is None else self.corrected_effects.corrections
 
     @property
     def reading_error(self) -> float:
-        """Standard deviation of the logarithm of a factor on each reading, the same in all frames; 0 where not seen."""
+        """Standard deviation of ln of a factor on each reading that is constant in time; 0 where none is observed."""
         return 0.0 if self.possible_errors is None else self.possible_errors.sizes.reading_error or 0.0
 
     @property
     def shared_sizes(self) -> tuple[float, float, float]:
-        """Standard deviations of a frame's gain, %, of the ripple of all scanned lines and of that of each, LSB."""
+        """Standard deviations of a frame's gain, %, of the ripple common to all lines and of each line's own, LSB."""
         if self.frame is None:
             return 0.0, 0.0, 0.0
         roots, lsb_volt = (self.frame.common_ripple, self.frame.line_ripple), self.frame.scene.circuit.lsb_volt
@@ -108,7 +110,7 @@ class NoiseEstimate:
 
     @property
     def summary(self) -> str:
-        """Noise of the frames in one line, contradiction or not; '' where it is unknown."""
+        """Noise of the frames in one line; '' where it is unknown."""
         if np.isnan(self.factor):
             return ""
         taken = "not rescaled" if self.sigma_factor == 1 else f"rescaled by {self.sigma_factor:.3g}"
@@ -122,7 +124,7 @@ class NoiseEstimate:
         return "; ".join(filter(None, messages))
 
     def with_warnings(self, *said: str) -> "NoiseEstimate":
-        """Return the noise with more warnings, of which some may be ''."""
+        """Return the noise with further warnings; empty ones are ignored."""
         return replace(self, warnings=(*self.warnings, *filter(None, said)))
 
     def with_sigma(self, sigma: Array) -> "NoiseEstimate":
@@ -130,7 +132,16 @@ class NoiseEstimate:
         return replace(self, readings=replace(self.readings, sigma=sigma))
 
     def with_motion(self, scene: Scene, share: float, measured: NDArray[np.intp]) -> "NoiseEstimate":
-        """Return the noise with wider σ where readings were taken while loads moved."""
+        """Return the noise with wider σ where readings were taken while loads moved.
+
+        Parameters
+        ----------
+        scene : Scene
+        share : float
+            Share of its period that a scan takes; 0 changes nothing.
+        measured : integer array
+            Numbers of the measured frames.
+        """
         sigma = self.readings.sigma
         if not share or sigma is None:
             return self
@@ -144,20 +155,21 @@ class NoiseEstimate:
 
 
 def with_still_cells(seen: NoiseEstimate, recording: Recording, sizes: Systematic) -> NoiseEstimate:
-    """Return the noise with the errors that the still cells of a single network show.
+    """Return the noise with the motion within scans and the shared errors that still cells of one network show.
 
     Parameters
     ----------
     seen : NoiseEstimate
     recording : Recording
-        With unloaded and with measured frames.
+        It has unloaded and measured frames.
     sizes : Systematic
-        Errors that the scene names, or leaves possible.
+        Sizes of shared errors that the scene specifies or leaves possible.
     """
     unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
     scene, resting = recording.scene, seen.readings[unloaded].mean()
     still = seen.with_motion(scene, scan_share(scene, resting, seen.readings, measured), measured)
     strongest = strongest_frame(still.readings.plain_values, resting.value, measured)
+    # two frames: the strongest, and the first or the last
     chosen = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
     hidden = possible_errors(scene, sizes, resting, still.readings[chosen], seen.frame)
     own = hidden.sizes.reading_error or 0.0 if hidden is not None and hidden.certain else 0.0
@@ -184,7 +196,18 @@ def without_effects(seen: NoiseEstimate, recording: Recording, besides: CircuitE
 
 
 def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: Readings) -> NoiseEstimate:
-    """Return the noise that the unloaded frames of a single network show."""
+    """Return the noise of a single network from its unloaded frames, or from measured frames at rest.
+
+    Specified noise is replaced only if the measured one is significantly larger, or smaller for a converter, whose
+    least noise is known: its step. Unspecified noise of a converter is taken from MIN_UNLOADED_FRAMES or more.
+
+    Parameters
+    ----------
+    recording : Recording
+    outliers : boolean array, shape (frames, rows, columns)
+    cleaned : Readings
+        Readings of all frames without outliers.
+    """
     readout, resting = recording.scene.readout, recording.role == UNLOADED
     unloaded = int(resting.sum())
     counted = outliers[resting] if unloaded >= MIN_FRAMES and cleaned.sigma is not None else outliers
@@ -220,7 +243,7 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
 
 
 def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[NoiseEstimate | None]) -> NoiseEstimate:
-    """Return the noise that the frames of all modules show; a dead module shows none."""
+    """Return the noise of a panel of modules from the noise of each module; None stands for a dead one."""
     given = recording.readings()
     readings = [given.of_module(layout, n) if seen is None else seen.readings for n, seen in enumerate(every)]
     nothing = np.zeros(recording.modules[0].recorded.shape, dtype=bool)
@@ -237,9 +260,10 @@ def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[Nois
 
 
 def shown_factor(readout: Readout, factor: float) -> float:
-    """Return σ of the noise that a scatter of `factor` times the assumed σ shows, over the assumed σ.
+    """Return the factor on the assumed σ that corresponds to a scatter of `factor` times the assumed σ.
 
-    The part of σ that all codes have in common does not scatter; without any scatter σ is the converter's step.
+    The two factors differ because a part of σ, the quantisation that averaging does not reduce, is constant and does
+    not scatter. Without any scatter σ is that of the converter's step.
     """
     assumed = np.mean(readout.sigma_code())
     return float(np.mean(sigma_code(readout, _shown_noise(readout, factor))) / assumed)
@@ -248,12 +272,13 @@ def shown_factor(readout: Readout, factor: float) -> float:
 def _shown_noise(readout: Readout, factor: float) -> float:
     """Return the noise of one reading in LSB that a scatter of `factor` times the assumed σ shows."""
     assumed = np.mean(readout.sigma_code())
+    # scatter² = factor² (σ² − σ_lasting²): σ_lasting remains in the mean of endlessly many samples
     lasting = np.mean(sigma_code(readout, readout.assumed_noise, ENDLESS))
     return noise_of_variance(readout, factor**2 * float(assumed**2 - lasting**2))
 
 
 def _noise_in_words(readout: Readout | None, factor: float, *, unloaded: bool) -> str:
-    """Measured noise that is used in place of the specified one."""
+    """Return the measured noise that replaces the specified one, in words."""
     where = "unloaded frames" if unloaded else "readings at rest from frame to frame"
     if readout is None:
         return f"noise {factor:.2g} times the recording's sigma, measured in {where}"
@@ -264,39 +289,43 @@ def _noise_in_words(readout: Readout | None, factor: float, *, unloaded: bool) -
 
 
 def change_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
-    """Δ·τ (frames, rows, columns) of the measured frames in the unit of readings; 0 for frames before them.
+    """Return Δ·τ, the change of each reading between the middle of its frame and its own time, (frames, rows, columns).
 
-    Δ is half the difference of the frames before and after; the first and the last one have one neighbour.
+    Δ is half the difference between the next and the previous measured frame; the first and the last have one
+    neighbour. τ is the reading's delay in periods. The unit is that of the readings; frames that are not measured
+    have 0.
     """
     return np.asarray(_steps_within_scan(scene, readings, measured).mean(axis=0))
 
 
 def largest_change_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
-    """|τ| times the larger of a reading's steps from the frame before and to the one after, as `change_within_scan`.
+    """Return |τ| times the larger of a reading's two steps, from the previous and to the next frame.
 
-    A load that has come and gone from one frame to the next but one leaves no difference between these.
+    The central difference of `change_within_scan` would be zero for a load that is present in a single frame.
     """
     return np.asarray(np.abs(_steps_within_scan(scene, readings, measured)).max(axis=0))
 
 
 def _steps_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
-    """(2, frames, rows, columns) of the steps from the frame before and to the one after, times τ.
+    """Return the steps from the previous and to the next frame, times τ, (2, frames, rows, columns).
 
-    τ is how late a reading is taken, from the middle of its frame, in periods.
+    τ is the delay of a reading from the middle of its frame, in periods, if a scan takes the whole period.
     """
     steps, channels = np.zeros((2, *readings.value.shape)), readings.value[0].size
     if len(measured) > 1:
         step = np.diff(readings.value[measured], axis=0)
         steps[:, measured] = np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]])
+    # τ of channel k of n: (k + ½)/n − ½
     late = (np.arange(channels) + 0.5) / channels - 0.5
     return steps * in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
 
 
 def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: NDArray[np.intp]) -> float:
-    """Return the share s of its period that a frame's scan seems to take; 0 where nothing shows it.
+    """Return the share s of its period that the scan of a frame seems to take; 0 where the frames show no motion.
 
-    Frames with most motion that have two neighbours are tried: no cells explain their readings, but some do once s·Δ·τ
-    is taken off. Where no share helps, loads move too far from frame to frame for Δ, and s is 1.
+    The frames with the largest motion that have two neighbours are tested. If no cells explain their readings, s·Δ·τ
+    is subtracted for each s of SCAN_SHARES, and the s with the least misfit is returned. Where no share reduces the
+    misfit enough, loads move too far from frame to frame for the central difference Δ, and s is 1.
     """
     inner = measured[1:-1]
     if not len(inner) or readings.sigma is None or resting.sigma is None:
@@ -311,7 +340,8 @@ def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: ND
         return 0.0
 
     def left(share: float) -> tuple[list[float], float]:
-        """(χ²'s tails, Σ log(1 + χ²)) of the frames' residuals once share·Δ·τ is taken off."""
+        """Return the tails of χ² and Σ ln(1 + χ²) of the frames after share·Δ·τ is subtracted."""
+        # y − s Δτ, the readings as if taken in the middle of their frame
         freed = replace(readings, value=np.maximum(readings.value - share * moved, MIN_REMAINING * readings.value))
         fits = [fit for frame in moving if (fit := fitted(scene, freed[frame], patient=True)) is not None]
         tails = [fit.tail for fit in fits] + [1.0] * (len(moving) - len(fits))
@@ -332,7 +362,7 @@ def _impossible_in_words(count: int) -> str:
 
 
 def _outliers_in_words(seen: NoiseEstimate, outliers: NDArray[np.bool_]) -> str:
-    """Return the number of outliers and their treatment in words; ''."""
+    """Return the number of outliers and their treatment, in words; '' where there are none."""
     count = int(outliers.sum())
     if count == 0:
         return ""
@@ -344,7 +374,7 @@ def _outliers_in_words(seen: NoiseEstimate, outliers: NDArray[np.bool_]) -> str:
 
 
 def _sizes_in_words(hidden: Possible) -> str:
-    """Describe how large hidden errors are taken to be."""
+    """Return the assumed sizes of hidden errors, in words."""
     sizes, parts, row = hidden.sizes, [], 0
     bias = sizes.reading_error
     own = f"each reading off by {100 * bias:.2g} %" if bias else "no per-reading bias found"

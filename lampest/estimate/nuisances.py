@@ -1,9 +1,13 @@
-"""Effects that no circuit names, each one more parameter θ of the readings: named by its evidence, and estimated.
+"""Effects beside the circuit: leaks of wet lines, loose contacts, common creep of the film.
 
-Between the unloaded panel and a frame the log cells change by d = a θ + noise where no load is, θ ~ N(0, prior²), with
-a = K_f U_f − K_b U_b: U is the effect of a unit of θ on the readings, K the inverse of their Jacobian. The cells that
-must have moved are counted with a in the model and without. The best effects are then put into the network itself, and
-the cells and d found anew (Gauss and Newton). Wet lines leak, contacts loosen, films creep together.
+Each effect adds one parameter θ ~ N(0, prior²) to the readings. Between the unloaded panel b and a frame f the log
+cells that no load touches change by
+
+    d = a θ + noise,   a = K_f U_f − K_b U_b,
+
+where U is the response of the readings to a unit of θ, and K the inverse of their Jacobian. The evidence is computed
+with a and without (`lampest.estimate.changed_cells`). The best effects then enter the network itself; the cells, d and
+θ are estimated again by Gauss-Newton steps. An effect is named if the evidence gains by MIN_EVIDENCE_GAIN.
 """
 
 from collections.abc import Iterator, Sequence
@@ -36,27 +40,30 @@ from lampest.recording.recording import MIN_CHANGE
 # 32 at most, and nearly all less than 15: no false alarm (docs/theory/model_check.md). By an error of the model mouths
 # at their limits gain 23 where nothing is wrong, and 76 where readings are off by 7 % each.
 MIN_EVIDENCE_GAIN = 36.0
-MAX_CANDIDATES = 3  # rivals or effects: those that linear theory finds best; effects beside each other
-SETTLED_STEP = 0.1  # standard deviations of θ at which its steps end, each within its prior's deviation
-MAX_BOUND_SHARE = 0.02  # of the readings: cells behind bounds have no linear theory
-MIN_SPARED_CELLS = 2  # cells that need not have moved with an effect: a converter's curve moves one
+MAX_CANDIDATES = 3  # rivals or effects that are solved exactly, the best ones of linear theory; effects at a time
+SETTLED_STEP = 0.1  # step of θ in standard deviations below which the iteration ends
+MAX_BOUND_SHARE = 0.02  # of the readings: linear theory does not hold for cells behind bounds
+MIN_SPARED_CELLS = 2  # fewer moved cells that an effect must bring: a converter's nonlinearity moves one
 TAKEN_OFF = "taken off the readings, which error bars allow for"
-SECANT_STEP = 1e-3  # of a prior
-MIN_REMAINING = 0.1  # of a reading, whatever is taken off, however fast it changes
+SECANT_STEP = 1e-3  # of the prior's standard deviation
+MIN_REMAINING = 0.1  # of a reading: the lower limit of a corrected reading
 
 
 @dataclass(frozen=True, eq=False)
 class BetterExplanation:
-    """A better explanation of the readings than the scene's circuit: another one, or an effect beside it.
+    """A better explanation of the readings than the scene's circuit: another circuit, or an effect beside it.
 
     Attributes
     ----------
     name : str
-        '' where nothing does.
+        The circuit or the effects in words; '' where nothing explains the readings better.
+    frames : str
+        The loaded frames in words.
     count, count_as_specified : int
-        Cells that have moved from the unloaded panel to frames (in words), with it and as specified.
+        Moved cells between the unloaded panel and these frames: under the better explanation, and under the scene's
+        circuit.
     fits_noise : bool
-        Whether cells give the readings of both within their noise.
+        Whether cells explain the readings of the unloaded panel and of the frames within their noise.
     """
 
     name: str = ""
@@ -67,7 +74,7 @@ class BetterExplanation:
 
     @property
     def reason(self) -> str:
-        """Reason why it is named."""
+        """The reason why it is named, in words."""
         counts = f"{self.count} cells have moved then, and {self.count_as_specified} as specified"
         if self.count >= self.count_as_specified:
             counts = f"the misfit is smaller, with {self.count} moved cells"
@@ -75,23 +82,24 @@ class BetterExplanation:
 
 
 def candidates(shape: tuple[int, ...]) -> list[Effect]:
-    """Return all effects that are tried on a panel, constant or since the unloaded frames."""
+    """Return all effects that are tried on a panel: those since the unloaded frames, then the constant ones."""
     rows, columns = shape
     return [kind(lines, since) for since in (True, False) for kind in EFFECTS for lines in kind.places(rows, columns)]
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Evidence of a pair with effects.
+    """Evidence of a pair of frames under given effects.
 
     Attributes
     ----------
     score : float
-        −2 log evidence up to a constant.
-    moved : array of bool, shape (cells,)
+        −2 ln evidence up to a constant.
+    moved : boolean array, shape (cells,)
+        The moved cells with the largest evidence.
     size, sd : array, shape (1 + effects,)
-        Of a common change, then of every effect beyond its present size, in units of the priors; NaN where no cell
-        stands still.
+        Posterior mean and standard deviation of the common change, then of the addition to every effect's present
+        size, in units of the priors; NaN where no cell stands still.
     """
 
     score: float
@@ -102,15 +110,15 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class FittedFrame:
-    """Cells that explain a frame whose network has effects.
+    """A frame with the cells that explain it under a network with effects.
 
     Attributes
     ----------
     scene : Scene
     readings : Readings
-        Of the frame, as measured.
+        Measured readings of the frame, (rows, columns).
     fit : CellsFit
-        With the effects in the network.
+        Fit of the cells, with the effects in the network.
     effects : tuple of Effect
     """
 
@@ -125,38 +133,39 @@ class FittedFrame:
         return cls(scene, fit.readings, fit)
 
     def refitted(self, given: Readings, effects: tuple[Effect, ...]) -> "FittedFrame | None":
-        """Return the frame with other readings or effects, begun at its cells; None where no cells explain them."""
+        """Return the frame fitted to other readings or effects, from its cells on; None where no fit is found."""
         fit = fitted(self.scene, given, self.fit.cells, patient=True, effects=effects)
         return None if fit is None else FittedFrame(self.scene, given, fit, effects)
 
     @cached_property
     def network(self) -> Network:
-        """The network of its cells, without effects."""
+        """The network of the cells, without effects."""
         circuit = self.scene.circuit
         return circuit.network(self.fit.cells, circuit.ties(self.fit.readings.value), self.scene.wiring)
 
     @cached_property
     def channels(self) -> Array:
-        """Effect of an ohm more in each line's channel on the log cells, (cells, lines)."""
+        """Response K U of the log cells to one ohm more in each line's channel, (cells, lines)."""
         cells, measured = self.fit.cells, self.fit.readings.value
         errors = self.scene.circuit.shared_errors(cells, measured, self.scene, 0.0, 1.0)[1:]
         return self.fit.response(errors)
 
     @cached_property
     def offset(self) -> Array:
-        """Sum of the effects on the readings, (rows, columns)."""
+        """Change of the readings by all effects together, (rows, columns), in the readout's unit."""
         return effect_on_readings(self.effects, self.scene, self.network)
 
     def more(self, effect: Effect) -> Array:
-        """Return the change of the readings by one effect more, (rows, columns)."""
+        """Return the further change of the readings by an additional effect, (rows, columns)."""
         return effect_on_readings((*self.effects, effect), self.scene, self.network) - self.offset
 
     @property
     def may_fit(self) -> bool:
-        """Whether effects can leave no more than noise: by linear theory, of as many as are ever taken.
+        """Whether MAX_CANDIDATES effects can reduce the misfit to noise, by linear theory.
 
-        Of the residual, the part that no cells follow is explained by one effect alone, and by MAX_CANDIDATES of them
-        no more than so many times as much as by the best one.
+        A single effect with the response u reduces χ² by (uᵀ e)²/uᵀ u, where e is the residual and u is projected on
+        the complement of the range of the Jacobian. Several effects are assumed to reduce it by no more than their
+        number times the largest single reduction.
         """
         if self.fit.tail >= SIGNIFICANCE:
             return True
@@ -164,29 +173,35 @@ class FittedFrame:
         assert sigma is not None
         small = [_small(effect) for effect in candidates(self.fit.cells.shape)]
         columns = np.stack([(self.more(effect) / sigma).ravel() for effect in dict.fromkeys(small)], axis=1)
+        # u ← (1 − J (Jᵀ J)⁻¹ Jᵀ) u: the part of each response that no change of the cells can produce
         columns -= self.fit.jacobian @ np.linalg.solve(self.fit.normal, self.fit.jacobian.T @ columns)
+        # reduction of χ² by each effect alone: (uᵀ e)²/uᵀ u
         explained = (columns.T @ self.fit.residual) ** 2 / np.maximum(np.sum(columns**2, axis=0), 1e-300)
         return bool(MAX_CANDIDATES * explained.max() >= self.fit.chi_square - self.fit.degrees)
 
     def answers(self, effects: Sequence[Effect]) -> Array:
-        """Return the effect of a unit of each θ on the log cells, (cells, effects), by secants."""
+        """Return the response K U of the log cells to a unit of each θ, (cells, effects), by secants."""
         small = [_small(effect) for effect in effects]
         each = {effect: self.more(effect) / SECANT_STEP for effect in dict.fromkeys(small)}
         return self.fit.response(np.stack([each[effect] for effect in small]))
 
     @property
     def amplification(self) -> Array:
-        """The factor by which the readings' noise grows once the effects are taken off, (rows, columns)."""
+        """Factor of the readings' noise once the effects are taken off, (rows, columns).
+
+        It is the standard deviation of the readings that the cells would give without effects, in units of σ.
+        """
         if all(effect.changed(self.network) is self.network for effect in self.effects):
             return np.ones(self.fit.cells.shape)
         assert self.fit.readings.sigma is not None
         dry = self.network.sensitivity() / self.fit.readings.sigma.reshape(-1, 1)
+        # diag(J₀ P J₀ᵀ), with J₀ the Jacobian over σ without effects and P the covariance of the log cells
         variance = np.sum((dry @ self.fit.covariance) * dry, axis=1)
         return np.asarray(np.sqrt(np.maximum(variance, 1.0))).reshape(self.fit.cells.shape)
 
 
 def _small(effect: Effect) -> Effect:
-    """Return the effect of which a secant is taken."""
+    """Return the effect with the size of a secant's step, as a constant one."""
     return replace(effect, since=False, size=SECANT_STEP * effect.prior)
 
 
@@ -197,10 +212,11 @@ class FittedPair:
     Attributes
     ----------
     frames : tuple of two FittedFrame
+        The unloaded panel, then the frame.
     channels : array, shape (cells, lines)
-        a of each line's channel, of one standard deviation.
+        Change a of the log cells by one standard deviation of each line's channel resistance.
     effects : tuple of Effect
-        Of both frames.
+        Effects in the networks of both frames.
     """
 
     frames: tuple[FittedFrame, FittedFrame]
@@ -209,7 +225,7 @@ class FittedPair:
 
     @classmethod
     def of(cls, resting: FittedFrame, frame: FittedFrame) -> "FittedPair":
-        """Return the pair with channels that differ as specified, or as those of one multiplexer do."""
+        """Return the pair; the spread of the channels is the scene's, or else that of one multiplexer."""
         sizes = systematic_of(frame.scene)
         spread = (sizes and sizes.channel_spread_ohm) or ASSUMED.channel_ohm
         return cls((resting, frame), spread * (frame.channels - resting.channels))
@@ -221,13 +237,14 @@ class FittedPair:
 
     @cached_property
     def change(self) -> Array:
-        """d (cells)."""
+        """d = ln(r_f/r_b), the change of the log cells from the unloaded panel to the frame, (cells,)."""
         resting, frame = self.frames
         return np.asarray(np.log(frame.fit.cells / resting.fit.cells).ravel())
 
     @cached_property
     def _covariance(self) -> Array:
-        """Covariance of d where no load is, (cells, cells)."""
+        """Σ, the covariance of d where no load is, without effects and without a common change, (cells, cells)."""
+        # Σ = P_b + P_f + creep² 1 + channels channelsᵀ
         noise = sum(frame.fit.covariance for frame in self.frames) + ASSUMED.creep**2 * np.eye(len(self.change))
         return np.asarray(noise + self.channels @ self.channels.T)
 
@@ -236,7 +253,10 @@ class FittedPair:
         return np.linalg.inv(self._covariance)
 
     def columns(self, effects: Sequence[Effect]) -> Array:
-        """Return a of each θ in units of its prior, (cells, effects)."""
+        """Return a = K_f U_f − K_b U_b of each θ in units of its prior, (cells, effects).
+
+        An effect since the unloaded frames changes only the frame: K_b U_b is 0.
+        """
         if not effects:
             return np.zeros((len(self.change), 0))
         resting, loaded = (frame.answers(effects) for frame in self.frames)
@@ -244,28 +264,49 @@ class FittedPair:
 
     @cached_property
     def _prior_score(self) -> float:
-        """−2 log of the prior of the effects in the network."""
+        """−2 ln prior of the effects in the network, up to a constant."""
         return sum(PARAMETER_COST + (effect.size / effect.prior) ** 2 for effect in self.effects if effect.size)
 
     def _with_columns(self, columns: Array) -> tuple[Array, Array, float]:
-        """Return a factor common to all cells with the columns, the precision of the change with both, and its log det.
+        """Return the statistics of d ~ N(0, Σ + A Aᵀ), where A holds a common change of all cells and the columns.
 
-        The last is the addition of both.
+        Parameters
+        ----------
+        columns : array, shape (cells, n)
+            a of each effect in units of its prior.
+
+        Returns
+        -------
+        array, shape (cells, 1 + n)
+            A.
+        array, shape (cells, cells)
+            (Σ + A Aᵀ)⁻¹.
+        float
+            ln |Σ + A Aᵀ| − ln |Σ|.
         """
         own = np.column_stack([np.full(len(self.change), ASSUMED.common_change), columns])
+        # Woodbury: (Σ + A Aᵀ)⁻¹ = P − P A (1 + Aᵀ P A)⁻¹ Aᵀ P, and |Σ + A Aᵀ| = |Σ| |1 + Aᵀ P A|, with P = Σ⁻¹
         weighted = self._precision @ own
         inner = np.eye(own.shape[1]) + own.T @ weighted
         precision = self._precision - weighted @ np.linalg.solve(inner, weighted.T)
         return own, precision, float(np.linalg.slogdet(inner)[1])
 
     def explained(self, columns: Array) -> Evidence:
-        """Return the evidence with a factor that all cells share, and with effects' columns (cells, n)."""
+        """Return the evidence with a common change of all cells and with effects.
+
+        Parameters
+        ----------
+        columns : array, shape (cells, n)
+            a of each effect in units of its prior.
+        """
         own, precision, added = self._with_columns(columns)
         lost, moved = select_changed(precision @ self.change, precision, usual_starts(self.change))
         score = float(self.change @ precision @ self.change) + lost + added + self._prior_score
         nothing = np.full(own.shape[1], np.nan)
         if moved.all():
             return Evidence(score, moved, nothing, nothing)
+        # Posterior of θ ~ N(0, 1) given the still cells s: covariance (1 + A_sᵀ Σ_ss⁻¹ A_s)⁻¹ =: V, mean V A_sᵀ Σ_ss⁻¹
+        # d_s.
         still = away_from_changed(~moved, self.shape)
         within = np.linalg.solve(self._covariance[np.ix_(still, still)], own[still])
         left = np.linalg.inv(np.eye(own.shape[1]) + own[still].T @ within)
@@ -278,29 +319,46 @@ class FittedPair:
 
     @property
     def density(self) -> float:
-        """−2 log density of the frame's readings given the unloaded ones, up to a constant of all circuits.
+        """−2 ln density of the frame's readings given the unloaded ones, up to a constant common to all circuits.
 
-        A circuit gains nothing by being blind: the Jacobian of its readings belongs to it.
+        The densities of circuits are comparable because the Jacobian of the readings is included: a circuit whose
+        readings hardly depend on the cells gains nothing by it.
         """
+        # p(y) = p(d) |∂d/∂y|: −2 ln p(y) has ln |Jᵀ J| = ln |normal| and ln |Σ| more than the quadratic form of d
         seen, spread = np.linalg.slogdet(self.frames[1].fit.normal)[1], np.linalg.slogdet(self._covariance)[1]
         return self.without_effects.score + float(seen + spread)
 
     def scores_with(self, columns: Array, candidates: Array) -> Array:
-        """Return −2 log evidence of `explained` with each of the candidates (cells, n) beside the columns.
+        """Return −2 ln evidence with each candidate alone beside the columns, (n,).
 
-        Moved cells are only added.
+        It approximates the score of `explained`: cells are only added to the moved ones, never removed.
+
+        Parameters
+        ----------
+        columns : array, shape (cells, k)
+            a of the effects that the pair has.
+        candidates : array, shape (cells, n)
+            a of each candidate.
         """
         _, precision, added = self._with_columns(columns)
         return scores_with_errors(self.change, precision, candidates) + added + self._prior_score
 
     def off_by_one(self, score: float) -> bool:
-        """Whether a single reading that is off explains to that score: an outlier as a load comes is hardly seen."""
+        """Return whether the error of a single reading reaches a lower score than `score`.
+
+        An outlier in the frame in which a load arrives is hard to detect in time.
+        """
         return bool(np.any(self.scores_with(self.columns(()), LooseContact.prior * self.frames[1].fit.gain) < score))
 
     def _stepped(self, step: Array) -> "FittedPair | None":
-        """Return the pair a step (effects) in units of the priors further; None where no cells give the readings then.
+        """Return the pair after a step of the effects' sizes; None where no cells explain the readings then.
 
-        No leak is below zero.
+        Sizes of effects that cannot be negative, such as leaks, are clipped at 0.
+
+        Parameters
+        ----------
+        step : array, shape (effects,)
+            In units of the priors.
         """
         sizes = (effect.size + effect.prior * float(more) for effect, more in zip(self.effects, step, strict=True))
         effects = tuple(
@@ -316,9 +374,12 @@ class FittedPair:
         return after if np.all(np.isfinite(after.change)) else None
 
     def settled(self, *, constant: bool = True) -> "tuple[FittedPair, Evidence] | None":
-        """Return the pair with the likeliest sizes of its effects, and the evidence; None without such cells.
+        """Return the pair with the most probable sizes of its effects, and the evidence; None where no cells fit.
 
-        constant : whether those that are there in the unloaded frames are to change, too.
+        Parameters
+        ----------
+        constant : bool
+            Whether the sizes of effects that the unloaded frames have, too, may change.
         """
         pair = self
         for _ in range(FIT.evaluations):
@@ -327,6 +388,7 @@ class FittedPair:
             step, sd = np.where(free, evidence.size[1:], 0.0), evidence.sd[1:]
             if not np.isfinite(step).all():
                 return None
+            # Gauss-Newton step of θ, of at most one prior deviation; halved until cells explain both frames.
             short = step / max(1.0, float(np.abs(step).max()))
             after = next(filter(None, (pair._stepped(short * 0.5**half) for half in range(5))), None)
             if after is None:
@@ -337,19 +399,23 @@ class FittedPair:
         return pair, replace(pair.without_effects, sd=evidence.sd)
 
     def _without_late(self) -> tuple[Effect, ...]:
-        """Return the effects, those since the unloaded frames of no size."""
+        """Return the effects, with those since the unloaded frames set to 0."""
         return tuple(replace(effect, size=0.0) if effect.since else effect for effect in self.effects)
 
     def at_rest(self) -> "FittedPair":
-        """Return the unloaded panel twice, before effects come that it has not."""
+        """Return the pair with the unloaded panel as both frames, without the effects that came later."""
         return replace(self, frames=(self.frames[0],) * 2, effects=self._without_late())
 
     def of_frame(self, readings: Readings, *, late: bool) -> "FittedPair | None":
-        """Return the pair with another frame, readings (rows, columns).
+        """Return the pair with another frame in place of the loaded one; None where no cells explain it.
 
-        late : whether effects since the unloaded frames have another size there.
-
-        They have none where the frame is no likelier with them.
+        Parameters
+        ----------
+        readings : Readings
+            (rows, columns).
+        late : bool
+            Whether the sizes of effects since the unloaded frames are estimated anew in this frame. They are set to 0
+            where the frame is no more probable with them.
         """
         pairs = []
         for effects in (self.effects, self._without_late()) if late else (self.effects,):
@@ -365,16 +431,16 @@ class FittedPair:
 
 @dataclass(frozen=True, eq=False)
 class CircuitEffects:
-    """Effects beside the circuit.
+    """Effects beside the circuit that a recording shows.
 
     Attributes
     ----------
     best : BetterExplanation
         All effects that are named.
     common_change : str
-        How all cells changed, in words; ''.
+        The common change of all untouched cells in words; '' where it is not significant.
     pair : FittedPair or None
-        With those effects alone that no others explain as well.
+        The pair with the unambiguous effects alone, those that no other effect explains about as well.
     loaded_at_rest : bool
         Whether a load may lie on the unloaded panel.
     """
@@ -392,7 +458,13 @@ class CircuitEffects:
 
 
 def find_effects(pairs: Sequence[tuple[str, FittedPair]]) -> CircuitEffects:
-    """Return the effects of the frame that shows them best, of pairs of the unloaded panel and a named frame."""
+    """Return the effects with the largest gain of evidence.
+
+    Parameters
+    ----------
+    pairs : sequence of (str, FittedPair)
+        Name of the frame, and its pair with the unloaded panel.
+    """
     besides, together, most = CircuitEffects(), "", 0.0
     for name, pair in pairs:
         if not all(frame.readings.bounds.mean() <= MAX_BOUND_SHARE and frame.may_fit for frame in pair.frames):
@@ -401,6 +473,8 @@ def find_effects(pairs: Sequence[tuple[str, FittedPair]]) -> CircuitEffects:
         together = _together(plain) or together
         whole, after, certain = _grown(pair, plain)
         moved = after.moved.reshape(pair.shape)
+        # An effect counts if most cells stand still with it, and neither a load's edge nor one wrong reading explains
+        # as much.
         if not (plain.score - after.score > most and mostly_still(moved)):
             continue
         if any(_beside_a_load(effect, moved) for effect in whole.effects) or pair.off_by_one(
@@ -415,9 +489,15 @@ def find_effects(pairs: Sequence[tuple[str, FittedPair]]) -> CircuitEffects:
 
 
 def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, FittedPair]:
-    """Return the pair with one effect after the other that beats those before by MIN_EVIDENCE_GAIN, and its evidence.
+    """Add effects to a pair one by one, while each gains MIN_EVIDENCE_GAIN and spares MIN_SPARED_CELLS moved cells.
 
-    The third item is the pair with the effects before the first that another one explains about as well.
+    Returns
+    -------
+    FittedPair, Evidence
+        With all effects.
+    FittedPair
+        With the unambiguous effects: those added before the first one that another candidate explains about as well,
+        within half of MIN_EVIDENCE_GAIN.
     """
     certain, doubtful = pair, False
     for _ in range(MAX_CANDIDATES):
@@ -433,7 +513,7 @@ def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, 
 
 
 def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evidence]]:
-    """Return the pair with one effect more, each of the likeliest."""
+    """Generate the pairs with one more effect and their evidence, for the MAX_CANDIDATES best ones of linear theory."""
     effects = candidates(pair.shape)
     columns = pair.columns((*pair.effects, *effects))
     before, columns = np.split(columns, [len(pair.effects)], axis=1)
@@ -447,7 +527,7 @@ def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evid
 
 
 def _beside_a_load(effect: Effect, moved: NDArray[np.bool_]) -> bool:
-    """Whether a load's edge may be taken for a better contact: most cells of a line next to it have moved."""
+    """Return whether the edge of a load may look like this better contact: most cells of an adjacent line moved."""
     if not isinstance(effect, LooseContact) or effect.size > 0:
         return False
     line, rows = effect.lines[0], len(moved)
@@ -467,10 +547,23 @@ def _together(plain: Evidence) -> str:
 
 
 def without_effects_of(pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_]) -> Readings:
-    """Return the readings (frames, rows, columns) of the same cells without the pair's effects, frame after frame.
+    """Return the readings corrected for the pair's effects.
 
-    Those since the unloaded frames are estimated anew in every measured one: they come, grow and go. A frame of which
-    no cells give the readings is taken as the one before. σ grows as leaks reduce the readings' differences.
+    Effects since the unloaded frames come, grow and go: their sizes are estimated anew in every measured frame. A
+    frame that no cells explain takes the correction of the frame before. A leak reduces the differences between
+    readings, so σ grows by `FittedFrame.amplification`.
+
+    Parameters
+    ----------
+    pair : FittedPair
+    readings : Readings
+        (frames, rows, columns).
+    unloaded : boolean array, shape (frames,)
+
+    Returns
+    -------
+    Readings
+        (frames, rows, columns).
     """
     assert readings.sigma is not None
     value, sigma = readings.value.copy(), readings.sigma.copy()
@@ -485,7 +578,13 @@ def without_effects_of(pair: FittedPair, readings: Readings, unloaded: NDArray[n
 
 
 def remaining_errors(pair: FittedPair) -> Array:
-    """Return one standard deviation of each effect as fractions of readings, (2, effects, rows, columns)."""
+    """Return the change of the readings by one posterior standard deviation of each effect, as a fraction of them.
+
+    Returns
+    -------
+    array, shape (2, effects, rows, columns)
+        Of the unloaded panel, then of the frame.
+    """
     sd = pair.explained(pair.columns(pair.effects)).sd[1:]
     left = np.zeros((2, len(sd), *pair.shape))
     for place, (effect, deviation) in enumerate(zip(pair.effects, np.nan_to_num(sd), strict=True)):

@@ -1,4 +1,4 @@
-"""Objectives: terms with their weights, and the bounds of cells; from readings to the data of one solve."""
+"""Objectives: terms with weights, bounds of the cells, and the data of one solve from readings."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, is_dataclass, replace
@@ -22,11 +22,11 @@ from lampest.posterior.spectrum import Rule
 from lampest.recording.readings import AT_MOST, Readings, stand_in_spread
 from lampest.solvers.solution import Settings
 
-OPEN_FACTOR, SHORT_FACTOR = 1e9, 1e-6  # of the apparent resistance: beyond, double precision sees no difference
-CONTRADICTED_FACTOR = 1e-3  # of the upper bound, where a reading that contradicts it leaves the lower one
-MAX_CONTRADICTED = 0.5  # of the readings: bounds that most readings contradict are a mistake, not the readings
-UNKNOWN_NOISE = 0.01  # of a reading, where nobody says it: that of a 10-bit divider
-MAX_STAND_IN_WEIGHT = 0.99  # of a substitute for a reading: it is none
+OPEN_FACTOR, SHORT_FACTOR = 1e9, 1e-6  # of the apparent resistance: beyond, double precision has no difference
+CONTRADICTED_FACTOR = 1e-3  # of the upper bound: the lower bound of a cell whose reading contradicts its bounds
+MAX_CONTRADICTED = 0.5  # of the readings: if more contradict the bounds, the bounds are the mistake
+UNKNOWN_NOISE = 0.01  # of a reading, where the noise is not specified: that of a 10-bit divider
+MAX_STAND_IN_WEIGHT = 0.99  # of a substitute: `seen` = 1 denotes a reading that was measured
 
 
 @dataclass(frozen=True)
@@ -62,13 +62,26 @@ class Bounds(Validated):
     def limits(
         self, readout: Readout, measured: Array, sigma: Array | None, wiring: Wiring | None = None
     ) -> tuple[Array, Array]:
-        """(lower, upper) of the cell resistance, ohm, for readings of any shape (…, rows, columns).
+        """Return the lower and the upper bounds of the cell resistances.
 
-        A reading bounds the cell together with its wire: of the one path that leads through no
-        other cell, which all others only bypass (Rayleigh). A single reading beyond the upper bound is wrong, and
-        bounds nothing from below.
+        A reading bounds the cell in series with its wires, which form the only path without another cell; all other
+        paths are parallel to it and only lower the reading (Rayleigh monotonicity). A reading beyond the upper bound
+        is wrong, and does not bound its cell from below.
 
-        Raises InputError where readings leave no room for most of the cells.
+        Parameters
+        ----------
+        readout : Readout
+        measured, sigma : array, shape (..., rows, columns)
+            Readings and their standard deviations in the readout's unit; sigma is None where unknown.
+        wiring : Wiring or None
+            Resistances of the lines.
+
+        Returns
+        -------
+        lower, upper : array, shape (..., rows, columns)
+            In ohm.
+
+        Raises InputError where the upper bound is below the lower one for more than half of the readings.
         """
         lower, upper = readout.nearly_shorted(measured), readout.apparent_resistance(measured) * OPEN_FACTOR
         if self.lower == "measured":
@@ -98,10 +111,10 @@ class AutoWeight(Validated):
     Attributes
     ----------
     rule : Rule or None
-        'risk', the least expected error of log r, judged by a reference estimate; 'evidence', the most probable weight.
-        By default risk; evidence of panels with more than 400 cells.
+        'risk' minimises the expected error of log r, with the reference estimate as the truth. 'evidence' takes the
+        most probable weight. By default risk, and evidence for panels with more than 400 cells.
     per : 'recording' or 'frame'
-        'recording', one weight from its strongest frame; 'frame', one for every frame.
+        'recording' chooses one weight from the strongest frame; 'frame' chooses one for every frame.
 
     >>> lampest.AutoWeight().per
     'recording'
@@ -113,9 +126,9 @@ class AutoWeight(Validated):
 
 
 def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Return the same terms.
+    """Return the terms as a tuple.
 
-    Raises InputError unless they are a list or tuple of terms, and one of them is a data term.
+    Raises InputError unless they are a list or tuple of terms with at least one data term.
     """
     if not isinstance(terms, list | tuple):
         raise InputError(f"terms must be a list such as [Misfit(), Gradient()], not {in_words(terms)}")
@@ -136,11 +149,12 @@ class Objective:
     Attributes
     ----------
     terms : tuple of Term
-        With weights, numbers or 'auto'.
-    solver, bounds, auto_weight : AutoWeight or Bounds or Settings
-        As `Estimator` has them.
+        Each weight is a number or 'auto'.
+    solver : Settings
+    bounds : Bounds
+    auto_weight : AutoWeight
     weight_sigma : tuple of float
-        Of every term the standard deviation of log λ where the data chose it, else NaN; () before they did.
+        Standard deviation of ln λ of every term, NaN where the data did not choose λ; () before the choice.
     """
 
     terms: tuple[Term, ...]
@@ -150,7 +164,7 @@ class Objective:
     weight_sigma: tuple[float, ...]
 
     def with_terms(self, terms: tuple[Term, ...]) -> "PlainObjective":
-        """Other terms with the same bounds and settings."""
+        """Return an objective of other terms with the same bounds and settings."""
         return PlainObjective(terms, self.solver, self.bounds, self.auto_weight, self._sigma_of(terms))
 
     def _sigma_of(self, terms: tuple[Term, ...]) -> tuple[float, ...]:
@@ -163,7 +177,7 @@ class Objective:
         return any(term.weight == "auto" for term in self.terms)
 
     def with_weights(self, weights: Iterable[float], sigma: tuple[float, ...] = ()) -> Self:
-        """Return the objective with these weights of the terms, in their order; sigma : see `weight_sigma`."""
+        """Return the objective with these weights of the terms, in their order, and `sigma` as `weight_sigma`."""
         pairs = zip(self.terms, weights, strict=True)
         assert is_dataclass(self)
         terms = tuple(replace(term, weight=float(weight)) for term, weight in pairs)
@@ -171,17 +185,17 @@ class Objective:
 
     @property
     def relative(self) -> bool:
-        """Whether a term reads the previous frame."""
+        """Whether a term depends on the previous frame."""
         return any(term.needs_previous for term in self.terms)
 
     @property
     def penalised(self) -> bool:
-        """Whether a term determines cells that no reading sees."""
+        """Whether a penalty term determines cells that have no reading."""
         return not all(term.reads_measurement for term in self.terms)
 
     @property
     def weighs_previous(self) -> bool:
-        """Whether a term reads how well the previous frame is known."""
+        """Whether a term depends on the uncertainty of the previous frame."""
         return any(term.weighs_previous for term in self.terms)
 
     @property
@@ -190,9 +204,16 @@ class Objective:
         return tuple(term for term in self.terms if not term.needs_previous)
 
     def data(self, readings: Readings, background: Background) -> Data:
-        """Return the data of one solve from readings (frames, rows, columns).
+        """Return the data of one solve.
 
-        Raises InputError as `Bounds.limits`.
+        Parameters
+        ----------
+        readings : Readings
+            (frames, rows, columns): one frame, or two that are solved jointly.
+        background : Background
+            Scene, and what is known of the previous frame and the baseline.
+
+        Raises InputError as `Bounds.limits`, and where a term needs the noise and it is unknown.
         """
         measured, sigma, scene = readings.value, readings.sigma, background.scene
         if sigma is None and any(getattr(term, "weighting", "plain") == "noise" for term in self.terms):
@@ -203,6 +224,7 @@ class Objective:
         stood_in = np.full(len(measured), not self.penalised)
         stood_in[:-1] = all(term.reads_measurement for term in self.absolute_terms)
         readings = with_weights_of_missing(readings, scene, stood_in)
+        # The bounds hold for measured values. One-sided and missing readings leave their cells free on that side.
         lower, upper = self.bounds.limits(scene.circuit, measured, sigma, scene.wiring)
         apparent = scene.circuit.apparent_resistance(measured)
         if readings.partial:
@@ -210,6 +232,7 @@ class Objective:
             lower = np.where((readings.side == AT_MOST) | (readings.seen < 1), nearly_shorted, lower)
             upper = np.where(readings.side != 0, apparent * OPEN_FACTOR, upper)
         if not scene.whole:
+            # cells that the scene states to be open or shorted are fixed near 10⁹ or 10⁻⁶ of the panel's geometric mean
             typical = np.exp(np.mean(np.log(apparent), axis=(-2, -1), keepdims=True))
             for known, factor in ((scene.open_cells, OPEN_FACTOR), (scene.shorted_cells, SHORT_FACTOR)):
                 lower, upper = (np.where(known, typical * factor, bound) for bound in (lower, upper))
@@ -217,9 +240,15 @@ class Objective:
         return Data(given, lower, upper, scene.circuit, scene.wiring, noisy, parts=scene.parts)
 
     def cost(self, scene: Scene, frames: int, *, partial: bool = False) -> Cost:
-        """Return the terms over one frame, or over two jointly; crossings without a cell and broken cells are left out.
+        """Return the terms over one frame, or jointly over two, without absent and broken cells.
 
-        partial : whether readings may be bounds or say nothing.
+        Parameters
+        ----------
+        scene : Scene
+        frames : int
+            1 or 2.
+        partial : bool
+            Whether readings may be bounds or missing.
         """
         known = () if scene.whole else tuple(np.flatnonzero(scene.broken).tolist())
         panel = Panel(*scene.panel.shape) if scene.panel.cells is None else scene.panel
@@ -238,19 +267,22 @@ class PlainObjective(Objective):
 
 
 def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]) -> Readings:
-    """Return the readings with weights (`seen`) for substitutes: as if their noise were that of the frame's values.
+    """Return the readings with weights `seen` for bounds and for substitutes of missing readings.
 
-    A bound counts by its own noise: at a rail that is a thousand times a value's, and in ohm one false infinity would
-    outweigh all else. A missing reading counts for nothing, or, with `stand_ins`, as what its row and column let
-    expect, by the spread of that. Readings alone cannot decide a cell whose own is missing: there are fewer of them
-    than cells, and whatever the others gain by moving it would be taken for its value. A penalty says what is expected
-    of it; without one, this does. What the scene's faults make blind keeps no weight.
+    The weight is the ratio of the frame's typical noise to the reading's own noise. A bound has its own noise: at a
+    rail it is a thousand times that of a value, and in ohm one false infinity would otherwise outweigh all other
+    readings. A missing reading has no weight, unless `stand_ins` requests a substitute: the prediction from its row
+    and column, with the spread of that prediction as noise. With fewer readings than cells, the readings alone do not
+    determine a cell whose own reading is missing; a penalty does, and without a penalty the substitute does. Readings
+    that the scene's faults make blind keep no weight.
 
     Parameters
     ----------
     readings : Readings
         (frames, rows, columns).
-    stand_ins : boolean array, shape (frames)
+    scene : Scene
+    stand_ins : boolean array, shape (frames,)
+        Frames whose missing readings have substitutes.
     """
     if not readings.partial:
         return readings
@@ -259,6 +291,7 @@ def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: NDArray
     if not np.any(missing | bounded):
         return readings
     noise = readings.value * UNKNOWN_NOISE if readings.sigma is None else readings.sigma
+    # own: noise of each bound and substitute; usual: geometric mean of σ over the frame's values
     own, usual = noise.copy(), np.ones((len(noise), 1, 1))
     for frame, plain in enumerate(readings.plain):
         if plain.any():
@@ -266,6 +299,7 @@ def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: NDArray
         if missing[frame].any():
             spread = stand_in_spread(readings.value[frame], plain)
             own[frame] = np.where(missing[frame], readings.value[frame] * spread, own[frame])
+    # weight usual/own, at most 1; σ · weight is the typical noise, so that weighted residuals keep their scale
     share = np.where(
         missing, np.minimum(usual / own, MAX_STAND_IN_WEIGHT), np.where(bounded, np.minimum(usual / own, 1.0), 1.0)
     )

@@ -20,15 +20,16 @@ from lampest.recording.readings import Readings
 
 WINDOW = 4  # neighbouring frames that are compared
 MIN_RATIO_TO_SCATTER = 3.0  # deviation over the scatter of the neighbours, so that an arriving load is not flagged
-# Deviation over that of half the row or half the column. A load on one cell changes these by 0.22 of its own reading
-# where all lines float: the change has rank one (10 x 10; 0.21 at 32 x 32).
+# Ratio of the deviation to the median deviation of the row or the column. A load on one cell changes these by 0.22 of
+# the change of its own reading where all lines float: the change has rank one (10 x 10; 0.21 at 32 x 32).
 MIN_RATIO_TO_LINES = 6.0
 MAX_SHARE = 0.05  # of a frame's readings, and of twice the unloaded rate: a frame with more was touched
 MIN_FRAMES = 3  # with fewer, the deviating frame cannot be identified
 
-# (prediction of neighbours in time, its uncertainty by their scatter, and by noise as a multiple of its σ).
+# (prediction from the neighbours in time, its standard deviation by their scatter, standard deviation of the deviation
+# by noise alone as a multiple of σ).
 Expected = tuple[Array, Array, Array]
-Predictor = Callable[[Array, NDArray[np.intp]], Expected]  # of neighbours, and by how many frames each is off
+Predictor = Callable[[Array, NDArray[np.intp]], Expected]  # arguments: the neighbours, and their offsets in frames
 
 
 def detect_outliers(
@@ -51,6 +52,7 @@ def detect_outliers(
     predicted, predicted_sigma : arrays, same shape
         Value predicted from the neighbours, and its standard deviation beside the noise.
     """
+    # Two predictions: the median suits rest, a straight line suits motion. A reading is flagged if either one fails.
     predictors = [_by_median, *([_by_line] if len(value) > WINDOW else [])]
     frames, width = np.arange(len(value)), min(len(value), WINDOW + 1)
     first = np.clip(frames - WINDOW // 2, 0, len(value) - width)
@@ -70,6 +72,7 @@ def detect_outliers(
     if not outlying.any():
         return outlying, value, np.zeros(value.shape)
     middles, spreads = (np.stack([prediction[part] for prediction in expected]) for part in (0, 1))
+    # The prediction with the smaller scatter is used; its disagreement with the other one adds to its uncertainty.
     nearest = np.where(spreads[-1] < spreads[0], len(expected) - 1, 0)[None]
     middle, spread = (np.take_along_axis(part, nearest, axis=0)[0] for part in (middles, spreads))
     apart = np.abs(middles - middle).max(axis=0)
@@ -77,10 +80,21 @@ def detect_outliers(
 
 
 def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
-    """Single readings of a frame that are larger than any cells allow beside the others, (frames, …, rows, columns).
+    """Flag single readings that are larger than any cells allow, given the frame's other readings.
 
-    A contact that failed for one reading is such an outlier, however long it lasts. A frame with more than MAX_SHARE of
-    them has another circuit, and no outliers of this kind. Outliers are left out, and the others are tested again.
+    A contact that fails for one reading makes such an outlier, however long it lasts. If more than MAX_SHARE of a
+    frame's readings violate the circuit's inequalities, the circuit is another one, and none is flagged. After a pass
+    the flagged readings are ignored and the others are tested again.
+
+    Parameters
+    ----------
+    circuit : Readout
+    readings : Readings
+        (frames, ..., rows, columns).
+
+    Returns
+    -------
+    boolean array, same shape
     """
     shape = readings.value.shape
     outliers = np.zeros((int(np.prod(shape[:-2])), *shape[-2:]), dtype=bool)
@@ -93,7 +107,15 @@ def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool
 
 
 def _larger_than_cells_allow(circuit: Readout, value: Array, sigma: Array, beside: int) -> NDArray[np.bool_]:
-    """Return one pass of `impossible_readings`; beside : the number of frames of which the worst is taken."""
+    """Return the readings that one pass of `impossible_readings` flags, (frames, rows, columns).
+
+    Parameters
+    ----------
+    circuit : Readout
+    value, sigma : array, shape (frames, rows, columns)
+    beside : int
+        Number of frames among which the largest excess is taken, for the significance.
+    """
     outliers, frames = np.zeros(value.shape, dtype=bool), np.arange(len(value))
     for _ in range(int(MAX_SHARE * value[0].size) + 1):
         broken = np.zeros(len(frames), dtype=bool)
@@ -114,29 +136,39 @@ def _larger_than_cells_allow(circuit: Readout, value: Array, sigma: Array, besid
 def without_outliers(
     circuit: Readout, readings: Readings, unloaded: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], Readings]:
-    """(outliers (frames, rows, columns), the readings without them): see `without_outliers_at`."""
+    """Return the outliers and the readings without them, see `without_outliers_at`."""
     return without_outliers_at(impossible_readings(circuit, readings), readings, unloaded)
 
 
 def without_outliers_at(
     impossible: NDArray[np.bool_], readings: Readings, unloaded: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], Readings]:
-    """(outliers (frames, …, rows, columns), the readings without them): unloaded ones are left out, others replaced.
+    """Return the outliers and the readings without them: unloaded outliers are omitted, measured ones replaced.
+
+    Bounds are never outliers. Each of several panels is judged on its own.
 
     Parameters
     ----------
-    impossible : boolean array
-        Readings that no cells allow; they are left out whenever they were read.
-    unloaded : boolean array, shape (frames)
-        These and the measured ones are compared apart, because between them a load comes. Bounds are no outliers. Every
-        panel of those beside each other is judged by itself.
+    impossible : boolean array, shape (frames, ..., rows, columns)
+        Readings that no cells allow; they are omitted in all frames.
+    readings : Readings
+        (frames, ..., rows, columns).
+    unloaded : boolean array, shape (frames,)
+        Unloaded and measured frames are compared separately, because a load arrives between them.
+
+    Returns
+    -------
+    boolean array, shape (frames, ..., rows, columns)
+        The outliers.
+    Readings
+        The readings without them.
     """
     if impossible.any():
         readings = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
     value = readings.plain_values
     sigma = np.ones(value.shape) if readings.sigma is None else readings.sigma
     outlying, instead, spread = np.zeros(value.shape, dtype=bool), value.copy(), np.zeros(value.shape)
-    # σ may be wrong, and frames may differ together: the change of most readings from frame to frame is noise.
+    # The specified σ may be wrong, so it is rescaled by the median change from frame to frame, which is noise.
     seen = [_pair_scale(value[chosen], sigma[chosen]) for chosen in (unloaded, ~unloaded)]
     scale = sigma * np.fmax(seen[0] if unloaded.sum() >= MIN_FRAMES else seen[1], float(readings.sigma is not None))
     most: float | Array = 1.0
@@ -157,10 +189,17 @@ def without_outliers_at(
 
 
 def _alone_in_time(value: Array, resting: Array, measured: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether a measured reading is farther from the frames before and after than these are from each other.
+    """Return whether a reading deviates more from both neighbouring frames than these differ from each other.
 
-    A load that comes moves readings by such steps, and overshoots. Before the first measured frame the panel is as it
-    rests (…, rows, columns); the last frame has none after it.
+    Otherwise the reading may belong to the step of an arriving load. The unloaded panel precedes the first measured
+    frame. The last frame, without a successor, is never excluded.
+
+    Parameters
+    ----------
+    value : array, shape (frames, ..., rows, columns)
+    resting : array, shape (..., rows, columns)
+        Median of the unloaded frames.
+    measured : boolean array, shape (frames,)
     """
     alone, own = np.ones(value.shape, dtype=bool), value[measured]
     if len(own) > 1:
@@ -178,10 +217,11 @@ def _replaced(readings: Readings, outlying: NDArray[np.bool_], instead: Array, s
 
 @dataclass(frozen=True, eq=False)
 class FramesBefore:
-    """The last frames of a stream, of which outliers are found as they come; the newest last, at most WINDOW.
+    """The last frames of a stream, at most WINDOW with the newest last, for the detection of outliers online.
 
-    A touch of one cell moves its row and its column where lines are tied by cells alone: there a single outlier shows
-    from the frames before. Where a reading answers to its own cell only it does not, and readings stay as they are.
+    Where lines are connected by cells alone, a touch of one cell changes its row and column, and an outlier can be
+    distinguished from it by previous frames alone. Where a reading depends on its own cell only, it cannot, and the
+    readings stay unchanged.
     """
 
     frames: tuple[Readings, ...] = ()
@@ -193,9 +233,17 @@ class FramesBefore:
     def without_outliers(
         self, readings: Readings, scene: Scene, resting: Readings, baseline: Array
     ) -> tuple[Readings, int]:
-        """Return a frame with predictions in the place of outliers, and the number of these.
+        """Return a frame with outliers replaced by their predictions, and the number of outliers.
 
-        resting : unloaded readings, of which baseline is the estimate, ohm, or NaN; all (rows, columns).
+        Parameters
+        ----------
+        readings : Readings
+            The new frame, (rows, columns).
+        scene : Scene
+        resting : Readings
+            Unloaded readings, (rows, columns).
+        baseline : array, shape (rows, columns)
+            Cells of the unloaded panel, ohm; NaN where unknown.
         """
         impossible = impossible_readings(scene.circuit, readings.alone())[0]
         count = int(impossible.sum())
@@ -221,7 +269,10 @@ class FramesBefore:
 
 
 def _from_window(value: Array, first: NDArray[np.intp], place: NDArray[np.intp], predict: Predictor) -> Expected:
-    """Predict frames first + place, each from the other frames of the window that begins at `first`."""
+    """Return the prediction of frames first + place, each from the other frames of the window that begins at `first`.
+
+    The neighbours are gathered as (width − 1, frames, ...), with their offsets (width − 1, frames).
+    """
     width = min(len(value), WINDOW + 1)
     within, target = first[:, None] + np.arange(width), first + place
     nearest = within[within != target[:, None]].reshape(len(first), width - 1).T
@@ -231,22 +282,28 @@ def _from_window(value: Array, first: NDArray[np.intp], place: NDArray[np.intp],
 def _is_usual(
     value: Array, expected: Array, first: NDArray[np.intp], predict: Predictor, largest: float
 ) -> NDArray[np.bool_]:
-    """Return whether a reading is as near to its prediction as chance allows, by its errors in other windows.
+    """Return whether the error of a prediction is usual for this reading, given its errors in windows near by.
 
     Parameters
     ----------
     value, expected : array, shape (frames, …)
+        Readings and their predictions.
+    first : integer array, shape (frames,)
+        First frame of each window.
+    predict : callable
     largest : float
-        Multiple of σ that chance does not reach.
+        Multiple of σ that chance does not exceed.
     """
     frames, block = len(value), 2 * WINDOW  # errors are compared with those of a block before and one after
     if frames - WINDOW - 1 < WINDOW:
         return np.zeros(value.shape, dtype=bool)
     place, usual = np.arange(frames) - first, np.zeros(value.shape)
+    # Frames within the recording lie in the middle of their windows: median error over three blocks of frames.
     middle, away = place == WINDOW // 2, np.nan_to_num(np.abs(value - expected))
     for begin in range(0, frames, block):
         around = slice(max(begin - block, 0), begin + 2 * block)
         usual[begin : begin + block] = median(away[around][middle[around]])
+    # Frames at the ends lie elsewhere in theirs: the same place in windows near by is predicted for comparison.
     begins = np.arange(frames - WINDOW)
     for frame in np.flatnonzero(~middle):
         near = begins[np.argsort(np.abs(begins - first[frame]), kind="stable")[: 3 * block]]
@@ -257,28 +314,53 @@ def _is_usual(
 
 
 def _by_median(beside: Array, offset: NDArray[np.intp]) -> Expected:
-    """Return the median of the neighbours (neighbours, frames, …), with their scatter."""
+    """Return the median of the neighbours, (frames, …), with their scatter.
+
+    Parameters
+    ----------
+    beside : array, shape (neighbours, frames, …)
+    offset : integer array
+        Not used.
+    """
     middle = median(beside)
+    # var(y − median of n) = σ² (1 + π/(2n))
     noise = np.sqrt(1 + np.pi / (2 * len(beside)))
     return middle, MAD_TO_SIGMA * median(np.abs(beside - middle)), np.full(middle.shape, noise)
 
 
 def _by_line(beside: Array, offset: NDArray[np.intp]) -> Expected:
-    """Return the line through the neighbours, `offset` frames away: of a load that moves, or breathes."""
+    """Return the value of the regression line through the neighbours, which follows a load that moves or breathes.
+
+    Parameters
+    ----------
+    beside : array, shape (neighbours, frames, …)
+    offset : integer array, shape (neighbours, frames)
+        Distance of each neighbour in frames.
+    """
     offset = offset.reshape(*offset.shape, *(1,) * (beside.ndim - 2))
     centre = offset.mean(axis=0)
     apart = offset - centre
     size = np.sum(apart**2, axis=0)
     height, slope = beside.mean(axis=0), np.sum(apart * beside, axis=0) / size
+    # residual variance s² with n − 2 degrees of freedom; var(y − line at offset 0) = σ² (1 + 1/n + x̄²/Σ(x − x̄)²)
     left = np.sum((beside - height - slope * apart) ** 2, axis=0) / (len(beside) - 2)
     noise = np.sqrt(1 + 1 / len(beside) + centre**2 / size)
     return height - slope * centre, 2 * np.sqrt(left) * noise, np.broadcast_to(noise, height.shape)
 
 
 def _exceeds_threshold(value: Array, scale: Array, expected: Expected) -> NDArray[np.bool_]:
-    """Return whether a reading is far from its prediction, while its row and its column are not."""
+    """Return whether a reading deviates from its prediction while its row and its column do not.
+
+    Parameters
+    ----------
+    value, scale : array, shape (frames, …, rows, columns)
+        Readings and their standard deviations.
+    expected : tuple of array
+        Prediction with its uncertainties, see `Expected`.
+    """
     middle, spread, noise = expected
     away = np.abs(value - middle)
+    # |y − ŷ| > max(6 σ √(1 + …), 3 spread).
     # Within the scatter of the neighbours, so that an arriving load is not flagged.
     far: NDArray[np.bool_] = away > np.fmax(OUTLIER_THRESHOLD * noise * scale, MIN_RATIO_TO_SCATTER * spread)
     some = far.any(axis=(-2, -1))  # frames of panels
@@ -288,13 +370,13 @@ def _exceeds_threshold(value: Array, scale: Array, expected: Expected) -> NDArra
 
 
 def _beside(values: Array) -> Array:
-    """Return the larger of the medians of each reading's row and of its column, (frames, rows, columns)."""
+    """Return the larger of the medians over each reading's row and over its column, (frames, rows, columns)."""
     rows, columns = (median(np.moveaxis(values, axis, 0)) for axis in (2, 1))
     return np.asarray(np.fmax(rows[:, :, None], columns[:, None, :]))
 
 
 def median(values: Array) -> Array:
-    """Return the median over the first axis, NaN not counted; NaN where all are."""
+    """Return the median over the first axis without NaN; NaN where all values are."""
     order = np.sort(values, axis=0)  # NaN last
     count = np.sum(~np.isnan(values), axis=0)
     low, high = np.maximum(count - 1, 0) // 2, count // 2
@@ -303,10 +385,18 @@ def median(values: Array) -> Array:
 
 
 def _pair_scale(value: Array, sigma: Array) -> Array:
-    """Noise over its σ, from the median size of differences between successive frames; NaN without any.
+    """Return the ratio of the noise to σ, from the median size of differences between successive frames.
 
-    value, sigma : (frames, …, rows, columns); (1, …, 1, 1), of each panel. σ follows the reading: a reading over its
-    own σ hardly varies.
+    Parameters
+    ----------
+    value, sigma : array, shape (frames, …, rows, columns)
+        Differences are divided by √(σ₀² + σ₁²), not the readings by σ: σ depends on the reading, and the ratio of a
+        reading to its own σ hardly varies.
+
+    Returns
+    -------
+    array, shape (1, …, 1, 1)
+        One ratio for each panel; NaN without differences.
     """
     difference = np.abs(np.diff(value, axis=0)) / np.hypot(sigma[1:], sigma[:-1])
     over = (0, value.ndim - 2, value.ndim - 1)

@@ -38,7 +38,7 @@ class Cleaned:
     Attributes
     ----------
     recording : Recording
-        The scene includes a saturated stage where the readings show one.
+        Its scene includes a saturated stage where the readings show one.
     outliers : boolean array, shape (frames, rows, columns)
     readings : Readings
         Unloaded outliers are missing, measured ones are replaced by the prediction of neighbouring frames.
@@ -51,7 +51,7 @@ class Cleaned:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A recording with everything that its estimates share. Each property is computed once, when first needed.
+    """A recording with all quantities that its estimates share. Each property is computed once, when first needed.
 
     Properties raise InputError where the readings contradict the scene, as `Readings.of` does.
 
@@ -59,9 +59,9 @@ class Prepared:
     ----------
     recording : Recording
     whole_recording : NoiseEstimate or None
-        Of a part of a longer recording, the effects and the motion that are known of all of it.
+        For a part of a longer recording: noise, effects and motion of the whole; else None.
     cleaned_module : Cleaned or None
-        Of a module, the cleaned readings that were determined together with those of the other modules.
+        For a module: its cleaned readings, determined together with those of the other modules; else None.
     """
 
     recording: Recording
@@ -79,12 +79,12 @@ class Prepared:
 
     @property
     def layout(self) -> Modules | None:
-        """The layout of a panel of modules; None of a single network."""
+        """The layout of a panel of modules; None for a single network."""
         return self.recording.scene.panel.modules
 
     @cached_property
     def modules(self) -> "tuple[Prepared | None, ...]":
-        """The preparation of each module, None of a dead one; () of a single network."""
+        """The preparation of each module, None for a dead one; () for a single network."""
         if self.layout is None:
             return ()
         dead = self.recording.scene.dead_modules
@@ -127,17 +127,14 @@ class Prepared:
 
     @cached_property
     def check(self) -> ModelCheck:
-        """The check of the circuit.
-
-        Where it explains the readings, the sentence adds the numbers that no frame shows.
-        """
+        """The check of the circuit; its sentence names the numbers of the circuit that no frame can determine."""
         check, unshown = self._check, unobservable_numbers(self.recording.scene)
         return replace(check, sentence=f"{check.sentence}; {unshown}") if check.explains and unshown else check
 
     @cached_property
     @ONE_BLAS_THREAD
     def _check(self) -> ModelCheck:
-        """The check without the numbers that no frame shows."""
+        """The check without the numbers that no frame can determine."""
         if self.layout is not None:
             return check_of_modules(self.recording, self.layout, lambda number: self._module(number)._check)
         if self.cleaned.readings.sigma is None:
@@ -155,7 +152,7 @@ class Prepared:
     @cached_property
     @ONE_BLAS_THREAD
     def noise(self) -> NoiseEstimate:
-        """Noise of the frames, and errors that all frames share; its readings allow for both."""
+        """Noise of the frames and errors that all frames share, with readings whose σ includes both."""
         if self.layout is not None:
             every = [None if module is None else module.noise for module in self.modules]
             return noise_of_modules(self.recording, self.layout, every)
@@ -163,6 +160,7 @@ class Prepared:
         unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
         sizes = systematic_of(recording.scene)
         with suppress(*BROKEN), np.errstate(all="ignore"):
+            # A part of a longer recording takes over the effects, motion and errors of the whole.
             if self.whole_recording is not None:
                 noise = without_effects(noise, recording, self.whole_recording.corrected_effects)
                 noise = noise.with_motion(recording.scene, self.whole_recording.scan_share, measured)
@@ -171,6 +169,8 @@ class Prepared:
                 )
                 return scaled(noise, self.whole_recording.model_factor)
             if sizes is not None and len(unloaded) and len(measured):
+                # Order: effects are taken off first, then still cells give shared errors, then the model's error
+                # remains.
                 if self.effects.pair is not None and self.check.besides:
                     noise = without_effects(noise, recording, self.effects).with_warnings(self.effects.corrections)
                 noise = with_still_cells(noise, recording, sizes)
@@ -179,12 +179,12 @@ class Prepared:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """Everything that contradicts the scene, or may mislead, one line each."""
+        """Contradictions of the scene and pitfalls, one line each."""
         return warnings_of(self.recording, self.noise, self.check)
 
 
 def cleaned_together(recordings: Sequence[Recording]) -> list[Cleaned]:
-    """Return the cleaned readings of networks of one shape that were recorded together."""
+    """Return the cleaned readings of networks of one shape that were recorded together, such as modules."""
     passed = [with_saturated_stage(recording) for recording in recordings]
     first, *others = [recording.readings() for recording in passed]
     together, similar = first.together(*others, axis=-3), dict[Readout, list[int]]()

@@ -1,7 +1,8 @@
-"""Circuits that may have made a recording instead of the one that its scene specifies, and the frames to explain.
+"""Rival circuits of a recording, and the frames that they have to explain.
 
-Every kind of readout with the scene's converter and resistor, either side driven, and every kind with another
-resistance in series. They share the converter's volts: a divider's equation is undone where the scene names it.
+Rivals are all kinds of readout with the scene's converter and resistor and either side driven, with any resistance in
+series. All rivals share the converter's voltages: where the scene's circuit has computed resistances from them, that
+computation is inverted.
 """
 
 from collections.abc import Iterator
@@ -29,8 +30,8 @@ CALLED = {
     "polarity": "polarity reversed",
     "measured_across": "read across the other resistor",
 }
-# Of a resistance: beyond, what a divider makes of Gaussian volts is no longer nearly Gaussian. σ of a mean by which the
-# same curvature may shift it.
+# Largest noise of a resistance with which the divider's function of Gaussian voltages is still nearly Gaussian, as a
+# fraction. Largest shift of a mean by the same curvature, in its standard deviations.
 MAX_RELATIVE_NOISE, MAX_SHIFT = 0.05, 0.1
 
 
@@ -41,15 +42,15 @@ class Rival:
     Attributes
     ----------
     scene : Scene
-        With the circuit.
-    recorded : array
-        Its recorded values of the same codes.
+        The recording's scene with this circuit.
+    recorded : array, shape (frames, rows, columns)
+        Values that this circuit would have recorded from the same codes.
     sigma : array or None
-        Of these, where the recording has its own; None: the readout's.
+        Standard deviations of the recorded values, where the recording has its own; None: those of the readout.
     kind : str
-        In words, '' of the specified one.
+        The kind in words; '' for the specified circuit.
     in_series : float or None
-        The resistance that is tried in series, ohm; None: that of the scene.
+        The tried resistance in series, ohm; None: that of the scene.
     """
 
     scene: Scene
@@ -60,7 +61,7 @@ class Rival:
 
     @property
     def name(self) -> str:
-        """The circuit, as a scene would name it."""
+        """The circuit in the words of a scene."""
         if self.in_series is None:
             return self.kind
         series = f"{self.scene.circuit.series_name} near {float(f'{self.in_series:.2g}'):g}"
@@ -68,35 +69,46 @@ class Rival:
 
     @property
     def ohm(self) -> float:
-        """The resistance in series, as it is tried, or as the scene has it."""
+        """The resistance in series, ohm: the tried one, or that of the scene."""
         return self.scene.specified_in_series if self.in_series is None else self.in_series
 
     def with_series(self, ohm: float) -> "Rival":
-        """Return the same with a resistance in series."""
+        """Return the rival with another resistance in series, ohm."""
         return replace(self, scene=self.scene.with_series(float(ohm)), in_series=float(ohm))
 
     def readings(self, frames: NDArray[np.intp] | slice = slice(None)) -> Readings:
-        """Raise InputError where values are none of the circuit."""
+        """Return the readings of these frames. Raises InputError where the circuit cannot have recorded the values."""
         sigma = self.sigma if self.sigma is None or self.sigma.ndim == 2 else self.sigma[frames]
         return Readings.of(self.scene, self.recorded[frames], sigma)
 
     def nearly_gaussian(self, frames: int) -> Array:
-        """1 where a recorded value's noise is nearly Gaussian, else 0: (all frames, rows, columns).
+        """Return 1 where the noise of a recorded value is nearly Gaussian, else 0, (all frames, rows, columns).
 
-        frames : whose mean is to be taken. Volts are as Gaussian as the converter's noise; what a divider's equation
-        makes of them is while noise is small.
+        Voltages are as Gaussian as the converter's noise. Resistances that were computed from them are nearly Gaussian
+        while the noise is small.
+
+        Parameters
+        ----------
+        frames : int
+            Number of frames that are averaged.
         """
         sigma = self.readings().sigma
         if self.scene.circuit.unit != "ohm" or sigma is None:
             return np.ones(self.recorded.shape)
+        # The curvature shifts a mean by about (σ/R)² R, which is √n σ/R standard deviations of a mean of n frames.
         most = min(MAX_RELATIVE_NOISE, MAX_SHIFT / np.sqrt(frames))
         return np.where(sigma <= most * self.recorded, 1.0, 0.0)
 
 
 def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival]:
-    """Return the specified circuit itself, for other resistances in series, then those of every kind that can be had.
+    """Generate the rivals: the specified circuit, for other resistances in series, then all variants of every kind.
 
-    reversed_too : those as well under which the readings show less load where the specified circuit shows more.
+    Parameters
+    ----------
+    specified : Rival
+    reversed_too : bool
+        Whether to include circuits under which the readings decrease with a load where those of the specified circuit
+        increase.
     """
     yield specified
     scene, readout = specified.scene, specified.scene.readout
@@ -120,15 +132,15 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
 
 
 def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
-    """Return the words that each setting of a kind may have; the first setting is its name."""
+    """Return the words that each literal setting of a kind may have; the first setting is its name."""
     hints = {field.name: get_type_hints(kind)[field.name] for field in fields(kind)}
     return {name: get_args(hint) for name, hint in hints.items() if get_origin(hint) is Literal}
 
 
 def _variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
-    """Return circuits of a kind with the specified converter, resistor and all else that both have.
+    """Generate circuits of a kind, one for every choice of words.
 
-    There is one for every choice of words.
+    The converter, the resistor and all other common settings are those of the specified circuit.
     """
     words, hints = choices(kind), get_type_hints(kind)
     names = {field.name for field in fields(kind)} - words.keys()
@@ -137,13 +149,14 @@ def _variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
         shared["supply_volt"] = specified.full_scale_volt
     known = [getattr(specified, name) for name in RESISTORS if hasattr(specified, name)]
     for name in names.intersection(RESISTORS) if known else ():
+        # the specified resistor takes the role of the kind's own; a list for lines becomes its mean where one is needed
         shared[name] = float(np.mean(known[0])) if hints[name] is float else known[0]
     for chosen in product(*words.values()):
         yield kind(**shared, **dict(zip(words, chosen, strict=True)))
 
 
 def _kind(circuit: Readout, specified: Readout) -> str:
-    """Return the one word in which a circuit differs, with its usual name; else the kind with its words."""
+    """Return the name of a circuit: the single setting that differs from the specified one, or all its words."""
     words = {name: getattr(circuit, name) for name in choices(type(circuit))}
     differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
     if len(differ) == 1 and differ[0] in CALLED:
@@ -152,7 +165,7 @@ def _kind(circuit: Readout, specified: Readout) -> str:
 
 
 def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
-    """log of the apparent resistances; NaN where the circuit does not fit the panel or its readings are none."""
+    """Return ln of the apparent resistances; NaN where the circuit does not fit the panel or cannot have the values."""
     try:
         with np.errstate(all="ignore"):
             circuit.check(replace(scene, readout=None, series_resistance_ohm=0.0, systematic=None))
@@ -162,7 +175,10 @@ def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
 
 
 def _sense(first: Array, second: Array) -> float:
-    """Positive where pressing a cell moves both in the same direction, negative where in opposite ones; 0 unknown."""
+    """Return the sign of the covariance of two sets of log resistances: positive if a load moves both in one direction.
+
+    Values that are not finite are ignored; without any other the result is 0.
+    """
     known = np.isfinite(first) & np.isfinite(second)
     if not known.any():
         return 0.0
@@ -172,12 +188,13 @@ def _sense(first: Array, second: Array) -> float:
 
 @np.errstate(all="ignore")
 def changes_beyond_noise(scene: Scene, readings: Readings, role: NDArray[np.uint8]) -> Array:
-    """ln of apparent resistances over the unloaded ones (measured frames, rows, columns); 0 where noise may make it."""
+    """Return ln(R/R_unloaded) of the apparent resistances, (measured frames, rows, columns); 0 where insignificant."""
     unloaded, measured = role == UNLOADED, role == MEASURED
     if not unloaded.any() or not measured.any() or readings.sigma is None:
         return np.zeros((0, *scene.panel.shape))
     resting, values = readings[unloaded].mean().value, readings[measured].plain_values
     change = np.log(scene.circuit.apparent_resistance(values) / scene.circuit.apparent_resistance(resting))
+    # a change counts if it exceeds six standard deviations of the reading and MIN_CHANGE
     beyond = (np.abs(values - resting) > OUTLIER_THRESHOLD * readings.sigma[measured]) & (np.abs(change) > MIN_CHANGE)
     return np.where(beyond, change, 0.0)
 
@@ -189,13 +206,13 @@ class Question:
     Attributes
     ----------
     specified : Rival
-        The circuit as the scene has it.
+        The scene's circuit.
     resting, standing : integer array
-        The numbers of the unloaded frames, and of measured ones that are alike but for their noise.
+        Numbers of the unloaded frames, and of measured frames that are equal within their noise.
     widening : float
         Factor on every σ.
-    named : integer array, shape (frames)
-        The numbers of all frames in sentences.
+    named : integer array, shape (frames,)
+        Numbers of all frames as sentences state them.
     """
 
     specified: Rival
@@ -206,7 +223,7 @@ class Question:
 
     @property
     def loaded(self) -> str:
-        """'frame 3', or 'frames 3 to 9'."""
+        """The loaded frames in words: 'frame 3', or 'frames 3 to 9'."""
         first, last = self.named[self.standing[[0, -1]]]
         return f"frame {first}" if first == last else f"frames {first} to {last}"
 
@@ -221,25 +238,28 @@ class Question:
 
     @cached_property
     def _usable(self) -> Array:
-        """Readings that are asked for of every circuit alike."""
+        """Weights, 1 or 0, of the readings that every circuit has to explain, (frames, rows, columns)."""
         return self.specified.nearly_gaussian(max(len(self.resting), len(self.standing)))
 
 
 def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], noise: float) -> NDArray[np.intp]:
-    """Return the other frames that differ from one frame by no more than their noise; that one among them.
-
-    Their mean says the same with less noise.
+    """Return the frames that are equal to one frame within their noise, so that their mean has less noise.
 
     Parameters
     ----------
     readings : Readings
         (frames, rows, columns).
+    frame : int
+        The number of the frame; it is always included.
+    others : integer array
+        Numbers of the frames that are compared with it.
     noise : float
         Factor on every σ.
     """
     assert readings.sigma is not None
     plain = readings.plain & readings.plain[frame]
     spread = noise * np.hypot(readings.sigma, readings.sigma[frame])
+    # χ² of the difference of two frames, Σ (y − y₀)²/(σ² + σ₀²)
     square = np.where(plain, (readings.value - readings.value[frame]) / spread, 0.0) ** 2
     similar = chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1)) >= FALSE_ALARM_RATE
     standing: NDArray[np.intp] = others[similar[others] | (others == frame)]

@@ -1,6 +1,6 @@
-"""A stage before the converter that saturates: channels end at one voltage by more than chance, with fewer near by.
+"""Detection of a stage before the converter that saturates.
 
-Such readings say only that the voltage lies beyond, exactly as readings at a rail do.
+Significantly more channels end at one voltage than near it. The readings there are bounds, as at a rail.
 """
 
 from dataclasses import dataclass, replace
@@ -14,23 +14,23 @@ from lampest.posterior.interval import binomial_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-# Widths of voltages that count as the same: so far beyond, fewer channels end than at one.
+# In widths within which voltages count as equal: up to this distance from the end fewer channels lie than at the end.
 NEIGHBOUR_WIDTH = 8.0 / 3.0
-MIN_EXTENT = 10.0  # widths of voltages that count as the same: over so much other channels extend, else all are alike
+MIN_EXTENT = 10.0  # in the same widths: least range of the channels; within a smaller one all channels are alike
 
 
 @dataclass(frozen=True)
 class Saturated:
-    """Voltage at which channels end.
+    """A voltage at which channels end.
 
     Attributes
     ----------
     volt : float
-        Of the stage.
+        Limit of the stage, V.
     loaded, unloaded : int
-        Channels that end there under load, or always.
+        Number of channels at the limit under load, and on the unloaded panel.
     highest : bool
-        Whether it is the largest voltage that the stage passes, else the least.
+        Whether the limit is the largest voltage that the stage passes, else the smallest.
     """
 
     volt: float
@@ -40,7 +40,7 @@ class Saturated:
 
     @property
     def sentence(self) -> str:
-        """For people."""
+        """The finding in words."""
         channels = f"{self.loaded} loaded channels end" if self.loaded else f"{self.unloaded} unloaded channels stand"
         also = f", {self.unloaded} of the unloaded panel too" if self.loaded and self.unloaded else ""
         return (
@@ -50,9 +50,10 @@ class Saturated:
 
 
 def saturated(recording: Recording) -> Saturated | None:
-    """Return the voltage at which several channels end; None where there is none, or the scene states one.
+    """Return the voltage at which several channels end; None where there is none, or where the scene states one.
 
-    Under load channels end there that moved; the unloaded panel's stand there while its others differ.
+    Channels that moved under load are tested by their largest or smallest voltage over the measured frames, all
+    channels by their unloaded voltage.
     """
     scene, unloaded, measured = recording.scene, recording.role == UNLOADED, recording.role == MEASURED
     readout = scene.readout
@@ -71,11 +72,13 @@ def saturated(recording: Recording) -> Saturated | None:
         for channels, others in ((most, moved), (resting, np.isfinite(resting))):
             end = float(np.nanmax(channels, initial=-np.inf))
             below = np.where(others, end - channels, np.inf)
+            # channels at the end, within one width of it, and those beyond up to NEIGHBOUR_WIDTH
             piled, near = below <= width, (below > width) & (below <= NEIGHBOUR_WIDTH * width)
             apart = end - float(np.nanmin(channels, initial=end)) > MIN_EXTENT * float(np.mean(width))
             lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
             several, around = int(piled.sum()), int((below <= MIN_EXTENT * width).sum())
-            # Beside the one at the end so many of the channels around, if evenly spread, lie within the first width.
+            # Binomial test: if the other channels within MIN_EXTENT were evenly spread, each would lie within the first
+            # width with probability 1/MIN_EXTENT.
             rare = binomial_tail(several - 1, around - 1, 1 / MIN_EXTENT) < SIGNIFICANCE
             if apart and lines > 1 and rare and several > near.sum():
                 level = float(np.median(volt[np.broadcast_to(piled, volt.shape) & (end - volt <= 2 * width)]))
@@ -85,7 +88,7 @@ def saturated(recording: Recording) -> Saturated | None:
 
 
 def with_saturated_stage(recording: Recording) -> Recording:
-    """Return the recording with the stage that its frames show in the scene; itself where they show none."""
+    """Return the recording with the saturated stage in its scene; unchanged where its frames show none."""
     stage, readout = saturated(recording), recording.scene.readout
     if stage is None or readout is None:
         return recording
@@ -94,7 +97,16 @@ def with_saturated_stage(recording: Recording) -> Recording:
 
 
 def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
-    """(rows, columns) without lines that read as an earlier one of their side in some frames: these touch."""
+    """Return the channels whose row and column differ from every earlier line of their side, (rows, columns).
+
+    Lines that touch read equal voltages, which would be mistaken for a limit.
+
+    Parameters
+    ----------
+    volt : array, shape (frames, rows, columns)
+    width : float
+        Width within which voltages count as equal, V.
+    """
     differing, volt = [], volt[:: max(len(volt) // 8, 1)]
     for axis in (1, 2):
         lines = np.moveaxis(volt, axis, 0).reshape(volt.shape[axis], -1)

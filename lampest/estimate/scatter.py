@@ -1,8 +1,11 @@
-"""Variance components of unloaded repeats: what a frame shares, what a scanned line shares, and each reading's own.
+"""Variance components of unloaded repeats: errors shared by a frame, by a scanned line, and each reading's own.
 
-Deviations are in units of the specified σ, channel by channel, so that an offset of volts is a constant of them, and a
-frame's gain a multiple of the voltages. Each part is kept where χ² of it, against the noise, has a tail below
-SIGNIFICANCE; its variance is that of its deviations, less the noise's, times ν/(ν − 2), as of Student's t.
+The deviation of a reading from its mean over frames is, in units of the specified σ,
+
+    deviation = gain of the frame · voltage + ripple common to all lines + ripple of the line + own noise.
+
+A component is kept where χ² of its deviations against the noise has a tail probability below SIGNIFICANCE. Its
+variance is that of its deviations less the noise's, times ν/(ν − 2), the variance of Student's t with ν degrees.
 """
 
 from dataclasses import dataclass
@@ -15,10 +18,10 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 
-# Over the noise: a smaller excess changes no verdict, and films that creep have it too. First differences of noise
-# alone over second ones are 1.00 ± 0.06 with 100 readings.
+# Factor on σ: a smaller excess changes no verdict, and creeping films cause it too. The ratio of first to second
+# differences of noise alone is 1.00 ± 0.06 with 100 readings.
 MIN_EXCESS = 1.25
-EDGE_WIDTHS = 3.0  # widths of Tracy and Widom's law beyond the edge: noise alone goes there once in thousands
+EDGE_WIDTHS = 3.0  # widths of the Tracy-Widom law beyond the edge: noise alone exceeds it once in thousands
 # Samples for each channel, below which the smallest eigenvalues of noise come near zero, and rounding takes them below
 # (tests/oracles/test_every_readout.py).
 MIN_SAMPLES_PER_CHANNEL = 1.5
@@ -34,14 +37,14 @@ class Scatter:
     Attributes
     ----------
     own : float
-        Standard deviation of each reading alone.
+        Standard deviation of each reading's own noise.
     own_freedom : int
-        Degrees behind it.
+        Degrees of freedom of that estimate.
     gain : float
-        Of the factor of a frame, as a fraction, or 0.
+        Standard deviation of a frame's gain, as a fraction; 0 where it is not significant.
     common_ripple, line_ripple : array, shape (channels of a line, n)
-        Roots of the covariances of what all lines of a frame share (a ripple in step with the scan), and of what each
-        line has anew.
+        Roots of the covariances of the ripple that all lines of a frame share, in step with the scan, and of the
+        ripple that each line has independently.
     """
 
     own: float
@@ -52,15 +55,15 @@ class Scatter:
 
 
 def noted_excess(chi_square: float, degrees: float) -> float:
-    """√(χ²/degrees) of noise over the specified one; 1 where it exceeds that by chance, or by too little to matter."""
+    """Return √(χ²/degrees), the factor of the noise over the specified one; 1 where it is insignificant or small."""
     factor = float(np.sqrt(chi_square / degrees)) if degrees else 1.0
     return factor if factor >= MIN_EXCESS and chi_square_tail(chi_square, degrees) < SIGNIFICANCE else 1.0
 
 
 def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
-    """Return the parts of the unloaded frames' scatter; None where no reading is a value in two of them.
+    """Return the variance components of the unloaded frames; None where no reading is a value in two of them.
 
-    Without a converter there is nothing that a frame's readings could share but what they are themselves.
+    Without a readout in the scene the voltages are unknown, and the gain multiplies the readings themselves.
     """
     assert resting.sigma is not None
     circuit, scene, value = recording.scene.circuit, recording.scene, resting.plain_values
@@ -85,11 +88,12 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
 
 
 def repeated_scatter(measured: Readings) -> Scatter | None:
-    """Return the scatter of readings at rest from frame to frame; None where there is no rest, or no three frames.
+    """Return the noise from second differences of successive frames; None without three frames or without rest.
 
-    Of every three frames in a row the second difference (y₀ − 2 y₁ + y₂)/(√6 σ) has unit variance, whatever moves
-    evenly. Its median size over the readings is that of those at rest, and of all triples the quietest quarter counts.
-    Where motion remains, first differences /(√2 σ) are larger; then the scatter is no more than an upper bound.
+    Of three successive frames the second difference (y₀ − 2 y₁ + y₂)/(√6 σ) has unit variance, also during uniform
+    motion. Its median over the readings is that of the readings at rest, and only the quietest quarter of the triples
+    counts. Where first differences, divided by √2 σ, are larger by MIN_EXCESS, motion remains and the scatter is only
+    an upper bound: it is then not taken for noise above the specified one.
     """
     assert measured.sigma is not None
     value, sigma = measured.plain_values, measured.sigma[1:-1]
@@ -110,14 +114,16 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
 
 
 def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
-    """Return the scatter of deviations (frames, lines, channels) about their mean over frames, NaN for silent readings.
+    """Return the variance components of deviations from the mean over frames.
 
     Parameters
     ----------
+    deviation : array, shape (frames, lines, channels)
+        In units of σ; NaN for missing readings.
     loudness : array, shape (lines, channels)
-        What a gain of 1 would do, in σ.
+        Response to a gain of 1, in units of σ.
     repeats : int
-        Degrees of freedom of each channel.
+        Degrees of freedom of each channel, frames − 1.
     """
     known = ~np.isnan(deviation)
     lines, channels = deviation.shape[1:]
@@ -125,13 +131,16 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
         nothing = np.zeros((channels, 0))
         return Scatter(0.0, max(int(known.sum() * repeats / len(known)), 1), 0.0, nothing, nothing)
     size = np.maximum((known * loudness**2).sum(axis=(1, 2)), 1e-300)
+    # Gain of each frame by least squares, Σ deviation · loudness / Σ loudness², (frames,); then the mean over lines,
+    # (frames, channels).
     slope = (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / size
     remaining = np.where(known, deviation - slope[:, None, None] * loudness, 0.0)
     common = remaining.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-    # A frame's channels that say nothing leave gaps, which are counted out as a share of all.
+    # Missing readings reduce the degrees of freedom in proportion to their share.
     share = float(known.mean())
     inner = np.where(known, remaining - common[:, None, :], 0.0).reshape(-1, channels)
     noise, apart = _patterns(inner, max(repeats * (lines - 1) * share, 1.0))
+    # Variance of one reading by own noise and line ripple, and of the mean over lines if no common ripple existed.
     line = noise + float((apart**2).sum()) / channels
     together, variance = np.zeros((channels, 0)), line / (lines * share)
     few = max(repeats, 3) / (max(repeats, 3) - 2)
@@ -140,6 +149,7 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
         sizes, freedom = _shrunk(np.maximum(sizes, 0.0), repeats)
         strong = sizes > variance
         together = np.asarray(direction[:, strong] * np.sqrt((sizes[strong] - variance) * freedom / (freedom - 2)))
+    # variance of the estimated gain without a true one: (noise + ripples)/Σ loudness²
     own = (line + float((together**2).sum()) / channels * lines) / size
     gain = 0.0
     if _beyond_noise((slope**2 / np.maximum(own, 1e-300)).sum(), repeats):
@@ -153,27 +163,36 @@ def _beyond_noise(squares: float, degrees: int) -> bool:
 
 
 def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
-    """(eigenvalues (channels) of a covariance of so few repeats, drawn in to their mean; degrees of freedom behind it).
+    """Return the eigenvalues (channels,) of a sample covariance shrunk to their mean, and its degrees of freedom.
 
-    The oracle-approximating shrinkage of Chen, Wiesel, Eldar and Hero, IEEE Trans. Signal Processing 58(10), 2010:
-    directions that no repeat showed are as loud as the others, unless most is in one.
+    Oracle-approximating shrinkage, (1 − ρ) S + ρ (tr S/p) 1, so that directions without a sample have a variance, too.
+    Source: Chen, Wiesel, Eldar and Hero, IEEE Trans. Signal Processing 58(10), 2010.
     """
     channels, total, squares = len(sizes), float(sizes.sum()), float((sizes**2).sum())
+    # ρ = ((1 − 2/p) tr S² + tr² S) / ((n + 1 − 2/p) (tr S² − tr² S/p)), at most 1
     apart = (repeats + 1 - 2 / channels) * (squares - total**2 / channels)
     share = min(((1 - 2 / channels) * squares + total**2) / max(apart, 1e-300), 1.0)
     return (1 - share) * sizes + share * total / channels, max(repeats * (1 - share + share * channels), 3.0)
 
 
 def _patterns(rows: Array, freedom: float) -> tuple[float, Array]:
-    """(variance of noise, root (channels, n) of the covariance beyond it) of rows (samples, channels).
+    """Return the noise variance of samples, and a root (channels, k) of the covariance that exceeds it.
 
-    One direction after the other is taken off while it is stronger than the mean of all others lets noise be:
-    (√n + √p)²/n and EDGE_WIDTHS times its width.
+    Eigenvalues are removed in descending order while they exceed the largest one that noise allows, given the mean of
+    the remaining eigenvalues: its edge (√n + √p)²/n and EDGE_WIDTHS times its width.
     Source: Johnstone, Annals of Statistics 29(2), 2001.
+
+    Parameters
+    ----------
+    rows : array, shape (samples, channels)
+    freedom : float
+        Degrees of freedom n of the samples.
     """
     channels = rows.shape[1]
     size, direction = np.linalg.eigh(rows.T @ rows / freedom)
     first, second = np.sqrt(freedom), np.sqrt(channels)
+    # largest eigenvalue of a white Wishart matrix: n · edge = (√n + √p)² with the width (√n + √p)(1/√n + 1/√p)^⅓;
+    # `unsure` allows for the error of the mean of the others
     width = (first + second) * (1 / first + 1 / second) ** (1 / 3)
     unsure = 1 + TWO_SIDED * np.sqrt(2 / (freedom * max(channels - 1, 1)))
     edge = unsure * ((first + second) ** 2 + EDGE_WIDTHS * width) / freedom

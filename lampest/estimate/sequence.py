@@ -1,4 +1,4 @@
-"""A recording's frames in order: absolute methods one by one, relative methods from a joint first pair on."""
+"""Estimation of a whole recording, in one piece or in parts."""
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -30,16 +30,15 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, first_unloaded, measured_part, of_parts, only_frames
 from lampest.solvers.solution import Status
 
-# Unloaded frames, and measured ones around the strongest, that tell of the noise; no more than a part has.
+# Unloaded frames, and measured ones around the strongest, that represent a long recording; at most those of a part.
 LEAD_FRAMES = 500
-OPENING_FRAMES = 10  # first frames that stand for the unloaded ones where there are none, if enough of one can be read
+OPENING_FRAMES = 10  # first measured frames that replace the unloaded ones where there are none
 
 
 def default_terms(recording: Recording) -> tuple[Term, ...]:
-    """Return the terms where none are given: both are free of unit and scale.
+    """Return the default terms: the misfit, weighted by the noise where it is known, and the gradient of ln r.
 
-    Readings count by their noise where that is known; the penalty is of ln r between neighbours.
-    Raises InputError where what is given is no Recording.
+    Both are free of units and of scale. Raises InputError if `recording` is no Recording.
     """
     known = Prepared.of(recording).recording.readings().sigma is not None
     return Misfit(weighting="noise" if known else "plain"), LogGradient()
@@ -53,21 +52,21 @@ def reconstruct(
 ) -> Estimates:
     """Solve every measured frame of a recording.
 
-    A frame that fails, or of which too little was read, holds NaN and a status; the frames after it continue from the
-    last one that was solved.
+    A frame that fails, or that has too few readings, contains NaN and a status. The frames after it continue from the
+    last solved one.
 
     Parameters
     ----------
-    recording : Recording
+    recording : Recording or Prepared
     estimator : Estimator
     on_frame : callable
-        Called after every frame with the number of frames done, the number of all, and a function that returns the
-        estimates so far, in which the other frames are not solved; None for a method that solves all frames together.
+        Called after every frame with the number of solved frames, the number of all, and a function that returns the
+        estimates so far, with the other frames unsolved; None for a method that solves all frames together.
 
     Raises
     ------
     InputError
-        If the noise is needed and unknown, or what is given is no Recording.
+        If the noise is needed and unknown, or `recording` is no Recording.
     """
     prepared = Prepared.of(recording)
     prepared.recording.scene.panel.check_memory()
@@ -83,13 +82,13 @@ class MeasuredPart:
     Attributes
     ----------
     recording : Recording
-        With frames at rest.
-    frames : array
+        The frames, including unloaded ones.
+    frames : integer array
         Indices of the measured frames in the recording.
     readings : Readings
-        Of all frames of the recording.
+        Readings of all frames of the recording.
     prepared : Prepared
-        Noise, effects and warnings that hold for the estimates.
+        Noise, effects and warnings of the estimates.
     automatic : bool
         Whether the data choose weights.
     """
@@ -147,15 +146,21 @@ def first_stream(
     noise: NoiseEstimate | None = None,
     period: float | None = None,
 ) -> Stream:
-    """Return the stream before a recording's first measured frame; see `baseline_readings`.
+    """Return the stream before a recording's first measured frame.
+
+    Open weights are chosen here. Networks with equal converters and faults share one choice, made by those of them that
+    differ most from rest.
 
     Parameters
     ----------
-    noise : NoiseEstimate or None
-        Learned from frames.
-    period : float or None
-        s between frames; None: the recording's. Networks that are alike share the weights that those of them choose
-        that differ most from rest.
+    recording : Recording
+    readings : Readings
+        Readings of all frames, (frames, rows, columns).
+    estimator : Estimator
+    noise : NoiseEstimate, optional
+        Noise that was estimated from frames.
+    period : float, optional
+        Time between frames, s; by default that of the recording.
     """
     layout, chosen = recording.scene.panel.modules, dict[Hashable, Estimator]()
 
@@ -187,9 +192,15 @@ def first_stream(
 
 
 def _weighted(estimator: Estimator, networks: Sequence[tuple[Recording, Readings, Readings]]) -> Estimator:
-    """Return the estimator with weights from the deciding frames of networks that are alike.
+    """Return the estimator with weights from the deciding frames of similar networks.
 
-    Of one network also of frames beside. As it is where no frame is measured.
+    For a single network the frames of `frames_beside` count, too. Without measured frames the estimator is unchanged.
+
+    Parameters
+    ----------
+    estimator : Estimator
+    networks : sequence of (Recording, Readings, Readings)
+        Each network's recording, its readings, and its unloaded readings.
     """
     deciding = [(*network, frame) for network in networks if (frame := deciding_frame(*network)) is not None]
     if not deciding:
@@ -210,7 +221,7 @@ def _weighted(estimator: Estimator, networks: Sequence[tuple[Recording, Readings
 
 
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:
-    """Return the data from which weights are chosen: one frame, with its baseline where terms compare it with that."""
+    """Return the data from which weights are chosen: one frame, with its baseline where terms compare the two."""
     if not estimator.relative:
         return estimator.data(frame.alone(), Background(scene))
     if estimator.joint_start:
@@ -219,32 +230,32 @@ def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: 
 
 
 def frame_period(recording: Recording) -> float:
-    """Median time between frames, s."""
+    """Return the median time between frames, s; infinite for a single frame."""
     return float(np.median(np.diff(recording.time))) if len(recording.time) > 1 else float("inf")
 
 
-SolvedPart = tuple[int, Estimates, CarriedOver]  # its number, what became of its frames, what the next part needs
+SolvedPart = tuple[int, Estimates, CarriedOver]  # number of the part, its estimates, memory for the next part
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """A recording too long for memory, ready for its first frame: part by part, each like a recording of its own.
+    """A recording too long for memory, estimated part by part, each part like a recording of its own.
 
-    Baseline, noise, weights and the check of the circuit need many frames, and are taken from a bounded sample: the
-    first unloaded frames, and the measured ones around the strongest. Outliers are detected in every part. Parts whose
-    estimates look back at no earlier frame stand `apart`, and all begin with the baseline. Else a stream goes on from
-    part to part by the arrays of `CarriedOver`, so that a stream that is resumed from the disk finds the same numbers;
-    anything that a solver kept for speed alone begins anew.
+    Baseline, noise, weights and the check of the circuit are determined once, from a bounded sample: the first unloaded
+    frames and the measured ones around the strongest. Outliers are detected in every part. If estimates depend on no
+    earlier frame, the parts are independent, and each begins with the baseline. Otherwise the memory of `CarriedOver`
+    passes from part to part. The solver's caches are dropped between parts, so that a run that is resumed from the disk
+    gives the same numbers.
 
     Attributes
     ----------
     stored : StoredRecording
     lead : Recording
-        The unloaded frames, or the first ones where there are none.
+        The first unloaded frames, or the first measured ones where there are none.
     sample : Prepared
-        The lead, and frames around the strongest.
+        The lead and the frames around the strongest.
     stream : Stream
-        Before the first frame.
+        The stream before the first frame.
     automatic : bool
         Whether the data choose weights.
     """
@@ -257,7 +268,17 @@ class Parts:
 
     @classmethod
     def of(cls, stored: StoredRecording, estimator: Estimator, asked: tuple[Recording, Prepared]) -> "Parts":
-        """asked : of `asked_frames`. Raises InputError where the estimator needs all frames at once, or as `Stream`."""
+        """Return the parts of a stored recording.
+
+        Parameters
+        ----------
+        stored : StoredRecording
+        estimator : Estimator
+        asked : (Recording, Prepared)
+            Lead and sample, see `asked_frames`.
+
+        Raises InputError where the estimator needs all frames at once, or as `Stream.begin`.
+        """
         check_by_parts(estimator, stored)
         noise, period = asked[1].noise, frame_period(stored.part(stored.blocks()[0]))
         stream = first_stream(asked[1].recording, noise.readings, estimator, noise, period)
@@ -269,7 +290,13 @@ class Parts:
         return self.stream.rested and not self.stream.estimator.uses_previous
 
     def estimates(self, done: Callable[[int], CarriedOver | None]) -> Iterator[SolvedPart]:
-        """Solve every part that is not `done`. done : number → state after its last frame, where estimates are kept."""
+        """Solve every part that is not done, and generate its estimates.
+
+        Parameters
+        ----------
+        done : callable
+            Returns the memory after a part's last frame, given the part's number; None where it is not done.
+        """
         stream = start = self.stream
         for number, frames in enumerate(self.stored.blocks()):
             carried = done(number)
@@ -278,6 +305,7 @@ class Parts:
                 continue
             part = self._part(frames) if carried is None or not start.rested else None
             if carried is not None:
+                # a finished part: its memory continues the stream; a joint baseline is found again by its frames
                 start = start if part is None else self._with_baseline(start, part)
                 stream = carried.onto(start)
             elif part is not None:
@@ -288,13 +316,13 @@ class Parts:
                 stream = carried.onto(start)
 
     def solve_part(self, number: int) -> Iterator[SolvedPart]:
-        """Solve a part, where it stands apart and some of its frames are measured."""
+        """Solve an independent part with measured frames; generate nothing for any other part."""
         if self.independent and (part := self._part(self.stored.blocks()[number])) is not None:
             stream, estimates = part.solve(self.stream)
             yield number, estimates, CarriedOver.of(stream)
 
     def _part(self, frames: range) -> MeasuredPart | None:
-        """Return the measured ones of some frames, with the lead; None without any."""
+        """Return the measured frames of a range, together with the lead; None where no frame is measured."""
         part = measured_part(self.stored, frames, WINDOW)
         if part is None:
             return None
@@ -303,7 +331,7 @@ class Parts:
         return MeasuredPart(recording, _own_frames(recording, frames), readings, self.sample, self.automatic)
 
     def _with_baseline(self, begun: Stream, part: MeasuredPart) -> Stream:
-        """Return a stream whose baseline is solved together with a frame once it has come to that frame."""
+        """Return the stream with its baseline, pushing the part's frames until a joint baseline is solved."""
         for frame in part.frames if begun.estimator.joint_start else ():
             begun, _ = begun.push(part.readings[int(frame)])
             if begun.rested:
@@ -328,11 +356,9 @@ def check_by_parts(estimator: Estimator, stored: StoredRecording) -> None:
 
 
 def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
-    """Return the lead, and the prepared lead with the frames around the strongest; see `Parts`.
+    """Return the lead and the prepared sample of a stored recording, see `Parts`; reads the whole recording once.
 
-    Raises InputError where none is measured.
-
-    It reads the whole recording once.
+    Raises InputError where no frame is measured.
     """
     lead = first_unloaded(stored, min(LEAD_FRAMES, stored.length))
     if lead is None:
@@ -345,6 +371,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
             continue
         recording = of_parts((lead, part))
         taken, own = Prepared(recording).frame_noise.readings, _own_frames(recording, frames)
+        # the strongest frame of the part, by the change of its cleaned readings
         size: Array = np.where(
             taken.enough(stored.scene)[own], mean_change(taken.plain_values[own], resting.value), -1.0
         )
@@ -358,7 +385,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
 
 
 def _own_frames(recording: Recording, frames: range) -> NDArray[np.intp]:
-    """Return the indices of a part's own measured frames."""
+    """Return the indices of a part's own measured frames, without those of the lead and of the margins."""
     number = recording.number
     assert number is not None
     return np.flatnonzero((number >= frames.start) & (number < frames.stop) & (recording.role == MEASURED))

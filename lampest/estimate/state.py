@@ -1,4 +1,4 @@
-"""State that a frame leaves for the next one, and the step that a method makes of it."""
+"""State of a sequence between frames, and the solve of a frame."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -18,24 +18,30 @@ from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
 from lampest.solvers.solution import Solution, Status, blank
 
-NO_DUAL = np.zeros(0)  # of a cost without absolute losses
+NO_DUAL = np.zeros(0)  # dual variables of a cost without absolute losses
 UNKNOWN_SD = 10.0  # standard deviation of log r0 where nothing is known of it
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One solve of a sequence: the last of its frames is the frame's estimate, the first of two the baseline's.
+    """One solve of a sequence, of one frame, or of the baseline and the first frame jointly.
 
     Attributes
     ----------
+    solution : Solution
+        Its last frame is the estimate; the first of two is the baseline.
+    seconds : float
+        Wall time of the solve, s.
     weights : tuple of float
-        Of the terms.
-    weight_sigma : tuple of float
-        As `Objective` has it.
+        Weights of the terms.
     bars : Bars or None
-        The estimate's error bars, or None; they took `bars_seconds`.
+        Error bars of the estimate.
+    bars_seconds : float
+        Wall time of the error bars, s.
     sentence : str
-        The status of an image of modules; else ''.
+        Status of an image of modules; else ''.
+    weight_sigma : tuple of float
+        Standard deviations of ln λ, see `Objective`.
 
     >>> step = found.steps[0]
     >>> step.cell_resistance.shape, step.status
@@ -52,13 +58,13 @@ class Step:
 
     @property
     def cell_resistance(self) -> Array:
-        """The frame's cells, (rows, columns) ohm; NaN where the solve failed."""
+        """Cells of the frame, (rows, columns) ohm; NaN where the solve failed."""
         cells: Array = self.solution.cell_resistance[-1]
         return cells
 
     @property
     def status(self) -> str:
-        """End of the solve, a sentence."""
+        """Outcome of the solve, in a sentence."""
         return self.sentence or self.solution.status.value
 
     def estimate(self, frame: int) -> Array | None:
@@ -66,11 +72,11 @@ class Step:
         return self.solution.cell_resistance[frame] if self.solution.solved else None
 
     def bare(self) -> "Step":
-        """Return the step without the parts that error bars follow from: compiled functions, and much memory."""
+        """Return the step without the parts from which error bars are computed, which take much memory."""
         return replace(self, solution=replace(self.solution, at=None, dual=None, preconditioner=None))
 
     def surroundings(self) -> LinearModel | None:
-        """Return what error bars follow from: a verified optimum; None of anything else."""
+        """Return the linear model at a verified optimum, for error bars; None where there is no such optimum."""
         at, dual = self.solution.at, self.solution.dual
         if not self.solution.optimum or at is None or dual is None:
             return None
@@ -91,23 +97,23 @@ class SequenceState:
     resting : Readings
         The unloaded readings (rows, columns).
     baseline : Step or None
-        How the baseline was solved; None for a relative method until a frame was.
+        Solve of the baseline; None before it is solved.
     previous : array, shape (rows, columns), or None
         Last estimate, ohm.
-    previous_deviation : array or None
-        Of its logarithm; None where it has no error bars.
+    previous_deviation : array, shape (rows, columns), or None
+        Standard deviation of its logarithm; None where it has no error bars.
     prepared : object
-        What the method keeps between frames, or None.
+        Data that the method keeps between frames, or None.
     track : Track or None
-        What error bars need of earlier frames; None where there are to be none.
+        Data of earlier frames for error bars; None where none are computed.
     keeps_weights : bool
-        Whether frames take the weights that there are, though others would be chosen.
+        Whether the present weights are kept even if a frame would choose others.
     first : bool
-        Whether no frame but the baseline was solved yet.
+        Whether no measured frame was solved yet.
     reading_error : float
-        Of the logarithm of each reading, the same in all frames.
+        Standard deviation of ln of each reading's own error, the same in all frames.
     frame_noise : FrameNoise or None
-        What readings of a frame share by chance, or None.
+        Random errors that the readings of a frame share.
     """
 
     estimator: Objective
@@ -126,12 +132,12 @@ class SequenceState:
 
     @property
     def background(self) -> Background:
-        """The surroundings of a frame of which nothing earlier is known."""
+        """The background of a frame without knowledge of earlier frames."""
         return Background(self.scene, self.period)
 
     @property
     def baseline_resistance(self) -> Array:
-        """(rows, columns) ohm; NaN where the baseline is not solved."""
+        """Cells of the baseline, (rows, columns) ohm; NaN where it is not solved."""
         cells = None if self.baseline is None else self.baseline.estimate(0)
         return np.full(self.scene.panel.shape, np.nan) if cells is None else cells
 
@@ -141,7 +147,7 @@ class SequenceState:
         return self.baseline is not None and self.baseline.solution.solved
 
     def with_baseline(self, baseline: Step) -> Self:
-        """Return the state after a solved baseline."""
+        """Return the state with a solved baseline, which is also the previous estimate of the first frame."""
         return replace(self, baseline=baseline, previous=baseline.estimate(0))
 
     def without_comparisons(self) -> Self:
@@ -150,15 +156,15 @@ class SequenceState:
 
     @property
     def parts(self) -> "tuple[SequenceState | None, ...]":
-        """State of each module of a panel, None of a dead one; () of a single network."""
+        """State of each module of a panel, None for a dead one; () for a single network."""
         return ()
 
     def with_parts(self, parts: "tuple[SequenceState | None, ...]") -> Self:
-        """Return the state with others in their place."""
+        """Return the state with other states of the modules."""
         return self
 
     def unsolved(self, status: Status) -> Step:
-        """Return a step that was not even tried."""
+        """Return the step of a frame that was not solved, with this status."""
         terms = self.estimator.terms
         weights = tuple(float("nan") if term.weight == "auto" else float(term.weight) for term in terms)
         return Step(blank((1, *self.scene.panel.shape), len(terms), status), 0.0, weights)
@@ -169,16 +175,16 @@ S = TypeVar("S", bound=SequenceState)
 
 @dataclass(frozen=True, eq=False)
 class CarriedOver:
-    """Arrays by name of a state after some frames, as they are written between two parts of a long recording.
+    """Memory of a state between two parts of a long recording, as arrays by name that can be written to a file.
 
-    The beginning of a state is no part of it.
+    The initial state, with scene, estimator and baseline, is not included.
     """
 
     arrays: Mapping[str, Array]
 
     @classmethod
     def of(cls, state: SequenceState) -> "CarriedOver":
-        """Return the last estimate, its deviation and the memory of error bars, of each module where there are any."""
+        """Return the last estimate, its deviation and the memory of error bars; of a panel, those of each module."""
         arrays: dict[str, Any] = {}
         for number, part in enumerate(state.parts):
             carried = {} if part is None else cls.of(part).arrays
@@ -196,10 +202,7 @@ class CarriedOver:
         return cls({name: np.atleast_1d(np.asarray(value, float)) for name, value in known.items()})
 
     def onto(self, begun: S) -> S:
-        """Return the state after those frames.
-
-        begun : the state with its baseline, as its method prepares it.
-        """
+        """Return the state after those frames, given the state with its baseline before them."""
         if begun.parts:
             parts = enumerate(begun.parts)
             return begun.with_parts(

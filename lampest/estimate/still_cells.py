@@ -1,10 +1,14 @@
-"""Errors that all frames share, from cells that nobody touched: under a wrong circuit they seem to move.
+"""Estimation of errors that all frames share, from the apparent motion of cells that nobody touched.
 
-Errors z that baseline and frames share move the estimated log change of a cell by a = K_f U_f − K_b U_b times z, with U
-as of `lampest.panel.systematic` and K the inverse of the readings' derivative. Over the cells that stand still, d = a z
-+ noise, z ~ N(0, 1). The readings' own errors are N(0, e²). The posterior of e joins the evidence of the changes, with
-moved cells chosen anew for each e (`lampest.estimate.changed_cells`), and the likelihood of the unloaded panel. The
-still cells then leave a covariance of z. Errors too large for linear theory have e alone.
+Errors z ~ N(0, 1) that the unloaded panel b and a frame f share change the estimated log cells by a z, with
+
+    a = K_f U_f − K_b U_b,
+
+where U is the response of the readings to the errors (`lampest.panel.systematic`), and K the inverse of the readings'
+Jacobian. Over the still cells d = a z + noise. Each reading has an error of its own, N(0, e²). The posterior of e
+combines the evidence of the changes, with moved cells selected for each e (`lampest.estimate.changed_cells`), and the
+likelihood of the unloaded panel. Given e, the still cells determine the posterior of z. Of errors that are too large
+for linear theory only e is estimated.
 """
 
 from dataclasses import dataclass, replace
@@ -25,22 +29,30 @@ from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 
-READING_ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # of a reading's own that are tried, with equal odds for equal ratios
-# Of the evidence of cells that touch a moved one: a skirt of lightly pressed cells gains 40 by an error of readings.
+READING_ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # tried values of e, with a prior that is uniform in ln e
+# Weight of the evidence of cells adjacent to moved ones: a skirt of lightly pressed cells gains 40 by an error e.
 BESIDE_SHARE = 0.1
-# In −2 ln evidence, from which on an error is named, and from which on bars allow for it. Of 60 recordings without one
-# those of mouths and rods gain 2.0 at most, nearly all of them nothing; 0.2 % gains 2 to 60.
+# Gains in −2 ln evidence from which an error is named, and from which error bars include it. In 60 recordings without
+# an error those of mouths and rods gain 2.0 at most, and nearly all of them nothing; an error of 0.2 % gains 2 to 60.
 MIN_ERROR_GAIN, MIN_HINT_GAIN = 6.6, 2.2
-LINEAR_LIMIT = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
-LOADED_CHANGE = NOISE_REACH * LINEAR_LIMIT  # of log r, by which loads move cells, and errors within the limit do not
+LINEAR_LIMIT = 0.15  # of log r: the second order of a larger error moves cells by more than one per cent
+LOADED_CHANGE = NOISE_REACH * LINEAR_LIMIT  # of log r: only loads move cells by more, errors within the limit do not
 
 
 def possible_errors(
     scene: Scene, sizes: Systematic, resting: Readings, frames: Readings, noise: FrameNoise | None
 ) -> Possible | None:
-    """Return what the still cells leave possible of shared errors; None where cells cannot say.
+    """Return the shared errors that the still cells leave possible; None where the cells do not determine them.
 
-    resting (rows, columns), frames (frames, rows, columns) : with σ as it is to be taken.
+    Parameters
+    ----------
+    scene : Scene
+    sizes : Systematic
+        Prior standard deviations of the errors.
+    resting, frames : Readings
+        Mean of the unloaded frames (rows, columns), and loaded frames (frames, rows, columns), with their final σ.
+    noise : FrameNoise or None
+        Errors that the readings of a frame share.
     """
 
     def at_least(size: float) -> Systematic:
@@ -49,16 +61,19 @@ def possible_errors(
     if resting.sigma is None or resting.value.size > MAX_CELLS:
         return None
     fit = fitted(scene, resting, patient=True)
+    # No cells explain the unloaded panel: e is estimated from its likelihood alone.
     if fit is None or fit.tail < SIGNIFICANCE:
         return Possible(at_least(_mean_square(_unloaded_costs(scene, resting))), None)
     moves, shape = CellChanges.of(scene, fit, frames, sizes, noise), resting.value.shape
     if moves is None:
         return None
+    # Evidence of e. The prior of smooth loads keeps a load's skirt from being taken for an error of the readings.
     smoothed = replace(moves, noise=moves.noise + _smooth_loads(shape, len(frames.value)))
     costs, still = _error_costs(smoothed)
     likeliest, apart = float(READING_ERRORS[np.argmin(costs[1:])]), away_from_changed(still, shape)
     gain_apart = smoothed.cost_of(apart, 0.0) - smoothed.cost_of(apart, likeliest)
     gain = gain_apart + BESIDE_SHARE * (float(costs[0] - costs.min()) - gain_apart)
+    # Posterior mean square of e, from the changes and the unloaded panel together.
     size, certain = 0.0, gain > MIN_ERROR_GAIN
     if gain > MIN_HINT_GAIN:
         size = _mean_square(costs[1:] + _unloaded_costs(scene, resting))
@@ -72,18 +87,25 @@ def possible_errors(
 def _of_frame(
     scene: Scene, fit: CellsFit, near: Array | None, sizes: Systematic, noise: FrameNoise | None
 ) -> list[Array]:
-    """Return the covariance of one frame's log cells, and their response to shared errors.
+    """Return the covariance of one frame's log cells, and their response K U to shared errors.
 
     Parameters
     ----------
-    near : array or None
-        Unloaded cells (rows, columns) ohm; None: the frame is the unloaded mean.
+    scene : Scene
+    fit : CellsFit
+        Fit of the frame.
+    near : array, shape (rows, columns), or None
+        Unloaded cells, ohm; None: the frame is the unloaded mean.
+    sizes : Systematic
+        Standard deviations of the errors.
+    noise : FrameNoise or None
+        Errors that the readings of a frame share.
 
     Returns
     -------
     list of array
-        Covariance (cells, cells); responses (cells, n) to hidden errors, to each reading's own of size 1, and to known
-        errors.
+        Covariance (cells, cells), then the responses (cells, n) to hidden errors, to each reading's own error of
+        size 1, and to known errors.
     """
     error = fit.covariance
     at = fit if near is None else _steadied(scene, fit, near, error)
@@ -100,18 +122,18 @@ def _of_frame(
 
 @dataclass(frozen=True, eq=False)
 class CellChanges:
-    """Changes of the log cells of all frames since rest.
+    """Changes of the log cells from the unloaded panel to the frames, n = frames · cells.
 
     Attributes
     ----------
     change : array, shape (n,)
-        Frame by frame.
+        d, frame by frame.
     noise : array, shape (n, n)
-        Covariance of the changes of still cells.
+        Covariance of d over still cells, without hidden errors.
     a, own : array, shapes (n, k) and (n, cells)
-        What hidden errors do to the changes, and each reading's own of size 1.
+        Response of d to hidden errors, and to each reading's own error of size 1.
     reach : float
-        Median standard deviation of log r of the unloaded cells under readings' own errors of 1.
+        Median standard deviation of log r of the unloaded cells if e = 1.
     """
 
     change: Array
@@ -124,7 +146,18 @@ class CellChanges:
     def of(
         cls, scene: Scene, resting: CellsFit, frames: Readings, sizes: Systematic, noise: FrameNoise | None
     ) -> "CellChanges | None":
-        """Return the changes of all cells from the unloaded panel to the frames; None where one is not fitted."""
+        """Return the changes from the unloaded panel to the frames; None where the fit of a frame fails.
+
+        Parameters
+        ----------
+        scene : Scene
+        resting : CellsFit
+            Fit of the unloaded panel.
+        frames : Readings
+            (frames, rows, columns).
+        sizes : Systematic
+        noise : FrameNoise or None
+        """
         if not resting.small:
             return None
         base, size, count = _of_frame(scene, resting, None, sizes, noise), resting.cells.size, len(frames.value)
@@ -137,6 +170,7 @@ class CellChanges:
             error, *columns = _of_frame(scene, fit, resting.cells, sizes, noise)
             change.append(np.log(fit.cells / resting.cells).ravel())
             parts.append([error, *(of_frame - at_rest for of_frame, at_rest in zip(columns, base[1:], strict=True))])
+        # All changes share the error of the unloaded panel; every frame adds its own error, creep and a common change.
         covariance = np.tile(base[0], (count, count))
         for number, (error, *_) in enumerate(parts):
             part = slice(number * size, (number + 1) * size)
@@ -146,24 +180,29 @@ class CellChanges:
         return cls(np.concatenate(change), covariance + known @ known.T, hidden, own, reach)
 
     def columns(self, size: float) -> Array:
-        """Return what standard normal errors do to the changes (n, k + cells), if each reading errs by so much."""
+        """Return the response of d to standard normal errors, (n, k + cells); `size` is e."""
         return np.hstack([self.a, size * self.own]) if size else self.a
 
     def covariance(self, size: float) -> Array:
-        """Return the covariance of the changes of still cells, if each reading errs by so much on its own."""
+        """Return the covariance of d over still cells, noise + a aᵀ + e² own ownᵀ; `size` is e."""
         columns = self.columns(size)
         return np.asarray(self.noise + columns @ columns.T)
 
     def cost_of(self, still: Chosen, size: float) -> float:
-        """Return −2 ln likelihood of the changes of still cells alone."""
+        """Return −2 ln likelihood of the changes of the still cells alone; `size` is e."""
         covariance, change = self.covariance(size)[np.ix_(still, still)], self.change[still]
         return float(change @ np.linalg.solve(covariance, change) + np.linalg.slogdet(covariance)[1])
 
     def still(self, size: float, begun: Chosen | None = None) -> tuple[float, Chosen]:
-        """Return −2 ln evidence of such an error, and which cells stand still.
+        """Return −2 ln evidence of an error, and the still cells.
 
-        begun : those that the search begins with; None: the half that changed least, for a shared error may explain
-        a smooth load as well as its cells do.
+        Parameters
+        ----------
+        size : float
+            e.
+        begun : boolean array, shape (n,), optional
+            Still cells that the search begins with; by default the half that changed least. Other starts are not
+            tried, because a shared error may explain a smooth load as well as moved cells do.
         """
         away = np.abs(self.change - np.median(self.change))
         begun = away <= np.median(away) if begun is None else begun
@@ -174,16 +213,17 @@ class CellChanges:
 
 
 def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
-    """(n, n) covariance of changes of log r of a load's skirt: smooth from cell to cell, free in every frame."""
+    """Return the covariance (n, n) of changes in a load's skirt: s² exp(−distance²/(2 ℓ²)) within each frame."""
     row, column = (index.ravel() for index in np.indices(shape))
     square = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
     return np.kron(np.eye(frames), ASSUMED.skirt**2 * np.exp(-square / (2 * ASSUMED.skirt_cells**2)))
 
 
 def _error_costs(moves: CellChanges) -> tuple[Array, Chosen]:
-    """Return −2 ln evidence of no error and of READING_ERRORS, (1 + errors), and the still cells of the likeliest.
+    """Return −2 ln evidence of e = 0 and of READING_ERRORS, (1 + errors,), and the still cells of the most probable e.
 
-    Beyond the linear limit changes say nothing more. The still cells change little from size to size.
+    Every second error is computed, and the others are interpolated; each search begins with the still cells of the
+    error before, because these change little. Beyond LINEAR_LIMIT the last value holds.
     """
     sizes = [0.0, *(size for size in READING_ERRORS[2::2] if size * moves.reach <= LINEAR_LIMIT)]
     costs, selections, start = list[float](), list[Chosen](), None
@@ -196,18 +236,27 @@ def _error_costs(moves: CellChanges) -> tuple[Array, Chosen]:
 
 
 def _mean_square(costs: Array) -> float:
-    """√E[e²] from −2 log likelihoods of READING_ERRORS: larger than the likeliest where the size is uncertain."""
+    """Return √E[e²] from −2 ln likelihoods of READING_ERRORS; it exceeds the most probable e where e is uncertain."""
     odds = np.exp(-(costs - costs.min()) / 2)
     return float(np.sqrt(odds @ np.square(READING_ERRORS) / odds.sum()))
 
 
 def _possible(moves: CellChanges, size: float, shape: tuple[int, ...]) -> Array:
-    """Return a root (n, n) of E[z zᵀ], given the still cells: covariance and mean of z.
+    """Return a lower triangular root of E[z zᵀ] given the still cells, where z are all standard normal errors.
 
-    No cell stands still under a load, however smooth it is.
+    Neighbours of moved cells are left out, because a load has a skirt.
+
+    Parameters
+    ----------
+    moves : CellChanges
+    size : float
+        e.
+    shape : tuple of int
+        Rows and columns.
     """
     still = away_from_changed(moves.still(size)[1], shape)
     part = moves.columns(size)[still]
+    # posterior of z ~ N(0, 1) given d_s = A z + noise with total covariance C: mean Aᵀ C⁻¹ d_s, covariance 1 − Aᵀ C⁻¹ A
     weight = np.linalg.solve(moves.covariance(size)[np.ix_(still, still)], part)
     mean = weight.T @ moves.change[still]
     second = np.eye(len(mean)) - part.T @ weight + np.outer(mean, mean)
@@ -217,7 +266,19 @@ def _possible(moves: CellChanges, size: float, shape: tuple[int, ...]) -> Array:
 
 
 def _steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFit:
-    """Return the fit with cells that did not clearly move where they were, and the readings that these would give."""
+    """Return the fit with the cells that did not clearly move set to the unloaded ones, and their model readings.
+
+    The linearisation of frames and unloaded panel then agrees for still cells, whatever the noise.
+
+    Parameters
+    ----------
+    scene : Scene
+    fit : CellsFit
+    near : array, shape (rows, columns)
+        Unloaded cells, ohm; a common factor on all cells remains.
+    error : array, shape (cells, cells)
+        Covariance of the log cells.
+    """
     change = np.log(fit.cells / near)
     middle = np.median(change)
     moved = np.abs(change - middle) > UNUSUAL * np.sqrt(2 * np.diag(error)).reshape(change.shape)
@@ -227,15 +288,16 @@ def _steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFi
 
 
 def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
-    """Return −2 log likelihood of READING_ERRORS, the least of them 0, where unloaded cells are log r ~ N(μ, s²).
+    """Return −2 ln likelihood of READING_ERRORS, up to a constant, if the unloaded cells are log r ~ N(μ, s²).
 
-    About the most probable u, where t = y − f(u) + J u, readings are linear in the cells. With τ² = σ² + (e y')², where
-    y' is the reading's derivative by its recorded value's logarithm, and AAᵀ = QΛQᵀ of A = J/τ,
+    The readings are linearised at the most probable log cells u, with t = y − f(u) + J u. Let τ² = σ² + (e y')², where
+    y' is the derivative of a reading with respect to the logarithm of its recorded value, and A = J/τ, A Aᵀ = QΛQᵀ:
 
         −2 log p(y | e, s) = Σ a²/v − (Σ a b/v)²/Σ(b²/v) + Σ log v + log Σ(b²/v) + Σ log τ²,   v = 1 + s²λ,
 
-    with a = Qᵀ t/τ and b = Qᵀ A 1. The point is that of the likeliest of a few errors first, then of all. Where cells
-    are not alike, e comes out too large rather than too small. Raises the errors of arithmetic.
+    with a = Qᵀ t/τ and b = Qᵀ A 1. The likelihood is averaged over the scatters s of `ASSUMED`. u is first the point of
+    the largest error, then that of the most probable one of a few errors. Where the cells are not alike, e is
+    overestimated rather than underestimated. Raises the errors of `BROKEN`.
     """
     assert resting.sigma is not None
     data, plain = cells_alone().data(resting.alone(), Background(scene)), resting.plain.ravel()
@@ -253,17 +315,38 @@ def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
             scaled = jacobian[plain] / tau[:, None]
             values, turned = np.linalg.eigh(scaled @ scaled.T)
             apart, ones = turned.T @ (target[plain] / tau), turned.T @ scaled.sum(axis=1)
+            # v = 1 + s²λ, (scatters, readings); `mean` is Σ b²/v, the precision of μ, which is integrated out
             grown = 1 + scatters * np.maximum(values, 0.0)
             mean = (ones**2 / grown).sum(axis=1)
             squares = (apart**2 / grown).sum(axis=1) - (apart * ones / grown).sum(axis=1) ** 2 / mean
             costs[number] = squares + np.log(grown).sum(axis=1) + np.log(mean) + 2 * np.log(tau).sum()
+    # −2 ln Σ_s p(y | e, s): all scatters are equally probable
     together = -2 * np.logaddexp.reduce(-costs / 2, axis=1)
     return np.asarray(together - together.min())
 
 
 def _most_probable(data: Data, value: Array, deviation: Array, spread: float, start: Array) -> tuple[Array, Array]:
-    """(u (rows, columns), J (readings, cells)) from readings and their τ, infinite where there is none."""
+    """Return the most probable log cells u and the Jacobian J of the readings there.
+
+    They minimise Σ ((f(u) − y)/τ)² + Σ (u − mean u)²/s².
+
+    Parameters
+    ----------
+    data : Data
+    value, deviation : array, shape (rows, columns)
+        y and τ; τ is infinite where there is no reading.
+    spread : float
+        s.
+    start : array, shape (rows, columns)
+        Log cells.
+
+    Returns
+    -------
+    array, shape (rows, columns)
+    array, shape (readings, cells)
+    """
     count = value.size
+    # (1 − 1 1ᵀ/n)/s: residuals of the prior, whose mean μ is free
     unlike = (np.eye(count) - 1 / count) / spread
     free = data.lower[0] < data.upper[0]
     lower, upper = (

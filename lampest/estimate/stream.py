@@ -1,4 +1,4 @@
-"""Frames as they come: each solved after the last, with the baseline where the method asks for that."""
+"""Streams: frames that are solved one by one as they arrive."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,15 +18,15 @@ from lampest.recording.readings import Readings, mean_change
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Status
 
-# Times the change at which weights were chosen before: a load that settles does not choose them again.
+# Ratio to the change at which weights were last chosen: a load that settles does not trigger another choice.
 MIN_INCREASE = 1.1
 
 
 @dataclass(frozen=True, eq=False)
 class Stream(SequenceState):
-    """State of a sequence of frames. Pushing a frame gives the next stream and the frame's solve.
+    """State of a sequence of frames. Pushing a frame returns the next stream and the solve of the frame.
 
-    The cells are those of a recording with the same frames: files and boards come in by this door, too.
+    Files and boards are estimated by streams, too, so that the cells of a recording with the same frames are the same.
 
     >>> import numpy as np
     >>> import lampest
@@ -48,13 +48,13 @@ class Stream(SequenceState):
     estimator : Estimator
         Terms, and the method.
     weights : tuple of float, or None
-        Those that the data chose for the terms; None before they did.
+        Weights of the terms that the data chose; None before the choice.
     weight_sigma : tuple of float
-        Standard deviations of their logarithms.
+        Standard deviations of ln λ.
     weighed_at : float
-        How far the frame that chose them was from rest.
+        Change from rest of the frame that chose them.
 
-    All others are those of `SequenceState`.
+    All other attributes are those of `SequenceState`.
     """
 
     estimator: Estimator
@@ -69,7 +69,16 @@ class Stream(SequenceState):
     ) -> Self:
         """Return the stream before the first frame; an absolute method solves its baseline now.
 
-        noise : learned from frames.
+        Parameters
+        ----------
+        estimator : Estimator
+        scene : Scene
+        period : float
+            Time between frames, s.
+        resting : Readings
+            Mean of the unloaded frames, (rows, columns).
+        noise : NoiseEstimate, optional
+            Noise that was estimated from frames.
 
         Raises InputError as `unrested`.
         """
@@ -79,10 +88,10 @@ class Stream(SequenceState):
     def unrested(
         cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseEstimate | None = None
     ) -> Self:
-        """Return the stream before its baseline.
+        """Return the stream before its baseline is solved; the parameters are those of `begin`.
 
-        Raises InputError where the noise is needed and unknown, bounds leave no room, the formulation cannot serve the
-        scene's readout, or the readings are no frame of the panel.
+        Raises InputError where the noise is needed and unknown, bounds leave no room, the formulation does not support
+        the scene's readout, or the readings are no frame of the panel.
         """
         estimator.check(scene)
         _check_frame(resting, scene)
@@ -94,16 +103,19 @@ class Stream(SequenceState):
 
     @ONE_BLAS_THREAD
     def tared(self, resting: Readings) -> Self:
-        """Return the stream against another unloaded panel from here on.
+        """Return the stream with another baseline; the weights stay, all other memory of earlier frames is dropped.
 
-        It forgets earlier frames, but not their weights.
+        Parameters
+        ----------
+        resting : Readings
+            Mean of frames in which nothing touched the panel, (rows, columns).
 
-        resting : the mean of frames in which nothing touched the panel. Raises InputError as `begin`.
+        Raises InputError as `begin`.
         """
         return self.without_baseline(resting).with_rest()
 
     def without_baseline(self, resting: Readings) -> Self:
-        """Return the same before its baseline."""
+        """Return the stream with these unloaded readings, before its baseline is solved."""
         _check_frame(resting, self.scene)
         track = None if self.track is None else Track(self.track.shared, noise=self.track.noise)
         return replace(
@@ -111,24 +123,28 @@ class Stream(SequenceState):
         )
 
     def with_rest(self, solved: Step | None = None) -> Self:
-        """Return the stream with its baseline, where that is solved alone.
+        """Return the stream with its baseline, unless the baseline is solved together with the first frame.
 
-        solved : the baseline, where it is solved already.
+        Parameters
+        ----------
+        solved : Step, optional
+            The baseline, where it is solved already.
         """
         if not self.resting.enough(self.scene):
             return replace(self, baseline=self.unsolved(Status.UNRESTED))
         return self if self.estimator.joint_start else self.estimator.method.begin(self, solved)
 
     def restarted(self, first: "Stream") -> Self:
-        """Return the stream with nothing kept for speed alone but what it began with."""
+        """Return the stream with the solver's caches of `first`, so that results do not depend on earlier frames."""
         return replace(self, prepared=first.prepared)
 
     @ONE_BLAS_THREAD
     def push(self, readings: Readings) -> tuple["Stream", Step]:
-        """Solve one frame's readings (rows, columns); a failed one leaves the stream as it was.
+        """Solve one frame's readings (rows, columns).
 
-        So does one of which too little was read (see `Readings.enough`). Weights are chosen anew by frames that differ
-        from rest by a tenth more than any before them. Raises InputError as `begin`.
+        A frame that fails, or that has too few readings (`Readings.enough`), leaves the stream unchanged. Open weights
+        are chosen again by a frame whose change from rest exceeds the largest one before by MIN_INCREASE. Raises
+        InputError as `begin`.
         """
         _check_frame(readings, self.scene)
         method, terms = self.estimator.method, self.estimator.terms
@@ -148,17 +164,17 @@ class Stream(SequenceState):
         return stream, step
 
     def weights_due(self, readings: Readings) -> bool:
-        """Whether weights that the data of the strongest frame choose are to be chosen anew by a frame."""
+        """Return whether a frame differs so much from rest that it should choose the weights anew."""
         return self.chooses_weights and self.change(readings) > MIN_INCREASE * self.weighed_at
 
     def choosing(self, readings: Readings) -> bool:
-        """Whether a frame, of which enough was read, chooses the weights that the data of the strongest one choose."""
+        """Return whether a frame chooses the weights: the first one with enough readings, or one that is due."""
         requested = self.weights is None or (self.weights_due(readings) and not self.keeps_weights)
         return self.chooses_weights and requested and bool(readings.enough(self.scene))
 
     @property
     def is_independent(self) -> bool:
-        """Whether an estimate depends on no frame but its own and the unloaded ones, and Newton's method finds it."""
+        """Whether estimates depend on no other measured frame, and the projected Newton method computes them."""
         estimator = self.estimator
         if not self.rested or estimator.uses_previous or estimator.automatic:
             return False
@@ -166,22 +182,24 @@ class Stream(SequenceState):
 
     @property
     def chooses_weights(self) -> bool:
-        """Whether the data of the strongest frame choose weights."""
+        """Whether the data of the strongest frame choose the weights."""
         return self.estimator.automatic and self.estimator.auto_weight.per == "recording"
 
     def change(self, readings: Readings) -> float:
-        """Return the distance of a frame from rest."""
+        """Return the mean change of a frame's readings from rest, see `mean_change`."""
         return float(mean_change(readings.plain_values, self.resting.value))
 
     def sequence(
         self, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple["Stream", list[Step]]:
-        """Return the stream after a whole recording's readings (frames, rows, columns), and how they were solved.
+        """Return the stream after all measured frames of a recording, and their solves.
 
         Parameters
         ----------
         resting : Readings
-            Of the unloaded frames, of which the stream has the mean.
+            The unloaded frames, (frames, rows, columns); the stream has their mean.
+        readings : Readings
+            The measured frames, (frames, rows, columns).
         on_frame : callable
             Called after every frame.
         """
@@ -196,11 +214,11 @@ class Stream(SequenceState):
         return stream, steps
 
     def given(self, readings: Readings) -> tuple[Data, Array | None]:
-        """Return the data of a frame's solve and its start; see `Method.given`."""
+        """Return the data of a frame's solve and its start, see `Method.given`."""
         return self.estimator.method.given(self, readings)
 
     def solve(self, data: Data, previous: Array | None) -> Step:
-        """One solve; see `Method.solve`."""
+        """Return one solve, see `Method.solve`."""
         return self.estimator.method.solve(self, data, previous)
 
 

@@ -12,17 +12,17 @@ from lampest.loads.recognition.watch import UNEVENLY
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
-MIN_CHANNELS = 5  # that show less load: of fewer single outliers may do so
-MIN_STEPS_FROM_RAIL = 16  # of the converter: a median reading that close to a rail is known to 6 % at best
+MIN_CHANNELS = 5  # channels with less load than unloaded; fewer may be single outliers
+MIN_STEPS_FROM_RAIL = 16  # steps of the converter: a median reading closer to a rail is known to 6 % at best
 MODULE_HINT = (
     "is its reference, series resistance or film another one? The scene's `modules` says what a module has of its own"
 )
-MAX_NOISE_FACTOR = 10.0  # over or under the specified noise: no converter is specified so badly, units are
+MAX_NOISE_FACTOR = 10.0  # above or below the specified noise: more is a wrong unit, not a badly specified converter
 
 
 @np.errstate(all="ignore")
 def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -> tuple[str, ...]:
-    """Return the warnings of a recording, the plainest first. Raises InputError as `Readings.of`."""
+    """Return the warnings of a recording, the simplest first. Raises InputError as `Readings.of`."""
     readings = recording.readings()
     less = "" if check.better else _less_load(recording, readings)
     frames = _roles(recording.role), _times(recording), _unit(recording, readings), _scatter(recording, noise)
@@ -37,7 +37,7 @@ def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -
 
 
 def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
-    """Count the frames that are not solved, with the reason of the first; ''."""
+    """Return the number of unsolved frames with the reason of the first, in words; '' where there is none."""
     failed = int(np.sum(~solved))
     if not failed:
         return ""
@@ -53,7 +53,7 @@ def _roles(role: NDArray[np.uint8]) -> str:
 
 
 def _times(recording: Recording) -> str:
-    """Return times that two frames share, and whole numbers that are likelier ms than s."""
+    """Return a warning of equal times of two frames, or of times that are probably in ms; ''."""
     steps = np.diff(recording.time)
     if np.any(steps == 0):
         return f"{int(np.sum(steps == 0))} of {len(recording.time)} frames have the time of the frame before"
@@ -80,7 +80,7 @@ def _unit(recording: Recording, readings: Readings) -> str:
 
 
 def _modules(recording: Recording, readings: Readings) -> tuple[str, ...]:
-    """Modules that the scene calls dead, that read nothing, and whose readings differ from those of the others."""
+    """Return warnings of dead modules, of modules without a value, and of modules that differ from the others."""
     scene, layout = recording.scene, recording.scene.panel.modules
     if layout is None:
         return ()
@@ -97,7 +97,7 @@ def _modules(recording: Recording, readings: Readings) -> tuple[str, ...]:
 
 
 def _scatter(recording: Recording, noise: NoiseEstimate) -> str:
-    """Noise that no converter of the scene's kind has."""
+    """Return a warning of noise that no converter of the scene's kind has; ''."""
     readout = recording.scene.readout
     unlikely = noise.factor > MAX_NOISE_FACTOR or noise.factor * MAX_NOISE_FACTOR < 1
     if readout is None or not readout.noise_told or not unlikely:
@@ -109,7 +109,7 @@ def _scatter(recording: Recording, noise: NoiseEstimate) -> str:
 
 
 def _less_load(recording: Recording, readings: Readings) -> str:
-    """Describe readings that only show less load than the unloaded frames: a load there, or a reversed circuit; ''."""
+    """Return a warning if all changes are reductions of load: a load at rest, or a reversed circuit; ''."""
     circuit, change = recording.scene.circuit, changes_beyond_noise(recording.scene, readings, recording.role)
     if (change > 0).any(axis=0).sum() < MIN_CHANNELS or (change < 0).any():
         return ""

@@ -1,9 +1,10 @@
-"""Choice of weights (`weight: auto`): the least expected error of log r, with the reference estimate as the truth.
+"""Choice of weights (`weight: auto`) by the least risk or by the evidence.
 
-The reference estimate (`lampest.posterior.reference`) gives the errors of the readings, and the cells that
-a penalty has to serve. The cost is linearised there, and the weight minimises `Spectrum.risk`; of several penalties one
-after the other. On panels of more than `MAX_CELLS` cells, and on request, the fixed point of the evidence is taken
-instead, with the errors that the residuals show.
+Risk: the weight minimises the expected squared error of log r, with the reference estimate
+(`lampest.posterior.reference`) as the truth and its error scale as the noise. The cost is linearised at the reference
+estimate, and the weight minimises `Spectrum.risk`; several penalties are optimised in turn. Evidence: on panels of
+more than `MAX_CELLS` cells, and on request, the weights are the fixed point of the evidence, with the noise that the
+residuals show.
 """
 
 from collections.abc import Hashable, Sequence
@@ -34,9 +35,9 @@ from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
-MAX_SOLVES, SETTLED = 4, 0.2  # of an estimate; of log λ: no reported figure changes by less
+MAX_SOLVES, SETTLED = 4, 0.2  # half the largest number of solves; change of ln λ that changes no reported figure
 MAX_SWEEPS = 6  # over several penalties: each converges within a few
-MIN_FREEDOM = 0.05  # of the residuals: with less, their scale is not determined
+MIN_FREEDOM = 0.05  # degrees of freedom of a residual: with fewer, the scale of the residuals is not determined
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
 Weights = tuple[list[float], tuple[float, ...]]  # of the terms, and the standard deviations of log λ
 
@@ -44,18 +45,19 @@ Weights = tuple[list[float], tuple[float, ...]]  # of the terms, and the standar
 def with_chosen_weights(
     estimator: AnyObjective, scene: Scene, data: Data, near: Array | None, others: Sequence[Data] = ()
 ) -> AnyObjective:
-    """Return the objective with numbers for the weights that it leaves open.
+    """Return the objective with its open weights chosen from the data.
 
     Parameters
     ----------
     estimator : Objective
     scene : Scene
     data : Data
-        Of the solve that decides.
+        Data of the deciding solve.
     near : array, shape (frames, rows, columns), optional
-        Cells in ohm to start from, where the reference model cannot be fitted.
+        Cells in ohm to start from where the reference model cannot be fitted.
     others : sequence of Data
-        Of further solves that the weights are to suit as well; those with bounds or gaps as in `data` count.
+        Data of further solves that the weights are to suit as well. Only those count that are partial, with bounds or
+        gaps, if and only if `data` is.
 
     Raises InputError where the noise is needed and unknown.
     """
@@ -73,17 +75,15 @@ def with_chosen_weights(
 
 
 def strongest(changes: Sequence[float]) -> list[int]:
-    """Return the numbers of the networks that choose a weight for all alike.
+    """Return the numbers of the networks that decide the weight of all, in descending order of their change from rest.
 
-    They differ most from rest; the first differs most.
-
-    A network's own weight scatters with its noise, and hardly matters where nothing touches it.
+    The weight of a single network scatters with its noise, and hardly matters where nothing touches it.
     """
     return sorted(range(len(changes)), key=lambda number: -changes[number])[: 1 + MAX_NEIGHBOURS]
 
 
 def converter_and_faults(scene: Scene) -> Hashable:
-    """Equal for networks that one weight suits: with the same faults, read by the same converter."""
+    """Return a key that is equal for networks with the same faults and converter, which share one weight."""
     circuit = scene.circuit
     return scene.faults, circuit.unit, circuit.adc_bits, circuit.readings, circuit.assumed_noise
 
@@ -95,11 +95,11 @@ class WeightSearch:
     Attributes
     ----------
     cost : Cost
-        With weights that are numbers or 'auto'.
+        Each weight is a number or 'auto'.
     solves : tuple of Data
-        The solve that decides, and further ones that the weights are to suit as well.
+        The deciding solve, then further ones that the weights are to suit as well.
     settings : Settings
-        Of the solver.
+        Settings of the solver.
     """
 
     cost: Cost
@@ -108,7 +108,7 @@ class WeightSearch:
 
     @property
     def begun(self) -> list[float]:
-        """The weights that are numbers, and 1 for the open ones."""
+        """The initial weights: the specified ones, and 1 for the open ones."""
         return [1.0 if term.weight == "auto" else float(term.weight) for term in self.cost.terms]
 
     @property
@@ -123,11 +123,11 @@ class WeightSearch:
 
     @cached_property
     def references(self) -> list[Reference]:
-        """The reference estimates of the solves, with σ as it is. Raises one of `BROKEN` where there are none."""
+        """The reference estimates of the solves, with σ as specified. Raises one of `BROKEN` where there are none."""
         return references(self.solves, self.cost, believed=True)[1]
 
     def models(self, weights: Sequence[float]) -> list[LinearModel]:
-        """Return the cost with these weights, linearised at the reference estimates."""
+        """Return the cost with these weights, linearised at the reference estimate of each solve."""
         cost, pairs = self.weighted(weights), zip(self.solves, self.references, strict=True)
         return [
             LinearModel(evaluated(cost, data, reference.cells), NO_DUAL, deviation=reference.deviation)
@@ -135,14 +135,27 @@ class WeightSearch:
         ]
 
     def spectra(self, number: int, weights: Sequence[float]) -> list[Spectrum]:
-        """Return the cost at the reference estimates, for all weights of one penalty."""
+        """Return the spectrum of each solve over all weights of one penalty, given those of the others.
+
+        Parameters
+        ----------
+        number : int
+            Number of the penalty's term.
+        weights : sequence of float
+        """
         pairs = zip(self.models(weights), self.references, strict=True)
         return [Spectrum.of(model, number, reference.covariance) for model, reference in pairs]
 
     def by_risk(self, first: Array) -> Weights:
-        """Return the weights with the least risk, one penalty after the other until all settle.
+        """Return the weights with the least risk, found by coordinate descent over the open terms.
 
-        Where no reference can be fitted, the weights that the residuals at `first` suggest.
+        Where no reference can be fitted, the weights are those of `suggested`. The standard deviation of ln λ is
+        1/√(Fisher information of ln λ).
+
+        Parameters
+        ----------
+        first : array, shape (frames, rows, columns)
+            Cells in ohm.
         """
         weights, sigma, several = self.suggested(first), [np.nan] * len(self.cost.terms), len(self.open_terms) > 1
         with suppress(*BROKEN):
@@ -161,14 +174,20 @@ class WeightSearch:
         return weights, tuple(sigma)
 
     def suggested(self, first: Array) -> list[float]:
-        """Return the weights that the residuals at cells (frames, rows, columns) suggest."""
+        """Return initial weights from the residuals at cells (frames, rows, columns) ohm."""
         at = evaluated(self.weighted(self.begun), self.solves[0], first)
         return first_weights(LinearModel(at, NO_DUAL), self.begun, self.open_terms)
 
     def by_evidence(self, first: Array) -> Weights:
-        """Return the weights at the fixed point of the evidence; of log λ the standard deviation is √(2/γ).
+        """Return the weights at the fixed point of the evidence.
 
-        Where the median residual exceeds the noise, corrected for the cells' degrees of freedom, it replaces σ.
+        The standard deviation of ln λ is √(2/γ), with γ the degrees of freedom that the data determine. If the
+        residuals exceed the noise (`residual_scale`), their scale multiplies σ.
+
+        Parameters
+        ----------
+        first : array, shape (frames, rows, columns)
+            Cells in ohm to start from.
         """
         weights, near, data, scale = self.suggested(first), first, self.solves[0], 1.0
         sigma = [np.nan] * len(weights)
@@ -177,6 +196,7 @@ class WeightSearch:
                 solution = best_solution(ProjectedNewton(self.weighted(weights), self.settings), data, near)
                 if solution.at is None or solution.dual is None:
                     break
+                # alternate: solve for the cells, update λ at the solution, rescale σ by the residuals
                 model = LinearModel(solution.at, solution.dual, deviation=scale * data.deviation)
                 large = data.measured.size > MAX_CELLS
                 errors = (SampledErrors if large else DenseErrors)(model)
@@ -191,13 +211,15 @@ class WeightSearch:
 
 
 def residual_scale(errors: DenseErrors) -> float:
-    """Return the robust standard deviation of the residuals over their noise; 1 where cells leave them no freedom.
+    """Return the robust standard deviation of the residuals x in units of their noise τ.
 
-    median |x|/τ, over its value for a normal variable and √(1 − γ/n), γ the degrees of freedom that n data determine.
+    It is 1.4826 · median |x|/τ / √(1 − γ/n), with γ the degrees of freedom of the cells that n data determine; 1
+    where 1 − γ/n is below MIN_FREEDOM.
     """
     model = errors.model
     counted = model.data_curvature > 0
     penalties = np.unique(model.penalty_term)
+    # γ: the unknowns that no penalty restricts, and those that the data determine against each penalty
     bound = min(rank(model.at.cost.unweighted), len(model.free))
     determined = len(model.free) - bound + sum(errors.determined(int(number)) for number in penalties)
     freedom = 1 - determined / max(int(counted.sum()), 1)

@@ -1,28 +1,31 @@
-"""Memory of a film: hysteresis and creep as operators over the frames, forwards and backwards.
+"""Memory of a film: operators of hysteresis and creep over the frames, and their inverses.
 
     p_e = hysteresis(p),   u = ln f(p_w) − ln f(p_w + p_e),   −ln(r/r_rest) = β·creep(u)
 
-f is the response curve, p_w the water that was there at rest, β the cell's gain κ times the share that bending leaves.
+f is the response curve, p_w the pressure of the water at rest, β the cell's gain κ times the share that bending leaves.
 
-Hysteresis: loading follows the response curve, unloading lags behind it, and a load that is gone leaves nothing.
+Hysteresis: loading follows the response curve, unloading lags behind it, and no effect remains after a load.
 
     p_e = w_0 p + Σ w_i z_i,   z_i held between p and b_i p
 
-A generalised Prandtl-Ishlinskii operator: plays z_i whose two branches are the lines p and b_i p, b_i > 1. It forgets
-all where the load crosses zero. Its inverse is exact: p_e is strictly monotone and piecewise linear in p, w_0 > 0. From
-a peak P the film unloads along the hyperbola
-p_e/P = s²t/(1 + (s² − 1)t), t = p/P, with s = (1 + η)/(1 − η); its largest gap from the line is η, at t = 1/(1 + s).
+A generalised Prandtl-Ishlinskii operator: plays z_i whose two branches are the lines p and b_i p, b_i > 1. The memory
+is erased where the load crosses zero. The inverse is exact, because p_e is strictly monotone and piecewise linear in p,
+w_0 > 0. From a peak P the film unloads along the hyperbola
+
+    p_e/P = s²t/(1 + (s² − 1)t),   t = p/P,   s = (1 + η)/(1 − η),
+
+whose largest gap from the line is η, at t = 1/(1 + s).
 Sources: Al Janaideh, Rakheja, Su, IEEE/ASME Trans. Mechatron. 16, 734 (2011), the operator and its inverse; Kuhnen,
 Eur. J. Control 9, 407 (2003); for tactile films Sánchez-Durán et al., Sensors 15, 26170 (2015).
 
-Creep: an answer that goes on growing with the logarithm of time, and fades the same way.
+Creep: a response a that grows with the logarithm of time, and fades likewise.
 
     a = u + c Σ_j s_j,   ds_j/dt = (u − s_j)/τ_j,   τ_j = 1, 10, … 10⁵ s
 
-u is the film's instantaneous answer; c is the creep per decade. One Kelvin-Voigt element in each decade makes
-Σ_j (1 − e^{−t/τ_j}) = log10(t/1 s) + 0.74 to within 0.02 from a second to a day; a load that lay for T leaves
-c u log10((T + t)/t) at a time t after it. Creep within the first second belongs to the response curve. It is in
-ln r because tunnelling makes ln r linear in the gap between conducting grains, and the gap creeps.
+u is the film's instantaneous response; c is the creep per decade. One Kelvin-Voigt element in each decade makes
+Σ_j (1 − e^{−t/τ_j}) = log10(t/1 s) + 0.74 to within 0.02 from a second to a day. A load that was applied for a time T
+leaves c u log10((T + t)/t) at a time t after it. Creep within the first second belongs to the response curve. The
+creep is one of ln r, because tunnelling makes ln r linear in the gap between conducting grains, and the gap creeps.
 Sources: Zhang et al., J. Polym. Sci. B 38, 2739 (2000); data sheets of Interlink's FSR; Krejčí & Kuhnen, IEE Proc.
 Control Theory Appl. 148, 185 (2001), a row of relaxations beside hysteresis, and the inverse of both.
 """
@@ -35,12 +38,12 @@ import numpy as np
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, VACUUM_KPA, Film, Response, Strength
 
-# Where the hyperbola is cut into lines: ln(s t/(1 − t)), 0 at the largest gap. The lines miss it by 0.4 % of the peak.
+# Corners of the piecewise linear hyperbola, as ln(s t/(1 − t)), 0 at the largest gap; its error is 0.4 % of the peak.
 CUTS = np.linspace(-2.6, 2.6, 11)
 DECADES = 10.0 ** np.arange(6)  # τ_j, s
-# Strengths of creep that `FilmKnown.estimated` compares, per decade: as dense as their posteriors are narrow.
+# Strengths of creep per decade that `FilmKnown.estimated` compares; denser where posteriors are narrower.
 CREEPS = Film.most["creep_per_decade"] * np.linspace(0, 1, 81) ** 2
-# Of the largest ln r/r0 of a cell, the residue once the load is gone that does not fade: shares that are compared.
+# Compared shares of a cell's largest ln r/r0 that remain after a load and do not fade.
 RESIDUES = 0.25 * np.linspace(0, 1, 26) ** 2
 MIN_PERIOD = 1e-3  # s between frames whose times do not increase
 
@@ -51,12 +54,12 @@ class Plays:
 
     Attributes
     ----------
-    weight : array
-        (1 + plays, ...) of p and of the plays.
-    reach : array
-        (plays, ...) b_i.
-    held : array
-        (plays, ...) z_i, kPa.
+    weight : array, shape (1 + plays, ...)
+        w_0 of p, and w_i of the plays.
+    reach : array, shape (plays, ...)
+        b_i.
+    held : array, shape (plays, ...)
+        z_i, kPa.
     """
 
     weight: Array
@@ -65,31 +68,34 @@ class Plays:
 
     @classmethod
     def at_rest(cls, hysteresis: Array) -> "Plays":
-        """Return the state before the first load of cells with their largest gap each, any shape."""
+        """Return the state before the first load of cells with the largest gap η, of any shape."""
+        # s; corners t of the hyperbola, and p_e/P there
         steep = (1 + hysteresis) / (1 - hysteresis)
         cut = CUTS.reshape(-1, *[1] * np.ndim(hysteresis))
         below, above = 1 / (1 + steep * np.exp(-cut)), 1 / (1 + np.exp(-cut) / steep)
         nothing, whole = np.zeros((1, *np.shape(hysteresis))), np.ones((1, *np.shape(hysteresis)))
+        # slopes of the lines; differences of successive slopes give w_i, the last slope is w_0
         rise, run = (np.diff(np.concatenate([nothing, part, whole]), axis=0) for part in (above, below))
         slopes = rise / run
         weight = np.concatenate([slopes[-1:], -np.diff(slopes, axis=0) * below])
         return cls(weight, 1 / below, np.zeros_like(below))
 
     def after(self, pressure: Array) -> "Plays":
-        """Return the plays once the pressure (...) kPa has come, monotonously."""
+        """Return the plays after a monotone change to a pressure (...) kPa: z_i clipped between p and b_i p."""
         far = self.reach * pressure
         return replace(self, held=np.clip(self.held, np.minimum(pressure, far), np.maximum(pressure, far)))
 
     def effective(self, pressure: Array) -> Array:
-        """p_e (...) kPa were the pressure the next."""
+        """Return p_e = w_0 p + Σ w_i z_i (...) kPa of the next pressure p."""
         return np.asarray(self.weight[0] * pressure + (self.weight[1:] * self.after(pressure).held).sum(axis=0))
 
     def pressure(self, effective: Array) -> Array:
-        """p (...) kPa of the next p_e: the inverse of `effective`. ±∞ and NaN stay."""
-        if not self.weight[1:].any():  # no hysteresis, which most films are taken for
+        """Return the next pressure p (...) kPa from p_e, the inverse of `effective`; ±∞ and NaN are preserved."""
+        if not self.weight[1:].any():  # no hysteresis, the usual case
             return np.asarray(effective / self.weight[0])
+        # p_e is linear between the corners p = z_i, z_i/b_i and 0, where a play begins or ends to move.
         corners = np.sort(np.concatenate([self.held, self.held / self.reach, np.zeros_like(self.held[:1])]), axis=0)
-        # Beyond all corners every play rests on the line p itself.
+        # Beyond all corners every play follows p or b_i p, so one further point on each side gives the outer lines.
         corners = np.concatenate([corners[:1] - 1, corners, corners[-1:] + 1])
         each = Plays(self.weight[:, None], self.reach[:, None], self.held[:, None])
         reached = each.effective(corners)
@@ -108,10 +114,10 @@ class Creep:
 
     Attributes
     ----------
-    strength : array
-        (...) c, a fraction per decade.
-    crept : array
-        (decades, ...) s_j.
+    strength : array, shape (...)
+        c, a fraction per decade.
+    crept : array, shape (decades, ...)
+        s_j.
     """
 
     strength: Array
@@ -122,16 +128,17 @@ class Creep:
         return cls(strength, np.zeros((len(DECADES), *np.shape(strength))))
 
     def after(self, at_once: Array, seconds: float) -> "Creep":
-        """Return the creep once u (...) has lasted for so long."""
+        """Return the creep after an interval in s with constant u (...): s_j ← u + (s_j − u) e^{−t/τ_j}."""
         return replace(self, crept=at_once + (self.crept - at_once) * self._kept(seconds))
 
     def answer(self, at_once: Array, seconds: float) -> Array:
-        """Return a (...) at the end of an interval in which u lasts."""
+        """Return a = u + c Σ s_j (...) at the end of an interval with constant u."""
         return np.asarray(at_once + self.strength * self.after(at_once, seconds).crept.sum(axis=0))
 
     def at_once(self, answer: Array, seconds: float) -> Array:
-        """u (...) of an interval with a at its end: the inverse of `answer`."""
+        """Return the constant u (...) of an interval from a at its end, the inverse of `answer`."""
         remaining = self._kept(seconds)
+        # a = u + c Σ (u + (s_j − u) e_j) is linear in u, with e_j = e^{−t/τ_j}
         left = self.strength * (self.crept * remaining).sum(axis=0)
         return np.asarray((answer - left) / (1 + self.strength * (1 - remaining).sum(axis=0)))
 
@@ -141,7 +148,19 @@ class Creep:
 
 @dataclass(frozen=True, eq=False)
 class FilmMemory:
-    """A film before its next frame: where plays and creep stand, β and p_w in kPa; all (...) cells."""
+    """State of a film before its next frame, for cells of any shape (...).
+
+    Attributes
+    ----------
+    plays : Plays
+    creep : Creep
+    gain : array
+        β.
+    water : array
+        p_w, kPa.
+    response : Response
+        f.
+    """
 
     plays: Plays
     creep: Creep
@@ -156,24 +175,35 @@ class FilmMemory:
         return cls(Plays.at_rest(hysteresis), Creep.at_rest(creep_per_decade), gain, water, response)
 
     def answered(self, pressure: Array, seconds: float) -> tuple["FilmMemory", Array]:
-        """Return (the film afterwards, ln(r/r_rest)) of a pressure (...) kPa of a load that lasts for so long."""
+        """Return the film after a load, and ln(r/r_rest) at its end.
+
+        Parameters
+        ----------
+        pressure : array, shape (...)
+            kPa, constant during the interval.
+        seconds : float
+            Duration of the interval.
+        """
         effective = self.plays.effective(pressure)
         at_once = self.response.logarithm(self.water) - self.response.logarithm(self.water + effective)
         answer = self.gain * self.creep.answer(at_once, seconds)
         return replace(self, plays=self.plays.after(pressure), creep=self.creep.after(at_once, seconds)), -answer
 
     def pressure(self, change: Array, seconds: float) -> Array:
-        """p (...) kPa, at least an empty space, with ln(r/r_rest) = `change` after such an interval; ±∞, NaN stay."""
+        """Return the pressure (...) kPa from ln(r/r_rest) = `change` at the end of an interval in s, at least a vacuum.
+
+        ±∞ and NaN are preserved.
+        """
         return self.plays.pressure(self.effective(change, seconds))
 
     def effective(self, change: Array, seconds: float) -> Array:
-        """p_e (...) kPa after such an interval."""
+        """Return p_e (...) kPa from ln(r/r_rest) = `change` at the end of an interval in s."""
         at_once = self.creep.at_once(-change / self.gain, seconds)
         on_film = self.response.pressure(self.response.logarithm(self.water) - at_once)
         return np.asarray(np.maximum(on_film, VACUUM_KPA) - self.water)
 
     def observed(self, change: Array, seconds: float) -> "FilmMemory":
-        """Return the film after an interval with ln(r/r_rest) = `change` at its end; a cell of NaN stands still."""
+        """Return the film after an interval in s from ln(r/r_rest) = `change` at its end; NaN leaves cells as is."""
         known = np.isfinite(change)
         after, _ = self.answered(self.pressure(np.where(known, change, 0.0), seconds), seconds)
         held = np.where(known, after.plays.held, self.plays.held)
@@ -181,35 +211,34 @@ class FilmMemory:
         return replace(self, plays=replace(self.plays, held=held), creep=replace(self.creep, crept=crept))
 
     def fading(self, seconds: float) -> Array:
-        """ln(r/r_rest) (...) after an interval without load: the residue of earlier loads."""
+        """Return ln(r/r_rest) (...) after an interval in s without load, the fading memory of earlier loads."""
         return -self.gain * self.creep.answer(np.zeros(np.shape(self.creep.strength)), seconds)
 
     def at_once(self, change: Array, seconds: float) -> Array:
-        """−ln(r/r_rest) (...) without creep, at the end of such an interval."""
+        """Return β u (...), −ln(r/r_rest) without creep, from ln(r/r_rest) = `change` after an interval in s."""
         return np.asarray(self.gain * self.creep.at_once(-change / self.gain, seconds))
 
 
 @dataclass(frozen=True)
 class MemoryErrors:
-    """Assumptions by which the memory of a film is told from a load.
+    """Assumptions that distinguish the memory of a film from a load.
 
     Attributes
     ----------
     unloaded, drift : float
-        Standard deviation of ln r/r0 of a cell that nothing touches, beside the estimate's own error: at once, and for
-        each minute.
+        Standard deviation of ln r/r0 of an untouched cell, beside the estimate's error: constant, and for each minute.
     memory, cell_memory : float
-        Relative error of a cell's predicted memory: peaks fall between frames; and the same where cells may differ.
+        Relative errors of a cell's predicted memory, because peaks fall between frames; the second where cells differ.
     loaded_range : float
-        The other explanation, that something still presses, is as likely beforehand; ln r/r0 is then anywhere within.
+        Range of ln r/r0, uniform, under the alternative that a load still presses; both have equal prior odds.
     open_cell : float
         ln r/r0 beyond which a cell is open.
     independent_frames : float
-        Errors of a cell stay from frame to frame: all its frames count as so many.
+        Effective number of a cell's frames, because its errors persist from frame to frame.
     most_creep : float
-        Mean creep beyond which a residue is no creep.
+        Mean creep beyond which a residue is not taken for creep.
     lasting_share : float
-        Share of a load that may stay.
+        Largest share of a load that may remain.
     """
 
     unloaded: float = 0.005
@@ -223,7 +252,7 @@ class MemoryErrors:
     lasting_share: float = 0.5
 
     def resting_sd(self, minutes: float) -> float:
-        """Return the standard deviation of ln r/r0 of a cell that nothing touches, so long after its zero."""
+        """Return the standard deviation of ln r/r0 of an untouched cell some minutes after its zero."""
         return hypot(self.unloaded, self.drift * minutes)
 
 
@@ -236,11 +265,17 @@ class FilmKnown:
 
     Attributes
     ----------
-    cells : tuple or None
-        (rows, columns) the creep of each cell and its deviation, estimated from a recording; else None.
+    film : Film
+        As the scene specifies it.
+    hysteresis, creep : Strength
+        Mean and standard deviation.
+    sentence : str
+        Strengths that the scene leaves open and their sources, in words.
+    cells : (array, array) or None
+        Creep of each cell and its standard deviation, (rows, columns), estimated from a recording.
     residue : float
-        Of the largest ln r/r0 of a cell, the root mean square of the residue after the load that does not fade; its
-        mean beforehand.
+        Root mean square of the permanent residue after a load, as a share of the cell's largest ln r/r0; before a
+        recording is evaluated its prior mean.
     """
 
     film: Film
@@ -256,7 +291,10 @@ class FilmKnown:
         return replace(known, sentence=known._said("assumed"))
 
     def at_rest(self, water: Array, response: Response) -> FilmMemory:
-        """(films, rows, columns) at rest in p_w: the mean film, then one with each strength by its deviation more."""
+        """Return the films at rest in water, (films, rows, columns).
+
+        The first is the mean film; each further film has one uncertain strength increased by its standard deviation.
+        """
         creep, creep_sd = self.cells or self.creep
         more = [(0, 0), *([(1, 0)] if self.hysteresis.sd else []), *([(0, 1)] if self.creep.sd else [])]
         gap = np.stack(
@@ -267,18 +305,20 @@ class FilmKnown:
         return FilmMemory.at_rest(gap, strength, gain, water, response)
 
     def estimated(self, change: Array, sd: Array, time: Array) -> "FilmKnown":
-        """Return the film with the creep that the recording shows; unchanged where the scene specifies it.
+        """Return the film with the posterior of its creep, given a recording; unchanged where the scene specifies it.
 
-        Where a load is gone, a cell still shows c Σ s_j and a constant share ρ of its largest answer. P(c, ρ) ∝ P(c)
-        P(ρ) beforehand · Π [½ N(u; 0, σ) + ½/`loaded_range`] over frames and cells, u the remainder of ln r/r_rest
-        without both. Where cells differ, each has its own posterior about that of all. Where the residue is more than
-        any film creeps, there is no creep.
+        After a load a cell still shows c Σ s_j and a constant share ρ of its largest response. With exponential priors
+
+            P(c, ρ | data) ∝ P(c) P(ρ) Π [½ N(u; 0, σ) + ½/`loaded_range`]
+
+        over frames and cells, where u is ln r/r_rest without both. Where cells may differ, each has its own posterior
+        about the common one. If the mean exceeds `most_creep`, the residue is not taken for creep.
 
         Parameters
         ----------
         change, sd : array, shape (frames, rows, columns)
-            ln(r/r_rest), NaN where a frame failed.
-        time : array
+            ln(r/r_rest), NaN where a frame failed, and its standard deviation.
+        time : array, shape (frames,)
             s.
         """
         if self.film.creep_per_decade != "auto":
@@ -286,6 +326,7 @@ class FilmKnown:
         usual, data = self.film.creep_strength, (self.film.answer, change, sd, time)
         each = _likelihood(*data, ERRORS.cell_memory, RESIDUES).sum(axis=(2, 3))
         logarithm = each - RESIDUES[:, None] / self.residue - CREEPS / usual.mean
+        # moments of c, marginal over ρ; then the marginal of ρ, integrated over c with the grid's spacing
         mean, shared = (float(number) for number in _moments(np.logaddexp.reduce(logarithm, axis=0)))
         volume = np.logaddexp.reduce(logarithm + np.log(np.gradient(CREEPS)), axis=1) + np.log(np.gradient(RESIDUES))
         weight = np.exp(volume - volume.max())
@@ -304,13 +345,13 @@ class FilmKnown:
         return replace(known, sentence=known._said(message if shared <= 0.8 * usual.sd else "assumed"))
 
     def at_once(self, change: Array, time: Array) -> tuple[Array, Array]:
-        """Return ln r/r_rest without creep, and its deviation as creep is known, (frames, rows, columns); NaN stays.
+        """Return ln r/r_rest without creep, and its error by the uncertainty of creep, (frames, rows, columns).
 
         Parameters
         ----------
         change : array, shape (frames, rows, columns)
-            ln r/r_rest.
-        time : array, shape (frames)
+            ln r/r_rest; NaN is preserved.
+        time : array, shape (frames,)
             s.
         """
         mean, sd = self.cells or self.creep
@@ -335,7 +376,7 @@ class FilmKnown:
 
 
 def _moments(logarithm: Array) -> tuple[Array, Array]:
-    """Mean and standard deviation of c, (...), whose ln P at CREEPS are (strengths, ...)."""
+    """Return the mean and the standard deviation of c, (...), from ln P at CREEPS, (strengths, ...)."""
     wide = np.gradient(CREEPS).reshape(-1, *[1] * (logarithm.ndim - 1))
     weight = np.exp(logarithm - logarithm.max(axis=0)) * wide
     weight = weight / weight.sum(axis=0)
@@ -344,17 +385,23 @@ def _moments(logarithm: Array) -> tuple[Array, Array]:
 
 
 def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, residues: Array) -> Array:
-    """ln P(frames of a cell | ρ, c) for every c of CREEPS, up to a common term, (residues, strengths, rows, columns).
+    """Return ln P(frames of a cell | ρ, c) up to a constant, (residues, strengths, rows, columns).
 
     Parameters
     ----------
+    gain : float
+        Share of the response that bending leaves.
+    change, sd : array, shape (frames, rows, columns)
+        ln(r/r_rest) and its standard deviation.
+    time : array, shape (frames,)
+        s.
     own : float
-        Relative standard deviation of the residue of a load.
-    residues : array
-        ρ, (residues).
+        Relative standard deviation of the memory of a load.
+    residues : array, shape (residues,)
+        ρ.
     """
     likelihood = np.zeros((len(residues), len(CREEPS), *change.shape[1:]))
-    felt = np.nanmax(-change, axis=0, initial=0.0) > ERRORS.unloaded  # of all others each strength explains as much
+    felt = np.nanmax(-change, axis=0, initial=0.0) > ERRORS.unloaded  # other cells are explained equally by every c
     change, sd, share = change[:, felt], sd[:, felt], residues[:, None, None]
     creep, last = Creep.at_rest(np.broadcast_to(CREEPS[:, None], (len(CREEPS), felt.sum()))), float(time[0])
     total, resting = np.zeros((2, len(residues), *creep.strength.shape))
@@ -367,11 +414,13 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, 
         answer = np.where(known, np.clip(-frame / gain, -ERRORS.open_cell, ERRORS.open_cell), fading)
         drift, stays = ERRORS.resting_sd((now - time[0]) / 60), fading + share * peak
         variance = (np.where(known, error, 0.0) / gain) ** 2 + drift**2 + (own * stays) ** 2
+        # N(u; 0, σ) with σ² of the estimate, drift and memory; total += ln(½ N + ½/range), resting += P(no load)
         density = np.exp(-0.5 * (answer - stays) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
         density *= stays <= ERRORS.lasting_share * peak
         total += known * np.log((density + 1 / ERRORS.loaded_range) / 2)
         resting += known * density / (density + 1 / ERRORS.loaded_range)
         peak = np.fmax(peak, np.where(known, answer[0].clip(0.0), 0.0))
         creep, last = creep.after(creep.at_once(answer, seconds), seconds), float(now)
+    # the unloaded frames of a cell count as `independent_frames` at most
     likelihood[..., felt] = total / np.maximum(resting.max(axis=1, keepdims=True) / ERRORS.independent_frames, 1.0)
     return likelihood

@@ -1,8 +1,8 @@
-"""Pressure of a load on every cell, from the cell's resistance over its unloaded one; and the water's pressure.
+"""Pressures of loads from the ratio of cell resistances to their unloaded values; pressure of water; automatic tare.
 
-A zero is taken anew by itself where nothing touches the panel: every cell must lie where noise, drift and the film's
-memory may have brought it, in each of the last frames. The mean of their first half is the new zero; the other half is
-a guard against a load that begins to come.
+A new zero is taken where nothing touches the panel: in each of the last frames every cell must lie where noise, drift
+and the film's memory may have brought it. The mean of the first half of these frames is the new zero; the second half
+ensures that no load is about to arrive.
 """
 
 from collections.abc import Callable, Iterable
@@ -21,18 +21,18 @@ from lampest.panel.scene import Scene, Systematic, Water
 from lampest.panel.systematic import systematic_of
 
 # ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3 kPa. The weakest
-# suction of a lamprey, 0.6 kPa, covers more cells than four; films drift cell by cell.
+# suction of a lamprey, 0.6 kPa, covers more than four cells, while the drift of films is independent in each cell.
 MAX_CHANGE, MAX_CHANGE_OF_FOUR = 0.15, 0.06
 
 
 @dataclass(frozen=True)
 class Tare(Configuration):
-    """Take zero anew where nothing has touched the panel for so many frames in a row.
+    """Take zero anew where nothing has touched the panel for a number of successive frames.
 
     Attributes
     ----------
     frames : int
-        How many; from fewer than five, noise cannot be told from a load.
+        Number of frames, at least five: fewer do not distinguish noise from a load.
     drift_per_minute : float
         Standard deviation of ln r of a cell at rest for each minute since the last zero.
 
@@ -50,14 +50,15 @@ class Tare(Configuration):
 
 @dataclass(frozen=True, eq=False)
 class TareWatch:
-    """The frames since the last one that was not at rest.
+    """State of the automatic tare.
 
     Attributes
     ----------
+    tare : Tare
     zeroed : float or None
-        s, of the last zero; None before the first frame.
-    frames : tuple of tuple
-        At most as many as `tare` asks for: (rows, columns) ln r/r_zero without the film's memory, and s.
+        Time of the last zero, s; None before the first frame.
+    frames : tuple of (array, float)
+        The last frames, at most `tare.frames`: ln r/r_zero without the film's memory (rows, columns), and time in s.
     """
 
     tare: Tare
@@ -65,7 +66,17 @@ class TareWatch:
     frames: tuple[tuple[Array, float], ...] = ()
 
     def after(self, left: Array, memory: Array, time: float) -> tuple["TareWatch", Array | None, str]:
-        """(watch, new zero or None, why or ''); left : ln r/r_zero (rows, columns) without the film's memory."""
+        """Return the state after a frame, the new zero or None, and the reason or ''.
+
+        Parameters
+        ----------
+        left : array, shape (rows, columns)
+            ln r/r_zero without the film's memory.
+        memory : array, shape (rows, columns)
+            The film's memory in ln r.
+        time : float
+            s.
+        """
         zeroed, count = time if self.zeroed is None else self.zeroed, self.tare.frames
         if not np.isfinite(left).any():
             return TareWatch(self.tare, zeroed), None, ""
@@ -80,15 +91,17 @@ class TareWatch:
         return TareWatch(self.tare, time), mean, message
 
     def _zero(self, memory: Array, minutes: float) -> Array | None:
-        """Return the mean of the first half.
+        """Return the mean of the first half of the frames; None where it must not or need not be a new zero.
 
-        None where something stands out in any frame, or where it is not worth a new zero.
+        It must not where a frame shows a load, and need not where the mean is within its noise.
         """
         frames = np.stack([left for left, _ in self.frames])
         known = np.isfinite(frames).all(axis=0)
         noise, half = sigma_of_frames(frames[:, known]), len(frames) // 2
         drift = np.hypot(ERRORS.unloaded, self.tare.drift_per_minute * minutes)
         moved = np.hypot(drift, ERRORS.cell_memory * memory[known])
+        # deviations in units of noise, drift and memory: none beyond OUTLIER_THRESHOLD, mean square near 1 in every
+        # frame
         each, mean = frames[:, known] / np.hypot(noise, moved), frames[:half].mean(axis=0)
         quiet = np.abs(each).max() < OUTLIER_THRESHOLD and (each**2).mean(axis=1).max() < MAX_MEAN_SQUARE
         worth = np.mean(mean[known] ** 2) >= TWO_SIDED**2 * np.mean(noise**2) / half
@@ -98,12 +111,12 @@ class TareWatch:
 
 
 def sigma_of_frames(frames: Array) -> Array:
-    """Return the noise of one frame, (...), from the differences of neighbours among (frames, ...); NaN: missing."""
+    """Return the noise of one frame (...) from differences of successive frames (frames, ...); NaN is ignored."""
     return np.asarray(MAD_TO_SIGMA * np.nanmedian(np.abs(np.diff(frames, axis=0)), axis=0) / np.sqrt(2))
 
 
 def _stands_out(change: Array) -> bool:
-    """Whether ln r/r0 (rows, columns) may be under a load, in a cell or in four neighbours; unknown cells are not."""
+    """Return whether ln r/r0 (rows, columns) may show a load, in one cell or in the mean of four; NaN counts as 0."""
     cells = np.pad(np.nan_to_num(change), 1)
     four = (cells[:-1, :-1] + cells[1:, :-1] + cells[:-1, 1:] + cells[1:, 1:]) / 4
     return bool(np.abs(cells).max() > MAX_CHANGE or np.abs(four).max() > MAX_CHANGE_OF_FOUR)
@@ -117,13 +130,23 @@ MIN_TOUCH = 0.1  # ln r/r0: less may be drift alone, half a kPa of the published
 class Pressure:
     """Pressure of loads on the cells, without that of the water; suction is negative.
 
-    pressure : (frames, rows, columns) kPa; NaN where the estimate is. lower, upper : ends of the 95 % interval, kPa:
-        `lower` is never below an empty space, `upper` may be infinite. errors : half the 68 % interval. own, common
-        : its two parts, each cell's own and that which cells share, such as the film's curve.
-    saturated : 1 where the response leaves the pressure open: the interval, water included, reaches beyond `told_kpa`
-        of the response. pressing : 1 where a load presses: ln r/r0 without the film's memory fell by NOISE_REACH
-        standard deviations, those of the response aside.
-    tared : (frames) why zero was taken anew after a frame; '' where it was not.
+    Attributes
+    ----------
+    pressure : array, shape (frames, rows, columns)
+        kPa; NaN where the estimate is NaN.
+    lower, upper : array, same shape
+        Ends of the 95 % interval, kPa: `lower` is at least a vacuum, `upper` may be infinite.
+    errors : array, same shape
+        Half the 68 % interval, kPa.
+    own, common : array, same shape
+        Its two parts, kPa: each cell's own error, and the error that cells share, such as that of the film's curve.
+    saturated : array, same shape
+        1 where the response does not determine the pressure: the interval, water included, exceeds `told_kpa`.
+    pressing : array, same shape
+        1 where a load presses: ln r/r0 without the film's memory decreased by NOISE_REACH standard deviations, without
+        that of the response.
+    tared : tuple of str
+        Reason for a new zero after each frame; '' where there was none.
     """
 
     pressure: Array
@@ -147,11 +170,11 @@ def pressure_of(
     tare: Tare | None = None,
     own: Array | None = None,
 ) -> Pressure:
-    """p = f⁻¹(f(p_w)·e^{x/κ}) − p_w with x = ln(r/r_baseline) − α (T − T_b), (frames, rows, columns) kPa.
+    """Return the pressure p = f⁻¹(f(p_w)·e^{x/κ}) − p_w with x = ln(r/r_baseline) − α (T − T_b).
 
-    The interval's ends are those of x, mapped like x itself: f is monotone. Three errors are added in quadrature: that
-    of the estimate (each side its own), |T − T_b|·σ_α, and the response's, `response_sd`·|x|. Where the scene names a
-    film, its memory of earlier frames is taken off; a possible residue is one more error.
+    The ends of the interval are those of x, mapped like x, because f is monotone. Three errors are added in
+    quadrature: that of the estimate, separately for both sides, |T − T_b|·σ_α, and `response_sd`·|x|. If the scene
+    names a film, its memory of earlier frames is subtracted, and a possible residue is a further error.
 
     Raises ValueError where shapes disagree, a ratio is not positive and finite, or lies outside its interval.
 
@@ -159,16 +182,17 @@ def pressure_of(
     ----------
     ratio : array, shape (frames, rows, columns)
         r/r_baseline; NaN where a frame failed.
-    lower, upper : array
+    lower, upper : array, same shape
         Ends of its 95 % interval; 0 and infinity where that is open, `ratio` itself at a bound.
-    time : array, shape (frames) or None
-        s; None: a second apart.
-    known : FilmKnown or None
-        Of the film; None: as the scene has it.
-    tare : Tare or None
-        When zero is taken anew; None: never.
-    own : array or None
-        Standard deviation of log ratio that each cell has on its own; None: all of the interval.
+    scene : Scene
+    time : array, shape (frames,), optional
+        s; by default frames are a second apart.
+    known : FilmKnown, optional
+        Strengths of the film's memory; by default those of the scene.
+    tare : Tare, optional
+        Conditions of a new zero; by default there is none.
+    own : array, same shape, optional
+        Standard deviation of log ratio of each cell's own error; by default that of the whole interval.
     """
     if ratio.shape[1:] != scene.panel.shape or not ratio.shape == lower.shape == upper.shape:
         raise ValueError("ratio, lower and upper must all be frames × rows × columns of the scene's panel")
@@ -190,22 +214,25 @@ def pressure_of(
 
 @dataclass(frozen=True, eq=False)
 class PressureTrack:
-    """Pressures of frames as they come, and where the film stands after the last one.
+    """State of the film between frames, from which the pressure of the next frame is computed.
 
     Attributes
     ----------
+    scene : Scene
     films : FilmMemory
-        The mean film, then one with each of its strengths by a standard deviation more, (films, rows, columns).
-    zeros : array
-        (films, rows, columns) ln(r/r_rest) that counts as none beside the memory: a tare.
+        The mean film, then films with one strength increased by a standard deviation, (films, rows, columns).
+    zeros : array, shape (films, rows, columns)
+        ln(r/r_rest) of the present zero, beside the memory.
     peak : array, shape (rows, columns)
-        The largest |ln(r/r_rest)| so far, of which a share `residue` may stay.
+        Largest |ln(r/r_rest)| so far.
+    residue : float
+        Share of `peak` that may remain after a load.
     time, zeroed : float or None
-        s, of the last frame and of the zero, None before them.
+        Times of the last frame and of the zero, s; None before them.
     watch : TareWatch or None
-        Whether something touches the panel; None where zero stays.
+        State of the automatic tare; None without it.
     tared : str
-        Why zero was taken anew, or ''.
+        Reason for a new zero after the last frame, or ''.
     """
 
     scene: Scene
@@ -220,7 +247,7 @@ class PressureTrack:
 
     @classmethod
     def begin(cls, scene: Scene, known: FilmKnown | None = None, tare: Tare | None = None) -> "PressureTrack":
-        """Return the track before the first frame; known, tare : as in `pressure_of`."""
+        """Return the track before the first frame; `known` and `tare` as in `pressure_of`."""
         known, water = known or FilmKnown.specified(scene.film or Film()), water_pressure(scene.panel, scene.water)
         films, residue = known.at_rest(water, scene.response or PUBLISHED), known.residue * known.film.remembers
         watch = None if tare is None else TareWatch(tare)
@@ -228,24 +255,34 @@ class PressureTrack:
 
     @property
     def remembers(self) -> bool:
-        """Whether a frame's pressure depends on those before."""
+        """Whether the pressure of a frame depends on earlier frames."""
         return self.scene.film is not None or self.watch is not None
 
     def pressure(self, ratio: Array, lower: Array, upper: Array, time: float, own: Array | None = None) -> Pressure:
-        """p (rows, columns) kPa of the next frame at a time in s; of several (frames, …) where nothing remembers.
+        """Return the pressure of the next frame at a time in s, or of several frames if the film has no memory.
 
-        own : as `pressure_of`.
+        Parameters
+        ----------
+        ratio, lower, upper : array, shape (rows, columns) or (frames, rows, columns)
+            As in `pressure_of`.
+        time : float
+            s.
+        own : array, optional
+            As in `pressure_of`.
         """
         change, remembered = self._change(ratio), self._kept(ratio, time)
+        # The mean film, and the alternatives with one strength increased: their differences are errors by the film's
+        # memory.
         answer, *answers = -self._of_films(self.films.at_once, change, time)
         effective, *_ = self._of_films(self.films.effective, change, time)
         expected, *alternatives = self._of_films(self.films.pressure, change, time)
         share = np.where(effective == 0, 1.0, expected / np.where(effective == 0, 1.0, effective))
 
         def of_change(moved: Array) -> Array:
-            """p, were ln r another by so much all the time: the film's loops grow in proportion to the load."""
+            """Return p if ln r differed by `moved` at all times; hysteresis loops scale with the load."""
             return np.asarray(share * self._of_films(self.films.effective, change + moved, time)[0])
 
+        # Error bars: estimate, residue and temperature, and response in quadrature in ln r; then mapped to pressure.
         shared = TWO_SIDED * np.hypot(remembered, self._film_sd(answer) * answer)
         with np.errstate(divide="ignore"):
             fell, rose = np.log(ratio) - np.log(lower), np.log(upper) - np.log(ratio)
@@ -256,6 +293,7 @@ class PressureTrack:
             open_kpa, empty = _distance(alternatives, expected), VACUUM_KPA - self.films.water
             least = np.maximum(expected - np.hypot(expected - least, TWO_SIDED * open_kpa), empty)
             most, errors = expected + np.hypot(most - expected, TWO_SIDED * open_kpa), np.hypot(errors, open_kpa)
+        # Split of the error: each cell's own part, and the rest, which cells share.
         half = (fell + rose) / (2 * TWO_SIDED) if own is None else own
         scatter = np.hypot(half, scatter_sd(self.scene, self.scene.specified_systematic) * answer)
         with np.errstate(invalid="ignore"):
@@ -270,10 +308,7 @@ class PressureTrack:
         )
 
     def after(self, ratio: Array, time: float) -> "PressureTrack":
-        """Return the track after a frame with r/r_baseline (rows, columns) at a time in s.
-
-        Where it is NaN, the film stands.
-        """
+        """Return the track after a frame of r/r_baseline (rows, columns) at a time in s; NaN leaves cells unchanged."""
         if not self.remembers:
             return self
         change, seconds, track = self._change(ratio), self._seconds(time), self
@@ -290,20 +325,17 @@ class PressureTrack:
         return replace(track, watch=watch, tared=tared)
 
     def rebased(self, time: float) -> "PressureTrack":
-        """Against another baseline from a time in s on: the panel as it is then, with nothing on it."""
+        """Return the track with the present, unloaded panel as the baseline from a time in s on."""
         watch = None if self.watch is None else TareWatch(self.watch.tare, time)
         return replace(self._zeroed(np.zeros(self.scene.panel.shape), time), watch=watch)
 
     def _zeroed(self, change: Array, time: float) -> "PressureTrack":
-        """Return the track after a frame without a load.
-
-        The change that the memory does not explain is the new zero.
-        """
+        """Return the track after an unloaded frame: the change that the memory does not explain is the new zero."""
         zeros = change - self.films.fading(self._seconds(time))
         return replace(self, zeros=np.where(np.isfinite(change), zeros, self.zeros), zeroed=time)
 
     def _seconds(self, time: float) -> float:
-        """Since the last frame; a second before the first."""
+        """Return the time since the last frame, s; 1 s for the first frame."""
         return 1.0 if self.time is None else max(time - self.time, MIN_PERIOD)
 
     def _change(self, ratio: Array) -> Array:
@@ -311,11 +343,9 @@ class PressureTrack:
         return np.asarray(np.log(ratio) - (0.0 if warmth is None else warmth.logarithm))
 
     def _kept(self, ratio: Array, time: float) -> Array:
-        """Return the standard deviation of ln r/r_rest without a load.
+        """Return the standard deviation of ln r/r_rest without a load, by the film's residue, drift and temperature.
 
-        Its parts are the film's residue, its drift and temperature.
-
-        Residue and drift count by √(1 − x²/peak²), as far as the largest load is gone.
+        Residue and drift are multiplied by √(1 − x²/peak²): they matter as far as the largest load is gone.
         """
         change, spread, warmth = self._change(ratio), np.zeros(ratio.shape), self.scene.temperature
         if self.residue and self.zeroed is not None:
@@ -330,42 +360,61 @@ class PressureTrack:
         return np.asarray(np.hypot(response_sd(self.scene, answer), curve_sd))
 
     def _of_films(self, value: Callable[[Array, float], Array], change: Array, time: float) -> Array:
-        """(films, …) of a frame's ln r/r_rest: `at_once` −ln r/r_rest without creep, p_e or p, kPa."""
+        """Return a method of `FilmMemory`, `at_once`, `effective` or `pressure`, of a frame for all films, (films, …).
+
+        Parameters
+        ----------
+        value : callable
+        change : array, shape (…, rows, columns)
+            ln r/r_rest.
+        time : float
+            s.
+        """
         return np.moveaxis(value(change[..., None, :, :] - self.zeros, self._seconds(time)), -3, 0)
 
 
 def _distance(alternatives: Iterable[Array], expected: Array) -> Array:
-    """√Σ (other − here)², any shape."""
+    """Return √Σ (alternative − expected)², of any shape."""
     return np.asarray(np.sqrt(np.sum([(alternative - expected) ** 2 for alternative in alternatives], axis=0)))
 
 
 def response_sd(scene: Scene, answer: Array) -> Array:
-    """Relative standard deviation, of cells and the curve, of ln(r/r0) = `answer` (…, rows, columns) at a pressure."""
+    """Return the relative standard deviation of ln(r/r0) at a pressure, by the cells' scatter and the curve.
+
+    Parameters
+    ----------
+    scene : Scene
+    answer : array, shape (…, rows, columns)
+        ln(r/r0).
+    """
     response = scene.response or PUBLISHED
     curve = response.curve_sd(response.pressure(answer / response.gains))
     return np.asarray(np.hypot(scatter_sd(scene, systematic_of(scene)), curve))
 
 
 def scatter_sd(scene: Scene, errors: Systematic | None) -> Array:
-    """Return the part of it that each cell has on its own: as these errors say; else as cells of one film scatter."""
+    """Return each cell's own part of `response_sd`: measured gains, else the specified error, else RESPONSE_SD."""
     own = RESPONSE_SD if errors is None or errors.response_sd is None else errors.response_sd
     measured = None if scene.response is None else scene.response.gain_sd
     return np.array(own if measured is None else measured)
 
 
 def water_pressure(panel: Panel, water: Water | None) -> Array:
-    """p_w = ρ g (depth + y) of cells at y, j·pitch in row j; (rows, columns) kPa, zero without water."""
+    """Return the water's pressure p_w = ρ g (depth + y) of cells at y, (rows, columns) kPa; 0 without water."""
     if water is None:
         return np.zeros(panel.shape)
     kpa_per_mm = 1e-6 * 1000 * GRAVITY
     return np.asarray(np.nan_to_num(kpa_per_mm * (water.top_row_depth_mm + panel.places_mm[1])))
 
 
-KPA_MM2 = 1e-3  # of one kPa on a square millimetre, newton
+KPA_MM2 = 1e-3  # force of one kPa on a square millimetre, newton
 
 
 class Force(NamedTuple):
-    """F and its standard deviation, newton, NaN where unknown; with saturated cells, so many, F is a lower bound."""
+    """Force and its standard deviation, newton; NaN where unknown.
+
+    saturated : number of saturated cells; with any the force is a lower bound.
+    """
 
     newton: float
     deviation: float
@@ -373,9 +422,9 @@ class Force(NamedTuple):
 
 
 def determined(scene: Scene, pressure: Array, *errors: Array) -> tuple[Array, ...]:
-    """p and its errors, (…, rows, columns) kPa.
+    """Return p and its errors, (…, rows, columns) kPa, limited to the range that the response determines.
 
-    P is at most the largest value that the response determines, without error there.
+    At the limit the error is 0.
     """
     if scene.response is None:
         return pressure, *errors
@@ -384,12 +433,12 @@ def determined(scene: Scene, pressure: Array, *errors: Array) -> tuple[Array, ..
 
 
 def sum_sd(weight: Array | float, own: Array, common: Array) -> float:
-    """√(Σ (w·own)² + (Σ w·common)²): standard deviation of Σ w·p over cells (n), whose common errors move together."""
+    """Return the standard deviation of Σ w·p over cells (n,), √(Σ (w·own)² + (Σ w·common)²)."""
     return float(np.hypot(np.sqrt(np.sum((weight * own) ** 2)), np.sum(weight * common)))
 
 
 def total_force(scene: Scene, load: Pressure) -> Force:
-    """F of one frame."""
+    """Return the force of one frame, Σ p·pitch² over the pressed cells."""
     area, pressed = scene.panel.pitch_mm**2 * KPA_MM2, load.pressing != 0
     kpa, own, common = (one[pressed] for one in determined(scene, load.pressure, load.own, load.common))
     return Force(float(area * kpa.sum()), sum_sd(area, own, common), int(np.sum((load.saturated != 0) & pressed)))

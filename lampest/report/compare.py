@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 Steps = Literal["all", "initial", "following"]
 Columns = Mapping[str, str | Callable[[Any], str]]  # header → template over the values of an item, or its text
 Row = Mapping[str, Any]  # header of the CSV file → figure of a case over some of its steps, None where there is none
-ASIDE = ("label", "warnings", "chosen weights")  # of a row, but not of the table
+ASIDE = ("label", "warnings", "chosen weights")  # entries of a row that are not in the table
 MIN_DIFFERENCE = 1e-3  # percent or ms: less is rounding
 MAX_SHOWN = 6  # recordings, estimators of them, and contacts that are shown in full
 STEPS = {"all": "", "initial": " first", "following": " later"}
-NOTES = {  # what a header that begins so means
+NOTES = {  # explanations of headers that begin with the key
     "solved": "solved: frames at a verified local optimum, the best of all starts; approximate formulations: all "
     "frames with an estimate",
     "data error [%]": "data error: |model − measured| / measured, mean ± standard deviation over all readings",
@@ -105,18 +105,18 @@ def statistics(values: Array | None, header: str, *names: str) -> dict[str, floa
 
 
 def relative_error(values: Array, reference: Array) -> Array:
-    """100·|values − reference|/reference, any shape, in percent."""
+    """Return 100·|values − reference|/reference, any shape, in percent."""
     with np.errstate(over="ignore", invalid="ignore"):
         return 100 * np.abs(values - reference) / reference
 
 
 def data_error(case: CaseResult) -> Array:
-    """100·|model − measured|/measured, (frames, rows, columns) percent; NaN where a reading is no value."""
+    """Return 100·|model − measured|/measured, (frames, rows, columns) percent; NaN where a reading is no value."""
     return np.where(case.valued, relative_error(case.reading_model, case.measured), np.nan)
 
 
 def weighted_residual(case: CaseResult) -> Array | None:
-    """(model − measured)/σ, (frames, rows, columns), NaN where a reading is no value; None where σ is unknown."""
+    """Return (model − measured)/σ, (frames, rows, columns); NaN where a reading is no value, None without σ."""
     if case.sigma is None:
         return None
     return np.asarray(np.where(case.valued, (case.reading_model - case.measured) / case.sigma, np.nan))
@@ -285,7 +285,7 @@ def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
 
 
 def _title(group: Sequence[Row], *, several: bool) -> str:
-    """'lamprey_35mm: 21 frames, 12 readings missing'."""
+    """Return a title such as 'lamprey_35mm: 21 frames, 12 readings missing'."""
     first = group[0]
     own = [row for row in group if row["estimator"] == first["estimator"]]
     frames, missing, bounds = (
@@ -298,7 +298,7 @@ def _title(group: Sequence[Row], *, several: bool) -> str:
 
 
 def _plus_minus(row: Row, header: str, factor: float = 1.0) -> str:
-    """'2.3 ± 1.4'. header : 'time {} [s]'."""
+    """Return mean and standard deviation such as '2.3 ± 1.4', '' without; header is such as 'time {} [s]'."""
     mean, sd = (row[header.format(name)] for name in ("mean", "sd"))
     if mean is None:
         return ""

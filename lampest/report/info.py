@@ -67,7 +67,7 @@ def _lines(sentences: Iterable[Sentence]) -> list[str]:
 
 
 def _frames(role: NDArray[np.uint8], time: Array) -> Iterator[Sentence]:
-    """Yield how many frames there are, and when they were taken."""
+    """Yield the numbers of frames and their times."""
     unloaded, measured = int(np.sum(role == UNLOADED)), int(np.sum(role == MEASURED))
     yield "frames", f"{len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s"
 
@@ -98,7 +98,7 @@ def _recording_lines(recording: Recording) -> list[str]:
 
 def _noise(recording: Recording) -> Iterator[Sentence]:
     """Yield sentences on lines that seem to touch, on the noise of the frames, and warnings."""
-    with suppress(InputError):  # said where an estimate is asked for; a look at the file is free
+    with suppress(InputError):  # an estimate raises it; a description of the file does not
         readings, faults = recording.readings(), recording.scene.faults or Faults()
         for name, known, groups in (
             ("rows", faults.joined_rows, touching_rows(readings)),
@@ -135,7 +135,7 @@ def _scene(scene: Scene) -> Iterator[Sentence]:
 
 
 def _in_words(part: Any) -> str:
-    """Return an entry as text, such as 'hysteresis 0.2, creep_per_decade auto'; of many numbers, the range."""
+    """Return an entry as text, such as 'hysteresis 0.2, creep_per_decade auto'; many numbers as their range."""
     if isinstance(part, dict):
         return ", ".join(f"{key} {words}" for key, value in part.items() if (words := _in_words(value)))
     if isinstance(part, list) and (numbers := [*_numbers(part)]):
@@ -195,7 +195,7 @@ def _results_lines(results: Results) -> list[str]:
 
 
 def _starts(case: CaseResult) -> str:
-    """Return the number of starts of which the estimates are the lowest verified optima, or ''."""
+    """Return the number of starts per frame in words, or ''; the estimate is the lowest verified optimum of them."""
     if case.local_optima is None:
         return ""
     _, least, most = case.local_optima

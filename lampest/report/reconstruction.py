@@ -33,8 +33,8 @@ class Reconstruction(Estimates):
     """Estimated cell resistances of the measured frames of a recording.
 
     Arrays are those of `Estimates`: `cell_resistance` (frames, rows, columns) in ohm, `relative_change` in percent of
-    the unloaded panel, `pressure` in kPa, each with `_errors`, `_lower` and `_upper`. `status` says how each solve
-    ended.
+    the unloaded panel, `pressure` in kPa, each with `_errors`, `_lower` and `_upper`. `status` is the outcome of each
+    solve.
 
     Methods take `name`, the name of the estimator in files and plots (by default its terms, `misfit + gradient`), and
     `columns`, your own columns. They raise InputError for an unfit name and for values that do not fit their column.

@@ -16,7 +16,7 @@ def percent_change(resistance: Array, baseline: Array) -> Array:
 
 
 def as_recorded(value: Array, scene: Scene) -> Array:
-    """Return readings of the network as the converter had them: with pull-ups, the supply less the load's voltage."""
+    """Return readings of the network as the converter recorded them: with pull-ups, supply less load voltage."""
     return scene.circuit.to_recorded(value, scene) if scene.circuit.mirrored else value
 
 
@@ -30,7 +30,13 @@ def strongest_index(cases: Sequence[CaseResult]) -> int:
 def furthest(value: Array, resting: Array) -> int:
     """Return the index of the last frame whose rms `likely_change` reaches 90 % of the largest.
 
-    The last one, because loads settle after their onset. value : (frames, rows, columns).
+    The last one, because loads settle after their onset.
+
+    Parameters
+    ----------
+    value : array, shape (frames, rows, columns)
+    resting : array, shape (rows, columns)
+        Unloaded readings.
     """
     change = np.ma.masked_invalid(likely_change(value, resting))
     square = np.ma.filled((change**2).mean(axis=(1, 2)), 0.0)
@@ -41,13 +47,21 @@ def likely_change(value: Array, resting: Array) -> Array:
     """Approximate ln(r/r₀) by K·(x̄/K + a/M + b/N + w/2) with x = ln(y/y₀) = x̄ + a + b + w, K = M + N − 1.
 
     This inverts the derivative of the two-point resistances of a uniform panel, for which mean, row effects, column
-    effects and residuals are eigenvectors. Unlike readings, it also responds to suction within a pressed rim. It serves
-    to choose frames only. value : (frames, rows, columns), resting : (rows, columns), in any unit; NaN if missing.
+    effects and residuals are eigenvectors. Unlike readings, it also responds to suction within a pressed rim. It is
+    used to select frames only.
+
+    Parameters
+    ----------
+    value : array, shape (frames, rows, columns)
+        Readings in any unit; NaN if missing.
+    resting : array, shape (rows, columns)
+        Unloaded readings.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = np.log(value / resting)
     moved, (rows, columns) = np.ma.masked_invalid(moved), value.shape[1:]
     mean = moved.mean(axis=(1, 2), keepdims=True)
+    # x = x̄ + a (rows) + b (columns) + w; eigenvalues of ∂ln R/∂ln r: 1, M/K, N/K and 2/K
     across, down = (moved.mean(axis=axis, keepdims=True) - mean for axis in (2, 1))
     own = moved - mean - across - down
     change = mean + (rows + columns - 1) * (across / rows + down / columns + own / 2)

@@ -1,1 +1,1 @@
-"""Batches: a run's file as cases, their results, and where they are solved."""
+"""Batches: the cases of a run file, their executors and their results."""

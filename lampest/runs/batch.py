@@ -1,7 +1,7 @@
 """Batches of cases: finished ones are skipped, failures are isolated, each result is a file of its own.
 
-A recording in memory is solved whole, one that exceeds the memory part by part. Each part is a results file of its own,
-and beside it stands what the frames behind it need, until the last part is done.
+A recording that fits into memory is solved as a whole, a longer one part by part. Each part has a results file of its
+own, and until the last part is done a second file with the memory for later frames.
 """
 
 import fcntl
@@ -36,8 +36,8 @@ from lampest.runs.results import join_case, read_results, stored_cases, write_re
 RESULTS = "results.h5"
 CASES = "cases"
 CARRIED = "carried/1"
-EVERY_SECONDS = 1.0  # between two counts of the frames that are done, and two files of these frames at least
-KEPT_SHARE = 0.05  # of a case's time is spent on these files at most
+EVERY_SECONDS = 1.0  # between two counts of finished frames; least time between two files of these frames
+KEPT_SHARE = 0.05  # largest share of a case's time for these files
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Report:
     aside : Path or None
         New name of a file with results of other cases.
     not_run : int
-        Number of cases that no executor ran; `lost` says why.
+        Number of cases that no executor ran, for the reason `lost`.
     warnings : tuple of str
         Warnings about the results.
     """
@@ -89,12 +89,12 @@ class Task:
 
     @property
     def count(self) -> Path:
-        """File with as many bytes as frames are done; its size is right even while it is written."""
+        """File whose size in bytes is the number of finished frames, which is valid even while it is written."""
         return self.folder / CASES / f".{self.case.case_id}.frames"
 
     @property
     def frames_done(self) -> int:
-        """Number of frames that are done, of a case that may be under way in another process."""
+        """Number of finished frames, also of a case that another process solves."""
         if self.file.is_file():
             return self.case.frames
         with suppress(OSError, InputError):
@@ -106,7 +106,7 @@ class Task:
 
     @property
     def parts(self) -> Path:
-        """Folder of the parts of a long case. Raises InputError if it is a link that leads out."""
+        """Folder of the parts of a long case. Raises InputError if it is a link to a place outside."""
         return inner_folder(self.file.parent, f"{self.case.case_id}.parts")
 
     def part(self, number: int) -> Path:
@@ -114,16 +114,16 @@ class Task:
         return self.parts / f"{number:06d}.h5"
 
     def carried(self, number: int) -> Path:
-        """Return the file of what the next part needs; it is there before the estimates are."""
+        """Return the file of the memory for the next part; it is written before the estimates."""
         return self.parts / f"{number:06d}_carried.h5"
 
     @property
     def whole_parts(self) -> list[int]:
-        """Numbers of the parts whose estimates are there."""
+        """Numbers of the parts with estimates."""
         return sorted(int(file.stem) for file in self.parts.glob("[0-9]" * 6 + ".h5"))
 
     def carried_over(self, number: int) -> CarriedOver | None:
-        """Return what a part left; None if it is not whole, so that it is solved again."""
+        """Return the memory after a part; None if the part is incomplete, so that it is solved again."""
         with suppress(InputError):
             if self.part(number).is_file() and self.carried(number).is_file():
                 hdf5.checked(self.part(number))
@@ -140,7 +140,7 @@ class Task:
             yield number
 
     def clear_parts(self) -> None:
-        """Remove all that the case leaves in the folder of its parts, and nothing else."""
+        """Remove the case's own files from the folder of its parts, and nothing else."""
         for pattern in ("*.h5", ".*.h5.*.part"):
             for file in self.parts.glob(pattern):
                 remove_own(file)
@@ -247,7 +247,7 @@ def _outcomes(executor: Executor, waiting: Sequence[Task]) -> Pairs:
     """Return the outcomes of all cases; the parts of cases that exceed the memory are solved first."""
     with ExitStack() as stack:
         parts = [(task, number) for task in waiting for number in parts_to_solve(task)]
-        if parts:  # what becomes of them shows when their cases are put together
+        if parts:  # failures of parts show when their cases are joined
             deque(stack.enter_context(closing(executor.results(solve_part, parts))), maxlen=0)
         yield from stack.enter_context(closing(executor.results(solve_case, waiting)))
 
@@ -277,7 +277,7 @@ def parts_to_solve(task: Task) -> list[int]:
 
 
 def solve_part(part: tuple[Task, int]) -> None:
-    """Solve one of these parts, if it does not depend on those before."""
+    """Solve a part of a long case that does not depend on earlier ones."""
     task, number = part
     recording = _recording(task.case.path, task.case.sha256)
     if isinstance(recording, StoredRecording):
@@ -297,11 +297,11 @@ def solve_case(task: Task) -> CaseResult | StoredCase:
 
 
 def solve_long(task: Task, stored: StoredRecording) -> StoredCase:
-    """Solve a case part by part, from the first one on that is not done, and write its result atomically."""
+    """Solve a case part by part, beginning with the first unfinished one, and write its result atomically."""
     solved, whole = list[int](), set(task.whole_parts)
     if task.case.estimator.uses_previous or not set(stored.measured_blocks) <= whole:
         parts = _parts(task.case.estimator, stored)
-        # What stands behind a part that is solved now followed from another one, unless parts stand apart.
+        # Files after a newly solved part depend on another state and are solved again, unless parts are independent.
         waiting = parts.estimates(lambda at: None if solved and not parts.independent else task.carried_over(at))
         for number in task.write_parts(waiting):
             solved.append(number)
@@ -316,13 +316,13 @@ def _parts(estimator: Estimator, stored: StoredRecording) -> Parts:
     return Parts.of(stored, estimator, _asked(stored))
 
 
-@lru_cache(maxsize=1)  # several estimators of one recording come one after the other
+@lru_cache(maxsize=1)  # successive cases are often estimators of one recording
 def _asked(stored: StoredRecording) -> tuple[Recording, Prepared]:
     return asked_frames(stored)
 
 
 def write_carried(path: Path, carried: CarriedOver) -> None:
-    """Write what a part leaves, whole or not at all. Raises InputError where the place cannot be written."""
+    """Write the memory after a part atomically. Raises InputError where the place cannot be written."""
     with hdf5.new_file(path) as file:
         hdf5.set_attributes(file, lampest_format=CARRIED)
         group = file.create_group("carried")
@@ -332,7 +332,7 @@ def write_carried(path: Path, carried: CarriedOver) -> None:
 
 
 def read_carried(path: Path) -> CarriedOver:
-    """Return what a part left. Raises InputError where it cannot be read."""
+    """Return the memory after a part. Raises InputError where it cannot be read."""
     with hdf5.existing_file(path) as file:
         if hdf5.read_attribute(file, "/", "lampest_format") != CARRIED:
             raise InputError(f"{path}: is not the remainder of a part of a case")
@@ -341,7 +341,7 @@ def read_carried(path: Path) -> CarriedOver:
 
 
 def _kept_frames(task: Task) -> Callable[[int, int, Callable[[], Estimates] | None], None]:
-    """Return a function that counts the frames of a case that are done, and now and then keeps their estimates."""
+    """Return a function that counts the finished frames of a case, and at intervals writes their estimates."""
     told = written = time.monotonic()
     pause = EVERY_SECONDS
 
@@ -403,7 +403,12 @@ def _results(tasks: Sequence[Task], *, unfinished: bool = False) -> dict[Path, C
     """Return the readable results by file; cases with a damaged one are solved again.
 
     The result of a recording that is too long for memory stays in its file.
-    unfinished : whether those of finished frames are meant.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+    unfinished : bool
+        Whether to read the files of the finished frames of unfinished cases.
     """
     results: dict[Path, CaseResult | StoredCase] = {}
     for task in tasks:

@@ -1,4 +1,4 @@
-"""Result of a case, with all that a results file holds of it."""
+"""Result of a case, with the complete content of a results file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame as DataFrame
     from xarray import Dataset as Dataset
 
-SHARED = "recording"  # the group beside the estimators that holds what they were given
+SHARED = "recording"  # group with the measurement that all estimators share
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,11 +46,11 @@ class CaseResult(Held):
     costs, weights, weight_sigma, contacts, misfit : mapping
         Name → values (frames), see `lampest.runs.columns.FIGURES`; names with `_errors` are standard deviations.
     baseline_status, baseline_solve_time : str, float
-        How the solve of the baseline ended, and its time in s (NaN: not solved separately).
+        Outcome of the baseline's solve, and its time in s (NaN: not solved separately).
     model_mark : str
         Whether the circuit explains the recording: 'yes', 'no', 'noise' or 'not checked'.
     reading_error : float
-        Standard deviation of the logarithm of a factor on each reading, learned from still cells; 0: none.
+        Standard deviation of ln of a constant factor on each reading, estimated from still cells; 0: none.
     frame_noise : mapping
         Noise that the readings of a frame share; empty: none.
     start_time : str
@@ -264,7 +264,7 @@ def check_name(name: str, what: str) -> None:
 def series_of(case: CaseResult, columns: Sequence[Column], *, raw: bool = False) -> dict[str, Series]:
     """Return every column and figure of a case by name, in the unit of its readout; costs are called cost_misfit.
 
-    raw : whether flags are as in files; otherwise they are NaN for cells without an estimate.
+    raw : whether flags have the values of files; otherwise they are NaN for cells without an estimate.
     """
     held: dict[str, Series] = {}
     missing = np.isnan(case.cell_resistance)

@@ -27,10 +27,10 @@ if TYPE_CHECKING:  # readers of results need not load the solvers
 
 FRAMES, CELLS = ("time",), ("row", "column")
 MAPS = FRAMES + CELLS
-# What the groups of a results file hold besides columns.
+# Names in the groups of a results file that are no columns.
 RESERVED = (*CELLS, "x", "y", "scene", "start_time", "cost", "weight", "weight_sigma", "model_check")
 
-# (values, whether an estimate is expected of each) → what is wrong: the end of a sentence that begins with their path.
+# (values, mask of expected estimates) → fault, the end of a sentence that begins with the path; None: no fault.
 Check = Callable[[Any, NDArray[np.bool_]], str | None]
 
 
@@ -76,16 +76,16 @@ class Column(Validated):
 
     Parameters
     ----------
-    name : what a case calls it, and the file too unless `dataset` says otherwise.
-    axes : MAPS (frames, rows, columns), CELLS (rows, columns) or FRAMES. units, long_name : as the file gives them.
-    value : estimates → values over the axes, or None where there are none; by default their attribute of the same name.
-    checks : each says what is wrong with values: the end of a sentence that begins with their path, or None.
+    name : attribute of a case, and name of the dataset unless `dataset` is given.
+    axes : MAPS (frames, rows, columns), CELLS (rows, columns) or FRAMES. units, long_name : attributes in the file.
+    value : estimates → values over the axes, or None without values; by default their attribute of the same name.
+    checks : functions that return a fault of the values, the end of a sentence that begins with their path, or None.
     dtype : float, bool, an integer kind, or str.
-    shared : True for what was measured: every estimate of a recording was given the same.
-    as_volt : the dataset where the readout gives volt, which are the units then; '' for what does not follow it.
-    flags : what each value means where values are no amounts: (value, a word of ASCII letters and _).
+    shared : whether it is a measurement, which all estimates of a recording share.
+    as_volt : name of the dataset if the readout's unit is volt, which is then the unit; '' if the unit is fixed.
+    flags : meanings of values that are no amounts: (value, a word of ASCII letters and _).
 
-    Raises InputError where the name, the axes or a flag's word are unfit.
+    Raises InputError where the name, the axes or a flag's word are invalid.
 
     >>> force = lampest.Column("force", ("time",), "newton", "total force", value=lambda estimates: estimates.time)
     >>> found.result(columns=[force]).extra["force"].shape
@@ -144,10 +144,12 @@ class Column(Validated):
 
         Parameters
         ----------
+        file, group
+            Open file and path of the group.
         sizes : mapping
             Axis → length.
         part : slice
-            Of the frames.
+            Frames that are read.
         """
         path, shape = f"{group}/{self.path}", tuple(sizes[axis] for axis in self.axes)
         part = part if self.axes[:1] == FRAMES else hdf5.ALL
@@ -211,7 +213,7 @@ class Series:
 
 
 def declared(axes: tuple[str, ...], units: str, words: str, *checks: Check, default: Any = MISSING, **more: Any) -> Any:
-    """Return a dataclass field that is a column; default : None if it is optional. more : as in `Column`."""
+    """Return a dataclass field that is a column, optional if `default` is None; `more` are arguments of `Column`."""
     about = {"axes": axes, "units": units, "long_name": words, "checks": checks} | more
     return field(default=default, metadata={"column": about})
 

@@ -108,7 +108,7 @@ class Case:
         Name of the estimator with the swept values, such as ``smooth@gradient.weight=0.001``.
     estimator : Estimator
     resolved : str
-        All that decides the result, as YAML text.
+        All entries that determine the result, as YAML text.
     case_id : str
         Hash of `resolved`.
     stored : StoredRecording or None
@@ -199,7 +199,7 @@ class _Source:
     ----------
     path, sha256 : Path, str
     scene, readings
-        None if the file is unreadable; `fault` says why.
+        None if the file is unreadable, for the reason `fault`.
     frames : int
         Number of measured frames.
     stored : StoredRecording or None
@@ -246,7 +246,7 @@ class _Source:
         recording = self.path.stem
         content = {"recording": recording, "recording_sha256": self.sha256, "estimator": name, "case_format": 1}
         entries = {key: value for key, value in (content | plain_content(estimator)).items() if value is not None}
-        # One after the other, in the order of their keys, the entries' texts are that of the mapping.
+        # The concatenated texts of the entries, in the order of their keys, are the text of the mapping.
         resolved = "".join(_block(key, json.dumps(plain_content(entries[key]))) for key in sorted(entries))
         names = (self.path, self.sha256, recording, name)
         return Case(*names, estimator, resolved, hash_of(resolved), self.stored, swept, self.frames)
@@ -259,7 +259,7 @@ def _block(key: str, value: str) -> str:
 
 
 def hash_of(resolved: str) -> str:
-    """Return the identifier of a case: a hash of all that decides its result."""
+    """Return the identifier of a case, a hash of all entries that determine its result."""
     return hashlib.sha256(resolved.encode()).hexdigest()[:24]
 
 
@@ -281,7 +281,7 @@ def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
     for pattern in patterns:
         target, matches = config.parent / pattern, list[Path]()
         with suppress(OSError, ValueError):  # a name that is too long
-            # Two stars would walk through all folders below.
+            # '**' would traverse all folders below.
             several = "*" in target.name and "**" not in pattern
             matches = sorted(target.parent.glob(target.name)) if several else [target]
         if not matches or (len(matches) == 1 and "*" in matches[0].name):

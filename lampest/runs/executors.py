@@ -1,7 +1,7 @@
 """Executors of batches: this process, processes of this machine, or a Dask cluster.
 
-An executor calls a function once for every argument, one call at a time on each worker, and yields the results.
-Pools of the standard library and of loky do not serve: a worker that dies breaks the whole pool there.
+An executor calls a function once for every argument, one call at a time on each worker, and yields the results. Pools
+of the standard library and of loky are unsuitable, because a worker that dies breaks the whole pool.
 """
 
 import logging
@@ -111,13 +111,13 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-MAX_TRIES = 4  # of a task whose process dies: whoever kills processes from outside may meet the same one again
+MAX_TRIES = 4  # of a task whose process dies: processes may be killed from outside, repeatedly by chance
 DIED = f"its process died {MAX_TRIES} times"
 HUNG = (
     "a frame went on far beyond solver.time_limit_s, in a step that nothing interrupts, so that its process was ended"
 )
-MIN_TASKS = 12  # so many tasks of half a second end before processes have started
-# A worker of Dask is handed one task at a time where there are many.
+MIN_TASKS = 12  # fewer tasks of half a second end before processes have started
+# A Dask worker receives one task at a time where there are many.
 SCHEDULING = {
     "distributed.scheduler.allowed-failures": MAX_TRIES - 1,
     "distributed.scheduler.worker-saturation": 1.0,
@@ -129,7 +129,7 @@ Pairs = Generator[tuple[Any, Any], None, None]
 
 
 class LostError(RuntimeError):
-    """The scheduler is gone: tasks without a result did not fail but were not run."""
+    """Loss of the scheduler: tasks without a result did not fail but were not run."""
 
 
 @dataclass(frozen=True)
@@ -218,12 +218,12 @@ class Processes(Executor):
 
 @dataclass(frozen=True)
 class Tls(Configuration):
-    """Files by which all sides of a cluster know each other; without them whoever reaches a scheduler runs code on it.
+    """Files for the mutual authentication of a cluster; without them, anybody who reaches a scheduler can run code.
 
     Parameters
     ----------
-    ca_file : the authority that signed the certificates of all sides, PEM.
-    cert_file, key_file : the certificate of this side and its key, PEM.
+    ca_file : certificate of the authority that signed those of all sides, PEM.
+    cert_file, key_file : certificate of this side and its key, PEM.
     """
 
     ca_file: str
@@ -242,15 +242,15 @@ class Dask(Executor):
 
     Parameters
     ----------
-    workers : how many processes of this machine; as many as it has cores by default. Not with a scheduler.
-    address : of a scheduler that runs, such as tcp://host:8786; its workers: dask worker ADDRESS --nthreads 1.
-    scheduler_file : the file in which such a scheduler says its address (dask scheduler --scheduler-file).
-    wait_s : how many seconds its first worker may take to come; jobs of a cluster may stand in a queue.
-    tls : files by which scheduler, workers and this computer know each other; with an address it begins with tls://.
+    workers : number of processes of this machine, by default that of its cores. Not with a scheduler.
+    address : address of a running scheduler, such as tcp://host:8786; its workers: dask worker ADDRESS --nthreads 1.
+    scheduler_file : file in which such a scheduler writes its address (dask scheduler --scheduler-file).
+    wait_s : longest time in s until the first worker appears; jobs of a cluster may wait in a queue.
+    tls : files for the authentication of scheduler, workers and this computer; an address then begins with tls://.
 
-    Without address and file the workers are processes of this machine. A worker that dies costs the task it was at one
-    of a few more tries (as many as a scheduler elsewhere grants). Results are those of `Serial` bit for bit where the
-    processors are of one kind. Raises ValueError where the parameters exclude each other.
+    Without address and file the workers are processes of this machine. The task of a worker that dies is tried again a
+    few times, a number that a scheduler elsewhere determines. On processors of one kind the results are bitwise those
+    of `Serial`. Raises ValueError where the parameters exclude each other.
     """
 
     kind: Literal["dask"] = "dask"
@@ -294,7 +294,7 @@ class Dask(Executor):
                     number, outcome = numbers.pop(future), _outcome(distributed, client, future)
                     if not isinstance(outcome, distributed.KilledWorker):
                         yield arguments[number], outcome
-                    elif len(tasks) > 1:  # Dask blames every task that was given to a worker that died
+                    elif len(tasks) > 1:  # Dask attributes the death of a worker to all of its tasks: try each alone
                         rounds.append({number: arguments[number]})
                     else:
                         yield arguments[number], RuntimeError(DIED)
@@ -350,7 +350,7 @@ def _of_this_machine(distributed: Any, workers: int) -> Any:
         threads_per_worker=1,
         memory_limit=0,
         host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",  # any free port: without one it is 8787, taken by whoever came first
+        dashboard_address="127.0.0.1:0",  # any free port: the default 8787 may be in use
         silence_logs=logging.CRITICAL,
         preload=[__name__],
     )
@@ -398,9 +398,16 @@ AnyExecutor = Annotated[Serial | Processes | Dask, ByKind()]
 
 
 def local(workers: int | None, tasks: int, *, separate: bool = False) -> Executor:
-    """Return the executor of this machine for some workers (None: one for each core), at most one for each task.
+    """Return the executor of this machine.
 
-    separate : whether a single worker is another process, too, so that it can be ended when it hangs.
+    Parameters
+    ----------
+    workers : int or None
+        Number of workers, at most one for each task; None: one for each core.
+    tasks : int
+        Number of tasks.
+    separate : bool
+        Whether even a single worker is another process, which can be ended if it hangs.
     """
     workers = min(workers or cores(), tasks)
     return Processes(workers) if workers > 1 or (separate and tasks) else Serial()

@@ -1,4 +1,4 @@
-"""Estimates → what their results file keeps, and back to the noise that frames share."""
+"""Conversion of estimates to the content of a results file, and of its attributes to the noise of frames."""
 
 import hashlib
 import json
@@ -20,14 +20,14 @@ from lampest.runs.config import Case, hash_of
 from lampest.runs.held import all_columns
 
 LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
-NUMBERS = ("gain", "unloaded")  # of the noise that readings of a frame share
+NUMBERS = ("gain", "unloaded")  # attributes of `FrameNoise` that are numbers
 PATTERNS = {"together": "common_ripple", "apart": "line_ripple"}  # in volt: stored name → attribute
 
 
 def case_result(case: Case, estimates: Estimates) -> CaseResult:
-    """Return a run's case: every column that its estimates can fill.
+    """Return the result of a run's case, with all columns that its estimates provide.
 
-    Raises InputError where a column's values are of another shape than its axes, or impossible.
+    Raises InputError where the values of a column have a wrong shape or are impossible.
     """
     names = {"recording": case.recording, "estimator": case.name, "case_id": case.case_id, "case_yaml": case.resolved}
     names |= {"swept_json": json.dumps(case.swept)} if case.swept else {}
@@ -35,16 +35,15 @@ def case_result(case: Case, estimates: Estimates) -> CaseResult:
 
 
 def named_result(estimates: Estimates, name: str | None, columns: Sequence[Column] = ()) -> CaseResult:
-    """Return the same of estimates that no run's file asked for.
-
-    Raises InputError as `case_result`.
+    """Return the result of estimates without a run file. Raises InputError as `case_result`.
 
     Parameters
     ----------
+    estimates : Estimates
     name : str or None
-        Of the estimator; None: its terms, `misfit + gradient`.
+        Name of the estimator; None: its terms, such as `misfit + gradient`.
     columns : sequence of Column
-        Besides those of lampest and of installed packages.
+        Columns besides those of lampest and of installed packages.
     """
     recording, estimator = estimates.recording, estimates.estimator
     names = {
@@ -84,12 +83,12 @@ def _filled(estimates: Estimates, columns: Sequence[Column], names: dict[str, st
 
 @cache
 def library_versions(*further: str) -> dict[str, str]:
-    """Return the versions of the libraries that decide results, and of further ones."""
+    """Return the versions of the libraries that determine results, and of further ones."""
     return {library: version(library) for library in (*LIBRARIES, *further)}
 
 
 def _arrays_of(noise: FrameNoise | None) -> dict[str, Array]:
-    """Return the numbers, and patterns in volt where there are such; nothing of None."""
+    """Return the numbers and the patterns in volt of a frame's noise by name; empty without noise."""
     if noise is None:
         return {}
     attributes = {**{name: name for name in NUMBERS}, **PATTERNS}
@@ -98,7 +97,7 @@ def _arrays_of(noise: FrameNoise | None) -> dict[str, Array]:
 
 
 def frame_noise_of(arrays: Mapping[str, Array], scene: Scene) -> FrameNoise | None:
-    """Return the reverse. Raises ValueError where that is no such noise of the scene's panel."""
+    """Return the frame noise of stored arrays, the inverse of `_arrays_of`. Raises ValueError for invalid arrays."""
     if scene.readout is None or not arrays:
         return None
     rows, columns = scene.panel.shape

@@ -18,7 +18,7 @@ from lampest.runs.columns import Column
 
 
 def _attribute(name: str, default: Any = "") -> Any:
-    """Return a field that is an attribute of the estimator's group, or not there where it has its default."""
+    """Return a field that is an attribute of the estimator's group, omitted in the file at its default."""
     return field(default=default, metadata={"attribute": name})
 
 
@@ -45,7 +45,7 @@ class Held(Validated):
     reading_error: float = _attribute("reading_error", 0.0)
     frame_noise: dict[str, Array] = field(default_factory=dict)
     start_time: str = ""
-    # What every estimate of a recording was given: its frames, the readings with their noise, and the truth.
+    # The measurement that all estimates of a recording share: frames, readings with their noise, and the truth.
     time: Array = col.frames("s", "time of the frame", col.finite, shared=True)
     frame: NDArray[np.int64] = col.counts("index of the frame in the recording", value=col.frame_numbers, shared=True)
     measured: Array = col.maps(
@@ -88,7 +88,7 @@ class Held(Validated):
     truth_baseline: Array | None = col.cells(
         "mean true unloaded cell resistance", col.positive, value=col.truth_baseline, shared=True, default=None
     )
-    # What an estimator made of every frame, and how each of its solves ended.
+    # The estimate of every frame, and the outcome of its solve.
     cell_resistance: Array = col.maps("ohm", "estimated cell resistance", col.numbers_if_solved, col.not_zero_or_less)
     relative_change: Array = col.maps("percent", "cell resistance against its baseline", col.missing_unless_solved)
     reading_model: Array = col.maps(
@@ -125,7 +125,7 @@ class Held(Validated):
     solved: NDArray[np.bool_] = col.frames(
         "1", "1: solved, 0: failed", dtype=bool, flags=((0, "failed"), (1, "solved"))
     )
-    # What is known of an estimate beyond its value; absent where the noise is unknown or nobody asked.
+    # The uncertainty of an estimate; absent where the noise is unknown or error bars were not requested.
     cell_resistance_errors: Array | None = col.deviation("ohm", "posterior standard deviation of the cell resistance")
     cell_resistance_lower: Array | None = col.end("ohm", "lower")
     cell_resistance_upper: Array | None = col.end("ohm", "upper")
@@ -146,7 +146,7 @@ class Held(Validated):
     baseline_resistance_errors: Array | None = col.cells(
         "posterior standard deviation of the unloaded cell resistance", col.not_negative, default=None
     )
-    # What presses on the cells, where there are error bars: without them nobody can say what the response shows.
+    # Pressures of the cells; absent without error bars, which the uncertainty of pressures requires.
     pressure: Array | None = col.maps("kPa", "pressure of the load on the cell", col.known_if_solved, default=None)
     pressure_errors: Array | None = col.deviation("kPa", "standard deviation of the pressure")
     pressure_own: Array | None = col.deviation("kPa", "standard deviation of the pressure: each cell's own error")
@@ -180,7 +180,7 @@ COLUMNS = tuple(Column(item.name, **item.metadata["column"]) for item in fields(
 TIME, FRAME, MEASURED = (column for column in COLUMNS if column.name in ("time", "frame", "measured"))
 NAMES = frozenset(column.name for column in COLUMNS)
 REQUIRED = frozenset(item.name for item in fields(Held) if item.name in NAMES and item.default is MISSING)
-# Attribute of an estimator's group → the field that it is, and its value where the attribute is not there.
+# Attribute of an estimator's group → its field, and the value if the attribute is missing.
 ATTRIBUTES: dict[str, tuple[str, Any]] = {
     item.metadata["attribute"]: (item.name, item.default) for item in fields(Held) if "attribute" in item.metadata
 }
@@ -189,7 +189,7 @@ ATTRIBUTES: dict[str, tuple[str, Any]] = {
 def all_columns(further: Sequence[Column] = ()) -> tuple[Column, ...]:
     """Return the columns of lampest, of installed packages, and further ones.
 
-    Raises InputError for a name that comes twice.
+    Raises InputError for a repeated name.
     """
     columns = (*COLUMNS, *installed("lampest.columns", Column), *further)
     for names in ([column.name for column in columns], [column.path for column in columns]):

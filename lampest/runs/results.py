@@ -24,7 +24,7 @@ from lampest.runs.columns import FIGURES, FRAMES, MAPS, Column, Series
 from lampest.runs.held import ATTRIBUTES, FRAME, MEASURED, REQUIRED, TIME, all_columns
 
 FORMAT = "results/1"
-POSITIONS = "y x"  # by this the CF conventions, and so xarray, know them for coordinates
+POSITIONS = "y x"  # attribute `coordinates` of the CF conventions, which xarray reads
 
 
 @dataclass(frozen=True)
@@ -110,8 +110,20 @@ def write_results(
 ) -> None:
     """Write cases into one file, atomically and reproducibly.
 
-    columns : descriptions of `extra`, besides those of installed packages. Raises InputError for repeated cases,
-    different recordings of one name, an extra without column or unfit values, and a place that cannot be written.
+    Parameters
+    ----------
+    path : path
+    cases : sequence of CaseResult or StoredCase
+    published : mapping, optional
+        Estimator → published figures.
+    columns : sequence of Column
+        Descriptions of `extra`, besides those of installed packages.
+
+    Raises
+    ------
+    InputError
+        For repeated cases, different recordings of one name, an extra without column or unfit values, and a place that
+        cannot be written.
 
     >>> lampest.write_results("results.h5", [found.result("LSM")])
     """
@@ -322,7 +334,7 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: s
     )
     table = [column.of(scene.circuit) for column in table]
     path = f"{base}/{MEASURED.of(scene.circuit).path}"
-    hdf5.read_array(file, path, len(MAPS), part=slice(0))  # whether it is what it claims; nothing is read
+    hdf5.read_array(file, path, len(MAPS), part=slice(0))  # validation of type and dimensions; no values are read
     shape, estimators = hdf5.shape_of(file, path), _estimators(file, name)
     maps = sum(column.axes == MAPS and not column.shared for column in table)
     if len(estimators) * maps * len(range(shape[0])[part]) * prod(shape[1:]) > hdf5.MAX_VALUES:
@@ -382,7 +394,7 @@ def _read_attributes(file: h5py.File, path: str) -> dict[str, Any]:
 
 
 def _read_published(file: h5py.File) -> dict[str, PublishedFigures]:
-    """Figures by estimator from JSON."""
+    """Return the published figures by estimator, which are stored as JSON."""
     text = hdf5.read_attribute(file, "/entry", "published")
     try:
         figures: dict[str, PublishedFigures] = adapter(dict[str, PublishedFigures]).validate_json(text or "{}")

@@ -192,11 +192,11 @@ class BenchPart(NamedTuple):
         return sum(frame.seconds for frame in similar) / recordings * (lines / nearest) ** 3
 
 
-LeftOut = tuple[common.Shape, str, str]  # a panel, a method, and what of them there was no time for
+LeftOut = tuple[common.Shape, str, str]  # panel, method, and the part that was left out
 
 
 class Bench(NamedTuple):
-    """frames : of all solvers."""
+    """Measurements of the benchmark, and the parts that were left out."""
 
     settings: BenchFile
     frames: tuple[BenchFrame, ...]
@@ -244,10 +244,11 @@ def _frames(bench: BenchFile, recording: Recording, part: BenchPart, end: float)
         begin, turns = perf_counter(), []
         for _ in range(bench.repeats if number else 1):
             turns.append({name: pushed(own, readings[frame]) for name, own in streams.items()})
-            if sum(turn.seconds for turn in turns[-1].values()) > 1.0:  # disturbances are small beside so many s
+            if sum(turn.seconds for turn in turns[-1].values()) > 1.0:  # disturbances are small against 1 s
                 break
         reached = {name: turn.objective for name, turn in turns[0].items()}
         best = min(reached, key=lambda name: reached[name])
+        # scale of the gap: φ_best + 1e-9 Σ R²
         size = reached[best] + 1e-9 * float(np.sum(readings[frame].value ** 2))
         for name, turn in turns[0].items():
             gap = (turn.objective - reached[best]) / size if turn.step.solution.solved else np.inf
@@ -262,7 +263,7 @@ def _frames(bench: BenchFile, recording: Recording, part: BenchPart, end: float)
                 kind="later" if number else kind,
                 inverse_s=inverse_time(matrix),
             )
-        leader = turns[0][best].stream  # all go on from the best estimate, each with what it prepared
+        leader = turns[0][best].stream  # all continue from the best estimate, each with its own caches
         streams = {
             name: replace(leader, estimator=estimator, prepared=turns[0][name].stream.prepared)
             for name, estimator in estimators.items()

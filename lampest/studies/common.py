@@ -105,7 +105,7 @@ def lamprey_mouth(centre_mm: tuple[float, float], diameter_mm: float = 35.0) -> 
 Result = TypeVar("Result")
 Task = TypeVar("Task")
 MIN_GAP = 1e-12  # less is rounding
-STATUS = Path("/proc/self/status")  # where Linux says how much a process holds
+STATUS = Path("/proc/self/status")  # memory of a process, on Linux
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,8 +1,8 @@
-"""Accuracy against speed: all formulations solve every recording in turn, A B C A B C.
+"""Trade-off between accuracy and speed: all formulations solve every recording in turn, A B C A B C.
 
 Time and cell error are those of the formulation's own sequence. Objectives of relative methods depend on the previous
-estimate, so each estimate is judged by the same cost: with the previous frame of the reference, `reduced`, and against
-the best that any formulation found for it. A joint first pair is judged by its second frame, given the
+estimate. Therefore each estimate is evaluated with the same cost, given the previous frame of the reference, `reduced`,
+and compared with the lowest value of all formulations. A joint first pair is evaluated by its second frame, given the
 reference's baseline.
 """
 
@@ -41,7 +41,7 @@ from lampest.studies.common import TimedFrame, outcome, peak_memory
 from lampest.studies.study import OnStep, column, read_settings
 
 REFERENCE = "reduced"
-Passage = tuple[Estimates, Array]  # through a recording: estimates, and the processor's s of each frame
+Passage = tuple[Estimates, Array]  # estimates of a recording, and the processor time of each frame, s
 
 
 @dataclass(frozen=True)
@@ -285,6 +285,7 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
         for name, run in runs.items()
     }
     least = np.nanmin(list(objective.values()), axis=0)
+    # (φ − φ_best)/(φ_best + φ_noise)
     gaps = {name: (own - least) / (least + [_noise_cost(*cost) for cost in costs]) for name, own in objective.items()}
     for name, run in runs.items():
         first = run[0][0]
@@ -311,6 +312,7 @@ def errors(estimates: Estimates) -> tuple[Array, Array]:
     truth = recording.truth_cell_resistance
     if truth is None:
         return np.full(frames, np.nan), np.full(frames, np.nan)
+    # changed cells: by more than 5 % from the median of the true unloaded cells
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     resting = np.median(truth[unloaded], axis=0) if len(unloaded) else truth[0]
     error = relative_error(estimates.cell_resistance, truth[estimates.frame])
@@ -333,7 +335,7 @@ def _costs(reference: Estimates) -> Iterator[tuple[Cost, Data]]:
 def _objective(cost: Cost, data: Data, cells: Array) -> float:
     if not np.all(np.isfinite(cells)):
         return float("nan")
-    # What a rung with other data (the joint pair) puts a hair outside the bounds must not look better for it.
+    # A formulation with other data, the joint pair, may exceed the bounds by rounding, and must not gain by that.
     return Evaluation.at(cost, data, np.clip(cells, data.lower[0], data.upper[0])[None]).objective
 
 

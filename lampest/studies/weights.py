@@ -168,7 +168,16 @@ class CurvePoint:
 
 
 def solve_at(subject: WeightSubject, weight: float, start: Array | None) -> CurvePoint:
-    """Solve with a weight, from an estimate near it (frames, rows, columns) ohm; from all starts where it is None."""
+    """Return the figures of the solve with a weight.
+
+    Parameters
+    ----------
+    subject : WeightSubject
+    weight : float
+        λ.
+    start : array, shape (frames, rows, columns), or None
+        Estimate at a weight near by, ohm; None: the solve begins at all starts.
+    """
     solver = named_method("reduced").solver(subject.with_weight(weight), subject.scene, subject.estimator.solver, 1.0)
     solution = best_solution(solver, subject.data, start)
     if solution.at is None or solution.dual is None:
@@ -196,24 +205,26 @@ def solve_at(subject: WeightSubject, weight: float, start: Array | None) -> Curv
 
 
 def bound_evidence(model: LinearModel) -> float:
-    """Return Σ −2·log ∫₀^∞ exp(−(g t + a t²)/2) dt + log 2π over cells at a bound, at a distance t from it.
+    """Return the part of −2 ln evidence by cells at a bound, Σ (ln 2π − 2 ln ∫₀^∞ exp(−(g t + a t²)/2) dt).
 
-    g and a : slope and curvature of cost/s². This complements the Gaussian over free cells, so that evidences with
-    different active sets are comparable.
+    t is the distance of a cell from its bound, and g and a are slope and curvature of cost/s². The free cells are
+    integrated over a Gaussian. With both parts, evidences with different active sets are comparable.
     """
     bound = np.flatnonzero(model.at_lower | model.at_upper)
     weighted = DenseErrors(model).sensitivity[:, bound] ** 2 * model.data_curvature[:, None]
     penalties = model.penalty_jacobian[:, bound].power(2)
+    # a = Σ ω (∂x/∂u)²/s² over data and penalties, g = |∂φ/∂u|/s²
     curvature = (weighted.sum(axis=0) + penalties.T @ model.penalty_curvature) / model.scale
     slope = np.abs(model.gradient[bound]) / model.scale
-    curvature = np.maximum(curvature, 1e-12 * slope**2)  # flat, the exponential of the slope is left
+    curvature = np.maximum(curvature, 1e-12 * slope**2)  # for a → 0 the integral is 2/g
+    # ∫₀^∞ exp(−(g t + a t²)/2) dt = √(π/(2a)) erfcx(g/√(8a))
     width = np.sqrt(np.pi / (2 * curvature)) * erfcx(slope / np.sqrt(8 * curvature))
     return float(np.sum(np.log(2 * np.pi) - 2 * np.log(width)))
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """Curves of a subject; points : in the order of their weights."""
+    """Curves of a subject over the weight; `points` are in the order of their weights."""
 
     subject: WeightSubject
     points: tuple[CurvePoint, ...]
@@ -250,13 +261,20 @@ class Curves:
 
 
 def trace(subject: WeightSubject, marks: list[float], first: Array) -> Curves:
-    """Trace curves over 33 weights, equally spaced in log λ, solved from the first mark outwards.
+    """Return curves over 33 weights, equally spaced in log λ, solved from the first mark outwards.
 
-    They cover all weights that matter, at most four decades beyond the marks. first : initial estimate (frames, rows,
-    columns) ohm.
+    They cover the weights for which the penalty matters, at most four decades beyond the marks.
+
+    Parameters
+    ----------
+    subject : WeightSubject
+    marks : list of float
+        Chosen weights.
+    first : array, shape (frames, rows, columns)
+        Cells at which the extent is determined, ohm.
     """
     low, high = min(marks) / 1e4, max(marks) * 1e4
-    with suppress(*BROKEN):  # where bounds decide every cell, nothing says which weights matter
+    with suppress(*BROKEN):  # without free cells the extent is unknown
         model = LinearModel(evaluated(subject.with_weight(marks[0]), subject.data, first), np.zeros(0))
         least, largest = np.exp(Spectrum.of(model).extent)
         low, high = max(least, low), min(largest, high)
@@ -330,9 +348,9 @@ def _weight_of(subject: WeightSubject, rule: Rule) -> float:
 
 
 def morozov(points: Sequence[CurvePoint], data: int) -> float | None:
-    """Return the λ at which residuals equal the noise, ρ/s² = number of data, or None (discrepancy principle).
+    """Return the λ at which the residuals equal the noise, ρ/s² = number of data, or None (discrepancy principle).
 
-    Interpolated between the points, log ρ over log λ.
+    log ρ is interpolated linearly over log λ between the points.
     """
     for before, after in zip(points[-2::-1], points[:0:-1], strict=True):
         if before.misfit <= data < after.misfit:
@@ -348,7 +366,7 @@ def l_curve(points: Sequence[CurvePoint]) -> float | None:
     weight, across, up = np.log([(point.weight, point.misfit, point.penalty) for point in points]).T
     right, rise = np.gradient(across, weight), np.gradient(up, weight)
     speed = np.hypot(right, rise)
-    moving = speed > 0.05 * speed.max()  # slower, the curvature means nothing
+    moving = speed > 0.05 * speed.max()  # where the curve hardly moves, its curvature is meaningless
     curvature = right * np.gradient(rise, weight) - rise * np.gradient(right, weight)
     curvature = np.where(moving, curvature / np.maximum(speed, 1e-300) ** 3, 0.0)[1:-1]
     return float(points[1 + int(np.argmax(curvature))].weight) if curvature.max() > 0 else None

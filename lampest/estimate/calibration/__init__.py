@@ -8,9 +8,9 @@ from lampest.files.errors import InputError
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 
-# Written digits: of an ohm, below what any contact repeats to; of a fraction, a hundredth of a code.
+# Written decimals: of an ohm, finer than contacts repeat; of a fraction, a hundredth of a code.
 DIGITS, FRACTION_DIGITS = 3, 5
-MIN_SAMPLE = 5  # frames or loads from which on a wild one can be told: fewer show no usual one
+MIN_SAMPLE = 5  # frames or loads; with fewer, a wild one cannot be identified
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -20,11 +20,11 @@ class Calibration:
     Attributes
     ----------
     scene : Scene
-        With the estimated numbers.
+        The scene with the estimated numbers.
     summary : str
         All numbers with their standard deviations, in one line.
     remarks : tuple of str
-        Sentences that stand above the scene as comments.
+        Sentences that are written above the scene as comments.
     warnings : tuple of str
         Doubts, a sentence each.
     """
@@ -40,7 +40,7 @@ class Calibration:
 
 
 def common_scene(recordings: Sequence[Recording], relevant: Callable[[Scene], Scene] = lambda scene: scene) -> Scene:
-    """Return the scene of all recordings. Raises InputError where the `relevant` part of one differs."""
+    """Return the scene of the first recording. Raises InputError where the `relevant` part of another differs."""
     first, *others = recordings
     for recording in others:
         if relevant(recording.scene) != relevant(first.scene):

@@ -1,8 +1,12 @@
-"""Channels, series resistance and reference from ordinary recordings: errors that all frames share, under many loads.
+"""Calibration of channels, series resistance and reference from ordinary recordings under many loads.
 
-Under a wrong circuit cells that nobody touches seem to move when others do. The smoother's cost has these errors as
-unknowns z; every block of frames gives their likelihood, cells integrated out by the Schur complement, and all blocks
-together their posterior N(ẑ, C), C⁻¹ = I + b Σ Λ, ẑ = b C Σ (Λ + I) z, with b the share of it that is believed.
+Under a wrong circuit, untouched cells seem to move when others do. The smoother's cost has the errors z that all frames
+share as unknowns. Every block of frames gives an estimate z with the precision Λ of its likelihood, where the cells are
+integrated out by the Schur complement. All blocks together give the posterior N(ẑ, C),
+
+    C⁻¹ = I + b Σ Λ,   ẑ = b C Σ (Λ + I) z,
+
+where b = BELIEVED is the share of the information that is used.
 """
 
 from collections.abc import Sequence
@@ -30,8 +34,8 @@ from lampest.posterior.dense import positive_inverse
 from lampest.recording.recording import Recording
 from lampest.solvers.multistart import BROKEN
 
-BLOCK = 50  # frames that are solved together; ten blocks cost as much as one of all
-UNCHANGED = 0.9  # of a channel's standard deviation
+BLOCK = 50  # frames that are solved together; ten blocks take as long as one of all their frames
+UNCHANGED = 0.9  # ratio of the deviations after and before: above it the recordings determine hardly any channel
 HARDLY = "these loads determine hardly any channel; press the panel at more places, or record longer"
 
 
@@ -41,14 +45,14 @@ class ChannelCalibration(Calibration):
 
     Attributes
     ----------
-    errors : array
-        Of the reference as a fraction, then of each line's channel, ohm, rows first.
-    covariance : array
-        Of the errors.
+    errors : array, shape (1 + lines,)
+        Relative error of the reference, then the error of each line's channel, ohm, rows first.
+    covariance : array, shape (1 + lines, 1 + lines)
+        Posterior covariance of the errors.
     apart, apart_before : float
-        rms deviations of every line against the mean of its side, after and before the recordings, ohm.
+        rms standard deviation of a channel against the mean of its side, posterior and prior, ohm.
     frames : int
-        Number of frames that took part.
+        Number of frames that were used.
     """
 
     errors: Array
@@ -81,14 +85,25 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
 
 
 def _calibration(scene: Scene, errors: Array, covariance: Array, before: Array, frames: int) -> ChannelCalibration:
-    """Return the scene with these errors taken off, and with their remaining uncertainty as its systematic errors."""
+    """Return the scene corrected for these errors, with their posterior uncertainty as its systematic errors.
+
+    Parameters
+    ----------
+    scene : Scene
+    errors : array, shape (1 + lines,)
+    covariance, before : array, shape (1 + lines, 1 + lines)
+        Posterior and prior covariance.
+    frames : int
+    """
     deviation, (rows, columns) = np.sqrt(np.diag(covariance)), scene.panel.shape
     mean = np.repeat([1 / rows, 1 / columns], [rows, columns])
     centred = block_diag(*(np.eye(lines) - 1 / lines for lines in (rows, columns)))
+    # √(tr H P H/(lines − 2)), where H subtracts the mean of each side
     apart, apart_before = (
         float(np.sqrt(np.trace(centred @ part[1:, 1:] @ centred) / (rows + columns - 2)))
         for part in (covariance, before)
     )
+    # variance of the sum of both sides' means, less the part of independent channels
     together = float(mean @ covariance[1:, 1:] @ mean) - apart**2 * (1 / rows + 1 / columns)
     sizes = replace(
         scene.specified_systematic or Systematic(),
@@ -119,7 +134,7 @@ def _calibration(scene: Scene, errors: Array, covariance: Array, before: Array, 
 
 
 def _corrected(scene: Scene, errors: Array) -> Scene:
-    """Return the scene with a reference and channels that are off by these errors."""
+    """Return the scene with its reference and channels corrected by these errors."""
     readout: Any = scene.circuit.off_by(float(errors[0]))
     more = np.split(errors[1:], [scene.panel.rows])
     if isinstance(readout, DrivenReadout):
@@ -134,19 +149,19 @@ def _corrected(scene: Scene, errors: Array) -> Scene:
 
 
 def _circuit(scene: Scene) -> Scene:
-    """Return the scene without loads, the environment, and the film's answer."""
+    """Return the scene without loads, environment and film, the part that all recordings must share."""
     return replace(scene, subject=None, experiment=None, water=None, temperature=None, film=None, response=None)
 
 
 def _with_all_errors(scene: Scene) -> Scene:
-    """Return the scene with the sizes of all errors, those of channels included."""
+    """Return the scene with prior sizes of all errors, channels included."""
     sizes = systematic_of(scene) or replace(USUAL, series_ohm=None, inl_lsb=None, wire_ohm_per_cell=None)
     spread = sizes.channel_spread_ohm or ASSUMED.channel_ohm
     return replace(scene, systematic=replace(sizes, channel_spread_ohm=spread, reading_error=None))
 
 
 def _likelihoods(recording: Recording) -> list[tuple[Array, Array, int]]:
-    """(z, Λ, number of frames) of every block of frames that can be estimated."""
+    """Return z, Λ and the number of frames of every block of frames that can be estimated."""
     noise, parts = Prepared(recording).noise, []
     estimator = Estimator((Misfit(weighting="noise", loss=Student(corner=4.0)),), SmootherMethod(), error_bars=False)
     stream = first_stream(recording, noise.readings, estimator, noise)
@@ -163,7 +178,7 @@ def _likelihoods(recording: Recording) -> list[tuple[Array, Array, int]]:
 
 
 def _in_units(scene: Scene, count: int) -> Array:
-    """(1 + lines, count): z of all errors in units of the reference, a fraction, and of lines, ohm."""
+    """Return the matrix (1 + lines, count) that maps z to the relative error of the reference and to ohm of lines."""
     sizes, (rows, columns) = scene.specified_systematic or Systematic(), scene.panel.shape
     contacts, units = 0 if scene.contacts is None else rows + columns, np.zeros((1 + rows + columns, count))
     units[0, contacts] = sizes.reference_tolerance / np.sqrt(3)

@@ -23,18 +23,18 @@ from lampest.panel.panel import Array, Panel
 
 @dataclass(frozen=True, kw_only=True)
 class KnownLoad:
-    """One load that lay still during some frames.
+    """One load that was at rest during some frames.
 
     Attributes
     ----------
     frames : tuple of int
-        The first and the last, counted from 0 in the recording.
+        The first and the last frame, counted from 0 in the recording.
     recording : str
-        Name of its file without folder; '' where there is one recording.
+        File name of the recording without folder; '' where there is one recording.
     mass_g, force_newton, pressure_kpa : float or None
-        One of the three; a pressure may be suction.
+        One of the three; a negative pressure is suction.
     diameter_mm, length_mm, width_mm, angle_deg, x_mm, y_mm : float or None
-        Its foot, round or rectangular, and the foot's centre. A pressure without foot lies on the whole panel.
+        The foot, round or rectangular, and its centre. A pressure without foot acts on the whole panel.
 
     Raises
     ------
@@ -75,9 +75,15 @@ class KnownLoad:
             raise ValueError("a weight or force needs its foot: diameter_mm, or length_mm and width_mm")
 
     def pressure(self, panel: Panel, patch_mm: float, along_mm: float = 0.0, down_mm: float = 0.0) -> Array:
-        """Return the mean on every patch, (rows, columns) kPa, of the foot moved by so much.
+        """Return the mean pressure on every patch, (rows, columns) kPa. Raises ValueError as `check`.
 
-        Raises ValueError as `check`.
+        Parameters
+        ----------
+        panel : Panel
+        patch_mm : float
+            Edge of a cell's film.
+        along_mm, down_mm : float
+            Displacement of the foot along x and y.
         """
         self.check()
         if self.x_mm is None or self.y_mm is None:
@@ -120,7 +126,7 @@ class KnownLoads:
         check_not_negative(self, "place_mm")
 
     def pressures(self, panel: Panel) -> tuple[Array, Array]:
-        """Return kPa of the loads, and its standard deviation by their places; (loads, rows, columns) each."""
+        """Return the pressures of the loads and their standard deviations by position, (loads, rows, columns) kPa."""
         away, patch = self.place_mm, patch_of(panel, self.patch_mm)
 
         def moved(*step: float) -> Array:
@@ -129,12 +135,16 @@ class KnownLoads:
         pressure = moved()
         if not away:
             return pressure, np.zeros_like(pressure)
+        # σ_p = √((Δp_x/2)² + (Δp_y/2)²), from displacements by ± place_mm
         across, down = moved(away, 0.0) - moved(-away, 0.0), moved(0.0, away) - moved(0.0, -away)
         return pressure, np.hypot(across, down) / 2
 
 
 def read_known_loads(path: Path) -> KnownLoads:
-    """Read from YAML, or CSV with names `first`, `last` and those of `KnownLoad`. Raises InputError with the line."""
+    """Return known loads from a YAML file, or a CSV file with columns `first`, `last` and fields of `KnownLoad`.
+
+    Raises InputError with the line of the fault.
+    """
     table = path.suffix.lower() == ".csv"
     try:
         document = parse_document(_as_yaml(path), str(path)) if table else read_document(path)
@@ -147,13 +157,13 @@ def read_known_loads(path: Path) -> KnownLoads:
     except InputError as error:
         if not table:
             raise
-        # The column is that of the YAML.
+        # The column number refers to the YAML, and is removed.
         raise InputError(re.sub(rf"^({re.escape(str(path))}:\d+):\d+", r"\1", str(error))) from error
     return known
 
 
 def _as_yaml(path: Path) -> str:
-    """Return the table as YAML, line by line, so that a fault is named by its line."""
+    """Return the table as YAML with the same line numbers, so that errors state the line of the table."""
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
         note_read(path)
@@ -172,7 +182,7 @@ def _as_yaml(path: Path) -> str:
 
 
 def _scalar(cell: str) -> float | str:
-    """Return a number where the cell holds one."""
+    """Return the number in a cell, or its text."""
     for kind in (int, float):
         try:
             return kind(cell)

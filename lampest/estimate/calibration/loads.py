@@ -1,4 +1,4 @@
-"""The film's response from recordings of known loads, or one sentence why not."""
+"""Calibration of the film's response with known loads."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -26,31 +26,38 @@ from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, Response
 from lampest.recording.recording import Recording
 
-MAX_SCATTER = 0.6  # from load to load, in ln r: films scatter by a tenth, hysteresis makes it a quarter
-ALIKE = 0.02  # of ln of an answer: so well films repeat at best
-UNLIKE = 2.0  # of ln of the first guess's steepness, two standard deviations of its prior: units are wrong more often
+MAX_SCATTER = 0.6  # scatter from load to load, relative: that of films is a tenth, with hysteresis a quarter
+ALIKE = 0.02  # least scatter of ln of a response: the best repeatability of films
+UNLIKE = 2.0  # ln of the ratio to the first guess: beyond two standard deviations of its prior, units may be wrong
 UNITS = "is mass_g in gram, force_newton in newton, and diameter_mm the diameter in mm?"
-CHANGED, BESIDE = 0.25, 0.5  # of a load's answer: change within its frames, and answer of cells beside its foot
+CHANGED, BESIDE = 0.25, 0.5  # of a load's response: change within its frames, and response of cells beside its foot
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LoadCalibration(Calibration):
-    """fitted : the curve and gains from which the scene's response was made."""
+    """Result of a calibration with known loads.
+
+    Attributes
+    ----------
+    fitted : FittedResponse
+        The curve and gains from which the scene's response was made.
+    """
 
     fitted: FittedResponse
 
 
 def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, tolerance: float) -> LoadCalibration:
-    """Estimate the curve and gains that explain known loads best; see `lampest.estimate.calibration.response`.
+    """Estimate the curve and gains that explain known loads best, see `lampest.estimate.calibration.response`.
 
-    Raises InputError where loads and recordings do not fit each other, or no film answers so.
+    Raises InputError where loads and recordings are inconsistent, or no film has such a response.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        Of one scene, unloaded frames included.
+        Recordings of one scene, unloaded frames included.
+    known : KnownLoads
     tolerance : float
-        By which fraction all loads together may be off.
+        Largest relative error that all loads share.
     """
     scene, loads = common_scene(recordings), known.loads
     place = _places([recording.name for recording in recordings], loads)
@@ -58,6 +65,7 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     for index in np.unique(place):
         own = np.flatnonzero(place == index)
         change[own], sd[own], within[own] = _answers(recordings[index], [loads[number] for number in own])
+    # Loads have to lie on the film, and not on the same cells at the same time.
     pressure, pressure_sd = known.pressures(scene.panel)
     felt = pressure != 0
     for number, cells in enumerate(felt):
@@ -71,6 +79,7 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
             raise InputError(
                 f"loads {first + 1} and {second + 1} lie on the same cells in the same frames: give one line"
             )
+    # The fit, and doubts about its loads.
     base, water = scene.response or PUBLISHED, water_pressure(scene.panel, scene.water)
     flat = [values.reshape(len(loads), -1) for values in (change, sd, pressure, pressure_sd)]
     loaded = Loaded(flat[0], flat[1], flat[2], flat[3], water.ravel(), base)
@@ -116,7 +125,7 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
 
 
 def _odd_loads(loaded: Loaded, fitted: FittedResponse) -> NDArray[np.bool_]:
-    """Return (loads) whose answer is off from the fit to all others by many times the usual deviation."""
+    """Return whether each load's response deviates from the fit to all others far more than usual, (loads,)."""
     deviation = deviations_from_others(loaded, fitted)
     if len(deviation) < MIN_SAMPLE or np.isnan(deviation).all():
         return np.zeros(len(deviation), dtype=bool)
@@ -126,10 +135,7 @@ def _odd_loads(loaded: Loaded, fitted: FittedResponse) -> NDArray[np.bool_]:
 
 
 def _unlike_first_guess(fitted: FittedResponse, pressure: Array, base: Response) -> str:
-    """Return a sentence on a film that answers far more or less than the first guess, or loads beyond its range.
-
-    '' where neither holds.
-    """
+    """Return a warning of a response far from the first guess, or of loads beyond its range; '' where neither holds."""
     middle, most = np.array([float(np.median(np.abs(pressure[pressure != 0])))]), max(map(abs, base.told_kpa))
     if middle[0] > most:
         return f"half of the loads press with more than {most:.3g} kPa, beyond what the first guess knows: {UNITS}"
@@ -141,7 +147,19 @@ def _unlike_first_guess(fitted: FittedResponse, pressure: Array, base: Response)
 
 
 def _beside(change: Array, felt: NDArray[np.bool_], pressure_sd: Array, together: NDArray[np.bool_]) -> Array:
-    """Return (loads) the largest answer of cells beside a foot over the median under it; 0 where no cell is beside."""
+    """Return the ratio of the largest response beside each foot to the median under it, (loads,); 0 without cells.
+
+    Parameters
+    ----------
+    change : array, shape (loads, rows, columns)
+        ln(r/r0).
+    felt : boolean array, same shape
+        Cells under the load.
+    pressure_sd : array, same shape
+        Standard deviation of the pressure by the position, kPa.
+    together : boolean array, shape (loads, loads)
+        Whether two loads lie on the panel at the same time.
+    """
     ratio = np.zeros(len(change))
     for number, same in enumerate(together):
         beside = (~felt[same] & (pressure_sd[same] == 0)).all(axis=0)
@@ -152,14 +170,14 @@ def _beside(change: Array, felt: NDArray[np.bool_], pressure_sd: Array, together
 
 
 def _named(sentence: str, concerned: NDArray[np.bool_]) -> str:
-    """Return the sentence with the loads that it concerns; '' where it concerns none."""
+    """Return the sentence with the numbers of the concerned loads; '' where there is none."""
     numbers = (np.flatnonzero(concerned) + 1).tolist()
     loads = f"load{'s' if len(numbers) > 1 else ''} {first_and_more(numbers)}"
     return sentence.format(loads) if numbers else ""
 
 
 def _places(names: Sequence[str], loads: Sequence[KnownLoad]) -> NDArray[np.intp]:
-    """Return the index of each load's recording."""
+    """Return the index of each load's recording, (loads,). Raises InputError where it is ambiguous or unknown."""
     places = []
     for number, load in enumerate(loads):
         name = load.recording.removesuffix(".h5")
@@ -172,7 +190,10 @@ def _places(names: Sequence[str], loads: Sequence[KnownLoad]) -> NDArray[np.intp
 
 
 def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> Iterator[Array]:
-    """Yield ln(r/r0) (loads, rows, columns), mean over each load's frames, its sd, and (loads) its change within."""
+    """Return the mean response to each load, its standard deviation, and its relative change within the frames.
+
+    The first two are ln(r/r0), (loads, rows, columns), the last is (loads,).
+    """
     for load in loads:
         if load.frames[1] >= len(recording.role):
             raise InputError(
@@ -196,7 +217,7 @@ def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> Iterator[Array
         solved = inside & np.isfinite(logarithm).all(axis=(1, 2))
         if not solved.any():
             raise InputError(f"{recording.name}: no frame from {load.frames[0]} to {load.frames[1]} was solved")
-        # Frames share errors that are in the error bars: their mean is no better than one of them.
+        # The error bars contain errors that frames share, so the mean has the error of a single frame.
         mean = logarithm[solved].mean(axis=0)
         row, column = divmod(int(np.argmax(np.abs(mean))), mean.shape[1])
         moved = float(np.ptp(logarithm[solved, row, column]))

@@ -1,9 +1,10 @@
-"""Numbers of the electronics from known resistors: weighted least squares through the circuit's equations.
+"""Calibration of the electronics with known resistors, by weighted least squares.
 
     minimise (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e²,    covariance of θ: (JᵀJ)⁻¹ at the minimum
 
-θ: for each number of the circuit its common value q, and for its lines by how many spreads e each is off; C: noise,
-quantisation, tolerance of the resistors and of the reference.
+y are measured voltages and V(θ) those of the circuit. θ contains, for each number of the circuit, its common value q
+and the offsets e of its lines in units of their spread. C is the covariance of noise, quantisation, and the tolerances
+of the resistors and of the reference.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,25 +31,25 @@ from lampest.panel.scene import Scene, SeriesPerLine
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import SHORT_OHM
 
-BEST_OHM, TYPICAL_OHM, WORST_OHM = 40.0, 70.0, 160.0  # a channel of a CD74HC4067 at 5 V: its data sheet
-RESISTOR_TOLERANCE = 0.05  # of ordinary resistors, evenly
+BEST_OHM, TYPICAL_OHM, WORST_OHM = 40.0, 70.0, 160.0  # channel of a CD74HC4067 at 5 V, by its data sheet
+RESISTOR_TOLERANCE = 0.05  # of ordinary resistors, uniformly distributed
 # Numbers that are estimated where the scene names them.
 MEMORY = LineNumber("converter_memory", (), in_scene=True, unit="1")
 WIRE = tuple(LineNumber(f"lines.{line}_ohm_per_cell", (), in_scene=True) for line in ("row", "column"))
-# What they are called, typical values, and σ of a determined number where 0.3 of its value is less: 2.9 % of the
-# channel before were seen of a real board, and an ohm from cell to cell of conductive thread.
+# Name in words, typical value, and the largest σ of a number that counts as determined, if 0.3 of its value is less. A
+# real board had a memory of 2.9 % of the channel before, and conductive thread an ohm from cell to cell.
 EXPECTED = {
     "converter_memory": ("converter memory", 0.03, 0.01),
     "lines.row_ohm_per_cell": ("wire of rows", 1.0, 0.5),
     "lines.column_ohm_per_cell": ("wire of columns", 1.0, 0.5),
     "diode.drop_volt": ("diode drop", None, 0.2),
 }
-STEP = 1e-5  # of an unknown, or of the logarithm of a resistor, for differences
+STEP = 1e-5  # of an unknown, or of ln of a resistor, for forward differences
 PLAUSIBLE_RANGE = {True: "channels of a CD74HC4067 have 40 to 160 ohm", False: "resistors of 5 % differ by less"}
 
 
 class LineOffsets(NamedTuple):
-    """Lines of one side: by how much each differs from their mean, and σ of that, ohm; NaN where not measured."""
+    """Offsets of the lines of one side from their mean with standard deviations, ohm; NaN where not measured."""
 
     side: Side
     off_ohm: Array
@@ -63,9 +64,9 @@ class CircuitNumber:
     ----------
     number : LineNumber
     value, sigma : float
-        Mean over the measured lines (of two channels' sum where a reading has two), and its standard deviation.
+        Mean over the measured lines, of the sum of both channels where a reading has two, and its standard deviation.
     lines : tuple of LineOffsets
-        Offsets of single lines; empty where the number is one for all.
+        Offsets of single lines; empty where one number holds for all.
     """
 
     number: LineNumber
@@ -75,19 +76,25 @@ class CircuitNumber:
 
     @property
     def differ(self) -> bool:
-        """Whether lines differ by more than chance, and more than a scene is written to."""
+        """Whether lines differ significantly, and by more than the written decimals."""
         least = 10.0**-DIGITS
         return any(bool(np.any(np.abs(lines.off_ohm) > SIGNIFICANT * lines.sigma_ohm + least)) for lines in self.lines)
 
     @property
     def label(self) -> str:
-        """'drive resistance 70.700 ± 0.300 ohm'."""
+        """The number in words, such as 'drive resistance 70.700 ± 0.300 ohm'."""
         plain = f"{self.number.name.removesuffix('_ohm').removesuffix('_resistance')} resistance"
         name, *_ = EXPECTED.get(self.number.name, (plain,))
         return f"{name} {self.value:.3f} ± {self.sigma:.3f} {self.number.unit}"
 
     def remarks(self, readings: int) -> list[str]:
-        """Return the value with its uncertainty, and the lines where they differ, a sentence each."""
+        """Return sentences with the value, its uncertainty, and the lines' offsets where they differ.
+
+        Parameters
+        ----------
+        readings : int
+            Number of readings from which it was estimated.
+        """
         digits, unit = (FRACTION_DIGITS, "") if self.number == MEMORY else (DIGITS, f" {self.number.unit}")
         value = f"{self.value:.{digits}f} +- {self.sigma:.{digits}f}{unit}"
         remarks = [f"{self.number.name}: {value} (one standard deviation), from {readings} readings"]
@@ -107,9 +114,9 @@ class ResistorCalibration(Calibration):
     Attributes
     ----------
     numbers : tuple of CircuitNumber
-        Of the electronics.
+        The estimated numbers of the electronics.
     readings : int
-        How many took part.
+        Number of readings that are values.
     """
 
     numbers: tuple[CircuitNumber, ...]
@@ -124,17 +131,18 @@ def calibrate_resistors(
     Parameters
     ----------
     recordings : sequence of Recording
-        Of one panel and readout; the frames of each are repeats.
+        Recordings of one panel and readout; the frames of each are repeats.
     known : sequence of array or float
-        ohm, for each recording (rows, columns) or one number for all cells; 0 where row and column lines are shorted
-        together; inf or NaN where there is no resistor.
+        Known resistors of each recording, ohm: (rows, columns), or one number for all cells; 0 where row and column
+        lines are shorted together; inf or NaN where there is no resistor.
     tolerance : float
-        Fraction by which the known resistors and the reference may be off, evenly.
+        Largest relative error of the known resistors and of the reference, uniformly distributed.
 
     Raises
     ------
     InputError
-        If the scene's readout has no such numbers, the readings do not determine them, or are not of these resistors.
+        If the scene's readout has no such numbers, if the readings do not determine them, or if these resistors do not
+        explain the readings.
     """
     scene, name = common_scene(recordings), recordings[0].name
     if not scene.circuit.line_numbers():
@@ -162,9 +170,9 @@ def calibrate_resistors(
 
 
 def noise_of(trials: Sequence[Trial]) -> float | tuple[float, ...] | None:
-    """Return the noise of one reading, LSB, from repeats: of each driven line where they differ.
+    """Return the noise of one reading from repeats, LSB; a tuple for the driven lines where they differ.
 
-    Lines of few repeats have the mean; None where all have few.
+    Lines with fewer than MIN_REPEATS repeats have the mean; None where all lines have fewer.
     """
     counts = np.array([trial.repeats for trial in trials])
     each = np.average([trial.noise_lsb**2 for trial in trials], axis=0, weights=counts + 1e-9)
@@ -173,8 +181,9 @@ def noise_of(trials: Sequence[Trial]) -> float | tuple[float, ...] | None:
     if not enough.any():
         return None
     mean = float(np.average(each[enough], weights=repeats[enough]))
-    quantisation = 1 / 12  # LSB²: below it, lines that differ make no difference
+    quantisation = 1 / 12  # LSB²: variances below it are equal in effect
     off = np.abs(np.log((each[enough] + quantisation) / (mean + quantisation)))
+    # ln of a variance from n repeats has the standard deviation √(2/n)
     if np.all(off < SIGNIFICANT * np.sqrt(2 / repeats[enough])):
         return round(float(np.sqrt(mean)), DIGITS)
     return tuple(round(float(variance) ** 0.5, DIGITS) for variance in np.where(enough, each, mean))
@@ -182,11 +191,20 @@ def noise_of(trials: Sequence[Trial]) -> float | tuple[float, ...] | None:
 
 @dataclass(frozen=True, eq=False)
 class Unknown:
-    """A number of the electronics: a common value at `index` of θ, and offsets of lines in spreads, at `lines`.
+    """A number of the electronics within θ.
 
-    A line's resistance is scale·q + spread·e. e is as likely as a standard normal number, so that lines which nothing
-    measures are taken for the mean of the others. specified : the scene's value, the mean where it lists one for each
-    line.
+    The value of a line is scale·q + spread·e. The prior of e is N(0, 1), so that lines without a measurement have the
+    mean of the others.
+
+    Attributes
+    ----------
+    number : LineNumber
+    index : int
+        Index of q in θ.
+    lines : dict
+        Slice of e in θ for each side.
+    specified : float
+        The scene's value; the mean where it lists one for each line.
     """
 
     number: LineNumber
@@ -196,13 +214,13 @@ class Unknown:
 
     @property
     def scale(self) -> float:
-        """Value of q = 1, in the number's unit."""
+        """Value that corresponds to q = 1, in the number's unit."""
         _, typical, _ = EXPECTED.get(self.number.name, ("", TYPICAL_OHM if self.number.channel else None, 0.0))
         return typical or self.specified
 
     @property
     def start(self) -> float:
-        """q of the scene's value, channels at least typical ones."""
+        """q of the scene's value; for channels at least the typical one."""
         return max(self.specified / self.scale, len(self.number.sides) if self.number.channel else 1.0)
 
     def common(self, unknowns: Array) -> float:
@@ -210,7 +228,11 @@ class Unknown:
         return self.scale * float(unknowns[self.index])
 
     def offsets(self, unknowns: Array) -> dict[Side, Array]:
-        """Return by how much lines are off, ohm; σ of channels is a third of worst less typical, else a tolerance."""
+        """Return the offsets of the lines of each side, spread·e, ohm.
+
+        The spread of channels is a third of the difference between worst and typical ones; that of resistors is the
+        standard deviation of RESISTOR_TOLERANCE.
+        """
         spread = (WORST_OHM - TYPICAL_OHM) / 3
         if not self.number.channel:
             spread = RESISTOR_TOLERANCE / 3**0.5 * self.common(unknowns)
@@ -219,9 +241,14 @@ class Unknown:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Residuals of all readings of all trials, about the unknowns of the scene's circuit.
+    """The least-squares problem: residuals of all readings of all trials as functions of θ.
 
-    tolerance : fraction by which resistors may be off, evenly.
+    Attributes
+    ----------
+    scene : Scene
+    trials : tuple of Trial
+    tolerance : float
+        Largest relative error of the resistors, uniformly distributed.
     """
 
     scene: Scene
@@ -230,7 +257,7 @@ class Problem:
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Numbers that resistors determine: the readout's, and those of memory and wires that the scene names."""
+        """Numbers that resistors determine: those of the readout, and memory and wires that the scene names."""
         scene, unknowns = self.scene, list[Unknown]()
         memory = () if scene.converter_memory is None else (MEMORY,)
         numbers = scene.circuit.line_numbers() + memory + (WIRE if scene.lines is not None else ())
@@ -247,12 +274,22 @@ class Problem:
 
     @cached_property
     def start(self) -> Array:
-        """θ of the scene."""
+        """θ of the scene's numbers."""
         lines = sum(part.stop - part.start for unknown in self.unknowns for part in unknown.lines.values())
         return np.array([unknown.start for unknown in self.unknowns] + [0.0] * lines)
 
     def volt(self, unknowns: Array, cells: Array, reference_off: float = 0.0) -> Array:
-        """(rows, columns) at the converter, for cells in ohm and a reference resistor that is off by a fraction."""
+        """Return the voltages at the converter, (rows, columns) V.
+
+        Parameters
+        ----------
+        unknowns : array
+            θ.
+        cells : array, shape (rows, columns)
+            Resistors in place of the cells, ohm.
+        reference_off : float
+            Relative error of the reference resistor.
+        """
         rows, columns = self.scene.panel.shape
         channels: dict[Side, Array] = {"rows": np.zeros(rows), "columns": np.zeros(columns)}
         fields, of_scene = dict[str, Any](), dict[str, float]()
@@ -264,13 +301,13 @@ class Problem:
                 of_scene[number.name] = min(common, 0.9) if number == MEMORY else common
             else:
                 each = common + sum(off.values())
-                # ln(1 + exp R) is R from some ohm on, never below zero, and always has a slope.
+                # ln(1 + exp R) equals R from a few ohm on, is positive, and has a nonzero derivative everywhere.
                 volts = self.scene.circuit.lsb_volt, self.scene.circuit.full_scale_volt
                 limits = volts if number.unit == "volt" else (SHORT_OHM, MAX_OHM)
                 each = np.clip(np.logaddexp(0, each) if off else each, *limits)
                 fields[number.name] = tuple(each.tolist()) if off else float(each)
         circuit: Any = with_numbers(self.scene.circuit, fields)
-        # Contacts and faults are the panel's, which is unplugged.
+        # Contacts and faults belong to the panel, which is unplugged.
         bare = Scene(self.scene.panel, circuit, lines=self.scene.lines, converter_memory=self.scene.converter_memory)
         scene: Scene = with_numbers(bare, of_scene)
         recorded = circuit.simulated(cells, scene, channels["rows"], channels["columns"])
@@ -279,12 +316,25 @@ class Problem:
 
     @cached_property
     def measured(self) -> Array:
-        """(readings) V at the converter, within its rails: beyond, a reading is a bound, and any more is as good."""
+        """Measured voltages clipped to the usable range of the converter, (readings,) V.
+
+        Measured and expected values are clipped alike, so that a reading at a rail is a one-sided constraint.
+        """
         volt = np.concatenate([trial.volt[trial.used] for trial in self.trials])
         return np.asarray(np.clip(volt, *usable_range(self.scene.circuit)))
 
     def expected(self, unknowns: Array, resistor: tuple[float, int] | None = None, reference: float = 0.0) -> Array:
-        """Return (readings) V, with one resistor larger by a factor exp(STEP), or the reference by 1 + reference."""
+        """Return the expected voltages clipped to the usable range, (readings,) V.
+
+        Parameters
+        ----------
+        unknowns : array
+            θ.
+        resistor : (float, int), optional
+            Resistor that is multiplied by exp(STEP), see `Trial.resistors`.
+        reference : float
+            Relative error of the reference.
+        """
         volts = []
         for trial in self.trials:
             cells = trial.cells.copy()
@@ -294,19 +344,21 @@ class Problem:
         return np.asarray(np.clip(np.concatenate(volts), *usable_range(self.scene.circuit)))
 
     def covariance(self, unknowns: Array, own_lsb: float = 0.0) -> Array:
-        """Return the covariance of the readings, (readings, readings) V².
+        """Return the covariance C of the readings, (readings, readings) V².
 
-        Its parts are noise, quantisation, the converter's own error, resistors and the reference.
+        It includes noise, quantisation, the tolerances of resistors and of the reference, and `own_lsb`, the
+        converter's own error in LSB.
         """
         at, names = self.expected(unknowns), dict.fromkeys(name for trial in self.trials for name in trial.resistors)
         moved = [*(self.expected(unknowns, name) for name in names), self.expected(unknowns, reference=STEP)]
+        # ∂V/∂ln R by forward differences, times tolerance/√3, the standard deviation of a uniform error
         off = self.tolerance / np.sqrt(3) / STEP * (np.stack(moved, axis=1) - at[:, None])
         sigma = np.concatenate([trial.sigma_volt[trial.used] for trial in self.trials])
         own = own_lsb * self.scene.circuit.lsb_volt
         return np.asarray(np.diag(sigma**2 + own**2) + off @ off.T)
 
     def squares(self, root: Array, unknowns: Array) -> SumOfSquares:
-        """(y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² about θ; root : Cholesky factor of C."""
+        """Return (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² about θ, given the Cholesky factor `root` of C."""
 
         def residual(at: Array) -> Array:
             weighted = solve_triangular(root, self.measured - self.expected(at), lower=True)
@@ -322,7 +374,7 @@ def forward_differences(function: Callable[[Array], Array], at: Array) -> Array:
 
 
 def with_numbers(part: Any, values: dict[str, Any]) -> Any:
-    """Return a record with numbers of other values; 'a.b' is b of its part a."""
+    """Return a record with other values by field name; 'a.b' is the field b of its part a."""
     for name, value in values.items():
         first, _, inner = name.partition(".")
         part = replace(part, **{first: with_numbers(getattr(part, first), {inner: value}) if inner else value})
@@ -335,10 +387,13 @@ class CircuitFit:
 
     Attributes
     ----------
+    problem : Problem
+    unknowns, covariance : array
+        θ and (JᵀJ)⁻¹.
     chi_square, freedom : float, int
-        Of the residual, the converter's own error included; their ratio is 1 on average.
-    residual, sigma : arrays, shape (readings)
-        V, and its standard deviation.
+        χ² of the residual, with the converter's own error in C, and its degrees of freedom.
+    residual, sigma : array, shape (readings,)
+        y − V(θ) and its standard deviation, V.
     readings : int
         Number of readings that are values.
     """
@@ -354,22 +409,22 @@ class CircuitFit:
 
 
 def _fit(problem: Problem) -> CircuitFit:
-    """Return the least squares with C at their minimum, and the covariance (JᵀJ)⁻¹."""
+    """Return the least-squares fit; C is evaluated at the start, then once more near the minimum."""
     unknowns, commons = problem.start, len(problem.unknowns)
     least = np.where(np.arange(len(unknowns)) < commons, 0.0, -np.inf)
-    for settled in (1.0, 1e-4):  # of ½ χ²: the last one is off by a hundredth of σ
+    for settled in (1.0, 1e-4):  # change of ½ χ²: the second one leaves an error of a hundredth of σ
         root = np.linalg.cholesky(problem.covariance(unknowns))
-        # Good calibrations end after some 5 evaluations from the scene's numbers, 10 from those ten times too large.
+        # Good calibrations take some 5 evaluations from the scene's numbers, and 10 from numbers ten times too large.
         minimum = LevenbergMarquardt(25, settled).minimum(partial(problem.squares, root), unknowns, (least, np.inf))
         unknowns = minimum.position
-    # The converter's own error: ATmega2560, integral non-linearity 0.5 LSB, its data sheet.
+    # The converter's own error: integral nonlinearity of 0.5 LSB, by the data sheet of the ATmega2560.
     residual, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, 0.5)
     weighted = solve_triangular(np.linalg.cholesky(whole), residual, lower=True)
-    # Values are readings of which neither they nor their expectations lie at a rail.
+    # A reading counts as a value unless both the measurement and its expectation lie at a rail.
     inside = [within_rails(problem.scene.circuit, volt) for volt in (problem.measured, problem.expected(unknowns))]
     values = int(np.sum(inside[0] | inside[1]))
     chi_square = float(weighted @ weighted + unknowns[commons:] @ unknowns[commons:])
-    # (JᵀJ)⁻¹, nearly without end along what J does not see.
+    # (JᵀJ)⁻¹ = V S⁻² Vᵀ of J = U S Vᵀ, with a very large variance in the null space of J.
     _, singular, right = np.linalg.svd(minimum.at.jacobian, full_matrices=False)
     inverse = right / np.maximum(singular, np.sqrt(np.finfo(float).eps) * singular[0])[:, None]
     sigma = np.sqrt(np.diag(whole))
@@ -377,7 +432,7 @@ def _fit(problem: Problem) -> CircuitFit:
 
 
 def _estimated(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
-    """Return a number with its covariance to first order in the unknowns. Raises InputError as `_check_number`."""
+    """Return a number with its uncertainty by linear propagation from θ. Raises InputError as `_check_number`."""
     trials = fit.problem.trials
     measured = {side: np.any([trial.connected(side) for trial in trials], axis=0) for side in unknown.lines}
 
@@ -390,6 +445,7 @@ def _estimated(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
         return np.concatenate([[value], *centred])
 
     at, slopes = values(fit.unknowns), forward_differences(values, fit.unknowns)
+    # σ² = diag(S P Sᵀ), with S the derivatives of the values and P the covariance of θ
     sigma = np.sqrt(np.maximum(np.einsum("li,ij,lj->l", slopes, fit.covariance, slopes), 0.0))
     ends = np.cumsum([1, *(len(lines) for lines in measured.values())])[:-1]
     parts = zip(measured.items(), np.split(at, ends)[1:], np.split(sigma, ends)[1:], strict=True)
@@ -402,7 +458,7 @@ def _estimated(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
 
 
 def _check_fit(fit: CircuitFit) -> None:
-    """Raise InputError where the readings are not those of the known resistors behind any such circuit."""
+    """Raise InputError where no such circuit explains the readings with the known resistors."""
     trials, readout = fit.problem.trials, fit.problem.scene.circuit
 
     def spoken(volt: float) -> str:
@@ -420,7 +476,7 @@ def _check_fit(fit: CircuitFit) -> None:
     if fit.freedom < 0 or not fit.readings:
         many = "nothing was read across a known resistor" if not fit.readings else f"only {fit.readings} readings"
         raise InputError(f"{trials[0].name}: no calibration: {many}; join lines by more known resistors")
-    # σ itself is known from as many repeats only: χ² over its freedom follows Fisher's distribution.
+    # σ itself is estimated from a finite number of repeats, so χ²/freedom follows Fisher's F distribution.
     freedom, repeated = max(fit.freedom, 1), sum(BELIEF + trial.repeats.sum() for trial in trials)
     if fdtrc(freedom, repeated, fit.chi_square / freedom) < 1e-7:  # of good calibrations may be refused
         off = np.abs(fit.residual) / fit.sigma
@@ -436,7 +492,16 @@ def _check_fit(fit: CircuitFit) -> None:
 
 
 def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None:
-    """Raise InputError where the readings do not determine a number, or no such electronics have it."""
+    """Raise InputError where the readings do not determine a number, or where its value is implausible.
+
+    Parameters
+    ----------
+    where : str
+        Beginning of the message.
+    estimate : CircuitNumber
+    specified : float
+        The scene's value.
+    """
     number, channels = estimate.number, len(estimate.lines)
     *_, enough = EXPECTED.get(number.name, (WORST_OHM - TYPICAL_OHM if number.channel else 0.0,))
     if estimate.sigma > max(enough, 0.3 * estimate.value):
@@ -444,7 +509,8 @@ def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None
             f"{where}the readings do not tell {number.name} ({estimate.value:.4g} ± {estimate.sigma:.2g} "
             f"{number.unit}); known resistors of different values, on more lines, do"
         )
-    # Equal cells look like a larger series resistance: channels have at most what the worst have, or as much above it.
+    # Equal cells are equivalent to a larger series resistance, so the value is limited to that of the worst channels,
+    # or to their excess over typical ones above the specified value.
     most = max(channels * WORST_OHM, specified + channels * (WORST_OHM - TYPICAL_OHM))
     if number.in_scene and number.channel and estimate.value - SIGNIFICANT * estimate.sigma > most:
         raise InputError(
@@ -467,12 +533,12 @@ def _with_estimates(scene: Scene, numbers: Sequence[CircuitNumber], noise: float
     readout: Any = scene.readout if noise is None else replace(scene.circuit, noise_lsb=noise)
 
     def rounded(value: float) -> float:
-        """Return a number, not below zero, where the noise of a small one can be."""
+        """Return a value rounded to DIGITS and clipped at 0, because noise may make a small one negative."""
         return round(max(float(value), 0.0), DIGITS)
 
     for estimate in numbers:
         number, value = estimate.number, rounded(estimate.value)
-        # Every line's share of the sum where readings have two; the mean where it was not measured.
+        # The value of each line: its share of the sum where a reading has two channels; the mean where not measured.
         share = estimate.value / max(len(estimate.lines), 1)
         each = {side: tuple(map(rounded, share + np.nan_to_num(off))) for side, off, _ in estimate.lines}
         if number.in_scene and number.channel:

@@ -1,12 +1,12 @@
-"""A common curve and each cell's gain from known loads: nonlinear least squares with a hierarchical prior.
+"""Estimation of a common response curve and of each cell's gain from known loads, with a hierarchical prior.
 
-    ln(r/r0)_li = −κ_i Σ_k e^{ψ_k} a_lik + noise,    ln κ_i ~ N(0, spread²),    ψ_{k+1} − ψ_k ~ N(0, WALK²)
+    ln(r/r0)_li = −κ_i Σ_k e^{ψ_k} a_lik + noise,    ln κ_i ~ N(0, spread²),    ψ_{k+1} − ψ_k ~ N(0, STEP_SD²)
 
-Of cell i under load l; a is how much of the base curve's fall lies in the k-th piece of pressures. e^ψ is how much
-steeper than the base the film is there: the curve falls strictly, whatever ψ. Noise: that of the estimate, the place of
-the load, and scatter·|ln(r/r0)| from load to load. Spread and scatter are those of the largest evidence; of a cell that
-no load has touched the curve and the spread remain.
-Regularised calibration by one load that is moved about: arXiv 2404.15131.
+for cell i under load l. a_lik is the decrease of the base curve within the k-th interval of pressures, and e^ψ_k the
+steepness there relative to the base, so that the curve decreases for any ψ. The noise has three parts: that of the
+estimate, that of the load's position, and scatter·|ln(r/r0)| from load to load. Spread and scatter maximise the
+evidence. A cell that no load has touched has the common curve and the spread.
+Source of calibration by one load that is moved: arXiv 2404.15131.
 """
 
 from dataclasses import dataclass, replace
@@ -19,32 +19,32 @@ from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, Response, Table, TableResponse
 
-# Ends of pieces, kPa: thirds of octaves. Within one the base curve's form is taken as it is.
+# Ends of the intervals, kPa: thirds of octaves. Within an interval the curve has the form of the base.
 ENDS = np.unique(np.outer((-1, 0, 1), 0.5 * 2.0 ** (np.arange(19) / 3)))
-# An assumption, of the logarithm: how much steeper than the base a film is from a piece to the next; as a whole σ is 1.
-# The published curve has a corner at 2.5 kPa at which it becomes twelve times as flat, and other films have none.
+# Assumed standard deviation of ψ from one interval to the next; that of the level of ψ is 1. The published curve has a
+# corner at 2.5 kPa, beyond which its slope is twelve times smaller, and other films have none.
 STEP_SD = 0.6
-MIN_SD = 1e-3  # of ln(r/r0): no answer counts as better known
-START, RANGE = (0.2, 0.05), (1e-3, 2.0)  # spread and scatter, relative: where their search begins, and where they lie
-ROUNDS = 4  # of least squares and evidence, one after the other
-PER_OCTAVE, MIN_KPA = 3, 0.25  # points of the table, and the one next to 0 kPa
-UNLOADED_OHM = 1000.0  # of the table: only ratios to it count
+MIN_SD = 1e-3  # least standard deviation of ln(r/r0)
+START, RANGE = (0.2, 0.05), (1e-3, 2.0)  # initial spread and scatter, relative, and their limits
+ROUNDS = 4  # alternations of least squares and evidence
+PER_OCTAVE, MIN_KPA = 3, 0.25  # points of the table in an octave, and the one next to 0 kPa
+UNLOADED_OHM = 1000.0  # first resistance of the table; only ratios count
 
 
 @dataclass(frozen=True, eq=False)
 class Loaded:
-    """Answers of all cells to all loads.
+    """Responses of all cells to all loads.
 
     Attributes
     ----------
-    change, sd : arrays, shape (loads, cells)
-        ln(r/r0) and its standard deviation; NaN where nothing is known.
-    pressure, pressure_sd : arrays, shape (loads, cells)
-        kPa of the load.
-    water : array, shape (cells)
-        kPa.
+    change, sd : array, shape (loads, cells)
+        ln(r/r0) and its standard deviation; NaN where unknown.
+    pressure, pressure_sd : array, shape (loads, cells)
+        Pressure of the load and its standard deviation by the load's position, kPa.
+    water : array, shape (cells,)
+        Pressure of the water, kPa.
     base : Response
-        Curve of which the estimate is a multiple, piece by piece.
+        Base curve; the estimate is a multiple of it in each interval.
     """
 
     change: Array
@@ -55,13 +55,13 @@ class Loaded:
     base: Response = PUBLISHED
 
     def falls(self, aside: float = 0.0) -> Array:
-        """Return a, (loads, cells, pieces), of pressures that are off by so many standard deviations."""
+        """Return a, (loads, cells, pieces), of pressures shifted by `aside` standard deviations."""
         on_film = self.pressure + self.water + aside * self.pressure_sd
         return _falls(on_film, self.base) - _falls(self.water, self.base)
 
 
 def _falls(pressure: Array, base: Response) -> Array:
-    """−ln f_base(p) by pieces, (..., pieces); signed as the pressure."""
+    """Return −ln f_base(p) split into intervals, (..., pieces), with the sign of the pressure (...) kPa."""
     fallen = -base.logarithm(pressure)[..., None]
     ends = np.concatenate([[-np.inf], -base.logarithm(ENDS), [np.inf]])
     return np.asarray(np.clip(fallen, ends[:-1], ends[1:]) - np.clip(0.0, ends[:-1], ends[1:]))
@@ -69,7 +69,18 @@ def _falls(pressure: Array, base: Response) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class FittedResponse:
-    """ln κ (cells), ψ (pieces), the covariance of both, spread and scatter; touched : (cells) that felt a load."""
+    """Fitted curve and gains.
+
+    Attributes
+    ----------
+    gains, pieces : array, shapes (cells,) and (pieces,)
+        ln κ and ψ.
+    covariance : array, shape (cells + pieces, cells + pieces)
+    spread, scatter : float
+        Relative standard deviations of the gains, and of a cell's response from load to load.
+    touched : boolean array, shape (cells,)
+        Cells that felt a load.
+    """
 
     gains: Array
     pieces: Array
@@ -80,40 +91,42 @@ class FittedResponse:
 
     @property
     def _mean(self) -> Array:
-        """(cells + pieces): the mean of ln κ over touched cells, which belongs to the curve."""
+        """Weights (cells + pieces,) of the mean of ln κ over touched cells; the mean belongs to the curve."""
         return np.concatenate([self.touched / max(self.touched.sum(), 1), np.zeros(len(self.pieces))])
 
     @property
     def state(self) -> Array:
-        """ln κ and ψ, (cells + pieces)."""
+        """(ln κ, ψ), (cells + pieces,)."""
         return np.concatenate([self.gains, self.pieces])
 
     def at(self, state: Array) -> "FittedResponse":
-        """Return the fit with other ln κ and ψ."""
+        """Return the fit with another state (ln κ, ψ)."""
         return replace(self, gains=state[: len(self.gains)], pieces=state[len(self.gains) :])
 
     def answers(self, falls: Array) -> Array:
-        """Return ln(r/r0) of loads, (..., cells), of their a."""
+        """Return ln(r/r0) = −κ_i Σ_k e^{ψ_k} a_ik, (..., cells), of a (..., cells, pieces)."""
         return np.asarray(-(falls * np.exp(self.gains[:, None] + self.pieces)).sum(axis=-1))
 
     def gain(self) -> tuple[Array, Array]:
-        """κ and its relative standard deviation, from load to load included; (cells)."""
+        """Return κ over its mean and its relative standard deviation, scatter included, (cells,) each."""
         cells = len(self.gains)
         centred = np.eye(cells, cells + len(self.pieces)) - self._mean
+        # var(ln κ_i − mean ln κ) = (e_i − m)ᵀ P (e_i − m)
         own = np.einsum("ij,jk,ik->i", centred, self.covariance, centred)
         return np.exp(centred @ self.state), np.sqrt(own + self.scatter**2)
 
     def curve(self, pressure: Array, base: Response = PUBLISHED) -> tuple[Array, Array]:
-        """ln f and its relative standard deviation at pressures (n) kPa but 0."""
+        """Return ln f and its relative standard deviation at nonzero pressures (n,) kPa."""
         parts = _falls(pressure, base) * np.exp(self.pieces)
         total = parts.sum(axis=1)
+        # ∂ln|ln f|/∂(ln κ, ψ): the share of each interval, and the mean gain
         slopes = np.hstack([np.zeros((len(pressure), len(self.gains))), parts / total[:, None]]) + self._mean
         sd = np.sqrt(np.einsum("ij,jk,ik->i", slopes, self.covariance, slopes))
         return -total * np.exp(float(self._mean[: len(self.gains)] @ self.gains)), sd
 
 
 def fit_loads(loaded: Loaded) -> FittedResponse:
-    """Return the least squares at the spread and scatter of the largest evidence."""
+    """Return the least-squares fit with the spread and scatter that maximise the evidence, by alternation."""
     answers = _Answers.of(loaded)
     touched = np.bincount(answers.cell, minlength=loaded.change.shape[1]) > 0
     fitted = FittedResponse(np.zeros(len(touched)), np.zeros(len(ENDS) + 1), np.zeros((0, 0)), *START, touched)
@@ -123,10 +136,11 @@ def fit_loads(loaded: Loaded) -> FittedResponse:
 
 
 def deviations_from_others(loaded: Loaded, fitted: FittedResponse) -> Array:
-    """Return (loads) ln of each load's answer over the expectation of a fit to all others; NaN without such.
+    """Return ln of each load's response over its prediction from all other loads, (loads,); NaN where undetermined.
 
-    The median over its cells. Cells at the edge of the foot answer as the foot's place lets them, and do not count. The
-    fit to all others is one Newton step from that to all, δ = C Jᵀ (I − J C Jᵀ)⁻¹ f, with J and f of the load alone.
+    It is the median over the load's cells, without those at the edge of the foot, whose response depends on the
+    position. The fit without a load is one Newton step from the fit with all loads, δ = C Jᵀ (I − J C Jᵀ)⁻¹ f, with the
+    Jacobian J and the residuals f of this load, and the covariance C of the state.
     """
     deviations, falls, answers = np.full(len(loaded.change), np.nan), loaded.falls(), _Answers.of(loaded)
     residual, slopes = answers.rows(fitted, answers.weight(fitted))
@@ -146,15 +160,16 @@ def deviations_from_others(loaded: Loaded, fitted: FittedResponse) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Answers:
-    """Answers of cells that felt a load.
+    """Responses of the cells that felt a load, as a list of n pairs.
 
     Attributes
     ----------
-    change, sd : array, shape (n)
+    change, sd : array, shape (n,)
         ln(r/r0) and its standard deviation.
-    load, cell : array of int, shape (n)
+    load, cell : integer array, shape (n,)
+        Numbers of the load and of the cell.
     falls, open_falls : array, shape (n, pieces)
-        a of the load, and its standard deviation by the place.
+        a, and its standard deviation by the load's position.
     """
 
     change: Array
@@ -172,29 +187,30 @@ class _Answers:
         return cls(loaded.change[felt], np.maximum(loaded.sd[felt], MIN_SD), load, cell, loaded.falls()[felt], place)
 
     def _parts(self, fitted: FittedResponse, falls: Array) -> Array:
-        """Summands of x by pieces, (n, pieces): also the slopes of x by ψ."""
+        """Return the summands −κ_i e^{ψ_k} a_k of x, (n, pieces), which are also ∂x/∂ψ."""
         return np.asarray(-falls * np.exp(fitted.gains[self.cell, None] + fitted.pieces))
 
     def _expected(self, fitted: FittedResponse) -> tuple[Array, Array]:
-        """(n) x, of whose square the scatter is a multiple, and the variance of the estimate and the load's place."""
+        """Return x, the expected ln(r/r0), and the variance by the estimate and the load's position, (n,) each."""
         place = self._parts(fitted, self.open_falls).sum(axis=1)
         return self._parts(fitted, self.falls).sum(axis=1), self.sd**2 + place**2
 
     def weight(self, fitted: FittedResponse) -> Array:
-        """Return 1/σ of every answer at a fit, from load to load included, (n)."""
+        """Return 1/σ of every response, (n,), with σ² = sd² + position² + scatter² x²."""
         answer, known = self._expected(fitted)
         return np.asarray(1 / np.sqrt(known + fitted.scatter**2 * answer**2))
 
     def rows(self, fitted: FittedResponse, weight: Array) -> tuple[Array, Array]:
-        """Return the residuals of a fit in units of 1/weight, (n), and their slopes (n, cells + pieces)."""
+        """Return the residuals of a fit times the weight, (n,), and their Jacobian, (n, cells + pieces)."""
         parts = weight[:, None] * self._parts(fitted, self.falls)
         answer = parts.sum(axis=1)
         own = np.where(self.cell[:, None] == np.arange(len(fitted.gains)), answer[:, None], 0.0)
         return answer - weight * self.change, np.hstack([own, parts])
 
     def with_least_squares(self, fitted: FittedResponse) -> FittedResponse:
-        """Return the least squares at the spread, scatter and weights of the previous fit."""
+        """Return the least-squares fit with the spread, scatter and weights of the previous fit."""
         cells, pieces, weight = len(fitted.gains), len(fitted.pieces), self.weight(fitted)
+        # rows of the prior: ln κ/spread, (ψ_{k+1} − ψ_k)/STEP_SD, and ψ of the interval next to 0 kPa with σ = 1
         level = (np.arange(pieces) == np.searchsorted(ENDS, 0.0) + 1)[None]
         prior = np.zeros((cells + pieces, cells + pieces))
         prior[:cells, :cells] = np.eye(cells) / fitted.spread
@@ -208,7 +224,10 @@ class _Answers:
         return replace(fitted.at(minimum.position), covariance=np.linalg.inv(minimum.at.normal))
 
     def with_evidence(self, fitted: FittedResponse) -> FittedResponse:
-        """Return spread and scatter of the largest evidence, by cells: residuals are N(0, V + spread² x xᵀ)."""
+        """Return the fit with the spread and scatter that maximise the evidence, by the Nelder-Mead method.
+
+        The residuals of each cell, without its own gain, are N(0, V + spread² x xᵀ) with a diagonal V.
+        """
         answer, known = self._expected(fitted)
         residual = self.change - answer + answer * fitted.gains[self.cell]
         cells = len(fitted.gains)
@@ -216,10 +235,12 @@ class _Answers:
         def cost(logarithms: Array) -> float:
             spread, scatter = np.exp(np.clip(logarithms, *np.log(RANGE)))
             variance = known + scatter**2 * answer**2
+            # −2 ln N of each cell by Woodbury: Σ e²/V − (Σ x e/V)²/(spread⁻² + Σ x²/V) + Σ ln V + ln(1 + spread² Σ
+            # x²/V)
             most = np.bincount(self.cell, answer**2 / variance, cells)
             shared = np.bincount(self.cell, answer * residual / variance, cells)
             volume = np.log(variance).sum() + np.log1p(spread**2 * most).sum()
-            # One cell leaves the spread open; the last summand keeps it finite.
+            # A single cell does not determine the spread; the last summand keeps it finite.
             return float((residual**2 / variance).sum() - (shared**2 / (1 / spread**2 + most)).sum() + volume + spread)
 
         minimum = scipy.optimize.minimize(cost, np.log([fitted.spread, fitted.scatter]), method="Nelder-Mead")
@@ -228,9 +249,16 @@ class _Answers:
 
 
 def response_of(fitted: FittedResponse, base: Response, shape: tuple[int, int], tolerance: float) -> TableResponse:
-    """Return points densest about 0 kPa, and gains (rows, columns).
+    """Return the fit as a table with points that are densest about 0 kPa, and gains (rows, columns).
 
-    tolerance : by which all loads may be off alike, σ = 1/√3 of it.
+    Parameters
+    ----------
+    fitted : FittedResponse
+    base : Response
+    shape : (int, int)
+        Rows and columns.
+    tolerance : float
+        Largest relative error that all loads share, uniformly distributed: its standard deviation is tolerance/√3.
     """
     low, high = base.told_kpa
     pressure = np.concatenate([-_rising(-low)[::-1], [0.0], _rising(high)])
@@ -249,7 +277,7 @@ def response_of(fitted: FittedResponse, base: Response, shape: tuple[int, int], 
 
 
 def _rising(most: float) -> Array:
-    """Return pressures from MIN_KPA to the most, in equal steps of the logarithm; none where the most is not above."""
+    """Return pressures from MIN_KPA to `most` in equal ratios; `most` alone below MIN_KPA, nothing up to 0."""
     if most <= MIN_KPA:
         return np.array([most] if most > 0 else [])
     return np.geomspace(MIN_KPA, most, 1 + int(np.ceil(PER_OCTAVE * np.log2(most / MIN_KPA))))

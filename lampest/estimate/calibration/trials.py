@@ -20,27 +20,28 @@ from lampest.panel.readouts.lines import Side
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM
 
-BELIEF = 4.0  # repeats that the scene's noise counts as: few frames with equal codes do not mean no noise
+BELIEF = 4.0  # repeats to which the scene's noise is equivalent: few frames with equal codes do not imply no noise
 CHANGE = "change from frame to frame, which fixed resistors do not"
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One recording of known resistors: means over its frames, and the resistors.
+    """One recording of known resistors.
 
     Attributes
     ----------
     name : str
-        Of the recording.
+        Name of the recording.
     known : array, shape (rows, columns)
-        ohm; 0 shorted, NaN no resistor.
-    volt, sigma_volt : arrays, shape (rows, columns)
-        Mean at the converter, and its standard deviation with the part that quantisation leaves.
-    noise_lsb : array, shape (driven lines)
-        Of one reading, with the scene's noise as if it had been seen BELIEF times.
-    repeats : array, shape (driven lines)
+        Resistors, ohm; 0 shorted, NaN no resistor.
+    volt, sigma_volt : array, shape (rows, columns)
+        Mean voltage at the converter over the frames, and its standard deviation including quantisation, V.
+    noise_lsb : array, shape (driven lines,)
+        Noise of one reading, LSB, with the scene's noise as BELIEF additional repeats.
+    repeats : array, shape (driven lines,)
+        Degrees of freedom of the noise.
     everywhere : bool
-        Whether readings of lines without a resistor count, because the converter remembers the channel before.
+        Whether readings of lines without a resistor count, because the converter has a memory of the channel before.
     """
 
     name: str
@@ -53,9 +54,9 @@ class Trial:
 
     @classmethod
     def of(cls, recording: Recording, known: Array | float) -> "Trial":
-        """Return means and noise over frames.
+        """Return the trial of a recording with its known resistors, (rows, columns) or one number, ohm.
 
-        Raises InputError without a readout or a resistor, or where readings change as those of no resistor do.
+        Raises InputError without a readout or a resistor, or where readings change from frame to frame.
         """
         readout, name = recording.scene.readout, recording.name
         if readout is None:
@@ -75,6 +76,7 @@ class Trial:
         residual = np.where(valid & inside, (volt - mean) / readout.lsb_volt, 0.0)
         _check_drift(name, readout, residual)
         squares, freedom = (residual**2).sum(axis=(0, 1 + across)), np.where(inside, counts - 1, 0).sum(axis=across)
+        # pooled variance: (BELIEF σ_scene² + Σ residual²)/(BELIEF + freedom), LSB²
         variance = (BELIEF * averaged_variance(readout, readout.assumed_noise) + squares) / (BELIEF + freedom)
         noise = np.array([noise_of_variance(readout, value) for value in variance])
         lasting = np.array([float(sigma_code(readout, value, ENDLESS)) for value in noise])
@@ -84,22 +86,25 @@ class Trial:
 
     @cached_property
     def cells(self) -> Array:
-        """(rows, columns) ohm, open and shorted ones included."""
+        """Resistors (rows, columns) ohm, with finite values for open and shorted ones."""
         return np.nan_to_num(np.maximum(self.known, SHORT_OHM), nan=OPEN_OHM)
 
     @cached_property
     def used(self) -> NDArray[np.bool_]:
-        """(rows, columns) whether a reading is there, and both of its lines lead to a resistor."""
+        """Whether a reading exists and both of its lines lead to a resistor, (rows, columns)."""
         rows, columns = self.connected("rows")[:, None], self.connected("columns")[None, :]
         return np.asarray((self.everywhere | (rows & columns)) & np.isfinite(self.volt))
 
     def connected(self, side: Side) -> NDArray[np.bool_]:
-        """Return (lines) whether each leads to a resistor."""
+        """Return whether each line of a side leads to a resistor, (lines,)."""
         return np.asarray(np.isfinite(self.known).any(axis=1 if side == "rows" else 0))
 
     @cached_property
     def resistors(self) -> dict[tuple[float, int], tuple[int, int]]:
-        """Place of each resistor by its value and its number among those of that value: the same one if moved."""
+        """Place (row, column) of each resistor by its value and its number among those of equal value.
+
+        A resistor with the same key in another trial is the same resistor, moved.
+        """
         count, places = Counter[float](), {}
         for row, column in np.argwhere(self.known > 0).tolist():
             value = float(self.known[row, column])
@@ -109,24 +114,26 @@ class Trial:
 
 
 def usable_range(readout: Readout) -> tuple[float, float]:
-    """Return the V between which noise does not reach either end of the converter."""
+    """Return the lowest and the highest voltage at which noise does not reach a rail of the converter, V."""
     margin = (2 + 3 * float(np.max(readout.assumed_noise))) * readout.lsb_volt
     return margin, readout.full_scale_volt - margin
 
 
 def within_rails(readout: Readout, volt: Array) -> NDArray[np.bool_]:
-    """Return where a mean is not drawn away from an end of the converter; any shape."""
+    """Return whether mean voltages, of any shape, are unbiased by the rails of the converter."""
     low, high = usable_range(readout)
     return np.asarray((volt > low) & (volt < high))
 
 
 def _check_drift(name: str, readout: Readout, residual: Array) -> None:
-    """Raise InputError where readings stay off from one frame to the next, which noise does not.
+    """Raise InputError where the residuals (frames, rows, columns) LSB of successive frames are correlated, a drift.
 
-    von Neumann, Annals of Mathematical Statistics 12(4), 1941. residual : (frames, rows, columns) LSB.
+    Source: von Neumann's ratio of the mean square successive difference to the variance, Annals of Mathematical
+    Statistics 12(4), 1941.
     """
     parts = (residual, np.diff(residual, axis=0) / np.sqrt(2))
     total, quick = ((part**2).sum() / max(len(residual) - 1, 1) for part in parts)
+    # rms of the drift: the variance less half of the mean square successive difference, as a fraction of full scale
     lasting = np.sqrt(max(total - quick, 0.0) / residual[0].size) / 2.0**readout.adc_bits
     if len(residual) >= MIN_SAMPLE and quick < total / 2 and lasting > 1e-3:
         raise InputError(
@@ -135,7 +142,18 @@ def _check_drift(name: str, readout: Readout, residual: Array) -> None:
 
 
 def _valid(name: str, readout: Readout, volt: Array, across: int) -> NDArray[np.bool_]:
-    """(frames, rows, columns) that were read and are not wild. Raises InputError where too many are, for spikes."""
+    """Return the readings that exist and are no spikes, (frames, rows, columns).
+
+    Raises InputError where there are too many outliers to be spikes.
+
+    Parameters
+    ----------
+    name : str
+    readout : Readout
+    volt : array, shape (frames, rows, columns)
+    across : int
+        Axis of the lines that are not driven.
+    """
     valid = np.isfinite(volt)
     if len(volt) < MIN_SAMPLE:
         return valid
@@ -143,7 +161,7 @@ def _valid(name: str, readout: Readout, volt: Array, across: int) -> NDArray[np.
         warnings.simplefilter("ignore", RuntimeWarning)  # all-NaN lines
         deviation = (volt - np.nanmedian(volt, axis=0)) / readout.lsb_volt
         robust = MAD_TO_SIGMA * np.nanmedian(np.abs(deviation), axis=(0, 1 + across))
-    # Codes come in steps, and where noise is smaller the median deviation is zero.
+    # Where the noise is below one step of the code, the median deviation is zero.
     least = np.maximum(sigma_code(readout, readout.assumed_noise), 1 / readout.readings)
     wild = np.abs(deviation) > 7.0 * np.expand_dims(np.maximum(np.nan_to_num(robust), least), across)  # robust σ
     if wild.sum() > 0.02 * wild.size + 2:  # spikes are some in ten thousand

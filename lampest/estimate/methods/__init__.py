@@ -1,4 +1,4 @@
-"""The methods that `formulation:` may name. To add one: write its file, name it in `AnyMethod`."""
+"""Methods that `formulation:` may name. To add one, write its file and add its class to `AnyMethod`."""
 
 from typing import Annotated, Literal
 
@@ -16,10 +16,7 @@ MethodName = Literal[Optimal, Approximate, "smoother"]
 
 
 def named_method(method: "Method | str") -> Method:
-    """Return the method of a name; a method is returned as it is.
-
-    Raises InputError where there is none of that name.
-    """
+    """Return the method with a name; a method is returned unchanged. Raises InputError for an unknown name."""
     if isinstance(method, Method):
         return method
     kinds = members_by_kind(AnyMethod)

@@ -23,17 +23,18 @@ from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation
 
-# Single cells are small beside lines in the quadratic model: with 1e-2 the change of one is not resolved.
+# Relative residual of conjugate gradients: lines dominate single cells in the quadratic model, and 1e-2 does not
+# resolve the change of a single cell.
 ACCURACY = 1e-5
 MAX_STEP = 3.0  # of log r: a factor of 20
 
 
 @dataclass(frozen=True)
 class UncorrectedMethod(Method):
-    """Closed forms that cost nothing.
+    """Closed forms without any solve.
 
-    naive : each reading as if its cell were alone: r = R_m of two-point readings, otherwise the voltage divider.
-    scaled : as if all cells were equal: r = R_m·MN/(M + N − 1) of two-point readings.
+    naive : each reading as if its cell were alone, r = R_m for two-point readings, otherwise the voltage divider.
+    scaled : each reading as if all cells were equal, r = R_m·MN/(M + N − 1) for two-point readings.
 
     >>> lampest.UncorrectedMethod().kind
     'naive'
@@ -53,7 +54,7 @@ class UncorrectedMethod(Method):
 class TruncatedMethod(Method):
     """The first `steps` Newton steps of the reduced formulation from the previous frame.
 
-    Raises ValueError unless there is at least one.
+    Raises ValueError unless there is at least one step.
 
     >>> lampest.TruncatedMethod().kind
     'truncated'
@@ -75,7 +76,7 @@ class TruncatedMethod(Method):
 
 @dataclass(frozen=True)
 class LinearisedMethod(Method):
-    """log r = log r_b − H_b⁻¹ ∇φ(r_b): one Newton step from the baseline, whose factor serves the whole recording.
+    """One Newton step from the baseline, log r = log r_b − H_b⁻¹ ∇φ(r_b), with one factor for the whole recording.
 
     >>> lampest.LinearisedMethod().kind
     'linearised'
@@ -84,7 +85,7 @@ class LinearisedMethod(Method):
     kind: Literal["linearised"] = "linearised"
 
     def begin(self, state: S, solved: Step | None = None) -> S:
-        """Return the state with its baseline and the baseline's factor; without a factor where it has no optimum."""
+        """Return the state with its baseline and the factor of H_b; without a factor where the baseline failed."""
         alone, reduced = state.without_comparisons(), OptimalMethod("reduced")
         start = state.with_baseline(solved or reduced.solve(alone, *reduced.given(alone, state.resting)))
         if start.previous is None:
@@ -96,7 +97,7 @@ class LinearisedMethod(Method):
         return replace(start, prepared=FactoredBaseline(evaluated(cost, data, start.previous[None])))
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """Return the step for a frame; the optimum where there is no factor."""
+        """Return the point after the step; the optimum where there is no factor."""
         if prepared is not None:
             with suppress(*BROKEN):
                 solution: Solution = prepared.solve(solver.cost, data)
@@ -106,14 +107,21 @@ class LinearisedMethod(Method):
 
 @dataclass(frozen=True, eq=False)
 class FactoredBaseline:
-    """baseline : the cost at the solved baseline, given its readings; H_b is its Hessian there."""
+    """Factor of the Hessian H_b at the baseline.
+
+    Attributes
+    ----------
+    baseline : Evaluation
+        The cost of the unloaded readings at the baseline's cells.
+    """
 
     baseline: Evaluation
 
     def solve(self, cost: Cost, data: Data) -> Solution:
-        """Return the step for a frame's readings, within the bounds and no longer than `MAX_STEP`."""
+        """Return the point after the step for a frame's readings, within the bounds; |step| is at most `MAX_STEP`."""
         at = replace(self.baseline, cost=cost, data=data)
         smoothing = Smoothing.start(at)
+        # −H_b⁻¹ ∇φ(r_b), with the gradient of the frame's cost at the baseline's cells
         step = np.clip(-self._inverse(Hessian(at, smoothing).gradient), -MAX_STEP, MAX_STEP)
         cells = at.cell_resistance * np.exp(step).reshape(at.cell_resistance.shape)
         return approximation(cost, data, Outcome(cells, smoothing.dual, Status.APPROXIMATE, 1))

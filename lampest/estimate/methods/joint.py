@@ -1,12 +1,13 @@
-"""The cost of all frames together, its linear surroundings, and error bars from the inverse of its Hessian.
+"""Joint cost of all frames, its Newton step, and error bars from the inverse of its Hessian.
 
     Φ(u, w, z, c) = Σ_t misfit(f(u_t) + V_t w_t + U_t z, y_t) + |w|² + |z|² + Σ_t c_t²/τ² + ε |u − a|²
                     + Σ_t,i λ_ti (u_{t+1,i} − u_{t,i} − c_t)²
 
-over u_t = log r of the unloaded panel (t = 0) and of every frame, the errors that readings of one frame share (w, in
-standard deviations: gain, ripple), the errors that all readings share (z: reference, channels, contacts) and the steps
-c_t that all cells of a frame have in common. λ is the walk's; a, with hardly any weight, is where cells stay that no
-reading sees.
+u_t is log r of the unloaded panel (t = 0) and of every frame, w the errors that readings of one frame share (gain,
+ripple), z the errors that all readings share (reference, channels, contacts), both in standard deviations, and c_t the
+step that all cells have in common. λ is the stiffness of the walk (`lampest.estimate.methods.smoother`). The anchor a,
+of negligible weight ε, determines cells that no reading determines. The Hessian is block tridiagonal in t with a border
+of z and c (`lampest.posterior.chain`).
 """
 
 from collections.abc import Iterable, Sequence
@@ -29,11 +30,10 @@ from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.track import Bars, Change
 
-ROUNDING = 1e-11  # of Φ, a sum of some thousand parts
-# Share of the frames' information on z that is believed: cells that move a little and are taken for still pull at it,
-# too.
+ROUNDING = 1e-11  # relative error of Φ, a sum of some thousand terms
+# Share of the frames' information on z that is used, because cells that move little and are taken for still bias z.
 BELIEVED = 0.5
-HELD_PRECISION = 1e8  # precision of z that is held, in standard deviations before anything is read
+HELD_PRECISION = 1e8  # precision of fixed z, in units of its prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,16 +42,16 @@ class JointData:
 
     Attributes
     ----------
-    cost, data : tuple of Cost or tuple of Data
-        Of every frame alone, the unloaded panel first.
+    cost, data : tuple of Cost and of Data
+        Cost and data of every frame alone, the unloaded panel first.
     errors : Shared or None
-        Shared by all readings, or None.
-    anchor : array
-        A (frames, cells).
-    drawn : array
-        V (frames, readings, n).
-    shared : array
-        U (frames, readings, n).
+        Errors that all readings share.
+    anchor : array, shape (frames, cells)
+        a.
+    drawn : array, shape (frames, readings, n)
+        V: response of the readings to w.
+    shared : array, shape (frames, readings, n)
+        U: response of the readings to z.
     """
 
     cost: tuple[Cost, ...]
@@ -71,21 +71,33 @@ class JointData:
         noise: FrameNoise | None = None,
         resting: int = 0,
     ) -> "JointData":
-        """Return the data before anything that all readings share is known.
+        """Return the data of frames without shared errors, U without columns.
 
-        noise : shared by the readings of a frame, or None. The first `resting` frames are means of the unloaded ones.
+        Parameters
+        ----------
+        cost : sequence of Cost
+        data : sequence of Data
+        errors : Shared or None
+            Errors that all readings share, for `sharing`.
+        anchor : array, shape (frames, cells)
+        noise : FrameNoise or None
+            Errors that the readings of a frame share.
+        resting : int
+            Number of the first frames that are means of parts of the unloaded ones.
         """
         count, size = len(data), data[0].measured.size
         drawn = np.zeros((count, size, 0))
         if noise is not None:
             drawn = np.stack([noise.columns(frame.measured, baseline=False) for frame in data])
+            # each part is a mean of unloaded/resting frames
             drawn[:resting] *= np.sqrt(resting / noise.unloaded)
         return cls(tuple(cost), tuple(data), errors, anchor, drawn, np.zeros((count, size, 0)))
 
     def sharing(self, at: Sequence[Evaluation]) -> "JointData":
-        """Return the data with U at modelled readings.
+        """Return the data with U evaluated at the model's readings.
 
-        At measured ones a reference that shrinks the noise would seem to fit.
+        Evaluated at the measured readings, U would correlate with the noise, and a reference that reduces the noise
+        would seem to fit.
         """
         return replace(self, shared=_shared(at, self.errors))
 
@@ -104,14 +116,15 @@ class Joint:
 
     Attributes
     ----------
-    position : array
-        (u, w) (frames, cells + n).
-    shift : array
+    frames : JointData
+    position : array, shape (frames, cells + n)
+        (u, w).
+    shift : array, shape (n + frames − 1,)
         (z, c).
-    stiffness : array
-        λ (frames − 1, cells).
-    held : tuple or None
-        ẑ with its precision, where z has been found; Φ holds it there. None: it is free.
+    stiffness : array, shape (frames − 1, cells)
+        λ.
+    held : (array, array) or None
+        Estimate ẑ and its precision, to which Φ fixes z; None: z is free.
     """
 
     frames: JointData
@@ -122,7 +135,7 @@ class Joint:
 
     @cached_property
     def at(self) -> tuple[Evaluation, ...]:
-        """Misfit of every frame, without shared errors of its readings."""
+        """Misfit of every frame, with the shared errors U z + V w subtracted from its readings."""
         frames, evaluations = self.frames, []
         offsets = frames.shared @ self.shift[: self._sharing] + np.einsum("tri,ti->tr", frames.drawn, self.chance)
         for cost, data, position, offset in zip(frames.cost, frames.data, self.log_cells, offsets, strict=True):
@@ -164,7 +177,7 @@ class Joint:
 
     @property
     def _shifted(self) -> Array:
-        """(z, c) less ẑ."""
+        """(z − ẑ, c)."""
         return self.shift if self.held is None else np.append(self.shift[: self._sharing] - self.held[0], self._common)
 
     @property
@@ -178,13 +191,13 @@ class Joint:
 
     @property
     def certainty(self) -> Array:
-        """1/variance of z and c before anything is read."""
+        """Prior precision of z and c."""
         known = 1.0 if self.held is None else HELD_PRECISION
         return np.concatenate([np.full(self._sharing, known), np.full(len(self.stiffness), ASSUMED.common_step**-2)])
 
     @property
     def ties(self) -> Array:
-        """Σ λ of each cell in each frame, (frames, cells)."""
+        """Sum of λ of the steps before and after each frame, (frames, cells)."""
         tied = np.pad(self.stiffness, ((1, 1), (0, 0)))
         return np.asarray(tied[1:] + tied[:-1])
 
@@ -193,6 +206,7 @@ class Joint:
         """½ ∂Φ/∂(u, w), (frames, cells + n)."""
         pulls = np.pad(self.stiffness * self.steps, ((1, 1), (0, 0)))
         misfit = np.stack([at.log_gradient(NO_DUAL).ravel() / 2 for at in self.at])
+        # ½ ∂Φ/∂u_t = ½ ∂misfit/∂u_t + λ_{t−1} x_{t−1} − λ_t x_t + ε (u_t − a_t);  ½ ∂Φ/∂w_t = V_tᵀ ½ ∂misfit/∂f + w_t
         cells = misfit + pulls[:-1] - pulls[1:] + IGNORANCE * self._strayed
         chance = np.einsum("tri,tr->ti", self.frames.drawn, self._through) + self.chance
         return np.concatenate([cells, chance], axis=1)
@@ -204,13 +218,13 @@ class Joint:
 
     @cached_property
     def pressed(self) -> NDArray[np.bool_]:
-        """(frames, cells) where a cell presses against a bound."""
+        """Whether an unknown is at a bound with the gradient pointing outside, (frames, cells + n)."""
         lower, upper = self.frames.bounds
         return ((self.position <= lower) & (self.gradient > 0)) | ((self.position >= upper) & (self.gradient < 0))
 
     @property
     def kkt_residual(self) -> Array:
-        """(frames) of `Evaluation.projected_gradient`, with the whole gradient."""
+        """Norm of the projected gradient of Φ in each frame, (frames,), see `Evaluation.projected_gradient`."""
         pairs = zip(self.at, 2 * self.gradient[:, : self.cells], strict=True)
         return np.array([at.projected_gradient(slope.reshape(at.cell_resistance.shape)) for at, slope in pairs])
 
@@ -221,18 +235,18 @@ class Joint:
 
     @cached_property
     def sensitivities(self) -> list[Array]:
-        """√ω ∂x/∂(u, w) of every frame's data, (rows, cells + n)."""
+        """√ω ∂x/∂(u, w) of every frame's data residuals x, (rows, cells + n)."""
         slopes = [model.at.networks[0].sensitivity() for model in self.models]
         return self._weighted([np.concatenate(pair, axis=1) for pair in zip(slopes, self.frames.drawn, strict=True)])
 
     def _weighted(self, columns: Iterable[Array]) -> list[Array]:
-        """√ω ∂x of every frame's changes of readings (readings, n), (rows, n)."""
+        """Return √ω ∂x/∂f U of every frame (rows, n), for changes U of its readings (readings, n)."""
         parts = zip(self.models, self._sizes, columns, strict=True)
         return [np.asarray(model.through @ own) * size[:, None] for model, size, own in parts]
 
     @cached_property
     def _sizes(self) -> list[Array]:
-        """√ω, ω a loss's curvature; where it has none, the weight of a squared loss with its slope there."""
+        """√ω of every frame's residuals: ω is the loss's curvature, or where that is not positive, its IRLS weight."""
         loss, x = self.frames.cost[0].terms[0].loss, [model.residual for model in self.models]
         every = np.concatenate(x)
         curvature = loss.curvature(every)
@@ -241,13 +255,15 @@ class Joint:
 
     @cached_property
     def chain(self) -> Chain:
-        """Half of the second derivatives of Φ without those of the readings; cells at a bound stay."""
+        """Half of the Gauss-Newton Hessian of Φ; unknowns at a bound are fixed."""
         free, count, sharing, cells = ~self.pressed, len(self.position), self._sharing, self.cells
         prior = np.pad(self.ties + IGNORANCE, ((0, 0), (0, self.frames.drawn.shape[2])), constant_values=1.0)
+        # Diagonal blocks A_t = J̃ᵀ J̃ + ties + ε over the free unknowns, 1 for the fixed ones.
         own = np.stack([rows.T @ rows for rows in self.sensitivities])
         own *= free[:, :, None] & free[:, None, :]
         across = np.arange(own.shape[1])
         own[:, across, across] = np.where(free, own[:, across, across] + prior, 1.0)
+        # Border: ∂²Φ/∂u∂z = J̃ᵀ Ũ and ∂²Φ/∂u∂c = ±λ; corner: prior of z and c, Ũᵀ Ũ and Σ λ.
         border, corner = np.zeros((*self.position.shape, len(self.shift))), np.diag(self.certainty)
         border[:, :, :sharing], corner[:sharing, :sharing] = self._bordered(self.frames.shared)
         corner[:sharing, :sharing] += np.diag(self.certainty[:sharing])
@@ -255,14 +271,18 @@ class Joint:
         border[step, :cells, sharing + step] = self.stiffness
         border[step + 1, :cells, sharing + step] = -self.stiffness
         corner[sharing + step, sharing + step] += self.stiffness.sum(axis=1)
+        # Off-diagonal blocks −Λ, diagonal over the cells that are free in both frames.
         tie = np.zeros((count - 1, own.shape[1]))
         tie[:, :cells] = self.stiffness * (free[1:] & free[:-1])[:, :cells]
         return Chain(own, tie, border * free[:, :, None], corner)
 
     def _bordered(self, columns: Array) -> tuple[Array, Array]:
-        """Return the covariances of errors of readings with (u, w) and with z.
+        """Return the parts J̃ᵀ Ẽ (frames, cells + n, m) and Σ_t Ũᵀ Ẽ (n, m) of the Hessian.
 
-        The errors are (frames, readings, m), those of (u, w) (frames, cells + n, m).
+        Parameters
+        ----------
+        columns : array, shape (frames, readings, m)
+            E: changes of the readings by further errors.
         """
         moved = self._weighted(columns)
         border, corner = (
@@ -272,14 +292,19 @@ class Joint:
         return border, corner.sum(axis=0)
 
     def answer(self, columns: Array) -> Array:
-        """Return the effect on u (frames, cells, n) of errors of readings (frames, readings, n) beyond Φ."""
+        """Return the response of u (frames, cells, n) to errors of the readings that Φ does not contain.
+
+        Parameters
+        ----------
+        columns : array, shape (frames, readings, n)
+        """
         right, corner = self._bordered(columns)
         steps = np.zeros((len(self.stiffness), columns.shape[2]))
         return self.chain.solve(right * ~self.pressed[:, :, None], np.concatenate([corner, steps]))[0][:, : self.cells]
 
     @property
     def shared(self) -> tuple[Array, Array]:
-        """(z, how precisely the frames determine it): (n), and (n, n) without its prior."""
+        """z (n,), and the precision (n, n) with which the frames alone, without its prior, determine it."""
         learned = self.chain.learned(self._sharing) if self.held is None else self.held[1] - np.eye(self._sharing)
         return self.shift[: self._sharing], learned
 
@@ -287,22 +312,29 @@ class Joint:
         """Return E x² of the steps, (frames − 1, cells)."""
         less = np.zeros((len(self.stiffness), len(self.shift)))
         less[:, self._sharing :] = np.eye(len(self.stiffness))
+        # E x² = x² + var(u_{t+1} − u_t − c_t)
         return np.asarray(self.steps**2 + self.chain.step_variance(less)[:, : self.cells])
 
     def newton(self) -> tuple[Array, Array]:
-        """Return the Newton step of (u, w) (frames, cells + n), and of z and c."""
+        """Return the Gauss-Newton step of (u, w), (frames, cells + n), and of (z, c)."""
         shared = np.einsum("tri,tr->i", self.frames.shared, self._through)
+        # ½ ∂Φ/∂z = Σ_t Uᵀ ½ ∂misfit/∂f + z (or its deviation from ẑ), ½ ∂Φ/∂c_t = −Σ_i λ_ti x_ti + c_t/τ²
         slope = np.concatenate([shared, -np.sum(self.stiffness * self.steps, axis=1)]) + self._shifted * self.certainty
         cells, shift = self.chain.solve(-np.where(self.pressed, 0.0, self.gradient)[..., None], -slope[:, None])
         return cells[..., 0], shift[:, 0]
 
     def agreeing(self, others: Array) -> "Joint":
-        """Return the problem with less belief in what cells near loads say of z, as far as all others contradict it.
+        """Return the problem with z fixed, if cells near loads contradict all others; else unchanged.
 
-        They move by little with the load, and are taken for still. Where they agree, |ẑ − ẑ'|² is tr(C' − C) in the
-        mean (Hausman, Econometrica 46, 1978), ẑ' and C' without them. Where it is ρ times that, the share of what they
-        say that is believed is (ρ exp(1 − ρ))^(n/2), n = (tr D)²/tr D², D = C' − C: Chernoff's bound of P(χ²_n > n ρ).
-        others : λ where these cells are free.
+        Cells near a load move a little with it, are taken for still, and so bias z. Let ẑ, C be the estimate of z with
+        its covariance, and ẑ', C' those without cells near loads. If both agree, the mean of |ẑ − ẑ'|² is tr D with
+        D = C' − C (Hausman, Econometrica 46, 1978). If it is ρ > 1 times that, z is fixed at an average of both, in
+        which ẑ has the share (ρ exp(1 − ρ))^(n/2) with n = (tr D)²/tr D², Chernoff's bound of P(χ²_n > n ρ).
+
+        Parameters
+        ----------
+        others : array, shape (frames − 1, cells)
+            λ with which the cells near loads are free.
         """
         count, alone = self._sharing, replace(self, stiffness=others)
         covariance, without = (first.chain.border_covariance[:count, :count] for first in (self, alone))
@@ -311,6 +343,7 @@ class Joint:
         if apart <= expected:
             return self
         precision, less = (positive_inverse(first) for first in (covariance, without))
+        # precision = share · C⁻¹ + (1 − share) · C'⁻¹, and ẑ is the mean weighted by these precisions
         ratio, between = apart / expected, without - covariance
         share = (ratio * np.exp(1 - ratio)) ** (expected**2 / np.sum(between**2) / 2)
         believed, pull = (
@@ -321,13 +354,13 @@ class Joint:
 
     @property
     def uncertain(self) -> Chain:
-        """The chain from which error bars follow: with the believed share of the frames' information on z and c."""
+        """The chain for error bars, with the share BELIEVED of the frames' information on z and c."""
         free = replace(self, held=None)
         chain = free.chain.doubting(BELIEVED, free.certainty)
         return chain if self.held is None else chain.with_border(np.eye(self._sharing) + BELIEVED * self.shared[1])
 
     def stepped(self) -> "Joint":
-        """Return the point after a Newton step, halved until Φ is no larger; this one where no halving helps."""
+        """Return the point after a step, halved until Φ does not increase; this point where no step achieves that."""
         step, shift = self.newton()
         size = 1.0
         while size > np.sqrt(np.finfo(float).eps):
@@ -341,7 +374,13 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class TiedModel(LinearModel):
-    """A frame's misfit whose cells are tied to other frames; slope : ∂Φ/∂u of all of it, (cells)."""
+    """Linear model of a frame whose cells are tied to other frames.
+
+    Attributes
+    ----------
+    slope : array, shape (cells,)
+        ∂Φ/∂u of the frame, ties included.
+    """
 
     slope: Array
 
@@ -352,9 +391,17 @@ class TiedModel(LinearModel):
 
 
 def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
-    """Return the certainty of one frame. Its readings alone are the resolution.
+    """Return the error bars of log r of one frame.
 
-    Ties compare frames and draw no cell.
+    The resolution counts the frame's own readings alone. The data share is 1, because ties compare frames and do not
+    pull cells to a prior value.
+
+    Parameters
+    ----------
+    joint : Joint
+    chain : Chain
+        Inverse Hessian from which the covariance is taken.
+    frame : int
     """
     cells = slice(joint.cells)
     model = TiedModel(joint.at[frame], NO_DUAL, 2 * joint.gradient[frame, cells])
@@ -362,30 +409,40 @@ def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
     covariance, free, tie = whole[cells, cells], model.free, joint.ties[frame]
 
     def released(cells: NDArray[np.intp]) -> Array:
-        """Variance of cells that stand at a bound, if each alone were free; ties count as known."""
+        """Return the variance of cells at a bound if each alone were released; neighbouring frames count as known."""
         across = rows[:, free].T @ rows[:, cells]
         alone = np.sum(rows[:, cells] ** 2, axis=0) + tie[cells]
+        # Schur complement: a_ii − a_iᵀ P a_i over the free cells
         taken = np.einsum("fi,fg,gi->i", across, covariance[np.ix_(free, free)], across, optimize=True)
         return np.asarray(1 / np.maximum(alone - taken, IGNORANCE))
 
+    # diag(P J̃ᵀ J̃), the diagonal of the averaging kernel
     followed = np.einsum("ij,ri,rj->i", covariance, rows, rows, optimize=True)
     shares, variance = (followed[free], np.ones(len(free))), np.diag(covariance)
     across = whole[cells, joint.cells :]
+    # variance of u that w explains: P_uw P_ww⁻¹ P_wu
     together = np.sum(across @ np.linalg.inv(whole[joint.cells :, joint.cells :]) * across, axis=1)
     shared = np.minimum(chain.shared_variance(frame)[cells] + together, variance)
     return Certainty.of(model, (variance[free], shared[free]), shares, released)
 
 
 def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tuple[Certainty, tuple[Bars, ...]]:
-    """Return the baseline's, which is the last of `resting` frames, and those of the frames after it.
+    """Return the error bars of the baseline and of all frames after it.
 
-    beyond : errors that all readings share and Φ does not contain; or None.
+    Parameters
+    ----------
+    joint : Joint
+    resting : int
+        Number of the first frames that are unloaded; the last of them is the baseline.
+    beyond : Shared, optional
+        Errors that all readings share and Φ does not contain.
     """
     answer = joint.answer(_shared(joint.at, beyond))
     chain = joint.uncertain
     numbers = range(resting - 1, len(joint.position))
     certainties = (_certainty(joint, chain, t).widened(answer[t]).of_frame(0) for t in numbers)
     baseline, *certainty = (certainty_.by_conductance() for certainty_ in certainties)
+    # cov(u_t, u_baseline) of each cell, for the variance of changes: from Φ, and from the errors beyond it
     together = chain.since(resting - 1)[1:, : joint.cells] + np.sum(answer[resting:] * answer[resting - 1], axis=2)
     together = together.reshape(-1, *baseline.deviation.shape)
     pairs = zip(certainty, together, strict=True)
@@ -393,7 +450,7 @@ def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tupl
 
 
 def _shared(at: Sequence[Evaluation], errors: Shared | None) -> Array:
-    """(frames, readings, n) of errors that all readings share; without a column where there is none."""
+    """Return the response of the readings to shared errors, (frames, readings, n); n is 0 without errors."""
     if errors is None:
         return np.zeros((len(at), at[0].reading.size, 0))
     return np.stack([errors.columns(evaluation.networks[0], evaluation.reading[0]) for evaluation in at])

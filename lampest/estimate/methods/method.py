@@ -1,4 +1,4 @@
-"""Methods: how a frame's cells follow from its data, and the state for the next frame; and those of verified optima."""
+"""Methods of estimation: from a frame's data to its cells and the state for the next frame; verified optima."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -33,7 +33,7 @@ from lampest.solvers.multistart import BROKEN, best_solution
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Solution, Solver
 
-NODAL_CELLS, NODAL_PERIOD = 144, 0.5  # up to so many cells, and from so many seconds a frame, IPOPT keeps pace
+NODAL_CELLS, NODAL_PERIOD = 144, 0.5  # most cells, and least period in s, with which IPOPT keeps pace
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ class Method(Validated):
     Attributes
     ----------
     optimum : bool
-        Whether it ends at a verified optimum over the cells, which error bars are for.
+        Whether it ends at a verified optimum over the cells, the condition for error bars.
     joint : bool
         Whether a method that compares frames solves its baseline together with the first frame.
     delays : bool
-        Whether it keeps Ctrl-C itself.
+        Whether it delays Ctrl-C itself.
     needs_all_frames : bool
         Whether it needs all frames of a recording at once.
 
@@ -62,23 +62,23 @@ class Method(Validated):
 
     @property
     def joint(self) -> bool:
-        """See above."""
+        """Whether a method that compares frames solves its baseline together with the first frame."""
         return False
 
     if TYPE_CHECKING:
 
         @property
         def kind(self) -> str:
-            """The word that names it."""
+            """The name of the method in `formulation:`."""
 
     def check(self, terms: tuple[Term, ...]) -> None:
         """Raise InputError where the method cannot minimise these terms."""
 
     def check_scene(self, scene: Scene) -> None:
-        """Raise InputError where the method has no model of an entry of the scene, or cannot serve its readout."""
+        """Raise InputError where the method does not support an entry of the scene, or its readout."""
 
     def compares(self, terms: tuple[Term, ...]) -> bool:
-        """Whether an estimate with these terms needs the unloaded panel."""
+        """Return whether an estimate with these terms needs the unloaded panel."""
         return any(term.needs_previous for term in terms)
 
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
@@ -87,37 +87,44 @@ class Method(Validated):
 
     @abstractmethod
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """Return the cells of a frame.
+        """Return the solution of a frame.
 
         Parameters
         ----------
-        previous : array or None
-            (1, rows, columns) ohm or None.
+        solver : Solver
+        data : Data
+        previous : array, shape (1, rows, columns), or None
+            Cells to start from, ohm.
         prepared : object
             `SequenceState.prepared`.
         """
 
     def guess(self, readout: Readout, measured: Array) -> Array:
-        """Return the substitute for a previous frame where there is none, the same shape, ohm."""
+        """Return the substitute for a missing previous frame from readings of any shape: ohm, the same shape."""
         return readout.uniform_start(measured)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
-        """Return the preparation of the next frame after a solution; by default that of this one."""
+        """Return `prepared` of the next frame after a solution; by default unchanged."""
         return prepared
 
     def joint_start(self, objective: Objective) -> bool:
-        """Whether the baseline is solved together with the first frame: of relative methods, where that is asked for.
+        """Return whether the baseline is solved together with the first frame.
 
-        Not where frames are weighed by the certainty of the one before, which for the first one is the baseline.
+        Only relative methods do so if `joint` is set. Terms that weigh the previous frame by its uncertainty exclude
+        it, because they need the baseline as the first previous frame.
         """
         return self.joint and objective.relative and not objective.weighs_previous
 
     def given(self, state: SequenceState, readings: Readings) -> tuple[Data, Array | None]:
         """Return the data of a frame's solve, and its start or None.
 
-        The data include the baseline where both are solved jointly.
+        The data of a joint first pair include the unloaded readings (paper, equations 15 and 21).
 
-        The joint pair: paper, equations (15) and (21).
+        Parameters
+        ----------
+        state : SequenceState
+        readings : Readings
+            (rows, columns).
         """
         objective, behind = state.estimator, state.background
         if self.joint_start(objective) and not state.rested:
@@ -126,7 +133,7 @@ class Method(Validated):
         if objective.relative:
             known = self.guess(state.scene.circuit, readings.value) if state.previous is None else state.previous
             resting = None if state.baseline is None else state.baseline.estimate(0)
-        if objective.weighs_previous:  # an open cell, and one without error bars, is not known at all
+        if objective.weighs_previous:  # open cells and those without error bars have the standard deviation UNKNOWN_SD
             known_deviation = None if state.previous is None else state.previous_deviation
             deviation = np.fmin(
                 np.full(state.scene.panel.shape, np.nan) if known_deviation is None else known_deviation, UNKNOWN_SD
@@ -134,12 +141,21 @@ class Method(Validated):
         behind = replace(behind, previous=known, baseline=resting, previous_deviation=deviation)
         data = objective.data(readings.alone(), behind)
         if objective.weighs_previous and known is not None:
+            # remove the step that all cells have in common, so that the previous cells predict the frame's level
             step = data.readout.common_step(data.measured[0], data.network(0, known).reading(), data.plain[0])
             data = objective.data(readings.alone(), replace(behind, previous=known * step))
         return replace(data, first=state.first), None if state.previous is None else state.previous[None]
 
     def solve(self, state: SequenceState, data: Data, previous: Array | None) -> Step:
-        """One solve, with the weights that are left to the data."""
+        """Return one solve, choosing the weights that are left to the data.
+
+        Parameters
+        ----------
+        state : SequenceState
+        data : Data
+        previous : array, shape (1, rows, columns), or None
+            Cells to start from, ohm.
+        """
         objective = state.estimator
         with nullcontext() if self.delays and not objective.automatic else delayed_interrupt():
             begin = perf_counter()
@@ -149,7 +165,7 @@ class Method(Validated):
             choice = perf_counter() - begin
             cost = objective.cost(state.scene, len(data.measured), partial=data.partial)
             solver = self.solver(cost, state.scene, objective.solver, state.period)
-            solver.prepare()  # so that no frame is charged for building its solver
+            solver.prepare()  # compilation does not count as solve time
             begin = perf_counter()
             with ended_where_hung(limit):
                 solution = self.solution(solver, data.limited(limit), previous, state.prepared)
@@ -157,7 +173,15 @@ class Method(Validated):
             return Step(solution, choice + perf_counter() - begin, weights, weight_sigma=objective.weight_sigma)
 
     def begin(self, state: S, solved: Step | None = None) -> S:
-        """Return the state after its baseline, which is solved alone; solved : that, where it is there already."""
+        """Return the state with its baseline, which is solved alone.
+
+        Parameters
+        ----------
+        state : SequenceState
+            State before the baseline.
+        solved : Step, optional
+            The baseline, where it is solved already.
+        """
         alone = state.without_comparisons() if state.estimator.relative else state
         first = solved or self.solve(alone, *self.given(alone, state.resting))
         settled, baseline = with_contacts(alone, state.resting, first, self._elsewhere)
@@ -173,7 +197,7 @@ class Method(Validated):
         return state.with_baseline(baseline)
 
     def push(self, state: S, readings: Readings) -> tuple[S, Step]:
-        """Return the state after one frame's readings (rows, columns), and how they were solved."""
+        """Return the state after one frame's readings (rows, columns), and the frame's step."""
         data, start = self.given(state, readings)
         step, pair = self.solve(state, data, start), len(data.measured) == 2
         if pair:
@@ -189,25 +213,28 @@ class Method(Validated):
     def sequence(
         self, state: S, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple[S, list[Step]]:
-        """Return the state after a whole recording's readings (frames, rows, columns), and how they were solved.
+        """Return the state after all measured frames of a recording, and their steps.
 
-        Of methods that need all frames `together`.
+        Only methods with `needs_all_frames` have it.
 
         Parameters
         ----------
+        state : SequenceState
         resting : Readings
-            Of the unloaded frames, of which the state has the mean.
+            The unloaded frames, (frames, rows, columns); the state has their mean.
+        readings : Readings
+            The measured frames, (frames, rows, columns).
         on_frame : callable
             Called after every frame.
         """
         raise TypeError(f"{self.kind} takes frames one by one")
 
     def _elsewhere(self, state: SequenceState, readings: Readings, near: Array) -> Step:
-        """Return a frame solved with another state, begun at cells that are known."""
+        """Return the step of a frame solved with another state, from given cells on."""
         return self.solve(state, self.given(state, readings)[0], near)
 
     def _with_error_bars(self, state: SequenceState, step: Step, readings: Readings) -> tuple[Track | None, Step]:
-        """Return the step that was solved from readings with error bars, where they are wanted and can be had."""
+        """Return the track after a step, and the step with error bars where they are requested and possible."""
         if state.track is None or (model := step.surroundings()) is None:
             return state.track, step
         begin = perf_counter()
@@ -216,6 +243,7 @@ class Method(Validated):
             if readings.partial:
                 below, above = self._beyond(state, readings, step, model)
                 if track.beyond is not None:
+                    # missing unloaded readings of a joint pair widen the intervals of all later frames, too
                     below, above = np.maximum(below, track.beyond[0]), np.maximum(above, track.beyond[1])
                 elif len(step.solution.cell_resistance) == 2 and state.resting.missing(state.scene).any():
                     track = replace(track, beyond=(below, above))
@@ -226,7 +254,7 @@ class Method(Validated):
     def _beyond(
         self, state: SequenceState, readings: Readings, solved: Step, model: LinearModel
     ) -> tuple[Array, Array]:
-        """Return `beyond_tangents` of the estimate from readings (rows, columns)."""
+        """Return by how much the intervals of log r exceed those of linear theory, see `beyond_tangents`."""
 
         def moved(readings: Readings) -> Array:
             data, _ = self.given(state, readings)
@@ -239,7 +267,7 @@ class Method(Validated):
 
 @dataclass(frozen=True)
 class OptimalMethod(Method):
-    """argmin Σ weight·loss(residual) within the bounds, checked outside the solver that found it.
+    """The optimum argmin Σ weight·loss(residual) within the bounds, verified independently of the solver.
 
     joint : whether terms that compare frames solve the baseline together with the first frame (paper, equations 15 and
     21), rather than the baseline alone and the first frame against it.
@@ -254,7 +282,7 @@ class OptimalMethod(Method):
     joint: bool = False
 
     def check_scene(self, scene: Scene) -> None:
-        """Check a scene for formulations with node voltages: those inside a wired panel would be unknowns, too."""
+        """Raise InputError where formulations with node voltages do not support the scene, such as a wired panel."""
         if self.kind not in FORMULATIONS:
             return
         FORMULATIONS[self.kind].check(scene.circuit)
@@ -265,9 +293,10 @@ class OptimalMethod(Method):
             )
 
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
-        """per_pixel, nodal : IPOPT with node voltages as unknowns. reduced : Newton with potentials eliminated.
+        """Return the solver of the formulation.
 
-        auto : nodal on panels of up to 144 cells without wire with at most two frames a second, else reduced.
+        per_pixel, nodal : IPOPT with node voltages as unknowns. reduced : Newton with potentials eliminated. auto :
+        nodal on unwired panels of up to NODAL_CELLS if frames are at least NODAL_PERIOD apart, else reduced.
         """
         kind = self.kind
         if kind == "auto":
@@ -276,11 +305,11 @@ class OptimalMethod(Method):
         return _solver(cost, scene.circuit, kind, settings)
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """Return the best optimum of all starts that a frame deserves; prepared : from that frame, or None."""
+        """Return the best optimum of a frame's starts; `prepared` is a preconditioner of an earlier frame or None."""
         return best_solution(solver, data, previous, prepared)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
-        """Return the preconditioner of a single frame."""
+        """Return the preconditioner of a solved single frame for the next one, else None."""
         return solution.preconditioner if solution.solved and len(solution.cell_resistance) == 1 else None
 
 

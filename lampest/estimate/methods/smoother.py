@@ -1,13 +1,14 @@
-"""`formulation: smoother`: all frames of a recording together, in both directions, by graduated non-convexity.
+"""`formulation: smoother`: all frames of a recording together, by a variational method with graduated non-convexity.
 
-The estimate u with its covariance P has the least of the free energy
+The estimate u = log r with its covariance P minimises the free energy
 
     F(u, z, c, P) = misfits + |z|² + Σ c²/τ² + walk(E x²) + tr A P − log det P,
 
-A the misfits' Hessian, E x² = x² + var x by P of the steps x between frames. For given P and E x² a Newton step of
-`Joint`, for given u the inverse of its matrix and new stiffnesses. At the end the stiffness is kept, and u, z, c are
-where Φ is least.
-Sources: Opper & Archambeau, Neural Comput. 21, 2009 (F); Blake & Zisserman, Visual Reconstruction, 1987 (q drawn down);
+where A is the Hessian of the misfits, x are the steps of cells between frames, and E x² = x² + var x under P. Two
+updates alternate: a Newton step of `Joint` in u, z, c for given stiffnesses λ = ∂walk/∂E x², and P as the inverse of
+the Newton matrix, which gives new E x² and λ. The walk's scale q decreases from round to round. Finally λ is fixed, and
+u, z, c minimise Φ of `lampest.estimate.methods.joint`.
+Sources: Opper & Archambeau, Neural Comput. 21, 2009 (F); Blake & Zisserman, Visual Reconstruction, 1987 (decreasing q);
 Geman & McClure, Bull. Int. Stat. Inst. 52, 1987, and Black & Rangarajan, Int. J. Comput. Vision 19, 1996 (κ); Candès,
 Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008 (sums in a logarithm).
 """
@@ -43,13 +44,13 @@ from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.multistart import BROKEN
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Solver, Status, blank
 
-MAX_LAST_CHANGE = 1e-3  # of a standard deviation: largest change of a cell by one more step
+MAX_LAST_CHANGE = 1e-3  # of a standard deviation: largest change of a cell by a further Newton step
 MAX_UNLOADED_PARTS = 5  # of the unloaded frames: enough to identify a wrong reading; more cost time
 MAX_ROUNDS = 40  # 15 to 40 were needed on simulated lampreys
-MAX_ROUND_CHANGE = 0.3  # of a standard deviation, by which a round may still move a cell
-# From one walk to the next; slowly where the ties make a step's variance, which then must follow.
+MAX_ROUND_CHANGE = 0.3  # of a standard deviation: change of a cell in a round below which rounds may end
+# Factors on q from round to round. The slow one applies where the variance of steps depends on λ, and must follow it.
 FAST_DECREASE, SLOW_DECREASE = 0.6, 0.8
-# Of q²: the median of squared steps of still cells from where on that is so, and where ties have followed the walk.
+# Median E x² of still cells over q²: above TIED the decrease is slow; above FOLLOWED λ has not followed q, which waits.
 TIED, FOLLOWED = 0.5, 1.5
 
 
@@ -57,20 +58,20 @@ TIED, FOLLOWED = 0.5, 1.5
 class SmootherMethod(Method):
     """Φ = misfits + changes of cells between frames + errors common to all readings, over all frames and the baseline.
 
-    Most cells stand still, some never do, and any may jump; a step that all cells have in common is free. Frames as
-    they come are estimated together with those before, back to `lag`.
+    Most cells stand still, some always move, and any cell may jump; a step that all cells have in common costs little.
+    In a stream each frame is estimated together with the `lag` frames before it.
 
     Raises ValueError where a number is out of range.
 
     Attributes
     ----------
     walk : float
-        The least that a still cell is taken to walk from frame to frame, over the noise of a frame that is estimated
-        alone, in the median; frames may show that it is more.
+        Least standard deviation of a still cell's steps, as a fraction of the median noise of frames that are
+        estimated alone; the frames may show a larger one.
     jump : float
-        So many walks a jump costs at most.
+        Steps of more walks than this cost no more.
     lag : int
-        Of how many frames before.
+        Number of earlier frames in a stream.
 
     >>> lampest.SmootherMethod().kind
     'smoother'
@@ -91,7 +92,7 @@ class SmootherMethod(Method):
             raise ValueError("lag must be at least 1")
 
     def check(self, terms: tuple[Term, ...]) -> None:
-        """Raise InputError unless the misfit is alone, in units of its noise, and one wrong reading harms one frame."""
+        """Raise InputError unless the misfit, in units of its noise and with a robust smooth loss, is the only term."""
         [first, *others] = terms
         fits = isinstance(first, Misfit) and first.weighting == "noise" and first.weight == 1
         if others or not fits or first.loss.squared or first.loss.enters == "dual":
@@ -106,17 +107,17 @@ class SmootherMethod(Method):
         return True
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """Return a frame alone, from which all of them begin."""
+        """Return the estimate of a frame alone, as a start."""
         return OptimalMethod("reduced").solution(solver, data, previous, None)
 
     def sequence(
         self, state: S, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple[S, list[Step]]:
-        """Solve all frames together; those of which too little was read are left out."""
+        """Solve all frames together; frames with too few readings are left out."""
         rested = state.resting.enough(state.scene)
         enough = readings.enough(state.scene) & rested
         read = [readings[frame] for frame in np.flatnonzero(enough)]
-        # Means of the unloaded frames, in up to so many parts that one wrong reading is seen; or of all there is.
+        # The unloaded frames enter as means of a few parts, so that a wrong reading in one part can be identified.
         numbers = np.flatnonzero(resting.enough(state.scene))
         parts = np.array_split(numbers, min(len(numbers), MAX_UNLOADED_PARTS)) if len(numbers) else []
         groups = [resting[part].mean() for part in parts] or [state.resting]
@@ -125,7 +126,7 @@ class SmootherMethod(Method):
         return state, [next(solved) if read_enough else missing for read_enough in enough]
 
     def push(self, state: S, readings: Readings) -> tuple[S, Step]:
-        """One frame, together with those before it."""
+        """Return the state after one frame, and its step, solved together with the `lag` frames before it."""
         before, estimates = state.prepared or ((), ())  # readings of the last frames, and their cells
         read, cells = (*before, readings)[-1 - self.lag :], estimates[-self.lag :]
         after, steps = self._together(state, [state.resting], read, cells, lambda: None)
@@ -141,9 +142,20 @@ class SmootherMethod(Method):
         cells: Sequence[Array],
         on_frame: Callable[[], None],
     ) -> tuple[S, list[Step]]:
-        """Return the state with the baseline that the frames agree on, and their steps.
+        """Return the state with the joint estimate of the baseline, and the steps of the frames.
 
-        cells : estimates of the first frames, from earlier solves.
+        Parameters
+        ----------
+        state : SequenceState
+            State with a baseline.
+        resting : sequence of Readings
+            Means of unloaded frames, (rows, columns) each.
+        readings : sequence of Readings
+            The measured frames, (rows, columns) each.
+        cells : sequence of array
+            Estimates of the first measured frames from earlier solves, (rows, columns) ohm.
+        on_frame : callable
+            Called after every frame that is solved alone.
         """
         if not readings or state.baseline is None or not state.baseline.solution.solved:
             return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
@@ -162,7 +174,10 @@ class SmootherMethod(Method):
         return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
 
     def least_cost(self, state: SequenceState, readings: Sequence[Readings]) -> Joint:
-        """Φ of frames alone, unloaded or not, where it is least. Raises as `smoothed`, and where a baseline failed."""
+        """Return Φ at its minimum over some frames, which may include unloaded ones.
+
+        Raises numpy.linalg.LinAlgError as `smoothed`, and where the baseline failed.
+        """
         if not state.rested:
             raise np.linalg.LinAlgError("the unloaded panel has no estimate")
         return self._joint(state, *_begun(state, (), readings, (), lambda: None))[0]
@@ -170,10 +185,9 @@ class SmootherMethod(Method):
     def _joint(
         self, state: SequenceState, data: Sequence[Data], start: Array, resting: int = 0, until: float = inf
     ) -> tuple[Joint, int]:
-        """Return `smoothed` for the data of all frames, of which `resting` are means of unloaded ones."""
+        """Return `smoothed` for the data of all frames, the first `resting` of which are means of unloaded ones."""
         costs = [state.estimator.cost(state.scene, 1, partial=frame.partial) for frame in data]
-        # Errors that a scene does not name are no unknowns: usual errors of a circuit are too many for a few frames to
-        # tell.
+        # Only errors that the scene specifies are unknowns: few frames do not determine the usual errors of a circuit.
         scene = state.scene if state.scene.specified_systematic else replace(state.scene, systematic="none")
         frames = JointData.alone(costs, data, Shared.of(scene), start, state.frame_noise, resting)
         return smoothed(frames, start, Walk(self.walk, self.jump), state.estimator.solver, until)
@@ -186,9 +200,17 @@ def _begun(
     cells: Sequence[Array],
     on_frame: Callable[[], None],
 ) -> tuple[list[Data], Array]:
-    """Return the data of all frames, and log r of each alone by least squares, (frames, cells).
+    """Return the data of all frames, unloaded first, and log r of each frame alone by least squares, (frames, cells).
 
-    Unloaded frames come first.
+    Parameters
+    ----------
+    state : SequenceState
+    resting, readings : sequence of Readings
+        Unloaded and measured frames, (rows, columns) each.
+    cells : sequence of array
+        Known estimates of the first measured frames, (rows, columns) ohm.
+    on_frame : callable
+        Called after every measured frame.
     """
     assert state.baseline is not None
     terms = tuple(replace(term, loss=Squared()) for term in state.estimator.terms)
@@ -205,7 +227,7 @@ def _begun(
 
 
 def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
-    """Return every frame for which the joint optimality conditions hold; NaN and the fault for the others."""
+    """Return the solution of every frame; NaN with the status `fault` where the optimality conditions do not hold."""
     faint = np.any(np.abs(joint.newton()[0]) > MAX_LAST_CHANGE * np.sqrt(joint.chain.variance), axis=1)
     solutions, slopes = [], 2 * joint.gradient[:, : joint.cells]
     for at, residual, weak, slope in zip(joint.at, joint.kkt_residual, faint, slopes, strict=True):
@@ -223,7 +245,7 @@ def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
 
 
 def _barred(state: S, track: Track, joint: Joint, steps: list[Step]) -> tuple[S, list[Step]]:
-    """Return the state with the baseline's error bars, and the steps, of which it is the first, with theirs."""
+    """Return the state and the steps with error bars; the first of the steps is the baseline."""
     begin = perf_counter()
     beyond = None if track.shared is None else track.shared.beyond(joint.frames.errors)
     baseline, bars = error_bars(joint, len(joint.position) - len(steps) + 1, beyond)
@@ -235,49 +257,60 @@ def _barred(state: S, track: Track, joint: Joint, steps: list[Step]) -> tuple[S,
 
 @dataclass(frozen=True)
 class Walk:
-    """Cost of steps x between the frames.
+    """Cost of the steps x of log r between frames.
 
-        n k Σ_i log(1 + a_i) + Σ x²/s²,   a_i the mean over the n steps of cell i of κ² S/(κ² + S),   S = K x²/q²
+        n k Σ_i log(1 + a_i) + Σ x²/s²,   a_i = mean over the n steps of cell i of κ² S/(κ² + S),   S = K x²/q²
 
-    s is the assumed deviation of a jump. K averages with the steps before and after. The cost of a step grows like
-    x²/q² at first, and hardly beyond κ²: a jump costs the same however far it leads. The cost of a cell grows like the
-    logarithm of that: of one whose steps are all a little larger than noise each is taken for a step. k is such that a
-    cell whose steps are as large as the walk is tied by 1/q². The walk begins at several times the noise and is drawn
-    down as far as still cells allow, so that small jumps are seen after large ones.
+    s is the standard deviation of a jump, and K averages over successive steps. The cost of a single step grows like
+    x²/q² and saturates at κ² (Geman and McClure), so that a jump costs the same at any size. The cost of a cell grows
+    like the logarithm of its unrest a, so that a cell which always moves is hardly tied. The factor k makes the
+    stiffness of a cell with steps of size q equal to 1/q². q begins at several times the noise and decreases as far as
+    the still cells permit, so that small jumps are found after large ones.
 
     Attributes
     ----------
     deviation : float
-        q, of log r.
+        q, in log r.
     most : float
-        κ, so many q a jump costs at most.
+        κ, in units of q.
     """
 
     deviation: float
     most: float
 
     def cost(self, squares: Array) -> float:
-        """Return the cost of the expected squares of all steps, (frames − 1, cells)."""
+        """Return the cost of E x², (frames − 1, cells)."""
         jumps = len(squares) * self._scale * np.sum(np.log1p(self.unrest(squares)))
         return float(jumps + np.sum(squares) / ASSUMED.jump**2)
 
     def stiffness(self, squares: Array) -> Array:
-        """∂cost/∂squares, (frames − 1, cells): the λ of Σ λ x² that has the cost's slope here, and nowhere less."""
+        """Return λ = ∂cost/∂(E x²), (frames − 1, cells).
+
+        The cost is concave in E x², so that Σ λ E x² is its tangent and an upper bound up to a constant.
+        """
+        # d/dS κ² S/(κ² + S) = 1/(1 + S/κ²)², then the chain rule through K and log(1 + a)
         slope = averaged(1 / (1 + self._size(squares) / self.most**2) ** 2) / self.deviation**2
         return np.asarray(self._scale * slope / (1 + self.unrest(squares)) + ASSUMED.jump**-2)
 
     def unrest(self, squares: Array) -> Array:
-        """Return a, (cells)."""
+        """Return a, the unrest of every cell, (cells,)."""
         size = self._size(squares)
         return np.asarray(np.mean(self.most**2 * size / (self.most**2 + size), axis=0))
 
     def drawn_down(self, squares: Array, stiffness: Array, least: float) -> tuple["Walk", bool]:
-        """Return the next walk, never below `least`, and whether it may go on.
+        """Return the walk with the next smaller q, and whether rounds go on.
 
-        It goes on while still cells do not step further than it.
+        Still cells are the half with the least unrest. For the most probable λ of a Gaussian walk the mean of λ E x² is
+        1; where it exceeds 1 over the still cells, q is small enough.
 
-        Still is the half of the cells with the least unrest. stiffness : that the squares were found with. A cell's
-        likeliest walk is where λ E x² is 1 in the mean.
+        Parameters
+        ----------
+        squares : array, shape (frames − 1, cells)
+            E x².
+        stiffness : array, shape (frames − 1, cells)
+            λ with which E x² was computed.
+        least : float
+            Lower limit of q.
         """
         unrest = self.unrest(squares)
         still = unrest <= np.median(unrest)
@@ -288,7 +321,15 @@ class Walk:
         return replace(self, deviation=max(self.deviation * factor, least)), True
 
     def near_loads(self, squares: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """(frames − 1, cells) of a panel of a shape: where a cell, or one that it touches, jumps."""
+        """Return the steps in which a cell or one of its neighbours jumps, S > κ², (frames − 1, cells).
+
+        Parameters
+        ----------
+        squares : array, shape (frames − 1, cells)
+            E x².
+        shape : tuple of int
+            Rows and columns.
+        """
         jumps = (self._size(squares) > self.most**2).reshape(-1, *shape)
         return touching(jumps).reshape(squares.shape)
 
@@ -298,35 +339,40 @@ class Walk:
         return (1 + self.most**2 / (1 + self.most**2)) * (1 + self.most**-2) ** 2
 
     def _size(self, squares: Array) -> Array:
-        """S."""
+        """Return S = K E x²/q², (frames − 1, cells)."""
         return averaged(squares) / self.deviation**2
 
 
 def averaged(steps: Array) -> Array:
-    """K x: a quarter of the step before, a half of the step, a quarter of that after; at either end it is repeated."""
+    """Return K x with (K x)_t = x_{t−1}/4 + x_t/2 + x_{t+1}/4; the first and the last step are repeated at the ends."""
     around = np.concatenate([steps[:1], steps, steps[-1:]])
     return np.asarray(around[:-2] / 4 + around[1:-1] / 2 + around[2:] / 4)
 
 
 def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, until: float = inf) -> tuple[Joint, int]:
-    """(where Φ is least, rounds).
+    """Return Φ at its minimum, and the number of rounds.
 
     Raises numpy.linalg.LinAlgError where arithmetic breaks down.
 
     Parameters
     ----------
-    alone : array
-        log r of every frame alone, (frames, cells).
+    frames : JointData
+        Data of all frames.
+    alone : array, shape (frames, cells)
+        log r of every frame alone.
     walk : Walk
-        Its deviation is the least, over the noise of frames alone.
+        Its deviation is the least q as a fraction of the noise of frames alone.
+    settings : Settings
+        Tolerance and iterations of the final minimisation.
     until : float
-        s on the clock of `time.monotonic`, when rounds end.
+        End of the rounds, in s of `time.monotonic`.
     """
-    # The median with the frames before and after, so that a wrong reading begins as no jump.
+    # Start: the median with the previous and the next frame, so that a single wrong reading starts no jump.
     lasting = np.median(np.stack([alone[:-2], alone[1:-1], alone[2:]]), axis=0)
     start = np.pad(np.concatenate([alone[:1], lasting, alone[-1:]]), ((0, 0), (0, frames.drawn.shape[2])))
     start = np.clip(start, *frames.bounds)
     joint = Joint(frames, start, np.zeros(len(start) - 1), np.zeros((len(start) - 1, alone.shape[1])))
+    # Noise of frames alone, from diag (J̃ᵀ J̃ + prior)⁻¹: the walk begins at three times its median.
     own = np.pad(np.full(alone.shape[1], IGNORANCE), (0, frames.drawn.shape[2]), constant_values=1.0)
     inverses = [positive_inverse(rows.T @ rows + np.diag(own)) for rows in joint.sensitivities]
     variance = np.minimum([np.diag(inverse)[: alone.shape[1]] for inverse in inverses], ASSUMED.jump**2)
@@ -335,17 +381,20 @@ def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, un
     frames = frames.sharing(joint.at)
     shift = np.zeros(frames.shared.shape[2] + len(start) - 1)
     joint = Joint(frames, start, shift, walk.stiffness(joint.steps**2 + variance[1:] + variance[:-1]))
+    # Rounds: Newton step, E x² under P, smaller q, new λ.
     rounds, moving, taken = 0, True, walk.deviation
     while rounds < MAX_ROUNDS and moving and monotonic() < until:
         before, joint = joint, joint.stepped()
         moved = np.abs(joint.log_cells - before.log_cells).max(initial=0.0, where=~joint.pressed[:, : joint.cells])
         squares = joint.expected_squares()
         walk, on = walk.drawn_down(squares, joint.stiffness, least)
-        # Readings of a wider walk follow the noise, which would seem a reference's.
+        # U is evaluated at the model's readings, and again once q has halved: with a large q these follow the noise,
+        # which an error of the reference would seem to explain.
         if not on or walk.deviation < taken / 2:
             joint, taken = replace(joint, frames=joint.frames.sharing(joint.at)), walk.deviation
         joint, rounds = replace(joint, stiffness=walk.stiffness(squares)), rounds + 1
         moving = on or moved > MAX_ROUND_CHANGE * noise
+    # Fixed λ: hold z as far as cells away from loads agree, then minimise Φ to the tolerance.
     near = walk.near_loads(joint.expected_squares(), frames.data[0].measured.shape[-2:])
     joint = joint.agreeing(np.where(near, ASSUMED.jump**-2, joint.stiffness)).stepped()
     for _ in range(settings.max_iterations):

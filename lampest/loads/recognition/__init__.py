@@ -1,1 +1,1 @@
-"""Loads on a panel in one frame: shapes of a few numbers, fitted and compared."""
+"""Recognition of loads: shapes with few parameters, fitted to frames and compared by their evidence."""

@@ -1,4 +1,4 @@
-"""A load from when it came until it left: where it is, how large, whether it sucks, breathes and pumps."""
+"""Attachments: loads over time, with place, size, and the probabilities that they suck, breathe and pump."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,26 +23,30 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True)
 class Attachment:
-    """A load from when it came until it left.
+    """A load from its arrival until it left.
 
     Attributes
     ----------
     sucks : float
-        Probability.
-    since_s, until_s : float or float or None
-        s; until None: it is there. x_mm and so on : (value, standard deviation), None where it is not known.
+        Probability that it sucks.
+    since_s, until_s : float, float or None
+        Times of arrival and departure, s; `until_s` is None while it is present.
+    x_mm, y_mm, diameter_mm, suction_kpa, area_mm2 : (float, float) or None
+        Value and standard deviation; None where unknown.
     cells : int
-        How many it touches.
-    conductance_s : Pair or None
-        Increase of their conductance since rest.
+        Number of touched cells.
+    conductance_s : (float, float) or None
+        Increase of their conductance since rest, S, and its standard deviation.
     breath : Breathing
-        Of its suction, from all windows.
-    sucks_s, moved_s : float or None or tuple of float
-        When it began to suck, None: it does not; when it moved.
+        Breath of its suction, from all windows.
+    sucks_s : float or None
+        Time at which it began to suck, s; None if it does not.
+    moved_s : tuple of float
+        Times at which it moved, s.
     clear : float
-        ln of how much more probable it is than an unloaded panel.
+        ln evidence over that of an unloaded panel.
     track : Pumping or None
-        Its suction from then on, None: it has not been followed yet.
+        Pumps of its suction; None before the first sample.
     """
 
     sucks: float
@@ -63,27 +67,28 @@ class Attachment:
 
     @property
     def breathes(self) -> float:
-        """Probability that its suction changes as breathing does, given that it sucks; 1/2 where nothing was seen."""
+        """Probability that its suction oscillates like breathing, given that it sucks; 1/2 before any observation."""
         return self.breath.probability
 
     @property
     def breathing_hz(self) -> Pair | None:
-        """Rate at which its suction changes."""
+        """Rate of the oscillation, Hz, and its standard deviation."""
         return self.breath.hertz
 
     @property
     def breathing_depth(self) -> Pair | None:
-        """Relative amplitude of that."""
+        """Relative amplitude of the oscillation, and its standard deviation."""
         return self.breath.depth
 
     @property
     def pumps(self) -> float:
-        """Probability that its suction decays and is pumped up again, given that it sucks; 1/2 where nothing shows."""
+        """Probability that its suction is pumped up after a decay, given that it sucks; 1/2 before any observation."""
         return 1 / (1 + exp(-self._pumping))
 
     @property
     def lives(self) -> float:
-        """Probability that it is a mouth, given that it sucks: the odds of both signs, which are independent."""
+        """Probability that it is a mouth, given that it sucks: the product of the odds of breath and of pumps."""
+        # ln odds of breath, at least −ln 20, because one mouth in twenty never shows its breath; ln odds of pumps add
         breathes = max(log(max(self.breathes, 1e-9) / max(1 - self.breathes, 1e-9)), -RARE_LOG_ODDS)
         return 1 / (1 + exp(-breathes - self._pumping))
 
@@ -93,7 +98,7 @@ class Attachment:
 
     @property
     def present(self) -> bool:
-        """Whether it is still there."""
+        """Whether it has not left."""
         return self.until_s is None
 
     @property
@@ -103,12 +108,12 @@ class Attachment:
 
     @property
     def size(self) -> float:
-        """Diameter, mm; without one infinite: it may be anywhere."""
+        """Diameter, mm; infinite where it is unknown."""
         return inf if self.diameter_mm is None else self.diameter_mm[0]
 
     @property
     def width(self) -> float:
-        """mm; of a load without a diameter the edge of a square of its area."""
+        """Diameter, mm; for a load without a diameter the edge of a square of its area."""
         return self.size if self.diameter_mm or self.area_mm2 is None else self.area_mm2[0] ** 0.5
 
     def distance(self, place: tuple[float, float]) -> float:
@@ -116,12 +121,13 @@ class Attachment:
         return hypot(self.place[0] - place[0], self.place[1] - place[1])
 
     def continued(self, later: "Attachment") -> "Attachment":
-        """Return the later state.
+        """Return the later state of the same load, with its history.
 
-        The earlier one where it sucked and now shows less: leaking suction leaves no shape.
+        The earlier state is kept if the load sucked and is now less clear, because leaking suction has no clear shape.
         """
         if self.sucks > 0.5 > later.sucks and later.clear < self.clear:
             return self
+        # a move: farther than three standard deviations of the distance, and than 3 mm
         far = NOISE_REACH * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
@@ -130,7 +136,15 @@ class Attachment:
 
 
 def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[Attachment]:
-    """Return all loads of the most probable candidate; of no shape, a load for each group of changed cells."""
+    """Return the loads of the most probable candidate; without a shape, one load for each group of changed cells.
+
+    Parameters
+    ----------
+    frame : Observation
+    verdict : Verdict
+    since : float
+        Time of arrival, s.
+    """
     best, attachments, first = verdict.best, list[Attachment](), 0
     clear = best.evidence - max(fit.evidence for fit in verdict.fits if fit.candidate in UNIFORM)
     cells = _ChangedCells.of(frame)
@@ -144,6 +158,7 @@ def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[A
                 apart = frame.baseline.scene.panel.pitch_mm / 2
                 pairs: dict[str, Any] = {"x_mm": (disc.x_mm, apart), "y_mm": (disc.y_mm, apart)}
                 for name, (value, slopes) in candidate.report(own).items():
+                    # σ² = sᵀ C s, with s the derivative of the quantity by φ
                     pairs[name] = value, float(np.sqrt(slopes @ covariance @ slopes))
                 attachment = replace(attachment, sucks_s=since if attachment.sucks > 0.5 else None, **pairs)
             attachments.append(attachment)
@@ -152,14 +167,17 @@ def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[A
 
 @dataclass(frozen=True, eq=False)
 class _ChangedCells:
-    """Cells of a frame whatever stands on them.
+    """Changes of a frame's cells, independent of any candidate.
 
     Attributes
     ----------
-    change : (rows, columns), ln r/r0 of every cell.
-    moved : (rows, columns), cells that differ clearly from those at rest.
-    more, errors : (rows, columns), conductance beyond that at rest in siemens, and its standard deviation.
-    panel : the panel of the cells.
+    change : array, shape (rows, columns)
+        ln r/r0.
+    moved : boolean array, shape (rows, columns)
+        Cells with a significant change.
+    more, errors : array, shape (rows, columns)
+        Increase of the conductance since rest, S, and its standard deviation.
+    panel : Panel
     """
 
     change: Array
@@ -170,18 +188,20 @@ class _ChangedCells:
 
     @classmethod
     def of(cls, frame: Observation) -> "_ChangedCells":
-        """Estimate the cells of a frame with a Gaussian prior of standard deviation 1."""
+        """Return the changes of a frame's cells, estimated with the prior ln r/r0 ~ N(0, 1)."""
         shape = frame.measured.shape
         cells = frame.cells(np.zeros(shape), np.eye(frame.measured.size))
         change, sd = cells.state.reshape(shape), np.sqrt(np.diag(cells.covariance)).reshape(shape)
         moved = np.abs(change) > NOISE_REACH * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
         resting = np.exp(-frame.baseline.logarithm)
+        # Δg = g₀ (e^−x − 1) and σ = g₀ e^−x σ_x of x = ln r/r₀
         more, errors = resting * np.expm1(-change), resting * np.exp(-change) * sd
         return cls(change, moved, more, errors, frame.baseline.scene.panel)
 
     def groups(self) -> list[NDArray[np.bool_]]:
-        """Return the groups of neighbouring changed cells that noise cannot make; all cells where there is none."""
+        """Return the groups of neighbouring changed cells with a significant conductance; all of them if none is."""
         first, second, _ = self.panel.neighbours
+        # connected components of the changed cells; a group counts if |Σ Δg| > SIGNIFICANT · √Σ σ²
         linked = self.moved.flat[first] & self.moved.flat[second]
         pairs = coo_array((linked[linked], (first[linked], second[linked])), shape=2 * (self.moved.size,))
         _, labels = connected_components(pairs)
@@ -192,7 +212,8 @@ class _ChangedCells:
         return sure or [self.moved]
 
     def load(self, group: NDArray[np.bool_]) -> Attachment:
-        """Return the centre, area and conductance of a group of cells."""
+        """Return an attachment with the centre, area and conductance of a group of cells."""
+        # centre of the cells weighted by |ln r/r₀|, to half a pitch
         weight, apart = np.abs(self.change) * (group if group.any() else 1.0), self.panel.pitch_mm / 2
         x, y = (float(np.nansum(weight * line) / weight.sum()) for line in self.panel.places_mm)
         count, square = int(group.sum()), self.panel.pitch_mm**2
@@ -204,12 +225,21 @@ class _ChangedCells:
 def continued_by(
     before: Sequence[Attachment], loads: Sequence[Attachment], time: float, *, again: bool = False
 ) -> tuple[Attachment, ...]:
-    """Return all attachments once loads were recognised since a step at that time; those nearest by are continued.
+    """Return all attachments after a recognition; each load continues the nearest attachment that is present.
 
-    The others have left with the step. again : not the first time since then: nothing leaves without a step, so they
-    stay; a load that was seen since the step alone was a part of another.
+    Parameters
+    ----------
+    before : sequence of Attachment
+    loads : sequence of Attachment
+        Loads that were recognised.
+    time : float
+        Time of the last step, s; attachments without a load left then.
+    again : bool
+        Whether it is a repeated recognition since that step. Attachments without a load then stay, because nothing
+        leaves without a step, except those that arrived with the step, which were parts of another load.
     """
     attachments, left = list(before), [number for number, attachment in enumerate(before) if attachment.present]
+    # Greedy matching: the load with the nearest attachment first, within the larger diameter of both.
     apart = [min((attachments[number].distance(load.place) for number in left), default=inf) for load in loads]
     for load in (loads[number] for number in np.argsort(apart, kind="stable")):
         near = min(left, key=lambda number: attachments[number].distance(load.place), default=None)

@@ -1,8 +1,12 @@
-"""Whether a load's suction changes periodically: Bretthorst's odds of a sinusoid (Bayesian Spectrum Analysis, 1988).
+"""Detection of periodic changes of a load's suction, by Bayesian odds of a sinusoid.
 
-Suction and rim change the cells by slopes that follow from where these stand on the film's response. Their relative
-amplitude in a window is a weighted mean of the readings; a trend is taken off. Equations are in
-docs/theory/recognition.md.
+Changes of suction and rim are proportional to the slopes ∂x/∂ln p of the cells on the film's response. The relative
+amplitude s_t in a window is a weighted mean of the readings, less a trend, with the model
+
+    s_t = a cos 2πft + b sin 2πft + noise,   a, b ~ N(0, A²),   noise ~ N(0, σ²).
+
+The odds compare the A of breathing with that of tremble, summed over f and σ.
+Source: Bretthorst, Bayesian Spectrum Analysis and Parameter Estimation, 1988; docs/theory/recognition.md.
 """
 
 from dataclasses import dataclass, replace
@@ -21,25 +25,25 @@ from lampest.panel.panel import Array
 from lampest.panel.response import CURVE_KPA, CURVE_RATIO, RESPONSE_SD, PublishedResponse
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
-MIN_RATE_HZ = 3.8  # frames a second: those of four whose clock is slow; they show rates up to 2 Hz
-# A: the amplitude of mouths is 5.4 % of their suction in the mean (docs/studies/mouths.md). Of loads that do not
-# breathe it is an assumption: cups tremble and leak, but at no single rate.
+MIN_RATE_HZ = 3.8  # frames per second: four with a slow clock; they resolve rates up to 2 Hz
+# A: the mean amplitude of mouths is 5.4 % of their suction (docs/studies/mouths.md). That of loads that do not breathe
+# is an assumption: cups tremble and leak, but at no single rate.
 BREATHING_SD, TREMBLE_SD = 0.045, 0.002
-WINDOW_S, MIN_WINDOW_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
-# Largest swings of each cause, by its pattern. Suction: with more than 15 %, the unevenness of a film explains the
-# swings of a shaken cup. The rim alone: by all that it presses. Movements: ten times as far as is common.
+WINDOW_S, MIN_WINDOW_S = 8.0, 4.5  # duration over which a rhythm is steady, and the least that determines one
+# Largest amplitude of each cause, in units of its pattern. Suction: above 15 % the unevenness of a film would explain
+# the swings of a shaken cup. The rim alone: all of its pressure. Movements: ten times their usual size.
 MAX_SWINGS = {"own": 0.15, "rim": 1.0, "moves": 10.0}
-# An assumption: relative standard deviation of the swing of all the rim over that of suction, which may press with more
-# than it bears; and of each cell's change by a movement, because where an edge crosses its film is not known.
+# Assumed relative standard deviation of the whole rim's swing against that of suction, because the rim may press with
+# more than it bears; and of each cell's change by a movement, because the places of edges on its film are unknown.
 EDGE_SD = 0.5
-THRESHOLD_KPA = -2.0  # from which on suction may show, another curve through the published point than that from 0 kPa
-MAX_LOG_ODDS = 10.0  # that evidence of breathing can add up to
+THRESHOLD_KPA = -2.0  # suction from which an alternative curve through the published point may begin, instead of 0 kPa
+MAX_LOG_ODDS = 10.0  # upper limit of accumulated ln odds of breathing
 
 Pair = tuple[float, float]
 
 
 def too_slow(rate: float) -> str:
-    """Explain why so many frames a second show no breathing; '' where they do."""
+    """Return the reason why a frame rate is too low to determine breathing, in words; '' where it suffices."""
     return "" if rate >= MIN_RATE_HZ else f"breathing shows at four frames a second or more, here there are {rate:.3g}"
 
 
@@ -50,11 +54,11 @@ class Breath:
     Attributes
     ----------
     odds : float
-        ln of P(oscillates)/P(does not) from one window.
-    hertz, depth : Pair
-        With standard deviations.
+        ln of P(window | oscillation)/P(window | none).
     suction : float
-        Probability that it is the suction that does, and not something else that moves at a breathing rate.
+        Probability that the suction oscillates, and not the rim alone, the place or the tilt.
+    hertz, depth : (float, float)
+        Rate in Hz and relative amplitude, each with its standard deviation.
     """
 
     odds: float
@@ -70,13 +74,13 @@ class Breathing:
     Attributes
     ----------
     odds, previous_odds : float
-        ln of the odds that it oscillates as breathing does, and those without the last window.
+        ln odds of an oscillation at a breathing rate, with and without the last window.
     suction, last : float
-        Probability that this is its suction, and that by the last window alone.
+        Probability that the suction oscillates, by all windows, and by the last window alone.
     causes : float
-        ln of the odds of that in full windows, without those beforehand.
-    hertz, depth : (value, standard deviation), or None
-        Rate in Hz and relative amplitude, from the last window that shows them.
+        ln odds of the same by full windows, without the prior odds.
+    hertz, depth : (float, float) or None
+        Rate in Hz and relative amplitude, each with its standard deviation, from the last window that determines them.
     """
 
     odds: float = 0.0
@@ -89,17 +93,18 @@ class Breathing:
 
     @property
     def probability(self) -> float:
-        """Probability that suction changes as breathing does; 1/2 where nothing was seen."""
+        """Probability that suction oscillates at a breathing rate; 1/2 before any observation."""
         return self.suction * float(expit(self.odds))
 
     def after(self, seen: Breath, *, full: bool) -> "Breathing":
-        """Return the breath after a window; full : whether its odds stay, as do its rate and depth.
+        """Return the breath after a window; `full` states whether the window is complete, so that its odds are kept.
 
-        Of one mouth in twenty no window shows the breath, since it is faint or at half the frame rate, and a mouth
-        pauses in one window of twenty: assumptions. The odds of full windows multiply. Two that are not full have
-        to agree that it is suction that swings: by the last of them alone two of 75 shaken cups were lampreys for a
-        second (docs/studies/mouths.md).
+        Assumptions: one mouth in twenty never shows its breath, because it is faint or at half the frame rate, and a
+        mouth pauses in one window of twenty. The odds of full windows multiply. Of incomplete windows, two successive
+        ones have to agree that the suction oscillates: with the last one alone, two of 75 shaken cups were taken for
+        lampreys for a second (docs/studies/mouths.md).
         """
+        # ln odds ← clip(ln odds + ln(0.05 + 0.95 B), −ln 20, 10)
         window = np.logaddexp(-RARE_LOG_ODDS, np.log1p(-exp(-RARE_LOG_ODDS)) + seen.odds)
         odds = float(np.clip(self.previous_odds + window, -RARE_LOG_ODDS, MAX_LOG_ODDS))
         breathing = replace(self, odds=odds, previous_odds=odds if full else self.previous_odds)
@@ -115,18 +120,18 @@ class Breathing:
 
 @dataclass(frozen=True, eq=False)
 class Patterns:
-    """Effects of swings on readings of unit variance: roots of their covariance at unit amplitude, (readings, n).
+    """Effects of swings on whitened readings, as roots of their covariance at unit amplitude, (readings, n) each.
 
     Attributes
     ----------
     own : array
-        Suction with its rim; the first column is its mean, the others are possible additions of a film.
+        Suction with its rim: the first column is the mean effect, the others are possible deviations of the film.
     rim : array
         The rim alone.
     moves : array
-        The load's place and tilt.
+        Place and tilt of the load.
     others : array
-        Further changes, of any size.
+        Further changes of any size, which are projected out.
     """
 
     own: Array
@@ -141,14 +146,17 @@ class Patterns:
         Parameters
         ----------
         by_cell : array, shape (readings, cells)
-        rise : array, shape (cells)
-            ln r/r0, < 0 under the rim.
-        moves : array
-            (moves, cells).
-        slopes : array
-            (1 + n, cells) of ln r/r0 by ln p, and n by which all cells' may differ together.
-        spread : array, shape (cells)
-            σ of their own.
+            Derivatives of the whitened readings by ln r.
+        rise : array, shape (cells,)
+            ln r/r0, negative under the rim.
+        slopes : array, shape (1 + n, cells)
+            Mean of ∂(ln r/r0)/∂ln p, and n common deviations of it.
+        spread : array, shape (cells,)
+            Standard deviation of each cell's own slope.
+        moves : array, shape (moves, cells)
+            Changes of ln r/r0 by movements of usual size.
+        others : array, shape (readings, m)
+            Further changes.
         """
         mean, rim = slopes[0], rise < 0
         own = np.column_stack([mean, EDGE_SD * rim * mean, slopes[1:].T, np.diag(spread)])
@@ -158,7 +166,7 @@ class Patterns:
         return cls(by_cell @ own, by_cell @ alone, by_cell @ moving, others)
 
     def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
-        """Return the patterns and changes (frames, readings) without the effects of `others`."""
+        """Return the patterns and the changes (frames, readings), projected on the complement of `others`."""
         span = np.linalg.qr(self.others)[0]
         own, rim, moves, left = (
             pattern - span @ (span.T @ pattern) for pattern in (self.own, self.rim, self.moves, changes.T)
@@ -166,12 +174,20 @@ class Patterns:
         return Patterns(own, rim, moves, self.others), left.T
 
     def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
-        """Return (readings) by which they sum to the amplitude of suction, by least squares about a depth.
+        """Return the weights (readings,) with which readings sum to the amplitude of suction, with least variance.
 
-        moving : standard deviation by which the rim alone, the place and the tilt may change too.
+        Parameters
+        ----------
+        depth : float
+            Amplitude at which the film's deviations are taken.
+        noise : float
+            Variance of each reading.
+        moving : float
+            Standard deviation of simultaneous changes of the rim alone, the place and the tilt.
         """
         mean = self.own[:, 0]
         film = np.hstack([depth * self.own[:, 1:], moving * self.rim, moving * self.moves])
+        # w = C⁻¹ m/(mᵀ C⁻¹ m), with C = noise + F Fᵀ of the film's deviations and movements
         weighed = np.linalg.solve(noise * np.eye(len(mean)) + film @ film.T, mean)
         return np.asarray(weighed / max(float(mean @ weighed), 1e-300))
 
@@ -179,13 +195,17 @@ class Patterns:
 def patterns_of(
     frame: Observation, fit: Fit, whitening: Array, detector: Detector
 ) -> list[tuple[tuple[float, float], Patterns]]:
-    """Return (centre, patterns) of every load of a fit that sucks.
+    """Return the centre and the patterns of every load of a fit that sucks.
 
     Parameters
     ----------
-    frame, fit : Fit or Observation
-        The recognised frame and its fit.
+    frame : Observation
+        The recognised frame.
+    fit : Fit
+        Its fit.
     whitening : array, shape (readings, readings)
+        Whitens changes of ln y.
+    detector : Detector
     """
     panel = detector.panel
     departure, covariance = detector.departure(frame, fit)
@@ -210,14 +230,16 @@ def patterns_of(
 def breaths(
     times: Array, logarithms: Array, frame: Observation, fit: Fit, whitening: Array, detector: Detector
 ) -> list[tuple[tuple[float, float], Breath]]:
-    """Return (centre, breath) of every load that sucks, from the frames of a window.
+    """Return the centre and the breath of every load that sucks, from the frames of a window.
 
     Parameters
     ----------
-    times : array, shape (frames)
+    times : array, shape (frames,)
         s.
     logarithms : array, shape (frames, readings)
-        ln y. Others : as `patterns_of` has them.
+        ln y.
+    frame, fit, whitening, detector
+        As in `patterns_of`.
     """
     pressure, _ = fit.candidate.pressure(detector.panel, detector.patch_mm, fit.parameters)
     changes = settled(logarithms - np.log(frame.measured.ravel()))
@@ -227,37 +249,42 @@ def breaths(
 
 
 def suction_weights(patterns: Patterns, whitening: Array) -> Array:
-    """Return the weights (readings) by which changes of ln y sum to the relative change of a load's suction.
+    """Return the weights (readings,) with which changes of ln y sum to the relative change of a load's suction.
 
-    Changes of all readings alike, of other loads, and of the load's place and rim by themselves count little.
+    Changes common to all readings and those of other loads are excluded; those of the load's place and of its rim alone
+    have little weight.
     """
     own, _ = patterns.beside_others(np.zeros((1, len(whitening))))
     return np.asarray(whitening.T @ own.weights(MAX_SWINGS["own"], 1.0, EDGE_SD))
 
 
 def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
-    """Return the breath of a window; None where it is too short.
+    """Return the breath of a window; None where it is too short or frames are too few.
 
     Parameters
     ----------
-    times : array, shape (frames)
+    times : array, shape (frames,)
         s.
     changes : array, shape (frames, readings)
-        Of unit variance.
+        Whitened changes of ln y.
+    patterns : Patterns
     """
     lasted = times[-1] - times[0]
     rate = (len(times) - 1) / max(lasted, 1e-9)
     if lasted < MIN_WINDOW_S or rate < MIN_RATE_HZ:
         return None
+    # Remove the trend 1, t, t², ln(1 + t), the last for creep, and the changes of `others`.
     at = (times - times[0]) / lasted
     trend = np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at)]))[0]
     patterns, changes = patterns.beside_others(changes - trend @ (trend.T @ changes))
+    # Sine and cosine at every rate without their trend, as orthonormal axes (rates, 2, frames) with their gains.
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], rate / 2) + 1e-9, 0.25 / lasted)
     waves = np.exp(2j * np.pi * hertz[:, None] * times)
     waves = np.stack([waves.real, waves.imag], axis=2)
     axes, sizes, _ = np.linalg.svd(waves - trend @ (trend.T @ waves), full_matrices=False)
     axes, gain = np.swapaxes(axes, 1, 2), sizes**2
     swings = axes @ changes  # (rates, 2, readings)
+    # Amplitudes a, b of s_t at every rate, and the odds of A = BREATHING_SD against A = TREMBLE_SD.
     noise = max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25)))  # a wave leaks into other rates
     series = changes @ patterns.weights(TREMBLE_SD, noise / gain.mean())
     amplitude, total = axes @ series, float(series @ series)
@@ -275,13 +302,20 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
 
 
 def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: float) -> tuple[float, float]:
-    """(relative amplitude of the suction, its σ), of a wave whose amplitude and phase may run linearly over the window.
+    """Return the relative amplitude of the suction and its standard deviation.
+
+    The amplitude and the phase of the wave may change linearly over the window. A film with hysteresis shows the share
+    1 − RESPONSE_SD of a swing, by which both are divided.
 
     Parameters
     ----------
+    patterns : Patterns
+    changes : array, shape (frames, readings)
+        Whitened changes of ln y.
     waves : array, shape (frames, 2)
-    at : array, shape (frames)
-        From 0 to 1.
+        Sine and cosine at the best rate.
+    at : array, shape (frames,)
+        Time within the window, from 0 to 1.
     noise : float
         Variance of the amplitude in each reading.
     """
@@ -294,6 +328,7 @@ def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: f
         freedom = max(len(at) - 8, 1)  # four numbers here, four of trend
         left = float(np.sum((series - basis @ coefficients) ** 2)) / freedom
         each = left * (inverse**2).sum(axis=1)
+        # A² from all four coefficients, less the noise of the two of linear change
         depth = max(float(coefficients @ coefficients - each[2:].sum()), TREMBLE_SD**2) ** 0.5
         film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2
         variance = depth**2 * film + float(each[:2].mean())
@@ -301,10 +336,25 @@ def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: f
 
 
 def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: int) -> Array:
-    """ln P(s | f) up to a common term, (rates): summed over σ."""
+    """Return ln P(s | f) up to a constant, (rates,), summed over σ.
+
+    Parameters
+    ----------
+    total : float
+        Σ s².
+    amplitude : array, shape (rates, 2)
+        Projections of s on the axes.
+    gain : array, shape (rates, 2)
+        Squares of the axes' singular values.
+    sd : float
+        A.
+    freedom : int
+        Degrees of freedom of s.
+    """
     noise = np.geomspace(1e-4, 1.0, 25)[:, None, None] ** 2
     wide = noise + sd**2 * gain
     remaining = total - (amplitude**2).sum(axis=1)
+    # amplitude ~ N(0, σ² + A² gain), all other directions ~ N(0, σ²); axes (noises, rates, 2)
     fits = -0.5 * ((amplitude**2 / wide).sum(axis=2) + np.maximum(remaining, 0.0) / noise[..., 0])
     volume = -0.5 * (np.log(wide).sum(axis=2) + (freedom - 2) * np.log(noise[..., 0]))
     return np.asarray(logsumexp(fits + volume, axis=0))
@@ -313,35 +363,53 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
 def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> float:
     """Return the probability that suction oscillates with its rim, not the rim alone nor the load's place or tilt.
 
+    Each cause is taken at its own best rate, because the square of a movement oscillates at twice its rate.
+
     Parameters
     ----------
-    swings : array
-        (rates, 2, readings). Each cause at its own rate: the square of a movement oscillates twice as fast.
+    patterns : Patterns
+    swings : array, shape (rates, 2, readings)
+        Projections of the readings on sine and cosine.
     noise : float
-        Their variance.
+        Variance of the swings.
     gain : float
         Square of the swings at unit amplitude.
     """
     causes = ((gain**0.5 * getattr(patterns, name), most) for name, most in MAX_SWINGS.items())
     own, *others = (_explained(root, most, swings, noise).max() for root, most in causes)
-    odds = EVIDENCE_SHARE * (own - np.array(others)) + RARE_LOG_ODDS + np.log(2)  # both together are as rare
+    # 1/w = 1 + Σ_causes (E_cause/E_own)^½/40
+    odds = EVIDENCE_SHARE * (own - np.array(others)) + RARE_LOG_ODDS + np.log(2)  # prior odds 1 : 20 of both together
     return float(expit(-logsumexp(-odds)))
 
 
 def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:
-    """ln P of swings (rates, 2, readings) of a cause over that of noise, (rates), summed over its size up to `most`."""
+    """Return ln of the ratio of P(swings | cause) to P(swings | noise), (rates,), averaged over sizes up to `most`.
+
+    Parameters
+    ----------
+    root : array, shape (readings, n)
+        Root B of the cause's covariance at unit amplitude.
+    most : float
+        Largest size a.
+    swings : array, shape (rates, 2, readings)
+    noise : float
+        Variance σ² of the swings.
+    """
     along, lengths, _ = np.linalg.svd(root, full_matrices=False)
     square, sizes = (swings @ along) ** 2 / noise, np.geomspace(TREMBLE_SD, most, 13)
     wide = (sizes[:, None] * lengths) ** 2 / noise
+    # swings ~ N(0, σ² + a² B Bᵀ): ½ Σ z² w/(1 + w) − ½ · 2 Σ ln(1 + w), with w = a² l²/σ² along each axis of B, for
+    # sine and cosine
     each = np.tensordot(square.sum(axis=1), wide / (1 + wide), (1, 1)) / 2 - np.log1p(wide).sum(axis=1)
     return np.asarray(logsumexp(each, axis=1, b=1 / len(sizes)))
 
 
 def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
-    """(7, cells) ∂x/∂ln p of cells at x = `rise`: mean and deviations, as films differ by `scatter` and are bent.
+    """Return ∂x/∂ln p of cells at x = `rise`, (7, cells): the mean, five deviations by the gain, and one by the curve.
 
-    The last deviation is that of the published curve under suction, which has one point there: a straight line of r and
-    an exponential beyond a threshold are one standard deviation each from their geometric mean.
+    The gain differs by `scatter` and by bending; its distribution is sampled at Gauss-Hermite points. The published
+    curve has one point under suction: a straight line of r, and an exponential beyond a threshold, are each one
+    standard deviation from their geometric mean.
     """
     response, water = frame.baseline.response, frame.water
     points, weights = hermegauss(5)
@@ -361,9 +429,9 @@ def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
 
 
 def _of_water(changes: Array, frame: Observation, fit: Fit, pressure: Array) -> Array:
-    """Return the effect of the water's pressure on ln y, (frames, readings), by lines without a load.
+    """Return the effect of the water's pressure on ln y, (frames, readings), as estimated from lines without a load.
 
-    0 without such.
+    It is 0 if all lines are loaded.
     """
     loaded = pressure != 0
     free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
@@ -372,7 +440,7 @@ def _of_water(changes: Array, frame: Observation, fit: Fit, pressure: Array) -> 
 
 
 def settled(series: Array) -> Array:
-    """(frames, …) outliers, values beyond four robust standard deviations from the median, are drawn in to that."""
+    """Return a series (frames, …) clipped at four robust standard deviations from its median."""
     middle = np.median(series, axis=0)
     most = 4 * MAD_TO_SIGMA * np.median(np.abs(series - middle), axis=0)
     return np.asarray(np.clip(series, middle - most, middle + most))

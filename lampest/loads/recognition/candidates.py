@@ -1,4 +1,4 @@
-"""Candidates for a frame: nothing, one pressure everywhere, a shape or several at once; and starts of their fits."""
+"""Candidates of recognition: no load, an equal pressure on all cells, one or several shapes; starts of their fits."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,24 +17,25 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.response import RESPONSE_SD
 
 AND = " and "
-# σ: of 720 bare panels, films uneven by 12 to 25 %, some alike in neighbours or with faulty cells, the largest had 6.4.
+# Standard deviations of a template's score. Of 720 bare panels with films uneven by 12 to 25 %, some with correlated
+# neighbours or with faulty cells, the largest score was 6.4.
 MAX_UNEVENNESS = 8.0
-FULL_KPA, HOLLOW_KPA = (0.0, 8.0), (-6.0, 30.0)  # inside and under the rim, where a fit begins
+FULL_KPA, HOLLOW_KPA = (0.0, 8.0), (-6.0, 30.0)  # initial pressures inside, and under the rim
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Several(Candidate):
-    """p = Σ p_i(φ_i) of its parts, φ in their order; those that suck come first. Use `of`."""
+    """Several loads at once, p = Σ p_i(φ_i); parts that suck come first. Created by `of`."""
 
     parts: tuple[Candidate, ...]
 
     @classmethod
     def of(cls, parts: tuple[Candidate, ...]) -> "Several":
-        """Return the names of all as one word."""
+        """Return the candidate of several parts, with their joined labels."""
         return cls(label=AND.join(part.label for part in parts), sucks=all(part.sucks for part in parts), parts=parts)
 
     def priors(self, panel: Panel) -> Mapping[str, Prior]:
-        """Return the priors of every part, its number before their names."""
+        """Return the priors of all parts, with names such as `0.x`."""
         each = enumerate(part.priors(panel).items() for part in self.parts)
         return {f"{number}.{name}": prior for number, priors in each for name, prior in priors}
 
@@ -43,12 +44,12 @@ class Several(Candidate):
 
     @cached_property
     def _own(self) -> list[tuple[Candidate, slice]]:
-        """Slices of each part's φ; there are as many on every panel."""
+        """Every part with the slice of its φ; the numbers of parameters do not depend on the panel."""
         ends = [0, *accumulate(len(part.priors(Panel(2, 2))) for part in self.parts)]
         return [(part, slice(*pair)) for part, pair in zip(self.parts, pairwise(ends), strict=True)]
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
-        """Return the sum, and the slopes of each by its own numbers."""
+        """Return the sum of the parts' pressures, and the derivatives by all φ."""
         each = [part.pressure(panel, patch_mm, own) for part, own in self.loads(parameters)]
         return np.sum([pressure for pressure, _ in each], axis=0), np.concatenate([slopes for _, slopes in each])
 
@@ -56,7 +57,7 @@ class Several(Candidate):
         return np.concatenate([part.start(disc) for part in self.parts])
 
     def like(self, candidate: Candidate, parameters: Array) -> Array | None:
-        """Return that of every part where there are as many."""
+        """Return the start of every part from the other's loads; None where their numbers differ."""
         begin = [part.like(*load) for part, load in zip(self.parts, candidate.loads(parameters), strict=False)]
         known = [start for start in begin if start is not None]
         return np.concatenate(known) if len(known) == len(self.parts) == len(candidate.loads(parameters)) else None
@@ -67,12 +68,12 @@ class Several(Candidate):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Uniform(Candidate):
-    """p = φ on all cells, which a drift of the whole panel resembles; none at all without a number."""
+    """An equal pressure φ on all cells, which resembles a drift of the whole panel; without numbers, no load."""
 
     numbers: tuple[str, ...] = ()
 
     def priors(self, panel: Panel) -> Mapping[str, Prior]:
-        """5 kPa about nothing, on any panel: an assumption."""
+        """Return the prior of the pressure, N(0, 5 kPa) on any panel (an assumption)."""
         return {name: Prior(0, 5) for name in self.numbers}
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
@@ -89,21 +90,23 @@ FIELD = Uniform(label="unlike any")  # changes of any form, see `lampest.loads.r
 
 
 def under(panel: Panel, disc: Disc) -> NDArray[np.bool_]:
-    """(rows, columns) which cells a disc reaches: it ends at most half a pitch before their centres."""
+    """Return the cells whose centre is within a disc enlarged by half a pitch, (rows, columns)."""
     across, down = panel.places_mm
     return np.asarray(np.hypot(across - disc.x_mm, down - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2)
 
 
 @dataclass(frozen=True, eq=False)
 class DiscSearch:
-    """A matched filter: round templates about every cell's centre and between four of them.
+    """A matched filter of round templates, centred on every cell and between every four cells.
 
     Attributes
     ----------
+    panel : Panel
+    templates : tuple of Template
     discs : tuple of Disc
-        (discs) starts of fits where one of them matches, one template after the other.
+        Starts of fits, one for each template and place, template by template.
     changes : sparse array, shape (cells, discs)
-        ln r/r0 of unit length.
+        ln r/r0 under each template, normalised to unit length.
     """
 
     panel: Panel
@@ -114,10 +117,10 @@ class DiscSearch:
     @classmethod
     @lru_cache(maxsize=16)
     def over(cls, panel: Panel, patch_mm: float, templates: tuple[Template, ...]) -> "DiscSearch":
-        """Return the search with all templates laid over a panel."""
+        """Return the search with all templates at all places of a panel."""
         discs, patterns = [], []
         x, y = panel.places_mm[:, panel.present]
-        places = x + 1j * y  # one number a place: regular panels have few distinct steps between two places
+        places = x + 1j * y  # complex places: regular panels have few distinct displacements, computed once each
         steps, step = np.unique(np.round(places - places[:, None], 6), return_inverse=True)
         for template in templates:
             size = (template.outer_mm, template.inner_mm)
@@ -135,25 +138,36 @@ class DiscSearch:
 
     @cached_property
     def faint(self) -> NDArray[np.bool_]:
-        """(discs) whether it is looked for in the errors of the readings, too."""
+        """Whether each disc's template is used for detection in noise, (discs,)."""
         return np.repeat([template.faint for template in self.templates], len(self.discs) // len(self.templates))
 
     @cached_property
     def places(self) -> Array:
-        """(faint discs, 2) their centres, mm."""
+        """Centres of the faint discs, (faint discs, 2) mm."""
         return np.array([disc[:2] for disc in self.discs])[self.faint]
 
     def matched(self, response: Array) -> csc_array:
-        """Return faint templates t (cells, discs) of unit length |B t|, B (n, cells) their whitened response."""
+        """Return the faint templates t, (cells, faint discs), scaled to |B t| = 1.
+
+        Parameters
+        ----------
+        response : array, shape (n, cells)
+            B, the derivative of the whitened readings by ln r.
+        """
         templates = self.changes[:, self.faint]
         square = templates.multiply((response.T @ response) @ templates).sum(axis=0)
         return csc_array(templates @ diags_array(1 / np.sqrt(np.maximum(square, 1e-300))))
 
     def lies_on(self, logarithm: Array) -> bool:
-        """Whether unloaded cells, ln r (rows, columns), are uneven in a load's shape: tᵀδ < −MAX_UNEVENNESS σ of one t.
+        """Return whether unloaded cells are uneven in the shape of a load, tᵀδ < −MAX_UNEVENNESS σ for a template t.
 
-        δ is about the median and σ is robust, that of an even film at least. Beyond SIGNIFICANT σ cells count no
-        more, so that a faulty one is no load.
+        δ is ln r less its median, and σ its robust standard deviation, at least that of an even film. δ is clipped at
+        SIGNIFICANT σ, so that a faulty cell is not taken for a load.
+
+        Parameters
+        ----------
+        logarithm : array, shape (rows, columns)
+            ln r.
         """
         apart = (logarithm - np.median(logarithm[self.panel.present])) * self.panel.present
         sd = max(MAD_TO_SIGMA * float(np.median(np.abs(apart[self.panel.present]))), RESPONSE_SD)
@@ -161,9 +175,14 @@ class DiscSearch:
         return bool(np.min(drawn_in @ self.changes) < -MAX_UNEVENNESS * sd)
 
     def starts(self, normal: Array, pull: Array) -> dict[Template, Disc]:
-        """Return where each template explains most: (tᵀb)²/tᵀΛt of ln r/r0 with Λ (cells, cells), b.
+        """Return the disc with the largest gain of ln P, (tᵀb)²/tᵀΛt, for each template.
 
-        Templates are where ln r/r0 falls, so tᵀb has their sign.
+        Templates decrease ln r/r0, so that only a positive tᵀb counts.
+
+        Parameters
+        ----------
+        normal, pull : array, shapes (cells, cells) and (cells,)
+            Λ and b of `CellLikelihood`.
         """
         patterns = self.changes.T
         pulled, size = patterns @ pull, patterns.multiply(patterns @ normal).sum(axis=1)
@@ -173,9 +192,9 @@ class DiscSearch:
         return {template: self.discs[at * size + int(best[at])] for at, template in enumerate(self.templates)}
 
     def beside(self, change: Array, discs: Sequence[Disc]) -> Disc | None:
-        """Return where one more load may stand on a map of ln r/r0 (rows, columns), clear of those discs.
+        """Return the best place of one more load on a map of ln r/r0 (rows, columns), outside given discs.
 
-        None: nowhere.
+        None where no template matches.
         """
         left = np.tanh(change)
         for disc in discs:

@@ -1,8 +1,8 @@
-"""Recognition of a single frame: every candidate is fitted from wherever the change resembles it.
+"""Recognition of a single frame: candidates are fitted from several starts, and compared by their evidence.
 
-Between patches lie many minima: fits begin wherever a template matches, with coarse errors, then those about the cells
-that the readings show. In the end all are weighed by the errors about the best explanation; where none fits, more
-loads at once are tried.
+The cost has many minima, because readings do not depend on rims between patches. Fits begin where templates match, with
+coarse errors about the field of cells. They are then refined with the errors about the best explanation. Where no
+candidate explains the frame, several loads are fitted together.
 """
 
 from collections.abc import Iterable, Sequence
@@ -43,19 +43,24 @@ from lampest.panel.response import BentSuction, PublishedResponse
 
 @dataclass(frozen=True, eq=False)
 class Detector:
-    """A panel whose cells have films of an edge of `patch_mm`, and the loads that may stand on it.
+    """Recognition on one panel.
 
     Attributes
     ----------
+    panel : Panel
+    patch_mm : float
+        Edge of a cell's film.
+    loads : tuple of Candidate
+        Kinds of load that are fitted.
     any_form : bool
-        Whether contacts of any form are expected, and no shape is fitted.
+        Whether contacts of any form are expected, so that no shape is fitted.
     most_loads : int
-        Loads that are fitted together.
+        Largest number of loads that are fitted together.
     response_levels : tuple of float
-        Times the response's standard deviation: from a film as published to a bent, uneven one.
+        Factors on the response's standard deviation, from a film as published to a bent, uneven one.
     exponents : tuple of float
-        Of the published curve under suction, beside 1: ln f is known at one point, and a straight line or a threshold
-        go through it as well (docs/studies/mouths.md).
+        Alternative exponents of the published curve under suction, beside 1: ln f is known at one point only, through
+        which a straight line or a threshold pass, too (docs/studies/mouths.md).
     """
 
     panel: Panel
@@ -68,23 +73,32 @@ class Detector:
 
     @cached_property
     def search(self) -> DiscSearch:
-        """The templates of all loads, all over the panel."""
+        """The matched filter with the templates of all loads."""
         templates = tuple(dict.fromkeys(template for load in self.loads for template in load.templates))
         return DiscSearch.over(self.panel, self.patch_mm, templates)
 
     def verdict(self, frame: Observation, before: Verdict | None = None) -> Verdict:
-        """Return the verdict on a frame. before : the verdict on an earlier one, whose loads are tried, too."""
+        """Return the verdict on a frame.
+
+        Parameters
+        ----------
+        frame : Observation
+        before : Verdict, optional
+            Verdict on an earlier frame, whose loads are the first starts.
+        """
         if (calm := self.calm(frame)) is not None:
             return self._judged(calm, ())
         (field, without), verdicts = field_fit(frame), list[Verdict]()
         if self.any_form:
             return self._judged(without, (field,))
         kinds = tuple(load for load in self.loads if not load.sucks or rises(without)) or self.loads
+        # Single loads: from the earlier verdict, and by a new search if that is doubtful.
         if before is not None and before.loads:
             verdicts.append(self._settled(frame, before.loads, field, without))
         if not verdicts or self._doubtful(verdicts[0], field):
             coarse = self._coarse(kinds, field, without)
             verdicts.append(self._settled(frame, coarse, field, without))
+        # Several loads: one more disc at a time, where cells beside the explained ones have changed.
         single, discs = verdicts[-1], list[Disc]()
         for _ in range(self.most_loads):
             beside = self.search.beside(field.change, discs) if self._doubtful(verdicts[-1], field) else None
@@ -98,31 +112,39 @@ class Detector:
         return self._spread(frame, max(verdicts, key=lambda verdict: verdict.evidence))
 
     def calm(self, frame: Observation) -> Observation | None:
-        """Return the frame without outliers where nothing else stands out, neither by its χ² nor like a template."""
+        """Return the frame without outliers if it shows no load, neither by χ² nor by a template; else None."""
         whitening, residual = Whitening.at_rest(frame), frame.residual()
         calm = frame.without(outliers(whitening, residual))
         errors = Whitening.at_rest(calm) @ residual
         if errors @ errors >= MAX_MEAN_SQUARE * errors.size:
             return None
         response = whitening @ frame.slope(np.zeros(frame.measured.shape))
+        # scores (B t)ᵀ e of the templates, N(0, 1) without a load
         stands_out = self.search.matched(response).T @ (response.T @ errors)
         return calm if stands_out.max() < SIGNIFICANT else None
 
     def with_errors(self, frame: Observation, fit: Fit) -> tuple[Observation, Whitening]:
-        """Return the frame without readings that contradict a fit, and the errors about the cells that it explains."""
+        """Return the frame without readings that contradict a fit, and the errors about the fit's change of cells."""
         calm = frame.without(self._contradicting(frame, fit))
         return calm, Whitening.of(calm, self.explained(calm, fit), fit.scatter)
 
     def departure(self, frame: Observation, fit: Fit) -> tuple[Array, Array]:
-        """(d of ln r − ln r0 − x of a fit (rows, columns), its covariance (cells, cells)): the information of a frame.
+        """Return the posterior departure d = ln r − ln r0 − x of the cells from a fit, and its covariance.
 
-        With A = (∂f/∂ln r, E) and C = A P Aᵀ + σ² the mean of d and of the offsets is P Aᵀ C⁻¹ (R − f(r0·e^x) − E δ0).
+        With A = (∂f/∂ln r, E), the prior covariance P of d and the offsets, and C = A P Aᵀ + σ², the mean of d and of
+        the offsets is P Aᵀ C⁻¹ (R − f(r0·e^x) − E δ0).
+
+        Returns
+        -------
+        array, shape (rows, columns)
+        array, shape (cells, cells)
         """
         baseline, cells = frame.baseline, fit.change.size
         calm, whitening = self.with_errors(frame, fit)
         resting = baseline.model_errors.resting_covariance(frame.seconds, cells)
         spread = resting + baseline.film(self.explained(frame, fit), fit.scatter)
         both = np.hstack([calm.slope(fit.change), calm.offsets])
+        # P Aᵀ: the baseline's covariance times Aᵀ, and that of drift and film times (∂f/∂ln r)ᵀ; C = root rootᵀ
         before = baseline.covariance[:cells] @ both.T + spread @ both[:, :cells].T
         mean = (before @ cho_solve((whitening.root, True), fit.residual)).reshape(fit.change.shape)
         prior = baseline.covariance[:cells, :cells] + spread
@@ -132,18 +154,28 @@ class Detector:
         return Fitting(self.panel, self.patch_mm, candidate, frame)
 
     def explained(self, frame: Observation, fit: Fit) -> Explained:
-        """Return the cells that a fit to a frame explains."""
+        """Return the change of the cells that a fit explains, with its sensitivities."""
         return self._fitting(fit.candidate, frame).explained(fit)
 
     def _sharpened(
         self, frame: Observation, fit: Fit, explains: Fit, calm: Observation, scatter: float
     ) -> tuple[Observation, Fit]:
-        """Return the frame without outliers, and the fit to it.
+        """Return the frame without outliers, and the fit to it, by alternating fits and outlier detection.
 
-        Its errors are first those about the cells that `explains` gives, then about itself.
+        Outliers are detected among all readings in each round, so that a reading returns if a better fit explains it.
 
-        calm : the frame to begin with. Outliers are sought every time among all readings, so that none stays out which
-        a better fit explains.
+        Parameters
+        ----------
+        frame : Observation
+            All readings.
+        fit : Fit
+            Start of the fit.
+        explains : Fit
+            Fit about which the errors of the first round are taken; later rounds take the fit itself.
+        calm : Observation
+            The frame without the outliers that are known at the start.
+        scatter : float
+            Relative deviation of the film.
         """
         dropped: list[int] | None = None
         for _ in range(MAX_ROUNDS):
@@ -162,7 +194,7 @@ class Detector:
         return outliers(whitening, fit.residual) if suspicious else np.zeros(0, dtype=np.intp)
 
     def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
-        """Return the best fit of every kind from where its templates match, with the errors about the field."""
+        """Return the best fit of every kind from the matches of its templates, with coarse errors about the field."""
         whitening = Whitening.coarse(calm, field.change)
         likelihood = CellLikelihood.about(calm, whitening, field.change)
         starts = self.search.starts(likelihood.normal, likelihood.pull)
@@ -170,6 +202,7 @@ class Detector:
         for load in kinds:
             fitting, descents = self._fitting(load, calm), list[Linearisation]()
             for disc in (starts[template] for template in load.templates):
+                # a descent that stays above the best one by MAX_LOG_RATIO is given up
                 most = min((descent.cost for descent in descents), default=np.inf) + MAX_LOG_RATIO
                 descents.append(fitting.descended(load.start(disc), likelihood, SEARCH.evaluations // 2, most))
             fits.append(
@@ -178,10 +211,18 @@ class Detector:
         return fits
 
     def _settled(self, frame: Observation, fits: Sequence[Fit], field: Fit, calm: Observation) -> Verdict:
-        """Return the verdict on all candidates from coarse fits; field, calm : of `field_fit`.
+        """Return the verdict on all candidates, refined from coarse fits.
 
-        All are weighed by the errors about the best of them, from their own points or from its point. The film's
-        relative deviation is that of `response_levels` under which the frame is most probable.
+        The best candidate is refined first. All others are fitted with its errors, from their own points or from its
+        point, and with their own errors if they come close. This is repeated until the best one stays the best.
+
+        Parameters
+        ----------
+        frame : Observation
+        fits : sequence of Fit
+            Coarse fits.
+        field, calm : Fit, Observation
+            Results of `field_fit`.
         """
         explains, scatter = field, self.response_levels[-1] * frame.baseline.model_errors.response
         for _ in range(len(fits)):
@@ -197,26 +238,42 @@ class Detector:
         return self._judged(calm, (*fits, field))
 
     def _own(self, calm: Observation, fit: Fit) -> tuple[Fit, Whitening]:
-        """Return a fit with the errors about the cells that it explains, and these errors.
+        """Return a fit with the errors about its own explained change, and these errors.
 
-        Of `response_levels`, that is taken under which the frame is most probable.
+        The film's deviation is the one of `response_levels` with the largest evidence.
         """
         fitting, explained = self._fitting(fit.candidate, calm), self.explained(calm, fit)
         response = calm.baseline.model_errors.response
         errors = [Whitening.of(calm, explained, level * response) for level in self.response_levels]
+        # type-II maximum likelihood of the film's deviation on a grid
         levels = [fitting.stays(fit.parameters, whitening).evidence for whitening in errors]
         whitening = errors[int(np.argmax(levels))]
         return fitting.best(fit.parameters, whitening), whitening
 
     def _beside(self, calm: Observation, fit: Fit, best: Fit, whitening: Whitening) -> Fit:
-        """Another load with the same errors, from where it is; where that is hopeless, from where the best is."""
+        """Return the fit of another candidate with the errors of the best one.
+
+        It starts from its own φ and, if that does not come close to the best cost, from the place of the best fit.
+        """
         fitting, most = self._fitting(fit.candidate, calm), best.cost + MAX_LOG_RATIO
+        # equal errors for all candidates: otherwise a poor candidate would excuse its misfit by its own errors
         descended = fitting.best(fit.parameters, whitening, most)
         like = fit.candidate.like(best.candidate, best.parameters) if descended.cost > most else None
         return descended if like is None else best_of([descended, fitting.best(like, whitening, most)])
 
     def _together(self, kinds: Sequence[Candidate], calm: Observation, field: Fit, discs: Sequence[Disc]) -> list[Fit]:
-        """Coarse fits of loads about some discs at once: each of the likeliest kind, and all that suck."""
+        """Return coarse fits of several loads at once: one with the most probable kinds, and one in which all suck.
+
+        Kinds are exchanged greedily, load by load, beginning with loads that all suck.
+
+        Parameters
+        ----------
+        kinds : sequence of Candidate
+        calm : Observation
+        field : Fit
+        discs : sequence of Disc
+            Places of the loads.
+        """
         whitening = Whitening.coarse(calm, field.change)
         likelihood = CellLikelihood.about(calm, whitening, field.change)
 
@@ -241,21 +298,22 @@ class Detector:
         return [best] if best is sucking else [best, sucking]
 
     def _judged(self, frame: Observation, fits: Sequence[Fit]) -> Verdict:
-        """Return the verdict on these, on nothing, and on the same pressure everywhere."""
+        """Return the verdict on these fits, on no load, and on an equal pressure on all cells."""
         whitening = Whitening.at_rest(frame)
         uniform = [self._fitting(kind, frame).best(kind.mean(self.panel), whitening) for kind in UNIFORM]
         return Verdict.of(self.panel, (*uniform, *fits), frame)
 
     def _doubtful(self, verdict: Verdict, field: Fit) -> bool:
-        """Whether another number of loads might explain more, or cells beside the best have clearly changed."""
+        """Return whether the best fit is poor, or leaves clearly changed cells beside its loads unexplained."""
         if verdict.best.candidate is FIELD or verdict.goodness > MAX_MEAN_SQUARE:
             return True
         explained = [verdict.best.change != 0, *(under(self.panel, disc) for disc in discs_of(verdict.best))]
+        # states 2 and 3 of the field outside the loads: changes of a few kPa and more
         left = np.where(np.any(explained, axis=0), 0.0, field.change)
         return bool(states(self.panel, left).max() > 1)
 
     def _spread(self, frame: Observation, verdict: Verdict) -> Verdict:
-        """Return the verdict with a single load as large, and its suction as strong, as they may be."""
+        """Return the verdict in which a single best load has the full uncertainty of its diameter and suction."""
         best = verdict.best
         if best.candidate not in self.loads:
             return verdict
@@ -264,9 +322,9 @@ class Detector:
         return replace(verdict, fits=tuple(wide if fit is best else fit for fit in verdict.fits))
 
     def _along_curves(self, calm: Observation, fit: Fit, whitening: Whitening) -> Fit:
-        """Return the fit of a load that sucks with the covariance over all curves that the film may have.
+        """Return the fit of a load that sucks with a covariance that includes alternative curves of the film.
 
-        The film's own curve is fitted as `fit`; others, with `exponents`, move φ by as much as their evidence allows.
+        C = Σ q_a (C_a + (φ_a − φ_1)(φ_a − φ_1)ᵀ) over the exponents a, with q_a ∝ evidence^EVIDENCE_SHARE.
         """
         fits, baseline, film = [fit], calm.baseline, calm.baseline.response
         if not fit.candidate.sucks or not isinstance(film, PublishedResponse):
@@ -276,17 +334,18 @@ class Detector:
             frame = replace(calm, baseline=replace(baseline, scene=replace(baseline.scene, response=bent)))
             fits.append(self._fitting(fit.candidate, frame).best(fit.parameters, whitening, quick=True))
         shares = softmax(EVIDENCE_SHARE * np.array([other.evidence for other in fits]))
+        # law of total covariance: mean of the covariances within the curves, and covariance between them
         apart = np.array([other.parameters for other in fits]) - fit.parameters
         within = np.tensordot(shares, [other.covariance for other in fits], 1)
         return replace(fit, covariance=within + (shares[:, None] * apart).T @ apart)
 
 
 def best_of(fits: Iterable[Fit]) -> Fit:
-    """Return the one with the least score, the first of equal ones."""
+    """Return the fit with the lowest score."""
     return min(fits, key=lambda fit: fit.score)
 
 
 def discs_of(fit: Fit) -> list[Disc]:
-    """Return the discs of all its loads that are like one."""
+    """Return the discs of all round loads of a fit."""
     discs = [part.disc(own) for part, own in fit.loads]
     return [disc for disc in discs if disc is not None]

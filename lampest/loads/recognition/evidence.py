@@ -1,7 +1,7 @@
-"""The comparison of evidence: P(fit) ∝ e^(evidence·EVIDENCE_SHARE)·P(fit beforehand).
+"""Comparison of fits by their evidence, P(fit | frame) ∝ e^(evidence·EVIDENCE_SHARE)·P(fit).
 
-Beforehand all kinds are alike, but for further loads, suction that raises no cell, and loads in one place: with those,
-rims that cancel suction between patches fit any outline, and of outlines there are many more than candidates.
+The prior is equal for all kinds, except that further loads, suction that raises no cell, and loads in one place are
+improbable. Otherwise rims that cancel suction between patches would fit any outline.
 """
 
 from collections.abc import Sequence
@@ -19,16 +19,16 @@ from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Panel
 from lampest.panel.response import PUBLISHED
 
-# Of ln P, assumptions: of one in twenty, as every further load, a rim that moves without its suction, and a mouth that
-# does not breathe; and of impossible pairs, hidden suction and two loads in one place. Loads that are no candidates are
-# fitted by such with up to e⁶⁰ times their evidence.
+# Assumed −ln P: of one in twenty, for every further load, a rim that moves without its suction, and a mouth that does
+# not breathe; and of the impossible, hidden suction and two loads in one place. Such combinations fit loads that are no
+# candidates with up to e⁶⁰ times their evidence.
 RARE_LOG_ODDS, IMPOSSIBLE = log(20), 60.0
-# ln r/r0 that a panel shows clearly, a suction of 1 kPa; and the part of the change that a cell under suction alone
-# would show. Mouths of 24 to 45 mm at a pitch of 10 mm show more than 0.7 in some cell, and nine in ten more than 0.9.
-# Of 60 mouths pressed with 30 to 80 kPa more, 47 are recognised with a part of 0.35, 52 with 0.25; with 0.2 or less two
-# mouths 70 mm apart are one. Hands, rocks, fins, fish, rods and rings raise no cell by more than 0.1.
+# ln r/r0 that a panel shows clearly, a suction of 1 kPa; and the share of the change that a cell under suction alone
+# would have. Mouths of 24 to 45 mm at a pitch of 10 mm have more than 0.7 in some cell, and nine in ten more than 0.9.
+# Of 60 mouths pressed with 30 to 80 kPa more, 47 are recognised with a share of 0.35, 52 with 0.25; with 0.2 or less
+# two mouths 70 mm apart are taken for one. Hands, rocks, fins, fish, rods and rings raise no cell by more than 0.1.
 MIN_RISE, MIN_RISE_SHARE = 0.2, 0.25
-# By how much differences of evidence count: films and loads differ from their models in more ways than errors say.
+# Exponent of evidence ratios, because films and loads deviate from their models in more ways than the errors include.
 # Fitted by log-likelihood to scenes made without this package's simulation; see docs/studies/mouths.md.
 EVIDENCE_SHARE = 0.5
 
@@ -40,14 +40,13 @@ class Verdict:
     Attributes
     ----------
     fits : tuple of Fit
-        Those of UNIFORM first; of these alone where nothing stood out.
+        Fits of UNIFORM first, and nothing else where the frame does not stand out.
     shares : tuple of float
-        (fits) how probable each is.
+        Posterior probability of each fit.
     goodness : float
         χ² per reading of the best fit.
     evidence : float
-        ln of the frame's probability under the best fit and of that beforehand, up to a common term of all fits to the
-        frame.
+        Largest evidence plus ln prior of a fit, up to a constant common to all fits of the frame.
     """
 
     fits: tuple[Fit, ...]
@@ -57,9 +56,9 @@ class Verdict:
 
     @classmethod
     def of(cls, panel: Panel, fits: Sequence[Fit], frame: Observation) -> "Verdict":
-        """Return the verdict.
+        """Return the verdict on the fits of a frame.
 
-        Where no candidate fits, differences of evidence count less, by χ² per reading of the best.
+        Where no candidate explains the frame, differences of evidence are divided by χ² per reading of the best fit.
         """
         before = np.array([prior_cost(panel, fit, frame) for fit in fits])
         evidence = np.array([fit.evidence for fit in fits])
@@ -70,32 +69,36 @@ class Verdict:
 
     @property
     def best(self) -> Fit:
-        """The most probable one."""
+        """The most probable fit."""
         return self.fits[int(np.argmax(self.shares))]
 
     @property
     def loads(self) -> tuple[Fit, ...]:
-        """Fits that are loads of some shape, the best first; none where nothing stood out."""
+        """Fits of loads with a shape, the best first; none where the frame does not stand out."""
         shaped = (fit for fit in self.fits if fit.candidate not in (*UNIFORM, FIELD))
         return tuple(sorted(shaped, key=lambda fit: -fit.evidence))
 
     @property
     def nothing(self) -> float:
-        """Probability that nothing stands there, or the same pressure everywhere."""
+        """Probability that there is no load, or an equal pressure on all cells."""
         pairs = zip(self.fits, self.shares, strict=True)
         return sum(share for fit, share in pairs if fit.candidate in UNIFORM)
 
     def sucks_at(self, disc: Disc | None) -> float:
-        """Return the probability that a load sucks there, given that there is one; None: anywhere."""
+        """Return the probability that a load at a disc's place sucks, given that there is a load; None: anywhere."""
         pairs = zip(self.fits, self.shares, strict=True)
         return sum(share for fit, share in pairs if _sucks(fit, disc)) / max(1 - self.nothing, 1e-9)
 
 
 def prior_cost(panel: Panel, fit: Fit, frame: Observation | None = None) -> float:
-    """Return −ln P of a fit before the measurement, up to a common term.
+    """Return −ln prior of a fit, up to a constant: further loads, hidden suction, and overlapping loads are improbable.
 
-    Of further loads, of suction that raises no cell, and of loads that stand in each other. frame : in whose cells
-    suction has to show as well; None: in none.
+    Parameters
+    ----------
+    panel : Panel
+    fit : Fit
+    frame : Observation, optional
+        Frame whose map of cells has to show the suction, too.
     """
     response = PUBLISHED if frame is None else frame.baseline.response
     loads = [(part, part.disc(own)) for part, own in fit.loads]
@@ -111,17 +114,17 @@ def prior_cost(panel: Panel, fit: Fit, frame: Observation | None = None) -> floa
 
 
 def rises(frame: Observation) -> bool:
-    """Whether ln r/r0 may rise enough for suction to be possible: less makes it too rare to be searched."""
+    """Return whether some cell may rise enough for suction to be possible; otherwise no suction is searched."""
     return IMPOSSIBLE * _hidden(float(frame.highest.max()), 0.0) < 2 * MAX_LOG_RATIO
 
 
 def _hidden(rise: float, full: float) -> float:
-    """1 where no cell rises under suction that would raise a cell by `full`, 0 where one does; ln r/r0."""
+    """Return 1 if no cell rises under suction that would raise a cell by `full`, 0 if one does; both in ln r/r0."""
     return exp(-((rise / max(MIN_RISE, MIN_RISE_SHARE * full)) ** 2))
 
 
 def _overlapping(first: Disc, second: Disc) -> float:
-    """1 where two discs are in one place, 0 where they stand clear."""
+    """Return 1 if two discs are in one place, 0 if they do not overlap, smoothly between."""
     apart = hypot(first.x_mm - second.x_mm, first.y_mm - second.y_mm)
     common = (first.diameter_mm + second.diameter_mm) / 2 - apart
     share = max(common, 0.0) / min(first.diameter_mm, second.diameter_mm)
@@ -129,7 +132,7 @@ def _overlapping(first: Disc, second: Disc) -> float:
 
 
 def _sucks(fit: Fit, disc: Disc | None) -> bool:
-    """Whether one of its loads sucks, and stands where the disc is."""
+    """Return whether one of the fit's loads sucks, with its centre within the disc."""
     discs = [part.disc(own) for part, own in fit.loads if part.sucks]
     if disc is None:
         return bool(discs)

@@ -1,6 +1,6 @@
-"""One candidate, or a field of any form, fitted to one frame, and how likely the frame is under it.
+"""Fit of one candidate, or of a field of any form, to one frame, and its evidence by Laplace's approximation.
 
-In a field cells are quiet or changed, and neighbours alike: a Potts field.
+In a field each cell has one of four states, from quiet to strongly changed, with a Potts prior on neighbours.
 """
 
 from dataclasses import dataclass, replace
@@ -24,11 +24,11 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array, Panel
 
-# With one linearised circuit; a step that changes ln P by less than `settled` changes nothing that is reported.
+# Search with one linearised circuit; a change of ln P below `settled` changes nothing that is reported.
 SEARCH = LevenbergMarquardt(evaluations=30, settled=0.3)
-MAX_ROUNDS = 4  # linearisations of the circuit in a fit, and fits with the errors about the one before, at most
+MAX_ROUNDS = 4  # linearisations of the circuit in a fit; also fits with errors about the previous one
 MIN_MEASURED_WIDTH = 0.3  # of the prior's width: wider axes of the posterior are measured, see `Fitting._widths`
-MAX_LOG_RATIO = 20.0  # of ln P: candidates so far below the best do not count
+MAX_LOG_RATIO = 20.0  # difference of ln P to the best candidate beyond which candidates do not count
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,24 +37,25 @@ class Fit:
 
     Attributes
     ----------
-    parameters, covariance : array
-        (parameters) and its square.
+    candidate : Candidate
+    parameters, covariance : array, shapes (parameters,) and (parameters, parameters)
+        φ and its posterior covariance.
     change : array, shape (rows, columns)
         ln r/r0.
-    by_parameter : array
-        (parameters, cells) its slopes.
-    residual : array, shape (cells)
-        Ohm.
+    by_parameter : array, shape (parameters, cells)
+        Derivatives of ln r/r0 by φ.
+    residual : array, shape (cells,)
+        Residual of the readings, in their unit.
     chi2 : float
-        Of the readings.
+        χ² of the readings.
     cost : float
-        Half of it plus half the priors'.
+        ½ (χ² + Σ ((φ − mean)/sd)²).
     volume : float
         ½ ln det of the errors' covariance.
     evidence : float
-        ln of the frame's probability under the candidate, up to a common term of all candidates.
+        ln of the frame's probability under the candidate, up to a constant common to all candidates.
     scatter : float
-        The film's relative deviation.
+        Relative deviation of the film.
     """
 
     candidate: Candidate
@@ -71,27 +72,30 @@ class Fit:
 
     @property
     def score(self) -> float:
-        """−ln of the posterior at its most probable point, which compares candidates with errors of their own."""
+        """−ln posterior at its maximum, up to a constant; it compares candidates with different error covariances."""
         return self.cost + self.volume
 
     @property
     def loads(self) -> list[tuple[Candidate, Array]]:
-        """Each of its loads with its own φ."""
+        """Every single load of the candidate with its own φ."""
         return self.candidate.loads(self.parameters)
 
 
 @dataclass(frozen=True, eq=False)
 class CellLikelihood:
-    """−ln P of a frame as a square of x = ln r/r0, the circuit linearised at one x₀: ½ xᵀΛx − bᵀx + constant.
+    """−ln P of a frame as a quadratic function of x = ln r/r0, ½ xᵀΛx − bᵀx + constant.
 
-    With whitened residual e and slope A at x₀, Λ = AᵀA and b = Aᵀ(e + A x₀).
+    The circuit is linearised at x₀: with the whitened residual e and Jacobian A there, Λ = AᵀA and b = Aᵀ(e + A x₀).
 
     Attributes
     ----------
-    residual : array, shape (cells)
-        Ohm, at x₀.
+    normal, pull : array, shapes (cells, cells) and (cells,)
+        Λ and b.
+    constant : float
+    residual : array, shape (cells,)
+        Residual of the readings at x₀, in their unit.
     exact : float
-        ½ eᵀe, its value there.
+        ½ eᵀe, the value at x₀.
     """
 
     normal: Array
@@ -102,7 +106,7 @@ class CellLikelihood:
 
     @classmethod
     def about(cls, frame: Observation, whitening: Whitening, change: Array) -> "CellLikelihood":
-        """x₀ : (rows, columns)."""
+        """Return the likelihood of a frame linearised about x₀ = `change`, (rows, columns)."""
         network = frame.baseline.network(change)
         residual = frame.target - network.reading().ravel()
         both = whitening @ np.column_stack([network.sensitivity(), residual])
@@ -114,14 +118,19 @@ class CellLikelihood:
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """The model about φ: cost is that of readings and priors, with its slope and curvature of Gauss and Newton.
+    """The cost about φ, with its gradient and Gauss-Newton matrix.
 
     Attributes
     ----------
+    parameters : array, shape (parameters,)
+        φ.
     change : array, shape (rows, columns)
         ln r/r0.
-    by_parameter : array
-        (parameters, cells).
+    by_parameter : array, shape (parameters, cells)
+        Its derivatives by φ.
+    misfit, cost : float
+        −ln P of the readings, and the same with the priors.
+    gradient, normal : array, shapes (parameters,) and (parameters, parameters)
     """
 
     parameters: Array
@@ -135,7 +144,7 @@ class Linearisation:
 
 @dataclass(frozen=True, eq=False)
 class Fitting:
-    """A candidate on a panel with patches, before a frame."""
+    """The problem of fitting one candidate to one frame."""
 
     panel: Panel
     patch_mm: float
@@ -149,6 +158,8 @@ class Fitting:
         slopes = by_parameter.reshape(len(parameters), response.size) * response.ravel()
         mean, sd, _ = self._prior
         apart = (parameters - mean) / sd
+        # x is 0 outside the load: only touched cells enter ½ xᵀΛx − bᵀx. Gradient X(Λx − b) + (φ − mean)/sd², matrix
+        # XΛXᵀ + 1/sd², with X = ∂x/∂φ (parameters, cells).
         touched = np.flatnonzero(change)
         changed, own = change.ravel()[touched], slopes[:, touched]
         normal = likelihood.normal[np.ix_(touched, touched)]
@@ -171,14 +182,18 @@ class Fitting:
         most: float = np.inf,
         held: int | None = None,
     ) -> Linearisation:
-        """Return the model at the most probable φ that Levenberg and Marquardt's steps reach.
+        """Return the model at the most probable φ that the Levenberg-Marquardt method reaches.
 
         Parameters
         ----------
+        start : array, shape (parameters,)
+        likelihood : CellLikelihood
+        steps : int
+            Most evaluations.
         most : float
-            A cost above which they end early.
-        held : int or None
-            The number of a parameter that stays.
+            Cost above which the search ends early.
+        held : int, optional
+            Number of a parameter that is fixed.
         """
         mean, sd, longest = self._prior
         low, high = mean - SIGNIFICANT * sd, mean + SIGNIFICANT * sd
@@ -197,10 +212,13 @@ class Fitting:
 
         Parameters
         ----------
+        start : array, shape (parameters,)
+        whitening : Whitening
+            Errors of the readings.
         most : float
             Cost above which the search ends early.
         quick : bool
-            Whether widths are those of the curvature.
+            Whether the posterior's widths are taken from the Gauss-Newton matrix alone.
         """
         point, likelihood = self.settled(start, whitening, most)
         return self.fit_at(point, likelihood, whitening, quick=quick or point.cost > most)
@@ -208,9 +226,10 @@ class Fitting:
     def settled(
         self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None
     ) -> tuple[Linearisation, CellLikelihood]:
-        """Return (the most probable φ with its exact cost, the likelihood about it).
+        """Return the most probable φ with its exact cost, and the likelihood about it.
 
-        The circuit is linearised anew where the last search ended, until that changes nothing. most, held : as above.
+        The circuit is linearised again at the end of each search, until the exact cost agrees with the linearised one.
+        The parameters are those of `descended`.
         """
         likelihood, parameters, best = self.about(start, whitening), start, None
         for _ in range(MAX_ROUNDS):
@@ -225,14 +244,15 @@ class Fitting:
         return best
 
     def stays(self, parameters: Array, whitening: Whitening) -> Fit:
-        """Return the fit at φ as it is."""
+        """Return the fit at given φ, without a search."""
         likelihood = self.about(parameters, whitening)
         return self.fit_at(self.at(parameters, likelihood), likelihood, whitening, quick=True)
 
     def fit_at(self, point: Linearisation, likelihood: CellLikelihood, whitening: Whitening, *, quick: bool) -> Fit:
-        """Return the fit with a likelihood that was linearised there."""
+        """Return the fit at a point, with the likelihood that was linearised there and its evidence."""
         widths, spread = self._widths(point, likelihood, quick=quick)
         covariance = spread @ spread.T + np.diag(self.candidate.blind(point.parameters) ** 2)
+        # Laplace: ln P(R) = −cost + Σ ln(posterior width/prior width) − ½ ln det C + constant
         evidence = float(np.log(widths).sum() - point.cost) - whitening.volume
         known = point.parameters, covariance, point.change, point.by_parameter, likelihood.residual
         likely = 2 * likelihood.exact, point.cost, whitening.volume, evidence
@@ -240,7 +260,7 @@ class Fitting:
 
     @cached_property
     def centred(self) -> NDArray[np.bool_]:
-        """Coordinates of a centre among φ, boolean (parameters)."""
+        """Whether each of φ is a coordinate of a centre, boolean (parameters,)."""
         return np.array([name.split(".")[-1] in ("x", "y") for name in self.candidate.priors(self.panel)], dtype=bool)
 
     @cached_property
@@ -252,11 +272,12 @@ class Fitting:
         return self.candidate.pressure(self.panel, self.patch_mm * larger, parameters)
 
     def explained(self, fit: Fit) -> Explained:
-        """Return the explanation by secants as long as such errors: tangents jump at the response's corners."""
+        """Return the explained change with its sensitivities, by secants: tangents jump at the response's corners."""
         if not self.centred.any():
             zeros = np.zeros_like(fit.change)
             return Explained(fit.change, np.hypot(*np.gradient(fit.change, self.panel.pitch_mm)), zeros)
         pressure, by_parameter = self.pressure(fit.parameters)
+        # |∇p| (kPa/mm): the change of pressure by a shift of 1 mm across an edge
         shift = np.sqrt((by_parameter[self.centred] ** 2).sum(axis=0))
         small, large = (self.pressure(fit.parameters, by)[0] for by in (0.9, 1.1))
         more, less, small, large = (
@@ -265,10 +286,11 @@ class Fitting:
         return Explained(fit.change, np.abs(more - less) / 2, (large - small) / (1.1 - 0.9))
 
     def _widths(self, point: Linearisation, likelihood: CellLikelihood, *, quick: bool) -> tuple[Array, Array]:
-        """Return standard deviations along the posterior's axes over those of the prior, and a root of its covariance.
+        """Return the posterior's widths along its axes over those of the prior, and a root of its covariance.
 
-        Where a rim runs between patches, slopes are 0 and would give the width of the prior. There the cost one such
-        width away on either side gives the width, of a parabola through that point.
+        Where a rim runs between patches, derivatives are 0, and the Gauss-Newton matrix gives the width of the prior.
+        Such an axis has the width of the parabola through the cost one Gauss-Newton width away, averaged over both
+        sides.
         """
         sd = self._prior[1]
         stiffness, axes = np.linalg.eigh(point.normal * np.outer(sd, sd))
@@ -281,22 +303,28 @@ class Fitting:
 
 
 def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
-    """Return the fit with the covariance of the posterior along ln d, where that is wider.
+    """Return the fit with the posterior covariance by a profile along ln d, where that is wider.
 
-    A fit without a diameter stays as it is.
+    No reading depends on a rim between patches: the cost is flat there and steep beside it, and the curvature at the
+    best φ̂ underestimates the width. δ = ln d is stepped, and all other parameters are fitted for each δ:
 
-    Between patches no reading sees a rim: the cost is flat there and steep beside it, and its curvature at the best φ
-    promises too much. With δ = ln d stepped through, all other numbers fitted anew,
+        P(δ) ∝ e^(−cost(δ)) |H(δ)|^(−½),   C = Σ P (H(δ)⁻¹ + (φ(δ) − φ̂)(φ(δ) − φ̂)ᵀ).
 
-        P(δ) ∝ e^(−cost(δ)) |H(δ)|^(−½),   C = Σ P (H(δ)⁻¹ + (φ(δ) − φ̂)(φ(δ) − φ̂)ᵀ)
-
-    about the most probable φ̂. fitting : that of its candidate, with the errors that the fit was weighed by.
+    Parameters
+    ----------
+    fitting : Fitting
+        The problem of the fit's candidate.
+    fit : Fit
+        A fit without a diameter is returned unchanged.
+    whitening : Whitening
+        Errors with which it was fitted.
     """
     names = list(fit.candidate.priors(fitting.panel))
     if "diameter" not in names:
         return fit
     place = names.index("diameter")
     others = np.ix_(*2 * [np.arange(len(names)) != place])
+    # Profile: step ln d in both directions until P(δ) is negligible, all other parameters fitted.
     points = [fitting.settled(fit.parameters, whitening, held=place)[0]]
     apart = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))  # as points of a patch are
     for step in (1, -1) * np.array(max(apart, fit.covariance[place, place] ** 0.5 / 2)):
@@ -305,9 +333,10 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
             begin = point.parameters + step * np.eye(len(names))[place]
             point = fitting.settled(begin, whitening, points[0].cost + MAX_LOG_RATIO / 2, place)[0]
             points.append(point)
-    # A centre a pitch further on would have touched other patches.
+    # Prior precision of a centre that is uniform within a pitch: beyond, it would touch other patches.
     centred = np.diag(fitting.centred * 12 / fitting.panel.pitch_mm**2)
     precisions = [(point.normal + centred)[others] for point in points]
+    # P(δ) ∝ e^(−cost) |H|^(−½), with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ − φ̂)(φ − φ̂)ᵀ)
     share = softmax(
         [-point.cost - np.linalg.slogdet(own)[1] / 2 for point, own in zip(points, precisions, strict=True)]
     )
@@ -318,15 +347,15 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
     return replace(fit, covariance=covariance) if wider else fit
 
 
-SD = np.array([0.005, 0.08, 0.4, 1.6])  # of ln r/r0 where nothing is, at half a kPa, a few kPa, tens; assumptions
+# Assumed standard deviations of ln r/r0 in the four states: no load, half a kPa, a few kPa, tens of kPa.
+SD = np.array([0.005, 0.08, 0.4, 1.6])
 
 
 def field_fit(frame: Observation) -> tuple[Fit, Observation]:
-    """Return (the most probable field with its evidence, the frame without the outliers that it shows).
+    """Return the most probable field with its evidence, and the frame without outliers.
 
-    x = ln r/r0 is Gaussian, each cell's σ that of one of four states, neighbours alike. Cells are marginalised about
-    the most probable x; the states are those of a map of the cells or of the field itself, and paid for as a Potts
-    field pays.
+    x = ln r/r0 is Gaussian with the σ of each cell's state, correlated between neighbours. The evidence integrates over
+    x about its maximum. The states are those of a map of the cells, or of a first field, and have a Potts prior.
     """
     fit, most_probable = _of_two_maps(frame)
     if fit.chi2 < MAX_MEAN_SQUARE * frame.measured.size:
@@ -341,7 +370,7 @@ def _of_two_maps(frame: Observation) -> tuple[Fit, MostProbable]:
 
 
 def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
-    """Return the most probable field with the states that ln r/r0 (rows, columns) shows, from there."""
+    """Return the most probable field with the states of ln r/r0 = `start` (rows, columns), which is also the start."""
     panel, none = frame.baseline.scene.panel, np.zeros(0)
     of_cells = states(panel, start)
     most_probable = frame.cells(start, prior(frame, SD[of_cells].ravel()))
@@ -349,21 +378,19 @@ def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
     errors, left = whitening @ most_probable.apart, frame.residual(change)
     misfit = Whitening(np.linalg.cholesky(frame.covariance(frame.slope(change)))) @ left
     cost = float(errors @ errors) / 2
+    # ln P(R | states) = −½ eᵀ (A P Aᵀ + C)⁻¹ e − ½ ln det (A P Aᵀ + C), and ln P(states) of the Potts field
     likely = float(misfit @ misfit), cost, whitening.volume, -cost - whitening.volume - paid(panel, of_cells)
     return Fit(FIELD, none, none.reshape(0, 0), change, none.reshape(0, change.size), left, *likely), most_probable
 
 
 def prior(frame: Observation, sd: Array) -> Array:
-    """Return the covariance of ln r/r0 of cells with these standard deviations, (cells, cells).
-
-    Neighbours are partly alike.
-    """
+    """Return the prior covariance of ln r/r0 of cells with these standard deviations, correlated between neighbours."""
     shared = frame.baseline.model_errors.common + frame.baseline.model_errors.near
     return np.asarray(np.outer(sd, sd) * ((1 - shared) * np.eye(sd.size) + shared * frame.baseline.near))
 
 
 def states(panel: Panel, change: Array) -> NDArray[np.intp]:
-    """0 to 3 for quiet to strongly changed cells: by their own change and that of their neighbours."""
+    """Return the state of each cell, 0 to 3 for quiet to strongly changed, by its own and its neighbours' changes."""
     square, (first, second, _) = change.ravel() ** 2, panel.neighbours
     cell, neighbour = np.concatenate([first, second]), np.concatenate([second, first])
     beside = np.bincount(cell, square[neighbour], square.size).astype(float)
@@ -374,7 +401,7 @@ def states(panel: Panel, change: Array) -> NDArray[np.intp]:
 
 
 def paid(panel: Panel, of_cells: NDArray[np.intp]) -> float:
-    """−ln P of the states: 1 for a pair of unlike neighbours, an assumption, and the normalising constant."""
+    """Return −ln P of the states: 1 for each pair of unlike neighbours (an assumption), and a normalising constant."""
     first, second, _ = panel.neighbours
     unlike = np.count_nonzero(of_cells.flat[first] != of_cells.flat[second])
     return float(unlike + np.log1p(3 * np.exp(-4)) * panel.present.sum())

@@ -1,9 +1,9 @@
-"""Loads on a panel of modules, recognised where something changed.
+"""Recognition of loads on a panel of modules, in windows about changes.
 
-Every module is followed by a step test of its own. Where one finds a step, a window opens over the modules that the
-load may reach, is watched as one panel, and closes after it has been calm for CALM_S. No current crosses a seam, so
-that the circuit of a window falls into blocks; loads lie over them. A load that several windows see counts where it
-stands nearest to the middle of one.
+Every module has a step test of its own. A step opens a window over the modules that the load may reach. The window is
+watched as one panel, and closes after CALM_S without a load. No current crosses a seam, so that the network of a window
+is block diagonal; loads may lie across seams. A load in several windows is taken from the window whose middle is
+nearest.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.response import Response
 from lampest.panel.scene import Scene
 
-CALM_S = 60.0  # s: three times as long as the mean of frames takes to follow them
+CALM_S = 60.0  # s, three time constants of the mean, `FOLLOWS_S`
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +33,11 @@ class WindowNetwork:
     networks: tuple[Any, ...]
 
     def reading(self) -> Array:
-        """(rows, columns) of the window."""
+        """Return the readings of the window, (rows, columns)."""
         return np.asarray(self.layout.joined(np.stack([network.reading() for network in self.networks])))
 
     def sensitivity(self, cells: Any = None) -> Array:
-        """J (readings, cells), of some cells if these are given by their numbers."""
+        """Return the block diagonal Jacobian J (readings, cells), or its columns of some cells by number."""
         numbers = self.layout.split(np.arange(np.prod(self.layout.shape)).reshape(self.layout.shape))
         whole = np.zeros((numbers.size, numbers.size))
         for network, own in zip(self.networks, numbers.reshape(len(numbers), -1), strict=True):
@@ -47,7 +47,16 @@ class WindowNetwork:
 
 @dataclass(frozen=True, eq=False)
 class WindowScene:
-    """Neighbouring modules as a scene and as its circuit, as far as recognition asks; scenes : of each module."""
+    """Neighbouring modules with the interface of a scene and of its circuit that recognition needs.
+
+    Attributes
+    ----------
+    panel : Panel
+        The window.
+    response : Response or None
+    scenes : tuple of Scene
+        Scene of each module.
+    """
 
     panel: Panel
     response: Response | None
@@ -61,12 +70,12 @@ class WindowScene:
 
     @property
     def unit(self) -> str:
-        """ohm or volt."""
+        """Unit of the readings, ohm or volt."""
         return self.scenes[0].circuit.unit
 
     @property
     def series_ohm(self) -> Array:
-        """(rows, columns) ohm."""
+        """Resistance in series, (rows, columns) ohm."""
         return self._joined(lambda scene, part: scene.series_ohm + part, np.zeros(self.panel.shape))
 
     def uniform_start(self, measured: Array) -> Array:
@@ -74,7 +83,7 @@ class WindowScene:
         return self._joined(lambda scene, part: scene.circuit.uniform_start(part), measured)
 
     def ties(self, cells: Array) -> Array:
-        """Return nothing: every module has its own ties."""
+        """Return an empty array, because every module has its own ties."""
         return np.zeros(0)
 
     def network(self, cells: Array, ties: Array, wiring: None) -> WindowNetwork:
@@ -102,13 +111,13 @@ class Window:
     ----------
     scene : WindowScene
     numbers : tuple of int
-        Of the modules, row after row.
-    cells : pair of slices
-        In the image.
+        Numbers of the modules, row by row.
+    cells : pair of slice
+        Rows and columns in the image.
     x_mm, y_mm : float
-        Place of the first cell.
+        Place of the first cell in the image.
     middle : array, shape (2,)
-        x and y in mm.
+        Mean place of the cells, mm.
     """
 
     scene: WindowScene
@@ -120,7 +129,7 @@ class Window:
 
     @classmethod
     def about(cls, scene: Scene, place: Array) -> "Window":
-        """Return the window of the modules that a load about a place, x and y in mm, may reach."""
+        """Return the window over the modules that a load at a place (x, y) in mm may reach."""
         layout, spans = scene.panel.modules, list[NDArray[np.intp]]()
         assert layout is not None
         sizes = layout.each.columns, layout.each.rows
@@ -151,14 +160,14 @@ class ImageWatch:
     Attributes
     ----------
     panelled : Panelled
-        Of the whole image.
+        Constants of the whole image.
     modules : tuple of Watch or None
-        The step test of each module, and the panel at rest; None of one that is not read. Those under a window stay
-        as they were when it opened.
+        Watch of each module for step detection, None for one without readings. Modules under a window keep the state
+        in which it opened.
     opened : tuple of (Window, Watch, float)
-        The open windows, and when each was last touched, s.
+        The open windows, and the time of the last touch of each, s.
     attachments : tuple of Attachment
-        Those of all windows, each once.
+        Attachments of all windows, each once.
     """
 
     panelled: Panelled
@@ -168,7 +177,7 @@ class ImageWatch:
 
     @classmethod
     def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "ImageWatch":
-        """Begin to watch, as `Watch.begin`."""
+        """Return the watch before the first frame, as `Watch.begin`."""
         scene, modules = panelled.scene, list[Watch | None]()
         detector = replace(panelled.detector, panel=scene.panel.network)
         for number, own in enumerate(scene.of_modules):
@@ -184,6 +193,7 @@ class ImageWatch:
     def push(self, measured: Array, sigma: Array, time: float) -> "ImageWatch":
         """Push a frame, as `Watch.push`."""
         modules, opened, stepped = list(self.modules), list(self.opened), list[int]()
+        # Step detection in modules without a window; a step opens one, and freezes the modules under it.
         for number in set(range(len(modules))) - under_windows(opened):
             if (module := modules[number]) is not None:
                 cells = self._layout.cells(number)
@@ -215,20 +225,17 @@ class ImageWatch:
 
     @property
     def doubt(self) -> str:
-        """Doubt of the first window or module that has one, as `Watch.doubt`."""
+        """The first doubt of a window or module, as `Watch.doubt`; '' where there is none."""
         return next((watch.doubt for watch in self._watches if watch.doubt), "")
 
     @property
     def stands_out(self) -> float:
-        """Largest `Watch.stands_out`, of the module where readings differ most."""
+        """Largest `Watch.stands_out` of all windows and modules."""
         return max(watch.stands_out for watch in self._watches)
 
     @cached_property
     def change(self) -> Array | None:
-        """ln r/r0 (rows, columns) of the loads that windows recognised last, 0 without one.
-
-        None where no window did.
-        """
+        """ln r/r0 (rows, columns) of the loads that the windows recognised last, 0 elsewhere; None without any."""
         whole = np.zeros(self.panelled.scene.panel.shape)
         for window, watch, _ in self.opened:
             if watch.change is not None:
@@ -242,20 +249,20 @@ class ImageWatch:
 
     @property
     def _watches(self) -> list[Watch]:
-        """Watches of the windows, and of the modules that are under none."""
+        """Watches of the windows, and of the modules without a window."""
         covered = under_windows(self.opened)
         alone = (watch for number, watch in enumerate(self.modules) if watch is not None and number not in covered)
         return [*(watch for _, watch, _ in self.opened), *alone]
 
     def _place(self, number: int, watch: Watch | None) -> Array:
-        """Return where in the image a module's readings have changed most, x and y in mm."""
+        """Return the place (x, y) in the image, mm, where a module's readings changed most."""
         assert watch is not None
         corner = self.panelled.scene.panel.places_mm[:, *self._layout.cells(number)][:, 0, 0]
         scores = watch.test.scores(watch.mean - watch.resting)
         return np.asarray(corner + watch.panelled.detector.search.places[int(np.argmax(scores))])
 
     def _begun(self, window: Window, sigma: Array) -> Watch:
-        """Return a watch over modules that stands where theirs do."""
+        """Return the watch of a new window, with the joined states of its modules."""
         panelled, layout = self.panelled, window.scene.layout
         parts = [self.modules[number] for number in window.numbers]
         known = [part for part in parts if part is not None]
@@ -284,7 +291,7 @@ class ImageWatch:
         )
 
     def _closed(self, time: float) -> "ImageWatch":
-        """Return the watch without the windows that have been calm for long; their modules go on from there."""
+        """Return the watch without the windows that were calm for CALM_S; their modules take over the states."""
         opened = tuple(opening for opening in self.opened if time - opening[2] < CALM_S)
         modules, covered = list(self.modules), under_windows(opened)
         for window, watch, _ in set(self.opened) - set(opened):
@@ -300,13 +307,14 @@ class ImageWatch:
         return replace(self, modules=tuple(modules), opened=opened)
 
     def _merged(self) -> tuple[Attachment, ...]:
-        """Return the attachments of all windows; of two that are one load, the one nearer to its window's middle."""
+        """Return the attachments of all windows; a load in two windows is taken from the nearer middle."""
         every = list[tuple[Window, Attachment]]()
         for window, watch, _ in self.opened:
             for load in watch.attachments:
                 x, y = (load.x_mm[0] + window.x_mm, load.x_mm[1]), (load.y_mm[0] + window.y_mm, load.y_mm[1])
                 every.append((window, replace(load, x_mm=x, y_mm=y)))
         every.sort(key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1])))
+        # nearest to its window's middle first; equal loads of other windows are dropped
         merged: list[tuple[Window, Attachment]] = []
         for window, load in every:
             if not any(window is not neighbour and _same_load(load, seen) for neighbour, seen in merged):
@@ -327,7 +335,7 @@ def _layout(scene: Scene) -> Modules:
 
 
 def _same_load(first: Attachment, second: Attachment) -> bool:
-    """Whether two windows saw one load: at one time, and nearer than the larger of them is wide."""
+    """Return whether two attachments are one load: their times overlap, and their distance is below their width."""
     ends = (inf if load.until_s is None else load.until_s for load in (second, first))
     together = all(load.since_s < end for load, end in zip((first, second), ends, strict=True))
     return together and first.distance(second.place) < max(first.width, second.width)

@@ -1,8 +1,9 @@
-"""The unloaded panel, and the likelihood of one frame: how readings follow from a pressure on the cells.
+"""Likelihood of a frame: the model of readings under a pressure on the cells, and the unloaded panel.
 
     R = f(r0·e^x) + E δ + noise,   x = κ·(ln F(p + p_w) − ln F(p_w))
 
-f is the circuit, F the film's response, κ the cells' gains, δ the errors common to all frames. All errors are Gaussian.
+f is the circuit, F the film's response, κ the cells' gains, p_w the water's pressure, and δ the errors common to all
+frames with the effect E on the readings. All errors are Gaussian.
 """
 
 from collections.abc import Callable
@@ -25,7 +26,7 @@ PATCH_SHARE = 0.6  # edge of a cell's film over the pitch, as on the panel of th
 
 
 def patch_of(panel: Panel, patch_mm: float | None = None) -> float:
-    """Edge of the film in mm, 6/10 of the pitch where nobody says; never more than the pitch."""
+    """Return the edge of a cell's film in mm, by default PATCH_SHARE of the pitch, and at most the pitch."""
     return min(PATCH_SHARE * panel.pitch_mm if patch_mm is None else patch_mm, panel.pitch_mm)
 
 
@@ -35,20 +36,20 @@ class ModelErrors:
 
     Parameters
     ----------
-    response : of ln(r/r0) at a pressure, as a fraction of ln f(p): cells answer differently.
-    common, near : parts of that variance that all cells share, and neighbours within `near_pitches`.
-    bent : of the same, alike in all cells: bent film answers less, by half where it is bent sharply.
+    response : of ln(r/r0) at a pressure, as a fraction of ln f(p), because cells respond differently.
+    common, near : parts of that variance that all cells share, and that neighbours within `near_pitches` share.
+    bent : of the same, equal in all cells, because bent film responds less, by half where it is bent sharply.
     edge_mm : of the place of a patch's edge, at a relative deviation of 1: patches are glued by hand, rims are soft.
-    patch : of the patches' edge, relative, alike in all cells: a round one is as a square one of 0.89 its width.
+    patch : of the patches' edge, relative, equal in all cells: a round patch is like a square one of 0.89 its width.
     cell_spread : of the logarithm of the unloaded cells about their mean; only a prior where data are too noisy.
     drift, common_drift : of ln r at rest for each decade of minutes, of each cell and of all alike (temperature).
     settled : of ln r at rest, apart from drift.
     channel_ohm : of the on-resistance of a multiplexer's channel about its mean, one for each line.
     reference : relative error of the reference resistor: 1 % at most, uniform.
     reading_error : of the logarithm of a factor on each reading, the same in all frames.
-    swaying : of ln r and of ln y that all cells and all readings may share: temperature, waves, supply.
-    residue : of what a film keeps of a load that left, relative to its ln r/r0.
-    mapped, coarse : of ln r/r0 of cells while a load is looked for, on a map of them, and at rest in coarse fits.
+    swaying : of changes of ln r and of ln y that all cells and all readings share: temperature, waves, supply.
+    residue : of the residue in the film after a load, relative to the load's ln r/r0.
+    mapped, coarse : of ln r/r0 of cells on the map in which loads are searched, and about the field in coarse fits.
 
     Source: CD74HC4067 (about 10 ohm between any two channels), ordinary 1 % resistors, films that creep by a few
     percent for each decade of time; the others are assumptions.
@@ -74,7 +75,7 @@ class ModelErrors:
     coarse: float = 0.2
 
     def of_scene(self, scene: Scene, reading_error: float) -> "ModelErrors":
-        """Return the errors that a scene specifies, with one of each reading as estimated from the frames."""
+        """Return the errors that a scene specifies, with each reading's own error as estimated from the frames."""
         errors = replace(self, reading_error=reading_error)
         if scene.systematic is None:
             return errors
@@ -83,7 +84,7 @@ class ModelErrors:
         return replace(errors, channel_ohm=named.channel_spread_ohm, reference=reference)
 
     def resting_sd(self, seconds: float) -> float:
-        """Return standard deviation of ln r of a cell at rest by itself, `seconds` after the baseline."""
+        """Return the standard deviation of each cell's own drift of ln r, `seconds` after the baseline."""
         return hypot(self.drift * log10(1 + seconds / 60), self.settled)
 
     def resting_covariance(self, seconds: float, cells: int) -> Array:
@@ -92,16 +93,21 @@ class ModelErrors:
         return self.resting_sd(seconds) ** 2 * np.eye(cells) + common**2
 
     def offsets(self, measured: Array, scene: Scene) -> Array:
-        """Return E·sd (cells, offsets).
+        """Return the effect of one standard deviation of every offset on the readings, E·sd (cells, offsets).
 
-        The effect of one standard deviation of every offset on the readings, in their unit.
+        Offsets are those of the channels of rows and columns of every module (for two-point resistances), of the
+        reference, and of each reading if `reading_error` is nonzero.
 
-        Offsets are those of rows and columns of every module (of two-point resistances), of the reference, and where
-        there are such errors, of each reading. measured : (rows, columns), without the resistance in series.
+        Parameters
+        ----------
+        measured : array, shape (rows, columns)
+            Readings without the resistance in series, in the readout's unit.
+        scene : Scene
         """
         layout, (rows, columns) = scene.panel.modules, measured.shape
         row, column = np.indices(measured.shape)
         if layout is not None:
+            # every module has channels of its own: number its lines separately
             row, column = row + rows * (column // layout.each.columns), column + columns * (row // layout.each.rows)
         in_ohm = scene.circuit.unit == "ohm"
         total = (measured + scene.series_ohm if in_ohm else measured).reshape(-1, 1)
@@ -110,33 +116,33 @@ class ModelErrors:
         return np.hstack([*(self.channel_ohm * line for line in lines), self.reference * total, *own])
 
 
-# Of ln r: the longest Gauss-Newton step; and the most a load may change, beyond which a cell is open or shorted to all
-# readings, and a network soon has no inverse.
+# Of ln r: the longest Gauss-Newton step, and the largest change by a load. Beyond, a cell is open or shorted to all
+# readings, and the network soon becomes singular.
 MAX_STEP, MAX_LOG_CHANGE = 1.5, 12.0
-OUTLIER_SHARE = 0.03  # part of the readings that may be outliers
-DROPPED_FACTOR = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
+OUTLIER_SHARE = 0.03  # largest share of outliers among the readings
+DROPPED_FACTOR = 1e3  # factor on σ, or on the reading, that gives the σ of a reading that does not count
 
 
 def counting(sigma: Array, measured: Array) -> Array:
-    """σ, so large that a reading does not count where it is no value (no finite, positive σ); any shape, ohm."""
+    """Return σ of any shape, ohm, made so large where it is not finite and positive that the reading does not count."""
     return np.where(np.isfinite(sigma) & (sigma > 0), sigma, DROPPED_FACTOR * measured)
 
 
 class MostProbable(NamedTuple):
-    """x that minimises ‖y − f(x)‖² in C + ‖x − mean‖² in P, with f linearised where the last step began.
+    """The minimum x of (y − f(x))ᵀ C⁻¹ (y − f(x)) + (x − mean)ᵀ P⁻¹ (x − mean), with f linearised near it.
 
     Attributes
     ----------
-    state : array
-        x (n).
-    prior : array
+    state : array, shape (n,)
+        x.
+    prior : array, shape (n, n)
         P.
-    across : array
-        P Aᵀ (n, readings).
+    across : array, shape (n, readings)
+        P Aᵀ with the Jacobian A of f.
     whitening : Whitening
-        Of A P Aᵀ + C.
-    apart : array
-        y − f(mean) (readings).
+        Root of A P Aᵀ + C.
+    apart : array, shape (readings,)
+        y − f(mean) by the linearised f.
     """
 
     state: Array
@@ -147,16 +153,25 @@ class MostProbable(NamedTuple):
 
     @property
     def covariance(self) -> Array:
-        """Covariance of x after the readings, (n, n)."""
+        """Posterior covariance of x, P − P Aᵀ (A P Aᵀ + C)⁻¹ A P, (n, n)."""
         return np.asarray(self.prior - self.across @ cho_solve((self.whitening.root, True), self.across.T))
 
 
 def most_probable(
     model: Callable[[Array], tuple[Array, Array, Array]], start: Array, mean: Array, prior: Array, settled: float
 ) -> MostProbable:
-    """Return the most probable point by Gauss-Newton steps in the space of the readings, twelve at most.
+    """Return the most probable point, by at most twelve Gauss-Newton steps in the space of the readings.
 
-    model : x → (y − f(x), A = ∂f/∂x, C).
+    Parameters
+    ----------
+    model : callable
+        Returns y − f(x), A = ∂f/∂x and C, given x.
+    start, mean : array, shape (n,)
+        Initial x, and mean of the prior.
+    prior : array, shape (n, n)
+        P, which may be singular.
+    settled : float
+        Largest component of the last step.
     """
     state = start
     for _ in range(12):
@@ -164,6 +179,7 @@ def most_probable(
         across = prior @ slope.T
         root = cholesky(slope @ across + noise, lower=True)
         apart = residual + slope @ (state - mean)
+        # x = mean + P Aᵀ (A P Aᵀ + C)⁻¹ (y − f(x₀) + A (x₀ − mean))
         step = np.clip(mean + across @ cho_solve((root, True), apart) - state, -MAX_STEP, MAX_STEP)
         state = state + step
         if np.abs(step).max() < settled:
@@ -173,16 +189,17 @@ def most_probable(
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """ln r0 and the readings' offsets, Gaussian after the unloaded readings.
+    """Gaussian posterior of ln r0 and of the offsets δ, given the unloaded readings.
 
     Attributes
     ----------
     logarithm : array, shape (rows, columns)
         Mean of ln r0.
-    offsets : array
-        Those of `ModelErrors.offsets`, in standard deviations.
-    covariance : array
-        Of both together, (cells + offsets)².
+    offsets : array, shape (offsets,)
+        Mean of δ, see `ModelErrors.offsets`, in standard deviations.
+    covariance : array, shape (cells + offsets, cells + offsets)
+        Joint covariance of both.
+    model_errors : ModelErrors
     scene : Scene
         Circuit, panel and response.
     """
@@ -197,20 +214,23 @@ class Baseline:
     def of(
         cls, measured: Array, sigma: Array, scene: Scene, model_errors: ModelErrors, common: Array | None = None
     ) -> "Baseline":
-        """argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖², outliers left out.
+        """Return argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖², without outliers.
 
         Parameters
         ----------
         measured, sigma : array, shape (rows, columns)
-            In the readout's unit.
-        common : array, shape (cells, n) or None
-            A root of the covariance of what they share by chance; None: nothing.
+            Unloaded readings R0 and their standard deviations, in the readout's unit.
+        scene : Scene
+        model_errors : ModelErrors
+        common : array, shape (cells, n), optional
+            Root of the covariance of random errors that the readings share.
         """
         circuit, spread = scene.circuit, model_errors.offsets(measured, scene)
         cells, offsets = spread.shape
         mean, prior = np.zeros(cells + offsets), np.eye(cells + offsets)
         mean[:cells] = np.log(np.median(circuit.uniform_start(measured)))
         prior[:cells, :cells] = 9.0 + model_errors.cell_spread**2 * np.eye(cells)  # their mean is open: σ = 3
+        # crossings without a cell are fixed at a nearly infinite resistance
         absent = np.flatnonzero(~scene.panel.present)
         mean[absent] += MAX_LOG_CHANGE
         prior[absent] = prior[:, absent] = 0.0
@@ -222,6 +242,7 @@ class Baseline:
             residual = measured.ravel() - network.reading().ravel() - spread @ state[cells:]
             return residual, np.hstack([network.sensitivity(), spread]), np.diag(noise) + shared
 
+        # A first fit identifies outliers; the second one, without them, is solved to convergence.
         coarse = most_probable(model, mean, mean, prior, MAX_STEP / 10)
         noise[outliers(coarse.whitening, coarse.apart)] *= DROPPED_FACTOR**2
         fine = most_probable(model, coarse.state, mean, prior, 1e-6)
@@ -240,17 +261,23 @@ class Baseline:
 
     @cached_property
     def near(self) -> Array:
-        """exp(−½ (distance/near_pitches)²) between all cells, (cells, cells); a crossing without one is near none."""
+        """exp(−½ (distance/near_pitches)²) between all cells, (cells, cells); 0 for crossings without a cell."""
         places = self.scene.panel.places_mm.reshape(2, -1) / self.scene.panel.pitch_mm
         square = ((places[:, :, None] - places[:, None]) ** 2).sum(axis=0)
         np.fill_diagonal(square, 0.0)
         return np.asarray(np.nan_to_num(np.exp(-square / (2 * self.model_errors.near_pitches**2))))
 
     def film(self, explained: "Explained", scatter: float) -> Array:
-        """s² (x K xᵀ + w²) + b b ᵀ, (cells, cells) of ln r: how a film with a relative deviation of s departs from x.
+        """Return the covariance of ln r by deviations of the film, s² (x K xᵀ + diag w²) + b bᵀ, (cells, cells).
 
-        K is the correlation of cells: shared, near and own; b is common to all, by a bent film and by the patches'
-        sizes.
+        x is the explained change, K the correlation of cells (common, near and own parts), w the effect of misplaced
+        edges, and b the errors that all cells share, by bending and by the patches' sizes.
+
+        Parameters
+        ----------
+        explained : Explained
+        scatter : float
+            s, the film's relative deviation.
         """
         errors, (change, edges, patches) = self.model_errors, (part.ravel() for part in explained)
         similar = errors.common + errors.near * self.near + (1 - errors.common - errors.near) * np.eye(len(self.near))
@@ -261,19 +288,19 @@ class Baseline:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """A frame's readings and the baseline that they are compared with.
+    """A frame's readings and the baseline with which they are compared.
 
     Attributes
     ----------
     measured, sigma : array, shape (rows, columns)
-        Ohm.
+        Readings and their standard deviations in the readout's unit.
+    baseline : Baseline
     water : array, shape (rows, columns)
-        KPa, that of the unloaded frames too.
+        Pressure of the water, kPa, equal in the unloaded frames.
     seconds : float
-        Since the baseline.
+        Time since the baseline.
     common : array, shape (cells, n) or None
-        Ohm, a root of the covariance of what the frame's readings share by chance, its gain and patterns along scanned
-        lines; None: nothing.
+        Root of the covariance of random errors that the frame's readings share: gain, ripple along scanned lines.
     """
 
     measured: Array
@@ -284,16 +311,17 @@ class Observation:
     common: Array | None = field(default=None, kw_only=True)
 
     def residual(self, change: Array | float = 0.0) -> Array:
-        """R − f(r0·e^change) − E δ, (cells)."""
+        """Return R − f(r0·e^change) − E δ, (cells,)."""
         return np.asarray(self.target - self.baseline.network(change).reading().ravel())
 
     def slope(self, change: Array) -> Array:
-        """∂f/∂ln r at ln r/r0 = `change`, (cells, cells)."""
+        """Return ∂f/∂ln r at ln r/r0 = `change`, (cells, cells)."""
         return self.baseline.network(change).sensitivity()
 
     def change(self, pressure: Array) -> tuple[Array, Array]:
-        """x of pressures and its slope, (rows, columns), 1 and 1/kPa; MAX_LOG_CHANGE at most."""
-        response, step = self.baseline.response, 1e-3  # kPa: the slope is a difference, F has corners
+        """Return x of pressures (rows, columns) kPa, and dx/dp in 1/kPa; |x| is at most MAX_LOG_CHANGE."""
+        response, step = self.baseline.response, 1e-3  # kPa, for a central difference: F has corners
+        # x = κ (ln F(p + p_w) − ln F(p_w)) at p and p ± step
         near = pressure + self.water + np.array([0.0, step, -step])[:, None, None]
         change, up, down = response.gains * (response.logarithm(near) - self._immersed)
         return np.clip(change, -MAX_LOG_CHANGE, MAX_LOG_CHANGE), (up - down) / (2 * step) * (
@@ -306,10 +334,18 @@ class Observation:
         return self.baseline.response.logarithm(self.water)
 
     def covariance(self, slope: Array, cells: Array | float = 0.0) -> Array:
-        """σ² + V Vᵀ + H C Hᵀ + J T Jᵀ, (cells, cells) ohm², at the slope J (cells, cells).
+        """Return the covariance of the readings, σ² + V Vᵀ + H C Hᵀ + J T Jᵀ with H = (J, E), (cells, cells).
 
-        Of each reading, of all in a frame, of the baseline, and of cells at rest; cells : added to T, of ln r.
+        The parts are the noise, errors shared within the frame, the baseline's covariance C, and the drift T of cells.
+
+        Parameters
+        ----------
+        slope : array, shape (cells, cells)
+            J.
+        cells : array, shape (cells, cells)
+            Further covariance of ln r, added to T.
         """
+        # H = (J, E); H (C + T) Hᵀ with T on the block of the cells
         both, errors = np.hstack([slope, self.offsets]), self.baseline.covariance.copy()
         errors[: len(slope), : len(slope)] += self.baseline.model_errors.resting_covariance(self.seconds, len(slope))
         errors[: len(slope), : len(slope)] += cells
@@ -319,7 +355,7 @@ class Observation:
         return np.asarray(total + np.diag(self.sigma.ravel() ** 2))
 
     def cells(self, start: Array, prior: Array) -> MostProbable:
-        """Return the most probable ln r/r0 of all cells, Gaussian with mean zero and this covariance, from a start."""
+        """Return the most probable ln r/r0 of all cells with the prior N(0, `prior`), from a start (rows, columns)."""
 
         def model(change: Array) -> tuple[Array, Array, Array]:
             network = self.baseline.network(change.reshape(self.measured.shape))
@@ -335,35 +371,40 @@ class Observation:
 
     @property
     def map(self) -> Array:
-        """ln r/r0 of every cell, (rows, columns): of independent cells with that standard deviation."""
+        """Most probable ln r/r0 of every cell, (rows, columns), for independent cells with the prior `mapped`."""
         return self._mapped.state.reshape(self.measured.shape)
 
     @cached_property
     def highest(self) -> Array:
-        """Map of ln r/r0 plus NOISE_REACH standard deviations, (rows, columns): the readings exclude more."""
+        """Map of ln r/r0 plus NOISE_REACH standard deviations, (rows, columns), an upper limit."""
         return self.map + NOISE_REACH * np.sqrt(np.diag(self._mapped.covariance)).reshape(self.measured.shape)
 
     @cached_property
     def target(self) -> Array:
-        """The readings without the most probable offsets, (cells) ohm."""
+        """The readings less the most probable offsets, (cells,), in the readout's unit."""
         return np.asarray(self.measured.ravel() - self.offsets @ self.baseline.offsets)
 
     @cached_property
     def offsets(self) -> Array:
-        """E (cells, offsets) ohm: the effect of every offset's standard deviation on the readings."""
+        """E (cells, offsets): the effect of every offset's standard deviation on the readings."""
         return self.baseline.model_errors.offsets(self.measured, self.baseline.scene)
 
     def without(self, dropped: NDArray[np.intp]) -> "Observation":
-        """Return the observation with some readings' σ so large that they no longer count."""
+        """Return the observation with σ of the readings of these numbers so large that they do not count."""
         sigma = self.sigma.copy()
         sigma.flat[dropped] *= DROPPED_FACTOR
         return replace(self, sigma=sigma)
 
 
 class Explained(NamedTuple):
-    """The change that a load explains, (rows, columns) ln r/r0.
+    """The change ln r/r0 that a load explains, with its sensitivities, (rows, columns) each.
 
-    edges, patches : by how much a shift of the load by 1 mm changes that, and patches that are larger by their edge.
+    Attributes
+    ----------
+    change : array
+        ln r/r0.
+    edges, patches : array
+        Derivatives of it by a shift of the load, 1/mm, and by ln of the patches' edge.
     """
 
     change: Array
@@ -373,26 +414,34 @@ class Explained(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """The root of a covariance, lower triangular, with the relative deviation of the film that it was made for."""
+    """Lower triangular root L of a covariance C of the readings, which whitens residuals.
+
+    Attributes
+    ----------
+    root : array, shape (readings, readings)
+        L.
+    scatter : float
+        Relative deviation of the film in C.
+    """
 
     root: Array
     scatter: float = 0.0
 
     @classmethod
     def of(cls, frame: Observation, explained: Explained, scatter: float) -> "Whitening":
-        """Return the errors about the change that a load explains; scatter : relative deviation of the cells."""
+        """Return the errors about the change that a load explains, with a relative deviation `scatter` of the cells."""
         slope = frame.slope(explained.change)
         return cls(cholesky(frame.covariance(slope, frame.baseline.film(explained, scatter)), lower=True), scatter)
 
     @classmethod
     def at_rest(cls, frame: Observation) -> "Whitening":
-        """For a panel that nothing touches."""
+        """Return the errors of an untouched panel."""
         slope = frame.slope(np.zeros(frame.measured.shape))
         return cls(cholesky(frame.covariance(slope), lower=True))
 
     @classmethod
     def coarse(cls, frame: Observation, change: Array) -> "Whitening":
-        """About ln r/r0 (rows, columns) that every cell may depart from alike."""
+        """Return the errors about ln r/r0 (rows, columns), with independent deviations of all cells by `coarse`."""
         slope, sd = frame.slope(change), frame.baseline.model_errors.coarse
         return cls(cholesky(frame.covariance(slope, sd**2 * np.eye(len(slope))), lower=True))
 
@@ -402,15 +451,22 @@ class Whitening:
         return float(np.log(np.diag(self.root)).sum())
 
     def __matmul__(self, vectors: Array) -> Array:
-        """L⁻¹·v: errors of unit variance."""
+        """Return L⁻¹ v, errors of unit variance."""
         return np.asarray(lapack.dtrtrs(self.root, vectors, lower=1)[0])
 
 
 def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
-    """Return the numbers of the readings that lie far from the prediction of all others; residual (cells) ohm.
+    """Return the numbers of the readings that deviate from their prediction by all other readings.
 
-    z_i = (C⁻¹e)_i/√(C⁻¹)_ii is the error of i as predicted from the rest, over its standard deviation. The worst one
-    is taken out before the next is looked for.
+    z_i = (C⁻¹e)_i/√(C⁻¹)_ii is the leave-one-out residual over its standard deviation. The largest one above
+    SIGNIFICANT is removed before the next is determined, OUTLIER_SHARE of the readings at most.
+
+    Parameters
+    ----------
+    whitening : Whitening
+        Root of C.
+    residual : array, shape (readings,)
+        e.
     """
     inverse = whitening @ np.eye(len(residual))
     precision = inverse.T @ inverse
@@ -421,6 +477,7 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
         if score[worst] <= SIGNIFICANT:
             break
         left[worst] = False
+        # marginalise reading w: C⁻¹ ← C⁻¹ − C⁻¹_·w C⁻¹_w·/C⁻¹_ww
         column = precision[:, worst] / precision[worst, worst]
         pull = pull - column * pull[worst]
         precision = precision - np.outer(column, precision[worst])

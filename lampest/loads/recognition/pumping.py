@@ -1,9 +1,13 @@
-"""Whether suction that decays is pumped up again: Bayesian online change-point detection (Adams, MacKay, 2007).
+"""Detection of pumps, with which a mouth restores decaying suction, by Bayesian online change-point detection.
 
-The relative suction u of an attachment decays by its leak and wanders as the film drifts. Three kinds of jump are
-compared: those of a quiet cup, rare and of either sign; of one that is disturbed, frequent and of either sign; and the
-pumps of a mouth, upwards and at intervals of 20 to 200 s (Shi et al., PLoS ONE 16, e0247884, 2021). The noise, the
-wandering and the leak are unknown and summed over. Equations are in docs/theory/recognition.md.
+The relative suction u of an attachment decays by its leak and drifts with the film,
+
+    u ← u − λ Δt + q √Δt N(0, 1) + J,   sample = u + σ N(0, 1).
+
+Three hypotheses on the jumps J are compared: those of a quiet cup, rare and of either sign; of a disturbed cup,
+frequent and of either sign; and the pumps of a mouth, upwards and at intervals of 20 to 200 s (Shi et al., PLoS ONE 16,
+e0247884, 2021). The probabilities are summed over the unknown leak λ, noise σ and drift q.
+Source: Adams & MacKay, arXiv 0710.3742, 2007; docs/theory/recognition.md.
 """
 
 from dataclasses import dataclass, replace
@@ -22,9 +26,9 @@ class Jumps(NamedTuple):
     Attributes
     ----------
     share : float
-        Probability beforehand.
+        Prior probability.
     rate_hz : float
-        Jumps a second.
+        Jumps per second.
     jump, jump_sd : float
         Mean and standard deviation of the size of a jump.
     interval_s : float
@@ -38,37 +42,45 @@ class Jumps(NamedTuple):
     interval_s: float = 0.0
 
 
-# A quiet cup, one that is disturbed, and a mouth. Pumps: at the geometric mean of 20 and 200 s, not within half of the
-# shortest published interval. Others are assumptions: a single jump must not decide, and nothing but a pump is frequent
-# and goes upwards alone.
+# A quiet cup, a disturbed cup, and a mouth. The rate of pumps is that of the geometric mean of 20 and 200 s, and their
+# shortest interval half of the shortest published one. The other numbers are assumptions: a single jump must not
+# decide, and only pumps are both frequent and upwards.
 KINDS = (
     Jumps(0.45, 1 / 200, 0.0, 0.6),
     Jumps(0.05, 1 / 30, 0.0, 0.6),
     Jumps(0.5, 1 / 63, 0.4, 0.3, interval_s=10.0),
 )
 OF_KINDS = Jumps(*np.array(KINDS).T[..., None, None, None, None])  # the same, along the first axis of GRID
-LEAKS = np.array([0.0, 0.001, 0.003, 0.01, 0.03])  # 1/s: between pumps a tenth is lost within 200 s, or half in 20 s
-NOISES = np.geomspace(0.003, 0.2, 6)  # of a sample: from quiet readings to breathing that frames are too few to show
-DRIFTS = np.array([0.0005, 0.003, 0.015])  # of u for each root of a second: creep, warmth, aliased breathing
-HYPOTHESES = 8  # times of the last jump that are remembered for each combination
-HIDDEN_SHARE = 0.2  # of mouths whose pumps do not show, for which their absence is no evidence; an assumption
-BLOCK_S = 3.0  # of frames whose median is one sample, at least: outliers and most of the breath are gone
-# ln odds below which absence counts no more, so that a mouth that rested for hours is soon recognised
+LEAKS = np.array([0.0, 0.001, 0.003, 0.01, 0.03])  # λ, 1/s: between pumps a tenth is lost in 200 s, or half in 20 s
+NOISES = np.geomspace(0.003, 0.2, 6)  # σ of a sample: from quiet readings to breathing that is aliased
+DRIFTS = np.array([0.0005, 0.003, 0.015])  # q, 1/√s: creep, temperature, aliased breathing
+HYPOTHESES = 8  # times of the last jump that are kept for each combination
+HIDDEN_SHARE = 0.2  # assumed share of mouths whose pumps are invisible, for which their absence is no evidence
+BLOCK_S = 3.0  # least duration of the frames whose median is one sample, without outliers and most of the breath
+# Lower limit of ln odds, so that a mouth that rested for hours is recognised soon after it begins to pump.
 MIN_LOG_ODDS = -5.0
 
 
 @dataclass(frozen=True, eq=False)
 class Pumping:
-    """The suction of one attachment, sample after sample.
+    """State of the change-point detection of one attachment's suction.
 
     Attributes
     ----------
-    weights : (readings), by which changes of ln y sum to the relative change of suction.
-    reference : (readings), ln y at which that is zero.
-    since_s : s, of the last sample.
-    moves : how often the attachment had moved when the weights were made.
-    logarithm : (kinds, leaks, noises, drifts, hypotheses), ln of the joint probability.
-    mean, variance, age_s : the same shape, of u given a hypothesis, and the time since its last jump.
+    weights : array, shape (readings,)
+        Weights with which changes of ln y sum to the relative change of suction.
+    reference : array, shape (readings,)
+        ln y at u = 0.
+    since_s : float
+        Time of the last sample, s.
+    moves : int
+        Number of the attachment's moves when the weights were computed.
+    logarithm : array, shape (kinds, leaks, noises, drifts, hypotheses)
+        ln of the joint probability.
+    mean, variance : array, same shape
+        Mean and variance of u given a hypothesis.
+    age_s : array, same shape
+        Time since its last jump, s.
     """
 
     weights: Array
@@ -84,22 +96,23 @@ class Pumping:
     def begin(
         cls, weights: Array, reference: Array, time: float, moves: int, before: "Pumping | None" = None
     ) -> "Pumping":
-        """Return the state before the first sample; before : of the same attachment in another place."""
+        """Return the state before the first sample; `before` is that of the same attachment in its previous place."""
         kinds = np.log(OF_KINDS.share) + np.zeros(GRID)
         known = kinds if before is None else logsumexp(before.logarithm, axis=-1, keepdims=True) + np.zeros(GRID)
         return cls(weights, reference, time, moves, known, np.zeros(GRID), np.ones(GRID), np.zeros(GRID))
 
     def after(self, logarithms: Array, time: float) -> "Pumping":
-        """Return the state after one more sample at a time in s; logarithms : (frames, readings) ln y."""
+        """Return the state after one more sample, the median of ln y (frames, readings), at a time in s."""
         sample = float(self.weights @ (np.median(logarithms, axis=0) - self.reference))
         seconds = time - self.since_s
         leak, noise, drift = LEAKS[:, None, None, None], NOISES[:, None, None], DRIFTS[:, None]
         rate = np.where(self.age_s < OF_KINDS.interval_s, KINDS[0].rate_hz / 2, OF_KINDS.rate_hz)
+        # Prediction: u decays by λ Δt, its variance grows by q² Δt; a jump occurs with probability 1 − e^(−rate Δt).
         mean = self.mean - leak * seconds
         variance = self.variance + drift**2 * seconds
         jumps = self.logarithm + np.log(-np.expm1(-rate * seconds))
         stays = self.logarithm - rate * seconds
-        # After a jump any leak may follow, from the level before it in the mean.
+        # The new hypothesis of a jump merges all leaks and all earlier hypotheses by their mean and variance.
         total = logsumexp(jumps, axis=(1, 4), keepdims=True)
         share = np.exp(jumps - total)
         middle = (share * mean).sum(axis=(1, 4), keepdims=True)
@@ -109,6 +122,7 @@ class Pumping:
             np.concatenate([np.broadcast_to(new, (*GRID[:-1], 1)), old], axis=-1)
             for new, old in zip(start, (stays, mean, variance, self.age_s + seconds), strict=True)
         )
+        # Update by the sample s ~ N(mean, variance + σ²): probability, then the Kalman step of mean and variance.
         wide = variance + noise**2
         logarithm = logarithm - 0.5 * ((sample - mean) ** 2 / wide + np.log(wide))
         best = np.argsort(-logarithm, axis=-1)[..., :HYPOTHESES]
@@ -123,7 +137,7 @@ class Pumping:
             variance=variance * (1 - variance / wide),
             age_s=age,
         )
-        # Noise, drift and leak may change: none is ever much less probable than the best.
+        # Noise, drift and leak may change, so no combination becomes much less probable than the best.
         least = updated.logarithm.max(axis=(1, 2, 3, 4), keepdims=True) - MAX_LOG_RATIO
         logarithm = np.maximum(updated.logarithm, least)
         logarithm[-1] += max(0.0, MIN_LOG_ODDS - updated._kinds)
@@ -131,13 +145,13 @@ class Pumping:
 
     @property
     def _kinds(self) -> float:
-        """ln of the odds of pumps against both other kinds."""
+        """ln odds of pumps against both other kinds."""
         kinds = logsumexp(self.logarithm, axis=(1, 2, 3, 4))
         return float(kinds[-1] - logsumexp(kinds[:-1]))
 
     @property
     def odds(self) -> float:
-        """ln of the odds that suction is pumped up, as HIDDEN_SHARE of all mouths show no pumps."""
+        """ln odds that the load is a mouth, if HIDDEN_SHARE of all mouths show no pumps."""
         return float(np.logaddexp(np.log(HIDDEN_SHARE), np.log(1 - HIDDEN_SHARE) + self._kinds))
 
 

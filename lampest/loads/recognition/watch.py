@@ -1,9 +1,10 @@
-"""Frame after frame of one panel: attachments, their times, and whether they suck and breathe.
+"""Recognition over time on one panel: attachments, their times, and whether they suck and breathe.
 
-Steps are found by a matched filter on the logarithms of all readings (Page, Biometrika 41, 1954, of one). What stands
-there between two steps is recognised after 1, 2, 4 … seconds, from the median of the latest frames against the panel
-before the load came, and goes only by a step back to that, up to what the film remembers. A step whose readings go back
-to the level before it, such as a deep breath or an outlier, was none. A bare panel at rest follows the readings.
+Steps of the readings are detected by a matched filter on their logarithms (Page, Biometrika 41, 1954, for one series).
+Between two steps the load is recognised after 1, 2, 4 … seconds, from the median of the latest frames against the panel
+before the load. A load leaves only by a step back to that panel, up to the film's residue. A step whose readings return
+to the level before it, such as a deep breath or an outlier, is cancelled. Without a load, the unloaded readings follow
+the frames.
 """
 
 from collections.abc import Callable
@@ -36,20 +37,28 @@ from lampest.loads.recognition.pumping import BLOCK_S, Pumping
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
-NEAR_PITCHES = 3.0  # pitches about its place that a load may reach: half of the widest mouth, and a cell
-FOLLOWS_S = 20.0  # in which the mean of frames follows them
-SETTLES_S = 60.0  # of drift that is expected within the unloaded frames
-MIN_CHANGE = 0.5  # of what stands there, as patterns see it: a change beyond it is another load, or one that left
+NEAR_PITCHES = 3.0  # reach of a load about its place in pitches: half of the widest mouth, and a cell
+FOLLOWS_S = 20.0  # time constant with which the mean follows the frames
+SETTLES_S = 60.0  # duration of drift that is expected within the unloaded frames
+MIN_CHANGE = 0.5  # of the present load's score: a larger change is another load, or the load has left
 UNEVENLY = "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
-FIRST_S, MIN_FRAMES = 1.0, 3  # after which something is recognised first, and at least; breathing is judged again
+FIRST_S, MIN_FRAMES = 1.0, 3  # time and least frames until the first recognition, and between judgements of breath
 
 
 @dataclass(frozen=True, eq=False)
 class Panelled:
-    """Constants while a panel is watched: scene, water in kPa, errors.
+    """Constants while a panel is watched.
 
-    common : of (rows, columns), (cells, n) a root of the covariance of errors that readings share by chance; None:
-    there are none.
+    Attributes
+    ----------
+    scene : Scene
+    detector : Detector
+    water : array, shape (rows, columns)
+        Pressure of the water, kPa.
+    errors : ModelErrors
+    common : callable or None
+        Returns a root (cells, n) of the covariance of random errors that a frame's readings share, given the readings
+        (rows, columns); None where there are none.
     """
 
     scene: Scene
@@ -59,12 +68,12 @@ class Panelled:
     common: Callable[[Array], Array] | None = None
 
     def frame(self, measured: Array, sigma: Array, baseline: Baseline, seconds: float) -> Observation:
-        """Return a mean of frames, as sure as one: films err alike in all of them."""
+        """Return the observation of a mean of frames, with the σ of one frame, because films err equally in all."""
         common = None if self.common is None else self.common(measured)
         return Observation(measured, sigma, baseline, self.water, seconds, common=common)
 
     def baseline(self, measured: Array, sigma: Array, frames: float) -> Baseline:
-        """Return the panel at rest from the mean of so many frames."""
+        """Return the baseline from the mean of `frames` unloaded frames; σ is that of one frame."""
         scale = frames**-0.5
         common = None if self.common is None else scale * self.common(measured)
         return Baseline.of(measured, scale * sigma, self.scene, self.errors, common)
@@ -72,22 +81,24 @@ class Panelled:
 
 @dataclass(frozen=True, eq=False)
 class StepTest:
-    """|t_kᵀ W δ| > OUTLIER_THRESHOLD·v_k of a change δ of ln y. A change that all cells share is free.
+    """Matched filter for steps, |t_kᵀ W δ| > OUTLIER_THRESHOLD·v_k of a change δ of ln y.
+
+    W whitens the errors of an unloaded panel; changes that all cells share have a large variance and do not count.
 
     Attributes
     ----------
-    templates : sparse array
-        (cells, discs) ln r/r0 under discs; t_k is W S of each, of unit length, S = d ln y/d ln r.
-    filter : array
-        (W S)ᵀ W (cells, cells).
-    places : array of int
-        (discs) number of the place of each.
-    near : boolean array
-        (places, places) which are near.
-    whitening : array
-        W (cells, cells).
-    loud : array
-        (discs) v_k², the mean square in frames without a load: ripple and noise that nobody specified count.
+    templates : sparse array, shape (cells, discs)
+        ln r/r0 under discs; t_k = W S · template has unit length, with S = d ln y/d ln r.
+    filter : array, shape (cells, cells)
+        (W S)ᵀ W.
+    places : integer array, shape (discs,)
+        Number of the place of each disc.
+    near : boolean array, shape (places, places)
+        Whether two places are within NEAR_PITCHES.
+    whitening : array, shape (cells, cells)
+        W.
+    loud : array, shape (discs,)
+        v_k², the mean square score in frames without a load, which includes unspecified ripple and noise.
     """
 
     templates: csc_array
@@ -99,18 +110,20 @@ class StepTest:
 
     @classmethod
     def of(cls, frame: Observation, search: DiscSearch, unloaded: Array) -> "StepTest":
-        """About a panel at rest.
+        """Return the test about a panel at rest.
 
         Parameters
         ----------
         frame : Observation
-            Its readings with the noise of one frame.
+            Unloaded readings with the noise of one frame.
+        search : DiscSearch
         unloaded : array, shape (frames, cells)
-            ln y.
+            ln y of the unloaded frames.
         """
         value, cells = frame.measured.ravel(), frame.measured.size
         slope = frame.slope(np.zeros(frame.measured.shape)) / value[:, None]
         errors = frame.baseline.model_errors
+        # C = noise + drift S Sᵀ + common changes of all cells and of all readings; W = L⁻¹ of C = L Lᵀ
         settled = errors.settled**2 * slope @ slope.T
         shared = [errors.swaying * slope.sum(axis=1, keepdims=True), errors.swaying * np.ones((cells, 1))]
         shared += [] if frame.common is None else [frame.common / value[:, None]]
@@ -124,57 +137,64 @@ class StepTest:
         near = np.hypot(x[:, None] - x, y[:, None] - y) < NEAR_PITCHES
         scores = (templates.T @ (matched @ unloaded.T)).T
         spreads = [np.mean((first - second) ** 2) / 2 for first, second in combinations(scores, 2)]
-        usual = np.quantile(spreads or [1.0], 0.25, method="lower")  # a frame with an outlier, or a touch, is in many
+        usual = np.quantile(spreads or [1.0], 0.25, method="lower")  # robust: an outlier frame is part of many pairs
         loud = np.full(len(place), max(float(usual), 1.0))
         return cls(templates, matched, place, near, whitening, loud)
 
     def scores(self, change: Array) -> Array:
-        """|t_kᵀ W δ| of a change of ln y (cells)."""
+        """Return |t_kᵀ W δ|, (discs,), of a change δ of ln y, (cells,)."""
         return np.asarray(np.abs(self.templates.T @ (self.filter @ change)))
 
     def sizes(self, change: Array) -> Array:
-        """(discs) the largest score of a change within NEAR_PITCHES of each disc."""
+        """Return the largest score of a change within NEAR_PITCHES of each disc, (discs,)."""
         largest = np.zeros(len(self.near))
         np.maximum.at(largest, self.places, self.scores(change))
         return np.asarray(np.where(self.near, largest, 0.0).max(axis=1)[self.places])
 
     def least(self) -> Array:
-        """(discs) scores beyond which something has happened."""
+        """Return the thresholds of the scores, OUTLIER_THRESHOLD·v_k, (discs,)."""
         return np.asarray(OUTLIER_THRESHOLD * np.sqrt(np.maximum(self.loud, max(1.0, float(self.loud.mean())))))
 
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """State of the recognition after a sequence of frames. Readings are logarithms, (cells).
+    """State of the recognition after a sequence of frames. Readings are ln y, (cells,); times are in s.
 
     Attributes
     ----------
-    resting, rested, rest_s
-        Readings of the panel before a load, number of frames of which they are the mean, and time of the last in s.
-    mean, begun
-        Readings of the frames since the last step, and when that was, s.
+    panelled : Panelled
+    test : StepTest
+    sigma : array, shape (rows, columns)
+        Standard deviations of one frame's readings.
+    resting, rested, rest_s : array, float, float
+        Mean readings before the load, the number of frames in that mean, and the time of the last one.
+    mean, begun : array, float
+        Mean readings since the last step, and the time of that step.
     recent : tuple of two arrays
         The last two frames.
-    window : tuple of (s, array)
-        Frames since the step, of WINDOW_S or MIN_FRAMES if that is more.
-    size, left, left_s
-        Scores of the present load (discs), of the last one that was recognised, and when, s.
-    film_sd : array, or 0
-        Standard deviation of ln r0 by the residue that earlier loads left in the film, (cells).
-    seen, verdict
-        The median frame of the last recognition since the load came, and its result.
+    film_sd : array, shape (cells,), or 0
+        Standard deviation of ln r0 by the residue of earlier loads in the film.
+    window : tuple of (float, array)
+        Times and readings of the last frames since the step: those within WINDOW_S, and at least MIN_FRAMES.
+    present : bool
+        Whether a load is on the panel.
+    size, left, left_s : array, array, float
+        Scores (discs,) of the present load and of the last recognised one, and the time of that recognition.
+    seen, verdict : Observation, Verdict or None
+        Median frame of the last recognition of the present load, and its result.
     known : bool
         Whether there was a recognition since the last step.
     next_s, breath_s, sample_s : float
-        Times of the next recognition, of the next judgement of breath and of the next sample of suction.
+        Times of the next recognition, of the next judgement of breath, and of the next sample of suction.
     judged_s : float
-        Time of the last frame in the last full window in which breath was judged.
-    uncovered_s
-        Time at which a load left that had been there before the first frame.
+        Time of the last frame of the last full window in which breath was judged.
+    uncovered_s : float or None
+        Time at which a load left that was present before the first frame.
     uneven : bool
         Whether a load may lie on the panel in the unloaded frames.
+    attachments : tuple of Attachment
     former : Watch or None
-        The load before the last step; None once another was recognised since.
+        State before the last step; None once a load was recognised since.
     """
 
     panelled: Panelled
@@ -206,18 +226,19 @@ class Watch:
 
     @classmethod
     def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "Watch":
-        """Against unloaded readings (rows, columns).
+        """Return the state before the first frame, from unloaded readings.
 
         Parameters
         ----------
-        measured : array
-            Their mean.
-        sigma : array
-            Of one frame.
+        panelled : Panelled
+        measured : array, shape (rows, columns)
+            Mean of the unloaded readings.
+        sigma : array, shape (rows, columns)
+            Standard deviations of one frame's readings.
         unloaded : array, shape (frames, rows, columns)
-            Those that are values, NaN else.
+            The unloaded readings; NaN where they are no values.
         time : float
-            s, of the last one.
+            Time of the last unloaded frame, s.
         """
         frames, sigma, resting = max(len(unloaded), 1), counting(sigma, measured), np.log(measured.ravel())
         frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames), 0.0)
@@ -228,10 +249,20 @@ class Watch:
 
     @ONE_BLAS_THREAD
     def push(self, measured: Array, sigma: Array, time: float) -> "Watch":
-        """Return the watch after a frame, all (rows, columns); a reading without a finite σ does not count."""
+        """Return the watch after a frame.
+
+        Parameters
+        ----------
+        measured, sigma : array, shape (rows, columns)
+            Readings and their standard deviations; a reading without a finite σ does not count.
+        time : float
+            s.
+        """
         watch = self.followed(measured, sigma, time)
         if not watch.present:
             return watch
+        # In this order: the load may have gone, the last step may be cancelled, loads are recognised, breath and
+        # suction judged.
         if not watch.known and watch._calm(watch._frame(watch.mean, time)):
             return watch._gone(watch.begun)
         watch = watch._resumed(watch.mean) if time >= watch.next_s else watch
@@ -242,19 +273,20 @@ class Watch:
         return watch._pumped(time) if time >= watch.sample_s else watch
 
     def followed(self, measured: Array, sigma: Array, time: float) -> "Watch":
-        """Return the watch after a frame, as `push`, but nothing is recognised."""
+        """Return the watch after a frame, as `push`, with step detection only."""
         counts = np.isfinite(sigma).ravel()
         logarithm = np.where(counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.mean)
+        # the median of three frames, so that a single wrong reading is no step
         shown = np.median([*self.recent, logarithm], axis=0)
         sigma = counting(sigma, np.exp(self.resting).reshape(sigma.shape))
         return replace(self, recent=(self.recent[-1], logarithm), sigma=sigma)._stepped(shown, logarithm, time)
 
     def ended(self) -> "Watch":
-        """Return the watch after the last frame: a load is recognised although it has just come."""
+        """Return the watch after the last frame, in which a load that has just arrived is recognised, too."""
         return self._recognised(self.window[-1][0]) if self.present and not self.known else self
 
     def touched(self, unloaded: Array) -> bool:
-        """Whether something came or left while the unloaded frames (frames, rows, columns) were taken."""
+        """Return whether a load came or left during the unloaded frames, (frames, rows, columns)."""
         medians = [np.median(np.log(unloaded[first : first + 3]), axis=0).ravel() for first in range(len(unloaded) - 2)]
         each = [np.where(np.isnan(shown), self.resting, shown) for shown in medians]
         stepped = [shown for shown in each if np.any(self.test.scores(shown - self.resting) >= self.test.least())]
@@ -263,17 +295,17 @@ class Watch:
 
     @property
     def stands_out(self) -> float:
-        """Number of standard deviations by which the last frames differ from the panel at rest."""
+        """Largest score of the last frames against the panel at rest, in standard deviations."""
         return float(np.max(self.test.scores(np.median([*self.recent, self.mean], axis=0) - self.resting)))
 
     @property
     def change(self) -> Array | None:
-        """ln r/r0 (rows, columns) of the load that was recognised last; None: none was."""
+        """ln r/r0 (rows, columns) of the last recognised load; None before any."""
         return None if self.verdict is None else self.verdict.best.change
 
     @property
     def doubt(self) -> str:
-        """Reason for which the load on the panel is not known; '' where it is."""
+        """The reason why the load on the panel is unknown, in words; '' where it is known."""
         if self.present and not self.known:
             return f"something touched the panel at {self.begun:.1f} s, and has not been still for long enough"
         if self.uncovered_s is not None:
@@ -281,11 +313,22 @@ class Watch:
         return UNEVENLY if self.uneven else ""
 
     def _stepped(self, shown: Array, logarithm: Array, time: float) -> "Watch":
-        """Return the watch with a frame among those since the last step, or the first after one."""
+        """Return the watch after a frame: a step begins a new interval, any other frame continues the present one.
+
+        Parameters
+        ----------
+        shown : array, shape (cells,)
+            Median of the last three frames.
+        logarithm : array, shape (cells,)
+            The frame.
+        time : float
+            s.
+        """
         before = self.window[-1][0] if self.window else self.begun
         scores = self.test.scores(shown - self.mean)
-        fading = self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)  # residue of the last load in the film
+        fading = self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)  # score of the fading residue of a load
         if np.any(scores >= (self._least_step if self.present else np.maximum(self.test.least(), MIN_CHANGE * fading))):
+            # A step: either back to the level before the last step, or the beginning of a new interval.
             resumed = self._resumed(shown)
             if resumed is not self:
                 return resumed._stepped(shown, logarithm, time)
@@ -295,6 +338,7 @@ class Watch:
             size = self.test.sizes(shown - self.resting)
             watch = replace(watch, next_s=before + FIRST_S, breath_s=time + MIN_WINDOW_S + 1 / MIN_RATE_HZ)
             return replace(watch, size=size, sample_s=before + BLOCK_S)
+        # No step: running mean with the time constant FOLLOWS_S; without a load the baseline and v_k² follow, too.
         share = min((time - before) / FOLLOWS_S, 1.0)
         follows = max(1 / (len(self.window) + 1), share)
         lately = sum(sample[0] > time - WINDOW_S for sample in self.window)
@@ -306,7 +350,7 @@ class Watch:
         return replace(watch, resting=watch.mean, rest_s=time, rested=max(1 / follows, self.rested), test=test)
 
     def _resumed(self, logarithm: Array) -> "Watch":
-        """Return the watch over the load before the last step, with the frames since, where readings are back there."""
+        """Return the state before the last step with the frames since, if readings have returned; else unchanged."""
         former = self.former
         if former is None or np.any(former.test.scores(logarithm - former.mean) >= former._least_step):
             return self
@@ -316,11 +360,11 @@ class Watch:
 
     @property
     def _least_step(self) -> Array:
-        """(discs) scores of a step while a load is present."""
+        """Thresholds of the scores while a load is present, (discs,)."""
         return np.maximum(self.test.least(), MIN_CHANGE * self.size)
 
     def _frame(self, logarithm: Array, time: float) -> Observation:
-        """Return readings against the panel before the load, with the film's residue of loads that left."""
+        """Return readings ln y as an observation against the panel before the load, with the film's residue in C."""
         panelled, shape = self.panelled, self.panelled.scene.panel.shape
         baseline = panelled.baseline(np.exp(self.resting).reshape(shape), self.sigma, max(self.rested, 1.0))
         frame = panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, baseline, time - self.rest_s)
@@ -329,13 +373,13 @@ class Watch:
         return replace(frame, baseline=replace(baseline, covariance=covariance))
 
     def _calm(self, frame: Observation) -> bool:
-        """Return whether nothing stands out of a frame, beyond the film's residue of an earlier load."""
+        """Return whether a frame shows no load beyond the film's residue of an earlier one."""
         return self.panelled.detector.calm(frame) is not None and self._left(frame)
 
     def _left(self, frame: Observation) -> bool:
-        """Whether cells show less of the ln r/r0 that was recognised than a film may keep; true where nothing was.
+        """Return whether a frame shows less of the recognised ln r/r0 than the film's residue; True without a load.
 
-        The change of all cells alike, of temperature, is that of the cells that were free.
+        The common change by temperature is the median over the cells that were free, and is subtracted.
         """
         if self.seen is None:
             return True
@@ -345,7 +389,7 @@ class Watch:
         return bool(np.sum((frame.map - common) * before) <= residue)
 
     def _keeps(self, frame: Observation) -> Array | float:
-        """Return `film_sd` once a step has changed the recognised load: by the decrease of each cell."""
+        """Return `film_sd` after a step of the recognised load: the residue of each cell's decrease of |ln r/r0|."""
         if self.known or self.seen is None:
             return self.film_sd
         less = np.maximum(np.abs(self._before) - np.abs(frame.map), 0.0).ravel()
@@ -353,14 +397,14 @@ class Watch:
 
     @property
     def _before(self) -> Array:
-        """ln r/r0 (rows, columns) of the load that was recognised since the last step; 0 without one."""
+        """ln r/r0 (rows, columns) of the load before the last step; 0 without one."""
         change = None if self.seen is None else self.change
         return np.zeros(self.panelled.scene.panel.shape) if change is None else change
 
     def _gone(self, time: float) -> "Watch":
-        """Return the watch once nothing is there any more.
+        """Return the watch after the load has left at a time in s.
 
-        Rest is what it is now, unless nothing had been recognised.
+        The present readings become the baseline, unless no load had been recognised.
         """
         closed = tuple(
             replace(attachment, until_s=time) if attachment.present else attachment for attachment in self.attachments
@@ -372,7 +416,8 @@ class Watch:
         return replace(watch, resting=self.mean, rest_s=time, rested=float(len(self.window)), left_s=time)
 
     def _recognised(self, time: float) -> "Watch":
-        """Return the watch with the loads that the frames of the window show."""
+        """Return the watch with the loads that are recognised from the median frame of the window."""
+        # Recognition of the median frame; the next one follows after twice the time since the step.
         again, scores = time + max(time - self.begun, FIRST_S), self.test.scores(self.mean - self.resting)
         size, clear = self.test.sizes(self.mean - self.resting), scores >= self.test.least()
         median = np.median([logarithm for _, logarithm in self.window], axis=0)
@@ -380,8 +425,9 @@ class Watch:
         verdict = self.panelled.detector.verdict(frame, self.verdict if self.known else None)
         change, before = verdict.best.change, self._before
         least = NOISE_REACH * self.panelled.errors.residue * np.sum(change * before)
-        memory = not self.known and np.sum(change**2) < least  # of a load where it was
-        if memory or verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing):  # some steps are noise
+        # No load, or only the residue of the former one: the load has left, unless its cells still show it.
+        memory = not self.known and np.sum(change**2) < least  # the film's residue in the cells of the former load
+        if memory or verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing):  # odds: some steps are noise
             if self._left(frame) and not (self.known and np.any(clear)):
                 return self._gone(time if self.known else self.begun)
             return replace(self, known=True, next_s=again, former=None)
@@ -393,9 +439,9 @@ class Watch:
         return replace(watch, left=size, left_s=time, size=size, next_s=again, attachments=every)
 
     def _uncovered(self, verdict: Verdict, median: Array, time: float) -> bool:
-        """Return whether the load that came is rather one that left the unloaded panel.
+        """Return whether the step is rather a load that left the panel, present since before the first frame.
 
-        It explains the frames better backwards.
+        It is tested by exchanging the roles of the unloaded and the present readings, and comparing the evidence.
         """
         field = max(fit.evidence for fit in verdict.fits if fit.candidate is FIELD)
         if field < verdict.best.evidence - IMPOSSIBLE:
@@ -405,15 +451,15 @@ class Watch:
         return backwards.evidence > verdict.evidence + RARE_LOG_ODDS
 
     def _breathed(self, time: float) -> "Watch":
-        """Return the watch with the breath that the frames since the last full window show.
+        """Return the watch with the breath by the frames since the last full window, judged until they fill a window.
 
-        They are judged anew until they fill a window. The last frame may be the first of a release, which the next one
-        will show.
+        The last frame is left out, because it may be the first one of a release.
         """
         assert self.seen is not None and self.verdict is not None
         settled = [frame for frame in self.window[:-1] if frame[0] > self.judged_s]
         times, logarithms = np.array([at for at, _ in settled]), np.array([logarithm for _, logarithm in settled])
         lasted = float(times[-1] - times[0])
+        # complete if it lasts WINDOW_S but for 2.5 mean steps
         full = lasted > WINDOW_S - 2.5 * lasted / max(len(times) - 1, 1)
         attachments, fit, detector = list(self.attachments), self.verdict.best, self.panelled.detector
         for place, breath in breaths(times, logarithms, self.seen, fit, self.test.whitening, detector):
@@ -426,7 +472,10 @@ class Watch:
         return replace(self, attachments=tuple(attachments), judged_s=judged_s, breath_s=breath_s)
 
     def _pumped(self, time: float) -> "Watch":
-        """Return the watch with one more sample of all suction, from the last BLOCK_S, of MIN_FRAMES at least."""
+        """Return the watch with one more sample of each suction, from the frames of the last BLOCK_S.
+
+        With fewer than MIN_FRAMES frames the sample waits.
+        """
         assert self.seen is not None and self.verdict is not None
         block = np.array([logarithm for at, logarithm in self.window if at > self.sample_s - BLOCK_S])
         if len(block) < MIN_FRAMES:

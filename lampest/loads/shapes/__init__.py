@@ -1,4 +1,4 @@
-"""Shapes of loads on the panel. To add a shape: write its class, name it in `AnyShape`."""
+"""Shapes of loads on the panel. To add one, write its class and add it to `AnyShape`."""
 
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,5 +17,5 @@ else:
 
 
 def shape_types() -> tuple[type[Shape], ...]:
-    """Return every member of the union, in its order; those of installed packages are simulated, and not recognised."""
+    """Return the members of the union in its order, without shapes of installed packages, which are only simulated."""
     return shipped(AnyShape)

@@ -1,7 +1,7 @@
-"""A disc, of which all round loads are made; its pressure at points, and its mean on patches with derivatives.
+"""The disc, from which all round loads are made: its pressure at points, and its mean on patches with derivatives.
 
-On patches it may be stretched and press in lobes, with soft edges: the mean over points, each weighed by its distance
-from an edge. A stretched circle has no closed form on squares.
+On patches the disc may be elongated and press unevenly along its rim. The mean is taken over points, with soft edges,
+because an elongated circle on squares has no closed form.
 """
 
 from math import pi
@@ -12,13 +12,13 @@ import numpy as np
 from lampest.loads.pressure import GRAVITY
 from lampest.panel.panel import Array
 
-# Along either edge of a patch: 1.2 mm on a patch of 6 mm. Edges are soft over twice the distance of two points, as real
-# ones are.
+# Points along either edge of a patch, 1.2 mm apart on a patch of 6 mm. Edges of the disc are soft over twice this
+# distance, as real ones are.
 POINTS = 5
 
 
 class Disc(NamedTuple):
-    """Numbers of a disc: mm and kPa; tilt is the relative change of p from the centre to the edge."""
+    """Numbers of a disc, in mm and kPa; a tilt is the relative change of the rim's pressure from centre to edge."""
 
     x_mm: float
     y_mm: float
@@ -30,21 +30,21 @@ class Disc(NamedTuple):
     tilt_y: float
 
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Contact pressure without tilt and suction, kPa, at points x, y mm from the centre; all one shape."""
+        """Return the contact pressure without tilt, and the suction, kPa, at points x, y mm from the centre."""
         radius = np.hypot(x, y)
         inside = radius < self.inner_mm / 2
         return ((radius < self.diameter_mm / 2) & ~inside) * self.rim_kpa, inside * self.suction_kpa
 
 
 class Unevenness(NamedTuple):
-    """Departures of a load from a disc; all relative.
+    """Relative departures of a load from a disc.
 
     Attributes
     ----------
     along, across : float
-        Its long axis is longer by this in log, its short one shorter: along the rows, and 45° from it.
+        Elongation: ln of the long axis over the mean diameter, along the rows, and 45° from them.
     lobe_along, lobe_across : float
-        Amplitude of the rim's pressure by cos 2θ and sin 2θ.
+        Relative amplitudes of the rim's pressure by cos 2θ and sin 2θ.
     """
 
     along: float = 0.0
@@ -57,7 +57,24 @@ EVEN = Unevenness()
 
 
 def pressure_at_places(places: Array, patch_mm: float, disc: Disc, form: Unevenness = EVEN) -> tuple[Array, Array]:
-    """(…) kPa mean on patches at (2, …) mm, NaN: none; and (12, …) its slopes by the numbers of `disc` and `form`."""
+    """Return the mean pressure on patches, and its derivatives by the numbers of `disc` and `form`.
+
+    Parameters
+    ----------
+    places : array, shape (2, …)
+        x and y of the patches' centres, mm; NaN where there is none.
+    patch_mm : float
+        Edge of a patch.
+    disc : Disc
+    form : Unevenness
+
+    Returns
+    -------
+    array, shape (…)
+        kPa.
+    array, shape (12, …)
+        Derivatives.
+    """
     soft = patch_mm / POINTS
     reach = disc.diameter_mm / 2 * (1 + abs(form.along) + abs(form.across)) + patch_mm / 2 + soft
     means = np.zeros((13, *places.shape[1:]))
@@ -71,22 +88,36 @@ def pressure_at_places(places: Array, patch_mm: float, disc: Disc, form: Unevenn
 
 
 def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) -> Array:
-    """(13, cells) mean over points (cells, points) mm from the centre of the pressure and its slopes."""
+    """Return the mean over points of the pressure and of its derivatives, (13, cells).
+
+    Parameters
+    ----------
+    x, y : array, shape (cells, points)
+        mm from the centre.
+    disc : Disc
+    form : Unevenness
+    soft : float
+        Half the width of soft edges, mm.
+    """
     outer, press, (tilt_x, tilt_y) = disc.diameter_mm / 2, disc.rim_kpa, disc[-2:]
     along, stretched, lobe_along, lobe_across = form
+    # Coordinates in which the elongated disc is round: (u, v) = ((1 − a) x − s y, (1 + a) y − s x).
     u, v = (1 - along) * x - stretched * y, (1 + along) * y - stretched * x
     square = np.maximum(u * u + v * v, 1e-6)
     radius = np.sqrt(square)
     edges = np.array([outer, disc.inner_mm / 2])
+    # p = rim_kpa · (whole − hole) · (1 + tilt·(u, v)/R + lobes) + suction · hole, with soft indicators of disc and hole
     (whole, hole), (whole_slope, hole_slope) = _inside(radius - edges[:, None, None], soft)
     if not disc.inner_mm:
         hole = hole_slope = np.zeros_like(radius)
     rim, twice, cross = whole - hole, (u * u - v * v) / square, 2 * u * v / square  # cos 2θ and sin 2θ
     level = 1 + (tilt_x / outer) * u + (tilt_y / outer) * v + lobe_along * twice + lobe_across * cross
+    # ∂p/∂u and ∂p/∂v by the chain rule: radially, by the tilt, and by the angle of the lobes
     outward = (press * level * (whole_slope - hole_slope) + disc.suction_kpa * hole_slope) / radius
     turned = (2 * press) * rim * (lobe_across * twice - lobe_along * cross) / square
     by_u = outward * u + (press * tilt_x / outer) * rim - turned * v
     by_v = outward * v + (press * tilt_y / outer) * rim + turned * u
+    # Means over the points; the derivatives are linear combinations of them.
     every = [rim * level, hole, by_u, by_v, level * whole_slope, level * hole_slope, hole_slope, rim * u, rim * v]
     every += [by_v * y - by_u * x, by_u * y + by_v * x, rim * twice, rim * cross]
     means = np.array(every) @ np.full(x.shape[1], 1 / x.shape[1])
@@ -112,25 +143,25 @@ def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) ->
 
 
 def _inside(beyond: Array, soft: float) -> tuple[Array, Array]:
-    """1 where −`beyond` is above `soft`, 0 where it is below −`soft`, ½ − ¾t + ¼t³ between; and its slope."""
+    """Return a soft indicator and its derivative: ½ − ¾t + ¼t³ with t = beyond/soft clipped to ±1."""
     t = np.minimum(np.maximum(beyond * (1 / soft), -1.0), 1.0)
     square = t * t
     return 0.5 + t * (0.25 * square - 0.75), (square - 1) * (0.75 / soft)
 
 
 def annulus_mm2(inner_mm: float, outer_mm: float) -> float:
-    """π (d² − d_i²)/4 in mm². Raises ValueError where it is empty."""
+    """Return the area π (d² − d_i²)/4 in mm². Raises ValueError where it is empty."""
     if not 0 <= inner_mm < outer_mm:
         raise ValueError("the inner diameter must be smaller than the outer one")
     return pi * (outer_mm * outer_mm - inner_mm * inner_mm) / 4
 
 
 def contact_of_weight(mass_g: float, area_mm2: float) -> float:
-    """m·g/A in kPa (mN/mm²); infinite on edges too small for their product."""
+    """Return the pressure m·g/A in kPa (mN/mm²); infinite if the area underflows to 0."""
     return mass_g * GRAVITY / area_mm2 if area_mm2 else float("inf")
 
 
 def bearing_kpa(suction_kpa: float, inner_mm: float, outer_mm: float) -> float:
-    """p_bear = −s·d_i²/(d² − d_i²): the rim's pressure that bears the suction. Raises ValueError without a rim."""
+    """Return the pressure of the rim that bears the suction, −s·d_i²/(d² − d_i²). Raises ValueError without a rim."""
     rim_mm2 = annulus_mm2(inner_mm, outer_mm)
     return -suction_kpa * annulus_mm2(0, inner_mm) / rim_mm2 if rim_mm2 else float("inf")

@@ -1,4 +1,4 @@
-"""The shapes that simulation knows, and how recognition fits the round ones: by the disc that they are."""
+"""Shapes of simulation, and the model of round shapes that recognition fits."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -23,31 +23,30 @@ from lampest.loads.shapes.shape import Candidate, Prior, Shape, Template, centre
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import VACUUM_KPA
 
-CLOSED = 0.05  # d_i/d where the rim would leave no inside
+CLOSED = 0.05  # rounding of d_i/d at 0, so that it stays positive for any width of the rim
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RoundCandidate(Candidate):
-    """A disc described by φ: x, y and tilts themselves, other numbers by their logarithms.
+    """A disc with the parameters φ: x, y and tilts directly, all other numbers by their logarithms.
 
     Attributes
     ----------
     diameter : Prior
-        Assumption: 95 % of diameters are within 15 and 60 mm.
+        Assumption: 95 % of diameters are between 15 and 60 mm.
     width : Prior or None
-        Width of the rim; None: the disc is full.
+        Width of the rim; None for a full disc.
     suction : Prior or None
-        None: there is none.
+        Suction inside the rim; None for none.
     rim, push : Prior or None
-        Pressure under the rim, or that by which it is above p_bear; one of them.
+        Pressure under the rim, or its excess over p_bear; one of the two.
     tilt : Prior
         Assumption: 95 % of tilts along each axis are below a half.
     uneven : tuple of float
-        Standard deviations of the numbers of `Unevenness`, which come last. Assumption: what is made stands as round as
-        a lathe leaves it, within 8 %, and presses within ±16 % along its rim.
+        Standard deviations of the numbers of `Unevenness`, the last of φ. Assumption: manufactured objects are round
+        within 8 %, and press evenly within ±16 % along the rim.
     edge_mm : float
-        By which both edges may seem to lie beside their places. Assumption: films are cut to a millimetre and rims are
-        rounded.
+        Common error of the places of both edges. Assumption: films are cut to a millimetre, and rims are rounded.
     """
 
     diameter: Prior = Prior(log(30), 0.35, step=0.2)
@@ -61,7 +60,7 @@ class RoundCandidate(Candidate):
 
     @cached_property
     def numbers(self) -> Mapping[str, Prior]:
-        """Priors of the numbers beside the centre and the unevenness, in order."""
+        """Priors of all numbers but the centre and the unevenness, in the order of φ."""
         named = {name: getattr(self, name) for name in ("diameter", "width", "suction", "rim", "push")}
         named |= {"tilt_x": self.tilt, "tilt_y": self.tilt}
         return {name: prior for name, prior in named.items() if prior is not None}
@@ -86,30 +85,31 @@ class RoundCandidate(Candidate):
         return Disc(*self._numbers(parameters).tolist())
 
     def disc_with_slopes(self, parameters: Array) -> tuple[Disc, Array]:
-        """Return the disc of φ, and its derivatives (8, parameters) by complex steps.
+        """Return the disc of φ, and its derivatives (8, parameters) by complex steps, Im f(φ + ih)/h.
 
         Source: Squire, Trapp, SIAM Review 40, 110 (1998).
         """
-        step = np.finfo(float).eps ** 2  # slopes have all digits, since nothing is subtracted
+        step = np.finfo(float).eps ** 2  # derivatives have full precision, because nothing is subtracted
         numbers = self._numbers(parameters[:, None] + 1j * step * np.eye(len(parameters)))
         return Disc(*numbers[:, 0].real.tolist()), numbers.imag / step
 
     def _numbers(self, parameters: Array) -> Array:
-        """Numbers of the disc (8, …) of φ (parameters, …), real or complex."""
+        """Return the numbers of the disc, (8, …), of φ (parameters, …), real or complex."""
         at = dict(zip(self._places, parameters, strict=True))
         diameter = np.exp(at["diameter"])
         share = suction = np.zeros_like(diameter)
-        if self.width is not None:  # d_i/d is 1 − 2w/d, but never quite zero
+        if self.width is not None:  # d_i/d = 1 − 2w/d, smoothly limited to positive values
             hollow = 1 - 2 * np.exp(at["width"]) / diameter
             share = (hollow + np.sqrt(hollow**2 + CLOSED**2)) / 2
         if self.suction is not None:
             suction = -np.exp(at["suction"])
+        # p_bear = −s d_i²/(d² − d_i²)
         bearing = -suction * share**2 / (1 - share**2)
         rim = np.exp(at["rim"]) if self.push is None else bearing + np.exp(at["push"])
         return np.stack([at["x"], at["y"], diameter, share * diameter, suction, rim, at["tilt_x"], at["tilt_y"]])
 
     def start(self, disc: Disc) -> Array:
-        """Return φ of a disc as far as this kind has it; missing numbers are small, and a full disc presses as hard."""
+        """Return φ of a disc; numbers that the disc lacks are small, and a full disc has the same force."""
         width, bearing, mean = 0.0 if self.width is None else exp(self.width.mean), 0.0, disc.rim_kpa
         if disc.inner_mm:
             hole = (disc.inner_mm / disc.diameter_mm) ** 2
@@ -129,14 +129,14 @@ class RoundCandidate(Candidate):
         return np.array([disc.x_mm, disc.y_mm, *others, *EVEN])
 
     def like(self, other: Candidate, parameters: Array) -> Array | None:
-        """Return that of the disc, as uneven where the other is round, too."""
+        """Return φ of the other kind's disc, with its unevenness if it is round, too."""
         begin = super().like(other, parameters)
         if begin is not None and isinstance(other, RoundCandidate):
             begin[-len(EVEN) :] = parameters[-len(EVEN) :]
         return begin
 
     def blind(self, parameters: Array) -> Array:
-        """Return that of the diameter: edge_mm/d in its logarithm."""
+        """Return the standard deviation that readings cannot reduce: edge_mm/d of ln d, 0 of all others."""
         unseen, place = np.zeros(len(parameters)), self._places["diameter"]
         unseen[place] = self.edge_mm / exp(parameters[place])
         return unseen
@@ -149,11 +149,11 @@ class RoundCandidate(Candidate):
 
 @dataclass(frozen=True, kw_only=True)
 class RoundShape(Shape):
-    """A shape that is a disc: its pressure follows from `disc`."""
+    """A shape whose pressure is that of a disc."""
 
     @abstractmethod
     def disc(self) -> Disc:
-        """Return the disc. Raises ValueError where the shape's numbers make none."""
+        """Return the disc. Raises ValueError where the shape's numbers are inconsistent."""
 
     @property
     def reach_mm(self) -> float:
@@ -231,7 +231,7 @@ class Ring(RoundShape):
 class SuctionCup(RoundShape):
     """p = pressure_kpa < 0 inside d_i, against the surroundings; p_rim = −p·d_i²/(d² − d_i²) under the rim bears it.
 
-    Of one frame a cup cannot be told from a mouth: recognition fits both as an oral disc.
+    A single frame does not distinguish a cup from a mouth: recognition fits both as an oral disc.
 
     Example: {kind: suction_cup, centre_mm: [45, 45], inner_diameter_mm: 27, outer_diameter_mm: 35, pressure_kpa: -10}
 
@@ -252,18 +252,18 @@ class SuctionCup(RoundShape):
 
 @dataclass(frozen=True, kw_only=True)
 class OralDisc(RoundShape):
-    """Suction p in a lamprey's mouth and a soft rim that presses.
+    """Suction p in a lamprey's mouth, with a soft rim that presses.
 
-    Recognition lets it be long and uneven, and press harder than its suction needs.
+    In recognition it may be elongated and uneven, and press harder than its suction requires.
 
-    diameter_mm : of the mouth over the rim; of an elongated one the geometric mean of both axes.
+    diameter_mm : outer diameter of the rim; for an elongated mouth the geometric mean of both axes.
     pressure_kpa : suction against the surroundings, negative.
-    rim_kpa : mean contact pressure under the rim; None: that which bears the suction, p_rim·A_rim = −p·A_inside, and
-        `extra_rim_kpa`.
-    extra_rim_kpa : by which the rim presses harder than its suction needs.
+    rim_kpa : mean contact pressure under the rim; None: the pressure that bears the suction, p_rim·A_rim = −p·A_inside,
+        and `extra_rim_kpa`.
+    extra_rim_kpa : excess of the rim's pressure over that which bears the suction.
     elongation : long axis over the short one. elongation_deg : direction of the long axis; 0 towards higher columns.
-    unevenness : relative amplitude of the rim's pressure along the rim, 0 to 1; its mean stays. lobes : so many times
-        around it presses hardest. unevenness_deg : direction of one of these, before the mouth was elongated.
+    unevenness : relative amplitude of the rim's pressure along the rim, 0 to 1; the mean is unchanged. lobes : number
+        of maxima along the rim. unevenness_deg : direction of one maximum, before the elongation.
 
     Source: suction is uniform over the mouth, -0.6 to -26 kPa at rest: Shi et al., PLoS ONE 16, e0247884, 2021.
     Example: {kind: oral_disc, centre_mm: [45, 45], diameter_mm: 35, rim_width_mm: 6, pressure_kpa: -12, rim_kpa: 90}
@@ -275,12 +275,12 @@ class OralDisc(RoundShape):
     candidate: ClassVar[RoundCandidate] = RoundCandidate(
         label="lamprey or cup",
         sucks=True,
-        # A suction that shows as clearly as the rim.
+        # Templates in which the suction changes cells as much as the rim does.
         templates=(Template(45.0, 32.0, 1.0), Template(34.0, 22.0, 1.0), Template(24.0, 12.0, 1.0)),
         # Assumptions: 95 % of rims are 3 to 10 mm wide (mouths have 4 to 7 mm, the paper's suction cup 4). They press
-        # with 0.02 to 110 kPa more than their suction needs: nearly nothing under a soft mouth, 80 kPa where bending
-        # under rim and teeth is taken in. Suctions: 1.8 to 35 kPa. 95 % of mouths have axes within a ratio of 1.22 and
-        # press within ±34 % along themselves. A soft rim has more lobes than are fitted.
+        # with 0.02 to 110 kPa more than their suction requires: nearly nothing under a soft mouth, 80 kPa if bending
+        # under rim and teeth is included. 95 % of suctions are 1.8 to 35 kPa. 95 % of mouths have axes within a ratio
+        # of 1.22 and press evenly within ±34 % along the rim. A soft rim has more lobes than are fitted.
         width=Prior(log(5.5), 0.3),
         suction=Prior(log(8), 0.75),
         push=Prior(log(1.5), 2.2, step=2.0),
@@ -305,7 +305,10 @@ class OralDisc(RoundShape):
         return self.diameter_mm * sqrt(self.elongation) / 2
 
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Suction inside, and the pressure of the rim: those of a round mouth, elongated."""
+        """Return the contact pressure of the rim, and the suction inside, of the elongated mouth.
+
+        Points are mapped to the round mouth of equal area, and the rim's pressure is multiplied by its unevenness.
+        """
         round_one = self.disc()
         turn, stretch = radians(self.elongation_deg), sqrt(self.elongation)
         along, across = (x * cos(turn) + y * sin(turn)) / stretch, (y * cos(turn) - x * sin(turn)) * stretch
@@ -314,7 +317,7 @@ class OralDisc(RoundShape):
         return contact * (1 + self.unevenness * np.cos(self.lobes * around)), suction
 
     def disc(self) -> Disc:
-        """Return the round one of the same area whose rim presses evenly, as hard in the mean."""
+        """Return the round disc of equal area and equal mean pressure, without unevenness."""
         if not 0 < 2 * self.rim_width_mm < self.diameter_mm:
             raise ValueError("rim_width_mm must be positive and below half the diameter")
         check_range("elongation", self.elongation, 1, 10)

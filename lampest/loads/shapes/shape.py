@@ -1,4 +1,4 @@
-"""A shape: its pressure at a point for simulation, and its parameters with priors for recognition."""
+"""Base classes of shapes: the pressure at a point for simulation, and parameters with priors for recognition."""
 
 import dataclasses
 from abc import ABC, abstractmethod
@@ -12,20 +12,20 @@ from lampest.files.typed import Configuration, check_positive_fields, check_rang
 from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Array, Panel
 
-POINTS = 8  # along either edge of a patch; an edge of a footprint is then off by a sixteenth of it at most
+POINTS = 8  # along either edge of a patch: the error of a footprint's edge is at most a sixteenth of the patch
 
 
 class Prior(NamedTuple):
-    """A parameter before anything is measured.
+    """Gaussian prior of a parameter.
 
     Attributes
     ----------
     mean, sd : float
         Mean and standard deviation.
     step : float
-        Longest step of Gauss-Newton.
+        Longest Gauss-Newton step.
     sway : float
-        Standard deviation by which the whole load may swing in it.
+        Standard deviation of periodic movements of the whole load in this parameter.
     """
 
     mean: float
@@ -35,14 +35,16 @@ class Prior(NamedTuple):
 
 
 class Template(NamedTuple):
-    """A disc that is laid over a map of the cells, where a search begins; inner_mm is 0 where it is full.
+    """A disc that is compared with the map of the cells at all places, to find starts of fits.
 
     Attributes
     ----------
+    outer_mm, inner_mm : float
+        Diameters; `inner_mm` is 0 for a full disc.
     inside : float
-        Effect of the inside on ln r, 0 for none, 1 for as much as the rim the other way.
+        Effect of the inside on ln r: 0 for none, 1 for the opposite of the rim's.
     faint : bool
-        Whether it is looked for in the noise of a panel at rest too.
+        Whether the template is also used to detect that something stands out of a panel at rest.
     """
 
     outer_mm: float
@@ -53,16 +55,16 @@ class Template(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Candidate(ABC):
-    """Candidate shape of recognition: parameters φ without bounds, their priors and the pressure they mean.
+    """Candidate shape of recognition: unbounded parameters φ, their priors, and the pressure as a function of φ.
 
     Attributes
     ----------
     label : str
-        Its name in tables, files and pictures.
+        Name in tables, files and pictures.
     sucks : bool
-        Whether it is attached, and not only touching.
+        Whether the shape is attached by suction.
     templates : tuple of Template
-        Patterns that the search lays over the panel for it, starts of all kinds.
+        Templates of the search for starts of its fits.
     """
 
     label: str
@@ -71,35 +73,38 @@ class Candidate(ABC):
 
     @abstractmethod
     def priors(self, panel: Panel) -> Mapping[str, Prior]:
-        """Independent Gaussian priors by the parameters' names, in the order of φ."""
+        """Return the independent priors by the parameters' names, in the order of φ."""
 
     @abstractmethod
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
-        """Mean pressure on every patch, (rows, columns) kPa, and its derivatives by φ (parameters, rows, columns)."""
+        """Return the mean pressure on every patch and its derivatives by φ.
+
+        The shapes are (rows, columns) kPa and (parameters, rows, columns).
+        """
 
     @abstractmethod
     def start(self, disc: Disc) -> Array:
-        """φ where a fit begins that a disc suggests, (parameters)."""
+        """Return the start of a fit from a disc: φ, (parameters,)."""
 
     def disc(self, parameters: Array) -> Disc | None:
-        """Return the disc that is most like it, from which other kinds may start; None: there is none."""
+        """Return the most similar disc, from which fits of other kinds may start; None where there is none."""
         return None
 
     def like(self, other: "Candidate", parameters: Array) -> Array | None:
-        """φ where a fit begins that another kind's φ suggests, (parameters); None where that is like no disc."""
+        """Return the start of a fit from another kind's φ: φ, (parameters,); None if the other is like no disc."""
         disc = other.disc(parameters)
         return None if disc is None else self.start(disc)
 
     def loads(self, parameters: Array) -> list[tuple["Candidate", Array]]:
-        """Return each of its loads with its own φ."""
+        """Return every single load of the candidate with its own φ."""
         return [(self, parameters)]
 
     def report(self, parameters: Array) -> dict[str, tuple[float, Array]]:
-        """Return value and slopes by φ of the quantities `x_mm`, `y_mm`, `diameter_mm` and `suction_kpa`, by name."""
+        """Return the values and derivatives by φ of reported quantities, such as `x_mm` and `diameter_mm`, by name."""
         return {}
 
     def blind(self, parameters: Array) -> Array:
-        """Return the standard deviation of φ that no reading reduces, (parameters): all patches may be off alike."""
+        """Return the standard deviation of φ that readings cannot reduce, (parameters,): all patches may share it."""
         return np.zeros(len(parameters))
 
     def mean(self, panel: Panel) -> Array:
@@ -110,7 +115,10 @@ class Candidate(ABC):
 
 
 def centre_priors(panel: Panel) -> dict[str, Prior]:
-    """x and y in mm of a centre that is uniform over the panel; half a pitch a step, and a sway of 1 mm."""
+    """Return the priors of x and y of a centre, mm.
+
+    They have the mean and variance of a uniform distribution over the panel, steps of half a pitch, and a sway of 1 mm.
+    """
     pitch, extents = panel.pitch_mm, zip("xy", panel.extents_mm, strict=True)
     return {
         name: Prior((least + most) / 2, (most - least + pitch) / 12**0.5, pitch / 2, sway=1.0)
@@ -122,13 +130,14 @@ def centre_priors(panel: Panel) -> dict[str, Prior]:
 class Shape(Configuration):
     """A load somewhere on the panel, of any footprint.
 
-    A subclass adds its numbers and `kind`, and has `reach_mm` and `pressure_at`; simulation needs no more. `candidate`
-    is how recognition fits it, None: it is only simulated. `positive` names the numbers that must be above zero.
+    A subclass adds its numbers and `kind`, and implements `reach_mm` and `pressure_at`, which suffice for simulation.
+    `candidate` is the model that recognition fits, None for shapes that are only simulated. `positive` names the
+    numbers that must be positive.
 
     centre_mm : (x, y) of the centre; cells lie at their places, of a full rectangle at x = k·pitch and y = j·pitch.
-    tilt : relative change of the contact pressure from the centre to its reach, 0 to 1; the mean stays where the
-        contact is symmetrical about the centre. tilt_direction_deg : where it is strongest; 0 towards higher columns,
-        90 towards higher rows.
+    tilt : relative change of the contact pressure from the centre to its reach, 0 to 1; the mean is unchanged where the
+        contact is symmetric about the centre. tilt_direction_deg : direction of the highest pressure; 0 towards higher
+        columns, 90 towards higher rows.
 
     >>> issubclass(lampest.Rod, lampest.Shape)
     True
@@ -147,24 +156,25 @@ class Shape(Configuration):
             if isinstance(value, float | tuple) and not np.isfinite(value).all():
                 raise ValueError(f"{field.name} must be finite")
         check_range("tilt", self.tilt, 0, 1)
-        # Numbers that make no pressure together are refused now, and not where the shape is used.
+        # Inconsistent numbers are refused at construction, and not where the shape is used.
         if not np.isfinite(self.pressure_at(np.zeros(1), np.zeros(1))).all():
             raise ValueError("the contact pressure must be finite")
 
     @property
     @abstractmethod
     def reach_mm(self) -> float:
-        """The largest distance of the footprint from the centre in mm."""
+        """Largest distance of the footprint from the centre, mm."""
 
     @abstractmethod
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Contact pressure ≥ 0 without tilt and suction ≤ 0, kPa, at points x, y mm from the centre; all one shape."""
+        """Return the contact pressure ≥ 0 without tilt, and the suction ≤ 0, kPa, at points x, y mm from the centre."""
 
     def mean_pressure(self, panel: Panel, patch_mm: float) -> tuple[Array, Array]:
-        """Mean contact pressure and mean suction over square patches of edge `patch_mm`, both (rows, columns) kPa."""
+        """Return the mean contact pressure and suction over square patches of edge `patch_mm`, (rows, columns) kPa."""
         offset = ((np.arange(POINTS) + 0.5) / POINTS - 0.5) * patch_mm
         across, down = np.where(panel.present, panel.places_mm, 0.0)[:, :, None, :, None]
         blocks = (panel.rows, POINTS, panel.columns, POINTS)
+        # points of all patches, (rows, POINTS, columns, POINTS) mm from the centre
         x = np.broadcast_to(across + offset - self.centre_mm[0], blocks)
         y = np.broadcast_to(down + offset[:, None, None] - self.centre_mm[1], blocks)
         contact, suction = self.pressure_at(x, y)

@@ -1,1 +1,1 @@
-"""Recognition over a recording: what its results show frame by frame, and the events that follow."""
+"""Recognition of loads in recordings: attachments, events, and figures of pressed cells."""

@@ -1,4 +1,4 @@
-"""Answer to a recording: one sentence, its attachments and events; as a table, as JSON and as a file."""
+"""Answer of `lampest detect`: a sentence, attachments and events; as a table, as JSON and as a file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from lampest.report.compare import MAX_SHOWN, Table
 FORMAT, FILE = "detections/2", "detections.h5"
 ANSWERS = ("lamprey", "sucks", "suction cup", "presses", "nothing", "cannot say")
 LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
-# Probability that a panel is bare on which nothing stepped: weak loads make no step; an assumption.
+# Assumed probability that a panel without any step is bare: weak loads cause no step.
 BARE_PROBABILITY = 0.99
-MIN_PROBABILITY = 0.9  # from which on an attachment is called lamprey, or suction cup
+MIN_PROBABILITY = 0.9  # from which an attachment is called a lamprey, or a suction cup
 PAIRS = {
     "x_mm": ("mm", "centre across the columns, column 0 at 0"),
     "y_mm": ("mm", "centre across the rows, row 0 at 0"),
@@ -43,14 +43,15 @@ NUMBERS = {
 
 @dataclass(frozen=True)
 class Event:
-    """Something that changed.
+    """An event of an attachment.
 
     Attributes
     ----------
     kind : str
-        Touched, attached (it sucks), moved or released.
+        'touched', 'attached' (it sucks), 'moved' or 'released'.
+    time_s : float
     number : int
-        Of the attachment.
+        Number of the attachment.
     """
 
     kind: str
@@ -64,24 +65,26 @@ class Detected:
 
     Attributes
     ----------
+    recording : str
+        Name of the recording.
     answer : str
         One of ANSWERS.
     probability : float
-        Of it.
+        Probability of the answer.
     why : str
-        Why nothing more can be said, a sentence, or ''.
+        Reason why the answer is no more specific, in a sentence, or ''.
+    frames_per_second : float or None
     notes : tuple of str
         Assumptions and inputs.
-    warnings : tuple of str
-        What speaks against the recording, a line each.
     attachments : tuple of Attachment
-        Loads in the order in which they came.
-    course : array or None
-        (2, frames) s and by how many standard deviations the readings stand out.
-    change : array, shape (rows, columns) or None
-        ln r/r0 when something was recognised last, or None.
+        Loads in the order of their arrival.
+    course : array, shape (2, frames), or None
+        Times in s, and the deviation of the readings from rest in standard deviations.
+    change : array, shape (rows, columns), or None
+        ln r/r0 at the last recognition.
     panel : Panel or None
-        Its cells.
+    warnings : tuple of str
+        Doubts about the recording, a line each.
     """
 
     recording: str
@@ -107,9 +110,16 @@ class Detected:
         change: Array | None = None,
         panel: Panel | None = None,
     ) -> "Detected":
-        """Return the most alarming of all attachments: of these those still present, of these the last.
+        """Return the answer by the most alarming attachment, among equals by a present one, then by the last one.
 
-        rate : frames a second.
+        Parameters
+        ----------
+        recording : str
+        attachments : sequence of Attachment
+        rate : float
+            Frames per second.
+        notes, course, change, panel
+            As the attributes.
         """
         loads = [*filter(lambda load: load.present, reversed(attachments)), *reversed(attachments)]
         called = [answer_of(load, rate) for load in loads]
@@ -118,24 +128,24 @@ class Detected:
 
     @classmethod
     def unknown(cls, recording: str, why: str) -> "Detected":
-        """Return the answer where nothing can be said."""
+        """Return the answer 'cannot say' with its reason."""
         return cls(recording, CANNOT_SAY, 1.0, why)
 
     @property
     def called(self) -> list[str]:
-        """The answer to each attachment alone."""
+        """The answer by each attachment alone."""
         return [answer_of(load, self.frames_per_second or 0.0)[0] for load in self.attachments]
 
     @property
     def chosen(self) -> Attachment | None:
-        """The attachment that the answer is about."""
+        """The attachment of the answer: the last one that is present, or the last one."""
         pairs = zip(self.attachments, self.called, strict=True)
         named = [load for load, name in pairs if name == self.answer]
         return next((load for load in reversed(named) if load.present), named[-1] if named else None)
 
     @property
     def sentence(self) -> str:
-        """The answer for people: the attachment that it is about, of contacts all that are there."""
+        """The answer in words: the attachment of the answer, or all present contacts."""
         load, why = self.chosen, f": {self.why}" if self.why else ""
         if load is None:
             return self.answer + why
@@ -158,7 +168,7 @@ class Detected:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """Everything that happened, in the order of time."""
+        """All events in the order of time."""
         events: list[Event] = []
         for number, load in enumerate(self.attachments):
             if load.sucks_s is None or load.sucks_s > load.since_s:
@@ -194,7 +204,14 @@ def _content(load: Attachment, answer: str) -> dict[str, Any]:
 
 
 def answer_of(load: Attachment, rate: float) -> tuple[str, float, str]:
-    """(one of ANSWERS, its probability, why no more can be said or '') of a load at so many frames a second."""
+    """Return the answer by one load, its probability, and the reason why it is no more specific, or ''.
+
+    Parameters
+    ----------
+    load : Attachment
+    rate : float
+        Frames per second.
+    """
     if load.sucks <= 0.5:
         return PRESSES, 1 - load.sucks, ""
     if load.sucks * load.lives >= MIN_PROBABILITY:
@@ -216,14 +233,14 @@ def answer_of(load: Attachment, rate: float) -> tuple[str, float, str]:
 
 
 def alarming(detected: Detected) -> list[float]:
-    """Since when attachments are there that are lampreys, or suck while frames are too few to know more, s."""
+    """Return the arrival times, s, of lampreys, and of all loads that suck if the frame rate shows no breathing."""
     alarms = (LAMPREY, SUCKS) if too_slow(detected.frames_per_second or 0.0) else (LAMPREY,)
     pairs = zip(detected.attachments, detected.called, strict=True)
     return [load.since_s for load, name in pairs if name in alarms]
 
 
 def _described(load: Attachment) -> str:
-    """Return when an attachment was there, where, and how large it is, in words."""
+    """Return the times, the place and the size of an attachment in words."""
     until = "since {:.1f} s" if load.until_s is None else "from {:.1f} s to {:.1f} s"
     diameter = f", {_shown(load.diameter_mm, 'mm')}" if load.diameter_mm else ""
     messages = [f"{until.format(load.since_s, load.until_s)}{diameter} at ({load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}) mm"]
@@ -235,14 +252,14 @@ def _described(load: Attachment) -> str:
 
 
 def _rounded(value: Pair | float | None) -> Any:
-    """Return a number, or each of a pair, with six significant digits; counts and None as they are."""
+    """Return a number, or each of a pair, with six significant digits; counts and None are unchanged."""
     if isinstance(value, tuple):
         return [_rounded(number) for number in value]
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def _shown(pair: Pair | None, unit: str = "") -> str:
-    """Value ± standard deviation, with as many digits as that has; '' where there is none."""
+    """Return 'value ± standard deviation' with the digits of the latter; '' for None."""
     if pair is None:
         return ""
     digits = 0 if pair[1] >= 1 else 1 if pair[1] >= 0.05 else 2
@@ -251,7 +268,7 @@ def _shown(pair: Pair | None, unit: str = "") -> str:
 
 
 def event_table(answers: Sequence[Detected]) -> Table:
-    """One row for each event; none where nothing happened."""
+    """Return a table with a row for each event."""
     rows = []
     for answer in answers:
         for event in answer.events:
@@ -264,7 +281,7 @@ def event_table(answers: Sequence[Detected]) -> Table:
 
 
 def load_table(answers: Sequence[Detected]) -> Table:
-    """One row for each attachment: probabilities, and what the touched cells show whatever it is."""
+    """Return a table with a row for each attachment: probabilities, and figures of the touched cells."""
     rows = []
     for name, load in ((answer.recording, load) for answer in answers for load in answer.attachments):
         area = "" if load.area_mm2 is None else f"{load.area_mm2[0]:.0f}"
@@ -285,10 +302,10 @@ def load_table(answers: Sequence[Detected]) -> Table:
 
 
 def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
-    """Write all answers into one file, whole or not at all. Raises InputError where it cannot be written.
+    """Write all answers into one HDF5 file atomically. Raises InputError where it cannot be written.
 
-    A group for each recording with the names of `Detected.content`: one number of an attachment is one dataset, of a
-    pair two, the second `<name>_errors`.
+    Each recording has a group with the names of `Detected.content`. A number of an attachment is one dataset, a pair
+    two datasets, the second of which is `<name>_errors`.
     """
     with hdf5.new_file(path := Path(path)) as file:
         hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
@@ -312,7 +329,7 @@ def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
 
 
 def _attachment_columns(known: Sequence[dict[str, Any]]) -> dict[str, tuple[Any, str, str]]:
-    """name → (values, units, text)."""
+    """Return the columns of the attachments: name → (values, units, text)."""
     columns: dict[str, tuple[Any, str, str]] = {
         "answer": (hdf5.ascii_array([load["answer"] for load in known]), "1", "what it is")
     }

@@ -1,4 +1,4 @@
-"""Recordings and results → answers: what is attached, frame after frame of the readings."""
+"""Recognition of attachments in recordings and results, frame by frame of the readings."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -34,11 +34,11 @@ from lampest.runs.executors import each_of
 from lampest.runs.filling import frame_noise_of
 from lampest.runs.results import Results
 
-RESULTS = "results/"  # how the format of such a file begins
+RESULTS = "results/"  # prefix of the format of results files
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
 NO_RESPONSE = "no pressures and forces, since the scene names no response; shapes are fitted with the published one"
-HEAD_FRAMES = 100  # measured frames from which the noise is learned, with those without a load
-MAX_CELLS = 1024  # patterns of loads take 64 bytes for each pair of cells: 134 MB, and 2 GB on 64 × 64
+HEAD_FRAMES = 100  # measured frames from which, with the unloaded ones, the noise is estimated
+MAX_CELLS = 1024  # patterns of loads take memory for each pair of cells: 134 MB, and 2 GB on 64 × 64
 Frames = Iterator[tuple[Array, Array, float]]
 
 
@@ -48,24 +48,27 @@ class Known:
 
     Attributes
     ----------
+    name : str
+        Name of the recording.
+    scene : Scene
     resting, sigma : array, shape (rows, columns)
-        The unloaded readings, and the noise of one frame.
+        Mean of the unloaded readings, and the standard deviation of one frame.
     unloaded : array, shape (frames, rows, columns)
-        Those that they are the mean of, NaN where one is no value.
+        The unloaded readings; NaN where one is no value.
     begin : float
-        s, of the last one.
+        Time of the last unloaded frame, s.
     reading_error : float
-        As `NoiseEstimate` has it.
+        Each reading's own error, see `NoiseEstimate`.
     noise : FrameNoise or None
-        What readings of a frame share, or None.
+        Random errors that the readings of a frame share.
     notes : tuple of str
-        What was assumed.
+        Assumptions.
     patch_mm : float or None
-        Edge of a cell's film, None: not said.
-    specified : array or None
-        σ before frames have shown their noise; None: the same.
+        Edge of a cell's film; None where it is not specified.
+    specified : array, shape (rows, columns), or None
+        σ before the noise was estimated from frames; None: `sigma`.
     effects : CircuitEffects or None
-        What is taken off the readings, or None.
+        Effects that are taken off the readings.
     """
 
     name: str
@@ -85,7 +88,7 @@ class Known:
     def watch(self) -> Watch | ImageWatch:
         """Return the watch before the first frame.
 
-        Raises ValueError if the panel cannot be watched, or was not free.
+        Raises ValueError if the panel is too large, or was touched in its unloaded frames.
         """
         panel, layout, noise = self.scene.panel, self.scene.panel.modules, self.noise
         if panel.network.crossings > MAX_CELLS:
@@ -121,7 +124,16 @@ class Known:
         return self.detected(watch.ended(), frame_rate([time for time, _ in course]), np.array(course).T)
 
     def detected(self, watch: Watch | ImageWatch, rate: float, course: Array | None = None) -> Detected:
-        """Return what the frames so far show, at so many frames a second; course : as `Detected` has it."""
+        """Return the answer after the frames so far.
+
+        Parameters
+        ----------
+        watch : Watch or ImageWatch
+        rate : float
+            Frames per second.
+        course : array, optional
+            As in `Detected`.
+        """
         attachments, response = watch.attachments, self.scene.response
         if watch.doubt and not attachments:
             return replace(Detected.unknown(self.name, watch.doubt), frames_per_second=rate, course=course)
@@ -132,25 +144,25 @@ class Known:
         return Detected.of(self.name, attachments, rate, notes, course, watch.change, self.scene.panel)
 
     def values(self, readings: Readings) -> tuple[Array, Array]:
-        """(value, σ) (rows, columns) of one frame; σ is infinite where a reading is no value."""
+        """Return the values and σ of one frame, (rows, columns); σ is infinite where a reading is no value."""
         sigma = readings.sigma_of_values
         return readings.value, np.where(readings.plain, self.sigma if sigma is None else sigma, np.inf)
 
 
 def frame_rate(times: "list[float] | tuple[float, ...]") -> float:
-    """Frames a second by the median step of their times in s; 0 of a single one."""
+    """Return the frames per second by the median step of their times in s; 0 for a single frame."""
     return float(1 / np.median(np.diff(times))) if len(times) > 1 else 0.0
 
 
 def is_results(path: Path) -> bool:
-    """Whether a file holds results. Raises InputError where it cannot be read."""
+    """Return whether a file contains results. Raises InputError where it cannot be read."""
     return hdf5.format_of(path).startswith(RESULTS)
 
 
 def detect_results(
     results: Results, patch_mm: float | None = None, on_case: Callable[[int, int], None] = lambda done, total: None
 ) -> list[Detected]:
-    """For every recording what its readings show."""
+    """Return the answer to every recording of a results file."""
     return list(each_of(_of_case, [(results.of(name)[0], patch_mm) for name in results.recordings()], on_case))
 
 
@@ -178,9 +190,17 @@ def detect_recording(
     frames: range | None = None,
     on_frame: Callable[[int, int], None] = lambda done, total: None,
 ) -> Detected:
-    """Return what a recording shows, read part by part. Raises InputError where it cannot be read.
+    """Return the answer to a recording, which is read part by part. Raises InputError where it cannot be read.
 
-    on_frame : called with the number of frames that were looked at, and that of all.
+    Parameters
+    ----------
+    path : Path
+    patch_mm : float, optional
+        Edge of a cell's film.
+    frames : range, optional
+        Frames that are watched; by default all.
+    on_frame : callable
+        Receives the numbers of watched and of all frames.
     """
     stored = StoredRecording.of(path)
     part = stored.part(stored.blocks()[0])
@@ -208,7 +228,7 @@ def detect_recording(
 
 
 def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Detected":
-    """Return what the first frames of a recording show, or why nothing can be said."""
+    """Return the knowledge from the first frames of a recording, or an answer with the reason why there is none."""
     head = prepared.recording
     readings, notes = head.readings(), tuple[str, ...]()
     unloaded = np.flatnonzero(head.role == UNLOADED)
@@ -236,12 +256,19 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
 
 
 def recognition_noise(prepared: Prepared) -> NoiseEstimate:
-    """Return the noise that recognition allows for; of modules that of their frames, which needs no fits."""
+    """Return the noise for recognition; for modules that of their frames, which needs no fits."""
     return prepared.noise if prepared.layout is None else prepared.frame_noise
 
 
 def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -> Frames:
-    """(value, sigma, s) of the measured frames that were asked for."""
+    """Generate the values, σ and time in s of the requested measured frames, corrected for effects.
+
+    Parameters
+    ----------
+    part : Recording
+    watched : Known
+    asked : boolean array, shape (frames,)
+    """
     readings, besides = Readings.of(watched.scene, part.recorded, part.sigma), watched.effects
     if besides is not None and besides.pair is not None:
         readings = without_effects_of(besides.pair, readings, part.role == UNLOADED)
@@ -250,7 +277,7 @@ def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -
 
 
 def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
-    """(σ (rows, columns) from differences of neighbouring frames, how it was found)."""
+    """Return σ (rows, columns) from differences of successive frames, and a note on its origin."""
     seen = np.isfinite(value).any(axis=0)
     steps = np.isfinite(np.diff(value, axis=0)).any(axis=0)
     median, relative = np.full((2, *seen.shape), np.nan)

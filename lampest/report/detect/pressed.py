@@ -15,22 +15,23 @@ from lampest.runs.case import CaseResult
 from lampest.runs.results import Results
 
 FILE = "pressed.csv"
-SIDES = 4  # of a cell: with fewer neighbours touched, it lies on the outline
-POSITION_VARIANCE = 1 / 12  # variance of where in a cell, or of how much of it, in cells: uniform
+SIDES = 4  # neighbours of a cell: if fewer of them are touched, the cell lies on the outline
+POSITION_VARIANCE = 1 / 12  # of a uniform position within a cell, or of its covered share, in cells
 HEADERS = ("centre x [mm]", "centre y [mm]", "area [mm²]", "peak [kPa]", "force [N]")
 
 
 @dataclass(frozen=True, eq=False)
 class PressedCells:
-    """One estimate of a recording, frame by frame; NaN where nothing presses clearly or the frame was not solved.
+    """Centre, area, peak and force of one estimate; NaN where nothing presses or the frame was not solved.
 
     Attributes
     ----------
+    case : CaseResult
     values, errors : array, shape (frames, 5)
-        In the order of HEADERS, and standard deviations.
-    saturated : integer array, shape (frames)
-        How many of the pressed cells have a pressure that the response leaves open. With one, peak and force are lower
-        bounds: such a cell counts with no more than the response determines.
+        Figures in the order of HEADERS, and their standard deviations.
+    saturated : integer array, shape (frames,)
+        Number of pressed cells whose pressure the response does not determine. With any, peak and force are lower
+        bounds, because such a cell counts with the largest pressure that the response determines.
     """
 
     case: CaseResult
@@ -40,12 +41,12 @@ class PressedCells:
 
 
 def pressed_of(case: CaseResult) -> PressedCells | None:
-    """Cells count on which a load presses, as `Pressure.pressing`, each with its whole pitch².
+    """Return the figures of the pressed cells of a case; None where the results have no pressures.
 
-    F = a Σ p, A = n a and x̄ = Σ p x / Σ p over the pressed cells, a the pitch squared. Own errors of the cells are
-    independent, common ones move together; to those of area and centre comes that the load's outline lies anywhere
-    within the cells on it, a²/12 and pitch²/12 each. What lies between the films of two cells is not measured: a spot
-    smaller than a cell has the force of one that fills it. None where the results have no pressures.
+    F = a Σ p, A = n a and x̄ = Σ p x / Σ p over the cells with `Pressure.pressing`, where a is the pitch squared. Own
+    errors of the cells are independent, common errors are fully correlated. Area and centre have further variances,
+    a²/12 and pitch²/12 for each cell on the outline, because the outline may lie anywhere within it. The pressure
+    between the films of two cells is not measured: a spot smaller than a cell has the force of one that fills it.
     """
     if case.pressure is None or case.pressure_own is None or case.pressure_common is None or case.pressing is None:
         return None
@@ -59,14 +60,22 @@ def pressed_of(case: CaseResult) -> PressedCells | None:
 
 
 def pressed(results: Results) -> tuple[PressedCells, ...]:
-    """Return the pressed cells of every case that holds pressures with their errors."""
+    """Return the figures of every case that has pressures with errors."""
     return tuple(cells for case in results.cases if (cells := pressed_of(case)) is not None)
 
 
 def _frame(
     panel: Panel, touched: NDArray[np.bool_], pressure: Array, own_sd: Array, common_sd: Array
 ) -> tuple[Array, Array]:
-    """(values, errors) of one frame, each (5), of its touched cells."""
+    """Return the figures of one frame and their standard deviations, (5,) each; NaN without touched cells.
+
+    Parameters
+    ----------
+    panel : Panel
+    touched : boolean array, shape (rows, columns)
+    pressure, own_sd, common_sd : array, shape (rows, columns)
+        Pressure, and standard deviations of its own and common errors, kPa.
+    """
     if not touched.any():
         return np.full(5, np.nan), np.full(5, np.nan)
     pitch = panel.pitch_mm
@@ -78,6 +87,7 @@ def _frame(
     force = p.sum()
     values, variances = [], []
     for at in panel.places_mm[:, touched]:
+        # x̄ = Σ p x/Σ p with ∂x̄/∂p_i = (x_i − x̄)/Σ p, and pitch²/12 · Σ (p/Σ p)² for the position within cells
         centre = float(p @ at / force)
         values.append(centre)
         variances.append(
@@ -91,7 +101,7 @@ def _frame(
 
 
 def pressed_table(all_pressed: Sequence[PressedCells]) -> Table:
-    """One row for each estimate: the frame in which the force is largest."""
+    """Return a table with the frame of largest force of each estimate."""
     rows = []
     for cells in all_pressed:
         case, force = cells.case, cells.values[:, -1]
@@ -108,7 +118,7 @@ def pressed_table(all_pressed: Sequence[PressedCells]) -> Table:
 
 
 def figure(value: float, error: float) -> str:
-    """Return the value with as many digits as the error's first two; alone where it has none."""
+    """Return 'value ± error' with two significant digits of the error; the value alone where the error is 0."""
     if error == 0:
         return f"{value:.3g}"
     digits = max(0, 1 - int(np.floor(np.log10(error)))) if error > 0 and np.isfinite(error) else 1
@@ -116,7 +126,7 @@ def figure(value: float, error: float) -> str:
 
 
 def write_pressed(path: str | Path, all_pressed: Sequence[PressedCells]) -> Path:
-    """Write every frame of every estimate as CSV, empty where nothing presses; whole or not at all.
+    """Write every frame of every estimate as CSV atomically, with empty cells where nothing presses.
 
     Raises InputError where the place cannot be written.
     """

@@ -1,4 +1,4 @@
-"""Results for other programs. To add a format: write its `Export` into a file here, name it in EXPORTS.
+"""Export of results for other programs. To add a format, write its `Export` into a file here and add it to EXPORTS.
 
 A package adds formats by naming them in the entry point group `lampest.exports`, a script by handing one to
 `export_results`.

@@ -154,10 +154,10 @@ def long_tables(cases: Sequence[CaseResult]) -> tuple[list[Table], dict[str, Ser
 
 
 class MatlabExport(Export):
-    """`cases{1}.cell_resistance` is frames × rows × columns; `cases{1}.units.cell_resistance` says 'ohm'.
+    """`cases{1}.cell_resistance` is frames × rows × columns; `cases{1}.units.cell_resistance` is 'ohm'.
 
-    `long_name` has the meanings in words; `flags.open_cell.values` and `.meanings` what the values of a flag say; `y`
-    and `x` the positions in mm of the lines in `row` and `column`; texts of frames are cells of texts.
+    `long_name` contains the meanings in words, `flags.open_cell.values` and `.meanings` the values of a flag with their
+    meanings, and `y` and `x` the positions in mm of the lines in `row` and `column`. Texts of frames are cell arrays.
     """
 
     kind: ClassVar[str] = "mat"

@@ -43,7 +43,7 @@ class NwbExport(Export):
             called = case.estimator.replace(":", "_").replace("/", "_")  # NWB allows neither
             session.create_processing_module(name=called, description=words).add([*_elements(case, shared=False)])
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", ".*does not end in '.nwb'")  # it will, once it is whole
+            warnings.filterwarnings("ignore", ".*does not end in '.nwb'")  # the temporary name does not
             with NWBHDF5IO(path, mode="w") as file:
                 file.write(session)
 

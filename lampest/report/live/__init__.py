@@ -1,1 +1,1 @@
-"""Frames as they come → cells → a page in the browser, and messages for other programs."""
+"""Live estimation: frames as they arrive, shown on a page in the browser and published for other programs."""

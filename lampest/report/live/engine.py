@@ -26,8 +26,8 @@ from lampest.report.live.state import NOTICED_PERCENT, Findings, PanelState, Sec
 from lampest.report.live.watcher import News, Scan, Unloaded, as_recording, watcher
 from lampest.report.strongest import as_recorded, percent_change
 
-BARS_SECONDS = 0.2  # between looks that only lack error bars: what reads them is the eye
-LOADED_FRAMES = 3  # with which the circuit is checked: one alone may have a wrong reading
+BARS_SECONDS = 0.2  # between second looks for error bars alone, which only the eye reads
+LOADED_FRAMES = 3  # for the check of the circuit: a single one may have a wrong reading
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tup
 
 
 def with_picture(view: View, picture: Picture, zeroed: str = "") -> View:
-    """Return the view with a new picture and its force in the history; zeroed : reason of a new zero, or ''."""
+    """Return the view with a new picture and its force in the history; `zeroed` is the reason of a new zero, or ''."""
     point = Point(picture.number, picture.time, picture.force.newton)
     zero = f"taken anew after frame {picture.number}: {zeroed}" if zeroed else view.zero
     skipped, history = view.skipped + picture.skipped, (*view.history, point)[-HISTORY_FRAMES:]

@@ -9,7 +9,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from lampest.runs.executors import Worker
 
-FAREWELL_SECONDS = 1.0  # for the last item to reach a listener
+FAREWELL_SECONDS = 1.0  # time for the last item to reach a listener
 T = TypeVar("T")
 
 
@@ -21,7 +21,7 @@ class News(NamedTuple, Generic[T]):
 
 
 class Newest(Generic[T]):
-    """Holder of the newest item of a series; `closed` says that no more will come."""
+    """Holder of the newest item of a series; after `close` no more items come."""
 
     def __init__(self, first: T) -> None:
         self._changed = Condition()
@@ -126,7 +126,7 @@ class Beside(Generic[T]):
 
 def _politely(function: Callable[[T], Any], argument: T) -> Any:
     """Call a function with the priority of this process lowered."""
-    with suppress(AttributeError, OSError):  # Linux alone has it
+    with suppress(AttributeError, OSError):  # available on Linux only
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     return function(argument)
 

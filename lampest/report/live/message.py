@@ -27,7 +27,7 @@ NOTHING, PRESSING, SUCKING, BOTH, UNSOLVED = VERDICTS
 
 
 class Channel(NamedTuple):
-    """A number of a frame; place : (x, y) of its cell, m."""
+    """Description of a number of a frame; `place` is (x, y) of its cell, m."""
 
     label: str
     unit: str
@@ -61,7 +61,7 @@ class Picture:
     force : Force
         Total force, unknown if the frame failed or the scene has no response; its deviation may follow later.
     status : str
-        How the solve ended.
+        Outcome of the solve.
     seconds : float
         Duration of the solve.
     skipped : int
@@ -120,7 +120,7 @@ class View:
     detected : Detected or None
         Answer of `lampest detect` after the newest watched frame; None if nothing watches.
     alarm : str
-        Sentence that nobody has acknowledged, or ''.
+        Sentence of an alarm that is not acknowledged, or ''.
     acknowledged : frozenset of float
         Start times in s of acknowledged attachments.
     """

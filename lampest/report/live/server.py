@@ -21,12 +21,12 @@ from lampest.files.errors import InputError
 from lampest.report.live.handover import FAREWELL_SECONDS, Newest
 from lampest.report.live.message import View, view_text
 
-MAX_STREAMS = 16  # pages that look on at once, a thread each
-HEARTBEAT_SECONDS = 2.0  # between signs of life
-TURN_SECONDS = 60.0  # after which a page, or a listener that takes nothing, gives its seat to one that found none
-MIN_TOKEN_LENGTH = 16  # of a token: 10²⁸ of them
+MAX_STREAMS = 16  # simultaneous pages, each with a thread
+HEARTBEAT_SECONDS = 2.0  # between messages without content
+TURN_SECONDS = 60.0  # after which a page, or a listener that takes nothing, is replaced by a waiting one
+MIN_TOKEN_LENGTH = 16  # characters, 10²⁸ possible tokens
 HINT = ": open the address that lampest printed when it began, with its token if it has one"
-WISH = "X-Lampest"  # no foreign page may send a header of its own without having asked, and here nobody answers that
+WISH = "X-Lampest"  # required header: a browser lets a foreign page send it only after a preflight, which is refused
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; connect-src 'self'; script-src 'unsafe-inline'; "
@@ -38,7 +38,7 @@ HEADERS = {
 
 @dataclass(frozen=True)
 class Access:
-    """Access control by a token and a cookie; without a token everybody may see the page.
+    """Access control by a token and a cookie; without a token the page is public.
 
     Raises InputError for an invalid token.
 
@@ -119,7 +119,7 @@ class Asks:
 
 
 class PageServer(ThreadingHTTPServer):
-    """Server of the views of `shown` and of visitors' requests; local : whether only this computer can reach it."""
+    """Server of the views of `shown` and of visitors' requests; `local`: whether only this computer can reach it."""
 
     daemon_threads, block_on_close = True, False
     request_queue_size = 64
@@ -153,7 +153,7 @@ class PageHandler(BaseHTTPRequestHandler):
     server_version, sys_version = "lampest", ""
 
     def parse_request(self) -> bool:
-        """Refuse other methods, and, on the loopback, names that a foreign page may have given this address."""
+        """Refuse other methods, and on the loopback address host names that may be those of a foreign page."""
         if not super().parse_request():
             return False
         if self.command not in ("GET", "POST"):

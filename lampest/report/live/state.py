@@ -21,8 +21,8 @@ from lampest.report.live.message import BOTH, NOTHING, PRESSING, SUCKING, Pictur
 from lampest.solvers.multistart import SAME_MINIMUM
 
 ASKED = "it was asked for"
-NOTICED_PERCENT = 1.0  # change of a reading: far above any readout's noise, and what a finger does
-# Of the strongest |ln r/r₀|: what penalties leave beside a load stays below, a mouth's inside lies above.
+NOTICED_PERCENT = 1.0  # change of a reading: far above the noise of any readout, and less than that by a finger
+# Share of the strongest |ln r/r₀|: residues of penalties beside a load are smaller, the inside of a mouth is larger.
 MIN_SHARE = 0.3
 
 
@@ -104,7 +104,7 @@ class PanelState:
     missing : int or None
         Frames still required for a requested zero.
     zeroed : str
-        Why the last frame led to a new zero, or ''.
+        Reason for a new zero after the last frame, or ''.
     track : Track or None
         Data for the error bars of second looks, if frames are solved in haste.
     look : SecondLook or None
@@ -126,7 +126,7 @@ class PanelState:
     def begin(
         cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, *, hasty: bool = False
     ) -> "PanelState":
-        """Return the state for unloaded readings; hasty : see `in_haste`. Raises InputError as `Stream.begin`.
+        """Return the state for unloaded readings; `hasty` as in `in_haste`. Raises InputError as `Stream.begin`.
 
         Modules are solved together and without second looks; they get error bars on request only.
         """
@@ -251,20 +251,23 @@ def read_load(load: PressureTrack, ratio: Array, bars: Bars | None, time: float)
 
 
 def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: NDArray[np.bool_]) -> str:
-    """One of `message.VERDICTS` of a frame that was solved.
+    """Return the verdict on a solved frame, one of `message.VERDICTS`.
 
-    Nothing where no reading differs from its unloaded value by more than six standard deviations of the difference, the
-    median of all differences left aside, which a drift of the supply moves; else pressing where the lowest ln r/r₀, and
-    sucking where the highest, is more than three tenths of the strongest.
+    NOTHING: no reading differs from its unloaded value by more than OUTLIER_THRESHOLD standard deviations, after the
+    median difference, which a drift of the supply causes, is subtracted. Otherwise PRESSING or SUCKING: the lowest or
+    the highest ln r/r₀ exceeds MIN_SHARE of the strongest.
 
     Parameters
     ----------
-    ratio : array
-        r/r₀ (rows, columns).
+    readings, resting : Readings
+        The frame and the unloaded panel, (rows, columns).
+    ratio : array, shape (rows, columns)
+        r/r₀.
     open_cell : boolean array, shape (rows, columns)
-        Where a cell cannot be told from an open one, which do not count.
+        Cells that cannot be distinguished from open ones; they do not count.
     """
     moved = np.log(readings.shown / resting.shown)
+    # ln of readings over unloaded ones without the common change, against σ of that logarithm
     moved -= np.nanmedian(moved)
     now, before, least = readings.sigma_of_values, resting.sigma_of_values, np.asarray(NOTICED_PERCENT / 100)
     if now is not None and before is not None:

@@ -19,8 +19,8 @@ from lampest.report.detect.answer import Detected
 from lampest.report.detect.detection import HEAD_FRAMES, Known, frame_rate, known_of
 from lampest.report.live.handover import Beside
 
-MAX_REMEMBERED = 16  # attachments that live remembers, beside those that are there
-MAX_WAITING = 2000  # frames; beyond, every second one is left out: a fit on 32 × 32 cells takes a minute
+MAX_REMEMBERED = 16  # former attachments that are kept
+MAX_WAITING = 2000  # waiting frames beyond which every second one is dropped: a fit on 32 × 32 cells takes a minute
 WAITING = "waiting for frames of the unloaded panel"
 DIED = "the process that recognises loads has died; restart lampest live"
 
@@ -58,13 +58,13 @@ def as_recording(scene: Scene, scans: tuple[Scan, ...], times: Array, role: list
 
 @dataclass(frozen=True, eq=False)
 class Unloaded:
-    """Frames of the unloaded panel, with which watching starts again."""
+    """Frames of the unloaded panel, from which recognition starts again."""
 
     scene: Scene
     scans: tuple[Scan, ...]
 
 
-News = Unloaded | Scan | int  # the last is the wish that so many frames to come are the new zero
+News = Unloaded | Scan | int  # a number requests that so many of the next frames become the new zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class Watched:
     name : str
         Name of the recording.
     why : str
-        Why there is no answer after the last frame, or ''.
+        Reason why there is no answer after the last frame, or ''.
     scene : Scene or None
         Scene of the last unloaded frames.
     known, watch

@@ -1,1 +1,1 @@
-"""One page about a batch: what each estimator made of each recording, which to take, and how sure that is."""
+"""Report page of a batch: results of each estimator and recording, a recommendation, and its uncertainty."""

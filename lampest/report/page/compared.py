@@ -17,7 +17,7 @@ from lampest.report.words import counted, digits, listed, median_text
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 
-DRAWS = 2000  # of which the 2.5th percentile is known to 0.06 standard deviations
+DRAWS = 2000  # bootstrap draws, which determine the 2.5th percentile to 0.06 standard deviations
 NONE = "–"
 HARD = "\N{NO-BREAK SPACE}"
 Picks = NDArray[np.intp]
@@ -26,7 +26,7 @@ Recordings = Mapping[str, Mapping[str, CaseResult]]  # name → estimator → ca
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Cases of one or several results files; sources : their names."""
+    """Cases of one or several results files; `sources` are their names."""
 
     sources: tuple[str, ...]
     recordings: Recordings
@@ -140,6 +140,8 @@ def matched(recordings: Recordings) -> Matched:
     """
     originals, left_out = without_copies(recordings)
     often = Counter(name for cases in originals.values() for name in cases)
+    # Sets of estimators with at least `least` recordings each; the number of paired differences is (estimators − 1) ·
+    # recordings.
     options = []
     for least in sorted(set(often.values()), reverse=True):
         known = [name for name, count in often.items() if count >= least]
@@ -176,8 +178,12 @@ class Interval:
 def block_length(values: Array) -> int:
     """Return the block length of a bootstrap: n^(1/3), or the correlation length if longer, at most n/3.
 
-    values : (frames, estimators). Memory is the first lag at which the autocorrelation of the estimators' differences
-    is below 1/e. Source of n^(1/3): Hall, Horowitz, Jing, Biometrika 82, 1995.
+    The correlation length is the first lag at which the autocorrelation of the estimators' differences is below 1/e.
+    Source of n^(1/3): Hall, Horowitz, Jing, Biometrika 82, 1995.
+
+    Parameters
+    ----------
+    values : array, shape (frames, estimators)
     """
     count = len(values)
     series = values - values.mean(axis=1, keepdims=True)
@@ -217,7 +223,7 @@ def between(interval: Interval, unit: str = "", sign: str = "") -> str:
 
 @dataclass(frozen=True)
 class Standing:
-    """Mean of an estimator over the units and its paired difference from the smallest mean.
+    """Mean of an estimator over the units, and its paired difference from the smallest mean.
 
     wins : number of units in which no estimator is better.
     """
@@ -301,12 +307,12 @@ def log_error(case: CaseResult) -> Array:
 
 
 def predicted(case: CaseResult) -> Array:
-    """Mallows' C: min(z², 25) + 2·resolution with z = (model − measured)/σ, (frames, rows, columns), unit 1.
+    """Return Mallows' C, min(z², 25) + 2·resolution with z = (model − measured)/σ, (frames, rows, columns).
 
-    Its mean is what fresh readings are expected to deviate from the model by, squared, in units of σ²: 1 for a model
-    that is right, 2 for one that follows every reading. The trace of the averaging kernel is that of the readings'
-    influence on their own prediction. Outliers count as five σ, lest a few of them decide. Source: Mallows,
-    Technometrics 15, 1973.
+    Its mean is the expected squared deviation of new readings from the model in units of σ²: 1 for the right model, 2
+    for one that follows every reading. The trace of the averaging kernel equals that of the readings' influence on
+    their own prediction. |z| is limited to 5, so that few outliers do not decide. Source: Mallows, Technometrics 15,
+    1973.
     """
     residual = weighted_residual(case)
     assert residual is not None and case.resolution is not None
@@ -350,6 +356,7 @@ def comparison_of(batch: Batch, generator: np.random.Generator) -> Comparison | 
     values = _values(match, criterion.per_cell, criterion.average)
     block = block_length(values) if single else 1
     standings = _standings(match.estimators, values, picks(len(values), block, generator.spawn(1)[0]))
+    # geometric mean over the units of the median time per frame
     times = np.exp(_values(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median).mean(axis=0))
     milliseconds = dict(zip(match.estimators, times.tolist(), strict=True))
     return Comparison(criterion, match, units, values, block, standings, milliseconds)
@@ -413,10 +420,10 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
         return Advice(None, headline, (alone,), left_out)
     warnings = (*_few(comparison), *left_out)
     best = comparison.standings[0]
-    # Nobody sees less in a map or a force.
+    # Differences of 5 % are invisible in maps and forces.
     similar = [row for row in comparison.standings if row.mean.value <= (1 + 0.05) * best.mean.value]
     taken = min(similar, key=lambda row: comparison.milliseconds[row.estimator])
-    if comparison.milliseconds[best.estimator] < 1.1 * comparison.milliseconds[taken.estimator]:  # nobody notices less
+    if comparison.milliseconds[best.estimator] < 1.1 * comparison.milliseconds[taken.estimator]:  # no practical gain
         taken = best
     weights = weights_text([case.weights for case in comparison.match.cases(taken.estimator)])
     named = f"{taken.estimator}{f' ({weights})' if weights else ''}"

@@ -39,10 +39,14 @@ def write_report(
 
     Parameters
     ----------
+    paths : sequence of Path
+        Results files.
+    out : Path
+        The page.
     on_recording : callable
-        Gets how many of how many recordings are drawn.
+        Receives the numbers of drawn and of all recordings.
     frames : range or None
-        As `read_results` takes them.
+        Frames of the recordings, as in `read_results`.
     """
     write_whole(out, report(compared.read_batch(paths, frames), on_recording))
 
@@ -276,14 +280,16 @@ def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str
 
 
 def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
-    """Compare each pair of cases with error bars; the pairs that differ most come first.
+    """Return the significant differences of each pair of cases with error bars, the largest share first.
 
-    a − b > √((a − a_low)² + (b_high − b)²) for a > b: Zou and Donner, Stat. Med. 27, 2008; exact if independent.
+    For a > b the difference is significant if a − b > √((a − a_low)² + (b_high − b)²), which is exact for independent
+    errors. Source: Zou and Donner, Stat. Med. 27, 2008.
     """
     known = [(case, arms) for case in cases if (arms := _arms(case)) is not None]
     pairs = []
     for (first, (first_below, first_above)), (second, (second_below, second_above)) in combinations(known, 2):
         both, difference = first.solved & second.solved, first.relative_change - second.relative_change
+        # half width of the interval of the difference towards zero
         reach = np.where(difference > 0, np.hypot(first_below, second_above), np.hypot(first_above, second_below))
         significant = np.where(np.abs(difference) > reach, difference, np.nan)
         if np.any(both):

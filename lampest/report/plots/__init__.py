@@ -1,4 +1,4 @@
-"""Pictures of results; nothing here solves anything. To add one: write its `Plot` into a file here, name it in PLOTS.
+"""Pictures of results, without any solve. To add one, write its `Plot` into a file here and add it to PLOTS.
 
 A package adds plots by naming them in the entry point group `lampest.plots`, a script by handing one to `plot_results`.
 """
@@ -171,7 +171,7 @@ def _chosen(show: str | Plot, frame: int | None) -> Plot:
 
 
 def _check_form(target: Path | None) -> None:
-    """Raise InputError where a file is asked for that is no picture of lampest."""
+    """Raise InputError for a file name whose type lampest cannot draw."""
     kind = "" if target is None or target.suffix in SUFFIXES else guess_type(target)[0] or ""
     if kind.startswith(("image/", "application/postscript")):
         raise InputError(f"{target}: {PICTURES}")

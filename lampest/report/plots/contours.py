@@ -77,7 +77,7 @@ class Plot(Validated):
 
 @dataclass(frozen=True)
 class MapsPlot(Plot):
-    """One frame: what was measured, a map for each estimator, the truth."""
+    """Maps of one frame: the measurement, each estimator, the truth."""
 
     @abstractmethod
     def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale | list[maps.Scale], list[maps.Tile]]:
@@ -145,7 +145,7 @@ class ContourPlot(ChangePlot):
 
 
 def estimated(case: CaseResult, cases: Sequence[CaseResult]) -> str:
-    """Return the title of an estimator's map; where it is alone, it says that it is an estimate."""
+    """Return the title of an estimator's map; a single estimator is marked as an estimate."""
     return case.estimator if len(cases) > 1 else f"estimated: {case.estimator}"
 
 
@@ -232,7 +232,7 @@ class ResidualPlot(MapsPlot):
 
 @dataclass(frozen=True)
 class RowsPlot(Plot):
-    """One frame, a column for each of the first seven estimators that hold what it needs, a row for each quantity."""
+    """Maps of one frame: a column for each of the first seven estimators with the columns, a row for each quantity."""
 
     about: ClassVar[str]
 

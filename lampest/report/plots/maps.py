@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from lampest.panel.panel import Array, Panel
 from lampest.report.plots import style
 
-SIGNED, PRESSING = "RdBu_r", "RdBu"  # what presses is blue: it lowers resistance and raises pressure
+SIGNED, PRESSING = "RdBu_r", "RdBu"  # loads are blue: they lower the resistance and raise the pressure
 ACROSS_LABEL, DOWN_LABEL = "x [mm]", "y [mm]"
 NO_NUMBER = "0.88"  # grey
-MAX_ASPECT = 0.75  # of a figure, in its width
+MAX_ASPECT = 0.75  # largest height of a figure over its width
 FACTORS = (1.1, 1.5, 2, 3, 5, 10, 20)  # between bands of large changes
 
 
@@ -292,7 +292,7 @@ def maps_figure(
     contoured: bool = False,
     about: str = "",
 ) -> Figure:
-    """Draw maps side by side, so many that the figure is about three wide to two high with few gaps.
+    """Draw maps side by side, in as many columns that the figure has about the proportions 3 : 2 with few gaps.
 
     Parameters
     ----------
@@ -312,6 +312,7 @@ def maps_figure(
         return ceil(len(tiles) / across) * (wide(across) * proportion(panel) + 0.4) + 0.8
 
     def unfit(across: int) -> float:
+        # deviation from 3 : 2, with a cost for empty places
         return abs(height(across) - width / 1.5) + 0.3 * (-len(tiles) % across)
 
     across = min(range(1, min(len(tiles), int((width - 1.0) / 0.88)) + 1), key=unfit)

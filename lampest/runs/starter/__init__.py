@@ -1,4 +1,4 @@
-"""`lampest init`: commented files to begin with: a run, a scene, a simulation and its recording, the schema."""
+"""`lampest init`: commented starter files: a run, a scene, a simulation and its recording, and the schema."""
 
 import json
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ RUN, SCENE, SIMULATION = "run.yaml", "scene.yaml", "simulation.yaml"
 RECORDING, SCHEMA = "example.h5", "lampest.schema.json"
 MAT = "mat"  # a purpose
 FILES = (SCENE, SIMULATION, SCHEMA, RECORDING, RUN)
-# A lamprey's mouth where the panel has room for it, else a weight.
+# The simulated load: a lamprey's mouth on panels of at least 6 × 6 lines, else a weight.
 MOUTH = """\
   - kind: oral_disc       # a lamprey's mouth
     centre_mm: {centre}     # x along a row, y down the columns, from cell (0, 0)
@@ -31,9 +31,18 @@ WEIGHT = """\
 
 @dataclass(frozen=True)
 class StarterCircuit:
-    """A circuit of circuits.yaml: the kind of its readout, a sketch of the wiring, YAML lines of the scene's readout.
+    """A circuit of circuits.yaml.
 
-    software : the firmware's wiring, or what the user's own program does.
+    Attributes
+    ----------
+    kind : str
+        Kind of its readout.
+    sketch : str
+        Sketch of the wiring.
+    readout : str
+        YAML lines of the scene's readout.
+    software : str
+        Wiring of the firmware, or the task of the user's own program.
     """
 
     kind: str
@@ -54,12 +63,20 @@ def circuit_called(word: str) -> StarterCircuit:
 def write_starter(
     folder: Path, circuit: str = "two_mux", rows: int = 10, columns: int = 10, purpose: str | None = None
 ) -> tuple[Path, ...]:
-    """Write all files for a circuit and a panel into a folder, which is made where it is not there; returns them.
+    """Write all files for a circuit and a panel into a folder, which is created if necessary, and return them.
 
-    purpose : 'mat', for a scene with contacts alone, or None.
+    Parameters
+    ----------
+    folder : Path
+    circuit : str
+        Name of a circuit of circuits.yaml.
+    rows, columns : int
+        Lines of the panel.
+    purpose : str or None
+        'mat' for a scene with contacts alone.
 
-    Raises InputError where one of them is there already, before any is written, where the folder cannot be written, or
-    where there is no such circuit or panel.
+    Raises InputError, before any file is written, where one of them exists, and where the folder cannot be written or
+    there is no such circuit or panel.
     """
     chosen, paths = circuit_called(circuit), {name: folder / name for name in FILES}
     for path in paths.values():

@@ -1,1 +1,1 @@
-"""The atlas of extremes: where estimates are verified, where they fail, and what is said then."""
+"""The atlas of extremes: scenes in which estimates are verified or fail, with the reported reasons."""

@@ -1,6 +1,6 @@
-"""Atlas of extreme scenes: how each solve ends, judged by arithmetic of 50 digits and a second test of optimality.
+"""Atlas of extreme scenes: outcome of each solve, verified by 50-digit arithmetic and a second test of optimality.
 
-The judges share no code with the solvers.
+The verification shares no code with the solvers.
 """
 
 from collections import Counter
@@ -235,6 +235,7 @@ def exact_residual(cost: Cost, data: Data, cells: Array) -> float:
             moved[place[1:]] *= factor
             sides.append(exact_two_point_resistance(moved))
         slope[place] += np.sum(through[place[0]] * (sides[0] - sides[1])) / (2 * step)
+    # ∂φ/∂u = ∂φ/∂r · r + Σ ∂φ/∂R · ΔR/(2h), less the rounding error of u in the first part
     slope = np.sign(slope) * np.maximum(np.abs(slope) - blur, 0.0)
     position = np.log(cells)
     return float(

@@ -20,8 +20,8 @@ from lampest.studies.common import Shape, Sizes, SquaredMethod, paper_methods, s
 from lampest.studies.study import column
 
 GRID = "log-uniform"
-OPEN = 1e9  # factor of a cell that is broken and not known to be; of a short its inverse
-USUAL_OHM = 3000.0  # of a cell, before a case changes it
+OPEN = 1e9  # factor of a broken cell that the scene does not state; its inverse is that of a short
+USUAL_OHM = 3000.0  # resistance of a cell before a case changes it
 Generator = np.random.Generator
 
 
@@ -47,10 +47,13 @@ class Made(NamedTuple):
 
     Attributes
     ----------
+    cells : array, shape (2, rows, columns)
+    faults, readout, series_ohm
+        Entries of the scene.
     still : bool
         Whether both frames are equal, including noise.
     weight : float or None
-        Of all penalties, instead of their own.
+        Weight of all penalties, instead of their own.
     """
 
     cells: Array
@@ -88,6 +91,7 @@ def recording_of(sample: AtlasSample) -> tuple[Recording, Made]:
     Cells are equal for every noise. Readings are exact ones times 1 + noise, digitised if there is a converter.
     """
     rng = np.random.default_rng([sample.seed, sample.rows, sample.columns, 1])
+    # cells within a factor of 2 of each other; a fifth of them have half their resistance under load
     usual = USUAL_OHM * 10 ** rng.uniform(-0.15, 0.15, sample.shape)
     cells = np.stack([usual, np.where(rng.random(sample.shape) < 0.2, 0.5, 1.0) * usual])
     scene = CASES[sample.case].make(cells, sample, rng)

@@ -1,6 +1,6 @@
-"""`lampest study paper`: the paper's figures and table beside ours as one HTML file, with pictures and numbers.csv.
+"""`lampest study paper`: the paper's figures and table compared with ours, as one HTML file, pictures and numbers.csv.
 
-In the figures published numbers stand as marks or in words beside what our scenes give.
+Figures show the published numbers as marks or in words beside the results of our scenes.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -41,7 +41,7 @@ class Paper(NamedTuple):
 def paper_study(
     folder: Path, jobs: int | None, further: Callable[[Side, Published], Side] | None = None
 ) -> Study[Published, Paper]:
-    """Return the study; what was solved in the folder before is taken from it.
+    """Return the study; results that exist in the folder are reused.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def _change(kpa: float) -> float:
 
 
 def sheet(rows: Sequence[PublishedNumber], names: Sequence[str]) -> Table:
-    """Rows as texts; set off are those of ours that lie within a quarter of the published number."""
+    """Return rows as texts; our numbers within a quarter of the published one are highlighted."""
     headers, texts, best = ("", "place", "published", *names), [], set()
     for place, row in enumerate(rows):
         ours = ["–" if np.isnan(number) else digits(number) for number in row.ours[: len(names)]]
@@ -171,7 +171,7 @@ def sheet(rows: Sequence[PublishedNumber], names: Sequence[str]) -> Table:
 
 
 def counts(rows: Sequence[PublishedNumber], names: Sequence[str]) -> str:
-    """'13 of 19 within a quarter (clean scenes), …' over rows that all sides have."""
+    """Return the number of reproduced rows of each side in words, such as '13 of 19 (clean scenes)'."""
     parts = [
         f"{sum(row.reproduced(number) for row in rows)} of {len(rows)} ({name})" for number, name in enumerate(names)
     ]
@@ -179,7 +179,7 @@ def counts(rows: Sequence[PublishedNumber], names: Sequence[str]) -> str:
 
 
 def response_figure(published: Published) -> Figure:
-    """Figure 1-e with its inset: the curve that lampest uses through the published numbers."""
+    """Draw figure 1-e with its inset: the response curve of lampest through the published numbers."""
     figure = style.new_figure(3.2)
     axes = figure.subplots()
     pressures = np.linspace(-10.0, 235.0, 981)
@@ -201,7 +201,7 @@ def response_figure(published: Published) -> Figure:
 
 
 def bending_figure(published: Published) -> Figure:
-    """Figure 2-a and 2-d: unloaded resistance over curvature, and the answer of bent cells up to 40 kPa."""
+    """Draw figures 2-a and 2-d: unloaded resistance over curvature, and the response of bent cells up to 40 kPa."""
     figure = style.new_figure(2.9)
     left, right = figure.subplots(1, 2)
     curvature = np.linspace(0, published.bent_cells[-1].curvature_per_m, 120)
@@ -228,7 +228,7 @@ def bending_figure(published: Published) -> Figure:
 
 
 def tiles_of(side: Side, published: Published) -> dict[str, list[Tile]]:
-    """Figure → its maps: 6, six loads as measured; 8, six methods on one frame; 9, a large and a small mouth."""
+    """Return the maps of each figure: 6, six measured loads; 8, six methods on one frame; 9, two mouths."""
     tiles: dict[str, list[Tile]] = {"fig6": [], "fig8": [], "fig9": []}
     for load in published.loads:
         change, felt = side.loads[load.letter]
@@ -248,13 +248,13 @@ def tiles_of(side: Side, published: Published) -> dict[str, list[Tile]]:
 
 
 def covered(change: Array) -> tuple[int, int]:
-    """Rows and columns that hold a cell which fell by more than half as much as the one that fell most."""
+    """Return the numbers of rows and columns with a cell that fell by more than half of the largest fall."""
     fallen = change < 0.5 * np.nanmin(change)
     return int(np.sum(fallen.any(axis=1))), int(np.sum(fallen.any(axis=0)))
 
 
 def tiles_figure(tiles: Sequence[Tile], panel: Panel, title: str) -> Figure:
-    """Contoured maps on one scale of ±100 %, with an arrow for what leaves it."""
+    """Draw contoured maps on one scale of ±100 %, with arrows for larger changes."""
     largest = max(float(np.nanmax(tile.values)) for tile in tiles if tile.values is not None)
     scale = banded_scale([np.array([-100.0, 100.0, max(largest, 100.0)])], CHANGE)
     return maps_figure(tiles, panel, scale, title, contoured=True)

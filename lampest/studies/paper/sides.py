@@ -54,7 +54,7 @@ class BentCell(NamedTuple):
 
 
 class LoadMap(NamedTuple):
-    """A map of figure 6: what was on the panel; recording : the shipped one of it."""
+    """A map of figure 6: the load on the panel, and its shipped recording."""
 
     letter: str
     recording: str
@@ -90,7 +90,7 @@ class ErrorRow(NamedTuple):
 
 
 class Published(NamedTuple):
-    """All of it; places : where in the paper, by subject."""
+    """All published numbers; `places` are their places in the paper, by subject."""
 
     schema: Literal[1]
     places: dict[str, str]
@@ -108,7 +108,7 @@ read_published = read_settings(Published)
 
 
 class LoadSeen(NamedTuple):
-    """Measurement of a load: relative change in percent, (rows, columns); felt : lowest and highest pressure in kPa."""
+    """Measurement of a load: relative change in percent, (rows, columns); lowest and highest pressure in kPa."""
 
     change: Array
     felt: tuple[float, float]

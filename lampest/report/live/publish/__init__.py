@@ -1,4 +1,4 @@
-"""Live frames for other programs. To add a way: write its `Publish` into a file here, name it in WAYS."""
+"""Publication of live frames for other programs. To add a protocol, write its `Publish` here and add it to WAYS."""
 
 from urllib.parse import urlsplit
 
@@ -23,7 +23,7 @@ def publish_at(where: str, token: str | None = None) -> Publish:
         raise InputError(f"--publish: '{where}' begins with none of {', '.join(ways)}")
     try:
         parts = urlsplit(f"//{address}", allow_fragments=False)
-        if parts.query or parts.port == -1:  # whatever is no port raises
+        if parts.query or parts.port == -1:  # `port` raises for an invalid one
             raise ValueError("what follows a question mark means nothing there")
     except ValueError as error:
         raise InputError(f"--publish: '{where}' is no address ({error})") from error

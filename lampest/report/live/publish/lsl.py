@@ -1,4 +1,4 @@
-"""Lab Streaming Layer: numbers of each frame, stamped with when its last byte arrived; and answers as they change."""
+"""Lab Streaming Layer: the numbers of each frame with the arrival time of its last byte, and changed answers."""
 
 import json
 import time
@@ -18,7 +18,7 @@ from lampest.report.live.publish.publish import Publish, Say, Send
 
 @dataclass(frozen=True)
 class LslPublish(Publish):
-    """`lsl://NAME`: found by its name in the local network, with the first frame: only then its size is known.
+    """`lsl://NAME`: announced by name in the local network at the first frame, when its size is known.
 
     `NAME-answer` has a line of JSON whenever the answer or the alarm changes.
     """

@@ -13,7 +13,7 @@ from lampest.report.live.handover import FAREWELL_SECONDS
 from lampest.report.live.message import Message
 from lampest.report.live.publish.publish import Publish, Say, Send, waited
 
-LATEST_SECONDS = 0.2  # that a broker may take to confirm a message before those that follow are left out
+LATEST_SECONDS = 0.2  # longest confirmation time of a broker before following messages are left out
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,6 @@ class MqttPublish(Publish):
             client.on_disconnect = None
             client.disconnect()
             waited(lambda: client.socket() is None, FAREWELL_SECONDS)  # the library would wait for ever
-            with suppress(OSError, AttributeError):  # it has gone meanwhile
+            with suppress(OSError, AttributeError):  # the connection may be closed meanwhile
                 client.socket().shutdown(socket.SHUT_RDWR)
             client.loop_stop()

@@ -13,7 +13,7 @@ from lampest.report.live.publish.publish import Publish, Say, Send
 
 @dataclass(frozen=True)
 class OscPublish(Publish):
-    """`osc://HOST:PORT/PREFIX`: to a program that listens there; nobody knows whether it does."""
+    """`osc://HOST:PORT/PREFIX`: to a program that listens there, without confirmation."""
 
     kind: ClassVar[str] = "osc"
     port: int = 9000
@@ -31,7 +31,7 @@ class OscPublish(Publish):
             yield self.where, lambda message: client.send(self._bundle(message))
 
     def _bundle(self, message: Message) -> Any:
-        """Sequence i, time d, size ii, texts s, solved T or F; maps, force, force_sd and probability f."""
+        """Return the bundle: sequence i, time d, size ii, texts s, solved T or F; maps, force and probability f."""
         from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
         from pythonosc.osc_message_builder import OscMessageBuilder
 

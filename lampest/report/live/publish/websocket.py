@@ -39,7 +39,7 @@ class WebsocketPublish(Publish):
         if host is None:
             raise InputError(f"--publish: websocket: '{self.host}' is no address such as 127.0.0.1 or 0.0.0.0")
         newest, access = Newest(""), Access.of(self.token, self.port, local=host.is_loopback)
-        listeners = dict[Any, float]()  # when the message that each has not yet taken was sent; else infinite
+        listeners = dict[Any, float]()  # send time of the oldest message that each has not taken; else infinite
 
         def cut_off(before: float) -> None:
             for connection in [listener for listener, sent in tuple(listeners.items()) if sent <= before]:
