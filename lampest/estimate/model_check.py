@@ -60,11 +60,11 @@ class ModelCheck:
         The circuit or the effects that explain the readings better, in the words of a scene; ''.
     noise : float
         Factor of the unloaded frames' scatter over the specified noise; 1 where it is not significant.
-    together : str
+    common_change : str
         The common change of all cells in words; '' where it is not significant.
-    besides : bool
+    by_effect : bool
         Whether `better` names effects beside the circuit.
-    lying : bool
+    loaded_at_rest : bool
         Whether a load may lie on the unloaded panel.
 
     >>> lampest.ModelCheck(True, "the circuit explains its readings").mark
@@ -75,9 +75,9 @@ class ModelCheck:
     sentence: str
     better: str = ""
     noise: float = 1.0
-    together: str = ""
-    besides: bool = False
-    lying: bool = False
+    common_change: str = ""
+    by_effect: bool = False
+    loaded_at_rest: bool = False
 
     @property
     def mark(self) -> str:
@@ -134,7 +134,9 @@ class ExplainedRecording:
             standing = standing_frames(used, frame, standing, noise)
         question = Question(specified, resting, standing, noise, named)
         compared = readings[np.concatenate([resting, standing])]
-        bounded = float((compared.bounds & scene.asked).sum() / max((compared.seen > 0)[:, scene.asked].sum(), 1))
+        bounded = float(
+            (compared.bounds & scene.requested).sum() / max((compared.seen > 0)[:, scene.requested].sum(), 1)
+        )
         explanation = Explanation.of(specified, question, patient=True) if bounded <= MAX_MISSING else None
         return cls(recording, readings, question, bounded, float(compared.missing(scene).mean()), explanation)
 
@@ -238,8 +240,8 @@ def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[
     if len(checks) < layout.count:
         sentence += f"; {len(checks)} of {layout.count} modules were checked, those that move most"
     better = next((check.better for check in agreeing.values() if check.better), "")
-    loaded = any(check.lying for check in checks.values())
-    return ModelCheck(verdict, sentence, better, max(check.noise for check in checks.values()), lying=loaded)
+    loaded = any(check.loaded_at_rest for check in checks.values())
+    return ModelCheck(verdict, sentence, better, max(check.noise for check in checks.values()), loaded_at_rest=loaded)
 
 
 def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:

@@ -223,7 +223,7 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
         parts = repeated_scatter(cleaned[~resting])
     if parts is None:
         return plain
-    specified = readout is None or recording.sigma is not None or readout.noise_told
+    specified = readout is None or recording.sigma is not None or readout.noise_specified
     squares, few = parts.own**2 * parts.own_freedom, MIN_UNLOADED_FRAMES if readout and readout.noise_lsb is None else 2
     used = noted_excess(squares, parts.own_freedom) if specified else 1.0
     # Only of a converter it is known how small the noise may be: its step.

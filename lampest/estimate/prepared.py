@@ -171,7 +171,7 @@ class Prepared:
             if sizes is not None and len(unloaded) and len(measured):
                 # Order: effects are taken off first, then still cells give shared errors, then the model's error
                 # remains.
-                if self.effects.pair is not None and self.check.besides:
+                if self.effects.pair is not None and self.check.by_effect:
                     noise = without_effects(noise, recording, self.effects).with_warnings(self.effects.corrections)
                 noise = with_still_cells(noise, recording, sizes)
             noise = with_model_error(noise, recording)

@@ -32,8 +32,8 @@ def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -
     circuit += f"; it is {TAKEN_OFF}" if circuit and taken else ""
     stage = saturated(recording)
     piled = "" if stage is None else stage.sentence
-    loaded = UNEVENLY if check.lying and not less else ""
-    return tuple(filter(None, (*plain, loaded, piled, circuit, check.together, *learned)))
+    loaded = UNEVENLY if check.loaded_at_rest and not less else ""
+    return tuple(filter(None, (*plain, loaded, piled, circuit, check.common_change, *learned)))
 
 
 def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
@@ -100,7 +100,7 @@ def _scatter(recording: Recording, noise: NoiseEstimate) -> str:
     """Return a warning of noise that no converter of the scene's kind has; ''."""
     readout = recording.scene.readout
     unlikely = noise.factor > MAX_NOISE_FACTOR or noise.factor * MAX_NOISE_FACTOR < 1
-    if readout is None or not readout.noise_told or not unlikely:
+    if readout is None or not readout.noise_specified or not unlikely:
         return ""
     return (
         f"readings at rest scatter {noise.factor:.2g} times as much as the scene's converter does: are units, "

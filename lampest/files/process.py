@@ -178,7 +178,7 @@ def handled(handler: Callable[[int], object]) -> Iterator[None]:
 
 @contextmanager
 def libraries_to_the_log() -> Iterator[None]:
-    """Write warnings, and errors that `told_reason` shortens, to the file in LAMPEST_LOG within the block."""
+    """Write warnings, and errors that `logged_reason` shortens, to the file in LAMPEST_LOG within the block."""
     path = os.environ.get("LAMPEST_LOG")
     handler = logging.FileHandler(Path(path), delay=True) if path else logging.NullHandler()
     loggers = [logging.getLogger(name) for name in ("lampest", "py.warnings")]
@@ -196,7 +196,7 @@ def libraries_to_the_log() -> Iterator[None]:
         handler.close()
 
 
-def told_reason(error: BaseException, of: str) -> str:
+def logged_reason(error: BaseException, of: str) -> str:
     """Return the message of an exception: its own if lampest raised it, otherwise a sentence, with an entry in the log.
 
     `of` is the computation, for the log.

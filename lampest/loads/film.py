@@ -288,7 +288,7 @@ class FilmKnown:
     @classmethod
     def specified(cls, film: Film) -> "FilmKnown":
         known = cls(film, film.hysteresis_strength, film.creep_strength)
-        return replace(known, sentence=known._said("assumed"))
+        return replace(known, sentence=known._described("assumed"))
 
     def at_rest(self, water: Array, response: Response) -> FilmMemory:
         """Return the films at rest in water, (films, rows, columns).
@@ -335,14 +335,14 @@ class FilmKnown:
         if mean > ERRORS.most_creep:
             message = "creep not estimated: what stays after loads does not fade as creep does"
             known = replace(self, creep=Strength(0.0, 0.0), residue=ERRORS.lasting_share)
-            return replace(known, sentence=known._said("", message))
+            return replace(known, sentence=known._described("", message))
         spread = float(np.hypot(shared, mean * self.film.cell_spread))
         known = replace(self, creep=Strength(mean, float(np.hypot(spread, ERRORS.cell_memory * mean))), residue=residue)
         if spread > shared:
             own = _likelihood(*data, ERRORS.memory, weight[None] @ RESIDUES)[0]
             known = replace(known, cells=_moments(own - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2))
         message = f"estimated from the recording, and {100 * residue:.1f} % of a load may stay after it"
-        return replace(known, sentence=known._said(message if shared <= 0.8 * usual.sd else "assumed"))
+        return replace(known, sentence=known._described(message if shared <= 0.8 * usual.sd else "assumed"))
 
     def at_once(self, change: Array, time: Array) -> tuple[Array, Array]:
         """Return ln r/r_rest without creep, and its error by the uncertainty of creep, (frames, rows, columns).
@@ -365,7 +365,7 @@ class FilmKnown:
         expected, stronger = np.stack(answers, axis=1)
         return expected, np.abs(stronger - expected)
 
-    def _said(self, creep_from: str, instead: str = "") -> str:
+    def _described(self, creep_from: str, instead: str = "") -> str:
         parts = []
         if self.film.hysteresis == "auto":
             parts.append(f"hysteresis {100 * self.hysteresis.mean:.0f} +- {100 * self.hysteresis.sd:.0f} %, assumed")

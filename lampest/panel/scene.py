@@ -218,7 +218,7 @@ class Scene(Configuration):
         return self._of_faults(Faults.blind)
 
     @cached_property
-    def asked(self) -> NDArray[np.bool_]:
+    def requested(self) -> NDArray[np.bool_]:
         """Whether a frame should have a reading, boolean (rows, columns); it may have more, without a cell."""
         return self.panel.present & ~self.blind
 

@@ -219,7 +219,7 @@ class Readings:
 
     def missing(self, scene: Scene) -> NDArray[np.bool_]:
         """Return whether a reading of a cell is missing for another reason than the scene's faults."""
-        return np.asarray((self.seen == 0) & scene.asked)
+        return np.asarray((self.seen == 0) & scene.requested)
 
     @property
     def shown(self) -> Array:
@@ -232,7 +232,7 @@ class Readings:
         At most half of the scene's requested readings may be missing. At least half of them, or M + N − 1, must be
         values: so many describe a panel with one factor for each line.
         """
-        requested = scene.asked
+        requested = scene.requested
         lines = int(requested.any(axis=1).sum() + requested.any(axis=0).sum())
         least = min(-(-int(requested.sum()) // 2), lines - 1)
         missing = ((self.seen == 0) & requested).sum(axis=(-2, -1))

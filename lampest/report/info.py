@@ -164,7 +164,9 @@ def _results_lines(results: Results) -> list[str]:
             f"recording {recording}: {frames} frames, {first.time.min():g} to {first.time.max():g} s, "
             f"{rows} rows × {columns} columns, pitch {first.scene.panel.pitch_mm:g} mm, truth {truth} the file"
         )
-        missing = np.isnan(first.measured) & first.scene.asked  # results of older versions do not say what are bounds
+        missing = (
+            np.isnan(first.measured) & first.scene.requested
+        )  # results of older versions do not say what are bounds
         bounds = np.zeros(missing.shape, bool) if first.reading_side is None else first.reading_side != 0
         shown = first.model_mark and first.model_sentence not in first.warnings
         lines += _lines(

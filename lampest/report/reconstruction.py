@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from lampest.report.plots.contours import Figure, Plot
     from lampest.runs.case import DataFrame, Dataset
 
-INTERNAL = {"of", "asked", "tared"}  # attributes that the package's own columns read
+INTERNAL = {"of", "tared"}  # attributes that the package's own columns read
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -23,7 +23,7 @@ from lampest.estimate.sequence import Parts, asked_frames, reconstruct
 from lampest.estimate.state import CarriedOver
 from lampest.files import hdf5
 from lampest.files.errors import InputError
-from lampest.files.process import told_reason
+from lampest.files.process import logged_reason
 from lampest.files.whole import inner_folder, opened_for_locking, output_folder, own, remove_own, sparing
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
@@ -191,7 +191,7 @@ def run_batch(
                 for task, outcome in outcomes:
                     if isinstance(outcome, BaseException):
                         name = f"{task.case.recording} × {task.case.name}"
-                        failed.append((name, told_reason(outcome, name)))
+                        failed.append((name, logged_reason(outcome, name)))
                     else:
                         finished[task.file] = outcome
         except LostError as error:

@@ -429,18 +429,18 @@ def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, mo
         monkeypatch.setattr(module, "samples_of", arriving)
     monkeypatch.chdir(tmp_path)
     board = LiveBoard(("port",), None, 2)
-    with Engine("port", "LSM", LSM, 2) as engine, recorder_of(board, engine) as (recorder, asks):
-        assert recorder is not None and asks.record is not None and engine.shown.item.recording == ("", False)
-        asks.record("one")
+    with Engine("port", "LSM", LSM, 2) as engine, recorder_of(board, engine) as (recorder, actions):
+        assert recorder is not None and actions.record is not None and engine.shown.item.recording == ("", False)
+        actions.record("one")
         from_board(engine, board, 3, recorder.take)
         assert engine.shown.item.recording == (f"recording {tmp_path / 'one.h5'}: 3 frames", True)
-        asks.tare()
+        actions.tare()
         assert engine._zero_asked.is_set() and recorder._zeroed.is_set()
         engine.finish()
         button = engine.shown.item
     out = dataclasses.replace(board, out=tmp_path / "two.h5")
-    with Engine("port", "LSM", LSM, 2) as engine, recorder_of(out, engine) as (recorder, asks):
-        assert recorder is None and asks.record is None
+    with Engine("port", "LSM", LSM, 2) as engine, recorder_of(out, engine) as (recorder, actions):
+        assert recorder is None and actions.record is None
         assert recorded_from_board(engine, out, 3).frames == 3
         engine.finish()
         written = engine.shown.item

@@ -109,10 +109,12 @@ def test_the_page_is_told_where_something_presses_and_what_its_force_leaves_out(
         ({(1, 1): 0.1, (2, 2): 6.0}, "pressing and sucking"),
     ],
 )
-@pytest.mark.parametrize("noise_told", [True, False])
-def test_what_is_on_the_panel_in_a_word(change: dict[tuple[int, int], float], verdict: str, noise_told: bool) -> None:
+@pytest.mark.parametrize("noise_specified", [True, False])
+def test_what_is_on_the_panel_in_a_word(
+    change: dict[tuple[int, int], float], verdict: str, noise_specified: bool
+) -> None:
     """Cells times so much; as much beside a load as a penalty leaves there is no suction, nor is an open cell."""
-    scene, ratio = Scene(Panel(4, 5), TwoPointReadout() if noise_told else None), np.ones((4, 5))
+    scene, ratio = Scene(Panel(4, 5), TwoPointReadout() if noise_specified else None), np.ones((4, 5))
     for cell, factor in change.items():
         ratio[cell] = factor
     cells = np.full((4, 5), 3000.0)

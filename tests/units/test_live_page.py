@@ -21,7 +21,7 @@ from lampest.report.live import server as server_module
 from lampest.report.live.handover import Newest
 from lampest.report.live.message import View
 from lampest.report.live.run import Outlets, Replay, chosen, live
-from lampest.report.live.server import Asks, PageServer, address, is_local_name, serving
+from lampest.report.live.server import PageActions, PageServer, address, is_local_name, serving
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 TOKEN = "a-token-of-my-own"
@@ -29,10 +29,10 @@ Ask = Callable[..., http.client.HTTPResponse]
 
 
 @contextlib.contextmanager
-def page_at(host: str, *given: Any, **asks: Any) -> Iterator[SimpleNamespace]:
+def page_at(host: str, *given: Any, **actions: Any) -> Iterator[SimpleNamespace]:
     """A running server with what it shows; `ask` opens a connection and returns the answer, `status` its code."""
     shown = Newest(View("here", "LSM", "receiving"))
-    with serving(host, 0, shown, *given, **asks) as server, contextlib.ExitStack() as stack:
+    with serving(host, 0, shown, *given, **actions) as server, contextlib.ExitStack() as stack:
         port = int(server.server_address[1])
 
         def ask(path: str = "/", method: str = "GET", **headers: str) -> http.client.HTTPResponse:
@@ -116,8 +116,8 @@ def test_the_server_gives_the_page_and_the_views_and_nothing_else(page: SimpleNa
 
 def test_a_new_zero_is_for_the_page_itself_to_ask_for() -> None:
     asked: list[str] = []
-    asks = Asks(lambda: asked.append("zero"), lambda: asked.append("seen"))
-    with page_at("127.0.0.1", asks=asks) as page:
+    actions = PageActions(lambda: asked.append("zero"), lambda: asked.append("seen"))
+    with page_at("127.0.0.1", actions=actions) as page:
         for path, headers, status in (
             ("/zero", {}, 403),
             ("/zero", {"X_Lampest": "one"}, 403),
@@ -142,7 +142,7 @@ def test_a_recording_is_for_the_page_itself_to_ask_for_and_needs_the_token() -> 
         asked.append(name)
 
     bearer = {"Authorization": f"Bearer {TOKEN}"}
-    with page_at("127.0.0.1", TOKEN, Asks(record=record)) as page:
+    with page_at("127.0.0.1", TOKEN, PageActions(record=record)) as page:
         for path, headers, status in (
             ("/record", {"X_Lampest": "record"}, 403),
             ("/record", {"X_Lampest": "zero", **bearer}, 403),

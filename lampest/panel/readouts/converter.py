@@ -69,7 +69,7 @@ class Converter(Configuration):
         return self.supply_volt
 
     @property
-    def noise_told(self) -> bool:
+    def noise_specified(self) -> bool:
         """Whether the noise is specified; otherwise frames determine it."""
         return self.noise_lsb not in (None, "estimated")
 
@@ -85,7 +85,7 @@ class Converter(Configuration):
 
     def converter_description(self) -> str:
         """Return the converter's numbers in words."""
-        noise = lines_text(self.assumed_noise, "LSB") if self.noise_told else "as the unloaded frames show it"
+        noise = lines_text(self.assumed_noise, "LSB") if self.noise_specified else "as the unloaded frames show it"
         floor = f", codes above {self.floor_code}" if self.floor_code else ""
         return f"{self.adc_bits} bits, {self.readings} readings, noise {noise}{floor}"
 

@@ -15,7 +15,7 @@ from lampest.estimate.saturation import with_saturated_stage
 from lampest.estimate.warnings import warnings_of
 from lampest.files import hdf5
 from lampest.files.errors import InputError
-from lampest.files.process import ONE_BLAS_THREAD, told_reason
+from lampest.files.process import ONE_BLAS_THREAD, logged_reason
 from lampest.loads.pressure import sigma_of_frames, water_pressure
 from lampest.loads.recognition.breathing import too_slow
 from lampest.loads.recognition.detector import Detector
@@ -118,7 +118,7 @@ class Known:
                 watch = watch.push(value, sigma, time)
                 course.append((time, watch.stands_out))
         except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
-            return Detected.unknown(self.name, told_reason(error, self.name))
+            return Detected.unknown(self.name, logged_reason(error, self.name))
         if len(course) < 2:
             return Detected.unknown(self.name, "one frame shows no change; three are needed")
         return self.detected(watch.ended(), frame_rate([time for time, _ in course]), np.array(course).T)

@@ -27,7 +27,7 @@ from lampest.report.live.engine import Engine, FrameSource
 from lampest.report.live.message import acknowledged
 from lampest.report.live.publish import publish_at
 from lampest.report.live.publish.publish import publishing
-from lampest.report.live.server import Asks, address, serving
+from lampest.report.live.server import PageActions, address, serving
 from lampest.report.live.watcher import Scan
 from lampest.runs.config import RunFile, resolve
 
@@ -137,8 +137,8 @@ def live(
     with (
         Engine(port if recording is None else recording.name, name, method, source.baseline, beside=True) as engine,
         publishing(ways, engine.shown, on_trouble) as published,
-        recorder_of(source, engine) as (recorder, asks),
-        serving(*address(outlets.http), engine.shown, outlets.token, asks) as server,
+        recorder_of(source, engine) as (recorder, actions),
+        serving(*address(outlets.http), engine.shown, outlets.token, actions) as server,
     ):
         for where in (server.url, *published):
             on_url(where)
@@ -162,11 +162,11 @@ def live(
 
 
 @contextmanager
-def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[tuple[Recorder | None, Asks]]:
+def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[tuple[Recorder | None, PageActions]]:
     """Yield the recorder of the page's button, or None, and the requests that the page may send."""
-    asks = Asks(engine.tare, lambda: engine.shown.change(acknowledged))
+    actions = PageActions(engine.tare, lambda: engine.shown.change(acknowledged))
     if isinstance(source, Replay) or source.out is not None:
-        yield None, asks
+        yield None, actions
         return
 
     def say(*state: Any) -> None:
@@ -178,7 +178,7 @@ def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[tuple[Re
 
     engine.show(recording=("", False))
     with closing(Recorder(Path(), source.scene, source.baseline, say)) as recorder:
-        yield recorder, replace(asks, tare=tare, record=recorder.ask)
+        yield recorder, replace(actions, tare=tare, record=recorder.ask)
 
 
 def chosen(name: str | None, config: Path | None, settings: tuple[str, ...] = ()) -> tuple[str, Estimator]:

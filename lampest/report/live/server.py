@@ -26,7 +26,9 @@ HEARTBEAT_SECONDS = 2.0  # between messages without content
 TURN_SECONDS = 60.0  # after which a page, or a listener that takes nothing, is replaced by a waiting one
 MIN_TOKEN_LENGTH = 16  # characters, 10²⁸ possible tokens
 HINT = ": open the address that lampest printed when it began, with its token if it has one"
-WISH = "X-Lampest"  # required header: a browser lets a foreign page send it only after a preflight, which is refused
+REQUEST_HEADER = (
+    "X-Lampest"  # required header: a browser lets a foreign page send it only after a preflight, which is refused
+)
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; connect-src 'self'; script-src 'unsafe-inline'; "
@@ -100,7 +102,7 @@ def _query(target: str) -> list[tuple[str, str]]:
 
 
 @dataclass(frozen=True)
-class Asks:
+class PageActions:
     """Requests of visitors of the page, called from any thread.
 
     Attributes
@@ -125,8 +127,8 @@ class PageServer(ThreadingHTTPServer):
     request_queue_size = 64
     allow_reuse_address = os.name == "posix"  # on Windows it would share the port with another server
 
-    def __init__(self, host: str, port: int, shown: Newest[View], token: str | None, asks: Asks) -> None:
-        self.shown, self.asks = shown, asks
+    def __init__(self, host: str, port: int, shown: Newest[View], token: str | None, actions: PageActions) -> None:
+        self.shown, self.actions = shown, actions
         self.page = files("lampest.report.live").joinpath("page.html").read_bytes()
         self.seats, self.refused = BoundedSemaphore(MAX_STREAMS), Event()
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -191,19 +193,19 @@ class PageHandler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         """Renew the zero at /zero, end the alarm at /acknowledge, begin or end a recording at /record.
 
-        Requires the header WISH, which pages from elsewhere cannot send.
+        Requires the header REQUEST_HEADER, which pages from elsewhere cannot send.
         """
-        asks, wish = self.server.asks, urlsplit(self.path).path.removeprefix("/")
-        record, name = asks.record, dict(_query(self.path)).get("name", "")
-        wishes = {"zero": asks.tare, "acknowledge": asks.acknowledge}
-        wishes |= {"record": lambda: record(name)} if record else {}
-        if wish not in wishes:
+        actions, action = self.server.actions, urlsplit(self.path).path.removeprefix("/")
+        record, name = actions.record, dict(_query(self.path)).get("name", "")
+        callables = {"zero": actions.tare, "acknowledge": actions.acknowledge}
+        callables |= {"record": lambda: record(name)} if record else {}
+        if action not in callables:
             self.send_error(HTTPStatus.NOT_FOUND)
-        elif self.headers.get(WISH) != wish or self.headers.get("Content-Length", "0") != "0":
+        elif self.headers.get(REQUEST_HEADER) != action or self.headers.get("Content-Length", "0") != "0":
             self.send_error(HTTPStatus.FORBIDDEN)
         else:
             try:
-                wishes[wish]()
+                callables[action]()
             except InputError:
                 self.send_error(HTTPStatus.BAD_REQUEST)
             else:
@@ -274,7 +276,7 @@ def address(text: str) -> tuple[str, int]:
 
 @contextmanager
 def serving(
-    host: str, port: int, shown: Newest[View], token: str | None = None, asks: Asks | None = None
+    host: str, port: int, shown: Newest[View], token: str | None = None, actions: PageActions | None = None
 ) -> Iterator[PageServer]:
     """Run a server in a thread; at the end all clients get the last view.
 
@@ -284,12 +286,12 @@ def serving(
     ----------
     token : str or None
         Required of visitors; by default none on the loopback address and a generated one elsewhere.
-    asks : Asks or None
+    actions : PageActions or None
         Requests that visitors may send.
     """
     Access(token or "")
     try:
-        server = PageServer(host, port, shown, token, asks or Asks())
+        server = PageServer(host, port, shown, token, actions or PageActions())
     except OSError as error:
         raise InputError(f"--http: cannot listen at {host}:{port} ({error.strerror or error})") from error
     with server:

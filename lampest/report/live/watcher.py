@@ -8,7 +8,7 @@ import numpy as np
 
 from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
-from lampest.files.process import told_reason
+from lampest.files.process import logged_reason
 from lampest.loads.recognition.image import ImageWatch
 from lampest.loads.recognition.watch import Watch
 from lampest.panel.panel import Array
@@ -107,7 +107,7 @@ class Watched:
                 return self._begun(news)
             return self._zeroed(news) if self.missing else self._seen(news)
         except (InputError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
-            return replace(self, why=told_reason(error, self.name))
+            return replace(self, why=logged_reason(error, self.name))
 
     @property
     def detected(self) -> Detected:
@@ -126,7 +126,7 @@ class Watched:
         try:
             watch = known.watch()
         except (ArithmeticError, ValueError) as error:
-            return replace(start, why=told_reason(error, self.name))
+            return replace(start, why=logged_reason(error, self.name))
         before, end = () if self.watch is None else self.watch.attachments, news.scans[0].time
         closed = tuple(replace(attachment, until_s=end) if attachment.present else attachment for attachment in before)
         return replace(start, known=known, watch=replace(watch, attachments=closed))
@@ -163,7 +163,7 @@ def watcher(name: str, on_answer: Callable[[Detected], None]) -> Beside[list[New
     """Return a process that watches lists of news; answers come from a thread of its own."""
 
     def answered(batch: list[News], answer: Any) -> None:
-        on_answer(answer if isinstance(answer, Detected) else Detected.unknown(name, told_reason(answer, name)))
+        on_answer(answer if isinstance(answer, Detected) else Detected.unknown(name, logged_reason(answer, name)))
 
     return Beside(Desk(name), in_one_batch, answered, lambda: on_answer(Detected.unknown(name, DIED)))
 
