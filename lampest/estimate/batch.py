@@ -152,10 +152,9 @@ def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[
             kind = id(estimator), stream.scene.faults, stream.first, stream.rested, partial[number]
             groups.setdefault(kind, {})[number] = stream
     for group in groups.values():
-        several = len(
-            set(map(id, group.values()))
-        )  # frames of one stream stay in one thread, however many cores there are
-        blocks = max(1, min(cores, several // MIN_PANELS_PER_THREAD))
+        # Frames of one stream stay in one thread, however many cores there are.
+        distinct = len(set(map(id, group.values())))
+        blocks = max(1, min(cores, distinct // MIN_PANELS_PER_THREAD))
         for place, numbers in enumerate(np.array_split(list(group), blocks)):
             with suppress(*BROKEN), np.errstate(all="ignore"):
                 together = StreamBatch.of(

@@ -188,10 +188,8 @@ def without_effects(seen: NoiseEstimate, recording: Recording, besides: CircuitE
     frame, nothing = seen.frame, np.zeros((recording.scene.panel.shape[1 - recording.scene.circuit.by_columns], 0))
     if frame is None:
         frame = FrameNoise(recording.scene, int(unloaded.sum()), 0.0, nothing, nothing)
-    readings, frame = (
-        without_effects_of(besides.pair, seen.readings, unloaded),
-        replace(frame, effect_errors=remaining_errors(besides.pair)),
-    )
+    readings = without_effects_of(besides.pair, seen.readings, unloaded)
+    frame = replace(frame, effect_errors=remaining_errors(besides.pair))
     return replace(seen, readings=readings, frame=frame, corrected_effects=besides)
 
 
