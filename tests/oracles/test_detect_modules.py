@@ -1,6 +1,6 @@
 """Recognition on panels of modules, of mouths that no package made, and of a load's size against a random walk."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,11 +12,14 @@ from laws.recognised import PATCH_MM, frame_under, verdict_on
 from docs.studies.attachments import SLIDES_S, SLIDING, TOUCH_S, UNLOADED, recording, seen
 from lampest import Array, Course, Faults, OralDisc, Panel, Recording, Rod, Scene, Simulation, TwoPointReadout, simulate
 from lampest.estimate.prepared import Prepared
+from lampest.files.levels import SIGNIFICANT
 from lampest.loads.recognition.attachment import Attachment
+from lampest.loads.recognition.candidates import UNIFORM
 from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.evidence import Verdict
 from lampest.loads.recognition.fit import Fitting, along_diameter
-from lampest.loads.recognition.image import ImageWatch, Window
-from lampest.loads.recognition.observation import ModelErrors, Whitening
+from lampest.loads.recognition.image import CALM_S, ImageWatch, Window
+from lampest.loads.recognition.observation import OUTLIER_SHARE, ModelErrors, Whitening, outliers
 from lampest.panel.panel import EachModule, Modules
 from lampest.report.detect.answer import LAMPREY, Detected
 from lampest.report.detect.detection import Known, detect_recording, known_of, measured_frames
@@ -250,3 +253,95 @@ def test_small_rods_are_as_large_as_they_are_said_to_be(diameter_mm: float, cent
     error = np.sqrt(slopes @ best.covariance @ slopes)
     assert error < 9.0
     assert abs(value - diameter_mm) < 2 * error
+
+
+@dataclass(frozen=True, eq=False)
+class Rested:
+    """What a module, or a window of modules, knows of its cells at rest."""
+
+    resting: Any
+    mean: Any
+    recent: Any
+    rest_s: float = 0.0
+    rested: float = 0.0
+    begun: float = 0.0
+    window: Any = ()
+    uncovered_s: float = 0.0
+    number: int = 0
+
+
+def test_modules_go_on_from_where_the_windows_that_close_stand_unless_another_covers_them() -> None:
+    """One window over modules 0, 1, 3 and 4 has been calm for long, one over 1, 2, 4 and 5 has not; 3 is dead."""
+    rng = np.random.default_rng(1)
+    old, young = (Window.about(SCENE, np.array(place)) for place in ([69.0, 57.0], [143.0, 57.0]))
+    assert (old.numbers, young.numbers) == ((0, 1, 3, 4), (1, 2, 4, 5))
+    known = [Rested(*rng.normal(size=(2, 42)), tuple(rng.normal(size=(2, 42))), number=number) for number in range(6)]
+    calm, busy = (
+        Rested(*rng.normal(size=(2, 168)), tuple(rng.normal(size=(2, 168))), *(10.0 * n + np.arange(1.0, 6.0)))
+        for n in (1, 2)
+    )
+    modules: Any = tuple(None if number == 3 else module for number, module in enumerate(known))
+    opened: Any = ((old, calm, 100.0), (young, busy, 100.0 + 1e-3))
+    watch = ImageWatch(None, modules, opened)  # type: ignore[arg-type]
+    closed = watch._closed(100.0 + CALM_S)
+    assert closed.opened == opened[1:] and closed.modules[1:] == modules[1:]
+    first: Any = closed.modules[0]
+    assert first is not None and first.number == 0
+    for now, image in zip(
+        (first.resting, first.mean, *first.recent), (calm.resting, calm.mean, *calm.recent), strict=True
+    ):
+        np.testing.assert_array_equal(np.ravel(now), np.reshape(image, (12, 14))[:6, :7].ravel())
+    assert (first.rest_s, first.rested, first.begun, first.window, first.uncovered_s) == (11, 12, 13, 14, 15)
+    assert watch._closed(99.0 + CALM_S).modules == modules
+    both = watch._closed(101.0 + CALM_S)
+    assert both.opened == () and both.modules[3] is None and None not in both.modules[4:]
+    last: Any = both.modules[5]
+    np.testing.assert_array_equal(np.ravel(last.resting), busy.resting.reshape(12, 14)[6:, 7:].ravel())
+    assert last.number == 5 and last.rest_s == 21
+
+
+@pytest.mark.parametrize(
+    ("goodness", "further", "counts"), [(0.7, 0, 1.0), (2.5, 0, 0.4), (0.7, 2, 0.5), (2.5, 2, 0.2)]
+)
+def test_differences_of_evidence_count_less_where_shapes_compete_and_where_none_fits(
+    goodness: float, further: int, counts: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By χ² per reading of the fit with the most evidence beyond its prior, never by less than one."""
+    evidence, before = np.array([-3.0, 1.0, 2.0, 0.5])[: 2 + further], np.array([0.0, 0.5, 3.0, 1.5])[: 2 + further]
+    chi2 = np.where(evidence == 1.0, 100 * goodness, 1e4)
+    fits: Any = [SimpleNamespace(evidence=own, chi2=misfit) for own, misfit in zip(evidence, chi2, strict=True)]
+    costs = iter(before)
+    monkeypatch.setattr("lampest.loads.recognition.evidence.prior_cost", lambda *_: next(costs))
+    assert len(UNIFORM) == 2
+    frame: Any = SimpleNamespace(measured=np.zeros((10, 10)))
+    verdict = Verdict.of(Panel(10, 10), fits, frame)
+    shares = np.exp(counts * evidence - before)
+    np.testing.assert_allclose(verdict.shares, shares / shares.sum())
+    assert (verdict.goodness, verdict.evidence) == (pytest.approx(goodness), 0.5)
+
+
+def test_readings_exclude_more_than_three_deviations_beyond_the_map_of_independent_cells() -> None:
+    frame = frame_under(Rod(centre_mm=(30, 30), diameter_mm=24, mass_g=100), Panel(7, 7))
+    spread, at = frame.baseline.model_errors.mapped, frame.map
+    slope = frame.slope(at)
+    precision = slope.T @ np.linalg.solve(frame.covariance(slope), slope) + np.eye(at.size) / spread**2
+    deviation = np.sqrt(np.diag(np.linalg.inv(precision))).reshape(at.shape)
+    np.testing.assert_allclose(frame.highest - at, 3.0 * deviation, rtol=0.1)
+
+
+def test_outliers_are_taken_out_one_after_the_other_until_the_others_expect_what_is_left() -> None:
+    rng = np.random.default_rng(2)
+    root = np.tril(0.1 * rng.standard_normal((100, 100)), -1) + np.diag(rng.uniform(0.5, 2.0, 100))
+    covariance, residual = root @ root.T, 0.5 * root @ rng.standard_normal(100)
+    assert list(outliers(Whitening(root), residual)) == []
+    residual[[4, 17, 9]] += 12.0, -30.0, 20.0
+    far = list[int]()
+    while len(far) < int(OUTLIER_SHARE * 100):
+        left = np.setdiff1d(np.arange(100), far)
+        precision = np.linalg.inv(covariance[np.ix_(left, left)])
+        score = np.abs(precision @ residual[left]) / np.sqrt(np.diag(precision))
+        if score.max() <= SIGNIFICANT:
+            break
+        far.append(int(left[np.argmax(score)]))
+    assert list(outliers(Whitening(root), residual)) == sorted(far)
+    assert 17 in far
