@@ -1,6 +1,10 @@
 """Formulas of changed cells, motion, smoothed losses and series resistances, against their plain statements."""
 
+from dataclasses import replace
+from functools import cached_property
 from itertools import product
+from pathlib import Path
+from threading import RLock
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,15 +24,20 @@ from lampest import (
     TwoPointReadout,
     two_point_resistance,
 )
-from lampest.cost.given import Background
+from lampest.cost.given import Background, Given
 from lampest.cost.problem import Evaluation
 from lampest.estimate.calibration.loads import _answers
+from lampest.estimate.calibration.trials import known_resistors
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
+from lampest.estimate.estimates import barred_maps
 from lampest.estimate.model_check import most_in_series
 from lampest.estimate.noise import NoiseEstimate, largest_change_within_scan
 from lampest.estimate.rivals import Question, Rival
+from lampest.panel import compiled
 from lampest.panel.panel import Array
-from lampest.solvers.bounds import bounds_matter
+from lampest.posterior import profile_interval
+from lampest.posterior.sampled import SampledErrors
+from lampest.solvers.bounds import bounds_matter, lower_along
 from lampest.solvers.smoothing import Smoothing
 
 
@@ -130,6 +139,22 @@ def test_a_resistance_in_series_is_smaller_than_every_reading_of_both_frames(lev
     rival = Rival(Scene(Panel(3, 3), TwoPointReadout(), 100.0), recorded, np.ones(recorded.shape))
     question = Question(rival, np.array([0, 1]), np.array([2, 3]), 1.0, np.arange(4))
     assert 0.9 * min(levels) < most_in_series(rival, question) < min(levels)
+    assert question.loaded == "frames 2 to 3"
+    assert replace(question, standing=np.array([3]), named=np.arange(10, 14)).loaded == "frame 13"
+
+
+def test_a_circuit_explains_means_of_widened_readings_that_noise_leaves_nearly_gaussian() -> None:
+    recorded, sigma = np.repeat([900.0, 800.0], 2)[:, None, None] * np.ones((3, 3)), np.full((3, 3), 2.0)
+    sigma[1, 2] = 600.0
+    rival = Rival(Scene(Panel(3, 3), TwoPointReadout(), 100.0), recorded, sigma)
+    resting, loaded = Question(rival, np.array([0, 1]), np.array([2, 3]), 3.0, np.arange(4)).readings(rival)
+    usable = np.ones((3, 3))
+    usable[1, 2] = 0.0
+    for readings, value in ((resting, 800.0), (loaded, 700.0)):
+        np.testing.assert_array_equal(readings.seen, usable)
+        np.testing.assert_allclose(readings.value[usable > 0], value)
+        np.testing.assert_allclose(readings.sigma[usable > 0], 3.0 * 2.0 / np.sqrt(2))
+    assert len(Question(rival, np.arange(4), np.arange(0), 3.0, np.arange(4)).readings(rival)) == 1
 
 
 def test_a_point_keeps_its_solved_networks_and_solves_them_where_it_has_none() -> None:
@@ -161,3 +186,133 @@ def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypa
     loads[0].frames = (2, 6)
     with pytest.raises(InputError, match="no frame 6, its frames are 0 to 5"):
         list(_answers(recording, loads))
+
+
+def test_a_lower_cost_is_looked_for_forth_and_back_along_a_direction_from_far_to_near(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene, cells = Scene(Panel(3, 3), TwoPointReadout()), np.full((1, 3, 3), 1000.0)
+    estimator = Estimator((Misfit(),), "reduced")
+    data = estimator.data(Readings.of(scene, two_point_resistance(1.1 * cells)), Background(scene))
+    at = Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, cells)
+    steps, along = list[Array](), np.linspace(-4.0, 2.0, 9)
+    with monkeypatch.context() as patch:
+        patch.setattr("lampest.solvers.bounds.moved_by", lambda _, step: steps.append(step))
+        assert lower_along(at, along) is None
+    lengths = [1.0, -1.0, 0.3, -0.3, 0.1, -0.1, 0.03, -0.03, 0.01, -0.01]
+    np.testing.assert_allclose(steps, np.multiply.outer(lengths, along / 4))
+    steps.clear()
+    lower = lower_along(at, -np.ones(9))
+    assert lower is not None and lower.objective < at.objective
+    np.testing.assert_allclose(lower.cell_resistance, 1000.0 * np.exp(0.1))
+
+
+def test_maps_of_error_bars_reach_as_far_as_those_of_each_frame_and_nowhere_where_it_has_none() -> None:
+    cells, baseline = np.array([[[2.0, 6.0]], [[4.0, 8.0]]]), np.array([[4.0, 4.0]])
+    own = {
+        "deviation": 0.1,
+        "below": 0.2,
+        "above": 0.3,
+        "resolution": 0.4,
+        "data_share": 0.5,
+        "own": 0.6,
+        "common": 0.7,
+    }
+    change = {name: 2 * number for name, number in own.items()}
+    frame, changed = (
+        SimpleNamespace(**{name: np.full((1, 2), number) for name, number in one.items()}) for one in (own, change)
+    )
+    steps: Any = (SimpleNamespace(bars=SimpleNamespace(frame=frame, change=changed)), SimpleNamespace(bars=None))
+    maps, ratio = barred_maps(cells, baseline, steps), np.array([[0.5, 1.5]])
+    first = {
+        "cell_resistance_errors": 0.1 * cells[0],
+        "cell_resistance_lower": np.exp(-0.2) * cells[0],
+        "cell_resistance_upper": np.exp(0.3) * cells[0],
+        "relative_change_errors": 20.0 * ratio,
+        "relative_change_lower": 100 * (np.exp(-0.4) * ratio - 1),
+        "relative_change_upper": 100 * (np.exp(0.6) * ratio - 1),
+        "ratio_lower": np.exp(-0.4) * ratio,
+        "ratio_upper": np.exp(0.6) * ratio,
+        "resolution": 0.4,
+        "data_share": 0.5,
+        "sigma_own": 0.6,
+        "sigma_common": 0.7,
+        "change_own": 1.2,
+    }
+    assert maps.keys() == first.keys()
+    ends = {name: 0.0 for name in first if name.endswith("_lower") or name in ("resolution", "data_share")}
+    for name, values in maps.items():
+        np.testing.assert_allclose(values[0], np.broadcast_to(first[name], (1, 2)), err_msg=name)
+        np.testing.assert_allclose(
+            values[1], {"relative_change_lower": -100.0}.get(name, ends.get(name, np.inf)), err_msg=name
+        )
+    cells[0, 0, 1] = np.nan
+    assert all(
+        np.isnan(values[0, 0]).tolist() == [False, True] for values in barred_maps(cells, baseline, steps).values()
+    )
+
+
+def test_profiles_are_of_missing_cells_that_are_free_where_matrices_are_at_hand(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ends = lambda errors, cell: SimpleNamespace(tangent=cell, end=lambda side: side * errors.length)  # noqa: E731
+    monkeypatch.setattr(profile_interval, "ProfileInterval", ends)
+    dense: Any = SimpleNamespace(model=SimpleNamespace(free=np.array([0, 2, 5])), length=7.0)
+    assert list(profile_interval._profiled(dense, np.array([1, 2, 5]))) == [(2, -7.0, 7.0), (5, -7.0, 7.0)]
+    sampled = object.__new__(SampledErrors)
+    sampled.__dict__["model"] = dense.model
+    assert list(profile_interval._profiled(sampled, np.array([1, 2, 5]))) == []
+
+
+def test_readings_that_are_all_values_are_told_to_a_cost_without_sides() -> None:
+    declared = {name: (one.absent, one.per_frame, one.partial) for name, one in Given.sources().items()}
+    assert declared == {
+        "measured": (1.0, True, False),
+        "sigma": (1.0, True, False),
+        "side": (0.0, True, True),
+        "seen": (1.0, True, True),
+        "previous": (1.0, False, False),
+        "baseline": (1.0, False, False),
+        "previous_deviation": (0.0, False, False),
+    }
+    whole, partial = (dict(Given.symbols(4, 2, partial=partial).named()) for partial in (False, True))
+    assert partial.keys() - whole.keys() == {"side", "seen"}
+    assert {name: symbol.shape for name, symbol in partial.items()} == {
+        name: (4, 2 if per_frame else 1) for name, (_, per_frame, _) in declared.items()
+    }
+
+
+def test_known_resistors_are_a_number_or_a_table_with_gaps(tmp_path: Path) -> None:
+    panel, table = Panel(2, 3), tmp_path / "known.csv"
+    np.testing.assert_array_equal(known_resistors("120.5", panel), np.full((2, 3), 120.5))
+    table.write_text("1,2.5,inf\n,nan,6\n", encoding="utf-8-sig")
+    expected = [[1, 2.5, np.inf], [np.nan, np.nan, 6]]
+    np.testing.assert_array_equal(known_resistors(str(table), panel), expected)
+    np.save(tmp_path / "known.npy", expected)
+    np.testing.assert_array_equal(known_resistors(str(tmp_path / "known.npy"), panel), expected)
+    table.write_text("1,2,3\n")
+    with pytest.raises(InputError, match="the panel has 2 × 3 cells, but the table holds 1 × 3 numbers"):
+        known_resistors(str(table), panel)
+    np.save(tmp_path / "known.npy", np.full((2, 3), "ten"))
+    with pytest.raises(InputError, match="but the table holds 2 × 3 numbers"):
+        known_resistors(str(tmp_path / "known.npy"), panel)
+
+
+def test_locks_of_cached_properties_are_new_in_a_forked_child_and_others_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A property's lock would be held there for ever by a thread of the parent; the module's own is free again."""
+    held = RLock()
+    waiting: Any = cached_property(len)
+    waiting.lock = held
+    bare: Any = cached_property(len)
+    vars(bare).pop("lock", None)
+    own = SimpleNamespace(lock=held)
+    module = SimpleNamespace(Owner=type("Owner", (), {"waiting": waiting, "bare": bare, "own": own}), number=1)
+    modules = {"lampest.mine": module, "others.mine": SimpleNamespace(Other=type("Other", (), {"waiting": "no lock"}))}
+    monkeypatch.setattr(compiled.sys, "modules", modules)
+    lock = RLock()
+    monkeypatch.setattr(compiled, "_LOCK", lock)
+    lock.acquire()
+    compiled._unlock_child()
+    assert waiting.lock is not held and own.lock is held and not hasattr(bare, "lock")
+    with pytest.raises(RuntimeError, match="cannot release un-acquired lock"):
+        lock.release()
