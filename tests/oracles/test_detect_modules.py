@@ -14,7 +14,7 @@ from lampest import Array, Course, Faults, OralDisc, Panel, Recording, Rod, Scen
 from lampest.estimate.prepared import Prepared
 from lampest.files.levels import SIGNIFICANT
 from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.candidates import UNIFORM
+from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import Verdict
 from lampest.loads.recognition.fit import Fitting, along_diameter
@@ -318,6 +318,16 @@ def test_differences_of_evidence_count_less_where_shapes_compete_and_where_none_
     shares = np.exp(counts * evidence - before)
     np.testing.assert_allclose(verdict.shares, shares / shares.sum())
     assert (verdict.goodness, verdict.evidence) == (pytest.approx(goodness), 0.5)
+
+
+def test_loads_of_a_verdict_stand_in_the_order_of_their_evidence_without_fields_and_uniform_pressure() -> None:
+    kinds = (*UNIFORM, LOADS[0], FIELD, LOADS[1], LOADS[2])
+    fits: Any = [
+        SimpleNamespace(candidate=kind, evidence=own) for kind, own in zip(kinds, (9, 8, 1, 7, 3, 2), strict=True)
+    ]
+    verdict = Verdict(tuple(fits), (0.1, 0.2, 0.05, 0.05, 0.4, 0.2), 1.0, 0.0)
+    assert [fit.evidence for fit in verdict.loads] == [3, 2, 1]
+    assert verdict.best is fits[4] and verdict.nothing == pytest.approx(0.3)
 
 
 def test_readings_exclude_more_than_three_deviations_beyond_the_map_of_independent_cells() -> None:

@@ -20,8 +20,10 @@ from lampest import (
     Panel,
     Readings,
     Scene,
+    TableResponse,
     TotalVariation,
     TwoPointReadout,
+    Water,
     two_point_resistance,
 )
 from lampest.cost.given import Background, Given
@@ -32,7 +34,9 @@ from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, selec
 from lampest.estimate.estimates import barred_maps
 from lampest.estimate.model_check import most_in_series
 from lampest.estimate.noise import NoiseEstimate, largest_change_within_scan
+from lampest.estimate.outliers import _by_line, _by_median
 from lampest.estimate.rivals import Question, Rival
+from lampest.loads.pressure import determined, total_force
 from lampest.panel import compiled
 from lampest.panel.panel import Array
 from lampest.posterior import profile_interval
@@ -316,3 +320,45 @@ def test_locks_of_cached_properties_are_new_in_a_forked_child_and_others_stay(mo
     assert waiting.lock is not held and own.lock is held and not hasattr(bare, "lock")
     with pytest.raises(RuntimeError, match="cannot release un-acquired lock"):
         lock.release()
+
+
+@pytest.mark.parametrize("offsets", [(-2, -1, 1, 2), (1, 2, 3, 4), (-3, -2, -1, 1)])
+def test_neighbours_in_time_predict_a_reading_by_their_median_and_by_their_line(offsets: tuple[int, ...]) -> None:
+    """By least squares, with twice the deviation of the line's prediction; and by the efficiency of a median."""
+    beside, offset = np.random.default_rng(4).normal(5.0, 1.0, (4, 1, 2, 2)), np.array(offsets)[:, None]
+    predicted, spread, noise = _by_line(beside, offset)
+    median, scatter, of_median = _by_median(beside, offset)
+    design = np.stack([np.ones(4), offset[:, 0]], axis=1)
+    for place in np.ndindex(2, 2):
+        values = beside[:, 0, *place]
+        (height, _), left, *_ = np.linalg.lstsq(design, values, rcond=None)
+        error = np.sqrt(1 + np.linalg.inv(design.T @ design)[0, 0])
+        assert predicted[0][place] == pytest.approx(height) and noise[0][place] == pytest.approx(error)
+        assert spread[0][place] == pytest.approx(2 * np.sqrt(left[0] / 2) * error)
+        assert median[0][place] == np.median(values)
+        assert scatter[0][place] == pytest.approx(1.4826 * np.median(np.abs(values - np.median(values))), rel=1e-4)
+        assert of_median[0][place] == pytest.approx(np.sqrt(1 + np.pi / 8))
+
+
+def test_pressures_end_with_the_response_that_is_known_and_have_no_errors_there() -> None:
+    panel, film = Panel(2, 2), TableResponse(pressure_kpa=(0.0, 5.0), resistance_ohm=(3000.0, 900.0))
+    pressure, own = np.array([[1.0, 4.9], [5.0, 7.0]]), np.array([[0.1, 0.2], [0.3, 0.4]])
+    scene = Scene(panel, TwoPointReadout(), response=film)
+    known = [[1.0, 4.9], [5.0, 5.0]], [[0.1, 0.2], [0.0, 0.0]], [[0.2, 0.4], [0.0, 0.0]]
+    np.testing.assert_allclose(determined(scene, pressure, own, 2 * own), known)
+    np.testing.assert_array_equal(determined(Scene(panel), pressure, own), [pressure, own])
+    under = replace(scene, water=Water(200.0))
+    depth = 1e-6 * 1000 * 9.81 * np.array([[200.0, 200.0], [210.0, 210.0]])
+    ((last,), (below,)) = (part[1:, 1] for part in determined(under, pressure, own))
+    assert last == pytest.approx(5 - depth[1, 1], rel=1e-3) and below == 0
+
+
+def test_a_force_adds_pressures_up_whose_common_errors_move_together() -> None:
+    scene = Scene(Panel(2, 2, pitch_mm=20.0), TwoPointReadout())
+    pressure, own, common = np.array([[1.0, 2.0], [3.0, -4.0]]), np.full((2, 2), 0.3), np.full((2, 2), 0.1)
+    load: Any = SimpleNamespace(
+        pressure=pressure, own=own, common=common, pressing=pressure > 0, saturated=pressure > 2
+    )
+    force = total_force(scene, load)
+    assert force.newton == pytest.approx(0.4 * 6.0) and force.saturated == 1
+    assert force.deviation == pytest.approx(0.4 * np.hypot(np.sqrt(3) * 0.3, 3 * 0.1))
