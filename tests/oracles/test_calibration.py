@@ -13,7 +13,7 @@ from lampest import Array, Diode, Estimator, InputError, Lines, Misfit, Panel, R
 from lampest.estimate.calibration.channels import ChannelCalibration, calibrate_channels
 from lampest.estimate.calibration.known_loads import KnownLoad, KnownLoads
 from lampest.estimate.calibration.loads import LoadCalibration, calibrate_loads
-from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
+from lampest.estimate.calibration.resistors import Problem, ResistorCalibration, calibrate_resistors
 from lampest.estimate.calibration.response import Loaded, deviations_from_others, fit_loads, response_of
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import parse_document, validated
@@ -23,6 +23,7 @@ from lampest.panel.conditions import MeasuredSubject, Systematic
 from lampest.panel.readouts import AnyReadout, GroundedReadout, LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.panel.response import PUBLISHED, Film, PowerResponse
+from lampest.panel.scene import SeriesPerLine
 from lampest.recording.simulation.measure import random_stream
 from tests.estimates import recording_of, rms
 from tests.netlist import Resistor, potentials, resistors
@@ -314,6 +315,26 @@ def test_three_resistors_tell_a_diode_too() -> None:
     written = calibration.scene.readout
     assert isinstance(written, LoadedColumnsReadout)
     assert written.diode.drop_volt == pytest.approx(calibration.numbers[2].value, abs=1e-3)
+
+
+def test_a_calibration_begins_with_the_means_of_the_numbers_that_the_scene_has() -> None:
+    readout = LoadedColumnsReadout(
+        load_ohm=(4000.0, 5000.0, 6300.0), drive_ohm=(100.0, 140.0), diode=Diode(drop_volt=0.3)
+    )
+    scene = Scene(Panel(2, 3), readout, converter_memory=0.02, lines=Lines(0.4, 0.6))
+    problem = Problem(scene, (), 0.0)
+    assert [unknown.number.name for unknown in problem.unknowns] == [
+        *("drive_ohm", "load_ohm", "diode.drop_volt"),
+        *("converter_memory", "lines.row_ohm_per_cell", "lines.column_ohm_per_cell"),
+    ]
+    specified = [120.0, 5100.0, 0.3, 0.02, 0.4, 0.6]
+    np.testing.assert_allclose([unknown.specified for unknown in problem.unknowns], specified)
+    np.testing.assert_allclose(problem.start[:2], [120.0 / 70.0, 1.0])  # of typical channels, and of the scene's value
+    assert problem.start[6:].tolist() == [0.0] * 5
+    assert [unknown.lines for unknown in problem.unknowns[:3]] == [{"rows": slice(6, 8)}, {"columns": slice(8, 11)}, {}]
+    along = Scene(Panel(2, 3), TwoPointReadout(), SeriesPerLine((60.0, 80.0), 70.0))
+    (series,) = Problem(along, (), 0.0).unknowns
+    assert series.specified == 140.0 and series.start == 2.0
 
 
 def test_an_open_column_tells_what_the_converter_remembers() -> None:

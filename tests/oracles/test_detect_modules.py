@@ -13,7 +13,7 @@ from docs.studies.attachments import SLIDES_S, SLIDING, TOUCH_S, UNLOADED, recor
 from lampest import Array, Course, Faults, OralDisc, Panel, Recording, Rod, Scene, Simulation, TwoPointReadout, simulate
 from lampest.estimate.prepared import Prepared
 from lampest.files.levels import SIGNIFICANT
-from lampest.loads.recognition.attachment import Attachment
+from lampest.loads.recognition.attachment import Attachment, attachments_of
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import Verdict
@@ -328,6 +328,23 @@ def test_loads_of_a_verdict_stand_in_the_order_of_their_evidence_without_fields_
     verdict = Verdict(tuple(fits), (0.1, 0.2, 0.05, 0.05, 0.4, 0.2), 1.0, 0.0)
     assert [fit.evidence for fit in verdict.loads] == [3, 2, 1]
     assert verdict.best is fits[4] and verdict.nothing == pytest.approx(0.3)
+
+
+def test_a_load_sucks_since_it_stands_there_where_that_is_more_probable_than_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    panel = Panel(6, 6)
+    frame = frame_under(Rod(centre_mm=(26, 24), diameter_mm=30, mass_g=500), panel)
+    verdict = Detector(panel, PATCH_MM, LOADS[:1]).verdict(frame)
+    ((candidate, own),) = verdict.best.loads
+    for probability, since in ((0.6, 3.5), (0.5, None), (0.4, None)):
+        monkeypatch.setattr(Verdict, "sucks_at", lambda *_, share=probability: share)
+        (load,) = attachments_of(frame, verdict, 3.5)
+        assert (load.sucks, load.sucks_s, load.since_s) == (probability, since, 3.5)
+    assert load.clear == verdict.best.evidence - max(fit.evidence for fit in verdict.fits[:2])
+    for name, (value, slopes) in candidate.report(own).items():
+        deviation = np.sqrt(slopes @ verdict.best.covariance[: len(own), : len(own)] @ slopes)
+        assert getattr(load, name) == pytest.approx((value, deviation))
 
 
 def test_readings_exclude_more_than_three_deviations_beyond_the_map_of_independent_cells() -> None:

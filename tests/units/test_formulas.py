@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import sparse
 
 from lampest import (
     Bounds,
@@ -27,6 +28,7 @@ from lampest import (
     two_point_resistance,
 )
 from lampest.cost.given import Background, Given
+from lampest.cost.losses import AnyLoss
 from lampest.cost.problem import Evaluation
 from lampest.estimate.calibration.loads import _answers
 from lampest.estimate.calibration.trials import known_resistors
@@ -36,10 +38,13 @@ from lampest.estimate.model_check import most_in_series
 from lampest.estimate.noise import NoiseEstimate, largest_change_within_scan
 from lampest.estimate.outliers import _by_line, _by_median
 from lampest.estimate.rivals import Question, Rival
+from lampest.files.typed import members_of
 from lampest.loads.pressure import determined, total_force
 from lampest.panel import compiled
 from lampest.panel.panel import Array
 from lampest.posterior import profile_interval
+from lampest.posterior.dense import DenseErrors
+from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors
 from lampest.solvers.bounds import bounds_matter, lower_along
 from lampest.solvers.smoothing import Smoothing
@@ -362,3 +367,30 @@ def test_a_force_adds_pressures_up_whose_common_errors_move_together() -> None:
     force = total_force(scene, load)
     assert force.newton == pytest.approx(0.4 * 6.0) and force.saturated == 1
     assert force.deviation == pytest.approx(0.4 * np.hypot(np.sqrt(3) * 0.3, 3 * 0.1))
+
+
+def test_penalties_are_as_wide_as_their_residuals_say_without_the_share_of_the_frame_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    term, squares = np.array([0, 0, 0, 1, 1]), np.array([4.0, 1.0, 9.0, 0.5, 2.0])
+    monkeypatch.setattr("lampest.posterior.dense.least_widening", lambda _: np.maximum(squares, 1.0))
+    jacobian = sparse.csc_array([[1.0, 0.0], [0.0, 2.0], [1.0, 0.0], [0.5, 0.0], [0.0, 2.0]])
+    terms = [SimpleNamespace(weighs_previous=weighs) for weighs in (False, True)]
+    at = SimpleNamespace(cost=SimpleNamespace(terms=terms))
+    model: Any = SimpleNamespace(penalty_term=term, penalty_squares=squares, previous_jacobian=jacobian, at=at)
+    model.known_share = lambda variance: LinearModel.known_share(model, variance)
+    determined = {0: 7.0, 1: 0.2}
+    for variance, shares in ((None, [0, 0, 0, 0, 0]), (np.array([0.4, 0.9]), [0, 0, 0, 0.1, 1.0])):
+        before = None if variance is None else SimpleNamespace(variance=lambda variance=variance: variance)
+        errors = SimpleNamespace(model=model, before=before, determined=determined.get)
+        widening = DenseErrors.__dict__["widening"].func(errors)
+        np.testing.assert_allclose(widening, np.subtract([4.0, 2.0, 9.0, 2.5, 2.5], shares))
+
+
+def test_squares_alone_are_called_squares() -> None:
+    assert {kind.__name__: kind.squared for kind in members_of(AnyLoss)} == {
+        "Squared": True,
+        "Huber": False,
+        "Absolute": False,
+        "Student": False,
+    }
