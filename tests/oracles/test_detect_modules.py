@@ -347,6 +347,34 @@ def test_a_load_sucks_since_it_stands_there_where_that_is_more_probable_than_not
         assert getattr(load, name) == pytest.approx((value, deviation))
 
 
+@pytest.mark.parametrize(("rises", "width"), [((2.0, 8.0), 0.375), ((0.1, 2.0), 0.75), ((-1.0, 0.0), 1.0)])
+def test_widths_that_slopes_leave_open_are_those_of_the_cost_on_either_side(
+    rises: tuple[float, float], width: float
+) -> None:
+    """Over those of the prior: of a number that no reading sees, of one with half its deviation, and of a known one."""
+    sd, stiffness = np.array([2.0, 3.0, 5.0]), np.array([0.0, 4.0, 1e4])
+    costs = {1.0: rises[0], -1.0: rises[1]}
+    asked = list[Array]()
+
+    def at(parameters: Array, likelihood: object) -> Any:
+        asked.append(parameters - 7.0)
+        moved = (parameters - 7.0) / sd
+        axis = int(np.argmax(np.abs(moved)))
+        rise = costs[float(np.sign(moved[axis]) * turned[axis])] if axis == 0 else 2.0
+        return SimpleNamespace(cost=10.0 + rise)
+
+    point: Any = SimpleNamespace(normal=np.diag(stiffness / sd**2), parameters=np.full(3, 7.0), cost=10.0)
+    turned = np.sign(np.diag(np.linalg.eigh(np.diag(stiffness))[1]))
+    fitting: Any = SimpleNamespace(_prior=np.stack([np.zeros(3), sd, sd]), at=at)
+    widths, root = Fitting._widths(fitting, point, None, quick=False)  # type: ignore[arg-type]
+    np.testing.assert_allclose(widths, [width, 0.5 * 0.5, 0.01])
+    np.testing.assert_allclose(root @ root.T, np.diag((widths * sd) ** 2), atol=1e-12)
+    count = len(asked)
+    np.testing.assert_allclose(Fitting._widths(fitting, point, None, quick=True)[0], [1.0, 0.5, 0.01])  # type: ignore[arg-type]
+    assert len(asked) == count > 0
+    np.testing.assert_allclose(np.abs(asked[0]), [2.0, 0, 0])
+
+
 def test_readings_exclude_more_than_three_deviations_beyond_the_map_of_independent_cells() -> None:
     frame = frame_under(Rod(centre_mm=(30, 30), diameter_mm=24, mass_g=100), Panel(7, 7))
     spread, at = frame.baseline.model_errors.mapped, frame.map

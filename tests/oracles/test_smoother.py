@@ -1,6 +1,7 @@
 """The smoother against dense matrices, a minimiser that knows its stated cost alone, and simulated truth."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Literal
 
 import numpy as np
@@ -312,6 +313,19 @@ def test_frames_as_they_come_are_estimated_with_those_before() -> None:
     assert len(stream.prepared[0]) == 5
     live = np.log(np.stack([step.cell_resistance for step in steps]) / made.truth_cell_resistance[RESTING:])
     assert np.median(np.abs(live)) < 0.8 * np.median(np.abs(log_errors(found_of(made, (Misfit(),)))))
+
+
+def test_far_readings_count_by_their_slope_where_their_loss_bends_away() -> None:
+    """Student's loss x: ρ' = 2x/(1 + x²/c²), ½ρ'' < 0 beyond the corner, where ρ'/2x is taken instead."""
+    joint = beside_its_end(0)
+    cost = [replace(one, terms=ROBUST) for one in joint.frames.cost]
+    joint = replace(joint, frames=replace(joint.frames, cost=tuple(cost)))
+    residual = np.array([0.0, 3.0, 4.0 + 1e-6, -9.0])
+    joint.__dict__["models"] = [SimpleNamespace(residual=residual[:3]), SimpleNamespace(residual=residual[3:])]
+    near, share = 1 - (residual / CORNER) ** 2, 1 / (1 + (residual / CORNER) ** 2)
+    sizes = np.sqrt(np.where(near > 0, near * share**2, share))
+    for own, expected in zip(joint._sizes, (sizes[:3], sizes[3:]), strict=True):
+        assert_allclose(own, expected, rtol=1e-6)
 
 
 def blind_at_rest(recording: Recording) -> Readings:

@@ -394,3 +394,13 @@ def test_squares_alone_are_called_squares() -> None:
         "Absolute": False,
         "Student": False,
     }
+
+
+def test_sizes_of_what_a_frame_shares_are_those_of_a_usual_reading() -> None:
+    """The gain in percent; ripples as the root of the mean square over all readings, in steps of the converter."""
+    sizes: Any = NoiseEstimate.__dict__["shared_sizes"].fget
+    assert sizes(SimpleNamespace(frame=None)) == (0.0, 0.0, 0.0)
+    circuit = SimpleNamespace(lsb_volt=0.5)
+    roots = {"common_ripple": np.array([[3.0], [4.0]]), "line_ripple": np.array([[1.0, 0.0], [2.0, 2.0]])}
+    frame = SimpleNamespace(gain=0.02, scene=SimpleNamespace(circuit=circuit), **roots)
+    assert sizes(SimpleNamespace(frame=frame)) == pytest.approx((2.0, np.sqrt(12.5) / 0.5, np.sqrt(4.5) / 0.5))
