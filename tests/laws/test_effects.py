@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import lampest
-from lampest.panel.effects import EFFECTS, Effect, effect_on_readings
+from lampest.panel.effects import EFFECTS, Effect, LooseContact, effect_on_readings
 from lampest.panel.readouts.wiring import Wiring, wire_responses
 from lampest.panel.systematic import HIDDEN_ERRORS, SHARED_ERRORS, SINES, error_columns
 
@@ -65,3 +65,14 @@ def test_a_reference_without_an_error_keeps_its_column_and_leaves_error_bars() -
     readings = np.stack([network.reading()] * 3) + 140
     recording = lampest.Recording.from_array(readings, baseline=1, scene=replace(SCENE, systematic=exact))
     assert np.isfinite(lampest.reconstruct(recording).cell_resistance_errors).all()
+
+
+def test_a_loose_contact_is_expected_to_add_a_hundred_ohm_to_its_line() -> None:
+    network, loose = SCENE.circuit.network(CELLS, SCENE.circuit.ties(CELLS), SCENE.wiring), LooseContact((4,))
+    assert LooseContact.prior == 100.0
+    for size, words in ((-12.345, "12 ohm less"), (123.0, "120 ohm more")):
+        effect = replace(loose, size=size)
+        assert effect.sentence(3).startswith(f"{words} at the contact of column 1")
+        added = np.zeros((3, 4))
+        added[:, 1] = size
+        assert_allclose(effect_on_readings([effect], SCENE, network), added, atol=1e-9)

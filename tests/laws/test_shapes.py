@@ -21,7 +21,7 @@ from lampest.loads.recognition.observation import Whitening
 from lampest.loads.shapes import OralDisc, Shape, shape_types
 from lampest.loads.shapes.disc import Disc, Unevenness, pressure_at_places
 from lampest.loads.shapes.kinds import RoundCandidate
-from lampest.loads.shapes.shape import POINTS, Candidate
+from lampest.loads.shapes.shape import POINTS, Candidate, Template
 
 PANEL = Panel(10, 10)
 FINE = Panel(180, 180, 0.5)
@@ -47,6 +47,10 @@ def sums(load: Shape) -> tuple[float, float]:
     """Forces of contact and suction in mN, on a panel without gaps."""
     contact, suction = load.mean_pressure(FINE, FINE.pitch_mm)
     return float(contact.sum() * FINE.pitch_mm**2), float(suction.sum() * FINE.pitch_mm**2)
+
+
+def test_a_template_is_a_full_disc_with_nothing_else_unless_it_says_so() -> None:
+    assert tuple(Template(30.0)) == (30.0, 0.0, 0.0, False)
 
 
 @pytest.mark.parametrize("kind", SHAPES)

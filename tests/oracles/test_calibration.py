@@ -13,8 +13,17 @@ from lampest import Array, Diode, Estimator, InputError, Lines, Misfit, Panel, R
 from lampest.estimate.calibration.channels import ChannelCalibration, calibrate_channels
 from lampest.estimate.calibration.known_loads import KnownLoad, KnownLoads
 from lampest.estimate.calibration.loads import LoadCalibration, calibrate_loads
-from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
-from lampest.estimate.calibration.response import Loaded, deviations_from_others, fit_loads, response_of
+from lampest.estimate.calibration.resistors import Problem, ResistorCalibration, calibrate_resistors
+from lampest.estimate.calibration.response import (
+    ENDS,
+    FittedResponse,
+    Loaded,
+    _Answers,
+    _falls,
+    deviations_from_others,
+    fit_loads,
+    response_of,
+)
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import parse_document, validated
 from lampest.loads.film import Creep, FilmKnown
@@ -23,6 +32,7 @@ from lampest.panel.conditions import MeasuredSubject, Systematic
 from lampest.panel.readouts import AnyReadout, GroundedReadout, LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.panel.response import PUBLISHED, Film, PowerResponse
+from lampest.panel.scene import SeriesPerLine
 from lampest.recording.simulation.measure import random_stream
 from tests.estimates import recording_of, rms
 from tests.netlist import Resistor, potentials, resistors
@@ -316,6 +326,26 @@ def test_three_resistors_tell_a_diode_too() -> None:
     assert written.diode.drop_volt == pytest.approx(calibration.numbers[2].value, abs=1e-3)
 
 
+def test_a_calibration_begins_with_the_means_of_the_numbers_that_the_scene_has() -> None:
+    readout = LoadedColumnsReadout(
+        load_ohm=(4000.0, 5000.0, 6300.0), drive_ohm=(100.0, 140.0), diode=Diode(drop_volt=0.3)
+    )
+    scene = Scene(Panel(2, 3), readout, converter_memory=0.02, lines=Lines(0.4, 0.6))
+    problem = Problem(scene, (), 0.0)
+    assert [unknown.number.name for unknown in problem.unknowns] == [
+        *("drive_ohm", "load_ohm", "diode.drop_volt"),
+        *("converter_memory", "lines.row_ohm_per_cell", "lines.column_ohm_per_cell"),
+    ]
+    specified = [120.0, 5100.0, 0.3, 0.02, 0.4, 0.6]
+    np.testing.assert_allclose([unknown.specified for unknown in problem.unknowns], specified)
+    np.testing.assert_allclose(problem.start[:2], [120.0 / 70.0, 1.0])  # of typical channels, and of the scene's value
+    assert problem.start[6:].tolist() == [0.0] * 5
+    assert [unknown.lines for unknown in problem.unknowns[:3]] == [{"rows": slice(6, 8)}, {"columns": slice(8, 11)}, {}]
+    along = Scene(Panel(2, 3), TwoPointReadout(), SeriesPerLine((60.0, 80.0), 70.0))
+    (series,) = Problem(along, (), 0.0).unknowns
+    assert series.specified == 140.0 and series.start == 2.0
+
+
 def test_an_open_column_tells_what_the_converter_remembers() -> None:
     """Of every reading 3 % are of the one before, in scan order; the last of a frame stands before the first."""
     rng = np.random.default_rng(16)
@@ -515,6 +545,32 @@ def test_several_pressures_tell_another_film() -> None:
         force_errors(bench, scene, 8) for scene in (replace(bench.scene, response=PUBLISHED), calibration.scene)
     )
     assert np.mean(ours) < 0.10 < 0.4 < np.mean(naive)
+
+
+def test_gains_and_pieces_balance_what_answers_and_their_own_spreads_pull() -> None:
+    """∇ = 0, C = (JᵀJ + prior)⁻¹, J by differences: gains are N(0, spread²), pieces a walk of 0.6 from 0 kPa on."""
+    rng = np.random.default_rng(6)
+    pressure = np.repeat([[1.0], [6.0], [20.0]], 4, axis=1)
+    change = np.exp(0.3 * rng.standard_normal((3, 4))) * PUBLISHED.logarithm(pressure)
+    answers = _Answers.of(Loaded(change, np.full((3, 4), 0.05), pressure, 0.1 * pressure, np.zeros(4)))
+    pieces = len(ENDS) + 1
+    begun = FittedResponse(np.zeros(4), np.zeros(pieces), np.zeros((0, 0)), 0.2, 0.05, np.ones(4, dtype=bool))
+    weight, found = answers.weight(begun), answers.with_least_squares(begun)
+    expected = begun.answers(_falls(pressure, PUBLISHED)).ravel()
+    place = (_falls(1.1 * pressure, PUBLISHED) - _falls(0.9 * pressure, PUBLISHED)).sum(axis=2).ravel() / 2
+    np.testing.assert_allclose(weight**-2, 0.05**2 + place**2 + (0.05 * expected) ** 2)
+    units = 1e-5 * np.eye(4 + pieces)
+    ends = [[answers.rows(found.at(found.state + side * unit), weight)[0] for unit in units] for side in (1, -1)]
+    slopes = np.subtract(*ends).T / 2e-5
+    walk = np.diff(np.eye(pieces), axis=0)
+    prior = np.zeros((4 + pieces, 4 + pieces))
+    prior[:4, :4], prior[4:, 4:] = np.eye(4) / 0.2**2, walk.T @ walk / 0.6**2
+    first = 4 + int(np.flatnonzero(np.append(ENDS, np.inf) > 0)[0])  # the piece from 0 kPa on
+    prior[first, first] += 1.0
+    residual = answers.rows(found, weight)[0]
+    np.testing.assert_allclose(slopes.T @ residual + prior @ found.state, 0.0, atol=1e-5)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(slopes.T @ slopes + prior), rtol=1e-4, atol=1e-7)
+    assert np.abs(found.gains).max() > 0.05
 
 
 def test_bars_of_gains_and_curve_hold_the_truth() -> None:

@@ -1,6 +1,6 @@
 """Recognition on panels of modules, of mouths that no package made, and of a load's size against a random walk."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,11 +13,14 @@ import lampest
 from docs.studies.attachments import SLIDES_S, SLIDING, TOUCH_S, UNLOADED, recording, seen
 from lampest import Array, Course, Faults, OralDisc, Panel, Recording, Rod, Scene, Simulation, TwoPointReadout, simulate
 from lampest.estimate.prepared import Prepared
-from lampest.loads.recognition.attachment import Attachment
+from lampest.files.levels import SIGNIFICANT
+from lampest.loads.recognition.attachment import Attachment, attachments_of
+from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM
 from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.evidence import Verdict
 from lampest.loads.recognition.fit import Fitting, along_diameter
-from lampest.loads.recognition.image import ImageWatch, Window
-from lampest.loads.recognition.observation import ModelErrors, Whitening
+from lampest.loads.recognition.image import CALM_S, ImageWatch, Window
+from lampest.loads.recognition.observation import OUTLIER_SHARE, ModelErrors, Whitening, outliers
 from lampest.loads.recognition.watch import Panelled
 from lampest.panel.panel import EachModule, Modules
 from lampest.report.detect.answer import LAMPREY, Detected
@@ -359,3 +362,150 @@ def test_small_rods_are_as_large_as_they_are_said_to_be(diameter_mm: float, cent
     error = np.sqrt(slopes @ best.covariance @ slopes)
     assert error < 9.0
     assert abs(value - diameter_mm) < 2 * error
+
+
+@dataclass(frozen=True, eq=False)
+class Rested:
+    """What a module, or a window of modules, knows of its cells at rest."""
+
+    resting: Any
+    mean: Any
+    recent: Any
+    rest_s: float = 0.0
+    rested: float = 0.0
+    begun: float = 0.0
+    window: Any = ()
+    uncovered_s: float = 0.0
+    number: int = 0
+
+
+def test_modules_go_on_from_where_the_windows_that_close_stand_unless_another_covers_them() -> None:
+    """One window over modules 0, 1, 3 and 4 has been calm for long, one over 1, 2, 4 and 5 has not; 3 is dead."""
+    rng = np.random.default_rng(1)
+    old, young = (Window.about(SCENE, np.array(place)) for place in ([69.0, 57.0], [143.0, 57.0]))
+    assert (old.numbers, young.numbers) == ((0, 1, 3, 4), (1, 2, 4, 5))
+    known = [Rested(*rng.normal(size=(2, 42)), tuple(rng.normal(size=(2, 42))), number=number) for number in range(6)]
+    calm, busy = (
+        Rested(*rng.normal(size=(2, 168)), tuple(rng.normal(size=(2, 168))), *(10.0 * n + np.arange(1.0, 6.0)))
+        for n in (1, 2)
+    )
+    modules: Any = tuple(None if number == 3 else module for number, module in enumerate(known))
+    opened: Any = ((old, calm, 100.0), (young, busy, 100.0 + 1e-3))
+    watch = ImageWatch(None, modules, opened)  # type: ignore[arg-type]
+    closed = watch._closed(100.0 + CALM_S)
+    assert closed.opened == opened[1:] and closed.modules[1:] == modules[1:]
+    first: Any = closed.modules[0]
+    assert first is not None and first.number == 0
+    for now, image in zip(
+        (first.resting, first.mean, *first.recent), (calm.resting, calm.mean, *calm.recent), strict=True
+    ):
+        np.testing.assert_array_equal(np.ravel(now), np.reshape(image, (12, 14))[:6, :7].ravel())
+    assert (first.rest_s, first.rested, first.begun, first.window, first.uncovered_s) == (11, 12, 13, 14, 15)
+    assert watch._closed(99.0 + CALM_S).modules == modules
+    both = watch._closed(101.0 + CALM_S)
+    assert both.opened == () and both.modules[3] is None and None not in both.modules[4:]
+    last: Any = both.modules[5]
+    np.testing.assert_array_equal(np.ravel(last.resting), busy.resting.reshape(12, 14)[6:, 7:].ravel())
+    assert last.number == 5 and last.rest_s == 21
+
+
+@pytest.mark.parametrize(
+    ("goodness", "further", "counts"), [(0.7, 0, 1.0), (2.5, 0, 0.4), (0.7, 2, 0.5), (2.5, 2, 0.2)]
+)
+def test_differences_of_evidence_count_less_where_shapes_compete_and_where_none_fits(
+    goodness: float, further: int, counts: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By χ² per reading of the fit with the most evidence beyond its prior, never by less than one."""
+    evidence, before = np.array([-3.0, 1.0, 2.0, 0.5])[: 2 + further], np.array([0.0, 0.5, 3.0, 1.5])[: 2 + further]
+    chi2 = np.where(evidence == 1.0, 100 * goodness, 1e4)
+    fits: Any = [SimpleNamespace(evidence=own, chi2=misfit) for own, misfit in zip(evidence, chi2, strict=True)]
+    costs = iter(before)
+    monkeypatch.setattr("lampest.loads.recognition.evidence.prior_cost", lambda *_: next(costs))
+    assert len(UNIFORM) == 2
+    frame: Any = SimpleNamespace(measured=np.zeros((10, 10)))
+    verdict = Verdict.of(Panel(10, 10), fits, frame)
+    shares = np.exp(counts * evidence - before)
+    np.testing.assert_allclose(verdict.shares, shares / shares.sum())
+    assert (verdict.goodness, verdict.evidence) == (pytest.approx(goodness), 0.5)
+
+
+def test_loads_of_a_verdict_stand_in_the_order_of_their_evidence_without_fields_and_uniform_pressure() -> None:
+    kinds = (*UNIFORM, LOADS[0], FIELD, LOADS[1], LOADS[2])
+    fits: Any = [
+        SimpleNamespace(candidate=kind, evidence=own) for kind, own in zip(kinds, (9, 8, 1, 7, 3, 2), strict=True)
+    ]
+    verdict = Verdict(tuple(fits), (0.1, 0.2, 0.05, 0.05, 0.4, 0.2), 1.0, 0.0)
+    assert [fit.evidence for fit in verdict.loads] == [3, 2, 1]
+    assert verdict.best is fits[4] and verdict.nothing == pytest.approx(0.3)
+
+
+def test_a_load_sucks_since_it_stands_there_where_that_is_more_probable_than_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    panel = Panel(6, 6)
+    frame = frame_under(Rod(centre_mm=(26, 24), diameter_mm=30, mass_g=500), panel)
+    verdict = Detector(panel, PATCH_MM, LOADS[:1]).verdict(frame)
+    ((candidate, own),) = verdict.best.loads
+    for probability, since in ((0.6, 3.5), (0.5, None), (0.4, None)):
+        monkeypatch.setattr(Verdict, "sucks_at", lambda *_, share=probability: share)
+        (load,) = attachments_of(frame, verdict, 3.5)
+        assert (load.sucks, load.sucks_s, load.since_s) == (probability, since, 3.5)
+    assert load.clear == verdict.best.evidence - max(fit.evidence for fit in verdict.fits[:2])
+    for name, (value, slopes) in candidate.report(own).items():
+        deviation = np.sqrt(slopes @ verdict.best.covariance[: len(own), : len(own)] @ slopes)
+        assert getattr(load, name) == pytest.approx((value, deviation))
+
+
+@pytest.mark.parametrize(("rises", "width"), [((2.0, 8.0), 0.375), ((0.1, 2.0), 0.75), ((-1.0, 0.0), 1.0)])
+def test_widths_that_slopes_leave_open_are_those_of_the_cost_on_either_side(
+    rises: tuple[float, float], width: float
+) -> None:
+    """Over those of the prior: of a number that no reading sees, of one with half its deviation, and of a known one."""
+    sd, stiffness = np.array([2.0, 3.0, 5.0]), np.array([0.0, 4.0, 1e4])
+    costs = {1.0: rises[0], -1.0: rises[1]}
+    asked = list[Array]()
+
+    def at(parameters: Array, likelihood: object) -> Any:
+        asked.append(parameters - 7.0)
+        moved = (parameters - 7.0) / sd
+        axis = int(np.argmax(np.abs(moved)))
+        rise = costs[float(np.sign(moved[axis]) * turned[axis])] if axis == 0 else 2.0
+        return SimpleNamespace(cost=10.0 + rise)
+
+    point: Any = SimpleNamespace(normal=np.diag(stiffness / sd**2), parameters=np.full(3, 7.0), cost=10.0)
+    turned = np.sign(np.diag(np.linalg.eigh(np.diag(stiffness))[1]))
+    fitting: Any = SimpleNamespace(_prior=np.stack([np.zeros(3), sd, sd]), at=at)
+    widths, root = Fitting._widths(fitting, point, None, quick=False)  # type: ignore[arg-type]
+    np.testing.assert_allclose(widths, [width, 0.5 * 0.5, 0.01])
+    np.testing.assert_allclose(root @ root.T, np.diag((widths * sd) ** 2), atol=1e-12)
+    count = len(asked)
+    np.testing.assert_allclose(Fitting._widths(fitting, point, None, quick=True)[0], [1.0, 0.5, 0.01])  # type: ignore[arg-type]
+    assert len(asked) == count > 0
+    np.testing.assert_allclose(np.abs(asked[0]), [2.0, 0, 0])
+
+
+def test_readings_exclude_more_than_three_deviations_beyond_the_map_of_independent_cells() -> None:
+    frame = frame_under(Rod(centre_mm=(30, 30), diameter_mm=24, mass_g=100), Panel(7, 7))
+    spread, at = frame.baseline.model_errors.mapped, frame.map
+    slope = frame.slope(at)
+    precision = slope.T @ np.linalg.solve(frame.covariance(slope), slope) + np.eye(at.size) / spread**2
+    deviation = np.sqrt(np.diag(np.linalg.inv(precision))).reshape(at.shape)
+    np.testing.assert_allclose(frame.highest - at, 3.0 * deviation, rtol=0.1)
+
+
+def test_outliers_are_taken_out_one_after_the_other_until_the_others_expect_what_is_left() -> None:
+    rng = np.random.default_rng(2)
+    root = np.tril(0.1 * rng.standard_normal((100, 100)), -1) + np.diag(rng.uniform(0.5, 2.0, 100))
+    covariance, residual = root @ root.T, 0.5 * root @ rng.standard_normal(100)
+    assert list(outliers(Whitening(root), residual)) == []
+    residual[[4, 17, 9]] += 12.0, -30.0, 20.0
+    far = list[int]()
+    while len(far) < int(OUTLIER_SHARE * 100):
+        left = np.setdiff1d(np.arange(100), far)
+        precision = np.linalg.inv(covariance[np.ix_(left, left)])
+        score = np.abs(precision @ residual[left]) / np.sqrt(np.diag(precision))
+        if score.max() <= SIGNIFICANT:
+            break
+        far.append(int(left[np.argmax(score)]))
+    assert list(outliers(Whitening(root), residual)) == sorted(far)
+    assert 17 in far

@@ -387,6 +387,36 @@ def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
 def test_series_per_line_is_one_number_where_all_are_alike() -> None:
     plain, listed = (Scene(Panel(3, 4), TwoPointReadout(), one) for one in (140.0, SeriesPerLine((80.0,) * 3, 60.0)))
     assert_allclose(np.broadcast_to(plain.series_ohm, (3, 4)), listed.series_ohm)
+    half = Scene(Panel(3, 4), TwoPointReadout(), SeriesPerLine((0.0, 80.0, 90.0), (60.0, 0.0, 0.0, 0.0)))
+    assert_allclose(half.series_ohm, [[60.0, 0, 0, 0], [140.0, 80, 80, 80], [150.0, 90, 90, 90]])
+
+
+@pytest.mark.parametrize("readout", KINDS, ids=lambda one: one.kind)
+def test_shared_errors_are_of_the_reference_and_then_of_the_channels_of_rows_and_columns(readout: Any) -> None:
+    cells, scene = cells_of(), Scene(Panel(*SHAPE), readout)
+    exact = readout.exact_reading(cells)
+    errors = readout.shared_errors(cells, exact, scene, 1e-4, 1e-3)
+    assert errors.shape == (1 + sum(SHAPE), *SHAPE)
+    actual = readout.off_by(1e-4)
+    changed = actual.exact_reading(cells)
+    if readout.unit == "ohm":  # the circuit divides by its own reference
+        changed = readout.recorded_from_volt(actual.volt_from_recorded(exact))
+    assert_allclose(errors[0], changed - exact, rtol=1e-3)
+    for line, channel in enumerate(1e-3 * np.eye(sum(SHAPE))):
+        recorded = readout.simulated(cells, scene, channel[: SHAPE[0]], channel[SHAPE[0] :])
+        change = readout.from_recorded(recorded, scene) - exact
+        assert_allclose(errors[1 + line], change, rtol=1e-5, atol=1e-9 * exact.max())
+    assert readout.shared_errors(cells, exact, scene, 0.0, 0.0).tolist() == np.zeros((1, *SHAPE)).tolist()
+
+
+@pytest.mark.parametrize("readout", [one for one in READOUTS.values() if one.unit == "volt"])
+def test_a_start_of_cells_that_are_alike_reproduces_the_readings(readout: Any) -> None:
+    """Within the change of log g at which its rounds end; from cells nearby it ends there, too."""
+    cells = cells_of(shape=(ROWS, COLUMNS)) ** 0.5 * 50.0
+    exact, open_end = readout.exact_reading(cells), np.full(cells.shape, np.inf)
+    for near in (None, 1.3 * cells):
+        assert_allclose(readout.start(exact, open_end, near), cells, rtol=0.02)
+    assert readout.start(exact, np.full(cells.shape, 2000.0)).max() == 2000.0
 
 
 @dataclass(frozen=True, kw_only=True)

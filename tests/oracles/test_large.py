@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import ANY
 
@@ -407,3 +408,25 @@ def test_levenbergs_step_is_damped_until_the_cost_falls(
     tries.clear()
     assert projected_newton.levenberg_step(replace(point, damping=1e-15)) is None
     assert len(tries) == 9, "1e-15, 1e-4, and so on to 1e3"
+
+
+@pytest.mark.parametrize(
+    ("region", "damped", "taken"),
+    [(3.0, 2.0, 2.0), (1.0, 2.0, 1.0), (None, 2.0, 2.0), (1.0, None, 1.0), (None, None, 7.0)],
+)
+def test_the_lower_of_both_steps_is_taken_and_negative_curvature_where_there_is_none(
+    region: float | None, damped: float | None, taken: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = [
+        None if cost is None else SimpleNamespace(objective=cost, gauss_newton=0) for cost in (region, damped, 7.0)
+    ]
+    names = "trust_region_step", "levenberg_step", "negative_curvature_step"
+    for name, step in zip(names, steps, strict=True):
+        monkeypatch.setattr(projected_newton, name, lambda point, step=step: step)
+    point: Any = None
+    found = projected_newton.descent_step(point)
+    assert found is not None and found.objective == taken
+    if region is not None:  # where the quadratic model is Gauss and Newton's, nothing else is tried
+        trial = SimpleNamespace(objective=region, gauss_newton=2)
+        monkeypatch.setattr(projected_newton, "trust_region_step", lambda point: trial)
+        assert projected_newton.descent_step(point) is trial

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -77,6 +78,39 @@ def test_a_circuit_bounds_what_stands_in_series_with_it(circuit: Readout) -> Non
     told = scene.specified_in_series
     assert told in (200.0, 300.0, 3000.0)
     assert bare.circuit.most_in_series(bare.circuit.from_recorded(recorded, bare), 1e-4 * recorded) >= told
+
+
+@pytest.mark.parametrize("circuit", CIRCUITS[1:], ids=lambda circuit: circuit.kind)
+def test_a_cell_that_is_shorted_shows_the_resistance_of_the_driven_line(circuit: Any) -> None:
+    """Sensed lines take all of that line's current: only there the voltage behind its resistance can be read."""
+    cells = np.full(SHAPE, 1e8)
+    line = np.s_[:, 1] if circuit.driven == "columns" else np.s_[1]
+    cells[line] = 1000.0
+    cells[line][2] = 1e-3
+    exact = circuit.exact_reading(cells)
+    assert circuit.most_in_series(exact[None], 1e-4 * exact) == pytest.approx(circuit.drive_ohm, rel=1e-3)
+    unread = np.where(np.isclose(exact, exact[line].max()), np.inf, 1e-4 * exact)
+    assert circuit.most_in_series(exact[None], unread) > 1.1 * circuit.drive_ohm
+
+
+@pytest.mark.parametrize("driven", ["rows", "columns"])
+def test_readings_break_laws_by_as_many_deviations_as_their_sums_lie_beyond_the_supply(driven: Any) -> None:
+    """Rd is 0.3 of each load: a line stands by 0.3 of the sum of its readings below the supply."""
+    circuit = lampest.GroundedReadout(drive_ohm=300.0, load_ohm=1000.0, supply_volt=5.0, driven=driven)
+    volt, sigma = GENERATOR.uniform(0.5, 2.0, (2, 4, 4)), GENERATOR.uniform(0.01, 0.02, (2, 4, 4))
+    sigma[0, 2, 1] = np.inf
+    own, noise = (np.where(np.isfinite(sigma), values, 0.0) for values in (volt, sigma))
+    if driven == "columns":
+        own, noise = own.transpose(0, 2, 1), noise.transpose(0, 2, 1)
+    sums = (own.sum(axis=1) - 5.0) / np.sqrt((noise**2).sum(axis=1))
+    behind = own + 0.3 * own.sum(axis=2, keepdims=True) - 5.0
+    behind /= np.sqrt(noise**2 + 0.09 * (noise**2).sum(axis=2, keepdims=True))
+    behind[noise == 0] = -np.inf
+    first, second = circuit.free_tests(volt, sigma)
+    np.testing.assert_allclose(first.excess, sums.max(axis=1))
+    np.testing.assert_allclose(second.excess, behind.max(axis=(1, 2)))
+    assert (first.count, second.count) == (4, 16)
+    assert "add up to no more" in first.law and second.law.endswith("behind its 300 ohm")
 
 
 @pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: circuit.kind)

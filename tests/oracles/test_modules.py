@@ -17,6 +17,7 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.model_check import module_factors
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream, reconstruct
@@ -37,10 +38,13 @@ from lampest.recording.simulation import Simulation, simulate
 from lampest.runs.batch import Task, run_batch, solve_long
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
+from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import best_solution
-from lampest.solvers.projected_lbfgs import BatchOutcome, InverseHessians, serves, solve
+from lampest.solvers.projected_lbfgs import BatchOutcome, InverseHessians, Secants, _advanced, serves, solve
 from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
+from tests.estimates import recording_of
 
 SCENE = """
 panel: {modules: {rows: 2, columns: 3, each: {rows: 3, columns: 4, pitch_mm: 10}, seam_mm: 3}}
@@ -352,6 +356,27 @@ def test_a_module_that_is_stuck_or_miscalibrated_is_named_and_the_others_are_est
     assert np.isfinite(np.delete(estimate.cell_resistance, np.s_[6:12], axis=2)).all()
 
 
+@pytest.mark.parametrize(
+    ("change", "factor"),
+    [("stuck", np.nan), ("missing", np.nan), ("scaled", 1.17655), ("reference", 0.77224), ("nothing", None)],
+)
+def test_modules_are_compared_with_the_median_of_the_others_at_rest(change: str, factor: float | None) -> None:
+    recording = disturbed(change)
+    layout = recording.scene.panel.modules
+    assert layout is not None
+    named = {} if factor is None else {1: pytest.approx(factor, nan_ok=True, rel=1e-4)}
+    assert module_factors(recording, layout) == named
+
+
+@pytest.mark.parametrize(("modules", "named"), [(2, {}), (3, {1: pytest.approx(4.0)})])
+def test_of_two_modules_that_differ_neither_is_the_odd_one(modules: int, named: dict[int, float]) -> None:
+    layout = Modules(1, modules, EachModule(2, 2), 4.0)
+    scene = Scene(lampest.Panel(modules=layout), lampest.TwoPointReadout(), 0.0)
+    recorded = np.full((3, *layout.shape), 1000.0)
+    recorded[:, :, 2:4] *= 4.0
+    assert module_factors(recording_of(scene, recorded, 2), layout) == named
+
+
 def test_a_recording_of_few_modules_in_kohm_is_still_refused() -> None:
     made = disturbed("nothing")
     with pytest.raises(InputError, match="are these kohm"):
@@ -461,6 +486,16 @@ def batch_of(terms: tuple[Term, ...], readings: Readings) -> Evaluation:
     data = data.of_panels(0)
     cells = np.clip(np.full(data.measured.shape, 3000.0), data.lower, data.upper)
     return Evaluation.at(cost, data, cells, np.tile(cost.weights, (len(rest), 1)))
+
+
+def test_a_panel_of_a_batch_has_the_scale_of_its_cost_alone() -> None:
+    batch = batch_of((Misfit(), RelativeChange(weight=0.1)), frames_of_panels(1e-2))
+    for number, scale in enumerate(batch.cost_scales):
+        one = batch.data.some(number)
+        alone = Evaluation.at(batch.cost, one, batch.cell_resistance[number])
+        blank = Evaluation(alone.cost, one, alone.cell_resistance, np.zeros(one.measured.shape), None)
+        assert scale == pytest.approx(alone.objective + blank.objective / 20, rel=1e-12)
+        assert alone.cost_scale == pytest.approx(scale, rel=1e-12)
 
 
 def solved_together(batch: Evaluation) -> BatchOutcome:
@@ -577,3 +612,25 @@ def test_frames_that_are_solved_in_blocks_are_those_that_are_solved_one_by_one(
             assert_allclose(getattr(together.bars.frame, name), expected, rtol=10 * tolerance, atol=1e-9)
         assert_allclose(together.bars.change.deviation, step.bars.change.deviation, rtol=10 * tolerance)
         assert_allclose(together.bars.reading, step.bars.reading, rtol=10 * tolerance)
+
+
+@pytest.mark.parametrize("factor", [3.0, 40.0])
+def test_a_step_that_is_too_long_for_some_panels_is_shortened_for_these_alone(
+    factor: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batch = batch_of((Misfit(), CellResistance(weight=1e-4)), frames_of_panels(1e-3))
+    points = Hessian(batch, Smoothing.start(batch))
+    inverses = InverseHessians.nothing(PANELS, 20)
+    inverses.renew(np.arange(PANELS), points)
+    step = 0.1 * Secants().direction(points, inverses, np.arange(PANELS))
+    step[1::2] *= 10 * factor
+    monkeypatch.setattr(Secants, "direction", lambda *_: step)
+    after, secants, moved = _advanced(points, Secants(), inverses, np.arange(PANELS))
+    assert moved.all() and (after.at.objectives < batch.objectives).all()
+    assert_allclose(after.position[::2], points.position[::2] - np.log1p(-step[::2]), rtol=1e-12)
+    lengths, far = 0.25 ** np.arange(1, 8)[:, None, None], -np.expm1(-np.log(4))
+    shorter = np.clip(-np.log1p(-np.minimum(lengths * step[1::2], far)), -np.log(4), np.log(4))
+    change = after.position[1::2] - points.position[1::2]
+    assert_allclose(np.abs(shorter - change).max(axis=2).min(axis=0), 0.0, atol=1e-9)
+    assert inverses.worn[1::2].all() and not inverses.worn[::2].any()
+    assert len(secants.pairs) == 1

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lampest.loads.recognition.breathing import Breath, Patterns, breath, settled
+from lampest.loads.recognition.breathing import Breath, Breathing, Patterns, breath, settled
 from lampest.loads.recognition.pumping import BLOCK_S, MIN_LOG_ODDS, Pumping
 from lampest.panel.panel import Array
 
@@ -184,3 +184,9 @@ def test_what_was_learned_stays_when_a_mouth_has_moved() -> None:
         track = track.after(np.full((3, 1), value), float(time))
     again = Pumping.begin(np.ones(2), np.zeros(2), 300.0, 1, track)
     assert again.odds == pytest.approx(track.odds) and again.odds > np.log(9)
+
+
+def test_before_its_first_window_a_breath_is_as_probable_as_none() -> None:
+    nothing = Breathing()
+    assert nothing.probability == 0.5 and nothing.hertz is None and nothing.depth is None
+    assert (nothing.odds, nothing.previous_odds, nothing.suction, nothing.last, nothing.causes) == (0, 0, 1, 0.5, 0)

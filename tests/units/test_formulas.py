@@ -1,12 +1,17 @@
 """Formulas of changed cells, motion, smoothed losses and series resistances, against their plain statements."""
 
+from dataclasses import replace
+from functools import cached_property
 from itertools import product
+from pathlib import Path
+from threading import RLock
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import sparse
 
 from lampest import (
     Bounds,
@@ -16,19 +21,32 @@ from lampest import (
     Panel,
     Readings,
     Scene,
+    TableResponse,
     TotalVariation,
     TwoPointReadout,
+    Water,
     two_point_resistance,
 )
-from lampest.cost.given import Background
+from lampest.cost.given import Background, Given
+from lampest.cost.losses import AnyLoss
 from lampest.cost.problem import Evaluation
 from lampest.estimate.calibration.loads import _answers
+from lampest.estimate.calibration.trials import known_resistors
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
+from lampest.estimate.estimates import barred_maps
 from lampest.estimate.model_check import most_in_series
 from lampest.estimate.noise import NoiseEstimate, largest_change_within_scan
+from lampest.estimate.outliers import _by_line, _by_median
 from lampest.estimate.rivals import Question, Rival
+from lampest.files.typed import members_of
+from lampest.loads.pressure import determined, total_force
+from lampest.panel import compiled
 from lampest.panel.panel import Array
-from lampest.solvers.bounds import bounds_matter
+from lampest.posterior import profile_interval
+from lampest.posterior.dense import DenseErrors
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.sampled import SampledErrors
+from lampest.solvers.bounds import bounds_matter, lower_along
 from lampest.solvers.smoothing import Smoothing
 
 
@@ -130,6 +148,22 @@ def test_a_resistance_in_series_is_smaller_than_every_reading_of_both_frames(lev
     rival = Rival(Scene(Panel(3, 3), TwoPointReadout(), 100.0), recorded, np.ones(recorded.shape))
     question = Question(rival, np.array([0, 1]), np.array([2, 3]), 1.0, np.arange(4))
     assert 0.9 * min(levels) < most_in_series(rival, question) < min(levels)
+    assert question.loaded == "frames 2 to 3"
+    assert replace(question, standing=np.array([3]), named=np.arange(10, 14)).loaded == "frame 13"
+
+
+def test_a_circuit_explains_means_of_widened_readings_that_noise_leaves_nearly_gaussian() -> None:
+    recorded, sigma = np.repeat([900.0, 800.0], 2)[:, None, None] * np.ones((3, 3)), np.full((3, 3), 2.0)
+    sigma[1, 2] = 600.0
+    rival = Rival(Scene(Panel(3, 3), TwoPointReadout(), 100.0), recorded, sigma)
+    resting, loaded = Question(rival, np.array([0, 1]), np.array([2, 3]), 3.0, np.arange(4)).readings(rival)
+    usable = np.ones((3, 3))
+    usable[1, 2] = 0.0
+    for readings, value in ((resting, 800.0), (loaded, 700.0)):
+        np.testing.assert_array_equal(readings.seen, usable)
+        np.testing.assert_allclose(readings.value[usable > 0], value)
+        np.testing.assert_allclose(readings.sigma[usable > 0], 3.0 * 2.0 / np.sqrt(2))
+    assert len(Question(rival, np.arange(4), np.arange(0), 3.0, np.arange(4)).readings(rival)) == 1
 
 
 def test_a_point_keeps_its_solved_networks_and_solves_them_where_it_has_none() -> None:
@@ -161,3 +195,212 @@ def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypa
     loads[0].frames = (2, 6)
     with pytest.raises(InputError, match="no frame 6, its frames are 0 to 5"):
         list(_answers(recording, loads))
+
+
+def test_a_lower_cost_is_looked_for_forth_and_back_along_a_direction_from_far_to_near(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene, cells = Scene(Panel(3, 3), TwoPointReadout()), np.full((1, 3, 3), 1000.0)
+    estimator = Estimator((Misfit(),), "reduced")
+    data = estimator.data(Readings.of(scene, two_point_resistance(1.1 * cells)), Background(scene))
+    at = Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, cells)
+    steps, along = list[Array](), np.linspace(-4.0, 2.0, 9)
+    with monkeypatch.context() as patch:
+        patch.setattr("lampest.solvers.bounds.moved_by", lambda _, step: steps.append(step))
+        assert lower_along(at, along) is None
+    lengths = [1.0, -1.0, 0.3, -0.3, 0.1, -0.1, 0.03, -0.03, 0.01, -0.01]
+    np.testing.assert_allclose(steps, np.multiply.outer(lengths, along / 4))
+    steps.clear()
+    lower = lower_along(at, -np.ones(9))
+    assert lower is not None and lower.objective < at.objective
+    np.testing.assert_allclose(lower.cell_resistance, 1000.0 * np.exp(0.1))
+
+
+def test_maps_of_error_bars_reach_as_far_as_those_of_each_frame_and_nowhere_where_it_has_none() -> None:
+    cells, baseline = np.array([[[2.0, 6.0]], [[4.0, 8.0]]]), np.array([[4.0, 4.0]])
+    own = {
+        "deviation": 0.1,
+        "below": 0.2,
+        "above": 0.3,
+        "resolution": 0.4,
+        "data_share": 0.5,
+        "own": 0.6,
+        "common": 0.7,
+    }
+    change = {name: 2 * number for name, number in own.items()}
+    frame, changed = (
+        SimpleNamespace(**{name: np.full((1, 2), number) for name, number in one.items()}) for one in (own, change)
+    )
+    steps: Any = (SimpleNamespace(bars=SimpleNamespace(frame=frame, change=changed)), SimpleNamespace(bars=None))
+    maps, ratio = barred_maps(cells, baseline, steps), np.array([[0.5, 1.5]])
+    first = {
+        "cell_resistance_errors": 0.1 * cells[0],
+        "cell_resistance_lower": np.exp(-0.2) * cells[0],
+        "cell_resistance_upper": np.exp(0.3) * cells[0],
+        "relative_change_errors": 20.0 * ratio,
+        "relative_change_lower": 100 * (np.exp(-0.4) * ratio - 1),
+        "relative_change_upper": 100 * (np.exp(0.6) * ratio - 1),
+        "ratio_lower": np.exp(-0.4) * ratio,
+        "ratio_upper": np.exp(0.6) * ratio,
+        "resolution": 0.4,
+        "data_share": 0.5,
+        "sigma_own": 0.6,
+        "sigma_common": 0.7,
+        "change_own": 1.2,
+    }
+    assert maps.keys() == first.keys()
+    ends = {name: 0.0 for name in first if name.endswith("_lower") or name in ("resolution", "data_share")}
+    for name, values in maps.items():
+        np.testing.assert_allclose(values[0], np.broadcast_to(first[name], (1, 2)), err_msg=name)
+        np.testing.assert_allclose(
+            values[1], {"relative_change_lower": -100.0}.get(name, ends.get(name, np.inf)), err_msg=name
+        )
+    cells[0, 0, 1] = np.nan
+    assert all(
+        np.isnan(values[0, 0]).tolist() == [False, True] for values in barred_maps(cells, baseline, steps).values()
+    )
+
+
+def test_profiles_are_of_missing_cells_that_are_free_where_matrices_are_at_hand(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ends = lambda errors, cell: SimpleNamespace(tangent=cell, end=lambda side: side * errors.length)  # noqa: E731
+    monkeypatch.setattr(profile_interval, "ProfileInterval", ends)
+    dense: Any = SimpleNamespace(model=SimpleNamespace(free=np.array([0, 2, 5])), length=7.0)
+    assert list(profile_interval._profiled(dense, np.array([1, 2, 5]))) == [(2, -7.0, 7.0), (5, -7.0, 7.0)]
+    sampled = object.__new__(SampledErrors)
+    sampled.__dict__["model"] = dense.model
+    assert list(profile_interval._profiled(sampled, np.array([1, 2, 5]))) == []
+
+
+def test_readings_that_are_all_values_are_told_to_a_cost_without_sides() -> None:
+    declared = {name: (one.absent, one.per_frame, one.partial) for name, one in Given.sources().items()}
+    assert declared == {
+        "measured": (1.0, True, False),
+        "sigma": (1.0, True, False),
+        "side": (0.0, True, True),
+        "seen": (1.0, True, True),
+        "previous": (1.0, False, False),
+        "baseline": (1.0, False, False),
+        "previous_deviation": (0.0, False, False),
+    }
+    whole, partial = (dict(Given.symbols(4, 2, partial=partial).named()) for partial in (False, True))
+    assert partial.keys() - whole.keys() == {"side", "seen"}
+    assert {name: symbol.shape for name, symbol in partial.items()} == {
+        name: (4, 2 if per_frame else 1) for name, (_, per_frame, _) in declared.items()
+    }
+
+
+def test_known_resistors_are_a_number_or_a_table_with_gaps(tmp_path: Path) -> None:
+    panel, table = Panel(2, 3), tmp_path / "known.csv"
+    np.testing.assert_array_equal(known_resistors("120.5", panel), np.full((2, 3), 120.5))
+    table.write_text("1,2.5,inf\n,nan,6\n", encoding="utf-8-sig")
+    expected = [[1, 2.5, np.inf], [np.nan, np.nan, 6]]
+    np.testing.assert_array_equal(known_resistors(str(table), panel), expected)
+    np.save(tmp_path / "known.npy", expected)
+    np.testing.assert_array_equal(known_resistors(str(tmp_path / "known.npy"), panel), expected)
+    table.write_text("1,2,3\n")
+    with pytest.raises(InputError, match="the panel has 2 × 3 cells, but the table holds 1 × 3 numbers"):
+        known_resistors(str(table), panel)
+    np.save(tmp_path / "known.npy", np.full((2, 3), "ten"))
+    with pytest.raises(InputError, match="but the table holds 2 × 3 numbers"):
+        known_resistors(str(tmp_path / "known.npy"), panel)
+
+
+def test_locks_of_cached_properties_are_new_in_a_forked_child_and_others_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A property's lock would be held there for ever by a thread of the parent; the module's own is free again."""
+    held = RLock()
+    waiting: Any = cached_property(len)
+    waiting.lock = held
+    bare: Any = cached_property(len)
+    vars(bare).pop("lock", None)
+    own = SimpleNamespace(lock=held)
+    module = SimpleNamespace(Owner=type("Owner", (), {"waiting": waiting, "bare": bare, "own": own}), number=1)
+    modules = {"lampest.mine": module, "others.mine": SimpleNamespace(Other=type("Other", (), {"waiting": "no lock"}))}
+    monkeypatch.setattr(compiled.sys, "modules", modules)
+    lock = RLock()
+    monkeypatch.setattr(compiled, "_LOCK", lock)
+    lock.acquire()
+    compiled._unlock_child()
+    assert waiting.lock is not held and own.lock is held and not hasattr(bare, "lock")
+    with pytest.raises(RuntimeError, match="cannot release un-acquired lock"):
+        lock.release()
+
+
+@pytest.mark.parametrize("offsets", [(-2, -1, 1, 2), (1, 2, 3, 4), (-3, -2, -1, 1)])
+def test_neighbours_in_time_predict_a_reading_by_their_median_and_by_their_line(offsets: tuple[int, ...]) -> None:
+    """By least squares, with twice the deviation of the line's prediction; and by the efficiency of a median."""
+    beside, offset = np.random.default_rng(4).normal(5.0, 1.0, (4, 1, 2, 2)), np.array(offsets)[:, None]
+    predicted, spread, noise = _by_line(beside, offset)
+    median, scatter, of_median = _by_median(beside, offset)
+    design = np.stack([np.ones(4), offset[:, 0]], axis=1)
+    for place in np.ndindex(2, 2):
+        values = beside[:, 0, *place]
+        (height, _), left, *_ = np.linalg.lstsq(design, values, rcond=None)
+        error = np.sqrt(1 + np.linalg.inv(design.T @ design)[0, 0])
+        assert predicted[0][place] == pytest.approx(height) and noise[0][place] == pytest.approx(error)
+        assert spread[0][place] == pytest.approx(2 * np.sqrt(left[0] / 2) * error)
+        assert median[0][place] == np.median(values)
+        assert scatter[0][place] == pytest.approx(1.4826 * np.median(np.abs(values - np.median(values))), rel=1e-4)
+        assert of_median[0][place] == pytest.approx(np.sqrt(1 + np.pi / 8))
+
+
+def test_pressures_end_with_the_response_that_is_known_and_have_no_errors_there() -> None:
+    panel, film = Panel(2, 2), TableResponse(pressure_kpa=(0.0, 5.0), resistance_ohm=(3000.0, 900.0))
+    pressure, own = np.array([[1.0, 4.9], [5.0, 7.0]]), np.array([[0.1, 0.2], [0.3, 0.4]])
+    scene = Scene(panel, TwoPointReadout(), response=film)
+    known = [[1.0, 4.9], [5.0, 5.0]], [[0.1, 0.2], [0.0, 0.0]], [[0.2, 0.4], [0.0, 0.0]]
+    np.testing.assert_allclose(determined(scene, pressure, own, 2 * own), known)
+    np.testing.assert_array_equal(determined(Scene(panel), pressure, own), [pressure, own])
+    under = replace(scene, water=Water(200.0))
+    depth = 1e-6 * 1000 * 9.81 * np.array([[200.0, 200.0], [210.0, 210.0]])
+    ((last,), (below,)) = (part[1:, 1] for part in determined(under, pressure, own))
+    assert last == pytest.approx(5 - depth[1, 1], rel=1e-3) and below == 0
+
+
+def test_a_force_adds_pressures_up_whose_common_errors_move_together() -> None:
+    scene = Scene(Panel(2, 2, pitch_mm=20.0), TwoPointReadout())
+    pressure, own, common = np.array([[1.0, 2.0], [3.0, -4.0]]), np.full((2, 2), 0.3), np.full((2, 2), 0.1)
+    load: Any = SimpleNamespace(
+        pressure=pressure, own=own, common=common, pressing=pressure > 0, saturated=pressure > 2
+    )
+    force = total_force(scene, load)
+    assert force.newton == pytest.approx(0.4 * 6.0) and force.saturated == 1
+    assert force.deviation == pytest.approx(0.4 * np.hypot(np.sqrt(3) * 0.3, 3 * 0.1))
+
+
+def test_penalties_are_as_wide_as_their_residuals_say_without_the_share_of_the_frame_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    term, squares = np.array([0, 0, 0, 1, 1]), np.array([4.0, 1.0, 9.0, 0.5, 2.0])
+    monkeypatch.setattr("lampest.posterior.dense.least_widening", lambda _: np.maximum(squares, 1.0))
+    jacobian = sparse.csc_array([[1.0, 0.0], [0.0, 2.0], [1.0, 0.0], [0.5, 0.0], [0.0, 2.0]])
+    terms = [SimpleNamespace(weighs_previous=weighs) for weighs in (False, True)]
+    at = SimpleNamespace(cost=SimpleNamespace(terms=terms))
+    model: Any = SimpleNamespace(penalty_term=term, penalty_squares=squares, previous_jacobian=jacobian, at=at)
+    model.known_share = lambda variance: LinearModel.known_share(model, variance)
+    determined = {0: 7.0, 1: 0.2}
+    for variance, shares in ((None, [0, 0, 0, 0, 0]), (np.array([0.4, 0.9]), [0, 0, 0, 0.1, 1.0])):
+        before = None if variance is None else SimpleNamespace(variance=lambda variance=variance: variance)
+        errors = SimpleNamespace(model=model, before=before, determined=determined.get)
+        widening = DenseErrors.__dict__["widening"].func(errors)
+        np.testing.assert_allclose(widening, np.subtract([4.0, 2.0, 9.0, 2.5, 2.5], shares))
+
+
+def test_squares_alone_are_called_squares() -> None:
+    assert {kind.__name__: kind.squared for kind in members_of(AnyLoss)} == {
+        "Squared": True,
+        "Huber": False,
+        "Absolute": False,
+        "Student": False,
+    }
+
+
+def test_sizes_of_what_a_frame_shares_are_those_of_a_usual_reading() -> None:
+    """The gain in percent; ripples as the root of the mean square over all readings, in steps of the converter."""
+    sizes: Any = NoiseEstimate.__dict__["shared_sizes"].fget
+    assert sizes(SimpleNamespace(frame=None)) == (0.0, 0.0, 0.0)
+    circuit = SimpleNamespace(lsb_volt=0.5)
+    roots = {"common_ripple": np.array([[3.0], [4.0]]), "line_ripple": np.array([[1.0, 0.0], [2.0, 2.0]])}
+    frame = SimpleNamespace(gain=0.02, scene=SimpleNamespace(circuit=circuit), **roots)
+    assert sizes(SimpleNamespace(frame=frame)) == pytest.approx((2.0, np.sqrt(12.5) / 0.5, np.sqrt(4.5) / 0.5))

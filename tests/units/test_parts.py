@@ -127,6 +127,16 @@ def test_parts_know_that_the_data_chose_their_weights(tmp_path: Path, small: Non
         assert {estimates.automatic for _, estimates, _ in parts} == {weight == "auto"}
 
 
+def test_the_frame_period_of_a_long_recording_is_that_of_its_first_part(tmp_path: Path, small: None) -> None:
+    time = np.concatenate([0.1 * np.arange(20), 10.0 + 0.7 * np.arange(20)])
+    role = (np.arange(40) >= UNLOADED).astype(np.uint8)
+    lampest.Recording(SCENE, frames(40), time, role).save(tmp_path / "long.h5")
+    recording = stored.StoredRecording.of(tmp_path / "long.h5")
+    assert len(recording.blocks()) == 2
+    parts = Parts.of(recording, lampest.Estimator((lampest.Misfit(),), "reduced"), asked_frames(recording))
+    assert parts.stream.period == pytest.approx(0.1) and parts.independent and not parts.automatic
+
+
 @pytest.mark.slow
 def test_a_run_that_was_killed_goes_on_and_finds_the_same(tmp_path: Path) -> None:
     save(tmp_path, frames(90))
