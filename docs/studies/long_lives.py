@@ -91,7 +91,7 @@ def live_figures(marks: Sequence[int], trace: bool = True) -> list[Figures]:
 
 def _wait_for(engine: Any, number: int) -> None:
     """Until the page shows that frame or a later one."""
-    while engine.shown.thing.picture is None or engine.shown.thing.picture.number < number:
+    while engine.shown.item.picture is None or engine.shown.item.picture.number < number:
         time.sleep(1e-4)
 
 
