@@ -11,12 +11,14 @@ import pytest
 from docs.studies.extremes import extremes_figure
 from lampest import Data, Estimator, Panel, Recording, Scene, Settings, Status, TwoPointReadout, two_point_resistance
 from lampest.cost.given import Background, Given
-from lampest.cost.terms import CellResistance, Gradient, Misfit
+from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
+from lampest.estimate.methods.method import OptimalMethod
 from lampest.recording.readings import AT_LEAST, AT_MOST
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.studies.extremes.run import (
     CRASHED,
     Solve,
+    _parts,
     atlas_remarks,
     atlas_rows,
     correct_digits,
@@ -26,7 +28,7 @@ from lampest.studies.extremes.run import (
     run_atlas,
     solves_of,
 )
-from lampest.studies.extremes.scenes import CASES, AtlasFile, AtlasSample, Grid, recording_of
+from lampest.studies.extremes.scenes import CASES, GRID, OPEN, AtlasFile, AtlasSample, Grid, recording_of
 from lampest.studies.study import read_settings
 
 ROOT = Path(__file__).parents[2]
@@ -104,6 +106,44 @@ def test_forward_map_of_every_case_against_fifty_digits(case: str) -> None:
     assert correct_digits(two_point_resistance(scene.cells[1]), certified) > 9.9
     broken = ~np.isfinite(certified)
     assert not np.any(broken) or scene.faults is not None
+
+
+def test_scenes_are_usual_cells_times_what_they_are_called() -> None:
+    usual, decades = np.full((2, 4, 3), 3000.0), 6.0
+
+    def factors(case: str) -> np.ndarray:
+        sample = AtlasSample(case, 4, 3, decades, 0.01, 3)
+        both = CASES[case].make(usual, sample, np.random.default_rng(1)).cells / usual
+        np.testing.assert_array_equal(both[0], both[1])
+        return np.asarray(both[0])
+
+    row, column = np.indices((4, 3))
+    drawn = np.random.default_rng(1).uniform(-3, 3, (4, 3))
+    np.testing.assert_allclose(factors(GRID), 10**drawn)
+    np.testing.assert_allclose(factors("two clusters"), np.where((row < 2) | (column < 1), 1e3, 1e-3))
+    np.testing.assert_allclose(factors("checkerboard"), np.where((row + column) % 2, 1e3, 1e-3))
+    np.testing.assert_allclose(np.sort(factors("1 mOhm to 1 GOhm"), None), np.logspace(-3, 9, 12) / 3000)
+    np.testing.assert_allclose(factors("all times 1e6"), 1e6)
+    np.testing.assert_allclose(factors("open row"), np.where(row == 2, OPEN, 1))
+    np.testing.assert_allclose(factors("open column"), np.where(column == 1, OPEN, 1))
+    np.testing.assert_allclose(factors("shorted cell"), np.where((row == 2) & (column == 1), 1 / OPEN, 1))
+    rails = np.where((row == 0) & (column == 0), 1e-6, np.where(row == 2, 1e6, 1))
+    np.testing.assert_allclose(factors("codes at both rails"), rails)
+    np.testing.assert_allclose(
+        factors("at the series resistance"), np.where((row == 2) & (column == 1), 1e-3 / 3000, 1)
+    )
+
+
+def test_parts_of_a_solve_are_judged_by_their_own_frames() -> None:
+    recording, _ = recording_of(AtlasSample("two clusters", 2, 3, 1.0, 0.01, 3))
+    change = RelativeChange(weight=10.0)
+    for terms, parts in (
+        ((Misfit(),), [("baseline", slice(0, 1)), ("frame", slice(1, 2))]),
+        ((Misfit(), change), [("pair", slice(0, 2))]),
+    ):
+        found = [*_parts(Estimator(terms, OptimalMethod("reduced", joint=True)), recording)]
+        assert [(part.name, part.frames) for part in found] == parts
+        assert [len(part.data.measured) for part in found] == [len(range(*frames.indices(2))) for _, frames in parts]
 
 
 def test_audit_is_the_kkt_residual() -> None:

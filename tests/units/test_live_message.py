@@ -355,6 +355,9 @@ def test_more_than_can_be_watched_is_watched_less_often(monkeypatch: pytest.Monk
         waiting = in_one_batch([one], waiting)
     (batch,) = waiting
     assert batch[0] is unloaded and batch[-1] is scans[-1] and len(batch) <= 5
+    for more, left in ((3, [0, 1, 2]), (4, [1, 3]), (5, [0, 2, 4])):
+        (batch,) = in_one_batch(scans[2:more], [[unloaded, *scans[:2]]])
+        assert batch == [unloaded, *(scans[number] for number in left)]
 
 
 @pytest.mark.slow

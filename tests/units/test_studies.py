@@ -10,7 +10,7 @@ from docs.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
 from lampest.runs.config import read_run
 from lampest.studies.paper.page import PublishedNumber, counts, covered
 from lampest.studies.paper.sides import FILE, read_published
-from lampest.studies.tradeoff import TradeoffFrame, label, read_plan, run_tradeoff
+from lampest.studies.tradeoff import Simulated, TradeoffFile, TradeoffFrame, label, read_plan, run_tradeoff
 from lampest.studies.tradeoff_report import front, ladder_rows, on_front
 from lampest.studies.weights import why_not
 from tests.small_files import TRADEOFF
@@ -72,6 +72,18 @@ def test_shipped_file_is_valid() -> None:
     plan = read_plan(Path(__file__).parents[2] / "configs" / "tradeoff.yaml")
     assert {label(formulation) for formulation in plan.settings.ladder} >= set(RUNGS)
     assert {recording.scene.panel.shape for recording in plan.recordings} == {(10, 10), (16, 16), (32, 32), (100, 100)}
+
+
+def test_a_tradeoff_compares_all_formulations_by_default_and_fewer_on_larger_panels() -> None:
+    settings = TradeoffFile(1, simulated=Simulated((8,)))
+    ladder = ["naive", "scaled", "linearised", "truncated 1", "truncated 2", "truncated 4", "reduced", "nodal"]
+    assert [label(formulation) for formulation in settings.ladder] == [*ladder, "per_pixel"]
+    assert [*settings.rungs((10, 2))] == [*ladder, "per_pixel"]
+    assert [*settings.rungs((2, 16))] == ladder and [*settings.rungs((17, 2))] == ladder[:-1]
+    assert [*settings.rungs((100, 100))] == ladder[:-1]
+    names = ["LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR"]
+    assert settings.methods((16, 2)) == names and settings.methods((2, 17)) == ["LSM", "LSR-CR", "LSR-gCR"]
+    assert (settings.frames, settings.repeats, settings.patience_s, settings.memory) == (5, 3, 3.0, None)
 
 
 def test_shipped_file_can_be_tuned() -> None:
