@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from lampest import (
     Bounds,
@@ -27,6 +28,7 @@ from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, selec
 from lampest.estimate.model_check import most_in_series
 from lampest.estimate.noise import NoiseEstimate, largest_change_within_scan
 from lampest.estimate.rivals import Question, Rival
+from lampest.files import levels
 from lampest.panel.panel import Array
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.smoothing import Smoothing
@@ -161,3 +163,20 @@ def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypa
     loads[0].frames = (2, 6)
     with pytest.raises(InputError, match="no frame 6, its frames are 0 to 5"):
         list(_answers(recording, loads))
+
+
+def test_levels_have_the_false_alarms_that_they_state() -> None:
+    """Of a normal distribution, on both sides; once in so many numbers."""
+
+    def once_in(sigmas: float) -> float:
+        return float(1 / (2 * norm.sf(sigmas)))
+
+    assert once_in(levels.NOISE_REACH) == pytest.approx(370, rel=0.01)
+    assert once_in(levels.UNUSUAL) == pytest.approx(15_000, rel=0.06)
+    assert once_in(levels.SIGNIFICANT) == pytest.approx(1.7e6, rel=0.03)
+    assert once_in(levels.OUTLIER_THRESHOLD) == pytest.approx(5e8, rel=0.02)
+    assert once_in(levels.OUTLIER_THRESHOLD) / 2400 == pytest.approx(200_000, rel=0.06)
+    assert pytest.approx(1 + 3 * np.sqrt(2 / 100), abs=0.03) == levels.MAX_MEAN_SQUARE
+    assert (levels.SIGNIFICANCE, levels.FALSE_ALARM_RATE) == (1e-4, 0.01)
+    assert norm.ppf(0.975) == levels.TWO_SIDED
+    assert 1 / norm.ppf(0.75) == pytest.approx(levels.MAD_TO_SIGMA, abs=5e-5)

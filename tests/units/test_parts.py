@@ -305,6 +305,30 @@ def test_parts_are_joined_as_they_are_packed(tmp_path: Path, monkeypatch: pytest
     assert checked_sentence(tmp_path / "joined.h5").count("agree with their checksums") == 1
 
 
+def test_chunks_hold_whole_frames_and_few_values_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hdf5, "CHUNK", 70)
+    rng = np.random.default_rng(1)
+    noise, halves = rng.standard_normal((9, 4, 8)), np.round(rng.standard_normal((9, 4, 8)), 1)
+    halves[:, ::2] = 0.0
+    values = {"few": np.zeros(64), "none": np.float64(3.0), "long": np.zeros(65), "frames": noise[:, :, :5]}
+    values |= {"wide": np.ones((3, 100)), "noise": noise, "halves": halves, "counts": rng.integers(0, 2**40, 100)}
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        for name, each in values.items():
+            hdf5.write_dataset(file, name, each, "1", name, further="word")
+            assert np.array_equal(file[name], each) and file[name].attrs["further"] == b"word"
+        found = {name: (file[name].chunks, file[name].compression) for name in values}
+    assert found == {
+        "few": (None, None),
+        "none": (None, None),
+        "long": ((65,), "gzip"),
+        "frames": ((3, 4, 5), None),
+        "wide": ((1, 100), "gzip"),
+        "noise": ((2, 4, 8), None),
+        "halves": ((2, 4, 8), "gzip"),
+        "counts": ((70,), "gzip"),
+    }
+
+
 def test_noise_is_not_packed_and_what_repeats_is(tmp_path: Path) -> None:
     """Of many values; the same files when parts of either kind are joined, whichever comes first."""
     scene, rng = lampest.Scene(lampest.Panel(10, 10), lampest.TwoPointReadout()), np.random.default_rng(1)
