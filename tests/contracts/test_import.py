@@ -610,6 +610,7 @@ FITTING: tuple[tuple[list[float], Any, list[str], str], ...] = (
     ([3300.1, 0.123], LOADED_READOUT, [], ""),
     ([3.0, 2.0], LOADED_READOUT, ["volt", "code"], "within the converter's range of 3.3 V"),
     ([100.5, 200.25], replace(LOADED_READOUT, readings=4), ["mV", "code"], "within the converter's range of 3300 mV"),
+    ([100.1, 200.9], replace(LOADED_READOUT, readings=8), ["mV", "code"], "within the converter's range of 3300 mV"),
     ([100.6, 200.25], replace(LOADED_READOUT, readings=4), ["mV"], "within the converter's range of 3300 mV"),
 )
 

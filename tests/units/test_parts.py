@@ -312,6 +312,12 @@ def test_chunks_hold_whole_frames_and_few_values_none(tmp_path: Path, monkeypatc
     halves[:, ::2] = 0.0
     values = {"few": np.zeros(64), "none": np.float64(3.0), "long": np.zeros(65), "frames": noise[:, :, :5]}
     values |= {"wide": np.ones((3, 100)), "noise": noise, "halves": halves, "counts": rng.integers(0, 2**40, 100)}
+    # The first 16 frames and 512 values of each decide.
+    values |= {"first frames": np.zeros((160, 7)), "first values": np.zeros((2, 2048))}
+    values["first frames"][:16], values["first values"][:, :512] = (
+        noise[:4].reshape(-1, 8)[:16, :7],
+        rng.standard_normal((2, 512)),
+    )
     with h5py.File(tmp_path / "x.h5", "w") as file:
         for name, each in values.items():
             hdf5.write_dataset(file, name, each, "1", name, further="word")
@@ -326,6 +332,8 @@ def test_chunks_hold_whole_frames_and_few_values_none(tmp_path: Path, monkeypatc
         "noise": ((2, 4, 8), None),
         "halves": ((2, 4, 8), "gzip"),
         "counts": ((70,), "gzip"),
+        "first frames": ((10, 7), None),
+        "first values": ((1, 2048), None),
     }
 
 
