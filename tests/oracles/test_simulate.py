@@ -373,3 +373,14 @@ def test_a_film_that_remembers_nothing_follows_the_load_of_each_moment() -> None
     np.testing.assert_array_equal(cells_under(without, time), cells_under(without, time, 0.0))
     moved = np.abs(cells_under(without, time, 0.3) / cells_under(without, time) - 1)
     assert moved[0].max() == 0 and moved[70].max() > 1e-4
+
+
+def test_a_film_under_a_load_that_only_grows_does_as_in_a_single_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hysteresis shows where a load shrinks, be it within a frame."""
+    loads = (OralDisc(diameter_mm=25.0, centre_mm=(15.0, 10.0), rim_width_mm=6.0, pressure_kpa=-11.0, rim_kpa=85.0),)
+    course = Course(start_s=1.0, approach_s=60.0, breathing_depth=0.0)
+    growing = plain(frames=40, loads=loads, course=course, film=Film(hysteresis=0.3))
+    found = cells_under(growing, np.arange(41.0))
+    monkeypatch.setattr("lampest.recording.simulation.simulation.MOMENTS", 1)
+    np.testing.assert_allclose(cells_under(growing, np.arange(41.0)), found, rtol=1e-12)
+    assert found[40].min() < 0.9 * found[0].min()

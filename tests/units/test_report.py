@@ -18,7 +18,7 @@ from lampest.files.process import ALLOWED, in_bytes, libraries_to_the_log, memor
 from lampest.report.compare import figures_of
 from lampest.report.detect.pressed import figure, pressed, pressed_of, pressed_table, write_pressed
 from lampest.report.page import page as page_module
-from lampest.report.page.compared import Batch, read_batch
+from lampest.report.page.compared import Batch, comparison_of, read_batch
 from lampest.report.page.page import differences, report, write_report
 from lampest.report.words import digits, median_text, no_formula, spanned, text_of
 from lampest.runs.case import about
@@ -163,6 +163,17 @@ def test_maps_of_differences_are_drawn_as_lines_while_they_have_few_cells(monkey
         assert [(tile.title, tile.note) for tile in tiles[:2]] == [("pair 0", "0.12 %"), ("pair 1", "1.1 %")][:pairs]
         assert len(tiles) == min(pairs, 9) and more == {"width": page_module.WIDTH_INCH / 2}
     assert differences([invented_case()], 0, []) == []
+
+
+def test_the_time_of_an_estimator_is_the_geometric_mean_of_its_recordings() -> None:
+    seconds = {"A": (0.002, 0.008), "B": (0.1, 0.1), "C": (0.0, 0.0)}
+    cases = [
+        invented_case(name, f"r{number}", (3, 3, 3), solve_time=np.array([1.0, 0.5, 7.0]) * own[number])
+        for number in range(2)
+        for name, own in seconds.items()
+    ]
+    found = comparison_of(batch(*cases), np.random.default_rng(0))
+    assert found is not None and dict(found.milliseconds) == pytest.approx({"A": 4.0, "B": 100.0, "C": 1e-3})
 
 
 def test_texts_of_a_case_are_those_that_it_has() -> None:
