@@ -32,7 +32,6 @@ from lampest import (
     read_scene,
     reconstruct,
 )
-from lampest.recording.foreign.arrays import frames_of_arrays
 from tests.small_files import run_command
 
 T0 = datetime.datetime(2025, 1, 31, 12, 0, 0)
@@ -500,17 +499,3 @@ def test_info_says_when_a_recording_began(tmp_path: Path, lampest: Callable[...,
     recording = Recording.from_array(FRAMES)
     replace(recording, start_time="2025-01-31T12:00:00+01:00").save(tmp_path / "m.h5")
     assert "start      2025-01-31T12:00:00+01:00 at 0 s" in lampest("info", tmp_path / "m.h5").out.splitlines()
-
-
-def test_frames_of_an_array_are_in_order_and_a_value_is_named_by_its_place(tmp_path: Path) -> None:
-    for shape in ((2, 3), (4, 2, 3), (5, 6), (2, 3, 4), (2, 2, 3)):
-        array = 500.0 + np.arange(np.prod(shape)).reshape(shape)
-        np.save(tmp_path / "m.npy", array)
-        frames = frames_of_arrays(tmp_path / "m.npy", (2, 3), None)
-        stacked = shape == (2, 3, 4)
-        expected = (array.transpose(2, 0, 1) if stacked else array).reshape(-1, 2, 3)
-        np.testing.assert_array_equal(frames.values, expected)
-        (note,) = frames.notes
-        assert note.startswith("array ") is False and ("(rows, columns, frames)" in note) == stacked
-        place = np.argwhere(array == expected[-1, 1, 2])[0].tolist()
-        assert frames.place(len(expected) - 1, 1, 2) == f"{tmp_path / 'm.npy'}[{', '.join(map(str, place))}]"

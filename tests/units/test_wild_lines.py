@@ -614,7 +614,7 @@ def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
 # Messages that arrive, how the board answers when it is asked (None: not at all), when the end is requested, and how
 # many samples come in each batch; and how many answers came since the last of them.
 RUNNING, FIT = replace(IDLE, running=True, period_us=0), Frame(2, 9, 50, 0, np.ones((3, 4), np.uint16))
-RUNS: tuple[tuple[list[Any], list[Hello | None], list[bool], list[int], int], ...] = (
+ENDED_RUNS: tuple[tuple[list[Any], list[Hello | None], list[bool], list[int], int], ...] = (
     ([(FIT,), (IDLE,)], [RUNNING], [False, False], [1, 0], 2),
     ([(FIT,)], [RUNNING], [False, True], [1, 1], 0),
     ([(), ()], [RUNNING, IDLE], [False, False], [0, 0], 2),
@@ -626,7 +626,7 @@ RUNS: tuple[tuple[list[Any], list[Hello | None], list[bool], list[int], int], ..
 def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
     """A silent board is identified anew; one that scans on is believed, one that does not has restarted."""
     monkeypatch.setattr(stream, "SILENCE_SECONDS", -1.0)
-    for arrived, answers, ending, sizes, since in RUNS:
+    for arrived, answers, ending, sizes, since in ENDED_RUNS:
         messages, asked, ended = iter(arrived), iter(answers), iter(ending)
 
         def identify(asked: Iterator[Hello | None] = asked) -> Hello:
