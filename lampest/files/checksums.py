@@ -135,7 +135,8 @@ def lookup3(superblock: bytes) -> int:
     a = b = c = 0xDEADBEEF + 44
 
     def rotated(word: int, shift: int) -> int:
-        return (word % 2**32) << shift | (word % 2**32) >> 32 - shift
+        word %= 2**32
+        return word << shift | word >> 32 - shift
 
     for first in range(0, 9, 3):
         a, b, c = a + words[first], b + words[first + 1], c + words[first + 2]

@@ -64,7 +64,7 @@ class Reconstruction(Estimates):
         return {term: weight for term, weight in values.items() if term != "misfit"}
 
     def __dir__(self) -> list[str]:
-        return sorted({*super().__dir__()} - INTERNAL)
+        return list({*super().__dir__()} - INTERNAL)
 
     def fit_report(self) -> str:
         """Return a summary of the fit in sections: model, statistics, weights, cells of the strongest frame, warnings.

@@ -301,4 +301,7 @@ def test_who_was_measured_is_in_nwb(tmp_path: Path) -> None:
     assert (session.subject.weight, session.subject.description) == ("0.15 kg", "420 mm long")
     assert session.experiment_description == "attachment; water at 12.5 degrees Celsius"
     assert session.experimenter == ("Doe, Jane",)
+    described = session.processing["LSM"].description.splitlines()
+    assert described[:2] == ["recording: mouth", "estimator: LSM"] and "lampest_version: 0.1.0" in described
+    assert "scene:" not in "".join(described) and "rows: 3" in session.notes
     session.read_io.close()

@@ -217,6 +217,11 @@ def test_a_fit_report_has_sections_as_lmfit_has_them(found: Reconstruction, lamp
     values = dict(line.strip().split(" = ") for line in lines if " = " in line)
     values = {name.strip(): value for name, value in values.items()}
     assert values["frames solved"] == "4 of 4" and values["readings"] == "400 in 4 frames"
+    case = found.result()
+    rms = np.sqrt(np.mean((100 * (case.reading_model / case.measured - 1)) ** 2))
+    number, unit = values["residual, rms"].split(" ", 1)
+    assert float(number) == pytest.approx(rms, rel=0.05) and unit == "% of the reading"
+    assert float(values["solve time"].split()[0]) == pytest.approx(1000 * np.median(case.solve_time), rel=0.01)
     assert values["resistance"].endswith(" ohm") and values["change"].endswith(" %")
     assert values["errors"].startswith("standard deviation of cells: own ")
     assert float(values["reduced chi-square"].split()[0].replace(",", "")) > 0

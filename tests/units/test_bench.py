@@ -32,12 +32,13 @@ from lampest.studies.bench import (
     run_bench,
     tables,
 )
-from lampest.studies.common import SquaredMethod
+from lampest.studies.common import SquaredMethod, paper_methods
 from lampest.studies.study import page, read_settings
 
 ROOT = Path(__file__).parents[2]
 read_bench = read_settings(SolversFile)
 SOLVERS = SolverLimits().solvers
+BOTH = BenchLimits().solvers
 TINY = """\
 schema: 1
 sizes: [3, [2, 4]]
@@ -113,6 +114,27 @@ def test_all_solvers_agree_where_they_say_they_solved(tiny: Bench) -> None:
 def test_a_solver_alone_is_given_no_gap() -> None:
     found = bench_rows(run_bench(BenchFile(1, (3,), frames=1, repeats=1, limits=alone()), quiet).frames)
     assert {row.solver for row in found} == {"reduced"} and all(row.gap is None for row in found)
+
+
+def test_a_row_has_the_largest_gap_and_memory_and_the_median_time() -> None:
+    gaps, memories = (0, np.nan, 1e-3, 2e-3, 0), (7.0, None, 50.0, 30.0, None)
+    frames = [
+        replace(one, gap=gap, memory_mb=memory, iterations=one.frame, solved=one.frame != 3)
+        for one, gap, memory in zip(timed(4, [9.0, 1.0, 2.0, 3.0, 6.0]), gaps, memories, strict=True)
+    ]
+    first, later = bench_rows(frames[:1] + frames)[:2]
+    assert (first.frames, first.ms, first.count, first.memory_mb) == ("first", 9000.0, 2, 7.0)
+    assert (later.frames, later.ms, later.ms_quartile_1, later.ms_quartile_3) == ("later", 2500.0, 1750.0, 3750.0)
+    assert (later.gap, later.memory_mb, later.iterations, later.ratio) == (2e-3, 50.0, 2.5, 1.0)
+    assert (later.count, later.solved, later.inverses) == (4, 3, pytest.approx(2.5e6))
+
+
+def test_the_gap_is_above_the_least_objective_of_all_solvers() -> None:
+    alone = {"LSM": paper_methods(SquaredMethod)["LSM"]}
+    found = run_bench(BenchFile(1, (3,), alone, frames=1, repeats=1), quiet).frames
+    assert [(one.solver, one.frame) for one in found] == [(name, frame) for frame in (0, 1) for name in BOTH]
+    for first, second in (found[:2], found[2:]):
+        assert min(first.gap, second.gap) == 0 and (first.gap < second.gap) == (first.objective < second.objective)
 
 
 def test_recordings_differ_and_follow_from_the_seed() -> None:

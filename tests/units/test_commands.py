@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -34,6 +35,7 @@ from lampest.recording.board.record import Progress, Recorded
 from lampest.report.compare import compare
 from lampest.report.live.engine import Engine
 from lampest.report.live.run import from_recording
+from lampest.report.plots import plot_file
 from lampest.report.plots.style import WIDTH_INCH
 from lampest.studies.study import Row, Study
 
@@ -184,6 +186,17 @@ WARNED: tuple[tuple[dict[str, Any], str], ...] = (
 )
 
 
+def test_memory_that_ran_out_is_a_sentence(lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    for error, words in ((MemoryError(), "no details"), (MemoryError(" 3 GiB\n  for a matrix"), "3 GiB for a matrix")):
+
+        def failing(error: MemoryError = error) -> None:
+            raise error
+
+        monkeypatch.setattr("lampest.cli._program", lambda failing=failing: failing)
+        done = lampest("info")
+        assert (done.code, done.out, done.err) == (2, "", f"lampest: not enough memory ({words})\n")
+
+
 def test_a_recording_ends_with_a_line_and_its_warnings(lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: dict[str, Any] = {}
     words = ("record", "--port", "p", "--out", "r.h5", "--count", "7", "--baseline", "2", "--period", "0.5")
@@ -220,22 +233,36 @@ def test_the_strongest_frame_of_a_file_is_drawn(
     ((tile, width),) = drawn
     assert (tile.title, tile.note) == ("r", "readings of frame 3 at 1.5 s")
     assert tile.values[1, 2] == pytest.approx(-20) and width == {"width": WIDTH_INCH / 2}
+    write_results(tmp_path / "results.h5", [invented_case("LSM", "mouth", (2, 2, 3))])
+    monkeypatch.setattr("lampest.report.plots.plot_results", lambda path, out, **named: drawn.append(named) or [out])
+    assert plot_file(tmp_path / "results.h5", tmp_path / "x.png") == tmp_path / "x.png"
+    assert drawn.pop() == {"recordings": ["mouth"]}
     replace(recording, role=np.ones(4, dtype=np.uint8)).save(tmp_path / "bare.h5")
     done = lampest("info", tmp_path / "bare.h5", "--picture", tmp_path / "x.png")
     assert done.code == 2 and "has no unloaded frames to compare with; lampest tare names some" in done.err
 
 
-def test_a_simulation_is_overridden(tmp_path: Path, lampest: Command) -> None:
+def test_a_simulation_is_overridden(tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     assert lampest("init", tmp_path).code == 0
+    bars: list[Any] = []
+
+    def shown(label: str, *, counted: bool = False) -> Any:
+        bars.append((label, counted))
+        return nullcontext(lambda done, total: bars.append((done, total)))
+
+    monkeypatch.setattr("lampest.cli.estimation.progress", shown)
     ended = lampest("simulate", tmp_path / "simulation.yaml", "--set", "frames=2", "--out", tmp_path / "two.h5")
     assert ended.code == 0 and "2 measured" in lampest("info", tmp_path / "two.h5").out
+    assert bars[0] == ("frames", True) and bars[-1][0] == bars[-1][1] > 2
     assert lampest("simulate", tmp_path / "simulation.yaml", "--set", "frames").code == 2
 
 
 def test_results_of_other_cases_are_kept_aside(disk: SimpleNamespace, lampest: Command) -> None:
     run, out = disk.folder / "run.yaml", disk.folder / "out"
     assert lampest("run", run, "--out", out, "--jobs", "1").err == ""
-    assert lampest("run", run, "--out", out, "--jobs", "1").err == "" and len(list(out.glob("*.h5"))) == 1
+    again = lampest("run", run, "--out", out, "--jobs", "1")
+    assert again.err == "" and len(list(out.glob("*.h5"))) == 1
+    assert again.out.splitlines()[0] == f"0 cases solved, 3 were done before, 0 failed: {out / 'results.h5'}"
     before = (out / "results.h5").read_bytes()
     ended = lampest("run", run, "--out", out, "--jobs", "1", "--set", "solver.tolerance=1e-7")
     assert "existing results of other cases were renamed: " in ended.err and str(out / "results_1.h5") in ended.err

@@ -23,12 +23,14 @@ from lampest import (
     two_point_resistance,
 )
 from lampest.cost.given import Background, Given
-from lampest.cost.terms import CellResistance, Gradient, Misfit
+from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
+from lampest.estimate.methods.method import OptimalMethod
 from lampest.recording.readings import AT_LEAST, AT_MOST
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.studies.extremes.run import (
     CRASHED,
     Solve,
+    _parts,
     atlas_remarks,
     atlas_rows,
     correct_digits,
@@ -257,6 +259,18 @@ def test_rows_and_remarks_of_an_atlas_count_solves() -> None:
         "1 × crashed: KeyError: no",
     ]
     assert atlas_remarks([])[0].endswith("(none tried)")
+
+
+def test_parts_of_a_solve_are_judged_by_their_own_frames() -> None:
+    recording, _ = recording_of(AtlasSample("two clusters", 2, 3, 1.0, 0.01, 3))
+    change = RelativeChange(weight=10.0)
+    for terms, parts in (
+        ((Misfit(),), [("baseline", slice(0, 1)), ("frame", slice(1, 2))]),
+        ((Misfit(), change), [("pair", slice(0, 2))]),
+    ):
+        found = [*_parts(Estimator(terms, OptimalMethod("reduced", joint=True)), recording)]
+        assert [(part.name, part.frames) for part in found] == parts
+        assert [len(part.data.measured) for part in found] == [len(range(*frames.indices(2))) for _, frames in parts]
 
 
 def test_audit_is_the_kkt_residual() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.stats import norm
 
 from lampest import (
     Bounds,
@@ -38,6 +39,7 @@ from lampest.estimate.model_check import most_in_series
 from lampest.estimate.noise import NoiseEstimate, largest_change_within_scan
 from lampest.estimate.outliers import _by_line, _by_median
 from lampest.estimate.rivals import Question, Rival
+from lampest.files import levels
 from lampest.files.typed import members_of
 from lampest.loads.pressure import determined, total_force
 from lampest.panel import compiled
@@ -404,3 +406,20 @@ def test_sizes_of_what_a_frame_shares_are_those_of_a_usual_reading() -> None:
     roots = {"common_ripple": np.array([[3.0], [4.0]]), "line_ripple": np.array([[1.0, 0.0], [2.0, 2.0]])}
     frame = SimpleNamespace(gain=0.02, scene=SimpleNamespace(circuit=circuit), **roots)
     assert sizes(SimpleNamespace(frame=frame)) == pytest.approx((2.0, np.sqrt(12.5) / 0.5, np.sqrt(4.5) / 0.5))
+
+
+def test_levels_have_the_false_alarms_that_they_state() -> None:
+    """Of a normal distribution, on both sides; once in so many numbers."""
+
+    def once_in(sigmas: float) -> float:
+        return float(1 / (2 * norm.sf(sigmas)))
+
+    assert once_in(levels.NOISE_REACH) == pytest.approx(370, rel=0.01)
+    assert once_in(levels.UNUSUAL) == pytest.approx(15_000, rel=0.06)
+    assert once_in(levels.SIGNIFICANT) == pytest.approx(1.7e6, rel=0.03)
+    assert once_in(levels.OUTLIER_THRESHOLD) == pytest.approx(5e8, rel=0.02)
+    assert once_in(levels.OUTLIER_THRESHOLD) / 2400 == pytest.approx(200_000, rel=0.06)
+    assert pytest.approx(1 + 3 * np.sqrt(2 / 100), abs=0.03) == levels.MAX_MEAN_SQUARE
+    assert (levels.SIGNIFICANCE, levels.FALSE_ALARM_RATE) == (1e-4, 0.01)
+    assert norm.ppf(0.975) == levels.TWO_SIDED
+    assert 1 / norm.ppf(0.75) == pytest.approx(levels.MAD_TO_SIGMA, abs=5e-5)

@@ -12,6 +12,7 @@ from lampest import InputError, Recording
 from lampest.cli.results import _repaired
 from lampest.files import hdf5
 from lampest.files.checksums import is_left_open
+from lampest.recording.acquisition import whole_events
 from lampest.recording.board.record import repair
 from lampest.recording.stored import StoredRecording
 
@@ -67,6 +68,20 @@ def test_a_damaged_event_is_dropped(killed: Path) -> None:
     assert repair(killed) == (FRAMES, 0)
     found = Recording.load(killed).acquisition
     assert found is not None and found.event_label == ("leave",) and found.event_time.tolist() == [0.5]
+
+
+def test_events_are_as_many_as_all_their_datasets_hold(killed: Path) -> None:
+    """A writer that was killed between two datasets left one longer than the other; old ones had no checksums."""
+    time, label, checksum = (f"entry/acquisition/event_{name}" for name in ("time", "label", "crc32"))
+    for changed, flags, unchecked in ((time, [1, 0], [1]), (label, [1, 0], [1]), (checksum, [1], [1, 1])):
+        with h5py.File(killed.with_name("growing.h5")) as file, h5py.File(killed.with_name("c.h5"), "w") as copy:
+            file.copy("entry", copy)
+            copy[changed].resize(1, axis=0)
+            assert whole_events(copy).tolist() == flags
+            del copy[checksum]
+            assert whole_events(copy).tolist() == unchecked
+            del copy[time]
+            assert whole_events(copy).tolist() == []
 
 
 def test_journals_of_older_versions_are_read_and_their_sums_compared(killed: Path) -> None:

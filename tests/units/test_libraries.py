@@ -42,6 +42,15 @@ def test_a_missing_pyserial_is_pyserial() -> None:
         raise ModuleNotFoundError("No module named 'serial'", name="serial")
 
 
+def test_a_missing_library_of_an_extra_comes_with_it_and_a_module_of_ours_is_no_library() -> None:
+    words = r"^paho.mqtt is not installed; pip install 'lampest\[streams\]' brings it$"
+    with pytest.raises(InputError, match=words), extra("streams"):
+        raise ModuleNotFoundError("No module named 'paho.mqtt'", name="paho.mqtt")
+    for name in (None, "lampest.nothing"):
+        with pytest.raises(ModuleNotFoundError, match=r"^no such module$"), extra("streams"):
+            raise ModuleNotFoundError("no such module", name=name)
+
+
 ROOT = Path(__file__).parents[2]
 READ = "import lampest; lampest.Recording.load('data/lamprey_35mm.h5')"
 HELP = (

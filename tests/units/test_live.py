@@ -393,6 +393,21 @@ def test_a_zero_that_is_asked_for_is_the_mean_of_the_next_frames() -> None:
     assert none.missing is None
 
 
+def test_a_zero_leaves_error_bars_to_who_had_them() -> None:
+    """To second looks, in haste; to the frames themselves where the method compares frames, or nothing is hasty."""
+    resting = Readings.of(SMALL, two_point_resistance(np.full((3, 4), 3000.0)) + 140)
+    for method, hasty, second_looks in (
+        ("smooth", True, True),
+        ("smooth", False, False),
+        ("relative_change", True, False),
+    ):
+        state = resting_panel(METHODS[method], hasty=hasty)
+        zeroed = dataclasses.replace(state, missing=1).after(resting, None, 1.0)
+        assert zeroed.zeroed == ASKED and state.stream.keeps_weights == zeroed.stream.keeps_weights == hasty
+        for each in (state, zeroed):
+            assert (each.track is not None) == second_looks and (each.stream.track is None) == second_looks, method
+
+
 def test_a_second_look_finds_what_the_first_left_open() -> None:
     """Weights chosen by the data, and error bars; its cells are only told where weights or the minimum differ."""
     cells = 3000 * np.exp(0.05 * np.random.default_rng(1).standard_normal((3, 4)))

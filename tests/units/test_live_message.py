@@ -4,6 +4,7 @@ import dataclasses
 import json
 import socket
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,18 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from lampest import Array, Faults, OralDisc, Panel, Readings, Scene, TwoPointReadout, Water, two_point_resistance
+from lampest import (
+    Array,
+    Faults,
+    InputError,
+    OralDisc,
+    Panel,
+    Readings,
+    Scene,
+    TwoPointReadout,
+    Water,
+    two_point_resistance,
+)
 from lampest.loads.pressure import Force, PressureTrack, water_pressure
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.breathing import Breathing
@@ -38,6 +50,7 @@ from lampest.report.live.message import (
 )
 from lampest.report.live.publish import publish_at
 from lampest.report.live.publish.lsl import LslPublish
+from lampest.report.live.publish.publish import waited
 from lampest.report.live.run import METHODS, scan_of
 from lampest.report.live.state import read_load, verdict_of
 from lampest.report.live.watcher import Unloaded, Watched, in_one_batch, watcher
@@ -357,6 +370,9 @@ def test_more_than_can_be_watched_is_watched_less_often(monkeypatch: pytest.Monk
         waiting = in_one_batch([one], waiting)
     (batch,) = waiting
     assert batch[0] is unloaded and batch[-1] is scans[-1] and len(batch) <= 5
+    for more, left in ((3, [0, 1, 2]), (4, [1, 3]), (5, [0, 2, 4])):
+        (batch,) = in_one_batch(scans[2:more], [[unloaded, *scans[:2]]])
+        assert batch == [unloaded, *(scans[number] for number in left)]
 
 
 @pytest.mark.slow
@@ -373,6 +389,26 @@ def test_a_process_of_its_own_answers_and_its_death_is_said() -> None:
     beside.finish()
     assert answers[-1].answer == "cannot say" and "has died" in answers[-1].why
     beside.close()
+
+
+def test_an_address_has_the_usual_host_port_and_path_of_its_protocol() -> None:
+    wheres = {"mqtt": "mqtt://localhost:1883/lampest", "mqtt://a/b/": "mqtt://a:1883/b", "osc://:7/x": None}
+    for where, whole in wheres.items():
+        found = publish_at(where)
+        assert found.where == (whole or f"osc://{type(found).host}:7/x")
+    way = publish_at("mqtt://me:p%40ss@h:5/t", "key")
+    assert (way.user, way.password, way.token, way.where) == ("me", "p@ss", "key", "mqtt://h:5/t")
+    for wrong, words in (("mqtt://h:99999", "is no address"), ("mqtt://h?x=1", "question mark"), ("up", "begins with")):
+        with pytest.raises(InputError, match=words):
+            publish_at(wrong)
+
+
+def test_a_wait_ends_with_its_condition_or_its_time() -> None:
+    answers = [True, True, True, False, False]
+    assert waited(lambda: answers.pop(), 60.0) and answers == [True], "asked once more at the end"
+    begin = time.monotonic()
+    assert not waited(lambda: False, 0.03) and 0.03 <= time.monotonic() - begin < 5.0
+    assert waited(lambda: True, 0.0)
 
 
 def test_an_answer_that_changes_is_in_the_log_with_its_reason(caplog: pytest.LogCaptureFixture) -> None:

@@ -279,7 +279,7 @@ def test_a_part_of_the_frames_is_read_alone(tmp_path: Path, lampest: Command) ->
 
 def test_a_long_recording_is_closed_by_parts(tmp_path: Path, request: pytest.FixtureRequest) -> None:
     for name in ("whole", "parts"):
-        unclosed_recording(tmp_path / f"{name}.h5", SCENE, 50, UNLOADED)
+        unclosed_recording(tmp_path / f"{name}.h5", SCENE, 50, unloaded=45)  # its σ is that of all their pairs
         (tmp_path / "growing.h5").unlink()
     assert repair(tmp_path / "whole.h5") == (50, 0)
     request.getfixturevalue("small")
@@ -313,6 +313,38 @@ def test_parts_are_joined_as_they_are_packed(tmp_path: Path, monkeypatch: pytest
     assert np.array_equal(joined.recorded, Recording.load(tmp_path / "long.h5").recorded[UNLOADED:])
     assert sum(anew) == 91 % 4
     assert checked_sentence(tmp_path / "joined.h5").count("agree with their checksums") == 1
+
+
+def test_chunks_hold_whole_frames_and_few_values_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hdf5, "CHUNK", 70)
+    rng = np.random.default_rng(1)
+    noise, halves = rng.standard_normal((9, 4, 8)), np.round(rng.standard_normal((9, 4, 8)), 1)
+    halves[:, ::2] = 0.0
+    values = {"few": np.zeros(64), "none": np.float64(3.0), "long": np.zeros(65), "frames": noise[:, :, :5]}
+    values |= {"wide": np.ones((3, 100)), "noise": noise, "halves": halves, "counts": rng.integers(0, 2**40, 100)}
+    # The first 16 frames and 512 values of each decide.
+    values |= {"first frames": np.zeros((160, 7)), "first values": np.zeros((2, 2048))}
+    values["first frames"][:16], values["first values"][:, :512] = (
+        noise[:4].reshape(-1, 8)[:16, :7],
+        rng.standard_normal((2, 512)),
+    )
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        for name, each in values.items():
+            hdf5.write_dataset(file, name, each, "1", name, further="word")
+            assert np.array_equal(file[name], each) and file[name].attrs["further"] == b"word"
+        found = {name: (file[name].chunks, file[name].compression) for name in values}
+    assert found == {
+        "few": (None, None),
+        "none": (None, None),
+        "long": ((65,), "gzip"),
+        "frames": ((3, 4, 5), None),
+        "wide": ((1, 100), "gzip"),
+        "noise": ((2, 4, 8), None),
+        "halves": ((2, 4, 8), "gzip"),
+        "counts": ((70,), "gzip"),
+        "first frames": ((10, 7), None),
+        "first values": ((1, 2048), None),
+    }
 
 
 def test_noise_is_not_packed_and_what_repeats_is(tmp_path: Path) -> None:

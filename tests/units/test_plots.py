@@ -14,15 +14,20 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from numpy.testing import assert_allclose
 from support import METHODS, invented_case
 
 from lampest import CaseResult, InputError, Panel, PressurePlot, Scene, Water, write_results
 from lampest.loads.pressure import pressure_of
+from lampest.loads.recognition.attachment import Attachment
+from lampest.loads.recognition.breathing import Breathing
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
+from lampest.report.detect.answer import Detected
 from lampest.report.plots import PLOTS, Plot, picture, plot_of, plot_results
 from lampest.report.plots.maps import MapPainter, Scale, Tile, banded_scale, change_scale, log_scale, signed_scale
 from lampest.report.plots.style import change_text, new_figure, plain_number, round_numbers, save, short_title
+from lampest.report.plots.timeline import timeline
 from lampest.report.words import digits
 from lampest.runs.columns import FRAMES, Column
 from lampest.runs.held import COLUMNS
@@ -262,6 +267,34 @@ def test_pressures_of_every_shape_are_drawn(tmp_path: Path, shape: tuple[int, in
     for name in ("first.png", "second.png"):
         save(PressurePlot().draw((case,)), tmp_path / name)
     assert (tmp_path / "first.png").read_bytes() == (tmp_path / "second.png").read_bytes()
+
+
+def test_a_timeline_has_a_band_for_each_attachment_and_circles_of_those_that_are_there() -> None:
+    here = Attachment(0.99, 2.0, (30.0, 1.0), (20.0, 1.0), (35.0, 1.0), breath=Breathing(6.0))
+    gone = replace(here, since_s=1.0, until_s=1.5, sucks=0.1, x_mm=(5.0, 1.0), diameter_mm=None)
+    course, change = np.stack([np.linspace(0.5, 4, 8), np.arange(8.0)]), np.full((4, 6), np.log(1.5))
+    figure = timeline(Detected.of("mouth", (gone, here), 4.0, course=course, change=change, panel=Panel(4, 6)))
+    axes, places, *_ = figure.get_axes()
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), [0.1, *range(1, 8)])
+    assert axes.get_yscale() == "log" and axes.get_xlim() == (0.5, 4.0)
+    assert [(band.get_x(), band.get_width(), band.get_linewidth()) for band in axes.patches] == [(1, 0.5, 0), (2, 2, 0)]
+    assert [text.get_text() for text in axes.texts] == [" presses", " lamprey"]
+    np.testing.assert_allclose([text.get_position() for text in axes.texts], [(1, 0.98), (2, 0.91)])
+    (circle,) = [patch for patch in places.patches if isinstance(patch, Circle)]
+    assert (circle.center, circle.radius) == ((30.0, 20.0), 17.5)
+    (values,) = [
+        held
+        for artist in places.get_children()
+        if (held := getattr(artist, "get_array", list)()) is not None and len(held)
+    ]
+    np.testing.assert_allclose(values, 50)
+    left = replace(here, until_s=3.0)
+    figure = timeline(Detected.of("mouth", (gone, left), 4.0, course=course, change=change, panel=Panel(4, 6)))
+    assert [band.get_width() for band in figure.get_axes()[0].patches] == [0.5, 1.0]
+    assert len(figure.get_axes()[1].lines) == 2, "of what has left everything is shown"
+    assert figure.get_size_inches()[1] == 3.4
+    figure = timeline(Detected.of("mouth", (), 4.0, course=course))
+    assert [text.get_text() for text in figure.get_axes()[1].texts] == ["nothing was there"]
 
 
 def test_units_and_frame_are_told() -> None:

@@ -1,10 +1,16 @@
 """The wire: what is sent comes back, whole or in single bytes, garbage before and after; damage is never a frame."""
 
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lampest import InputError
+from lampest.recording.board import port
 from lampest.recording.board.protocol import (
     MAX_CODE,
     MAX_STUFFED,
@@ -181,3 +187,92 @@ def test_an_endless_message_fills_no_memory() -> None:
     assert len(receiver.pending) == MAX_STUFFED + 1
     _, items = receiver.feed(message(frame_body(Frame(1, 0, 0, 0, np.zeros((1, 1), dtype=np.uint16)))))
     assert isinstance(items[0], Garbage) and isinstance(items[1], Frame)
+
+
+KINDS = {"HELLO": 1, "FRAME": 2, "ANSWER": 3, "IDENTIFY": 16, "START": 17, "STOP": 18}
+KINDS |= {"SET_ROWS": 19, "SET_COLUMNS": 20, "SET_READINGS": 21, "SET_PERIOD": 22, "SET_SETTLE": 23}
+
+
+def test_commands_are_nine_bytes_with_the_numbers_of_their_kinds() -> None:
+    """Those that boards with this version of the protocol were flashed with."""
+    assert {kind.name: kind.value for kind in Kind} == KINDS and PROTOCOL_VERSION == 1
+    wire = command(Kind.SET_PERIOD, 7, 0x01020304)
+    body = b"\x01\x16\x07\x04\x03\x02\x01"
+    assert unstuffed(wire.strip(b"\0")) == body + crc16(body).to_bytes(2, "big")
+
+
+class ObedientPort:
+    """What pyserial opens: a board behind it sends `answers(kind, tag, value)` to every command."""
+
+    def __init__(self, answers: Callable[[Kind, int, int], bytes]) -> None:
+        self.answers, self.commands, self.data = answers, list[tuple[str, int]](), b""
+
+    @property
+    def in_waiting(self) -> int:
+        return len(self.data)
+
+    def read(self, count: int) -> bytes:
+        data, self.data = self.data[:count], self.data[count:]
+        return data
+
+    def write(self, wire: bytes) -> None:
+        body = unstuffed(wire.strip(b"\0")) or b""
+        kind, tag, value = Kind(body[1]), body[2], int.from_bytes(body[3:7], "little")
+        self.commands.append((kind.name, value))
+        self.data += self.answers(kind, tag, value)
+
+
+def asked(answers: Callable[[Kind, int, int], bytes]) -> tuple[port.Board, list[tuple[str, int]]]:
+    line: Any = ObedientPort(answers)
+    return port.Board(line, "port"), line.commands
+
+
+def test_a_refused_command_is_a_sentence_unless_a_lost_answer_explains_it() -> None:
+    for result in Result:
+        board, _ = asked(lambda kind, tag, value, it=result: message(answer_body(Answer(kind, tag, it, value))))
+        for kind in (Kind.START, Kind.STOP, Kind.SET_ROWS):
+            if result is Result.DONE or (kind is Kind.START and result is Result.REFUSED_RUNNING):
+                board.order(kind, 5)
+                continue
+            with pytest.raises(InputError) as caught:
+                board.order(kind, 5)
+            assert str(caught.value) == f"port: {kind.name} 5 refused: {result.value}"
+
+
+def test_a_command_is_sent_four_times_and_nothing_else_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(port, "ANSWER_SECONDS", 0.01)
+    frame = Frame(1, 3, 4, 0, np.ones((1, 2), dtype=np.uint16))
+    idle = replace(HELLO, readings=3)
+    board, commands = asked(lambda kind, tag, value: b"")
+    with pytest.raises(port.NoBoardError, match=r"^port: the board does not answer IDENTIFY$"):
+        board.identify()
+    assert commands == [("IDENTIFY", 0)] * 4 and board.heard == 0
+    sent = [
+        message(frame_body(frame)) + b"noise\0",
+        message(hello_body(HELLO)) + message(hello_body(idle)) + message(frame_body(frame)),
+    ]
+    board, commands = asked(lambda kind, tag, value: sent.pop(0))
+    assert board.identify() == HELLO and len(commands) == 2
+    found = board.messages()
+    assert [type(item) for item in found] == [Frame, Hello, Frame] and all(map(same, found[::2], (frame, frame)))
+
+
+def test_a_board_is_set_before_it_starts() -> None:
+    """By default a frame a second, or as fast as the board can."""
+    for period, shortest, chosen in ((None, 1_000, 1_000_000), (None, 2_000_000, 2_000_000), (1_000, 1_000, 1_000)):
+        found = replace(HELLO, rows=3, columns=4, readings=5, shortest_period_us=shortest)
+
+        def answers(kind: Kind, tag: int, value: int, hello: Hello = found) -> bytes:
+            body = hello_body(hello) if kind is Kind.IDENTIFY else answer_body(Answer(kind, tag, Result.DONE, value))
+            return message(body)
+
+        board, commands = asked(answers)
+        assert board.start(3, 4, 5, period) == found
+        sizes = [("SET_ROWS", 3), ("SET_COLUMNS", 4), ("SET_READINGS", 5), ("IDENTIFY", 0)]
+        assert commands == [("STOP", 0), *sizes, ("SET_PERIOD", chosen), ("IDENTIFY", 0), ("START", 0)]
+        with pytest.raises(port.NoBoardError, match="restarted while it was being set"):
+            board.start(3, 4, 6, period)
+        with pytest.raises(InputError) as caught:
+            board.start(3, 4, 5, shortest - 1)
+        words = f"a period of {(shortest - 1) / 1e6:g} s is too short: 3 × 4 cells with 5 readings each take"
+        assert str(caught.value) == f"{words} {shortest / 1e6:g} s"

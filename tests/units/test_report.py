@@ -17,9 +17,11 @@ from lampest import CaseResult, InputError, Results, write_results
 from lampest.files.process import ALLOWED, in_bytes, libraries_to_the_log, memory_limit
 from lampest.report.compare import figures_of
 from lampest.report.detect.pressed import figure, pressed, pressed_of, pressed_table, write_pressed
-from lampest.report.page.compared import Batch, read_batch
-from lampest.report.page.page import report, write_report
+from lampest.report.page import page as page_module
+from lampest.report.page.compared import Batch, comparison_of, read_batch
+from lampest.report.page.page import differences, report, write_report
 from lampest.report.words import digits, median_text, no_formula, spanned, text_of
+from lampest.runs.case import about
 
 EMPTY = {"meta", "link", "img", "br"}
 
@@ -143,6 +145,44 @@ def test_warnings_go_to_the_log_alone(tmp_path: Path, monkeypatch: pytest.Monkey
             warnings.warn("what a library says", stacklevel=1)
     assert "what a library says" in (tmp_path / "log.txt").read_text()
     assert logger.propagate and not [one for one in logger.handlers if isinstance(one, logging.FileHandler)]
+
+
+def test_maps_of_differences_are_drawn_as_lines_while_they_have_few_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Any] = []
+    monkeypatch.setattr(page_module, "maps_figure", lambda tiles, *rest, **more: drawn.append((tiles, more)))
+    monkeypatch.setattr(page_module, "data_uri", lambda figure, kind: kind)
+    for side, pairs, kind in ((10, 15, "svg"), (13, 9, "png"), (50, 1, "png"), (38, 1, "svg"), (12, 9, "svg")):
+        case = invented_case(shape=(1, side, side))
+        disagreements: Any = [
+            SimpleNamespace(title=f"pair {number}", significant=np.ones((1, side, side)), share=number + 0.123)
+            for number in range(pairs)
+        ]
+        (found,) = differences([case], 0, disagreements)
+        assert (found.kind, found.uri, found.pairs) == ("differences", kind, pairs)
+        tiles, more = drawn.pop()
+        assert [(tile.title, tile.note) for tile in tiles[:2]] == [("pair 0", "0.12 %"), ("pair 1", "1.1 %")][:pairs]
+        assert len(tiles) == min(pairs, 9) and more == {"width": page_module.WIDTH_INCH / 2}
+    assert differences([invented_case()], 0, []) == []
+
+
+def test_the_time_of_an_estimator_is_the_geometric_mean_of_its_recordings() -> None:
+    seconds = {"A": (0.002, 0.008), "B": (0.1, 0.1), "C": (0.0, 0.0)}
+    cases = [
+        invented_case(name, f"r{number}", (3, 3, 3), solve_time=np.array([1.0, 0.5, 7.0]) * own[number])
+        for number in range(2)
+        for name, own in seconds.items()
+    ]
+    found = comparison_of(batch(*cases), np.random.default_rng(0))
+    assert found is not None and dict(found.milliseconds) == pytest.approx({"A": 4.0, "B": 100.0, "C": 1e-3})
+
+
+def test_texts_of_a_case_are_those_that_it_has() -> None:
+    case = invented_case(warnings="one\ntwo", start_time="2026-05-04T09:30:00+02:00")
+    found = about(case)
+    assert {"recording", "estimator", "scene"} <= found.keys() and found["start_time"] == case.start_time
+    assert all(text and isinstance(text, str) for text in found.values())
+    assert "one\ntwo" in found.values() and found["lampest_version"] == "0.1.0"
+    assert "start_time" not in about(invented_case()) and "one\ntwo" not in about(invented_case()).values()
 
 
 @pytest.mark.slow

@@ -355,6 +355,18 @@ def test_shipped_file_is_valid() -> None:
     assert {recording.scene.panel.shape for recording in plan.recordings} == {(10, 10), (16, 16), (32, 32), (100, 100)}
 
 
+def test_a_tradeoff_compares_all_formulations_by_default_and_fewer_on_larger_panels() -> None:
+    settings = TradeoffFile(1, simulated=Simulated((8,)))
+    ladder = ["naive", "scaled", "linearised", "truncated 1", "truncated 2", "truncated 4", "reduced", "nodal"]
+    assert [label(formulation) for formulation in settings.ladder] == [*ladder, "per_pixel"]
+    assert [*settings.rungs((10, 2))] == [*ladder, "per_pixel"]
+    assert [*settings.rungs((2, 16))] == ladder and [*settings.rungs((17, 2))] == ladder[:-1]
+    assert [*settings.rungs((100, 100))] == ladder[:-1]
+    names = ["LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR"]
+    assert settings.methods((16, 2)) == names and settings.methods((2, 17)) == ["LSM", "LSR-CR", "LSR-gCR"]
+    assert (settings.frames, settings.repeats, settings.patience_s, settings.memory) == (5, 3, 3.0, None)
+
+
 def test_shipped_file_can_be_tuned() -> None:
     cases = read_run(Path(__file__).parents[2] / "configs" / "tune.yaml").cases
     assert len(cases) == 8

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,8 @@ from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts.converter import noise_of_variance
 from lampest.recording.acquisition import Acquisition
 from lampest.recording.board import several, stream
-from lampest.recording.board.protocol import Frame, Hello, message
+from lampest.recording.board.port import NoBoardError
+from lampest.recording.board.protocol import Frame, Garbage, Hello, message
 from lampest.recording.board.record import Recorded, Recorder, _wanted, noise_from_repeats, record
 from lampest.recording.board.several import LATE_SECONDS, Alignment, samples_of
 from lampest.recording.board.stream import Sample, Samples, Scanning, board_samples
@@ -588,6 +590,63 @@ ENDS = (
     (3, 0.35, [2, 0, 1]),
     (4, 0.25, [2, 0, 1]),
 )
+
+
+def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
+    line, idle = stream._Line("url", None, None, lambda: False), replace(IDLE, running=True)
+    fit, other = (Frame(2, 9, 50, 0, np.ones(shape, np.uint16)) for shape in ((3, 4), (3, 5)))
+    unfit = (Garbage(3), other, other, Garbage(1), Garbage(2), idle, idle, idle, idle)
+    for messages, over in ((unfit, False), ((*unfit, IDLE, fit), True)):
+        _, samples, ended = line._taken(Scanning(idle, 0, None), messages)
+        assert (samples, ended) == ((), over)
+    counts = {"pieces that are no message": 6, "frames of another size": 4, "answers": 9}
+    assert line._unfit == counts
+    line._since -= stream.UNFIT_SECONDS + 3.1
+    line.check(1.1)
+    kinds = "9 answers, 6 pieces that are no message, 4 frames of another size"
+    with pytest.raises(InputError, match=rf"^url: nothing fit for 33 s, though the line is not silent \({kinds}\)$"):
+        line.check(1.0)
+    run, samples, ended = line._taken(Scanning(idle, 0, None), (fit, fit))
+    assert len(samples) == 1 and not ended and line._unfit == {"frames out of order": 1}
+    assert len(line._taken(run, (fit,))[1]) == 0 and line._unfit == {"frames out of order": 2}
+
+
+# Messages that arrive, how the board answers when it is asked (None: not at all), when the end is requested, and how
+# many samples come in each batch; and how many answers came since the last of them.
+RUNNING, FIT = replace(IDLE, running=True, period_us=0), Frame(2, 9, 50, 0, np.ones((3, 4), np.uint16))
+ENDED_RUNS: tuple[tuple[list[Any], list[Hello | None], list[bool], list[int], int], ...] = (
+    ([(FIT,), (IDLE,)], [RUNNING], [False, False], [1, 0], 2),
+    ([(FIT,)], [RUNNING], [False, True], [1, 1], 0),
+    ([(), ()], [RUNNING, IDLE], [False, False], [0, 0], 2),
+    ([(), ()], [RUNNING, replace(RUNNING, readings=3)], [False, False], [0, 0], 2),
+    ([()], [None], [False], [0], 0),
+)
+
+
+def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A silent board is identified anew; one that scans on is believed, one that does not has restarted."""
+    monkeypatch.setattr(stream, "SILENCE_SECONDS", -1.0)
+    for arrived, answers, ending, sizes, since in ENDED_RUNS:
+        messages, asked, ended = iter(arrived), iter(answers), iter(ending)
+
+        def identify(asked: Iterator[Hello | None] = asked) -> Hello:
+            if (answer := next(asked)) is None:
+                raise NoBoardError("silent")
+            return answer
+
+        board: Any = SimpleNamespace(messages=messages.__next__, identify=identify, heard=5)
+        board.stop = lambda: (replace(FIT, sequence=10, device_ms=1050),)
+        line = stream._Line("url", None, None, ended.__next__)
+        batches = line._run(board, RUNNING)
+        found = [*itertools.islice(batches, len(sizes))]
+        assert [len(batch) for batch in found] == sizes
+        assert all(sample.session == 0 for batch in found for sample in batch)
+        with pytest.raises(NoBoardError if None in answers else StopIteration):
+            next(batches)
+        assert line._unfit["answers"] == since
+    line.last = replace(sent(3, 0.0), session=4)
+    board.messages, board.identify, line._ending = [(FIT,)].pop, lambda: IDLE, lambda: False
+    assert [sample.session for batch in line._run(board, RUNNING) for sample in batch] == [5]
 
 
 def test_a_recording_ends_after_its_frames_or_seconds() -> None:
