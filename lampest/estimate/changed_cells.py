@@ -17,6 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
+from lampest.posterior.dense import swept
 
 MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
 PARAMETER_COST = 12.0  # −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs
@@ -101,7 +102,7 @@ def _exchange_cells(slope: Array, slab: Array, moved: Chosen, fixed: Chosen) -> 
     # Table of the sweep operator [P + 1 | s], swept by the moved cells M: block (M, M) is −(P_MM + 1)⁻¹, the last
     # column holds (P_MM + 1)⁻¹ s_M within M, and s − P_·M (P_MM + 1)⁻¹ s_M outside.
     moved, inverse = moved.copy(), np.linalg.inv(slab[np.ix_(inside, inside)])
-    table = np.column_stack([slab, slope])
+    table = np.ascontiguousarray(np.column_stack([slab, slope]))
     pulled, across = inverse @ table[inside], slab[np.ix_(outside, inside)]
     cost = MOVED_COST * len(inside) - float(np.linalg.slogdet(inverse)[1] + slope[inside] @ pulled[:, -1])
     table[outside] -= across @ pulled
@@ -116,10 +117,7 @@ def _exchange_cells(slope: Array, slab: Array, moved: Chosen, fixed: Chosen) -> 
         if fixed[cell] or not gains[cell] > 0:
             break
         cost, moved[cell] = cost - float(gains[cell]), not moved[cell]
-        # sweep by this cell: T ← T − t_·c t_c·/t_cc, with row and column c scaled by 1/|t_cc|
-        pivot, row, column = table[cell, cell], table[cell].copy(), table[:, cell].copy()
-        table -= np.outer(column, row / pivot)
-        table[cell], table[:, cell], table[cell, cell] = row / abs(pivot), column / abs(pivot), -1 / pivot
+        table = swept(table, cell)
     return cost, moved
 
 

@@ -25,6 +25,7 @@ from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
 from lampest.panel.systematic import HIDDEN_ERRORS, KNOWN_ERRORS, READING_ERROR, Possible, error_columns, recorded_share
+from lampest.posterior.dense import inverse_and_volume
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
@@ -206,10 +207,10 @@ class CellChanges:
         """
         away = np.abs(self.change - np.median(self.change))
         begun = away <= np.median(away) if begun is None else begun
-        precision = np.linalg.inv(self.covariance(size))
+        precision, volume = inverse_and_volume(self.covariance(size))
         slope = precision @ self.change
         score, moved = select_changed(slope, precision, [~begun], np.abs(self.change) >= LOADED_CHANGE)
-        return score + float(self.change @ slope - np.linalg.slogdet(precision)[1]), ~moved
+        return score + float(self.change @ slope) - volume, ~moved
 
 
 def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:

@@ -45,7 +45,7 @@ from lampest.loads.pressure import determined, total_force
 from lampest.panel import compiled
 from lampest.panel.panel import Array
 from lampest.posterior import profile_interval
-from lampest.posterior.dense import DenseErrors
+from lampest.posterior.dense import DenseErrors, swept
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors
 from lampest.solvers.bounds import bounds_matter, lower_along
@@ -423,3 +423,15 @@ def test_levels_have_the_false_alarms_that_they_state() -> None:
     assert (levels.SIGNIFICANCE, levels.FALSE_ALARM_RATE) == (1e-4, 0.01)
     assert norm.ppf(0.975) == levels.TWO_SIDED
     assert 1 / norm.ppf(0.75) == pytest.approx(levels.MAD_TO_SIGMA, abs=5e-5)
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_a_table_swept_by_all_its_places_is_the_inverse_and_the_solution(order: str) -> None:
+    rng = np.random.default_rng(4)
+    root, right = rng.standard_normal((5, 5)), rng.standard_normal(5)
+    matrix = root @ root.T + np.eye(5)
+    table = np.array(np.column_stack([matrix, right]), order=order)
+    for place in range(5):
+        table = swept(table, place)
+    np.testing.assert_allclose(table[:, :5], -np.linalg.inv(matrix), rtol=1e-9)
+    np.testing.assert_allclose(table[:, 5], np.linalg.solve(matrix, right), rtol=1e-9)
