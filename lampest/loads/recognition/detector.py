@@ -333,10 +333,10 @@ class Detector:
             bent = BentSuction(exponent=exponent, gain=film.gain, gain_sd=film.gain_sd)
             frame = replace(calm, baseline=replace(baseline, scene=replace(baseline.scene, response=bent)))
             fits.append(self._fitting(fit.candidate, frame).best(fit.parameters, whitening, quick=True))
-        shares = softmax(EVIDENCE_SHARE * np.array([other.evidence for other in fits]))
+        shares = softmax(EVIDENCE_SHARE * np.array([alternative.evidence for alternative in fits]))
         # law of total covariance: mean of the covariances within the curves, and covariance between them
-        apart = np.array([other.parameters for other in fits]) - fit.parameters
-        within = np.tensordot(shares, [other.covariance for other in fits], 1)
+        apart = np.array([alternative.parameters for alternative in fits]) - fit.parameters
+        within = np.tensordot(shares, [alternative.covariance for alternative in fits], 1)
         return replace(fit, covariance=within + (shares[:, None] * apart).T @ apart)
 
 
