@@ -61,9 +61,6 @@ if TYPE_CHECKING:
     from lampest.loads.shapes import Rod as Rod
     from lampest.loads.shapes import Shape as Shape
     from lampest.loads.shapes import SuctionCup as SuctionCup
-    from lampest.panel.conditions import Experiment as Experiment
-    from lampest.panel.conditions import Faults as Faults
-    from lampest.panel.conditions import MeasuredSubject as MeasuredSubject
     from lampest.panel.panel import Array as Array
     from lampest.panel.panel import Panel as Panel
     from lampest.panel.readouts import GroundedReadout as GroundedReadout
@@ -71,8 +68,8 @@ if TYPE_CHECKING:
     from lampest.panel.readouts import Readout as Readout
     from lampest.panel.readouts import TwoPointReadout as TwoPointReadout
     from lampest.panel.readouts import VirtualGroundReadout as VirtualGroundReadout
-    from lampest.panel.readouts.loaded_columns import Diode as Diode
-    from lampest.panel.readouts.star_mesh import two_point_resistance as two_point_resistance
+    from lampest.panel.readouts.driven import Diode as Diode
+    from lampest.panel.readouts.floating import two_point_resistance as two_point_resistance
     from lampest.panel.readouts.wiring import ContactPrior as ContactPrior
     from lampest.panel.readouts.wiring import Contacts as Contacts
     from lampest.panel.readouts.wiring import Lines as Lines
@@ -80,6 +77,9 @@ if TYPE_CHECKING:
     from lampest.panel.response import PowerResponse as PowerResponse
     from lampest.panel.response import PublishedResponse as PublishedResponse
     from lampest.panel.response import TableResponse as TableResponse
+    from lampest.panel.scene import Experiment as Experiment
+    from lampest.panel.scene import Faults as Faults
+    from lampest.panel.scene import MeasuredSubject as MeasuredSubject
     from lampest.panel.scene import Scene as Scene
     from lampest.panel.scene import SeriesPerLine as SeriesPerLine
     from lampest.panel.scene import Systematic as Systematic

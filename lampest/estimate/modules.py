@@ -18,11 +18,10 @@ from lampest.estimate.state import SequenceState, Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.panel.conditions import Faults
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.blocks import ModulesReadout
-from lampest.panel.scene import Scene
+from lampest.panel.readouts.two_point import ModulesReadout
+from lampest.panel.scene import Faults, Scene
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.track import Bars, Change, Track
 from lampest.recording.readings import Readings

@@ -32,7 +32,7 @@ FLOORS = (
 DOORS = {
     "casadi": (
         "panel.compiled",
-        "panel.readouts.tied",
+        "panel.network",
         "cost",
         "solvers.ipopt",
     ),

@@ -12,7 +12,7 @@ from lampest.cost.given import Background
 from lampest.estimate.outliers import impossible_readings
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
-from lampest.panel.readouts.star_mesh import exact_two_point_resistance
+from lampest.panel.readouts.floating import exact_two_point_resistance
 from lampest.panel.response import PUBLISHED
 from lampest.report.detect.detection import detect_recording
 from lampest.report.detect.pressed import pressed_of

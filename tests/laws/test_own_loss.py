@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from lampest import Array, Gradient, InputError, Misfit, Panel, Reconstruction, Recording, Scene, Term, reconstruct
 from lampest.cost.losses import Absolute, AnyLoss, Huber, Loss, Squared
 from lampest.files.document import adapter
-from lampest.panel.readouts.star_mesh import two_point_resistance
+from lampest.panel.readouts.floating import two_point_resistance
 from tests.estimates import recording_of
 
 SHAPE = (4, 5)

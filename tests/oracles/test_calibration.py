@@ -28,11 +28,10 @@ from lampest.estimate.sequence import reconstruct
 from lampest.files.document import parse_document, validated
 from lampest.loads.film import Creep, FilmKnown
 from lampest.loads.pressure import pressure_of
-from lampest.panel.conditions import MeasuredSubject, Systematic
 from lampest.panel.readouts import AnyReadout, GroundedReadout, LoadedColumnsReadout, TwoPointReadout
-from lampest.panel.readouts.star_mesh import two_point_resistance
+from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.response import PUBLISHED, Film, PowerResponse
-from lampest.panel.scene import SeriesPerLine
+from lampest.panel.scene import MeasuredSubject, SeriesPerLine, Systematic
 from lampest.recording.simulation.measure import random_stream
 from tests.estimates import recording_of, rms
 from tests.netlist import Resistor, potentials, resistors

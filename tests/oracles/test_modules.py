@@ -26,8 +26,7 @@ from lampest.estimate.weights import with_chosen_weights
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.panel.network import inverse_of
 from lampest.panel.panel import EachModule, Modules, Panel
-from lampest.panel.readouts.floating import grounding
-from lampest.panel.readouts.star_mesh import two_point_resistance
+from lampest.panel.readouts.floating import grounding, two_point_resistance
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
 from lampest.posterior.frame_noise import FrameNoise

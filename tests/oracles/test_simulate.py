@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from lampest import Array, GroundedReadout, OralDisc, Panel, Ring, Rod, Scene, Shape, SuctionCup, TwoPointReadout, Water
-from lampest.panel.readouts.floating import uniform_factor
-from lampest.panel.readouts.star_mesh import two_point_resistance
+from lampest.panel.readouts.floating import two_point_resistance, uniform_factor
 from lampest.panel.response import Film
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation import Cells, Course, read_simulations, run, simulate

@@ -30,7 +30,7 @@ from lampest.estimate.methods.smoother import Walk, smoothed
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.star_mesh import two_point_resistance
+from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.scene import Scene, Systematic
 from lampest.panel.systematic import Shared
 from lampest.posterior.chain import Chain

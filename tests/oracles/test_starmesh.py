@@ -9,8 +9,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lampest.panel.panel import Array
-from lampest.panel.readouts.floating import FloatingNetwork, grounding
-from lampest.panel.readouts.star_mesh import SAFE_CONDITION, exact_two_point_resistance, two_point_resistance
+from lampest.panel.readouts.floating import (
+    SAFE_CONDITION,
+    FloatingNetwork,
+    exact_two_point_resistance,
+    grounding,
+    two_point_resistance,
+)
 from tests.netlist import in_digits
 
 FOURTEEN_DIGITS = 1e-14

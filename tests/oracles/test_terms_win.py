@@ -23,7 +23,7 @@ from lampest.files.errors import InputError
 from lampest.loads.shapes import OralDisc, Rod, Shape, SuctionCup
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.star_mesh import two_point_resistance
+from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Faults, Scene
 from lampest.posterior.dense import DenseErrors, DenseMemory

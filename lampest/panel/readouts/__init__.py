@@ -3,9 +3,9 @@
 from typing import Annotated
 
 from lampest.files.typed import ByKind
-from lampest.panel.readouts.grounded import GroundedReadout as GroundedReadout
-from lampest.panel.readouts.grounded import VirtualGroundReadout as VirtualGroundReadout
-from lampest.panel.readouts.loaded_columns import LoadedColumnsReadout as LoadedColumnsReadout
+from lampest.panel.readouts.driven import GroundedReadout as GroundedReadout
+from lampest.panel.readouts.driven import LoadedColumnsReadout as LoadedColumnsReadout
+from lampest.panel.readouts.driven import VirtualGroundReadout as VirtualGroundReadout
 from lampest.panel.readouts.readout import Readout as Readout
 from lampest.panel.readouts.two_point import TwoPointReadout as TwoPointReadout
 

@@ -11,11 +11,10 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import Network, inverse_of
+from lampest.panel.network import Network, TiedNetwork, inverse_of
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.converter import Converter
 from lampest.panel.readouts.lines import LineNumber, of_side, per_line
-from lampest.panel.readouts.tied import TiedNetwork
 from lampest.panel.readouts.wiring import WiredNetwork, Wiring
 
 MIN_LOAD_SHARE = 1e-3  # of a load: least apparent resistance, for readings at the end of the range

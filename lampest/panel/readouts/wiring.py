@@ -15,10 +15,9 @@ import numpy as np
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration
 from lampest.panel.kirchhoff import bipartite
-from lampest.panel.network import Entries, Loading, Network, Numbers, ReadCircuit, SecondOrder
+from lampest.panel.network import Entries, Loading, Network, Numbers, ReadCircuit, SecondOrder, TiedNetwork
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, check_lines, per_line
-from lampest.panel.readouts.tied import TiedNetwork
 
 
 @dataclass(frozen=True)

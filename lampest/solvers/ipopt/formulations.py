@@ -9,10 +9,9 @@ import numpy as np
 
 from lampest.files.errors import InputError
 from lampest.panel.kirchhoff import current_balance
-from lampest.panel.network import Network
+from lampest.panel.network import Network, reads_own
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.readouts.tied import reads_own
 
 
 @dataclass(frozen=True, eq=False)

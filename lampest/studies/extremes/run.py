@@ -22,7 +22,7 @@ from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError, extra
 from lampest.panel.panel import Array
-from lampest.panel.readouts.star_mesh import exact_two_point_resistance, two_point_resistance
+from lampest.panel.readouts.floating import exact_two_point_resistance, two_point_resistance
 from lampest.recording.recording import Recording
 from lampest.runs.executors import Processes, each_of
 from lampest.solvers.solution import VERIFIED

@@ -11,7 +11,7 @@ from lampest.estimate.methods import MethodName
 from lampest.files.typed import Configuration, check_range
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.star_mesh import two_point_resistance
+from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import Recording
 from lampest.runs.executors import AnyExecutor
