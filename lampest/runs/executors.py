@@ -1,7 +1,6 @@
 """Executors of batches: this process, processes of this machine, or a Dask cluster.
 
-An executor calls a function once for every argument, one call at a time on each worker, and yields the results. Pools
-of the standard library and of loky are unsuitable, because a worker that dies breaks the whole pool.
+An executor calls a function once for every argument, one call at a time on each worker, and yields the results.
 """
 
 import logging
@@ -11,99 +10,66 @@ import signal
 from abc import abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import astuple, dataclass, replace
 from importlib import import_module
 from multiprocessing import get_context, resource_tracker
-from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from lampest.files.errors import InputError, extra
-from lampest.files.process import ENDING, EXPENDABLE, ONE_THREAD, interrupted, libraries_to_the_log
+from lampest.files.process import ENDING, EXPENDABLE, interrupted, libraries_to_the_log
 from lampest.files.typed import ByKind, Configuration, check_not_negative, check_ranges
 
 Function = Callable[[Any], Any]
 
 
-@dataclass(frozen=True, eq=False)
-class Worker:
-    """Fresh process with one BLAS thread that calls one function, and the pipe to it."""
+class Workers(ProcessPoolExecutor):
+    """Fresh processes that ignore Ctrl-C, and that are killed at the end.
 
-    process: SpawnProcess
-    connection: Connection
+    Attributes
+    ----------
+    processes : mapping
+        The processes, by their number.
+    """
 
-    @classmethod
-    def start(cls, function: Function) -> "Worker":
-        """Start a process."""
-        context = get_context("spawn")
-        ours, theirs = context.Pipe()
-        process = context.Process(target=_work, args=(function, theirs))
-        with one_thread(), without_interrupts():
-            process.start()
-        theirs.close()
-        return cls(process, ours)
+    def __init__(self, count: int, *begun: Any) -> None:
+        super().__init__(count, get_context("spawn"), *begun)
+        self.processes = self._processes
 
-    def send(self, argument: Any) -> None:
-        """Hand over a task; the death of the process is noticed when its result is awaited."""
-        with suppress(BrokenPipeError):
-            self.connection.send(argument)
-
-    @property
-    def hung(self) -> bool:
-        """Whether a stopped process was ended by `ended_where_hung`."""
-        return self.process.exitcode == -signal.SIGALRM
+    def begin(self, function: Function, argument: Any) -> "Future[bytes]":
+        """Hand a task to an idle process, or to one that is started; the result is pickled."""
+        # Blocked, so that even the imports of a process are undisturbed. Starting the tracker would unblock them again.
+        resource_tracker.ensure_running()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL)
+        try:
+            return self.submit(_answer, function, argument)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def kill(self) -> None:
-        """Kill the process."""
-        self.connection.close()
-        self.process.kill()
-        self.process.join()
+        """Kill the processes; calls that have not ended raise BrokenProcessPool."""
+        for process in list(self.processes.values()):
+            process.kill()
 
-
-def _work(function: Function, connection: Connection) -> None:
-    """Answer tasks until the other end of the pipe is closed."""
-    EXPENDABLE.set(True)
-    with suppress(EOFError, OSError), libraries_to_the_log():
-        while True:
-            connection.send_bytes(_answer(function, connection.recv()))
+    def __exit__(self, *error: object) -> None:
+        self.kill()
+        self.shutdown(cancel_futures=True)
 
 
 def _answer(function: Function, argument: Any) -> bytes:
     """Return the pickled result, the pickled exception, or the text of an exception that cannot be pickled."""
+    EXPENDABLE.set(True)
     try:
-        return pickle.dumps(function(argument))
+        with libraries_to_the_log():
+            return pickle.dumps(function(argument))
     except Exception as error:
         with suppress(Exception):
             pickle.loads(pickled := pickle.dumps(error))
             return pickled
         return pickle.dumps(RuntimeError(f"{type(error).__name__}: {error}"))
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Give processes that start in this context one BLAS thread; numpy reads the environment on import."""
-    before = {name: os.environ.pop(name, None) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            del os.environ[name]
-            os.environ.update({} if value is None else {name: value})
-
-
-@contextmanager
-def without_interrupts() -> Iterator[None]:
-    """Block Ctrl-C and similar signals in processes that start in this context, even during their imports."""
-    # Starting the tracker unblocks them again, so it must be running before.
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def cores() -> int:
@@ -123,6 +89,7 @@ SCHEDULING = {
     "distributed.scheduler.worker-saturation": 1.0,
     "distributed.scheduler.work-stealing": False,
 }
+TERMINAL = {*ENDING} - {signal.SIGTERM}  # signals that a terminal sends to workers as well
 NOISY = ("distributed", "tornado", "asyncio")
 
 Pairs = Generator[tuple[Any, Any], None, None]
@@ -168,7 +135,7 @@ class Serial(Executor):
 
 @dataclass(frozen=True)
 class Processes(Executor):
-    """Fresh processes with one BLAS thread each, by default as many as there are cores.
+    """Fresh processes, by default as many as there are cores.
 
     If a process dies, its task is tried again a few times, and no other task is affected. A process that hangs beyond
     the time limit of a frame is ended, and its task fails. Raises ValueError if the number of workers is out of range.
@@ -182,38 +149,28 @@ class Processes(Executor):
 
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
         """Yield results, as `Executor.results`."""
-        waiting = deque(range(len(arguments)))
-        tries = Counter[int]()
-        workers: list[Worker] = []  # with the one that is neither idle nor busy when Ctrl-C interrupts
-        busy: dict[Connection, tuple[Worker, int]] = {}
-        try:
-            workers.extend(Worker.start(function) for _ in range(min(self.workers or cores(), len(arguments))))
-            idle = list(workers)
-            while waiting or busy:
-                while waiting and idle:
-                    worker, number = idle.pop(), waiting.popleft()
-                    worker.send(arguments[number])
-                    busy[worker.connection] = worker, number
-                ready = wait(list(busy))
-                for connection in [connection for connection in busy if connection in ready]:
-                    worker, number = busy.pop(connection)
-                    try:
-                        outcome = connection.recv()
-                    except (EOFError, OSError):
-                        worker.kill()
-                        tries[number] += 1
-                        workers.append(Worker.start(function))
-                        idle.append(workers[-1])
-                        if not worker.hung and tries[number] < MAX_TRIES:
-                            waiting.appendleft(number)
-                            continue
-                        outcome = TimeoutError(HUNG) if worker.hung else RuntimeError(DIED)
-                    else:
-                        idle.append(worker)
-                    yield arguments[number], outcome
-        finally:
-            for worker in workers:
-                worker.kill()
+        waiting, suspects, deaths = deque(range(len(arguments))), deque[int](), Counter[int]()
+        while waiting or suspects:
+            # A death breaks a pool. Each task in flight is repeated alone, so that its next death is its own.
+            queue, count = (suspects, 1) if suspects else (waiting, min(self.workers or cores(), len(waiting)))
+            flying: dict[Future[bytes], int] = {}
+            with Workers(count) as pool, suppress(BrokenProcessPool):
+                while queue or flying:
+                    while queue and len(flying) < count:
+                        flying[pool.begin(function, arguments[queue[0]])] = queue[0]
+                        queue.popleft()
+                    for future in wait(flying, return_when=FIRST_COMPLETED).done:
+                        outcome = pickle.loads(future.result())
+                        yield arguments[flying.pop(future)], outcome
+            hung = any(process.exitcode == -signal.SIGALRM for process in pool.processes.values())
+            for number in flying.values():
+                deaths[number] += 1
+                if hung and len(flying) == 1:
+                    yield arguments[number], TimeoutError(HUNG)
+                elif deaths[number] == MAX_TRIES:
+                    yield arguments[number], RuntimeError(DIED)
+                else:
+                    suspects.append(number)
 
 
 @dataclass(frozen=True)
@@ -305,7 +262,6 @@ class Dask(Executor):
         with ExitStack() as stack:
             stack.enter_context(_silence())
             stack.enter_context(_library("dask").config.set(SCHEDULING))
-            stack.enter_context(one_thread())
             where: dict[str, Any] = {"address": self.address, "scheduler_file": self.scheduler_file}
             place = self.address or self.scheduler_file
             if place is None:
@@ -358,9 +314,8 @@ def _of_this_machine(distributed: Any, workers: int) -> Any:
 
 def dask_setup(worker: Any) -> None:
     """Ignore Ctrl-C and a closed terminal, which concern the collecting process; Dask calls this by its name."""
-    for number in ENDING:
-        if number != signal.SIGTERM:
-            signal.signal(number, signal.SIG_IGN)
+    for number in TERMINAL:
+        signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager

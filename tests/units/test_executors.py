@@ -51,18 +51,14 @@ def dying_once(task: Task) -> Any:
     return solve_case(task)
 
 
-def threads(_: Any) -> list[str | None]:
-    return [os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")]
-
-
 def test_ctrl_c_while_a_task_is_handed_over_leaves_no_worker_at_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    hand_over = executors.Worker.send
+    hand_over = executors.Workers.begin
 
-    def interrupted(worker: executors.Worker, argument: Any) -> None:
-        hand_over(worker, argument)
+    def interrupted(workers: executors.Workers, function: Any, argument: Any) -> Any:
+        hand_over(workers, function, argument)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(executors.Worker, "send", interrupted)
+    monkeypatch.setattr(executors.Workers, "begin", interrupted)
     with pytest.raises(KeyboardInterrupt) as held:  # as is its frame, so that no collector ends the worker
         list(Processes(2).results(time.sleep, [60, 60]))
     assert held and not multiprocessing.active_children()
@@ -102,20 +98,6 @@ def test_task_that_kills_its_worker_costs_no_other(executor: Any) -> None:
     tasks = [f"{number} + 0" for number in range(6)]
     found = {text: str(outcome) for text, outcome in executor.results(eval, [tasks[0], DEATH, *tasks[1:]])}
     assert found == {f"{number} + 0": str(number) for number in range(6)} | {DEATH: "its process died 4 times"}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("executor", EVERY[1:], ids=NAMES[1:])
-def test_workers_have_one_thread_and_the_environment_is_as_before(
-    executor: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("OMP_NUM_THREADS", "3")
-    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
-    before = dict(os.environ)
-    assert [outcome for _, outcome in executor.results(threads, [None])] == [["1", "1", "1"]]
-    assert {name: os.environ.get(name) for name in before if "THREADS" in name} == {
-        name: value for name, value in before.items() if "THREADS" in name
-    }
 
 
 @pytest.mark.slow

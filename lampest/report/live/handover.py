@@ -1,15 +1,18 @@
 """Hand-over between threads: the newest item of a series, and tasks for another process."""
 
 import os
+import pickle
 from collections.abc import Callable
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from functools import partial
+from contextvars import ContextVar
 from threading import Condition, Thread
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from lampest.runs.executors import Worker
+from lampest.runs.executors import Workers
 
 FAREWELL_SECONDS = 1.0  # time for the last item to reach a listener
+DESK = ContextVar[Callable[[Any], Any]]("desk")  # function of a process that answers tasks
 T = TypeVar("T")
 
 
@@ -83,7 +86,7 @@ class Beside(Generic[T]):
         self._queued, self._on_answer, self._on_gone = queued, on_answer, on_gone
         self._changed, self._ending, self.gone = Condition(), False, False
         self._waiting: list[T] = []
-        self._worker = Worker.start(partial(_politely, desk))
+        self._workers = Workers(1, _open_desk, (desk,))
         self._thread = Thread(target=self._serve, name="lampest-beside", daemon=True)
         self._thread.start()
 
@@ -104,19 +107,18 @@ class Beside(Generic[T]):
         """Drop waiting tasks and end the process."""
         with self._changed:
             self._waiting = []
-        self._worker.process.kill()
+        self._workers.kill()
         self.finish()
 
     def _serve(self) -> None:
         try:
             while (task := self._next()) is not None:
-                self._worker.send(task)
-                self._on_answer(task, self._worker.connection.recv())
-        except (EOFError, OSError):
+                self._on_answer(task, pickle.loads(self._workers.begin(_at_desk, task).result()))
+        except BrokenProcessPool:
             self.gone = True
             self._on_gone()
         finally:
-            self._worker.kill()
+            self._workers.shutdown()
 
     def _next(self) -> T | None:
         with self._changed:
@@ -124,11 +126,15 @@ class Beside(Generic[T]):
             return self._waiting.pop(0) if self._waiting else None
 
 
-def _politely(function: Callable[[T], Any], argument: T) -> Any:
-    """Call a function with the priority of this process lowered."""
+def _open_desk(desk: Callable[[Any], Any]) -> None:
+    """Lower the priority of this process, and keep the function that answers tasks with what it remembers."""
     with suppress(AttributeError, OSError):  # available on Linux only
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    return function(argument)
+    DESK.set(desk)
+
+
+def _at_desk(task: Any) -> Any:
+    return DESK.get()(task)
 
 
 class Errand(NamedTuple):
