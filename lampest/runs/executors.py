@@ -135,7 +135,7 @@ class Serial(Executor):
 
 @dataclass(frozen=True)
 class Processes(Executor):
-    """Fresh processes, by default as many as there are cores.
+    """Fresh processes with one BLAS thread each, by default as many as there are cores.
 
     If a process dies, its task is tried again a few times, and no other task is affected. A process that hangs beyond
     the time limit of a frame is ended, and its task fails. Raises ValueError if the number of workers is out of range.
