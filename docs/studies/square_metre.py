@@ -73,7 +73,7 @@ def took(recording: lampest.Recording, terms: tuple[lampest.Term, ...], bars: bo
     readings, begin = recording.readings(), time.process_time()
     stream = first_stream(recording, readings, estimator)
     layout, before, spent, statuses = recording.scene.panel.modules, time.process_time() - begin, [], []
-    parts = [part for part in stream.parts if isinstance(part, Stream)] if alone else []
+    parts = [part for part in stream.modules if isinstance(part, Stream)] if alone else []
     for frame in recording.measured_frames():
         begin = time.process_time()
         if alone and layout is not None:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache, reduce
+from functools import cached_property, lru_cache, reduce
 from multiprocessing import parent_process
 from time import perf_counter
 from typing import TypeVar
@@ -24,13 +24,11 @@ from lampest.estimate.stream import Stream
 from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.posterior.linear import LinearModel
-from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.multistart import BROKEN, SAME_MINIMUM, several_minima
 from lampest.solvers.projected_lbfgs import BatchOutcome, InverseHessians, serves, solve
-from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Status
+from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Solution, Status
 
 MIN_PANELS_PER_THREAD = 20  # with fewer panels in a thread, threads cost more than they save
 MAX_BLOCK_FRAMES = 40  # frames that are solved together: 50 MB of inverse Hessians at 20 × 20
@@ -116,7 +114,7 @@ def solve_baselines(streams: Sequence[Stream | None]) -> list[Stream | None]:
     inverses = InverseHessians.nothing(len(streams), first.resting.value.size)
     together = resting[0].together(*resting[1:])
     weighed = _weighed([stream and replace(stream, weights=None) for stream in streams], together)
-    solved = _solved_together(weighed, together, inverses, StreamBatch.solve_baselines)
+    solved = _solved_together(weighed, together, inverses, StreamBatch.steps)
     return [stream and stream.with_rest(solved.get(number)) for number, stream in enumerate(streams)]
 
 
@@ -205,23 +203,22 @@ class StreamBatch:
         Numbers of the streams among all.
     streams : sequence of Stream
         Streams of one shape and one kind of cost.
+    frames : Readings
+        One frame of each stream, (streams, rows, columns).
     cost : Cost
         The common cost, with all weights 1.
     data : Data
         Data of the streams' frames, over a leading axis.
-    weights : array, shape (streams, terms)
-    settings : Settings
-    weight_sigma : sequence of tuple
-        Standard deviations of ln λ of each stream, see `Objective`.
+    weighted : sequence of Objective
+        The objective of each stream's frame, or of its missing baseline, with known weights.
     """
 
     numbers: NDArray[np.intp]
     streams: Sequence[Stream]
+    frames: Readings
     cost: Cost
     data: Data
-    weights: Array
-    settings: Settings
-    weight_sigma: Sequence[tuple[float, ...]]
+    weighted: Sequence[Objective]
 
     @classmethod
     def of(
@@ -248,71 +245,35 @@ class StreamBatch:
         cost = estimator.cost(first.scene, 1, partial=data.partial)
         if not serves(cost, data):
             return None
-        objectives = [_objective(stream) for stream in streams]
-        weights = np.array([[float(term.weight) for term in objective.terms] for objective in objectives])
-        sigma = [objective.weight_sigma for objective in objectives]
-        return cls(numbers, streams, cost, data.of_panels(place), weights, estimator.solver, sigma)
-
-    def solve_baselines(self, inverses: InverseHessians) -> list[Step | None]:
-        """Return the step of every baseline, with the point for error bars; None where no minimum was verified."""
-        ended, steps = self._solved(inverses)
-        for number, step in enumerate(steps):
-            if step is not None and self.streams[number].track is not None:
-                surrounded = replace(step.solution, at=ended.points.at.some(number), dual=NO_DUAL)
-                steps[number] = replace(step, solution=surrounded)
-        return steps
+        weighted: list[Objective] = [stream.weighted for stream in streams]
+        if not first.rested:
+            weighted = [objective.with_terms(objective.absolute_terms) for objective in weighted]
+        return cls(numbers, streams, frames, cost, data.of_panels(place), weighted)
 
     def push(self, inverses: InverseHessians) -> list[tuple[Stream, Step] | None]:
         """Return every stream after its frame, and the frame's step; None where no minimum was verified."""
-        (ended, steps), begin = self._solved(inverses), perf_counter()
-        barred = self._error_bars(ended, steps)
-        seconds = (perf_counter() - begin) / max(len(barred), 1)
-        every = enumerate(steps)
-        return [None if step is None else self._after(n, step, barred.get(n), seconds) for n, step in every]
+        pairs = enumerate(zip(self.streams, self.steps(inverses), strict=True))
+        return [
+            None if step is None else stream.estimator.method.after(stream, step, self.frames[number])
+            for number, (stream, step) in pairs
+        ]
 
-    def _error_bars(self, ended: BatchOutcome, steps: Sequence[Step | None]) -> dict[int, tuple[Track, Bars]]:
-        """Return the track after the frame and the error bars, by number, of the streams with error bars."""
-        barred = dict[int, tuple[Track, Bars]]()
-        for number, (stream, step) in enumerate(zip(self.streams, steps, strict=True)):
-            if step is not None and stream.track is not None:
-                model = LinearModel(ended.points.at.some(number), NO_DUAL, weight_sigma=self.weight_sigma[number])
-                with suppress(*BROKEN):
-                    barred[number] = stream.track.advanced(model)
-        return barred
-
-    def _after(self, number: int, step: Step, barred: tuple[Track, Bars] | None, seconds: float) -> tuple[Stream, Step]:
-        """Return a stream after its frame, and its step with error bars if there are any.
-
-        Parameters
-        ----------
-        number : int
-            Number of the stream in the batch.
-        step : Step
-        barred : (Track, Bars) or None
-        seconds : float
-            Wall time of the error bars, s.
-        """
-        stream = self.streams[number]
-        stream = replace(stream, previous=step.solution.cell_resistance[0], previous_deviation=None, first=False)
-        if barred is None:
-            return stream, step
-        track, bars = barred
-        stream = replace(stream, track=track, previous_deviation=track.deviation)
-        return stream, replace(step, bars=bars, bars_seconds=seconds)
-
-    def _solved(self, inverses: InverseHessians) -> tuple[BatchOutcome, list[Step | None]]:
-        """Return the lowest minima of all starts, and the step of each panel; None where none is verified."""
+    def steps(self, inverses: InverseHessians) -> list[Step | None]:
+        """Return the step of every panel at the lowest minimum over its starts; None where none is verified."""
         begin, minima = perf_counter(), list[BatchOutcome]()
         for start in self._starts(inverses, minima):
-            minima.append(solve(self._at(start, self.weights), inverses, self.numbers, self.settings))
-        ended = reduce(_lower, minima)
-        solutions = self._solutions(ended, len(minima))
+            minima.append(solve(self._at(start, self._weights), inverses, self.numbers, self.weighted[0].solver))
+        solutions = self._solutions(reduce(_lower, minima), len(minima))
         seconds = (perf_counter() - begin) / len(self.numbers)
-        steps = [
-            None if solution is None else Step(solution, seconds, tuple(weights), weight_sigma=sigma)
-            for solution, weights, sigma in zip(solutions, self.weights.tolist(), self.weight_sigma, strict=True)
+        return [
+            None if solution is None else Step(solution, seconds, tuple(weights), weight_sigma=objective.weight_sigma)
+            for solution, weights, objective in zip(solutions, self._weights.tolist(), self.weighted, strict=True)
         ]
-        return ended, steps
+
+    @cached_property
+    def _weights(self) -> Array:
+        """Weights of the terms, (streams, terms)."""
+        return np.array([[float(term.weight) for term in objective.terms] for objective in self.weighted])
 
     def _starts(self, inverses: InverseHessians, minima: Sequence[BatchOutcome]) -> Iterator[Array]:
         """Generate starts as `lampest.solvers.multistart.starts`; `minima` are the outcomes of those before."""
@@ -324,15 +285,18 @@ class StreamBatch:
         yield self.data.uniform_start
         if several:
             reads = [float(term.reads_measurement) for term in self.cost.terms]
-            data_alone = self._at(minima[0].points.at.cell_resistance, self.weights * reads)
-            yield solve(data_alone, inverses, self.numbers, self.settings).points.at.cell_resistance
+            data_alone = self._at(minima[0].points.at.cell_resistance, self._weights * reads)
+            yield solve(data_alone, inverses, self.numbers, self.weighted[0].solver).points.at.cell_resistance
 
     def _at(self, cells: Array, weights: Array) -> Evaluation:
         """Return the costs at cells (streams, 1, rows, columns) ohm, within their bounds."""
         return Evaluation.at(self.cost, self.data, np.clip(cells, self.data.lower, self.data.upper), weights)
 
     def _solutions(self, ended: BatchOutcome, starts: int) -> list[Solution | None]:
-        """Return the checked solutions of all panels; None where one is not verified."""
+        """Return the checked solutions of all panels; None where one is not verified.
+
+        Those of streams with error bars have the evaluation for them. The solver's cache of a stream stays.
+        """
         points, data, at = ended.points, self.data, ended.points.at
         cells = at.cell_resistance
         # cells at a bound, to the solver's tolerance; a panel is `held` if bounds that matter keep a cell
@@ -340,7 +304,9 @@ class StreamBatch:
         held = np.asarray((~points.free & (data.lower < data.upper).reshape(points.free.shape)).any(axis=1))
         solutions: list[Solution | None] = [None] * len(cells)
         for number in np.flatnonzero(ended.solved & (points.residual <= VERIFIED)).tolist():
-            solution = Solution(
+            stream, gradient = self.streams[number], points.gradient[number].reshape(cells[number].shape)
+            matter = held[number] and bounds_matter(at.some(number), gradient, NO_DUAL)
+            solutions[number] = Solution(
                 cells[number],
                 at.reading[number],
                 at.costs[number],
@@ -348,14 +314,13 @@ class StreamBatch:
                 float(points.residual[number]),
                 at_lower[number],
                 open_cell[number],
-                Status.OPTIMUM,
+                Status.HELD if matter else Status.OPTIMUM,
                 int(ended.iterations[number]),
+                at=None if stream.track is None else at.some(number),
+                dual=NO_DUAL,
+                preconditioner=stream.prepared,
                 starts=starts,
             )
-            gradient = points.gradient[number].reshape(cells[number].shape)
-            if held[number] and bounds_matter(at.some(number), gradient, NO_DUAL):
-                solution = replace(solution, status=Status.HELD)
-            solutions[number] = solution
         return solutions
 
 
@@ -363,14 +328,6 @@ def _previous(streams: Sequence[Stream]) -> Array:
     """Return the last estimates of the streams, or their baselines, (streams, rows, columns) ohm."""
     pairs = ((stream.previous, stream.baseline_resistance) for stream in streams)
     return np.stack([resting if previous is None else previous for previous, resting in pairs])
-
-
-def _objective(stream: Stream) -> Objective:
-    """Return the objective of a stream's frame or of its missing baseline, with known weights."""
-    estimator = stream.estimator
-    if estimator.automatic and stream.weights is not None:
-        return estimator.with_weights(stream.weights, stream.weight_sigma)
-    return estimator if stream.rested else estimator.with_terms(estimator.absolute_terms)
 
 
 def _lower(first: BatchOutcome, second: BatchOutcome) -> BatchOutcome:

@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
-from lampest.cost.terms import Term
 from lampest.estimate.methods import MethodName, named_method
 from lampest.estimate.methods.method import Method
 from lampest.estimate.objective import AutoWeight as AutoWeight
@@ -47,14 +45,7 @@ class Estimator(Objective):
     False
     """
 
-    terms: tuple[Term, ...]
     formulation: MethodName | Method = "auto"
-    solver: Settings = Settings()
-    bounds: Bounds = Bounds()
-    error_bars: Literal["auto"] | bool = "auto"
-    auto_weight: AutoWeight = AutoWeight()
-    tare: Tare | None = None
-    weight_sigma: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", checked_terms(self.terms))  # a list cannot be hashed

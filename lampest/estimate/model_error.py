@@ -15,9 +15,9 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
 from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
-from lampest.estimate.objective import AutoWeight, Bounds, PlainObjective
 from lampest.estimate.scatter import MIN_EXCESS
 from lampest.files.levels import TWO_SIDED
 from lampest.panel.scene import Scene
@@ -28,7 +28,6 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN, best_solution
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.solution import Settings
 
 MIN_READINGS = 100  # their largest twentieth measures the tail; with fewer, a single outlier would decide it
 
@@ -108,14 +107,14 @@ def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Dat
     frames = [frame, *frames_beside(recording, readings, resting, frame)]
 
     def posed(penalty: Term, behind: Background) -> tuple[list[Data], Cost]:
-        objective = PlainObjective((Misfit(weighting="noise"), penalty), Settings(), Bounds(), AutoWeight())
+        objective = Estimator((Misfit(weighting="noise"), penalty), "reduced")
         solves = [objective.data(readings[number].alone(), behind) for number in frames]
         similar = [data for data in solves if data.partial == solves[0].partial]
         return similar, objective.cost(scene, 1, partial=solves[0].partial)
 
     yield posed(LogGradient(weight=1.0), Background(scene))
     if np.any(recording.role == UNLOADED):
-        plain = PlainObjective((Misfit(weighting="noise"),), Settings(), Bounds(), AutoWeight())
+        plain = Estimator((Misfit(weighting="noise"),), "reduced")
         data = plain.data(resting.alone(), Background(scene))
         solver = ProjectedNewton(plain.cost(scene, 1, partial=data.partial), plain.solver)
         cells = best_solution(solver, data, None).cell_resistance[0]

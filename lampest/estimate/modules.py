@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lampest.estimate.batch import push_streams, solve_baselines
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise import MAX_NAMED, NoiseEstimate
-from lampest.estimate.state import SequenceState, Step
+from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
@@ -30,51 +30,70 @@ from lampest.solvers.solution import OPTIMA, Status
 
 WORST = (*OPTIMA, Status.APPROXIMATE)  # statuses that count as estimates; the last is the weakest
 C = TypeVar("C", Certainty, Change)
-Own = Callable[[Scene, int | None], tuple[Estimator, Readings]]  # arguments: a network's scene, its module or None
+Network = tuple[Estimator, Scene, Readings]
+
+
+def begin_stream(
+    estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseEstimate | None = None
+) -> Stream:
+    """Return the stream of a scene with or without modules; the parameters are those of `Stream.begin`.
+
+    Raises InputError as `Stream.begin`, and as `network_scenes`.
+    """
+    scenes, layout = network_scenes(scene, estimator), scene.panel.modules
+    whole = layout is None or layout.coupled
+    parts = [resting if whole or layout is None else resting.of_module(layout, n) for n in range(len(scenes))]
+    networks = [own if own is None else (estimator, own, part) for own, part in zip(scenes, parts, strict=True)]
+    return begin_networks(scene, networks, period, noise)
 
 
 @ONE_BLAS_THREAD
-def begin_stream(
-    estimator: Estimator,
-    scene: Scene,
-    period: float,
-    resting: Readings,
-    noise: NoiseEstimate | None = None,
-    own: Own | None = None,
+def begin_networks(
+    scene: Scene, networks: Sequence[Network | None], period: float, noise: NoiseEstimate | None = None
 ) -> Stream:
-    """Return the stream of a scene with or without modules; the other parameters are those of `Stream.begin`.
+    """Return the stream of a scene from those of its networks.
 
     Parameters
     ----------
-    own : callable, optional
-        Returns the estimator and the resting readings of each network; by default those of the whole panel.
+    scene : Scene
+    networks : sequence of (Estimator, Scene, Readings) or None
+        Estimator, scene as in `network_scenes`, and unloaded readings of each network; None for a dead module.
+    period : float
+        Time between frames, s.
+    noise : NoiseEstimate, optional
+        Noise that was estimated from frames.
 
-    Raises InputError as `Stream.begin`, and as `_coupled_scene`.
+    Raises InputError as `Stream.begin`.
     """
     layout = scene.panel.modules
-
-    def of_network(scene: Scene, number: int | None) -> tuple[Estimator, Readings]:
-        if own is not None:
-            return own(scene, number)
-        return estimator, resting if layout is None or number is None else resting.of_module(layout, number)
-
-    if layout is None:
-        alone, unloaded = of_network(scene, None)
-        return Stream.begin(alone, scene, period, unloaded, noise)
-    if layout.coupled:
-        image = _coupled_scene(scene, estimator)
-        alone, unloaded = of_network(image, None)
-        return CoupledStream.begin(replace(alone, error_bars=False), image, period, unloaded)
-    streams: list[Stream | None] = []
-    for number, seen in enumerate((None,) * layout.count if noise is None else noise.of_modules):
-        module, dead = scene.of_modules[number], number in scene.dead_modules
-        alone, unloaded = (estimator, resting) if dead else of_network(module, number)
-        streams.append(None if dead else Stream.unrested(alone, module, period, unloaded, seen))
+    if layout is None or layout.coupled:
+        [(estimator, own, resting)] = filter(None, networks)
+        if layout is None:
+            return Stream.begin(estimator, own, period, resting, noise)
+        return CoupledStream.begin(replace(estimator, error_bars=False), own, period, resting)
+    noises = (None,) * layout.count if noise is None else noise.of_modules
+    streams = [
+        network and Stream.unrested(*network[:2], period, network[2], own)
+        for network, own in zip(networks, noises, strict=True)
+    ]
     modules = solve_baselines(streams)
     first = next(stream for stream in modules if stream is not None)
     blank = replace(first.resting, side=np.zeros_like(first.resting.side), seen=np.zeros_like(first.resting.seen))
     whole = Readings.of_parts(layout, [blank if stream is None else stream.resting for stream in modules])
     return ModulesStream(first.estimator, scene, period, whole, modules=tuple(modules)).rested_whole()
+
+
+def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
+    """Return the scenes of the networks that are estimated on their own, None for a dead module.
+
+    Raises InputError as `_coupled_scene`.
+    """
+    layout = scene.panel.modules
+    if layout is None:
+        return [scene]
+    if layout.coupled:
+        return [_coupled_scene(scene, estimator)]
+    return [None if number in scene.dead_modules else own for number, own in enumerate(scene.of_modules)]
 
 
 def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
@@ -108,11 +127,6 @@ class CoupledStream(Stream):
         """Cells of the baseline, (rows, columns) ohm; NaN where it is not solved, and in modules without a value."""
         return np.where(self._unread(self.resting), np.nan, super().baseline_resistance)
 
-    @property
-    def is_independent(self) -> bool:
-        """False, because batches do not support block diagonal networks."""
-        return False
-
     def push(self, readings: Readings) -> tuple[Stream, Step]:
         """Push a frame, as `Stream.push`."""
         stream, step = super().push(readings)
@@ -133,15 +147,7 @@ class CoupledStream(Stream):
 
 @dataclass(frozen=True, eq=False)
 class ModulesStream(Stream):
-    """Stream of a panel of independent modules.
-
-    Attributes
-    ----------
-    modules : tuple of Stream or None
-        Streams of the modules by number, None for a dead one. All other attributes are those of the whole image.
-    """
-
-    modules: tuple[Stream | None, ...] = ()
+    """Stream of a panel of independent `modules`; all other attributes are those of the whole image."""
 
     @ONE_BLAS_THREAD
     def tared(self, resting: Readings) -> "ModulesStream":
@@ -164,9 +170,7 @@ class ModulesStream(Stream):
     def sequence(
         self, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple[Stream, list[Step]]:
-        """Solve a sequence, as `Stream.sequence`; methods that need all frames solve one module after the other."""
-        if not self.estimator.method.needs_all_frames:
-            return super().sequence(resting, readings, on_frame)
+        """Solve a sequence, as `Stream.sequence`, one module after the other."""
         layout, frames = self._layout, len(readings.value)
         modules, columns = list[Stream | None](), list[Sequence[Step | None]]()
         for number, module in enumerate(self.modules):
@@ -180,36 +184,10 @@ class ModulesStream(Stream):
         return whole, [image_step(layout, steps) for steps in zip(*columns, strict=True)]
 
     @property
-    def is_independent(self) -> bool:
-        """False, because the modules of a frame already form a batch."""
-        return False
-
-    def weights_due(self, readings: Readings) -> bool:
-        """Return False, because modules choose their weights themselves."""
-        return False
-
-    @property
     def baseline_resistance(self) -> Array:
         """Cells of the baseline, (rows, columns) ohm; NaN in dead modules and those without a solved baseline."""
         parts = [None if stream is None else stream.baseline_resistance for stream in self.modules]
         return np.asarray(_joined_maps(self._layout, parts, np.nan))
-
-    def restarted(self, first: Stream) -> "ModulesStream":
-        """Return the stream of every module restarted, as `Stream.restarted`."""
-        assert isinstance(first, ModulesStream)
-        pairs = zip(self.modules, first.modules, strict=True)
-        modules = tuple(module and start and module.restarted(start) for module, start in pairs)
-        return replace(self, modules=modules, prepared=None)
-
-    @property
-    def parts(self) -> tuple[SequenceState | None, ...]:
-        """The streams of the modules, see `SequenceState.parts`."""
-        return self.modules
-
-    def with_parts(self, parts: tuple[SequenceState | None, ...]) -> "ModulesStream":
-        """Return the stream with other modules."""
-        modules = tuple(part for part in parts if part is None or isinstance(part, Stream))
-        return replace(self, modules=modules, first=False)
 
     def rested_whole(self) -> "ModulesStream":
         """Return the stream with the joined baselines of the modules; unchanged where no module has one."""

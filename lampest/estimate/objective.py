@@ -1,9 +1,9 @@
-"""Objectives: terms with weights, bounds of the cells, and the data of one solve from readings."""
+"""Objectives: an estimator as its method sees it, bounds of the cells, and the data of one solve from readings."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass, replace
 from math import isfinite
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,8 @@ from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term, term_kind
 from lampest.files.errors import InputError, in_words
-from lampest.files.typed import Validated
+from lampest.files.typed import Configuration
+from lampest.loads.pressure import Tare
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
@@ -30,7 +31,7 @@ MAX_STAND_IN_WEIGHT = 0.99  # of a substitute: `seen` = 1 denotes a reading that
 
 
 @dataclass(frozen=True)
-class Bounds(Validated):
+class Bounds(Configuration):
     """Bounds of cell resistances. Source: paper, equation (12).
 
     Attributes
@@ -49,7 +50,6 @@ class Bounds(Validated):
     100.0
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     lower: Literal["measured", "none"] | float = "measured"
     upper: Literal["resolution", "none"] | float = "resolution"
 
@@ -105,7 +105,7 @@ class Bounds(Validated):
 
 
 @dataclass(frozen=True)
-class AutoWeight(Validated):
+class AutoWeight(Configuration):
     """Settings of `weight: auto`.
 
     Attributes
@@ -120,7 +120,6 @@ class AutoWeight(Validated):
     'recording'
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     rule: Rule | None = None
     per: Literal["recording", "frame"] = "recording"
 
@@ -143,33 +142,24 @@ def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
     return tuple(terms)
 
 
+@dataclass(frozen=True)
 class Objective:
-    """Terms, bounds and settings of an estimator, whatever its method.
-
-    Attributes
-    ----------
-    terms : tuple of Term
-        Each weight is a number or 'auto'.
-    solver : Settings
-    bounds : Bounds
-    auto_weight : AutoWeight
-    weight_sigma : tuple of float
-        Standard deviation of ln λ of every term, NaN where the data did not choose λ; () before the choice.
-    """
+    """Fields of an `Estimator`, where they are described, and the costs that they state, whatever the method."""
 
     terms: tuple[Term, ...]
-    solver: Settings
-    bounds: Bounds
-    auto_weight: AutoWeight
-    weight_sigma: tuple[float, ...]
+    formulation: Any = "auto"
+    solver: Settings = Settings()
+    bounds: Bounds = Bounds()
+    error_bars: Literal["auto"] | bool = "auto"
+    auto_weight: AutoWeight = AutoWeight()
+    tare: Tare | None = None
+    weight_sigma: tuple[float, ...] = ()
 
-    def with_terms(self, terms: tuple[Term, ...]) -> "PlainObjective":
-        """Return an objective of other terms with the same bounds and settings."""
-        return PlainObjective(terms, self.solver, self.bounds, self.auto_weight, self._sigma_of(terms))
-
-    def _sigma_of(self, terms: tuple[Term, ...]) -> tuple[float, ...]:
+    def with_terms(self, terms: tuple[Term, ...]) -> Self:
+        """Return the objective of an optimum with other terms; terms that stay keep the deviation of their weight."""
         known = dict(zip(self.terms, self.weight_sigma, strict=False))
-        return tuple(known.get(term, np.nan) for term in terms) if known else ()
+        sigma = tuple(known.get(term, np.nan) for term in terms) if known else ()
+        return replace(self, terms=terms, formulation="reduced", weight_sigma=sigma)
 
     @property
     def automatic(self) -> bool:
@@ -178,10 +168,10 @@ class Objective:
 
     def with_weights(self, weights: Iterable[float], sigma: tuple[float, ...] = ()) -> Self:
         """Return the objective with these weights of the terms, in their order, and `sigma` as `weight_sigma`."""
-        pairs = zip(self.terms, weights, strict=True)
-        assert is_dataclass(self)
-        terms = tuple(replace(term, weight=float(weight)) for term, weight in pairs)
-        return replace(self, terms=terms, weight_sigma=sigma)
+        terms = zip(self.terms, weights, strict=True)
+        return replace(
+            self, terms=tuple(replace(term, weight=float(weight)) for term, weight in terms), weight_sigma=sigma
+        )
 
     @property
     def relative(self) -> bool:
@@ -253,17 +243,6 @@ class Objective:
         known = () if scene.whole else tuple(np.flatnonzero(scene.broken).tolist())
         panel = Panel(*scene.panel.shape) if scene.panel.cells is None else scene.panel
         return Cost(panel, self.terms, frames, known, partial)
-
-
-@dataclass(frozen=True)
-class PlainObjective(Objective):
-    """An objective without a method."""
-
-    terms: tuple[Term, ...]
-    solver: Settings
-    bounds: Bounds
-    auto_weight: AutoWeight
-    weight_sigma: tuple[float, ...] = ()
 
 
 def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]) -> Readings:

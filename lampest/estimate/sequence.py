@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +13,12 @@ from lampest.estimate.batch import push_block
 from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.modules import begin_stream
+from lampest.estimate.modules import begin_networks, network_scenes
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.outliers import WINDOW
 from lampest.estimate.prepared import Prepared
-from lampest.estimate.state import CarriedOver, Step
-from lampest.estimate.stream import Stream
+from lampest.estimate.state import Step
+from lampest.estimate.stream import CarriedOver, Stream
 from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
@@ -33,6 +32,9 @@ from lampest.solvers.solution import Status
 # Unloaded frames, and measured ones around the strongest, that represent a long recording; at most those of a part.
 LEAD_FRAMES = 500
 OPENING_FRAMES = 10  # first measured frames that replace the unloaded ones where there are none
+
+
+_Network = tuple[Recording, Readings, Readings]  # recording of a network, its readings, and the unloaded ones
 
 
 def default_terms(recording: Recording) -> tuple[Term, ...]:
@@ -162,37 +164,24 @@ def first_stream(
     period : float, optional
         Time between frames, s; by default that of the recording.
     """
-    layout, chosen = recording.scene.panel.modules, dict[Hashable, Estimator]()
-
-    @cache
-    def network(scene: Scene, number: int | None) -> tuple[Recording, Readings, Readings]:
-        if layout is None or number is None:
-            part, read = replace(recording, scene=scene), readings
-        else:
-            part, read = recording.modules[number], readings.of_module(layout, number)
-        return part, read, baseline_readings(part, read)
-
-    def own(scene: Scene, number: int | None) -> tuple[Estimator, Readings]:
-        resting = network(scene, number)[2]
-        if not (estimator.automatic and estimator.auto_weight.per == "recording"):
-            return estimator, resting
-        if (kind := converter_and_faults(scene)) not in chosen:
-            every = recording.scene.of_modules if number is not None else (scene,)
-            similar = [
-                n
-                for n, module in enumerate(every)
-                if converter_and_faults(module) == kind and n not in recording.scene.dead_modules
-            ]
-            some = [network(every[n], None if number is None else n) for n in similar]
-            chosen[kind] = _weighted(estimator, some)
-        return chosen[kind], resting
-
-    period = frame_period(recording) if period is None else period
-    return begin_stream(estimator, recording.scene, period, readings[0], noise, own)
+    scene, layout = recording.scene, recording.scene.panel.modules
+    networks, similar = list[_Network | None](), dict[Hashable, list[_Network]]()
+    for number, own in enumerate(network_scenes(scene, estimator)):
+        network = None
+        if own is not None:
+            whole = layout is None or layout.coupled
+            part = replace(recording, scene=own) if whole else recording.modules[number]
+            read = readings if whole or layout is None else readings.of_module(layout, number)
+            network = part, read, baseline_readings(part, read)
+            similar.setdefault(converter_and_faults(own), []).append(network)
+        networks.append(network)
+    chosen = {kind: _weighted(estimator, several) for kind, several in similar.items()}
+    begun = [n and (chosen[converter_and_faults(n[0].scene)], n[0].scene, n[2]) for n in networks]
+    return begin_networks(scene, begun, frame_period(recording) if period is None else period, noise)
 
 
-def _weighted(estimator: Estimator, networks: Sequence[tuple[Recording, Readings, Readings]]) -> Estimator:
-    """Return the estimator with weights from the deciding frames of similar networks.
+def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
+    """Return the estimator with open weights from the deciding frames of similar networks.
 
     For a single network the frames of `frames_beside` count, too. Without measured frames the estimator is unchanged.
 
@@ -200,8 +189,9 @@ def _weighted(estimator: Estimator, networks: Sequence[tuple[Recording, Readings
     ----------
     estimator : Estimator
     networks : sequence of (Recording, Readings, Readings)
-        Each network's recording, its readings, and its unloaded readings.
     """
+    if not estimator.automatic or estimator.auto_weight.per == "frame":
+        return estimator
     deciding = [(*network, frame) for network in networks if (frame := deciding_frame(*network)) is not None]
     if not deciding:
         return estimator

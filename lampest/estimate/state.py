@@ -1,6 +1,5 @@
 """State of a sequence between frames, and the solve of a frame."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self, TypeVar
 
@@ -10,10 +9,8 @@ from lampest.cost.given import Background
 from lampest.estimate.objective import Objective
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.posterior.dense import DenseMemory
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.sampled import SampledMemory
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
 from lampest.solvers.solution import Solution, Status, blank
@@ -106,12 +103,8 @@ class SequenceState:
         Data that the method keeps between frames, or None.
     track : Track or None
         Data of earlier frames for error bars; None where none are computed.
-    keeps_weights : bool
-        Whether the present weights are kept even if a frame would choose others.
     first : bool
         Whether no measured frame was solved yet.
-    reading_error : float
-        Standard deviation of ln of each reading's own error, the same in all frames.
     frame_noise : FrameNoise or None
         Random errors that the readings of a frame share.
     """
@@ -125,9 +118,7 @@ class SequenceState:
     previous_deviation: Array | None = None
     prepared: Any = None
     track: Track | None = None
-    keeps_weights: bool = False
     first: bool = True
-    reading_error: float = 0.0
     frame_noise: FrameNoise | None = None
 
     @property
@@ -154,15 +145,6 @@ class SequenceState:
         """Return the state without the terms that compare with an earlier frame."""
         return replace(self, estimator=self.estimator.with_terms(self.estimator.absolute_terms))
 
-    @property
-    def parts(self) -> "tuple[SequenceState | None, ...]":
-        """State of each module of a panel, None for a dead one; () for a single network."""
-        return ()
-
-    def with_parts(self, parts: "tuple[SequenceState | None, ...]") -> Self:
-        """Return the state with other states of the modules."""
-        return self
-
     def unsolved(self, status: Status) -> Step:
         """Return the step of a frame that was not solved, with this status."""
         terms = self.estimator.terms
@@ -171,66 +153,3 @@ class SequenceState:
 
 
 S = TypeVar("S", bound=SequenceState)
-
-
-@dataclass(frozen=True, eq=False)
-class CarriedOver:
-    """Memory of a state between two parts of a long recording, as arrays by name that can be written to a file.
-
-    The initial state, with scene, estimator and baseline, is not included.
-    """
-
-    arrays: Mapping[str, Array]
-
-    @classmethod
-    def of(cls, state: SequenceState) -> "CarriedOver":
-        """Return the last estimate, its deviation and the memory of error bars; of a panel, those of each module."""
-        arrays: dict[str, Any] = {}
-        for number, part in enumerate(state.parts):
-            carried = {} if part is None else cls.of(part).arrays
-            arrays |= {_of_module(number) + name: values for name, values in carried.items()}
-        if not state.parts:
-            arrays = {"previous": state.previous, "previous_deviation": state.previous_deviation}
-            if (track := state.track) is not None:
-                arrays["deviation"] = track.deviation
-                for name in ("answers", "beyond"):
-                    arrays |= {f"{name}_{number}": values for number, values in enumerate(getattr(track, name) or ())}
-                if (memory := track.memory) is not None:
-                    kind = "dense" if isinstance(memory, DenseMemory) else "sampled"
-                    arrays |= {f"{kind}_{name}": value for name, value in vars(memory).items()}
-        known = {name: value for name, value in arrays.items() if value is not None}
-        return cls({name: np.atleast_1d(np.asarray(value, float)) for name, value in known.items()})
-
-    def onto(self, begun: S) -> S:
-        """Return the state after those frames, given the state with its baseline before them."""
-        if begun.parts:
-            parts = enumerate(begun.parts)
-            return begun.with_parts(
-                tuple(part and CarriedOver(self._under(_of_module(number))).onto(part) for number, part in parts)
-            )
-        track = begun.track and replace(
-            begun.track,
-            deviation=self.arrays.get("deviation"),
-            memory=self._memory(),
-            answers=self._pair("answers"),
-            beyond=self._pair("beyond"),
-        )
-        previous, deviation = self.arrays.get("previous"), self.arrays.get("previous_deviation")
-        return replace(begun, previous=previous, previous_deviation=deviation, track=track, first=False)
-
-    def _under(self, prefix: str) -> dict[str, Array]:
-        return {name[len(prefix) :]: values for name, values in self.arrays.items() if name.startswith(prefix)}
-
-    def _pair(self, name: str) -> tuple[Array, Array] | None:
-        return (self.arrays[f"{name}_0"], self.arrays[f"{name}_1"]) if f"{name}_0" in self.arrays else None
-
-    def _memory(self) -> DenseMemory | SampledMemory | None:
-        if dense := self._under("dense_"):
-            return DenseMemory(**dense)
-        sampled = self._under("sampled_")
-        return SampledMemory(sampled["last"], sampled["baseline"], int(sampled["frames"][0])) if sampled else None
-
-
-def _of_module(number: int) -> str:
-    """Return the prefix of the names of a module's arrays."""
-    return f"module_{number:04d}_"

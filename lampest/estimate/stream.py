@@ -1,8 +1,10 @@
 """Streams: frames that are solved one by one as they arrive."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
+
+import numpy as np
 
 from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
@@ -13,6 +15,8 @@ from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
+from lampest.posterior.dense import DenseMemory
+from lampest.posterior.sampled import SampledMemory
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings, mean_change
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -53,6 +57,10 @@ class Stream(SequenceState):
         Standard deviations of ln λ.
     weighed_at : float
         Change from rest of the frame that chose them.
+    keeps_weights : bool
+        Whether the present weights are kept even if a frame would choose others.
+    modules : tuple of Stream or None
+        Streams of the modules of a panel by number, None for a dead one; () for a single network.
 
     All other attributes are those of `SequenceState`.
     """
@@ -61,6 +69,8 @@ class Stream(SequenceState):
     weights: tuple[float, ...] | None = None
     weight_sigma: tuple[float, ...] = ()
     weighed_at: float = 0.0
+    keeps_weights: bool = False
+    modules: "tuple[Stream | None, ...]" = ()
 
     @classmethod
     @ONE_BLAS_THREAD
@@ -97,9 +107,7 @@ class Stream(SequenceState):
         _check_frame(resting, scene)
         hidden, frame = (None, None) if noise is None else (noise.possible_errors, noise.frame)
         track = Track(Shared.of(scene, None, hidden), noise=frame) if estimator.has_error_bars(resting) else None
-        sizes = scene.specified_systematic if hidden is None else hidden.sizes
-        own = 0.0 if sizes is None else sizes.reading_error or 0.0
-        return cls(estimator, scene, period, resting, track=track, reading_error=own, frame_noise=frame)
+        return cls(estimator, scene, period, resting, track=track, frame_noise=frame)
 
     @ONE_BLAS_THREAD
     def tared(self, resting: Readings) -> Self:
@@ -136,7 +144,9 @@ class Stream(SequenceState):
 
     def restarted(self, first: "Stream") -> Self:
         """Return the stream with the solver's caches of `first`, so that results do not depend on earlier frames."""
-        return replace(self, prepared=first.prepared)
+        pairs = zip(self.modules, first.modules, strict=True)
+        modules = tuple(module and start and module.restarted(start) for module, start in pairs)
+        return replace(self, prepared=first.prepared, modules=modules)
 
     @ONE_BLAS_THREAD
     def push(self, readings: Readings) -> tuple["Stream", Step]:
@@ -147,14 +157,13 @@ class Stream(SequenceState):
         InputError as `begin`.
         """
         _check_frame(readings, self.scene)
-        method, terms = self.estimator.method, self.estimator.terms
+        method = self.estimator.method
         if not readings.enough(self.scene):
             return self, self.unsolved(Status.UNREAD)
-        if method.compares(terms) and not self.resting.enough(self.scene):
+        if method.compares(self.estimator.terms) and not self.resting.enough(self.scene):
             return self, self.unsolved(Status.UNRESTED)
-        if self.chooses_weights and self.weights is not None and not self.choosing(readings):
-            chosen = self.estimator.with_weights(self.weights, self.weight_sigma)
-            stream, step = method.push(replace(self, estimator=chosen), readings)
+        if self.chooses_weights and not self.choosing(readings):
+            stream, step = method.push(replace(self, estimator=self.weighted), readings)
             return replace(stream, estimator=self.estimator), step
         stream, step = method.push(self, readings)
         if self.chooses_weights and step.solution.solved:
@@ -163,20 +172,26 @@ class Stream(SequenceState):
             )
         return stream, step
 
+    @property
+    def weighted(self) -> Estimator:
+        """The estimator with the weights that the data chose, if there are any."""
+        if self.weights is None or not self.chooses_weights:
+            return self.estimator
+        return self.estimator.with_weights(self.weights, self.weight_sigma)
+
     def weights_due(self, readings: Readings) -> bool:
         """Return whether a frame differs so much from rest that it should choose the weights anew."""
         return self.chooses_weights and self.change(readings) > MIN_INCREASE * self.weighed_at
 
     def choosing(self, readings: Readings) -> bool:
-        """Return whether a frame chooses the weights: the first one with enough readings, or one that is due."""
-        requested = self.weights is None or (self.weights_due(readings) and not self.keeps_weights)
-        return self.chooses_weights and requested and bool(readings.enough(self.scene))
+        """Return whether a frame with enough readings chooses open weights: the first one, or one that is due."""
+        return self.weights is None or (self.weights_due(readings) and not self.keeps_weights)
 
     @property
     def is_independent(self) -> bool:
         """Whether estimates depend on no other measured frame, and the projected Newton method computes them."""
         estimator = self.estimator
-        if not self.rested or estimator.uses_previous or estimator.automatic:
+        if self.modules or not self.rested or estimator.uses_previous or estimator.automatic:
             return False
         return isinstance(estimator.problem(self.scene, 1, self.period), ProjectedNewton)
 
@@ -192,34 +207,12 @@ class Stream(SequenceState):
     def sequence(
         self, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple["Stream", list[Step]]:
-        """Return the stream after all measured frames of a recording, and their solves.
-
-        Parameters
-        ----------
-        resting : Readings
-            The unloaded frames, (frames, rows, columns); the stream has their mean.
-        readings : Readings
-            The measured frames, (frames, rows, columns).
-        on_frame : callable
-            Called after every frame.
-        """
-        if self.estimator.method.needs_all_frames:
-            return self.estimator.method.sequence(self, resting, readings, on_frame)
-        stream: Stream = self
-        steps = []
-        for frame in range(len(readings.value)):
-            stream, step = stream.push(readings[frame])
-            steps.append(step)
-            on_frame()
-        return stream, steps
+        """Return the stream after all measured frames of a recording, and their solves, see `Method.sequence`."""
+        return self.estimator.method.sequence(self, resting, readings, on_frame)
 
     def given(self, readings: Readings) -> tuple[Data, Array | None]:
         """Return the data of a frame's solve and its start, see `Method.given`."""
         return self.estimator.method.given(self, readings)
-
-    def solve(self, data: Data, previous: Array | None) -> Step:
-        """Return one solve, see `Method.solve`."""
-        return self.estimator.method.solve(self, data, previous)
 
 
 def _check_frame(readings: Readings, scene: Scene) -> None:
@@ -231,3 +224,53 @@ def _check_frame(readings: Readings, scene: Scene) -> None:
         raise InputError(
             f"a stream takes one frame of {requested} readings, not {held}; of several, take one or their mean()"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedOver:
+    """Memory of a stream between two parts of a long recording, as arrays by name that can be written to a file.
+
+    The initial stream, with scene, estimator and baseline, is not included. The last estimate, its deviation and the
+    memory of error bars are; of a panel those of each module, with its number before the names.
+    """
+
+    arrays: Mapping[str, Array]
+
+    @classmethod
+    def of(cls, stream: Stream) -> "CarriedOver":
+        """Return the memory of a stream."""
+        every = [(number, cls.of(module)) for number, module in enumerate(stream.modules) if module is not None]
+        if stream.modules:
+            return cls({_of_module(n) + name: values for n, own in every for name, values in own.arrays.items()})
+        track, memory = stream.track or Track(), stream.track and stream.track.memory
+        arrays: dict[str, Any] = {"previous": stream.previous, "previous_deviation": stream.previous_deviation}
+        arrays |= {"deviation": track.deviation}
+        for name in ("answers", "beyond"):  # of the last frame, then of the baseline
+            arrays[name] = None if getattr(track, name) is None else np.concatenate(getattr(track, name))
+        kind = "dense" if isinstance(memory, DenseMemory) else "sampled"
+        arrays |= {} if memory is None else {f"{kind}_{name}": value for name, value in vars(memory).items()}
+        known = {name: value for name, value in arrays.items() if value is not None}
+        return cls({name: np.atleast_1d(np.asarray(value, float)) for name, value in known.items()})
+
+    def onto(self, begun: Stream) -> Stream:
+        """Return the stream after those frames, given the stream with its baseline before them."""
+        if begun.modules:
+            every = ((module, self._under(_of_module(number))) for number, module in enumerate(begun.modules))
+            modules = tuple(module and CarriedOver(own).onto(module) for module, own in every)
+            return replace(begun, modules=modules, first=False)
+        arrays, dense, sampled = dict(self.arrays), self._under("dense_"), self._under("sampled_")
+        memory: DenseMemory | SampledMemory | None = DenseMemory(**dense) if dense else None
+        if sampled:
+            memory = SampledMemory(sampled["last"], sampled["baseline"], int(sampled["frames"][0]))
+        pairs: Any = {name: tuple(np.split(arrays[name], 2)) for name in ("answers", "beyond") if name in arrays}
+        track = begun.track and replace(begun.track, deviation=arrays.get("deviation"), memory=memory, **pairs)
+        previous, deviation = arrays.get("previous"), arrays.get("previous_deviation")
+        return replace(begun, previous=previous, previous_deviation=deviation, track=track, first=False)
+
+    def _under(self, prefix: str) -> dict[str, Array]:
+        return {name[len(prefix) :]: values for name, values in self.arrays.items() if name.startswith(prefix)}
+
+
+def _of_module(number: int) -> str:
+    """Return the prefix of the names of a module's arrays."""
+    return f"module_{number:04d}_"

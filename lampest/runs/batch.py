@@ -20,7 +20,7 @@ from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import Parts, asked_frames, reconstruct
-from lampest.estimate.state import CarriedOver
+from lampest.estimate.stream import CarriedOver
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import logged_reason
@@ -35,7 +35,7 @@ from lampest.runs.results import join_case, read_results, stored_cases, write_re
 
 RESULTS = "results.h5"
 CASES = "cases"
-CARRIED = "carried/1"
+CARRIED = "carried/2"
 EVERY_SECONDS = 1.0  # between two counts of finished frames; least time between two files of these frames
 KEPT_SHARE = 0.05  # largest share of a case's time for these files
 

@@ -200,14 +200,16 @@ def test_the_valley_is_followed_to_where_a_held_cell_leads(side: int) -> None:
         lampest.Estimator(terms, formulation="reduced"), HOLED, 1.0, readings[np.array([0, 1])].mean()
     )
     data, _ = stream.given(readings[2])
-    model = stream.solve(data, None).surroundings()
+    model = stream.estimator.method.solve(stream, data, None).surroundings()
     cell = int(np.flatnonzero(readings.seen[2].ravel() == 0)[0])
     errors = DenseErrors(model)
     way = ProfileInterval(errors, cell)
     gone = way.end(side)
     lower, upper = data.lower.copy(), data.upper.copy()
     lower.flat[cell] = upper.flat[cell] = np.exp(model.at.position.flat[cell] + gone[cell])
-    there = stream.solve(replace(data, lower=lower, upper=upper), np.exp(model.at.position + gone.reshape(1, *SHAPE)))
+    there = stream.estimator.method.solve(
+        stream, replace(data, lower=lower, upper=upper), np.exp(model.at.position + gone.reshape(1, *SHAPE))
+    )
     exact = (np.log(there.cell_resistance) - model.at.position[0]).ravel()
     beside = np.arange(gone.size) != cell
     assert np.abs(gone - exact)[beside].max() < 0.1 * np.abs(exact[beside]).max()

@@ -21,7 +21,7 @@ from lampest.estimate.model_check import module_factors
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream, reconstruct
-from lampest.estimate.state import CarriedOver
+from lampest.estimate.stream import CarriedOver
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.panel.network import inverse_of
@@ -177,7 +177,7 @@ def test_modules_that_are_alike_share_their_weights(monkeypatch: pytest.MonkeyPa
     for room in ("batch", "methods.method", "sequence"):
         monkeypatch.setattr(f"lampest.estimate.{room}.with_chosen_weights", choose)
     known = first_stream(recording, readings, estimator)
-    chosen = [part.estimator.terms[1].weight for part in known.parts if part is not None]
+    chosen = [part.estimator.terms[1].weight for part in known.modules if part is not None]
     assert len(choices) == 2
     stream = begin_stream(estimator, recording.scene, 0.1, readings[recording.role == 0].mean())
     assert len(choices) == 4 and np.isfinite(stream.baseline_resistance).sum() == 60
@@ -187,7 +187,7 @@ def test_modules_that_are_alike_share_their_weights(monkeypatch: pytest.MonkeyPa
     tared = stream.tared(readings[0])
     assert len(choices) == 8
     np.testing.assert_allclose(tared.baseline_resistance, stream.baseline_resistance, rtol=0.12)
-    later = [part.weights[1] for part in tared.parts if isinstance(part, lampest.Stream) and part.weights]
+    later = [part.weights[1] for part in tared.modules if isinstance(part, lampest.Stream) and part.weights]
     for weights in (chosen, later):
         assert len(weights) == 5 and len(set(weights)) == 2 and weights.count(weights[1]) == 1
 
@@ -220,16 +220,18 @@ def test_a_sequence_goes_on_from_the_arrays_that_are_kept_of_it(panel: str) -> N
     assert not other.first and {name: values.shape for name, values in CarriedOver.of(other).arrays.items()} == {
         name: values.shape for name, values in kept.arrays.items()
     }
-    assert all(part is None or part.prepared is None for part in (one.parts or (one,)))
+    assert all(part is None or part.prepared is None for part in (one.modules or (one,)))
     (_, expected), (_, step) = (each.push(readings[third]) for each in (one, other))
     assert_allclose(step.cell_resistance, expected.cell_resistance, rtol=1e-12)
     assert_allclose(step.bars.change.deviation, expected.bars.change.deviation, rtol=1e-10)
-    part = stream.parts[0] if stream.parts else stream
+    part = stream.modules[0] if stream.modules else stream
     pairs = np.random.default_rng(1).standard_normal((3, 2, 4, 5))
     track = replace(part.track, memory=SampledMemory(*pairs[0], 3), answers=tuple(pairs[1]), beyond=tuple(pairs[2]))
     whole = replace(part, track=track)
-    track = CarriedOver.of(stream.with_parts((whole, *stream.parts[1:])) if stream.parts else whole).onto(stream)
-    track = (track.parts[0] if stream.parts else track).track
+    track = CarriedOver.of(replace(stream, modules=(whole, *stream.modules[1:])) if stream.modules else whole).onto(
+        stream
+    )
+    track = (track.modules[0] if stream.modules else track).track
     assert isinstance(track.memory, SampledMemory) and track.memory.frames == 3
     assert_allclose([(track.memory.last, track.memory.baseline), track.answers, track.beyond], pairs)
 

@@ -427,7 +427,7 @@ def test_samples_and_matrices_agree_on_what_a_frame_shares() -> None:
     told = recorded(5, scene_of(0.7))
     stream = lampest.Stream.begin(LSM, told.scene, 1.0, told.readings()[0])
     data, start = stream.given(told.readings()[6])
-    model = stream.solve(data, start).surroundings()
+    model = stream.estimator.method.solve(stream, data, start).surroundings()
     noise = FrameNoise(told.scene, 5, 0.005, np.zeros((8, 0)), np.full((8, 1), 1e-3))
     drawn_columns = model.through @ noise.columns(data.measured, baseline=False)
     dense, sampled = DenseErrors(model, None, drawn_columns), SampledErrors(model, None, drawn_columns)

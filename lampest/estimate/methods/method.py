@@ -19,13 +19,12 @@ from lampest.estimate.state import UNKNOWN_SD, S, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.errors import InputError
 from lampest.files.process import delayed_interrupt, ended_where_hung
-from lampest.files.typed import Validated
+from lampest.files.typed import Configuration
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.profile_interval import beyond_tangents
-from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.ipopt import Ipopt
@@ -37,15 +36,13 @@ NODAL_CELLS, NODAL_PERIOD = 144, 0.5  # most cells, and least period in s, with 
 
 
 @dataclass(frozen=True)
-class Method(Validated):
+class Method(Configuration):
     """Method of estimation: the value of `formulation:`, a bare word or a word with options.
 
     Attributes
     ----------
     optimum : bool
         Whether it ends at a verified optimum over the cells, the condition for error bars.
-    joint : bool
-        Whether a method that compares frames solves its baseline together with the first frame.
     delays : bool
         Whether it delays Ctrl-C itself.
     needs_all_frames : bool
@@ -55,15 +52,9 @@ class Method(Validated):
     True
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     optimum: ClassVar[bool] = False
     delays: ClassVar[bool] = False
     needs_all_frames: ClassVar[bool] = False
-
-    @property
-    def joint(self) -> bool:
-        """Whether a method that compares frames solves its baseline together with the first frame."""
-        return False
 
     if TYPE_CHECKING:
 
@@ -99,21 +90,13 @@ class Method(Validated):
             `SequenceState.prepared`.
         """
 
-    def guess(self, readout: Readout, measured: Array) -> Array:
-        """Return the substitute for a missing previous frame from readings of any shape: ohm, the same shape."""
-        return readout.uniform_start(measured)
-
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
         """Return `prepared` of the next frame after a solution; by default unchanged."""
         return prepared
 
     def joint_start(self, objective: Objective) -> bool:
-        """Return whether the baseline is solved together with the first frame.
-
-        Only relative methods do so if `joint` is set. Terms that weigh the previous frame by its uncertainty exclude
-        it, because they need the baseline as the first previous frame.
-        """
-        return self.joint and objective.relative and not objective.weighs_previous
+        """Return whether the baseline is solved together with the first frame; by default never."""
+        return False
 
     def given(self, state: SequenceState, readings: Readings) -> tuple[Data, Array | None]:
         """Return the data of a frame's solve, and its start or None.
@@ -131,7 +114,7 @@ class Method(Validated):
             return objective.data(state.resting.together(readings), behind), None
         known = resting = deviation = None
         if objective.relative:
-            known = self.guess(state.scene.circuit, readings.value) if state.previous is None else state.previous
+            known = state.scene.circuit.uniform_start(readings.value) if state.previous is None else state.previous
             resting = None if state.baseline is None else state.baseline.estimate(0)
         if objective.weighs_previous:  # open cells and those without error bars have the standard deviation UNKNOWN_SD
             known_deviation = None if state.previous is None else state.previous_deviation
@@ -199,10 +182,27 @@ class Method(Validated):
     def push(self, state: S, readings: Readings) -> tuple[S, Step]:
         """Return the state after one frame's readings (rows, columns), and the frame's step."""
         data, start = self.given(state, readings)
-        step, pair = self.solve(state, data, start), len(data.measured) == 2
-        if pair:
+        step = self.solve(state, data, start)
+        if len(data.measured) == 2:
             state, step = with_contacts(state, readings, step, self._elsewhere)
-        track, step = self._with_error_bars(state, step, readings)
+        return self.after(state, step, readings)
+
+    def after(self, state: S, step: Step, readings: Readings) -> tuple[S, Step]:
+        """Return the state after a solved frame, and its step with error bars where the state requests them."""
+        track, model, begin = state.track, step.surroundings(), perf_counter()
+        pair = len(step.solution.cell_resistance) == 2
+        if track is not None and model is not None:
+            with suppress(*BROKEN):
+                advanced, bars = track.advanced(model)
+                if readings.partial:
+                    below, above = self._beyond(state, readings, step, model)
+                    if advanced.beyond is not None:
+                        # missing unloaded readings of a joint pair widen the intervals of all later frames, too
+                        below, above = np.maximum(below, advanced.beyond[0]), np.maximum(above, advanced.beyond[1])
+                    elif pair and state.resting.missing(state.scene).any():
+                        advanced = replace(advanced, beyond=(below, above))
+                    bars = bars.reaching_farther(below, above)
+                track, step = advanced, replace(step, bars=bars, bars_seconds=perf_counter() - begin)
         prepared, step, estimate = self.prepared_by(step.solution, state.prepared), step.bare(), step.estimate(-1)
         state = replace(state, baseline=step if pair else state.baseline, prepared=prepared, track=track)
         if estimate is not None:
@@ -233,24 +233,6 @@ class Method(Validated):
         """Return the step of a frame solved with another state, from given cells on."""
         return self.solve(state, self.given(state, readings)[0], near)
 
-    def _with_error_bars(self, state: SequenceState, step: Step, readings: Readings) -> tuple[Track | None, Step]:
-        """Return the track after a step, and the step with error bars where they are requested and possible."""
-        if state.track is None or (model := step.surroundings()) is None:
-            return state.track, step
-        begin = perf_counter()
-        with suppress(*BROKEN):
-            track, bars = state.track.advanced(model)
-            if readings.partial:
-                below, above = self._beyond(state, readings, step, model)
-                if track.beyond is not None:
-                    # missing unloaded readings of a joint pair widen the intervals of all later frames, too
-                    below, above = np.maximum(below, track.beyond[0]), np.maximum(above, track.beyond[1])
-                elif len(step.solution.cell_resistance) == 2 and state.resting.missing(state.scene).any():
-                    track = replace(track, beyond=(below, above))
-                bars = bars.reaching_farther(below, above)
-            return track, replace(step, bars=bars, bars_seconds=perf_counter() - begin)
-        return state.track, step
-
     def _beyond(
         self, state: SequenceState, readings: Readings, solved: Step, model: LinearModel
     ) -> tuple[Array, Array]:
@@ -280,6 +262,14 @@ class OptimalMethod(Method):
     delays: ClassVar[bool] = True
     kind: Literal["per_pixel", "nodal", "reduced", "auto"] = "nodal"
     joint: bool = False
+
+    def joint_start(self, objective: Objective) -> bool:
+        """Return whether the baseline is solved together with the first frame.
+
+        Terms that weigh the previous frame by its uncertainty exclude it, because they need the baseline as the first
+        previous frame.
+        """
+        return self.joint and objective.relative and not objective.weighs_previous
 
     def check_scene(self, scene: Scene) -> None:
         """Raise InputError where formulations with node voltages do not support the scene, such as a wired panel."""

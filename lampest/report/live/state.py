@@ -133,7 +133,7 @@ class PanelState:
         if scene.panel.modules is not None and estimator.error_bars == "auto":
             estimator = replace(estimator, error_bars=False)
         start = cls(begin_stream(estimator, scene, period, resting), PressureTrack.begin(scene, tare=estimator.tare))
-        return start.in_haste() if hasty and not start.stream.parts else start
+        return start.in_haste() if hasty and not start.stream.modules else start
 
     def in_haste(self) -> "PanelState":
         """Return a state that solves frames as fast as possible and leaves error bars and weights to second looks.
@@ -192,7 +192,7 @@ class PanelState:
 def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> tuple[PanelState, Picture]:
     """Solve a frame without its outliers; return the next state and the picture, with NaN if the solve failed."""
     stream, before, outliers = state.stream, state.previous, 0
-    if not stream.parts:
+    if not stream.modules:
         state = replace(state, previous=before.after(readings))
         known = stream.scene, stream.resting, stream.baseline_resistance
         readings, outliers = before.without_outliers(readings, *known)
