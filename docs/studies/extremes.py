@@ -17,8 +17,7 @@ from matplotlib.patheffects import withStroke
 from docs.studies import script
 from lampest.report.plots.style import ORANGE, RAISED, SMALL_POINT, TEXT_POINT, new_figure
 from lampest.studies import study
-from lampest.studies.extremes.run import STUDY, Solve
-from lampest.studies.extremes.scenes import CASES, GRID
+from lampest.studies.extremes import CASES, GRID, STUDY, Solve
 
 COLOURS = "YlGnBu"
 

@@ -4,14 +4,12 @@ Run it with: python -m docs.studies.paper [--out DIR] [--jobs N]
 """
 
 from dataclasses import replace
-from math import nan
 from pathlib import Path
 
 from docs.studies import script
 from docs.studies.as_published import left_by_solver
 from lampest.report.compare import statistics
-from lampest.studies.paper.page import paper_study
-from lampest.studies.paper.sides import MEASURED, Published, Side, StepsSeen, shown, unloaded
+from lampest.studies.paper import MEASURED, TIME, Published, Side, paper_study, shown, unloaded
 
 
 def its_solver(panel: Side, published: Published) -> Side:
@@ -27,10 +25,9 @@ def its_solver(panel: Side, published: Published) -> Side:
         changes[method, number] = results.change
         parts = {"initial": slice(1), "following": slice(1, None)} if results.joint else {"all": slice(None)}
         for name, part in parts.items() if not number else ():
-            mean, sd = statistics(results.data_error[part], "{}", "mean", "sd").values()
+            figures = statistics(results.data_error[part], "data error {} [%]", "mean", "sd")
             # Table I: LSM's 16.45 ± 0.40 s are its limit of 10,000 evaluations and one derivative.
-            time = 16.45 / 10_100 * float(results.evaluations[part].mean())
-            steps[method, name] = StepsSeen(nan if mean is None else mean, nan if sd is None else sd, time)
+            steps[method, name] = figures | {TIME[3]: 16.45 / 10_100 * float(results.evaluations[part].mean())}
     return shown(replace(panel, name="its solver", word="solver", changes=changes, steps=steps))
 
 

@@ -27,7 +27,7 @@ from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.recording.simulation import read_simulations
 from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
-from lampest.studies.paper.sides import FILE, read_published
+from lampest.studies.paper import FILE, read_published
 
 # What is searched: name → least, most, and whether by its logarithm.
 BOX: Mapping[str, tuple[float, float, bool]] = {

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from lampest.recording.recording import MEASURED, Recording
-from lampest.report.live.run import Replay, live
+from lampest.report.live.run import Outlets, Replay, chosen, live
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 RATE = 30.0
@@ -127,7 +127,7 @@ def measured(kind: str, where: str, frames: int, estimator: str) -> np.ndarray:
         command = [sys.executable, "-m", "docs.studies.publish", "--listen", kind, where, str(seconds)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as listener:
             time.sleep(2)
-            live(Replay(path), http="127.0.0.1:0", frames=WARM + frames, publish=(where,), method=estimator)
+            live(Replay(path), chosen(estimator, None), Outlets("127.0.0.1:0", publish=(where,)), WARM + frames)
             came = json.loads(listener.communicate()[0])
     return 1e3 * np.array([times for sequence, *times in came if sequence > WARM])
 
@@ -138,7 +138,7 @@ def main() -> None:
     parser.add_argument("--kind", choices=list(addresses("")))
     parser.add_argument("--frames", type=int, default=600)
     parser.add_argument("--broker", default="127.0.0.1:1883")
-    parser.add_argument("--estimator", default="LSR-gCR")
+    parser.add_argument("--estimator", default="smooth")
     parser.add_argument("--listen", nargs=3)
     given = parser.parse_args()
     if given.listen:

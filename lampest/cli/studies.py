@@ -24,15 +24,15 @@ STUDIES = {
         """,
     ),
     "tradeoff": (
-        "lampest.studies.tradeoff_report",
+        "lampest.studies.tradeoff",
         "Measure accuracy against speed of all formulations; table, HDF5 and figure.",
     ),
     "extremes": (
-        "lampest.studies.extremes.run",
+        "lampest.studies.extremes",
         "Solve scenes at the limits of measurement and report how each ended; table and HDF5.",
     ),
     "weights": (
-        "lampest.studies.weights_report",
+        "lampest.studies.weights",
         "Plot weight selection: evidence, misfit, penalty and true error over λ, with every rule's choice.",
     ),
 }
@@ -74,7 +74,7 @@ def paper(
 
     Writes paper.html, numbers.csv and every figure as PNG.
     """
-    from lampest.studies.paper.page import paper_study
+    from lampest.studies.paper import paper_study
 
     folder = out or Path("results/paper")
     run_study(paper_study(folder, jobs), config, folder, None)

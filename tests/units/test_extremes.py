@@ -27,8 +27,12 @@ from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.recording.readings import AT_LEAST, AT_MOST
 from lampest.solvers.multistart import best_solution, evaluated
-from lampest.studies.extremes.run import (
+from lampest.studies.extremes import (
+    CASES,
     CRASHED,
+    AtlasFile,
+    AtlasSample,
+    Grid,
     Solve,
     _parts,
     atlas_remarks,
@@ -37,10 +41,10 @@ from lampest.studies.extremes.run import (
     exact_residual,
     fifty_digits,
     mild,
+    recording_of,
     run_atlas,
     solves_of,
 )
-from lampest.studies.extremes.scenes import CASES, AtlasFile, AtlasSample, Grid, recording_of
 from lampest.studies.study import read_settings
 
 ROOT = Path(__file__).parents[2]
@@ -328,7 +332,7 @@ def test_crashes_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     def breaks(*arguments: object) -> None:
         raise KeyError("gone")
 
-    monkeypatch.setattr("lampest.studies.extremes.run.first_stream", breaks)
+    monkeypatch.setattr("lampest.studies.extremes.first_stream", breaks)
     atlas = read_tiny()
     found = run_atlas(atlas)
     assert all(solve.crashed and "KeyError" in solve.status for solve in found)

@@ -17,11 +17,35 @@ from lampest import Array, InputError, Panel, Recording, Scene
 from lampest.runs.config import read_run
 from lampest.runs.results import Results
 from lampest.studies import common, tradeoff, weights
-from lampest.studies.paper import page, sides
-from lampest.studies.paper.page import Paper, PublishedNumber, counts, covered
-from lampest.studies.paper.sides import FILE, LoadSeen, Published, Side, StepsSeen, read_published
-from lampest.studies.tradeoff import Plan, Simulated, TradeoffFile, TradeoffFrame, label, read_plan, run_tradeoff
-from lampest.studies.tradeoff_report import STUDY, front, ladder_rows, on_front, tradeoff_figure, tradeoff_table
+from lampest.studies import paper as page
+from lampest.studies.paper import (
+    ERROR,
+    ERROR_SD,
+    FILE,
+    TIME,
+    Paper,
+    Published,
+    PublishedNumber,
+    Side,
+    counts,
+    covered,
+    read_published,
+)
+from lampest.studies.tradeoff import (
+    STUDY,
+    Plan,
+    Simulated,
+    TradeoffFile,
+    TradeoffFrame,
+    front,
+    label,
+    ladder_rows,
+    on_front,
+    read_plan,
+    run_tradeoff,
+    tradeoff_figure,
+    tradeoff_table,
+)
 from lampest.studies.weights import CurvePoint, why_not
 from tests.small_files import TRADEOFF, exact, write_recording
 
@@ -439,8 +463,11 @@ def compared_side(word: str, factor: float, published: Published) -> Side:
     for row in published.ranges:
         for number in (0, 1):
             changes[row.method, number] = factor * np.array([[row.low, row.low, row.high], [row.high] * 2 + [NAN]])
-    steps = {(row.method, row.steps): StepsSeen(factor * row.error_percent, 1.0, 2.0) for row in published.errors[1:]}
-    loads = {load.letter: LoadSeen(changes["LSM", 0], (-20.0, 31.25)) for load in published.loads}
+    steps = {
+        (row.method, row.steps): {ERROR[3]: factor * row.error_percent, ERROR_SD[3]: 1.0, TIME[3]: 2.0}
+        for row in published.errors[1:]
+    }
+    loads = {load.letter: (changes["LSM", 0], np.array([-20.0, 31.25])) for load in published.loads}
     mouth = Recording(Scene(Panel(2, 3)), np.ones((1, 2, 3)), np.zeros(1), np.zeros(1, dtype=np.uint8))
     return Side(f"{word} scenes", word, [mouth, mouth], loads, changes, steps)
 
@@ -541,31 +568,31 @@ def mouth_of(values: list[float], name: str) -> Recording:
     return Recording(Scene(Panel(2, 3)), recorded, np.arange(len(recorded)), role, truth_pressure=pressure, name=name)
 
 
-def test_a_side_shows_the_strongest_frame_of_clean_scenes_and_else_the_first(tmp_path: Path) -> None:
+def test_a_side_shows_the_strongest_frame_of_clean_scenes_and_else_the_first() -> None:
     mouths = [mouth_of([90.0, 50.5, 99.0], "large"), mouth_of([202.0, 101.0], "small")]
-    assert [sides.furthest_frame(mouth) for mouth in mouths] == [1, 0]
-    np.testing.assert_allclose(sides.unloaded(mouths[0]), 101)
+    assert [page.shown_change(mouth)[0] for mouth in mouths] == [3, 2]
+    np.testing.assert_allclose(page.unloaded(mouths[0]), 101)
     changes = {("LSM", number): np.arange(3.0)[:, None, None] * np.ones((2, 3)) for number in (0, 1)}
     for word, frame, measured in (("clean", 1, -50.0), ("panel", 0, 100 * (90 / 101 - 1))):
-        side = sides.shown(Side("some", word, mouths, {}, changes, {}))
+        side = page.shown(Side("some", word, mouths, {}, changes, {}))
         assert side.change("LSM")[0, 0] == frame and side.change("LSM", 1)[0, 0] == 0
         assert side.change("measured")[0, 1] == pytest.approx(measured) and side.change("measured")[1, 1] == 0
         assert side.change("measured", 1)[0, 1] == pytest.approx(100)
-    mouths[0].save(tmp_path / "load.h5")
-    load = sides._load(tmp_path / "load.h5")
-    assert load.felt == (18, 23) and load.change[0, 1] == pytest.approx(-50)
+    change, felt = page.load_of(mouths[0])
+    assert (felt.min(), felt.max()) == (18, 23) and change[0, 1] == pytest.approx(-50)
 
 
 def test_steps_of_a_side_are_those_of_its_large_mouth() -> None:
     """Means of |f(r) − R|/R in percent, of the frames but the first for what follows it."""
     cases = [invented_case(method, mouth) for method in ("LSM", "LSR-dCR") for mouth in ("large", "small")]
     cases = [replace(case, measured=case.reading_model / 1.05, solve_time=np.array([9.0, 1.0, 3.0])) for case in cases]
-    changes, steps = sides._optima(Results(tuple(cases)), [mouth_of([1.0], name) for name in ("large", "small")])
+    changes, steps = page.optima(Results(tuple(cases)), [mouth_of([1.0], name) for name in ("large", "small")])
     assert changes.keys() == {(method, number) for method in ("LSM", "LSR-dCR") for number in (0, 1)}
     np.testing.assert_array_equal(changes["LSR-dCR", 1], cases[3].relative_change)
-    assert steps["LSM", "all"].error == pytest.approx(5)
-    assert steps["LSR-dCR", "following"].time == 2 and steps["LSR-dCR", "initial"].time == pytest.approx(9)
-    assert steps["LSM", "all"].time == pytest.approx(13 / 3) and steps["LSM", "all"].error_sd == pytest.approx(0)
+    error, error_sd, time = (header for *_, header in (ERROR, ERROR_SD, TIME))
+    alone, first, later = steps["LSM", "all"], steps["LSR-dCR", "initial"], steps["LSR-dCR", "following"]
+    assert (alone[error], alone[error_sd]) == (pytest.approx(5), pytest.approx(0))
+    assert (alone[time], first[time], later[time]) == (pytest.approx(13 / 3), pytest.approx(9), 2)
 
 
 def test_an_audit_in_which_every_estimator_fails_keeps_no_promise() -> None:
