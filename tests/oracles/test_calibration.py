@@ -18,11 +18,11 @@ from lampest.estimate.calibration.response import (
     ENDS,
     FittedResponse,
     Loaded,
-    _Answers,
     _falls,
     deviations_from_others,
     fit_loads,
     response_of,
+    with_least_squares,
 )
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import parse_document, validated
@@ -551,22 +551,24 @@ def test_gains_and_pieces_balance_what_answers_and_their_own_spreads_pull() -> N
     rng = np.random.default_rng(6)
     pressure = np.repeat([[1.0], [6.0], [20.0]], 4, axis=1)
     change = np.exp(0.3 * rng.standard_normal((3, 4))) * PUBLISHED.logarithm(pressure)
-    answers = _Answers.of(Loaded(change, np.full((3, 4), 0.05), pressure, 0.1 * pressure, np.zeros(4)))
+    loaded = Loaded(change, np.full((3, 4), 0.05), pressure, 0.1 * pressure, np.zeros(4))
     pieces = len(ENDS) + 1
-    begun = FittedResponse(np.zeros(4), np.zeros(pieces), np.zeros((0, 0)), 0.2, 0.05, np.ones(4, dtype=bool))
-    weight, found = answers.weight(begun), answers.with_least_squares(begun)
-    expected = begun.answers(_falls(pressure, PUBLISHED)).ravel()
+    begun = FittedResponse(np.zeros(4 + pieces), np.zeros((0, 0)), 0.2, 0.05, np.ones(4, dtype=bool))
+    weight, found = loaded.weight(begun), with_least_squares(loaded, begun)
+    expected = begun.parts(_falls(pressure, PUBLISHED)).sum(axis=-1).ravel()
     place = (_falls(1.1 * pressure, PUBLISHED) - _falls(0.9 * pressure, PUBLISHED)).sum(axis=2).ravel() / 2
     np.testing.assert_allclose(weight**-2, 0.05**2 + place**2 + (0.05 * expected) ** 2)
     units = 1e-5 * np.eye(4 + pieces)
-    ends = [[answers.rows(found.at(found.state + side * unit), weight)[0] for unit in units] for side in (1, -1)]
+    ends = [
+        [loaded.rows(replace(found, state=found.state + side * unit), weight)[0] for unit in units] for side in (1, -1)
+    ]
     slopes = np.subtract(*ends).T / 2e-5
     walk = np.diff(np.eye(pieces), axis=0)
     prior = np.zeros((4 + pieces, 4 + pieces))
     prior[:4, :4], prior[4:, 4:] = np.eye(4) / 0.2**2, walk.T @ walk / 0.6**2
     first = 4 + int(np.flatnonzero(np.append(ENDS, np.inf) > 0)[0])  # the piece from 0 kPa on
     prior[first, first] += 1.0
-    residual = answers.rows(found, weight)[0]
+    residual = loaded.rows(found, weight)[0]
     np.testing.assert_allclose(slopes.T @ residual + prior @ found.state, 0.0, atol=1e-5)
     np.testing.assert_allclose(found.covariance, np.linalg.inv(slopes.T @ slopes + prior), rtol=1e-4, atol=1e-7)
     assert np.abs(found.gains).max() > 0.05

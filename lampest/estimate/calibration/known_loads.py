@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
@@ -17,8 +18,9 @@ from lampest.files.whole import note_read
 from lampest.loads.pressure import GRAVITY
 from lampest.loads.recognition.observation import patch_of
 from lampest.loads.shapes import Block, Rod
-from lampest.loads.shapes.shape import Shape
 from lampest.panel.panel import Array, Panel
+
+WRONG_ROW = "each load needs a frame in the columns first and last, and no more cells"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +41,7 @@ class KnownLoad:
     Raises
     ------
     ValueError
-        If a number is out of range.
+        If a number is out of range, or the numbers do not make one load.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -61,9 +63,6 @@ class KnownLoad:
         check_positive_fields(self, "mass_g", "force_newton", "diameter_mm", "length_mm", "width_mm")
         if self.pressure_kpa is not None and not 1e-6 < abs(self.pressure_kpa) < 1e4:
             raise ValueError("pressure_kpa must not be 0, and below 1e4")
-
-    def check(self) -> None:
-        """Raise ValueError unless these numbers make one load."""
         if [self.mass_g, self.force_newton, self.pressure_kpa].count(None) != 2:
             raise ValueError("a load needs one of mass_g, force_newton and pressure_kpa")
         given = tuple(number is not None for number in (self.diameter_mm, self.length_mm, self.width_mm))
@@ -75,7 +74,7 @@ class KnownLoad:
             raise ValueError("a weight or force needs its foot: diameter_mm, or length_mm and width_mm")
 
     def pressure(self, panel: Panel, patch_mm: float, along_mm: float = 0.0, down_mm: float = 0.0) -> Array:
-        """Return the mean pressure on every patch, (rows, columns) kPa. Raises ValueError as `check`.
+        """Return the mean pressure on every patch, (rows, columns) kPa.
 
         Parameters
         ----------
@@ -85,20 +84,17 @@ class KnownLoad:
         along_mm, down_mm : float
             Displacement of the foot along x and y.
         """
-        self.check()
         if self.x_mm is None or self.y_mm is None:
             return np.full(panel.shape, self.pressure_kpa)
-        centre, length, width = (self.x_mm + along_mm, self.y_mm + down_mm), self.length_mm or 0.0, self.width_mm or 0.0
-        foot: Shape  # under a weight of 1 g
-        if self.diameter_mm is not None:
-            foot, area = Rod(centre_mm=centre, diameter_mm=self.diameter_mm, mass_g=1.0), pi / 4 * self.diameter_mm**2
-        else:
-            foot = Block(centre_mm=centre, length_mm=length, width_mm=width, angle_deg=self.angle_deg, mass_g=1.0)
-            area = length * width
+        length, width, diameter = (size or 0.0 for size in (self.length_mm, self.width_mm, self.diameter_mm))
+        area = length * width or pi / 4 * diameter**2
+        # a foot under 1 kPa, whose mean pressure on a patch is the share of the patch that it covers
+        under: dict[str, Any] = {"centre_mm": (self.x_mm + along_mm, self.y_mm + down_mm), "mass_g": area / GRAVITY}
+        block = {"length_mm": length, "width_mm": width, "angle_deg": self.angle_deg}
+        foot = Rod(diameter_mm=diameter, **under) if diameter else Block(**block, **under)
         newton = self.force_newton or (self.mass_g or 0.0) * GRAVITY * 1e-3
         kpa = newton / area * 1e3 if self.pressure_kpa is None else self.pressure_kpa
-        contact, _ = foot.mean_pressure(panel, patch_mm)
-        return np.asarray(kpa * contact / (GRAVITY / area))
+        return np.asarray(kpa * foot.mean_pressure(panel, patch_mm)[0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,18 +144,12 @@ def read_known_loads(path: Path) -> KnownLoads:
     table = path.suffix.lower() == ".csv"
     try:
         document = parse_document(_as_yaml(path), str(path)) if table else read_document(path)
-        known = cast(KnownLoads, validated(document, KnownLoads))
-        for number, load in enumerate(known.loads):
-            try:
-                load.check()
-            except ValueError as error:
-                raise document.error(("loads", number), str(error)) from error
+        return cast(KnownLoads, validated(document, KnownLoads))
     except InputError as error:
         if not table:
             raise
         # The column number refers to the YAML, and is removed.
         raise InputError(re.sub(rf"^({re.escape(str(path))}:\d+):\d+", r"\1", str(error))) from error
-    return known
 
 
 def _as_yaml(path: Path) -> str:
@@ -174,9 +164,7 @@ def _as_yaml(path: Path) -> str:
     for number, row in enumerate(rows, 2):
         cells = {name: _scalar(cell) for name, cell in zip(names, row, strict=False) if cell}
         if cells and not (cells.keys() >= {"first", "last"} and len(row) <= len(names)):
-            raise InputError(
-                f"{path}:{number}: each load needs a frame in the columns first and last, and no more cells"
-            )
+            raise InputError(f"{path}:{number}: {WRONG_ROW}")
         text.append(json.dumps({"frames": [cells.pop("first"), cells.pop("last")]} | cells) + "," if cells else "")
     return "\n".join([*text, "]}"])
 
@@ -184,8 +172,6 @@ def _as_yaml(path: Path) -> str:
 def _scalar(cell: str) -> float | str:
     """Return the number in a cell, or its text."""
     for kind in (int, float):
-        try:
+        with suppress(ValueError):
             return kind(cell)
-        except ValueError:
-            continue
     return cell

@@ -68,21 +68,18 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     # Loads have to lie on the film, and not on the same cells at the same time.
     pressure, pressure_sd = known.pressures(scene.panel)
     felt = pressure != 0
-    for number, cells in enumerate(felt):
-        if not cells.any():
-            raise InputError(f"load {number + 1}: its foot misses the film of every cell")
+    for number in np.flatnonzero(~felt.any(axis=(1, 2))):
+        raise InputError(f"load {number + 1}: its foot misses the film of every cell")
     begin, end = np.array([load.frames for load in loads]).T
     overlap = np.maximum(begin[:, None], begin) <= np.minimum(end[:, None], end)
     together = (place[:, None] == place) & overlap
-    for first, second in np.argwhere(np.triu(together, 1)):
-        if np.any(felt[first] & felt[second]):
-            raise InputError(
-                f"loads {first + 1} and {second + 1} lie on the same cells in the same frames: give one line"
-            )
+    common = np.any(felt[:, None] & felt, axis=(2, 3))
+    for first, second in 1 + np.argwhere(np.triu(together & common, 1)):
+        raise InputError(f"loads {first} and {second} lie on the same cells in the same frames: give one line")
     # The fit, and doubts about its loads.
     base, water = scene.response or PUBLISHED, water_pressure(scene.panel, scene.water)
-    flat = [values.reshape(len(loads), -1) for values in (change, sd, pressure, pressure_sd)]
-    loaded = Loaded(flat[0], flat[1], flat[2], flat[3], water.ravel(), base)
+    flat = (values.reshape(len(loads), -1) for values in (change, sd, pressure, pressure_sd))
+    loaded = Loaded(*flat, water.ravel(), base)
     fitted = fit_loads(loaded)
     if not fitted.touched.any():
         raise InputError("no cell under a load has an estimate with error bars: is the readout's noise in the scene?")
@@ -96,32 +93,24 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
             response = response_of(fitted, base, scene.panel.shape, tolerance)
     except ValueError as error:
         raise InputError(f"the loads make a curve that no film has: {UNITS}") from error
-    doubts = (
-        _named("{} answers otherwise than the others let expect: is its weight right?", _odd_loads(loaded, fitted)),
-        _unlike_first_guess(fitted, pressure, base),
-        _named("readings change within the frames of {}: were they put on or taken off then?", within > CHANGED),
-        _named(
-            "cells beside the foot of {} answer as those under it: are places, frames and diameter_mm right?",
-            _beside(change, felt, pressure_sd, together) > BESIDE,
+    concerned = {
+        "{} answers otherwise than the others let expect: is its weight right?": _odd_loads(loaded, fitted),
+        "readings change within the frames of {}: were they put on or taken off then?": within > CHANGED,
+        "cells beside the foot of {} answer as those under it: are places, frames and diameter_mm right?": (
+            _beside(change, felt, pressure_sd, together) > BESIDE
         ),
-    )
-    blank = int((~fitted.touched).sum())
+    }
+    doubts = [_named(sentence, numbers) for sentence, numbers in concerned.items()]
+    doubts.insert(1, _unlike_first_guess(fitted, pressure, base))
+    touched, blank = fitted.touched.sum(), (~fitted.touched).sum()
     summary = (
-        f"response from {len(loads)} loads on {fitted.touched.sum()} of {fitted.touched.size} cells: gains spread by "
+        f"response from {len(loads)} loads on {touched} of {fitted.touched.size} cells: gains spread by "
         f"{100 * fitted.spread:.1f} %, a cell answers alike within {100 * fitted.scatter:.1f} %"
     )
-    remarks = (
-        summary,
-        "response.sd: relative standard deviation of ln(r/r0), of all cells alike; response.gain_sd: of each cell",
-        *([f"{blank} cells felt no load: they have the common curve and the spread"] if blank else []),
-    )
-    return LoadCalibration(
-        scene=replace(scene, response=response),
-        summary=summary,
-        remarks=remarks,
-        warnings=tuple(filter(None, doubts)),
-        fitted=fitted,
-    )
+    sds = "response.sd: relative standard deviation of ln(r/r0), of all cells alike; response.gain_sd: of each cell"
+    felt_none = [f"{blank} cells felt no load: they have the common curve and the spread"] if blank else []
+    known_film, remarks, warnings = replace(scene, response=response), (summary, sds, *felt_none), filter(None, doubts)
+    return LoadCalibration(scene=known_film, summary=summary, remarks=remarks, warnings=tuple(warnings), fitted=fitted)
 
 
 def _odd_loads(loaded: Loaded, fitted: FittedResponse) -> NDArray[np.bool_]:
