@@ -209,7 +209,7 @@ class ExplainedRecording:
             question = replace(self.question, standing=last)
             latest = frame.refitted(question.readings(question.specified)[1], ())
             pairs += [] if latest is None else [(question.loaded, FittedPair.of(resting, latest))]
-        search = Detector(scene.panel, patch_of(scene.panel)).search
+        search = Detector(patch_of(scene.panel)).search(scene.panel)
         loaded = resting.fit.tail >= SIGNIFICANCE and search.lies_on(np.log(resting.fit.cells))
         return replace(find_effects(pairs), loaded_at_rest=loaded)
 

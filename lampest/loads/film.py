@@ -70,15 +70,12 @@ class Plays:
     def at_rest(cls, hysteresis: Array) -> "Plays":
         """Return the state before the first load of cells with the largest gap η, of any shape."""
         # s; corners t of the hyperbola, and p_e/P there
-        steep = (1 + hysteresis) / (1 - hysteresis)
-        cut = CUTS.reshape(-1, *[1] * np.ndim(hysteresis))
-        below, above = 1 / (1 + steep * np.exp(-cut)), 1 / (1 + np.exp(-cut) / steep)
-        nothing, whole = np.zeros((1, *np.shape(hysteresis))), np.ones((1, *np.shape(hysteresis)))
+        steep, cut = (1 + hysteresis) / (1 - hysteresis), np.exp(CUTS.reshape(-1, *[1] * np.ndim(hysteresis)))
+        corners, effective = 1 / (1 + steep / cut), 1 / (1 + 1 / (steep * cut))
         # slopes of the lines; differences of successive slopes give w_i, the last slope is w_0
-        rise, run = (np.diff(np.concatenate([nothing, part, whole]), axis=0) for part in (above, below))
-        slopes = rise / run
-        weight = np.concatenate([slopes[-1:], -np.diff(slopes, axis=0) * below])
-        return cls(weight, 1 / below, np.zeros_like(below))
+        slopes = np.diff(effective, axis=0, prepend=0, append=1) / np.diff(corners, axis=0, prepend=0, append=1)
+        weight = np.concatenate([slopes[-1:], -np.diff(slopes, axis=0) * corners])
+        return cls(weight, 1 / corners, np.zeros_like(corners))
 
     def after(self, pressure: Array) -> "Plays":
         """Return the plays after a monotone change to a pressure (...) kPa: z_i clipped between p and b_i p."""
@@ -295,14 +292,11 @@ class FilmKnown:
 
         The first is the mean film; each further film has one uncertain strength increased by its standard deviation.
         """
+        films = [(0.0, 0.0), *[(1.0, 0.0)] * (self.hysteresis.sd > 0), *[(0.0, 1.0)] * (self.creep.sd > 0)]
+        plus, plus_creep = np.array(films).T[..., None, None] * np.ones(water.shape)
         creep, creep_sd = self.cells or self.creep
-        more = [(0, 0), *([(1, 0)] if self.hysteresis.sd else []), *([(0, 1)] if self.creep.sd else [])]
-        gap = np.stack(
-            [np.full(water.shape, self.hysteresis.mean + deviation * self.hysteresis.sd) for deviation, _ in more]
-        )
-        strength = np.stack([np.broadcast_to(creep + deviation * creep_sd, water.shape) for _, deviation in more])
-        gain = np.broadcast_to(self.film.answer * response.gains, gap.shape)
-        return FilmMemory.at_rest(gap, strength, gain, water, response)
+        gap, strength = self.hysteresis.mean + plus * self.hysteresis.sd, creep + plus_creep * creep_sd
+        return FilmMemory.at_rest(gap, strength, self.film.answer * response.gains + 0 * gap, water, response)
 
     def estimated(self, change: Array, sd: Array, time: Array) -> "FilmKnown":
         """Return the film with the posterior of its creep, given a recording; unchanged where the scene specifies it.

@@ -5,7 +5,7 @@ import numpy as np
 from lampest import Panel, Scene, Shape, Simulation, TwoPointReadout, simulate
 from lampest.loads.recognition.candidates import LOADS
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.evidence import Verdict
+from lampest.loads.recognition.fit import Verdict
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
 from lampest.loads.shapes.shape import Candidate
 
@@ -24,4 +24,4 @@ def frame_under(load: Shape, panel: Panel) -> Observation:
 def verdict_on(load: Shape, loads: tuple[Candidate, ...] = LOADS, panel: Panel = PANEL) -> Verdict:
     """What one frame of a panel under a load is called, with these candidates for loads."""
     frame = frame_under(load, panel)
-    return Detector(panel, PATCH_MM, loads).verdict(frame)
+    return Detector(PATCH_MM, loads).verdict(frame)

@@ -119,7 +119,7 @@ def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> N
     """Tilts and lobes beyond one turn a strong rim into suction of many atmospheres: no network has such cells."""
     panel, rng = Panel(6, 6), np.random.default_rng(4)
     frame = frame_under(load_of(Rod), panel)
-    fitting, whitening = Fitting(panel, PATCH_MM, candidate, frame), Whitening.at_rest(frame)
+    fitting, whitening = Fitting(candidate, frame, PATCH_MM), Whitening.about(frame)
     mean, sd = candidate.mean(panel), candidate.sd(panel)
     for _ in range(60):
         parameters = mean + SIGNIFICANT * sd * rng.choice([-1, 0, 1], len(mean))

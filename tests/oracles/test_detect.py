@@ -13,9 +13,19 @@ from lampest import Array, Block, Film, OralDisc, Panel, Recording, Ring, Rod, S
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.candidates import AND, FLAT, UNIFORM, Several
 from lampest.loads.recognition.candidates import LOADS as SHAPED
-from lampest.loads.recognition.detector import Detector, discs_of
-from lampest.loads.recognition.evidence import IMPOSSIBLE, RARE_LOG_ODDS, Verdict, prior_cost, rises
-from lampest.loads.recognition.fit import SD, field_fit, paid, prior, states
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.fit import (
+    IMPOSSIBLE,
+    RARE_LOG_ODDS,
+    SD,
+    Verdict,
+    field_fit,
+    paid,
+    prior,
+    prior_cost,
+    rises,
+    states,
+)
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, Whitening, outliers
 from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.loads.shapes.disc import Disc
@@ -57,7 +67,7 @@ def frames_of(recording: Recording, measured: Any = None, errors: ModelErrors | 
 
 
 def seen(frames: list[Any], panel: Panel = PANEL) -> list[Verdict]:
-    detector = Detector(panel, 0.6 * panel.pitch_mm)
+    detector = Detector(0.6 * panel.pitch_mm)
     verdicts: list[Verdict] = []
     for frame in frames:
         verdicts.append(detector.verdict(frame, verdicts[-1] if verdicts else None))
@@ -153,7 +163,7 @@ def test_two_mouths_are_two(places: Any, forms: Any, panel: Panel, unmodelled: U
     mouths = [mouth(place, size, **form) for place, (size, form) in zip(places, forms, strict=True)]
     verdict = verdict_on(*mouths, panel=panel, unmodelled=unmodelled or Unmodelled())
     assert verdict.best.candidate.label == TWO and isinstance(verdict.best.candidate, Several)
-    discs = sorted(discs_of(verdict.best), key=lambda disc: disc.x_mm)
+    discs = sorted(verdict.best.discs, key=lambda disc: disc.x_mm)
     if forms is UNEVEN:
         np.testing.assert_allclose([disc.diameter_mm for disc in discs], [size for size, _ in forms], atol=2.0)
     if forms is SMALL:  # a row of cells hardly tells its two sides apart
@@ -161,14 +171,23 @@ def test_two_mouths_are_two(places: Any, forms: Any, panel: Panel, unmodelled: U
 
 
 @pytest.mark.slow
-def test_loads_do_not_stand_in_one_place() -> None:
-    fit = verdict_on(MOUTH).best
+def test_loads_in_one_place_and_hidden_suction_are_improbable() -> None:
+    frame = frames_of(recorded(MOUTH))[-1]
+    fit = seen([frame])[0].best
+    assert fit.change.max() > 1 and prior_cost(fit, frame) == pytest.approx(0, abs=0.1)
     both = Several.of((OralDisc.candidate, OralDisc.candidate))
     for shift, cost in ((0.0, IMPOSSIBLE), (60.0, 0.0)):
         other = fit.parameters + np.eye(len(fit.parameters))[0] * shift
         twice = replace(fit, candidate=both, parameters=np.concatenate([fit.parameters, other]))
-        alone = prior_cost(PANEL, replace(fit, parameters=other)) if shift == 0 else IMPOSSIBLE  # no cell rises there
-        assert prior_cost(PANEL, twice) == pytest.approx(prior_cost(PANEL, fit) + alone + cost + RARE_LOG_ODDS, abs=0.5)
+        alone = prior_cost(replace(fit, parameters=other), frame) if shift == 0 else IMPOSSIBLE  # no cell rises there
+        assert prior_cost(twice, frame) == pytest.approx(alone + cost + RARE_LOG_ODDS, abs=0.5)
+    hidden = replace(fit, change=np.minimum(fit.change, 0))
+    assert prior_cost(hidden, frame) == IMPOSSIBLE
+    pressed = frames_of(recorded(Rod(centre_mm=(45, 45), diameter_mm=35, mass_g=500)))[-1]
+    assert not rises(pressed) and prior_cost(fit, pressed) > 0.8 * IMPOSSIBLE
+    disc = hidden.candidate.disc(hidden.parameters)
+    ring = replace(hidden, candidate=Ring.candidate, parameters=Ring.candidate.start(disc))
+    assert prior_cost(ring, frame) == 0
 
 
 @pytest.mark.slow
@@ -216,19 +235,6 @@ def test_a_thin_line_is_no_lamprey(place: tuple[float, float], angle_deg: float)
     assert verdict.sucks_at(None) < 0.1
 
 
-@pytest.mark.slow
-def test_hidden_suction_counts_less() -> None:
-    verdict = verdict_on(MOUTH)
-    assert verdict.best.change.max() > 1 and prior_cost(PANEL, verdict.best) == pytest.approx(0, abs=0.1)
-    hidden = replace(verdict.best, change=np.minimum(verdict.best.change, 0))
-    assert prior_cost(PANEL, hidden) == IMPOSSIBLE
-    pressed = frames_of(recorded(Rod(centre_mm=(45, 45), diameter_mm=35, mass_g=500)))[-1]
-    assert not rises(pressed) and prior_cost(PANEL, verdict.best, pressed) > 0.8 * IMPOSSIBLE
-    disc = hidden.candidate.disc(hidden.parameters)
-    ring = replace(hidden, candidate=Ring.candidate, parameters=Ring.candidate.start(disc))
-    assert prior_cost(PANEL, ring) == 0
-
-
 def test_the_field_has_the_evidence_of_its_gaussian() -> None:
     """Where readings are straight in ln r, it is that of a Gaussian with the prior's covariance through them."""
     frame, cells = frames_of(recorded(frames=1))[0], PANEL.rows * PANEL.columns
@@ -266,7 +272,7 @@ def test_an_outlier_does_not_move_the_mouth(ohm: float, place: tuple[int, int]) 
 
 def test_an_outlier_is_the_reading_that_the_others_contradict() -> None:
     frame = frames_of(recorded(frames=1))[0]
-    weight = Whitening.at_rest(frame)
+    weight = Whitening.about(frame)
     residual = frame.residual()
     assert list(outliers(weight, residual)) == []
     residual[17] += 60.0
@@ -308,7 +314,7 @@ def watched(
     """
     readings = recordings[0].readings()
     resting = readings[[0, 1, 2]].mean()
-    panelled = Panelled(SQUARE, Detector(SQUARE.panel, 6.0), np.zeros(SQUARE.panel.shape), ModelErrors())
+    panelled = Panelled(SQUARE, Detector(6.0), np.zeros(SQUARE.panel.shape), ModelErrors())
     watch = Watch.begin(panelled, resting.value, readings.sigma[0], readings.value[:3], 0.0)
     rng, time = np.random.default_rng(3), 0.0
     wander = drift * (1 + 0.1 * rng.standard_normal(SQUARE.panel.shape))

@@ -17,10 +17,9 @@ from lampest.files.levels import SIGNIFICANT
 from lampest.loads.recognition.attachment import Attachment, attachments_of
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.evidence import Verdict
-from lampest.loads.recognition.fit import Fitting, along_diameter
+from lampest.loads.recognition.fit import Fitting, Verdict, along_diameter
 from lampest.loads.recognition.image import CALM_S, ImageWatch, Window
-from lampest.loads.recognition.observation import OUTLIER_SHARE, ModelErrors, Whitening, outliers
+from lampest.loads.recognition.observation import OUTLIER_SHARE, ModelErrors, Observation, Whitening, outliers
 from lampest.loads.recognition.watch import Panelled
 from lampest.panel.panel import EachModule, Modules
 from lampest.report.detect.answer import LAMPREY, Detected
@@ -127,7 +126,7 @@ def begun(layout: Modules, cells: Array, dead: tuple[int, ...] = ()) -> tuple[Im
     sigma = 0.002 * measured
     for number in dead:
         sigma[layout.cells(number)] = np.inf
-    panelled = Panelled(scene, Detector(scene.panel, 6.0), water, ModelErrors())
+    panelled = Panelled(scene, Detector(6.0), water, ModelErrors())
     return ImageWatch.begin(panelled, measured, sigma, np.stack([measured] * 3), 0.0), sigma
 
 
@@ -254,9 +253,9 @@ def test_recognition_looks_where_something_changed(tmp_path: Path, monkeypatch: 
     looks = list[tuple[int, ...]]()
     verdict = Detector.verdict
 
-    def counted(self: Detector, *given: Any) -> Any:
-        looks.append(self.panel.shape)
-        return verdict(self, *given)
+    def counted(self: Detector, frame: Observation, *given: Any) -> Any:
+        looks.append(frame.panel.shape)
+        return verdict(self, frame, *given)
 
     monkeypatch.setattr(Detector, "verdict", counted)
     scene = replace(SCENE, panel=Panel(modules=Modules(6, 6, EachModule(10, 10), 4.0)))
@@ -340,10 +339,10 @@ def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) ->
 
 @pytest.mark.slow
 def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> None:
-    frame, detector = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60), SMALL), Detector(SMALL, 6.0)
+    frame, detector = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60), SMALL), Detector(6.0)
     rod = next(fit for fit in detector.verdict(frame).loads if fit.candidate is Rod.candidate)
-    fitting = Fitting(SMALL, PATCH_MM, rod.candidate, frame)
-    whitening = Whitening.of(frame, detector.explained(frame, rod), rod.scatter)
+    fitting = Fitting(rod.candidate, frame, PATCH_MM)
+    whitening = fitting.errors(rod, rod.scatter)
     local = fitting.best(rod.parameters, whitening)
     wide = along_diameter(fitting, local, whitening)
     root = np.linalg.cholesky(wide.covariance) / len(wide.parameters) ** 0.5
@@ -420,10 +419,10 @@ def test_differences_of_evidence_count_less_where_shapes_compete_and_where_none_
     chi2 = np.where(evidence == 1.0, 100 * goodness, 1e4)
     fits: Any = [SimpleNamespace(evidence=own, chi2=misfit) for own, misfit in zip(evidence, chi2, strict=True)]
     costs = iter(before)
-    monkeypatch.setattr("lampest.loads.recognition.evidence.prior_cost", lambda *_: next(costs))
+    monkeypatch.setattr("lampest.loads.recognition.fit.prior_cost", lambda *_: next(costs))
     assert len(UNIFORM) == 2
     frame: Any = SimpleNamespace(measured=np.zeros((10, 10)))
-    verdict = Verdict.of(Panel(10, 10), fits, frame)
+    verdict = Verdict.of(fits, frame)
     shares = np.exp(counts * evidence - before)
     np.testing.assert_allclose(verdict.shares, shares / shares.sum())
     assert (verdict.goodness, verdict.evidence) == (pytest.approx(goodness), 0.5)
@@ -444,7 +443,7 @@ def test_a_load_sucks_since_it_stands_there_where_that_is_more_probable_than_not
 ) -> None:
     panel = Panel(6, 6)
     frame = frame_under(Rod(centre_mm=(26, 24), diameter_mm=30, mass_g=500), panel)
-    verdict = Detector(panel, PATCH_MM, LOADS[:1]).verdict(frame)
+    verdict = Detector(PATCH_MM, LOADS[:1]).verdict(frame)
     ((candidate, own),) = verdict.best.loads
     for probability, since in ((0.6, 3.5), (0.5, None), (0.4, None)):
         monkeypatch.setattr(Verdict, "sucks_at", lambda *_, share=probability: share)

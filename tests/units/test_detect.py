@@ -17,10 +17,9 @@ from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.breathing import Breath, Breathing
 from lampest.loads.recognition.candidates import FIELD, FLAT, NOTHING, Several
-from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.evidence import Verdict, prior_cost
-from lampest.loads.recognition.fit import Fit, Fitting, paid, prior, states
-from lampest.loads.recognition.observation import Baseline, Explained, ModelErrors, Observation, Whitening, counting
+from lampest.loads.recognition.detector import Detector, coarse_errors
+from lampest.loads.recognition.fit import Fit, Fitting, Verdict, paid, prior, prior_cost, states
+from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, Whitening, counting
 from lampest.loads.recognition.pumping import Pumping
 from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.loads.shapes.disc import Disc
@@ -131,7 +130,7 @@ def test_the_errors_of_a_frame_add_up() -> None:
     expected += slope @ resting @ slope.T
     np.testing.assert_allclose(frame.covariance(slope), expected)
     np.testing.assert_allclose(frame.covariance(slope, 0.3 * np.eye(6)), expected + 0.3 * slope @ slope.T)
-    rest, coarse = Whitening.at_rest(frame), Whitening.coarse(frame, np.zeros((2, 3)))
+    rest, coarse = Whitening.about(frame), coarse_errors(frame, np.zeros((2, 3)))[0]
     np.testing.assert_allclose(rest.root @ rest.root.T, expected)
     np.testing.assert_allclose(coarse.root @ coarse.root.T, expected + 0.04 * slope @ slope.T)
     assert rest.volume == pytest.approx(np.linalg.slogdet(expected)[1] / 2)
@@ -149,7 +148,7 @@ def test_a_film_departs_by_shares_of_what_it_answers() -> None:
     uneven = np.array([[1.0, -0.5 * (0.2 + 0.2 * near)], [-0.5 * (0.2 + 0.2 * near), 0.25]])
     shared = 0.15**2 * np.outer(change, change) + 0.13**2 * np.outer(patches, patches)
     expected = 0.3**2 * (uneven + np.diag([0.3**2, 0.6**2])) + shared
-    np.testing.assert_allclose(baseline.film(Explained(change, edges, patches), 0.3), expected)
+    np.testing.assert_allclose(baseline.film(np.stack([change, edges, patches]), 0.3), expected)
 
 
 def test_a_change_is_that_of_the_response_under_water_and_ends_where_a_cell_is_open() -> None:
@@ -227,8 +226,8 @@ def test_a_fit_is_as_wide_as_its_prior_where_nothing_was_read_and_else_as_its_cu
     for sigma in (1e9, 1.0):
         frame = at_rest(sigma)
         fitting, whitening, parameters = (
-            Fitting(SMALL.panel, 6.0, FLAT, frame),
-            Whitening.at_rest(frame),
+            Fitting(FLAT, frame, 6.0),
+            Whitening.about(frame),
             np.array([5.0]),
         )
         likelihood = fitting.about(parameters, whitening)
@@ -273,9 +272,17 @@ def fit_of(candidate: Any, disc: Disc, evidence: float = 0.0, change: float = 3.
 DISC = Disc(40.0, 30.0, 30.0, 18.0, -6.0, 40.0, 0.0, 0.0)
 
 
+def rising(change: float = 3.0) -> Any:
+    """A frame whose map lets every cell rise by that."""
+    shape = PANEL.shape
+    return SimpleNamespace(
+        measured=np.zeros(shape), highest=np.full(shape, change), panel=PANEL, baseline=at_rest().baseline
+    )
+
+
 def test_rare_loads_cost_beforehand() -> None:
     """One in twenty each further load; impossible are loads in one place, and suction that raises no cell."""
-    assert prior_cost(PANEL, fit_of(Rod.candidate, DISC, change=-1.0)) == 0
+    assert prior_cost(fit_of(Rod.candidate, DISC, change=-1.0), rising()) == 0
     twice = Several.of((Rod.candidate, Rod.candidate))
     for apart in (0.0, 20.0, 27.0, 31.0):
         fit = replace(
@@ -283,23 +290,24 @@ def test_rare_loads_cost_beforehand() -> None:
             parameters=np.concatenate([twice.parts[0].start(disc) for disc in (DISC, DISC._replace(y_mm=30 + apart))]),
         )
         share = max(30 - apart, 0) / 30
-        assert prior_cost(PANEL, fit) == pytest.approx(np.log(20) + 60 * (1 - np.exp(-((share / 0.25) ** 2))))
+        assert prior_cost(fit, rising()) == pytest.approx(np.log(20) + 60 * (1 - np.exp(-((share / 0.25) ** 2))))
     full = np.log(ratio_from_pressure(-6.0))
     for rise in (0.0, 0.1, 0.5):
-        cost = prior_cost(PANEL, fit_of(OralDisc.candidate, DISC, change=rise))
-        assert cost == pytest.approx(60 * np.exp(-((rise / max(0.2, 0.25 * full)) ** 2)))
+        costs = [
+            prior_cost(fit_of(OralDisc.candidate, DISC, change=own), rising(seen))
+            for own, seen in ((rise, 3.0), (3.0, rise))
+        ]
+        assert costs == pytest.approx(2 * [60 * np.exp(-((rise / max(0.2, 0.25 * full)) ** 2))])
 
 
 def test_a_verdict_weighs_half_of_what_evidence_says_and_less_where_nothing_fits() -> None:
     """80 readings; differences of evidence count by EVIDENCE_SHARE, over χ² per reading beyond 1."""
-    frame: Any = SimpleNamespace(
-        measured=np.zeros(PANEL.shape), highest=np.full(PANEL.shape, 3.0), baseline=at_rest().baseline
-    )
+    frame = rising()
     uniform = [fit_of(NOTHING, DISC, -50.0), fit_of(FLAT, DISC, -46.0)]
     rod, mouth, field = (
         fit_of(kind, DISC, one) for kind, one in ((Rod.candidate, 3.0), (OralDisc.candidate, 5.0), (FIELD, 1.0))
     )
-    verdict = Verdict.of(PANEL, [*uniform, rod, mouth, field], frame)
+    verdict = Verdict.of([*uniform, rod, mouth, field], frame)
     expected = np.exp(0.5 * np.array([-50, -46, 3, 5, 1]))
     np.testing.assert_allclose(verdict.shares, expected / expected.sum(), rtol=1e-6)
     assert (
@@ -315,16 +323,16 @@ def test_a_verdict_weighs_half_of_what_evidence_says_and_less_where_nothing_fits
         (DISC._replace(x_mm=55.1), 0),
     ):
         assert verdict.sucks_at(disc) == pytest.approx(share / (1 - verdict.nothing))
-    alone = Verdict.of(PANEL, uniform, frame)
+    alone = Verdict.of(uniform, frame)
     assert alone.shares[1] / alone.shares[0] == pytest.approx(np.exp(4)) and alone.loads == ()
-    poor = Verdict.of(PANEL, [*uniform, replace(rod, chi2=160.0)], frame)
+    poor = Verdict.of([*uniform, replace(rod, chi2=160.0)], frame)
     assert poor.goodness == 2 and poor.shares[2] / poor.shares[1] == pytest.approx(np.exp(49 / 4))
 
 
 def test_the_mean_of_a_bare_panel_follows_its_readings() -> None:
     """As the mean of all frames, then over 20 s; the median of three keeps an outlier out. In 1e-4 of ln y."""
     scene = replace(SMALL, panel=Panel(4, 4))
-    panelled = Panelled(scene, Detector(scene.panel, 6.0), np.zeros((4, 4)), ModelErrors())
+    panelled = Panelled(scene, Detector(6.0), np.zeros((4, 4)), ModelErrors())
     measured = np.full((4, 4), 1312.5)
     watch = Watch.begin(panelled, measured, 0.01 * measured, np.stack([measured] * 5), 0.0)
     assert watch.rested == 5 and np.all(watch.test.loud == 1) and watch.resting[0] == pytest.approx(np.log(1312.5))

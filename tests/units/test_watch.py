@@ -78,7 +78,7 @@ def test_a_load_that_never_leaves_the_unloaded_frames_is_not_nothing() -> None:
     recording = taken((mouth, -1, 9), frames=8, side=10)
     found = answered(recording)
     assert found.answer == CANNOT_SAY and "may lie on the panel in the unloaded frames" in found.why
-    search = Detector(recording.scene.panel, 6.0).search
+    search = Detector(6.0).search(recording.scene.panel)
     for seed in range(60):  # uneven by 12 to 25 %, with a faulty cell
         rng = np.random.default_rng(seed)
         bare = rng.uniform(0.12, 0.25) * rng.standard_normal((10, 10))

@@ -90,7 +90,7 @@ class KnownLoad:
         area = length * width or pi / 4 * diameter**2
         # a foot under 1 kPa, whose mean pressure on a patch is the share of the patch that it covers
         under: dict[str, Any] = {"centre_mm": (self.x_mm + along_mm, self.y_mm + down_mm), "mass_g": area / GRAVITY}
-        block = {"length_mm": length, "width_mm": width, "angle_deg": self.angle_deg}
+        block: dict[str, Any] = {"length_mm": length, "width_mm": width, "angle_deg": self.angle_deg}
         foot = Rod(diameter_mm=diameter, **under) if diameter else Block(**block, **under)
         newton = self.force_newton or (self.mass_g or 0.0) * GRAVITY * 1e-3
         kpa = newton / area * 1e3 if self.pressure_kpa is None else self.pressure_kpa

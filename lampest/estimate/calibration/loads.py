@@ -78,8 +78,8 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
         raise InputError(f"loads {first} and {second} lie on the same cells in the same frames: give one line")
     # The fit, and doubts about its loads.
     base, water = scene.response or PUBLISHED, water_pressure(scene.panel, scene.water)
-    flat = (values.reshape(len(loads), -1) for values in (change, sd, pressure, pressure_sd))
-    loaded = Loaded(*flat, water.ravel(), base)
+    flat = [values.reshape(len(loads), -1) for values in (change, sd, pressure, pressure_sd)]
+    loaded = Loaded(flat[0], flat[1], flat[2], flat[3], water.ravel(), base)
     fitted = fit_loads(loaded)
     if not fitted.touched.any():
         raise InputError("no cell under a load has an estimate with error bars: is the readout's noise in the scene?")

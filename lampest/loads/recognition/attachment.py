@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
 from lampest.loads.recognition.breathing import MAX_LOG_ODDS, Breathing
 from lampest.loads.recognition.candidates import UNIFORM, under
-from lampest.loads.recognition.evidence import RARE_LOG_ODDS, Verdict
+from lampest.loads.recognition.fit import RARE_LOG_ODDS, Verdict
 from lampest.loads.recognition.observation import Observation
 from lampest.loads.recognition.pumping import Pumping
 from lampest.panel.panel import Array, Panel
@@ -151,11 +151,11 @@ def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[A
     for candidate, own in best.loads:
         disc, after = candidate.disc(own), first + len(own)
         covariance, first = best.covariance[first:after, first:after], after
-        groups = cells.groups() if disc is None else [cells.moved & under(frame.baseline.scene.panel, disc)]
+        groups = cells.groups() if disc is None else [cells.moved & under(frame.panel, disc)]
         for group in groups:
             attachment = replace(cells.load(group), sucks=verdict.sucks_at(disc), since_s=since, clear=clear)
             if disc is not None:
-                apart = frame.baseline.scene.panel.pitch_mm / 2
+                apart = frame.panel.pitch_mm / 2
                 pairs: dict[str, Any] = {"x_mm": (disc.x_mm, apart), "y_mm": (disc.y_mm, apart)}
                 for name, (value, slopes) in candidate.report(own).items():
                     # σ² = sᵀ C s, with s the derivative of the quantity by φ
@@ -196,7 +196,7 @@ class _ChangedCells:
         resting = np.exp(-frame.baseline.logarithm)
         # Δg = g₀ (e^−x − 1) and σ = g₀ e^−x σ_x of x = ln r/r₀
         more, errors = resting * np.expm1(-change), resting * np.exp(-change) * sd
-        return cls(change, moved, more, errors, frame.baseline.scene.panel)
+        return cls(change, moved, more, errors, frame.panel)
 
     def groups(self) -> list[NDArray[np.bool_]]:
         """Return the groups of neighbouring changed cells with a significant conductance; all of them if none is."""

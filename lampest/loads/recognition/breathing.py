@@ -18,8 +18,7 @@ from scipy.special import expit, logit, logsumexp
 
 from lampest.files.levels import MAD_TO_SIGMA
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.evidence import EVIDENCE_SHARE, RARE_LOG_ODDS
-from lampest.loads.recognition.fit import MAX_ROUNDS, Fit
+from lampest.loads.recognition.fit import EVIDENCE_SHARE, MAX_ROUNDS, RARE_LOG_ODDS, Fit
 from lampest.loads.recognition.observation import Observation
 from lampest.panel.panel import Array
 from lampest.panel.response import CURVE_KPA, CURVE_RATIO, RESPONSE_SD, PublishedResponse
@@ -207,7 +206,7 @@ def patterns_of(
         Whitens changes of ln y.
     detector : Detector
     """
-    panel = detector.panel
+    panel = frame.panel
     departure, covariance = detector.departure(frame, fit)
     rise = fit.change + departure
     by_cell = whitening @ (frame.slope(rise) / frame.measured.ravel()[:, None])
@@ -241,7 +240,7 @@ def breaths(
     frame, fit, whitening, detector
         As in `patterns_of`.
     """
-    pressure, _ = fit.candidate.pressure(detector.panel, detector.patch_mm, fit.parameters)
+    pressure, _ = fit.candidate.pressure(frame.panel, detector.patch_mm, fit.parameters)
     changes = settled(logarithms - np.log(frame.measured.ravel()))
     changes = (changes - _of_water(changes, frame, fit, pressure)) @ whitening.T
     each = [(place, breath(times, changes, own)) for place, own in patterns_of(frame, fit, whitening, detector)]

@@ -7,7 +7,6 @@ candidate explains the frame, several loads are fitted together.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +15,8 @@ from scipy.special import softmax
 
 from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, DiscSearch, Several, under
-from lampest.loads.recognition.evidence import EVIDENCE_SHARE, Verdict, prior_cost, rises
 from lampest.loads.recognition.fit import (
+    EVIDENCE_SHARE,
     MAX_LOG_RATIO,
     MAX_ROUNDS,
     SEARCH,
@@ -25,16 +24,14 @@ from lampest.loads.recognition.fit import (
     Fit,
     Fitting,
     Linearisation,
+    Verdict,
     along_diameter,
     field_fit,
+    prior_cost,
+    rises,
     states,
 )
-from lampest.loads.recognition.observation import (
-    Explained,
-    Observation,
-    Whitening,
-    outliers,
-)
+from lampest.loads.recognition.observation import Observation, Whitening, outliers
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
@@ -43,11 +40,10 @@ from lampest.panel.response import BentSuction, PublishedResponse
 
 @dataclass(frozen=True, eq=False)
 class Detector:
-    """Recognition on one panel.
+    """Recognition of loads in single frames.
 
     Attributes
     ----------
-    panel : Panel
     patch_mm : float
         Edge of a cell's film.
     loads : tuple of Candidate
@@ -63,7 +59,6 @@ class Detector:
         which a straight line or a threshold pass, too (docs/studies/mouths.md).
     """
 
-    panel: Panel
     patch_mm: float
     loads: tuple[Candidate, ...] = LOADS
     any_form: bool = False
@@ -71,11 +66,10 @@ class Detector:
     response_levels: tuple[float, ...] = (0.5, 1.2, 2.5)
     exponents: tuple[float, ...] = (1 / 3, 2.0)
 
-    @cached_property
-    def search(self) -> DiscSearch:
-        """The matched filter with the templates of all loads."""
+    def search(self, panel: Panel) -> DiscSearch:
+        """Return the matched filter with the templates of all loads."""
         templates = tuple(dict.fromkeys(template for load in self.loads for template in load.templates))
-        return DiscSearch.over(self.panel, self.patch_mm, templates)
+        return DiscSearch.over(panel, self.patch_mm, templates)
 
     def verdict(self, frame: Observation, before: Verdict | None = None) -> Verdict:
         """Return the verdict on a frame.
@@ -95,38 +89,37 @@ class Detector:
         # Single loads: from the earlier verdict, and by a new search if that is doubtful.
         if before is not None and before.loads:
             verdicts.append(self._settled(frame, before.loads, field, without))
-        if not verdicts or self._doubtful(verdicts[0], field):
-            coarse = self._coarse(kinds, field, without)
-            verdicts.append(self._settled(frame, coarse, field, without))
+        if not verdicts or self._doubtful(frame, verdicts[0], field):
+            verdicts.append(self._settled(frame, self._coarse(kinds, field, without), field, without))
         # Several loads: one more disc at a time, where cells beside the explained ones have changed.
-        single, discs = verdicts[-1], list[Disc]()
+        single, discs, search = verdicts[-1], list[Disc](), self.search(frame.panel)
         for _ in range(self.most_loads):
-            beside = self.search.beside(field.change, discs) if self._doubtful(verdicts[-1], field) else None
+            beside = search.beside(field.change, discs) if self._doubtful(frame, verdicts[-1], field) else None
             if beside is None:
                 break
             discs.append(beside)
             if len(discs) > 1:
                 fits = self._together(kinds, without, field, discs)
                 verdicts.append(self._settled(frame, (*fits, *single.loads[:1]), field, without))
-                discs = discs_of(fits[0])
+                discs = fits[0].discs
         return self._spread(frame, max(verdicts, key=lambda verdict: verdict.evidence))
 
     def calm(self, frame: Observation) -> Observation | None:
         """Return the frame without outliers if it shows no load, neither by χ² nor by a template; else None."""
-        whitening, residual = Whitening.at_rest(frame), frame.residual()
+        whitening, residual = Whitening.about(frame), frame.residual()
         calm = frame.without(outliers(whitening, residual))
-        errors = Whitening.at_rest(calm) @ residual
+        errors = Whitening.about(calm) @ residual
         if errors @ errors >= MAX_MEAN_SQUARE * errors.size:
             return None
-        response = whitening @ frame.slope(np.zeros(frame.measured.shape))
+        response = whitening @ frame.slope()
         # scores (B t)ᵀ e of the templates, N(0, 1) without a load
-        stands_out = self.search.matched(response).T @ (response.T @ errors)
+        stands_out = self.search(frame.panel).matched(response).T @ (response.T @ errors)
         return calm if stands_out.max() < SIGNIFICANT else None
 
     def with_errors(self, frame: Observation, fit: Fit) -> tuple[Observation, Whitening]:
         """Return the frame without readings that contradict a fit, and the errors about the fit's change of cells."""
         calm = frame.without(self._contradicting(frame, fit))
-        return calm, Whitening.of(calm, self.explained(calm, fit), fit.scatter)
+        return calm, self.fitting(fit.candidate, calm).errors(fit, fit.scatter)
 
     def departure(self, frame: Observation, fit: Fit) -> tuple[Array, Array]:
         """Return the posterior departure d = ln r − ln r0 − x of the cells from a fit, and its covariance.
@@ -142,7 +135,7 @@ class Detector:
         baseline, cells = frame.baseline, fit.change.size
         calm, whitening = self.with_errors(frame, fit)
         resting = baseline.model_errors.resting_covariance(frame.seconds, cells)
-        spread = resting + baseline.film(self.explained(frame, fit), fit.scatter)
+        spread = resting + baseline.film(self.fitting(fit.candidate, frame).explained(fit), fit.scatter)
         both = np.hstack([calm.slope(fit.change), calm.offsets])
         # P Aᵀ: the baseline's covariance times Aᵀ, and that of drift and film times (∂f/∂ln r)ᵀ; C = root rootᵀ
         before = baseline.covariance[:cells] @ both.T + spread @ both[:, :cells].T
@@ -150,12 +143,9 @@ class Detector:
         prior = baseline.covariance[:cells, :cells] + spread
         return mean, prior - before @ cho_solve((whitening.root, True), before.T)
 
-    def _fitting(self, candidate: Candidate, frame: Observation) -> Fitting:
-        return Fitting(self.panel, self.patch_mm, candidate, frame)
-
-    def explained(self, frame: Observation, fit: Fit) -> Explained:
-        """Return the change of the cells that a fit explains, with its sensitivities."""
-        return self._fitting(fit.candidate, frame).explained(fit)
+    def fitting(self, candidate: Candidate, frame: Observation) -> Fitting:
+        """Return the problem of fitting a candidate to a frame."""
+        return Fitting(candidate, frame, self.patch_mm)
 
     def _sharpened(
         self, frame: Observation, fit: Fit, explains: Fit, calm: Observation, scatter: float
@@ -179,8 +169,8 @@ class Detector:
         """
         dropped: list[int] | None = None
         for _ in range(MAX_ROUNDS):
-            whitening = Whitening.of(calm, self.explained(calm, explains), scatter)
-            fit = explains = self._fitting(fit.candidate, calm).best(fit.parameters, whitening, quick=True)
+            whitening = self.fitting(explains.candidate, calm).errors(explains, scatter)
+            fit = explains = self.fitting(fit.candidate, calm).best(fit.parameters, whitening, quick=True)
             far = self._contradicting(frame, fit)
             if far.tolist() == dropped:
                 break
@@ -188,19 +178,18 @@ class Detector:
         return calm, fit
 
     def _contradicting(self, frame: Observation, fit: Fit) -> NDArray[np.intp]:
-        whitening = Whitening.of(frame, self.explained(frame, fit), fit.scatter)
+        whitening = self.fitting(fit.candidate, frame).errors(fit, fit.scatter)
         errors = whitening @ fit.residual
         suspicious = errors @ errors > MAX_MEAN_SQUARE * len(errors)
         return outliers(whitening, fit.residual) if suspicious else np.zeros(0, dtype=np.intp)
 
     def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
         """Return the best fit of every kind from the matches of its templates, with coarse errors about the field."""
-        whitening = Whitening.coarse(calm, field.change)
-        likelihood = CellLikelihood.about(calm, whitening, field.change)
-        starts = self.search.starts(likelihood.normal, likelihood.pull)
+        whitening, likelihood = coarse_errors(calm, field.change)
+        starts = self.search(calm.panel).starts(likelihood.normal, likelihood.pull)
         fits: list[Fit] = []
         for load in kinds:
-            fitting, descents = self._fitting(load, calm), list[Linearisation]()
+            fitting, descents = self.fitting(load, calm), list[Linearisation]()
             for disc in (starts[template] for template in load.templates):
                 # a descent that stays above the best one by MAX_LOG_RATIO is given up
                 most = min((descent.cost for descent in descents), default=np.inf) + MAX_LOG_RATIO
@@ -242,9 +231,8 @@ class Detector:
 
         The film's deviation is the one of `response_levels` with the largest evidence.
         """
-        fitting, explained = self._fitting(fit.candidate, calm), self.explained(calm, fit)
-        response = calm.baseline.model_errors.response
-        errors = [Whitening.of(calm, explained, level * response) for level in self.response_levels]
+        fitting, response = self.fitting(fit.candidate, calm), calm.baseline.model_errors.response
+        errors = [fitting.errors(fit, level * response) for level in self.response_levels]
         # type-II maximum likelihood of the film's deviation on a grid
         levels = [fitting.stays(fit.parameters, whitening).evidence for whitening in errors]
         whitening = errors[int(np.argmax(levels))]
@@ -255,7 +243,7 @@ class Detector:
 
         It starts from its own φ and, if that does not come close to the best cost, from the place of the best fit.
         """
-        fitting, most = self._fitting(fit.candidate, calm), best.cost + MAX_LOG_RATIO
+        fitting, most = self.fitting(fit.candidate, calm), best.cost + MAX_LOG_RATIO
         # equal errors for all candidates: otherwise a poor candidate would excuse its misfit by its own errors
         descended = fitting.best(fit.parameters, whitening, most)
         like = fit.candidate.like(best.candidate, best.parameters) if descended.cost > most else None
@@ -274,17 +262,16 @@ class Detector:
         discs : sequence of Disc
             Places of the loads.
         """
-        whitening = Whitening.coarse(calm, field.change)
-        likelihood = CellLikelihood.about(calm, whitening, field.change)
+        whitening, likelihood = coarse_errors(calm, field.change)
 
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
             parts, own = zip(*sorted(loads, key=lambda load: not load[0].sucks), strict=True)
-            fitting = self._fitting(Several.of(parts), calm)
+            fitting = self.fitting(Several.of(parts), calm)
             descended = fitting.descended(np.concatenate(own), likelihood, SEARCH.evaluations // 2)
             return fitting.fit_at(descended, likelihood, whitening, quick=True)
 
         def likely(fit: Fit) -> float:
-            return fit.evidence - prior_cost(self.panel, fit, calm)
+            return fit.evidence - prior_cost(fit, calm)
 
         first = next((load for load in kinds if load.sucks), kinds[0])
         sucking = best = fitted([(first, first.start(disc)) for disc in discs])
@@ -299,18 +286,18 @@ class Detector:
 
     def _judged(self, frame: Observation, fits: Sequence[Fit]) -> Verdict:
         """Return the verdict on these fits, on no load, and on an equal pressure on all cells."""
-        whitening = Whitening.at_rest(frame)
-        uniform = [self._fitting(kind, frame).best(kind.mean(self.panel), whitening) for kind in UNIFORM]
-        return Verdict.of(self.panel, (*uniform, *fits), frame)
+        whitening = Whitening.about(frame)
+        uniform = [self.fitting(kind, frame).best(kind.mean(frame.panel), whitening) for kind in UNIFORM]
+        return Verdict.of((*uniform, *fits), frame)
 
-    def _doubtful(self, verdict: Verdict, field: Fit) -> bool:
+    def _doubtful(self, frame: Observation, verdict: Verdict, field: Fit) -> bool:
         """Return whether the best fit is poor, or leaves clearly changed cells beside its loads unexplained."""
         if verdict.best.candidate is FIELD or verdict.goodness > MAX_MEAN_SQUARE:
             return True
-        explained = [verdict.best.change != 0, *(under(self.panel, disc) for disc in discs_of(verdict.best))]
+        explained = [verdict.best.change != 0, *(under(frame.panel, disc) for disc in verdict.best.discs)]
         # states 2 and 3 of the field outside the loads: changes of a few kPa and more
         left = np.where(np.any(explained, axis=0), 0.0, field.change)
-        return bool(states(self.panel, left).max() > 1)
+        return bool(states(frame.panel, left).max() > 1)
 
     def _spread(self, frame: Observation, verdict: Verdict) -> Verdict:
         """Return the verdict in which a single best load has the full uncertainty of its diameter and suction."""
@@ -318,7 +305,7 @@ class Detector:
         if best.candidate not in self.loads:
             return verdict
         calm, whitening = self.with_errors(frame, best)
-        wide = self._along_curves(calm, along_diameter(self._fitting(best.candidate, calm), best, whitening), whitening)
+        wide = self._along_curves(calm, along_diameter(self.fitting(best.candidate, calm), best, whitening), whitening)
         return replace(verdict, fits=tuple(wide if fit is best else fit for fit in verdict.fits))
 
     def _along_curves(self, calm: Observation, fit: Fit, whitening: Whitening) -> Fit:
@@ -332,7 +319,7 @@ class Detector:
         for exponent in self.exponents:
             bent = BentSuction(exponent=exponent, gain=film.gain, gain_sd=film.gain_sd)
             frame = replace(calm, baseline=replace(baseline, scene=replace(baseline.scene, response=bent)))
-            fits.append(self._fitting(fit.candidate, frame).best(fit.parameters, whitening, quick=True))
+            fits.append(self.fitting(fit.candidate, frame).best(fit.parameters, whitening, quick=True))
         shares = softmax(EVIDENCE_SHARE * np.array([alternative.evidence for alternative in fits]))
         # law of total covariance: mean of the covariances within the curves, and covariance between them
         apart = np.array([alternative.parameters for alternative in fits]) - fit.parameters
@@ -340,12 +327,12 @@ class Detector:
         return replace(fit, covariance=within + (shares[:, None] * apart).T @ apart)
 
 
+def coarse_errors(frame: Observation, change: Array) -> tuple[Whitening, CellLikelihood]:
+    """Return the errors about ln r/r0 (rows, columns), with independent deviations of all cells, and the likelihood."""
+    whitening = Whitening.about(frame, change, frame.baseline.model_errors.coarse**2 * np.eye(change.size))
+    return whitening, CellLikelihood.about(frame, whitening, change)
+
+
 def best_of(fits: Iterable[Fit]) -> Fit:
     """Return the fit with the lowest score."""
     return min(fits, key=lambda fit: fit.score)
-
-
-def discs_of(fit: Fit) -> list[Disc]:
-    """Return the discs of all round loads of a fit."""
-    discs = [part.disc(own) for part, own in fit.loads]
-    return [disc for disc in discs if disc is not None]

@@ -1,26 +1,26 @@
-"""Fit of one candidate, or of a field of any form, to one frame, and its evidence by Laplace's approximation.
+"""Fit of one candidate, or of a field of any form, to one frame, and the comparison of fits by their evidence.
 
-In a field each cell has one of four states, from quiet to strongly changed, with a Potts prior on neighbours.
+The evidence is Laplace's approximation. In a field each cell has one of four states, from quiet to strongly changed,
+with a Potts prior on neighbours. The posterior is P(fit | frame) ∝ e^(evidence·EVIDENCE_SHARE)·P(fit). The prior is
+equal for all kinds, except that further loads, suction that raises no cell, and loads in one place are improbable.
+Otherwise rims that cancel suction between patches would fit any outline.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
+from math import exp, hypot, log
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
 from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
-from lampest.loads.recognition.candidates import FIELD
-from lampest.loads.recognition.observation import (
-    Explained,
-    MostProbable,
-    Observation,
-    Whitening,
-    outliers,
-)
-from lampest.loads.shapes.disc import POINTS
-from lampest.loads.shapes.shape import Candidate
+from lampest.loads.recognition.candidates import FIELD, UNIFORM, under
+from lampest.loads.recognition.observation import MostProbable, Observation, Whitening, outliers
+from lampest.loads.shapes.disc import POINTS, Disc
+from lampest.loads.shapes.shape import Candidate, Prior
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array, Panel
 
@@ -29,6 +29,18 @@ SEARCH = LevenbergMarquardt(evaluations=30, settled=0.3)
 MAX_ROUNDS = 4  # linearisations of the circuit in a fit; also fits with errors about the previous one
 MIN_MEASURED_WIDTH = 0.3  # of the prior's width: wider axes of the posterior are measured, see `Fitting._widths`
 MAX_LOG_RATIO = 20.0  # difference of ln P to the best candidate beyond which candidates do not count
+# Assumed −ln P: of one in twenty, for every further load, a rim that moves without its suction, and a mouth that does
+# not breathe; and of the impossible, hidden suction and two loads in one place. Such combinations fit loads that are no
+# candidates with up to e⁶⁰ times their evidence.
+RARE_LOG_ODDS, IMPOSSIBLE = log(20), 60.0
+# ln r/r0 that a panel shows clearly, a suction of 1 kPa; and the share of the change that a cell under suction alone
+# would have. Mouths of 24 to 45 mm at a pitch of 10 mm have more than 0.7 in some cell, and nine in ten more than 0.9.
+# Of 60 mouths pressed with 30 to 80 kPa more, 47 are recognised with a share of 0.35, 52 with 0.25; with 0.2 or less
+# two mouths 70 mm apart are taken for one. Hands, rocks, fins, fish, rods and rings raise no cell by more than 0.1.
+MIN_RISE, MIN_RISE_SHARE = 0.2, 0.25
+# Exponent of evidence ratios, because films and loads deviate from their models in more ways than the errors include.
+# Fitted by log-likelihood to scenes made without this package's simulation; see docs/studies/mouths.md.
+EVIDENCE_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +91,11 @@ class Fit:
     def loads(self) -> list[tuple[Candidate, Array]]:
         """Every single load of the candidate with its own φ."""
         return self.candidate.loads(self.parameters)
+
+    @property
+    def discs(self) -> list[Disc]:
+        """Discs of all round loads."""
+        return [disc for part, own in self.loads if (disc := part.disc(own)) is not None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,10 +163,9 @@ class Linearisation:
 class Fitting:
     """The problem of fitting one candidate to one frame."""
 
-    panel: Panel
-    patch_mm: float
     candidate: Candidate
     frame: Observation
+    patch_mm: float
 
     def at(self, parameters: Array, likelihood: CellLikelihood) -> Linearisation:
         """Return the cost about φ."""
@@ -259,31 +275,41 @@ class Fitting:
         return Fit(self.candidate, *known, *likely, whitening.scatter)
 
     @cached_property
+    def _priors(self) -> Mapping[str, Prior]:
+        return self.candidate.priors(self.frame.panel)
+
+    @cached_property
     def centred(self) -> NDArray[np.bool_]:
         """Whether each of φ is a coordinate of a centre, boolean (parameters,)."""
-        return np.array([name.split(".")[-1] in ("x", "y") for name in self.candidate.priors(self.panel)], dtype=bool)
+        return np.array([name.split(".")[-1] in ("x", "y") for name in self._priors], dtype=bool)
 
     @cached_property
     def _prior(self) -> Array:
         """Mean, standard deviation and longest step of φ, (3, parameters)."""
-        return np.array([prior[:3] for prior in self.candidate.priors(self.panel).values()]).reshape(-1, 3).T
+        return np.array([prior[:3] for prior in self._priors.values()]).reshape(-1, 3).T
 
     def pressure(self, parameters: Array, larger: float = 1.0) -> tuple[Array, Array]:
-        return self.candidate.pressure(self.panel, self.patch_mm * larger, parameters)
+        return self.candidate.pressure(self.frame.panel, self.patch_mm * larger, parameters)
 
-    def explained(self, fit: Fit) -> Explained:
-        """Return the explained change with its sensitivities, by secants: tangents jump at the response's corners."""
+    def explained(self, fit: Fit) -> Array:
+        """Return the explained change with its sensitivities, (3, rows, columns), as `Baseline.film` takes them.
+
+        Sensitivities are secants, because tangents jump at the response's corners.
+        """
         if not self.centred.any():
-            zeros = np.zeros_like(fit.change)
-            return Explained(fit.change, np.hypot(*np.gradient(fit.change, self.panel.pitch_mm)), zeros)
+            slope = np.hypot(*np.gradient(fit.change, self.frame.panel.pitch_mm))
+            return np.stack([fit.change, slope, np.zeros_like(slope)])
         pressure, by_parameter = self.pressure(fit.parameters)
         # |∇p| (kPa/mm): the change of pressure by a shift of 1 mm across an edge
         shift = np.sqrt((by_parameter[self.centred] ** 2).sum(axis=0))
-        small, large = (self.pressure(fit.parameters, by)[0] for by in (0.9, 1.1))
-        more, less, small, large = (
-            self.frame.change(end)[0] for end in (pressure + shift, pressure - shift, small, large)
-        )
-        return Explained(fit.change, np.abs(more - less) / 2, (large - small) / (1.1 - 0.9))
+        sizes = (self.pressure(fit.parameters, by)[0] for by in (0.9, 1.1))
+        more, less, small, large = (self.frame.change(end)[0] for end in (pressure + shift, pressure - shift, *sizes))
+        return np.stack([fit.change, np.abs(more - less) / 2, (large - small) / (1.1 - 0.9)])
+
+    def errors(self, fit: Fit, scatter: float) -> Whitening:
+        """Return the errors about the change that a fit explains, with a relative deviation `scatter` of the film."""
+        film = self.frame.baseline.film(self.explained(fit), scatter)
+        return Whitening.about(self.frame, fit.change, film, scatter)
 
     def _widths(self, point: Linearisation, likelihood: CellLikelihood, *, quick: bool) -> tuple[Array, Array]:
         """Return the posterior's widths along its axes over those of the prior, and a root of its covariance.
@@ -319,7 +345,7 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
     whitening : Whitening
         Errors with which it was fitted.
     """
-    names = list(fit.candidate.priors(fitting.panel))
+    names = list(fit.candidate.priors(fitting.frame.panel))
     if "diameter" not in names:
         return fit
     place = names.index("diameter")
@@ -334,7 +360,7 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
             point = fitting.settled(begin, whitening, points[0].cost + MAX_LOG_RATIO / 2, place)[0]
             points.append(point)
     # Prior precision of a centre that is uniform within a pitch: beyond, it would touch other patches.
-    centred = np.diag(fitting.centred * 12 / fitting.panel.pitch_mm**2)
+    centred = np.diag(fitting.centred * 12 / fitting.frame.panel.pitch_mm**2)
     precisions = [(point.normal + centred)[others] for point in points]
     # P(δ) ∝ e^(−cost) |H|^(−½), with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ − φ̂)(φ − φ̂)ᵀ)
     share = softmax(
@@ -371,15 +397,13 @@ def _of_two_maps(frame: Observation) -> tuple[Fit, MostProbable]:
 
 def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
     """Return the most probable field with the states of ln r/r0 = `start` (rows, columns), which is also the start."""
-    panel, none = frame.baseline.scene.panel, np.zeros(0)
-    of_cells = states(panel, start)
+    of_cells, none = states(frame.panel, start), np.zeros(0)
     most_probable = frame.cells(start, prior(frame, SD[of_cells].ravel()))
     change, whitening = most_probable.state.reshape(start.shape), most_probable.whitening
     errors, left = whitening @ most_probable.apart, frame.residual(change)
-    misfit = Whitening(np.linalg.cholesky(frame.covariance(frame.slope(change)))) @ left
-    cost = float(errors @ errors) / 2
+    misfit, cost = Whitening.about(frame, change) @ left, float(errors @ errors) / 2
     # ln P(R | states) = −½ eᵀ (A P Aᵀ + C)⁻¹ e − ½ ln det (A P Aᵀ + C), and ln P(states) of the Potts field
-    likely = float(misfit @ misfit), cost, whitening.volume, -cost - whitening.volume - paid(panel, of_cells)
+    likely = float(misfit @ misfit), cost, whitening.volume, -cost - whitening.volume - paid(frame.panel, of_cells)
     return Fit(FIELD, none, none.reshape(0, 0), change, none.reshape(0, change.size), left, *likely), most_probable
 
 
@@ -405,3 +429,104 @@ def paid(panel: Panel, of_cells: NDArray[np.intp]) -> float:
     first, second, _ = panel.neighbours
     unlike = np.count_nonzero(of_cells.flat[first] != of_cells.flat[second])
     return float(unlike + np.log1p(3 * np.exp(-4)) * panel.present.sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """Verdict on a frame.
+
+    Attributes
+    ----------
+    fits : tuple of Fit
+        Fits of UNIFORM first, and nothing else where the frame does not stand out.
+    shares : tuple of float
+        Posterior probability of each fit.
+    goodness : float
+        χ² per reading of the best fit.
+    evidence : float
+        Largest evidence plus ln prior of a fit, up to a constant common to all fits of the frame.
+    """
+
+    fits: tuple[Fit, ...]
+    shares: tuple[float, ...]
+    goodness: float
+    evidence: float
+
+    @classmethod
+    def of(cls, fits: Sequence[Fit], frame: Observation) -> "Verdict":
+        """Return the verdict on the fits of a frame.
+
+        Where no candidate explains the frame, differences of evidence are divided by χ² per reading of the best fit.
+        """
+        before = np.array([prior_cost(fit, frame) for fit in fits])
+        evidence = np.array([fit.evidence for fit in fits])
+        goodness = fits[int(np.argmax(evidence - before))].chi2 / frame.measured.size
+        counts = (EVIDENCE_SHARE if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
+        shares = softmax(counts * evidence - before)
+        return cls(tuple(fits), tuple(map(float, shares)), goodness, float(max(evidence - before)))
+
+    @property
+    def best(self) -> Fit:
+        """The most probable fit."""
+        return self.fits[int(np.argmax(self.shares))]
+
+    @property
+    def loads(self) -> tuple[Fit, ...]:
+        """Fits of loads with a shape, the best first; none where the frame does not stand out."""
+        shaped = (fit for fit in self.fits if fit.candidate not in (*UNIFORM, FIELD))
+        return tuple(sorted(shaped, key=lambda fit: -fit.evidence))
+
+    @property
+    def nothing(self) -> float:
+        """Probability that there is no load, or an equal pressure on all cells."""
+        pairs = zip(self.fits, self.shares, strict=True)
+        return sum(share for fit, share in pairs if fit.candidate in UNIFORM)
+
+    def sucks_at(self, disc: Disc | None) -> float:
+        """Return the probability that a load at a disc's place sucks, given that there is a load; None: anywhere."""
+        pairs = zip(self.fits, self.shares, strict=True)
+        return sum(share for fit, share in pairs if _sucks(fit, disc)) / max(1 - self.nothing, 1e-9)
+
+
+def prior_cost(fit: Fit, frame: Observation) -> float:
+    """Return −ln prior of a fit, up to a constant: further loads, hidden suction, and overlapping loads are improbable.
+
+    Both the fit and the frame's map of cells have to show a suction.
+    """
+    response, shape = frame.baseline.response, frame.panel.shape
+    cost = sum(_overlapping(*pair) for pair in combinations(fit.discs, 2))
+    for part, own in fit.loads:
+        if part.sucks:
+            disc, full = part.disc(own), 0.0
+            below = np.ones(shape, dtype=bool) if disc is None or len(fit.loads) == 1 else under(frame.panel, disc)
+            if disc is not None:
+                full = float(np.mean(response.gains * response.logarithm(disc.suction_kpa)))
+            cost += _hidden(min(float(rise[below].max(initial=0.0)) for rise in (fit.change, frame.highest)), full)
+    return RARE_LOG_ODDS * (len(fit.loads) - 1) + IMPOSSIBLE * cost
+
+
+def rises(frame: Observation) -> bool:
+    """Return whether some cell may rise enough for suction to be possible; otherwise no suction is searched."""
+    return IMPOSSIBLE * _hidden(float(frame.highest.max()), 0.0) < 2 * MAX_LOG_RATIO
+
+
+def _hidden(rise: float, full: float) -> float:
+    """Return 1 if no cell rises under suction that would raise a cell by `full`, 0 if one does; both in ln r/r0."""
+    return exp(-((rise / max(MIN_RISE, MIN_RISE_SHARE * full)) ** 2))
+
+
+def _overlapping(first: Disc, second: Disc) -> float:
+    """Return 1 if two discs are in one place, 0 if they do not overlap, smoothly between."""
+    apart = hypot(first.x_mm - second.x_mm, first.y_mm - second.y_mm)
+    common = (first.diameter_mm + second.diameter_mm) / 2 - apart
+    share = max(common, 0.0) / min(first.diameter_mm, second.diameter_mm)
+    return 1 - exp(-((share / MIN_RISE_SHARE) ** 2))
+
+
+def _sucks(fit: Fit, disc: Disc | None) -> bool:
+    """Return whether one of the fit's loads sucks, with its centre within the disc."""
+    discs = [part.disc(own) for part, own in fit.loads if part.sucks]
+    if disc is None:
+        return bool(discs)
+    apart = [hypot(place.x_mm - disc.x_mm, place.y_mm - disc.y_mm) for place in discs if place is not None]
+    return min(apart, default=disc.diameter_mm) < disc.diameter_mm / 2

@@ -179,11 +179,10 @@ class ImageWatch:
     def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "ImageWatch":
         """Return the watch before the first frame, as `Watch.begin`."""
         scene, modules = panelled.scene, list[Watch | None]()
-        detector = replace(panelled.detector, panel=scene.panel.network)
         for number, own in enumerate(scene.of_modules):
             cells = _layout(scene).cells(number)
             read = np.isfinite(sigma[cells]) & np.isfinite(measured[cells])
-            part = replace(panelled, scene=own, detector=detector, water=panelled.water[cells])
+            part = replace(panelled, scene=own, water=panelled.water[cells])
             at_rest = np.where(read, measured[cells], np.median(measured[cells][read])) if read.any() else None
             given = sigma[cells], unloaded[(..., *cells)], time
             modules.append(None if at_rest is None else Watch.begin(part, at_rest, *given))
@@ -259,7 +258,9 @@ class ImageWatch:
         assert watch is not None
         corner = self.panelled.scene.panel.places_mm[:, *self._layout.cells(number)][:, 0, 0]
         scores = watch.test.scores(watch.mean - watch.resting)
-        return np.asarray(corner + watch.panelled.detector.search.places[int(np.argmax(scores))])
+        return np.asarray(
+            corner + watch.panelled.detector.search(watch.panelled.scene.panel).places[int(np.argmax(scores))]
+        )
 
     def _begun(self, window: Window, sigma: Array) -> Watch:
         """Return the watch of a new window, with the joined states of its modules."""
@@ -274,8 +275,7 @@ class ImageWatch:
             return np.asarray(layout.joined(np.reshape(each, (len(each), layout.each.rows, layout.each.columns))))
 
         shape, baseline = window.scene.panel.shape, whole(lambda part: part.resting)
-        detector = replace(panelled.detector, panel=window.scene.panel)
-        own = replace(panelled, scene=cast(Scene, window.scene), detector=detector, water=panelled.water[window.cells])
+        own = replace(panelled, scene=cast(Scene, window.scene), water=panelled.water[window.cells])
         start = Watch.begin(own, np.exp(baseline), sigma[window.cells], np.zeros((0, *shape)), known[0].rest_s)
         loud = np.full(len(start.test.loud), max(float(part.test.loud.mean()) for part in known))
         return replace(

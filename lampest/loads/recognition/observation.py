@@ -267,7 +267,7 @@ class Baseline:
         np.fill_diagonal(square, 0.0)
         return np.asarray(np.nan_to_num(np.exp(-square / (2 * self.model_errors.near_pitches**2))))
 
-    def film(self, explained: "Explained", scatter: float) -> Array:
+    def film(self, explained: Array, scatter: float) -> Array:
         """Return the covariance of ln r by deviations of the film, s² (x K xᵀ + diag w²) + b bᵀ, (cells, cells).
 
         x is the explained change, K the correlation of cells (common, near and own parts), w the effect of misplaced
@@ -275,7 +275,9 @@ class Baseline:
 
         Parameters
         ----------
-        explained : Explained
+        explained : array, shape (3, rows, columns)
+            The change ln r/r0 that a load explains, and its derivatives by a shift of the load, 1/mm, and by ln of the
+            patches' edge.
         scatter : float
             s, the film's relative deviation.
         """
@@ -310,11 +312,16 @@ class Observation:
     seconds: float
     common: Array | None = field(default=None, kw_only=True)
 
+    @property
+    def panel(self) -> Panel:
+        """The panel of the baseline's scene."""
+        return self.baseline.scene.panel
+
     def residual(self, change: Array | float = 0.0) -> Array:
         """Return R − f(r0·e^change) − E δ, (cells,)."""
         return np.asarray(self.target - self.baseline.network(change).reading().ravel())
 
-    def slope(self, change: Array) -> Array:
+    def slope(self, change: Array | float = 0.0) -> Array:
         """Return ∂f/∂ln r at ln r/r0 = `change`, (cells, cells)."""
         return self.baseline.network(change).sensitivity()
 
@@ -396,22 +403,6 @@ class Observation:
         return replace(self, sigma=sigma)
 
 
-class Explained(NamedTuple):
-    """The change ln r/r0 that a load explains, with its sensitivities, (rows, columns) each.
-
-    Attributes
-    ----------
-    change : array
-        ln r/r0.
-    edges, patches : array
-        Derivatives of it by a shift of the load, 1/mm, and by ln of the patches' edge.
-    """
-
-    change: Array
-    edges: Array
-    patches: Array
-
-
 @dataclass(frozen=True, eq=False)
 class Whitening:
     """Lower triangular root L of a covariance C of the readings, which whitens residuals.
@@ -428,22 +419,11 @@ class Whitening:
     scatter: float = 0.0
 
     @classmethod
-    def of(cls, frame: Observation, explained: Explained, scatter: float) -> "Whitening":
-        """Return the errors about the change that a load explains, with a relative deviation `scatter` of the cells."""
-        slope = frame.slope(explained.change)
-        return cls(cholesky(frame.covariance(slope, frame.baseline.film(explained, scatter)), lower=True), scatter)
-
-    @classmethod
-    def at_rest(cls, frame: Observation) -> "Whitening":
-        """Return the errors of an untouched panel."""
-        slope = frame.slope(np.zeros(frame.measured.shape))
-        return cls(cholesky(frame.covariance(slope), lower=True))
-
-    @classmethod
-    def coarse(cls, frame: Observation, change: Array) -> "Whitening":
-        """Return the errors about ln r/r0 (rows, columns), with independent deviations of all cells by `coarse`."""
-        slope, sd = frame.slope(change), frame.baseline.model_errors.coarse
-        return cls(cholesky(frame.covariance(slope, sd**2 * np.eye(len(slope))), lower=True))
+    def about(
+        cls, frame: Observation, change: Array | float = 0.0, cells: Array | float = 0.0, scatter: float = 0.0
+    ) -> "Whitening":
+        """Return the errors about ln r/r0 = `change`, with a further covariance `cells` of ln r, (cells, cells)."""
+        return cls(cholesky(frame.covariance(frame.slope(change), cells), lower=True), scatter)
 
     @cached_property
     def volume(self) -> float:

@@ -31,7 +31,7 @@ from lampest.loads.recognition.breathing import (
 )
 from lampest.loads.recognition.candidates import FIELD, DiscSearch
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.evidence import IMPOSSIBLE, RARE_LOG_ODDS, Verdict
+from lampest.loads.recognition.fit import IMPOSSIBLE, RARE_LOG_ODDS, Verdict
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, counting
 from lampest.loads.recognition.pumping import BLOCK_S, Pumping
 from lampest.panel.panel import Array
@@ -121,7 +121,7 @@ class StepTest:
             ln y of the unloaded frames.
         """
         value, cells = frame.measured.ravel(), frame.measured.size
-        slope = frame.slope(np.zeros(frame.measured.shape)) / value[:, None]
+        slope = frame.slope() / value[:, None]
         errors = frame.baseline.model_errors
         # C = noise + drift S Sᵀ + common changes of all cells and of all readings; W = L⁻¹ of C = L Lᵀ
         settled = errors.settled**2 * slope @ slope.T
@@ -133,7 +133,7 @@ class StepTest:
         response = whitening @ slope
         templates, matched = search.matched(response), response.T @ whitening
         places, place = np.unique(search.places, axis=0, return_inverse=True)
-        x, y = places.T / frame.baseline.scene.panel.pitch_mm
+        x, y = places.T / frame.panel.pitch_mm
         near = np.hypot(x[:, None] - x, y[:, None] - y) < NEAR_PITCHES
         scores = (templates.T @ (matched @ unloaded.T)).T
         spreads = [np.mean((first - second) ** 2) / 2 for first, second in combinations(scores, 2)]
@@ -243,8 +243,8 @@ class Watch:
         frames, sigma, resting = max(len(unloaded), 1), counting(sigma, measured), np.log(measured.ravel())
         frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames), 0.0)
         own = np.where(np.isnan(unloaded), measured, unloaded).reshape(len(unloaded), resting.size)
-        test = StepTest.of(frame, panelled.detector.search, np.log(own))
-        uneven = panelled.detector.search.lies_on(frame.baseline.logarithm)
+        search = panelled.detector.search(frame.panel)
+        test, uneven = StepTest.of(frame, search, np.log(own)), search.lies_on(frame.baseline.logarithm)
         return cls(panelled, test, sigma, resting, frames, time, resting, time, (resting, resting), uneven=uneven)
 
     @ONE_BLAS_THREAD

@@ -96,9 +96,7 @@ class Known:
         common = None if noise is None or layout else lambda measured: noise.columns(measured[None], baseline=False)
         mat = self.scene.purpose == "mat"
         water, errors = water_pressure(panel, self.scene.water), ModelErrors().of_scene(self.scene, self.reading_error)
-        panelled = Panelled(
-            self.scene, Detector(panel, patch_of(panel, self.patch_mm), any_form=mat), water, errors, common
-        )
+        panelled = Panelled(self.scene, Detector(patch_of(panel, self.patch_mm), any_form=mat), water, errors, common)
         kind: type[Watch] | type[ImageWatch] = ImageWatch if layout else Watch
         known, plainly = (self.unloaded, self.begin), self.sigma if self.specified is None else self.specified
         plain = kind.begin(replace(panelled, common=None), self.resting, plainly, *known)
