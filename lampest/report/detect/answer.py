@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,16 +19,6 @@ LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
 # Assumed probability that a panel without any step is bare: weak loads cause no step.
 BARE_PROBABILITY = 0.99
 MIN_PROBABILITY = 0.9  # from which an attachment is called a lamprey, or a suction cup
-PAIRS = {
-    "x_mm": ("mm", "centre across the columns, column 0 at 0"),
-    "y_mm": ("mm", "centre across the rows, row 0 at 0"),
-    "diameter_mm": ("mm", "outer diameter"),
-    "suction_kpa": ("kPa", "pressure inside against the surroundings"),
-    "breathing_hz": ("Hz", "rate at which the suction changes"),
-    "breathing_depth": ("1", "relative amplitude of that"),
-    "area_mm2": ("mm2", "area of the touched cells"),
-    "conductance_s": ("S", "conductance of the touched cells beyond that at rest"),
-}
 CHANCES = {
     "sucks": ("1", "probability that it sucks"),
     "breathes": ("1", "probability that its suction changes as breathing does"),
@@ -39,10 +29,29 @@ NUMBERS = {
     "until_s": ("s", "time at which it left; NaN: still present"),
     "cells": ("1", "number of touched cells"),
 }
+PAIRS = {
+    "x_mm": ("mm", "centre across the columns, column 0 at 0"),
+    "y_mm": ("mm", "centre across the rows, row 0 at 0"),
+    "diameter_mm": ("mm", "outer diameter"),
+    "suction_kpa": ("kPa", "pressure inside against the surroundings"),
+    "breathing_hz": ("Hz", "rate at which the suction changes"),
+    "breathing_depth": ("1", "relative amplitude of that"),
+    "area_mm2": ("mm2", "area of the touched cells"),
+    "conductance_s": ("S", "conductance of the touched cells beyond that at rest"),
+}
+EVENT_HEADERS = (
+    "recording",
+    "time [s]",
+    "event",
+    "what",
+    "x, y [mm]",
+    "diameter [mm]",
+    "inside [kPa]",
+    "breathing [Hz]",
+)
 
 
-@dataclass(frozen=True)
-class Event:
+class Event(NamedTuple):
     """An event of an attachment.
 
     Attributes
@@ -100,16 +109,7 @@ class Detected:
     warnings: tuple[str, ...] = ()
 
     @classmethod
-    def of(
-        cls,
-        recording: str,
-        attachments: Sequence[Attachment],
-        rate: float,
-        notes: tuple[str, ...] = (),
-        course: Array | None = None,
-        change: Array | None = None,
-        panel: Panel | None = None,
-    ) -> "Detected":
+    def of(cls, recording: str, attachments: Sequence[Attachment], rate: float, **known: Any) -> "Detected":
         """Return the answer by the most alarming attachment, among equals by a present one, then by the last one.
 
         Parameters
@@ -118,13 +118,13 @@ class Detected:
         attachments : sequence of Attachment
         rate : float
             Frames per second.
-        notes, course, change, panel
-            As the attributes.
+        **known
+            Further attributes.
         """
         loads = [*filter(lambda load: load.present, reversed(attachments)), *reversed(attachments)]
         called = [answer_of(load, rate) for load in loads]
         chosen = min(called, key=lambda load: ANSWERS.index(load[0]), default=(NOTHING, BARE_PROBABILITY, ""))
-        return cls(recording, *chosen, rate, notes, tuple(attachments), course, change, panel)
+        return cls(recording, *chosen, rate, attachments=tuple(attachments), **known)
 
     @classmethod
     def unknown(cls, recording: str, why: str) -> "Detected":
@@ -152,7 +152,7 @@ class Detected:
         odds = f"P = {self.probability:.2f}" if self.probability < 0.995 else "P > 0.99"
         present = [attachment for attachment in self.attachments if attachment.present]
         if self.answer == PRESSES and len(present) > 1:
-            shown = [_described(attachment) for attachment in present[:MAX_SHOWN]]
+            shown = [*map(_described, present[:MAX_SHOWN])]
             shown += [f"{len(present) - MAX_SHOWN} more"] if len(present) > MAX_SHOWN else []
             return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
         name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(self.answer, self.answer)
@@ -169,18 +169,17 @@ class Detected:
     @property
     def events(self) -> tuple[Event, ...]:
         """All events in the order of time."""
-        events: list[Event] = []
+        events = list[Event]()
         for number, load in enumerate(self.attachments):
-            if load.sucks_s is None or load.sucks_s > load.since_s:
-                events.append(Event("touched", load.since_s, number))
-            events += [] if load.sucks_s is None else [Event("attached", load.sucks_s, number)]
-            events += [Event("moved", time, number) for time in load.moved_s]
-            events += [] if load.until_s is None else [Event("released", load.until_s, number)]
+            touched = load.since_s if load.sucks_s is None or load.sucks_s > load.since_s else None
+            times = [("touched", touched), ("attached", load.sucks_s), *(("moved", time) for time in load.moved_s)]
+            times.append(("released", load.until_s))
+            events += [Event(kind, time, number) for kind, time in times if time is not None]
         return tuple(sorted(events, key=lambda event: event.time_s))
 
     def content(self) -> dict[str, Any]:
         """Return the content of `--json`."""
-        rate = self.frames_per_second
+        rate, pairs = self.frames_per_second, zip(self.attachments, self.called, strict=True)
         return {
             "recording": self.recording,
             "answer": self.answer,
@@ -190,17 +189,16 @@ class Detected:
             "why": self.why,
             "notes": list(self.notes),
             "warnings": list(self.warnings),
-            "attachments": [_content(load, name) for load, name in zip(self.attachments, self.called, strict=True)],
+            "attachments": [
+                {"answer": answer}
+                | {name: round(getattr(load, name), 4) for name in CHANCES}
+                | {name: _rounded(getattr(load, name)) for name in (*NUMBERS, *PAIRS)}
+                for load, answer in pairs
+            ],
             "events": [
-                {"event": event.kind, "time_s": _rounded(event.time_s), "attachment": event.number}
-                for event in self.events
+                {"event": kind, "time_s": _rounded(time), "attachment": number} for kind, time, number in self.events
             ],
         }
-
-
-def _content(load: Attachment, answer: str) -> dict[str, Any]:
-    chances = {name: round(getattr(load, name), 4) for name in CHANCES}
-    return {"answer": answer} | chances | {name: _rounded(getattr(load, name)) for name in (*NUMBERS, *PAIRS)}
 
 
 def answer_of(load: Attachment, rate: float) -> tuple[str, float, str]:
@@ -212,24 +210,20 @@ def answer_of(load: Attachment, rate: float) -> tuple[str, float, str]:
     rate : float
         Frames per second.
     """
+    breath, alive, still = load.breath, load.sucks * load.lives, load.sucks * (1 - load.lives)
     if load.sucks <= 0.5:
         return PRESSES, 1 - load.sucks, ""
-    if load.sucks * load.lives >= MIN_PROBABILITY:
-        return LAMPREY, load.sucks * load.lives, ""
-    why = too_slow(rate)
-    if why:
+    if alive >= MIN_PROBABILITY:
+        return LAMPREY, alive, ""
+    if why := too_slow(rate):
         return SUCKS, load.sucks, f"{why}; whether suction is pumped up again shows within minutes"
-    if load.breath.odds > 0 and load.breath.suction < 0.5:
-        why = "it moves at a breathing rate, but probably not by its suction: it may be shaken"
-    elif load.breathing_hz is None:
-        why = f"breathing shows after {MIN_WINDOW_S:g} s at the earliest"
-    elif (
-        load.breath.previous_odds < 0 and load.sucks * (1 - load.lives) >= MIN_PROBABILITY
-    ):  # no breath in a full window
-        return CUP, load.sucks * (1 - load.lives), ""
-    else:
-        why = f"whether it breathes is not clear (P = {load.breathes:.2f})"
-    return SUCKS, load.sucks, why
+    if breath.odds > 0 and breath.suction < 0.5:
+        return SUCKS, load.sucks, "it moves at a breathing rate, but probably not by its suction: it may be shaken"
+    if breath.hertz is None:
+        return SUCKS, load.sucks, f"breathing shows after {MIN_WINDOW_S:g} s at the earliest"
+    if breath.previous_odds < 0 and still >= MIN_PROBABILITY:  # no breath in a full window
+        return CUP, still, ""
+    return SUCKS, load.sucks, f"whether it breathes is not clear (P = {load.breathes:.2f})"
 
 
 def alarming(detected: Detected) -> list[float]:
@@ -270,14 +264,12 @@ def _shown(pair: Pair | None, unit: str = "") -> str:
 def event_table(answers: Sequence[Detected]) -> Table:
     """Return a table with a row for each event."""
     rows = []
-    for answer in answers:
-        for event in answer.events:
-            load, what = answer.attachments[event.number], answer.called[event.number]
-            place = f"{load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}"
-            numbers = [_shown(pair) for pair in (load.diameter_mm, load.suction_kpa, load.breathing_hz)]
-            rows.append((answer.recording, f"{event.time_s:.1f}", event.kind, what, place, *numbers))
-    headers = ("recording", "time [s]", "event", "what", "x, y [mm]", "diameter [mm]", "inside [kPa]", "breathing [Hz]")
-    return Table(headers, tuple(rows))
+    for answer, event in ((detected, event) for detected in answers for event in detected.events):
+        load, name = answer.attachments[event.number], answer.called[event.number]
+        place = f"{load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}"
+        numbers = [_shown(pair) for pair in (load.diameter_mm, load.suction_kpa, load.breathing_hz)]
+        rows.append((answer.recording, f"{event.time_s:.1f}", event.kind, name, place, *numbers))
+    return Table(EVENT_HEADERS, tuple(rows))
 
 
 def load_table(answers: Sequence[Detected]) -> Table:
@@ -286,19 +278,10 @@ def load_table(answers: Sequence[Detected]) -> Table:
     for name, load in ((answer.recording, load) for answer in answers for load in answer.attachments):
         area = "" if load.area_mm2 is None else f"{load.area_mm2[0]:.0f}"
         conductance = "" if load.conductance_s is None else f"{1e3 * load.conductance_s[0]:.3g}"
-        odds = f"{load.sucks:.3f}", f"{load.breathes:.3f}", f"{load.pumps:.3f}"
-        rows.append((name, f"{load.since_s:.1f}", *odds, str(load.cells), area, conductance))
-    headers = (
-        "recording",
-        "since [s]",
-        "P(sucks)",
-        "P(breathes)",
-        "P(pumps)",
-        "cells",
-        "area [mm²]",
-        "conductance [mS]",
-    )
-    return Table(headers, tuple(rows))
+        chances = [f"{getattr(load, chance):.3f}" for chance in CHANCES]
+        rows.append((name, f"{load.since_s:.1f}", *chances, str(load.cells), area, conductance))
+    chances = [f"P({chance})" for chance in CHANCES]
+    return Table(("recording", "since [s]", *chances, "cells", "area [mm²]", "conductance [mS]"), tuple(rows))
 
 
 def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
@@ -318,31 +301,28 @@ def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
             group = entry.create_group(answer.recording)
             hdf5.set_attributes(group, NX_class="NXsubentry", order=order, **about)
             if answer.attachments:
-                _write_table(group.create_group("attachments"), _attachment_columns(known["attachments"]))
-                events = [(event.kind, event.time_s, event.number) for event in answer.events]
-                kinds, times, numbers = zip(*events, strict=True)
+                _write_table(group, "attachments", _attachment_columns(known["attachments"]))
+                kinds, times, numbers = zip(*answer.events, strict=True)
                 columns = {"event": (hdf5.ascii_array(kinds), "1", "touched, attached, moved or released")}
                 columns["time"] = np.array(times), "s", "when it was first seen"
                 columns["attachment"] = np.array(numbers), "1", "number of the attachment"
-                _write_table(group.create_group("events"), columns)
+                _write_table(group, "events", columns)
     return path
 
 
 def _attachment_columns(known: Sequence[dict[str, Any]]) -> dict[str, tuple[Any, str, str]]:
     """Return the columns of the attachments: name → (values, units, text)."""
-    columns: dict[str, tuple[Any, str, str]] = {
-        "answer": (hdf5.ascii_array([load["answer"] for load in known]), "1", "what it is")
-    }
+    answers = hdf5.ascii_array([load["answer"] for load in known])
+    columns: dict[str, tuple[Any, str, str]] = {"answer": (answers, "1", "what it is")}
     for name, (units, text) in (CHANCES | NUMBERS).items():
         columns[name] = np.array([load[name] for load in known], dtype=float), units, text
     for name, (units, text) in PAIRS.items():
-        pairs = np.array([load[name] or (None, None) for load in known], dtype=float)
-        columns[name] = pairs[:, 0], units, text
-        columns[f"{name}_errors"] = pairs[:, 1], units, f"standard deviation: {text}"
+        values, errors = np.array([load[name] or (None, None) for load in known], dtype=float).T
+        columns |= {name: (values, units, text), f"{name}_errors": (errors, units, f"standard deviation: {text}")}
     return columns
 
 
-def _write_table(group: Any, columns: dict[str, tuple[Any, str, str]]) -> None:
-    hdf5.set_attributes(group, NX_class="NXcollection")
+def _write_table(entry: Any, name: str, columns: dict[str, tuple[Any, str, str]]) -> None:
+    hdf5.set_attributes(group := entry.create_group(name), NX_class="NXcollection")
     for name, (values, units, text) in columns.items():
         hdf5.write_dataset(group, name, values, units, text)

@@ -139,7 +139,8 @@ class Known:
             attachments = tuple(replace(load, suction_kpa=None) for load in attachments)
         slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
         notes = (*self.notes, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (slow, watch.doubt)))
-        return Detected.of(self.name, attachments, rate, notes, course, watch.change, self.scene.panel)
+        about = {"notes": notes, "course": course, "change": watch.change, "panel": self.scene.panel}
+        return Detected.of(self.name, attachments, rate, **about)
 
     def values(self, readings: Readings) -> tuple[Array, Array]:
         """Return the values and σ of one frame, (rows, columns); σ is infinite where a reading is no value."""
