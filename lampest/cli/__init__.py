@@ -1,6 +1,5 @@
 """The command line: parse, call, print. Libraries are imported by the command that needs them."""
 
-import inspect
 import os
 import sys
 from collections.abc import Callable
@@ -11,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from lampest.cli import board, estimation, results, studies
-from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, as_options, is_written, say, warn
+from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, as_options, documented, is_written, say, warn
 from lampest.files.errors import InputError, extra
 from lampest.files.process import ONE_THREAD, ending_signals, libraries_to_the_log
 from lampest.files.whole import refuse_inputs, sparing
@@ -44,10 +43,9 @@ def _about(
 
 def _guarded(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command with checks that its input files exist, before libraries load, and that it overwrites none."""
-    signature = inspect.signature(command, eval_str=True)
-    outputs = {name for name, each in signature.parameters.items() if is_written(each.annotation)}
+    about, signature = documented(command)
+    outputs = {name for name, each in signature.parameters.items() if is_written(each)}
 
-    @wraps(command)
     def called(**options: Any) -> None:
         named = [value for name, value in options.items() if name not in outputs]
         named += [path for value in named if isinstance(value, list) for path in value]
@@ -58,7 +56,7 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
             refuse_inputs([options[name] for name in outputs if isinstance(options.get(name), Path)])
             command(**options)
 
-    called.__signature__ = signature  # type: ignore[attr-defined]
+    called.__doc__, called.__signature__ = about, signature  # type: ignore[attr-defined]
     return called
 
 
@@ -105,7 +103,7 @@ OLD = {  # word of the previous release → new name
     **{word: f"study {word}" for word in ("bench", "tradeoff", "extremes", "paper")},
     **{word: f"show {word}" for word in ("terms", "schema")},
 }
-FLAGS = {"list": "listed", "repair": "repair"}  # of new names → parameters
+FLAGS = {"list": "list_", "repair": "repair"}  # of new names → parameters
 GROUPS = {
     "show": "List what a run file may contain: cost terms, or its JSON schema.",
     "study": "Measure lampest itself: solvers, formulations, extremes, weights, the paper.",

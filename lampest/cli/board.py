@@ -2,22 +2,24 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lampest.cli.screen import (
     INTERRUPTED,
+    Amount,
     Assign,
     AssignToScene,
-    check_positive,
+    Count,
+    Output,
     option,
+    positive,
     progress,
     say,
     say_text,
     scene_of,
     warn,
-    written,
 )
 from lampest.files.errors import InputError
 
@@ -28,44 +30,48 @@ if TYPE_CHECKING:
 PORT = "Serial port such as /dev/ttyACM0, or a URL. Default: the Arduino. Repeat it for each module, in order."
 Port = Annotated[list[str] | None, option(PORT)]
 SceneFile = Annotated[Path | None, option("YAML file of the scene. Default: the board's settings.")]
-Count = Annotated[int | None, option("Stop after this number of frames, such as 600.", min=1)]
-TOKEN = "Access token of the page; outside 127.0.0.1 one is generated."
-Token = Annotated[str | None, option(TOKEN, envvar="LAMPEST_TOKEN")]
-PUBLISH = "lsl, osc, mqtt or websocket, with an optional address: mqtt://localhost:1883/lampest. Repeatable."
-Publish = Annotated[list[str] | None, option(PUBLISH, metavar="WHERE")]
-Period = Annotated[float | None, option("Seconds between frames, such as 0.1. Default: 1.")]
+Frames = Annotated[int | None, option("Stop after this number of frames, such as 600.", min=1)]
+Period = Annotated[float | None, option("Seconds between frames, such as 0.1. Default: 1.", callback=positive)]
 
 
 def record(
-    out: Annotated[Path | None, written("--out", "New recording file.")] = None,
+    out: Output = None,
     port: Port = None,
-    count: Count = None,
-    seconds: Annotated[float | None, option("Stop after this number of seconds, such as 60.")] = None,
+    count: Frames = None,
+    seconds: Amount = None,
     scene: SceneFile = None,
     assign: AssignToScene = None,
-    baseline: Annotated[int, option("Number of unloaded frames at the beginning, such as 3.", min=0)] = 0,
+    baseline: Annotated[int, option(min=0)] = 0,
     period: Period = None,
-    listed: Annotated[bool, option("List the serial ports, likely ones first, and exit.", "--list")] = False,
+    list_: bool = False,
 ) -> None:
-    """Record a board until the count or the time is reached, or Ctrl-C; any key marks an event."""
-    if listed:
-        from lampest.recording.board.port import ports
+    """Record a board until the count or the time is reached, or Ctrl-C; any key marks an event.
 
-        available = ports()
-        for device in available:
+    Parameters
+    ----------
+    out
+        New recording file.
+    seconds
+        Stop after this number of seconds, such as 60.
+    baseline
+        Number of unloaded frames at the beginning, such as 3.
+    list_
+        List the serial ports, likely ones first, and exit.
+    """
+    from lampest.recording.board.port import ports, pressed_keys
+    from lampest.recording.board.record import record as record_board
+
+    if list_:
+        for device in (available := ports()):
             say(f"{device.url}  {device.description}{'  (looks like an Arduino)' if device.likely else ''}")
         if not available:
             say("there is no serial port", to=sys.stderr)
         return
     if out is None:
         raise InputError("--out: name the new recording")
-    from lampest.recording.board.port import pressed_keys
-    from lampest.recording.board.record import record as record_board
-
     if count is not None and seconds is not None:
         raise InputError("--count and --seconds: give one of them")
-    check_positive("--seconds", seconds)
-    check_positive("--period", period)
+    options: dict[str, Any] = {"frames": count, "seconds": seconds, "baseline": baseline, "period": period}
     agreed = scene_of(scene, assign)
     with pressed_keys() as keys, progress("waiting for the board") as show:
 
@@ -73,39 +79,36 @@ def record(
             time = "" if at.sample is None else f" at {at.sample.time:.1f} s"
             show(at.frames, count, f"{at.frames} frames{time}, {at.lost} lost{at.state and f'; {at.state}'}")
 
-        done = record_board(
-            port,
-            out,
-            frames=count,
-            seconds=seconds,
-            scene=agreed,
-            baseline=baseline,
-            period=period,
-            on_progress=on_progress,
-            keys=keys,
-        )
+        done = record_board(port, out, **options, scene=agreed, on_progress=on_progress, keys=keys)
     report_recorded(done)
 
 
 def calibrate(
-    files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="Recordings of shorted lines, resistors or loads.")
-    ],
-    known: Annotated[
-        list[str] | None, option("Resistors in place of the cells, in ohm, or a .csv or .npy table; one for each file.")
-    ] = None,
-    loads: Annotated[
-        Path | None, option("YAML or CSV of known weights or pressures, to calibrate the film's response.")
-    ] = None,
-    from_recording: Annotated[
-        bool, option("Calibrate channels and reference from ordinary recordings under many loads.", "--from-recording")
-    ] = False,
-    tolerance: Annotated[float, option("Relative tolerance of resistors or loads: 0.01 for 1 %.")] = 0.01,
-    out: Annotated[Path | None, written("--out", "Scene file to write. Default: print it.")] = None,
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...")],
+    known: list[str] | None = None,
+    loads: Path | None = None,
+    from_recording: bool = False,
+    tolerance: float = 0.01,
+    out: Output = None,
 ) -> None:
     """Calibrate the electronics with known resistors or many loads, or the film with known loads, and write a scene.
 
     Every number comes with its uncertainty.
+
+    Parameters
+    ----------
+    files
+        Recordings of shorted lines, resistors or loads.
+    known
+        Resistors in place of the cells, in ohm, or a .csv or .npy table; one for each file.
+    loads
+        YAML or CSV of known weights or pressures, to calibrate the film's response.
+    from_recording
+        Calibrate channels and reference from ordinary recordings under many loads.
+    tolerance
+        Relative tolerance of resistors or loads: 0.01 for 1 %.
+    out
+        Scene file to write. Default: print it.
     """
     from lampest.files.whole import write_whole
     from lampest.recording.recording import Recording
@@ -147,31 +150,47 @@ def calibrate(
 
 def live(
     port: Port = None,
-    recording: Annotated[Path | None, option("A recording to replay instead.")] = None,
-    estimator: Annotated[str | None, option("Default: smooth, or the first of --config.")] = None,
-    config: Annotated[Path | None, option("A run's YAML file with estimators.")] = None,
+    recording: Path | None = None,
+    estimator: str | None = None,
+    config: Path | None = None,
     assign: Assign = None,
-    speed: Annotated[float, option("Speed of the replay relative to the recording, such as 10.")] = 1.0,
-    http: Annotated[
-        str, option("HOST:PORT of the page; 127.0.0.1 is visible on this computer only.")
-    ] = "127.0.0.1:8137",
-    token: Token = None,
-    count: Count = None,
-    baseline: Annotated[
-        int, option("Number of unloaded frames at the beginning, unless the recording marks them.", min=1)
-    ] = 3,
+    speed: Annotated[float, option(callback=positive)] = 1.0,
+    http: str = "127.0.0.1:8137",
+    token: Annotated[str | None, option(envvar="LAMPEST_TOKEN")] = None,
+    count: Frames = None,
+    baseline: Count = 3,
     scene: SceneFile = None,
     period: Period = None,
-    out: Annotated[Path | None, written("--out", "Record the board into this file as well.")] = None,
-    publish: Publish = None,
+    out: Output = None,
+    publish: Annotated[list[str] | None, option(metavar="WHERE")] = None,
 ) -> None:
-    """Reconstruct frames as they arrive and show them in the browser."""
+    """Reconstruct frames as they arrive and show them in the browser.
+
+    Parameters
+    ----------
+    recording
+        A recording to replay instead.
+    estimator
+        Default: smooth, or the first of --config.
+    config
+        A run's YAML file with estimators.
+    speed
+        Speed of the replay relative to the recording, such as 10.
+    http
+        HOST:PORT of the page; 127.0.0.1 is visible on this computer only.
+    token
+        Access token of the page; outside 127.0.0.1 one is generated.
+    baseline
+        Number of unloaded frames at the beginning, unless the recording marks them.
+    out
+        Record the board into this file as well.
+    publish
+        lsl, osc, mqtt or websocket, with an optional address: mqtt://localhost:1883/lampest. Repeatable.
+    """
     from lampest.files.process import ending_signals
     from lampest.report.live.run import LiveBoard, Outlets, Replay, chosen
     from lampest.report.live.run import live as run_live
 
-    check_positive("--speed", speed)
-    check_positive("--period", period)
     if recording is not None and (port or scene or period or out):
         raise InputError("--recording: --port, --scene, --period and --out are for a board")
     if assign and config is None:
@@ -179,15 +198,13 @@ def live(
     source: LiveBoard | Replay = LiveBoard(tuple(port or ()), scene_of(scene, None), baseline, period, out)
     if recording is not None:
         source = Replay(recording, speed, baseline)
+
+    def on_address(url: str) -> None:
+        say(f"{url}  (Ctrl-C ends)" if url.startswith("http") else url)
+
     with ending_signals():  # every end of the command sends the board its command to stop
-        done = run_live(
-            source,
-            chosen(estimator, config, tuple(assign or ())),
-            Outlets(http, token, publish or ()),
-            count,
-            lambda url: say(f"{url}  (Ctrl-C ends)" if url.startswith("http") else url),
-            warn,
-        )
+        estimators, outlets = chosen(estimator, config, tuple(assign or ())), Outlets(http, token, publish or ())
+        done = run_live(source, estimators, outlets, count, on_address, warn)
     if done is not None:
         report_recorded(done)
 
@@ -199,23 +216,29 @@ def report_recorded(done: "Recorded") -> None:
     """
     noise = "" if done.noise_lsb is None else f", noise of one reading {done.noise_lsb:.2f} LSB"
     say(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
-    if done.clock_jumps:
-        jumps = "1 jump" if done.clock_jumps == 1 else f"{done.clock_jumps} jumps"
-        warn(f"{jumps} of the board's clock; events mark where, and time goes on by the period")
-    if done.clock_stopped:
-        warn("the board's clock stood still; an event marks since when, and time goes on by this computer's clock")
-    if done.parted:
-        warn(
-            f"{done.parted} of the {done.frames} frames lack a module; events mark which was gone, and when it was back"
-        )
-    if done.silent:
-        warn(f"no frame came in the last {done.silent:.1f} s")
-    if done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm:
-        warn(
+    jumps = "1 jump" if done.clock_jumps == 1 else f"{done.clock_jumps} jumps"
+    parted, behind = (f"{count} of the {done.frames} frames" for count in (done.parted, done.behind))
+    bare = done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm
+    for true, sentence in (
+        (done.clock_jumps, f"{jumps} of the board's clock; events mark where, and time goes on by the period"),
+        (
+            done.clock_stopped,
+            "the board's clock stood still; an event marks since when, and time goes on by this computer's clock",
+        ),
+        (done.parted, f"{parted} lack a module; events mark which was gone, and when it was back"),
+        (done.silent, f"no frame came in the last {done.silent:.1f} s"),
+        (
+            bare,
             "no series resistance is assumed, because the scene names none; two multiplexer channels have "
-            "some 140 ohm, which lampest calibrate measures"
-        )
+            "some 140 ohm, which lampest calibrate measures",
+        ),
+        (
+            done.ended_by,
+            f"{done.ended_by} ended the recording; {f'{behind} were' if done.behind else 'no frame was'} "
+            "still in the port then",
+        ),
+    ):
+        if true:
+            warn(sentence)
     if done.ended_by:
-        behind = f"{done.behind} of the {done.frames} frames were" if done.behind else "no frame was"
-        warn(f"{done.ended_by} ended the recording; {behind} still in the port then")
         raise typer.Exit(INTERRUPTED)

@@ -2,16 +2,19 @@
 
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from lampest.cli.screen import (
     SOME_FAILED,
+    Amount,
     Assign,
     AssignToScene,
+    Count,
+    NewFile,
+    Output,
     as_options,
-    check_positive,
     option,
     print_notes,
     progress,
@@ -19,7 +22,6 @@ from lampest.cli.screen import (
     say_text,
     scene_of,
     warn,
-    written,
 )
 from lampest.files.errors import InputError
 
@@ -30,18 +32,31 @@ if TYPE_CHECKING:
     from lampest.runs.config import Case
 
 
+Lines = Annotated[int | None, option(min=1)]
+
+
 def init(
-    folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder, created if missing; existing files are kept.")
-    ] = Path(),
-    readout: Annotated[
-        str, option("Your circuit: two_mux, pull_ups, grounded or amplifiers.", metavar="CIRCUIT")
-    ] = "two_mux",
-    rows: Annotated[int, option("Rows of your panel, such as 16.", min=1)] = 10,
-    columns: Annotated[int, option("Columns of your panel, such as 16.", min=1)] = 10,
-    purpose: Annotated[str | None, option("mat: contacts alone. Default: mouths and cups, too.")] = None,
+    folder: Annotated[Path, typer.Argument(metavar="DIR")] = Path(),
+    readout: Annotated[str, option(metavar="CIRCUIT")] = "two_mux",
+    rows: Count = 10,
+    columns: Count = 10,
+    purpose: str | None = None,
 ) -> None:
-    """Write starter files for your circuit: a scene, a run, a simulated recording and its simulation."""
+    """Write starter files for your circuit: a scene, a run, a simulated recording and its simulation.
+
+    Parameters
+    ----------
+    folder
+        Folder, created if missing; existing files are kept.
+    readout
+        Your circuit: two_mux, pull_ups, grounded or amplifiers.
+    rows
+        Rows of your panel, such as 16.
+    columns
+        Columns of your panel, such as 16.
+    purpose
+        mat: contacts alone. Default: mouths and cups, too.
+    """
     from lampest.runs.starter import RECORDING, RUN, SCENE, circuit_called, write_starter
 
     circuit = circuit_called(readout)
@@ -60,18 +75,28 @@ def init(
 
 
 def run(
-    config: Annotated[Path, typer.Argument(help="The run's YAML file.")],
-    out: Annotated[Path | None, written("--out", "Results folder. Default: results/<config>.")] = None,
+    config: Path,
+    out: Output = None,
     assign: Assign = None,
-    jobs: Annotated[
-        int | None, option("Processes, such as 2. Default: the file's executor, or all cores.", min=1)
-    ] = None,
-    fresh: Annotated[bool, option("Solve finished cases again.", "--fresh")] = False,
-    yes: Annotated[
-        bool, option("Also solve panels whose first frame takes minutes or more memory than there is.", "--yes")
-    ] = False,
+    jobs: Annotated[int | None, option(min=1)] = None,
+    fresh: bool = False,
+    yes: bool = False,
 ) -> None:
-    """Reconstruct recordings with every estimator of a run file; finished cases are skipped."""
+    """Reconstruct recordings with every estimator of a run file; finished cases are skipped.
+
+    Parameters
+    ----------
+    config
+        The run's YAML file.
+    out
+        Results folder. Default: results/<config>.
+    jobs
+        Processes, such as 2. Default: the file's executor, or all cores.
+    fresh
+        Solve finished cases again.
+    yes
+        Also solve panels whose first frame takes minutes or more memory than there is.
+    """
     from lampest.report.words import counted
     from lampest.runs.batch import run_batch
     from lampest.runs.config import read_run
@@ -120,12 +145,16 @@ def refuse_large(cases: "Sequence[Case]") -> None:
             )
 
 
-def simulate(
-    config: Annotated[Path, typer.Argument(help="The simulation's YAML file.")],
-    out: Annotated[Path | None, written("--out", "The recording, or a folder where the file sweeps.")] = None,
-    assign: Assign = None,
-) -> None:
-    """Simulate recordings with known truth from a scene."""
+def simulate(config: Path, out: Output = None, assign: Assign = None) -> None:
+    """Simulate recordings with known truth from a scene.
+
+    Parameters
+    ----------
+    config
+        The simulation's YAML file.
+    out
+        The recording, or a folder where the file sweeps.
+    """
     from lampest.recording.simulation import run as run_simulation
 
     with progress("frames", counted=True) as on_frame:
@@ -135,58 +164,83 @@ def simulate(
 
 
 def import_(
-    file: Annotated[Path, typer.Argument(help="CSV or other text, .xlsx, .npy, .npz or .mat.")],
-    out: Annotated[Path, written("--out", "New recording file.")],
-    rows: Annotated[int | None, option("Rows of the panel, such as 10. Default: the scene's.", min=1)] = None,
-    columns: Annotated[int | None, option("Columns of the panel, such as 10. Default: the scene's.", min=1)] = None,
-    scene: Annotated[Path | None, option("The scene's YAML file; lampest init writes one.")] = None,
+    file: Path,
+    out: NewFile,
+    rows: Lines = None,
+    columns: Lines = None,
+    scene: Path | None = None,
     assign: AssignToScene = None,
-    unit: Annotated[str | None, option("ohm, kohm, volt, mV or code. Default: by header or values.")] = None,
-    period: Annotated[float | None, option("Seconds between frames, such as 0.1. Default: the file's times.")] = None,
-    time_unit: Annotated[
-        Literal["s", "ms", "us"] | None, option("Unit of the file's times. Default: by header or values.")
-    ] = None,
-    missing: Annotated[str, option("Missing readings: mark (NaN), skip-frame or refuse.")] = "mark",
-    baseline: Annotated[int, option("Number of unloaded frames at the beginning, such as 3.", min=0)] = 0,
-    transpose: Annotated[bool, option("Rows and columns of the file are swapped.", "--transpose")] = False,
-    variable: Annotated[str | None, option("The variable of a .mat or .npz file, the sheet of an .xlsx file.")] = None,
-    layout: Annotated[
-        str | None, option("A table's columns, such as time,row,column,value, or an installed layout.")
-    ] = None,
+    unit: str | None = None,
+    period: Amount = None,
+    time_unit: Literal["s", "ms", "us"] | None = None,
+    missing: str = "mark",
+    baseline: Annotated[int, option(min=0)] = 0,
+    transpose: bool = False,
+    variable: str | None = None,
+    layout: str | None = None,
 ) -> None:
-    """Convert measurements of another program to a recording, and report how they were interpreted."""
+    """Convert measurements of another program to a recording, and report how they were interpreted.
+
+    Parameters
+    ----------
+    file
+        CSV or other text, .xlsx, .npy, .npz or .mat.
+    out
+        New recording file.
+    rows
+        Rows of the panel, such as 10. Default: the scene's.
+    columns
+        Columns of the panel, such as 10. Default: the scene's.
+    scene
+        The scene's YAML file; lampest init writes one.
+    unit
+        ohm, kohm, volt, mV or code. Default: by header or values.
+    period
+        Seconds between frames, such as 0.1. Default: the file's times.
+    time_unit
+        Unit of the file's times. Default: by header or values.
+    missing
+        Missing readings: mark (NaN), skip-frame or refuse.
+    baseline
+        Number of unloaded frames at the beginning, such as 3.
+    transpose
+        Rows and columns of the file are swapped.
+    variable
+        The variable of a .mat or .npz file, the sheet of an .xlsx file.
+    layout
+        A table's columns, such as time,row,column,value, or an installed layout.
+    """
     from lampest.recording.foreign.importing import import_file
     from lampest.report.info import understood_lines
 
-    check_positive("--period", period)
     agreed = scene_of(scene, assign)
+    options: dict[str, Any] = {
+        "transpose": transpose,
+        "variable": variable,
+        "period": period,
+        "missing": missing,
+        "layout": layout,
+    }
     with progress("reading"):
-        recording, notes = import_file(
-            file,
-            rows,
-            columns,
-            agreed,
-            unit,
-            baseline,
-            transpose=transpose,
-            variable=variable,
-            period=period,
-            missing=missing,
-            layout=layout,
-            time_unit=time_unit,
-        )
+        recording, notes = import_file(file, rows, columns, agreed, unit, baseline, time_unit=time_unit, **options)
         recording.save(out)
     for line in understood_lines(recording, notes):
         say(as_options(line))
     say(out)
 
 
-def tare(
-    file: Annotated[Path, typer.Argument(help="A recording.")],
-    frames: Annotated[str, option("Range of unloaded frames: 40:50 is 40 to 49.")],
-    out: Annotated[Path, written("--out", "New recording file.")],
-) -> None:
-    """Choose new baseline frames; all other frames become measured ones, and no reading changes."""
+def tare(file: Path, frames: Annotated[str, option()], out: NewFile) -> None:
+    """Choose new baseline frames; all other frames become measured ones, and no reading changes.
+
+    Parameters
+    ----------
+    file
+        A recording.
+    frames
+        Range of unloaded frames: 40:50 is 40 to 49.
+    out
+        New recording file.
+    """
     from lampest.recording.recording import MIN_CHANGE, Recording, frames_named, tared
 
     recording = Recording.load(file)

@@ -3,12 +3,14 @@
 import dataclasses
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lampest.cli.screen import (
     WRONG_INPUT,
+    Amount,
+    Output,
     option,
     print_notes,
     print_table,
@@ -16,7 +18,6 @@ from lampest.cli.screen import (
     say,
     say_text,
     warn,
-    written,
 )
 from lampest.files.errors import InputError
 
@@ -37,15 +38,25 @@ def _frames(text: str | None) -> range | None:
 
 
 def compare(
-    results: Annotated[list[Path], typer.Argument(help="Results files.")],
-    csv: Annotated[Path | None, written("--csv", "Also write the table to this file.")] = None,
-    report: Annotated[
-        Path | None, written("--report", "Write a page with figures, intervals and a recommendation.")
-    ] = None,
+    results: list[Path],
+    csv: Output = None,
+    report: Output = None,
     frames: FramesNamed = None,
-    published: Annotated[bool, option("Also print published figures that the run file quotes.", "--published")] = False,
+    published: bool = False,
 ) -> None:
-    """Compare methods over recordings: frames solved, time, data error, and cell error where the truth is known."""
+    """Compare methods over recordings: frames solved, time, data error, and cell error where the truth is known.
+
+    Parameters
+    ----------
+    results
+        Results files.
+    csv
+        Also write the table to this file.
+    report
+        Write a page with figures, intervals and a recommendation.
+    published
+        Also print published figures that the run file quotes.
+    """
     from lampest.report.compare import compare_files, legend, model_notes, screen_blocks, write_csv
 
     with progress("recordings") as on_recording:
@@ -64,49 +75,63 @@ def compare(
 
 
 def plot(
-    results: Annotated[Path, typer.Argument(help="A results file.")],
-    out: Annotated[
-        Path | None, written("--out", "Output folder, or one picture such as x.svg. Default: beside the results.")
-    ] = None,
-    show: Annotated[
-        str | None,
-        option(
-            "contours, change, resistance, residuals, pressure, certainty, sweep. Default: contours, of sweeps errors.",
-            metavar="KIND",
-        ),
-    ] = None,
-    frame: Annotated[int | None, option("Frame index, such as 12. Default: a frame of strong change.", min=0)] = None,
-    recording: Annotated[list[str] | None, option("Recording to plot, such as mine. Default: all. Repeatable.")] = None,
-    estimator: Annotated[list[str] | None, option("Estimator to plot, such as LSM. Default: all. Repeatable.")] = None,
+    results: Path,
+    out: Output = None,
+    show: Annotated[str | None, option(metavar="KIND")] = None,
+    frame: Annotated[int | None, option(min=0)] = None,
+    recording: list[str] | None = None,
+    estimator: list[str] | None = None,
     frames: FramesNamed = None,
 ) -> None:
-    """Plot contours of every recording side by side, or error bars, or pressures."""
+    """Plot contours of every recording side by side, or error bars, or pressures.
+
+    Parameters
+    ----------
+    results
+        A results file.
+    out
+        Output folder, or one picture such as x.svg. Default: beside the results.
+    show
+        contours, change, resistance, residuals, pressure, certainty, sweep. Default: contours, of sweeps errors.
+    frame
+        Frame index, such as 12. Default: a frame of strong change.
+    recording
+        Recording to plot, such as mine. Default: all. Repeatable.
+    estimator
+        Estimator to plot, such as LSM. Default: all. Repeatable.
+    """
     from lampest.report.plots import plot_results
 
-    with progress("pictures") as on_picture:
-        files = plot_results(
-            results,
-            out,
-            show,
-            on_picture=on_picture,
-            frame=frame,
-            estimators=tuple(estimator or ()),
-            frames=_frames(frames),
-            recordings=tuple(recording or ()),
-        )
+    chosen: dict[str, Any] = {"estimators": tuple(estimator or ()), "recordings": tuple(recording or ())}
+    with progress("pictures") as shown:
+        files = plot_results(results, out, show, on_picture=shown, frame=frame, frames=_frames(frames), **chosen)
     for path in files:
         say(path)
 
 
 def export(
-    results: Annotated[Path, typer.Argument(help="A results file.")],
-    to: Annotated[str, option("csv, parquet, mat, zarr or nwb.", metavar="FORMAT")],
-    out: Annotated[Path | None, written("--out", "Output file. Default: beside the results.")] = None,
-    recording: Annotated[str | None, option("Export this recording only; nwb takes one.")] = None,
-    start: Annotated[str | None, option("Start time for nwb if the file has none: 2026-05-04T09:30:00+02:00.")] = None,
+    results: Path,
+    to: Annotated[str, option(metavar="FORMAT")],
+    out: Output = None,
+    recording: str | None = None,
+    start: str | None = None,
     frames: FramesNamed = None,
 ) -> None:
-    """Export results to pandas and R, MATLAB and Octave, xarray or NWB, with units and descriptions."""
+    """Export results to pandas and R, MATLAB and Octave, xarray or NWB, with units and descriptions.
+
+    Parameters
+    ----------
+    results
+        A results file.
+    to
+        csv, parquet, mat, zarr or nwb.
+    out
+        Output file. Default: beside the results.
+    recording
+        Export this recording only; nwb takes one.
+    start
+        Start time for nwb if the file has none: 2026-05-04T09:30:00+02:00.
+    """
     from lampest.report.export import export_results
 
     for file in export_results(results, to, out, recording, start, _frames(frames)):
@@ -114,32 +139,37 @@ def export(
 
 
 def detect(
-    file: Annotated[Path, typer.Argument(help="A recording or a results file.")],
-    out: Annotated[
-        Path | None, written("--out", "Output folder. Default: results/<recording>, or beside the results.")
-    ] = None,
-    as_json: Annotated[bool, option("Print the answers as JSON, and write no files.", "--json")] = False,
-    everything: Annotated[
-        bool, option("Also print notes and, for results, the frame of the largest force.", "--all")
-    ] = False,
-    patch: Annotated[
-        float | None, option("Edge length of a cell's film in mm, such as 6. Default: 0.6 of the pitch.")
-    ] = None,
-    estimator: Annotated[
-        str | None, option("Estimator whose force and area are printed, such as LSM. Default: the first.")
-    ] = None,
+    file: Path,
+    out: Output = None,
+    json_: bool = False,
+    all_: bool = False,
+    patch: Amount = None,
+    estimator: str | None = None,
     frames: FramesNamed = None,
 ) -> None:
     """Detect contacts: since when, where, how large, and whether one sucks. One sentence per recording, then events.
 
     Writes detections.h5 and a timeline of each recording; of results with pressures also pressed.csv with every frame.
+
+    Parameters
+    ----------
+    file
+        A recording or a results file.
+    out
+        Output folder. Default: results/<recording>, or beside the results.
+    json_
+        Print the answers as JSON, and write no files.
+    all_
+        Also print notes and, for results, the frame of the largest force.
+    patch
+        Edge length of a cell's film in mm, such as 6. Default: 0.6 of the pitch.
+    estimator
+        Estimator whose force and area are printed, such as LSM. Default: the first.
     """
     from lampest.report.detect.detection import detect_recording, detect_results, is_results
     from lampest.report.detect.pressed import pressed
     from lampest.runs.results import read_results
 
-    if patch is not None and not 0 < patch < float("inf"):
-        raise InputError("--patch must be positive and finite")
     results = read_results(file, frames=_frames(frames)) if is_results(file) else None
     if results is None and estimator is not None:
         raise InputError(f"{file}: --estimator: a recording has none; name a results file")
@@ -150,12 +180,12 @@ def detect(
         else:
             answers = detect_results(results, patch, on_case)
             loads = pressed(results.named("estimator", (estimator or results.estimators()[0],)))
-    if as_json:
+    if json_:
         content = [answer.content() for answer in answers]
         say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
     else:
         folder = file.parent if results is not None else Path("results") / file.stem
-        _tell(answers, loads, folder if out is None else out, everything=everything)
+        _tell(answers, loads, folder if out is None else out, everything=all_)
 
 
 def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder: Path, *, everything: bool) -> None:
@@ -205,13 +235,16 @@ def schema() -> None:
     say_text(json.dumps(json_schema(), indent=2))
 
 
-def info(
-    file: Annotated[Path, typer.Argument(help="A recording or a results file.")],
-    picture: Annotated[
-        Path | None, written("--picture", "Draw the strongest frame into this .png, .svg or .pdf.")
-    ] = None,
-) -> None:
-    """Describe a file and draw the frame with the strongest change as a small map."""
+def info(file: Path, picture: Output = None) -> None:
+    """Describe a file and draw the frame with the strongest change as a small map.
+
+    Parameters
+    ----------
+    file
+        A recording or a results file.
+    picture
+        Draw the strongest frame into this .png, .svg or .pdf.
+    """
     from lampest.report.info import describe
 
     with progress("reading"):
@@ -224,11 +257,16 @@ def info(
         say(plot_file(file, picture))
 
 
-def check(
-    files: Annotated[list[Path], typer.Argument(parser=Path, metavar="FILE...", help="Recordings or results.")],
-    repair: Annotated[bool, option("Recover recordings after a crash.", "--repair")] = False,
-) -> None:
-    """Verify the checksums of files and name the first damaged dataset of each."""
+def check(files: Annotated[list[Path], typer.Argument(parser=Path, metavar="FILE...")], repair: bool = False) -> None:
+    """Verify the checksums of files and name the first damaged dataset of each.
+
+    Parameters
+    ----------
+    files
+        Recordings or results.
+    repair
+        Recover recordings after a crash.
+    """
     from lampest.report.info import checked_sentence
 
     damaged = 0

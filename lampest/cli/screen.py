@@ -1,14 +1,16 @@
 """Options, messages, progress bar, tables and exit codes of all commands."""
 
+import inspect
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from copy import copy
 from itertools import groupby
 from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import fill, wrap
-from typing import TYPE_CHECKING, Annotated, Any, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, TextIO, get_args, get_origin
 
 import typer
 
@@ -23,38 +25,65 @@ WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
 WIDTH = 100  # columns of a terminal that every table and note fits
 
 
-def written(name: str, text: str) -> Any:
-    """Return an option of that name for an output path.
+def _place(value: str) -> Path:
+    return Path(value if value.strip() else Path.cwd().anchor)
 
-    Raises InputError for an empty path and for the root of the file system.
+
+def _checked_place(parameter: typer.CallbackParam, value: Path | None) -> Path | None:
+    """Return an output path. Raises InputError for an empty one and for the root of the file system."""
+    if value is not None and value.resolve() == Path(value.resolve().anchor):
+        name = parameter.opts[0]
+        raise InputError(f"{name}: output cannot be written to an empty path or to the root of the file system")
+    return value
+
+
+def positive(parameter: typer.CallbackParam, value: float | None) -> float | None:
+    """Return a number. Raises InputError unless it is positive and finite."""
+    if value is not None and not 0 < value < float("inf"):
+        raise InputError(f"{parameter.opts[0]} must be positive and finite")
+    return value
+
+
+def option(text: str = "", *names: str, **further: Any) -> Any:
+    """Return an option that is called like its parameter unless names are given.
+
+    Without a help text it has that of the command's docstring.
     """
-
-    def place(value: str) -> Path:
-        return Path(value if value.strip() else Path.cwd().anchor)
-
-    def checked(value: Path | None) -> Path | None:
-        if value is not None and value.resolve() == Path(value.resolve().anchor):
-            raise InputError(f"{name}: output cannot be written to an empty path or to the root of the file system")
-        return value
-
-    return typer.Option(name, parser=place, callback=checked, metavar="PATH", help=text)
+    return typer.Option(*names, help=text or None, **further)
 
 
-def is_written(annotation: Any) -> bool:
-    """Return whether an option or argument names outputs, which alone have a parser."""
-    return any(getattr(note, "parser", None) is not None for note in getattr(annotation, "__metadata__", ()))
-
-
-def option(text: str, *names: str, **further: Any) -> Any:
-    """Return an option with its help text, called like its parameter unless names are given."""
-    return typer.Option(*names, help=text, **further)
-
-
+OUTPUT = option(parser=_place, callback=_checked_place, metavar="PATH")
+Output = Annotated[Path | None, OUTPUT]
+NewFile = Annotated[Path, OUTPUT]
+Count = Annotated[int, option(min=1)]
+Amount = Annotated[float | None, option(callback=positive)]
 OVERRIDE = "Override an entry of the file: formulation=reduced. Repeatable."
 Assign = Annotated[list[str] | None, option(OVERRIDE, "--set", metavar="PATH=VALUE")]
 OVERRIDE_SCENE = "Override an entry of --scene: readout.adc_bits=12. Repeatable."
 AssignToScene = Annotated[list[str] | None, option(OVERRIDE_SCENE, "--set", metavar="PATH=VALUE")]
-Folder = Annotated[Path | None, written("--out", "Output folder. Default: results/<config>.")]
+
+
+def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
+    """Return the help of a command, and its signature with the help of its options, both from its docstring.
+
+    Truth values become flags without a value.
+    """
+    about, _, section = (inspect.getdoc(command) or "").partition("\n\nParameters\n----------\n")
+    help_of = {name: " ".join(text.split()) for name, text in re.findall(r"(?m)^(\w+)\n((?:    .*\n?)+)", section)}
+    parameters = []
+    for name, each in (signature := inspect.signature(command, eval_str=True)).parameters.items():
+        kind, *notes = get_args(each.annotation) if get_origin(each.annotation) is Annotated else (each.annotation,)
+        if kind is bool:
+            notes = [option("", f"--{name.strip('_').replace('_', '-')}")]
+        note = copy(notes[0]) if notes else typer.Argument() if each.default is each.empty else typer.Option()
+        note.help = note.help or help_of[name]
+        parameters.append(each.replace(annotation=Annotated[kind, note]))
+    return about.strip(), signature.replace(parameters=parameters)
+
+
+def is_written(parameter: inspect.Parameter) -> bool:
+    """Return whether an option names an output."""
+    return parameter.annotation.__metadata__[0].parser is _place
 
 
 def scene_of(path: Path | None, assigned: list[str] | None) -> "Scene | None":
@@ -67,12 +96,6 @@ def scene_of(path: Path | None, assigned: list[str] | None) -> "Scene | None":
     if path is None and assigned:
         raise InputError("--set: overrides entries of a scene; name its file with --scene")
     return read_scene(path, tuple(assigned or ())) if path else None
-
-
-def check_positive(name: str, value: float | None) -> None:
-    """Raise InputError unless a number that was given is positive and finite."""
-    if value is not None and not 0 < value < float("inf"):
-        raise InputError(f"{name} must be positive and finite")
 
 
 def say(message: object, to: TextIO | None = None) -> None:

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lampest.cli.screen import Assign, Folder, option, print_table, progress, say, warn, written
+from lampest.cli.screen import Assign, Output, option, print_table, progress, say, warn
 
 if TYPE_CHECKING:
     from lampest.studies.study import Study
 
-Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="The study's YAML file; else the shipped one.")]
+Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]")]
 # Word → module of the study, and its help text. To add a study, write a module with its STUDY and add it here.
 STUDIES = {
     "bench": (
@@ -38,14 +38,25 @@ STUDIES = {
 }
 
 
+PARAMETERS = """
+
+        Parameters
+        ----------
+        config
+            The study's YAML file; else the shipped one.
+        out
+            Output folder. Default: results/<config>.
+        """
+
+
 def study_command(word: str) -> Callable[..., None]:
     """Return the command of a study."""
     module, about = STUDIES[word]
 
-    def command(config: Config = None, out: Folder = None, assign: Assign = None) -> None:
+    def command(config: Config = None, out: Output = None, assign: Assign = None) -> None:
         run_study(import_module(module).STUDY, config, out, assign)
 
-    command.__name__, command.__doc__ = word, about
+    command.__name__, command.__doc__ = word, f"{about}{PARAMETERS}"
     return command
 
 
@@ -63,16 +74,19 @@ def run_study(study: "Study[Any, Any]", config: Path | None, out: Path | None, a
         warn(sentence)
 
 
-def paper(
-    config: Annotated[
-        Path | None, typer.Argument(metavar="[CONFIG]", help="Published numbers; else lampest's.")
-    ] = None,
-    out: Annotated[Path | None, written("--out", "Output folder. Default: results/paper.")] = None,
-    jobs: Annotated[int | None, option("Number of processes, such as 2. Default: all cores.", min=1)] = None,
-) -> None:
+def paper(config: Config = None, out: Output = None, jobs: Annotated[int | None, option(min=1)] = None) -> None:
     """Reproduce the paper's figures and table from shipped recordings, beside the published numbers.
 
     Writes paper.html, numbers.csv and every figure as PNG.
+
+    Parameters
+    ----------
+    config
+        Published numbers; else lampest's.
+    out
+        Output folder. Default: results/paper.
+    jobs
+        Number of processes, such as 2. Default: all cores.
     """
     from lampest.studies.paper import paper_study
 
