@@ -74,7 +74,7 @@ def reconstruct(
     prepared.recording.scene.panel.check_memory()
     readings, frames = prepared.noise.readings, prepared.recording.measured_frames()
     stream = first_stream(prepared.recording, readings, estimator, prepared.noise)
-    return MeasuredPart(prepared.recording, frames, readings, prepared, estimator.automatic).solve(stream, on_frame)[1]
+    return MeasuredPart(prepared.recording, frames, readings, prepared).solve(stream, on_frame)[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,15 +91,12 @@ class MeasuredPart:
         Readings of all frames of the recording.
     prepared : Prepared
         Noise, effects and warnings of the estimates.
-    automatic : bool
-        Whether the data choose weights.
     """
 
     recording: Recording
     frames: NDArray[np.intp]
     readings: Readings
     prepared: Prepared
-    automatic: bool
 
     def solve(
         self,
@@ -110,8 +107,22 @@ class MeasuredPart:
         readings, count, steps = self.readings[self.frames], len(self.frames), list[Step]()
 
         def so_far() -> Estimates:
-            missing = [stream.unsolved(Status.BROKEN_OFF)] * (count - len(steps))
-            return self._estimates(stream, readings, steps + missing)
+            solved = (*steps, *[stream.unsolved(Status.BROKEN_OFF)] * (count - len(steps)))
+            return Estimates(
+                self.recording,
+                stream.estimator,
+                self.frames,
+                readings,
+                stream.resting,
+                np.where(self.recording.scene.panel.present, stream.baseline_resistance, np.nan),
+                stream.baseline or solved[0],
+                None if stream.track is None else stream.track.baseline,
+                solved,
+                stream.estimator.joint_start,
+                self.prepared,
+                stream.scene.contacts,
+                automatic=stream.estimator.automatic or bool(stream.estimator.weight_sigma),
+            )
 
         if stream.estimator.method.needs_all_frames:
             numbers, resting = iter(range(1, count + 1)), self.readings[self.recording.role == UNLOADED]
@@ -122,23 +133,6 @@ class MeasuredPart:
                 steps.append(step)
                 on_frame(len(steps), count, so_far)
         return stream, so_far()
-
-    def _estimates(self, stream: Stream, readings: Readings, steps: list[Step]) -> Estimates:
-        return Estimates(
-            self.recording,
-            stream.estimator,
-            self.frames,
-            readings,
-            stream.resting,
-            np.where(self.recording.scene.panel.present, stream.baseline_resistance, np.nan),
-            stream.baseline or steps[0],
-            None if stream.track is None else stream.track.baseline,
-            tuple(steps),
-            stream.estimator.joint_start,
-            self.prepared,
-            stream.scene.contacts,
-            automatic=self.automatic,
-        )
 
 
 def first_stream(
@@ -246,15 +240,12 @@ class Parts:
         The lead and the frames around the strongest.
     stream : Stream
         The stream before the first frame.
-    automatic : bool
-        Whether the data choose weights.
     """
 
     stored: StoredRecording
     lead: Recording
     sample: Prepared
     stream: Stream
-    automatic: bool
 
     @classmethod
     def of(cls, stored: StoredRecording, estimator: Estimator, asked: tuple[Recording, Prepared]) -> "Parts":
@@ -272,7 +263,7 @@ class Parts:
         check_by_parts(estimator, stored)
         noise, period = asked[1].noise, frame_period(stored.part(stored.blocks()[0]))
         stream = first_stream(asked[1].recording, noise.readings, estimator, noise, period)
-        return cls(stored, *asked, stream, estimator.automatic)
+        return cls(stored, *asked, stream)
 
     @property
     def independent(self) -> bool:
@@ -291,25 +282,18 @@ class Parts:
         for number, frames in enumerate(self.stored.blocks()):
             carried = done(number)
             if self.independent:
-                yield from () if carried is not None else self.solve_part(number)
-                continue
+                stream = start = self.stream
             part = self._part(frames) if carried is None or not start.rested else None
             if carried is not None:
                 # a finished part: its memory continues the stream; a joint baseline is found again by its frames
                 start = start if part is None else self._with_baseline(start, part)
-                stream = carried.onto(start)
             elif part is not None:
                 stream, estimates = part.solve(stream)
                 carried = CarriedOver.of(stream)
                 yield number, estimates, carried
                 start = stream.restarted(self.stream)
+            if carried is not None and not self.independent:
                 stream = carried.onto(start)
-
-    def solve_part(self, number: int) -> Iterator[SolvedPart]:
-        """Solve an independent part with measured frames; generate nothing for any other part."""
-        if self.independent and (part := self._part(self.stored.blocks()[number])) is not None:
-            stream, estimates = part.solve(self.stream)
-            yield number, estimates, CarriedOver.of(stream)
 
     def _part(self, frames: range) -> MeasuredPart | None:
         """Return the measured frames of a range, together with the lead; None where no frame is measured."""
@@ -318,7 +302,7 @@ class Parts:
             return None
         recording = of_parts((self.lead, part))
         readings = Prepared(recording, self.sample.noise).noise.readings
-        return MeasuredPart(recording, _own_frames(recording, frames), readings, self.sample, self.automatic)
+        return MeasuredPart(recording, _own_frames(recording, frames), readings, self.sample)
 
     def _with_baseline(self, begun: Stream, part: MeasuredPart) -> Stream:
         """Return the stream with its baseline, pushing the part's frames until a joint baseline is solved."""

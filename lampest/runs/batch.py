@@ -281,7 +281,8 @@ def solve_part(part: tuple[Task, int]) -> None:
     task, number = part
     recording = _recording(task.case.path, task.case.sha256)
     if isinstance(recording, StoredRecording):
-        list(task.write_parts(_parts(task.case.estimator, recording).solve_part(number)))
+        parts = _parts(task.case.estimator, recording)
+        list(task.write_parts(parts.estimates(lambda at: None if at == number else CarriedOver({}))))
 
 
 def solve_case(task: Task) -> CaseResult | StoredCase:

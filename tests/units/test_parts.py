@@ -134,7 +134,7 @@ def test_the_frame_period_of_a_long_recording_is_that_of_its_first_part(tmp_path
     recording = stored.StoredRecording.of(tmp_path / "long.h5")
     assert len(recording.blocks()) == 2
     parts = Parts.of(recording, lampest.Estimator((lampest.Misfit(),), "reduced"), asked_frames(recording))
-    assert parts.stream.period == pytest.approx(0.1) and parts.independent and not parts.automatic
+    assert parts.stream.period == pytest.approx(0.1) and parts.independent
 
 
 @pytest.mark.slow
