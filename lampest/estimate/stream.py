@@ -15,8 +15,7 @@ from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
-from lampest.posterior.dense import DenseMemory
-from lampest.posterior.sampled import SampledMemory
+from lampest.posterior.covariance import DenseMemory, SampledMemory
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings, mean_change
 from lampest.solvers.projected_newton import ProjectedNewton

@@ -13,9 +13,8 @@ from scipy.special import erf
 from lampest.cost.losses import PenaltyEvidence
 from lampest.cost.terms import term_kind
 from lampest.files.errors import InputError
-from lampest.posterior.dense import DenseErrors, positive_inverse, rank
-from lampest.posterior.linear import IGNORANCE, LinearModel, penalty_curvature_of
-from lampest.posterior.sampled import SampledErrors
+from lampest.posterior.covariance import DenseErrors, SampledErrors, positive_inverse
+from lampest.posterior.linear import IGNORANCE, LinearModel, rank
 
 MAX_ROUNDS, TOLERANCE = 30, 0.01  # iterations of the fixed point; change of log λ at which they end
 # Regularisation relative to the mean curvature; mean η of a residual, in its unit, below which there are none yet.
@@ -59,7 +58,7 @@ def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[flo
     rows = model.penalty_jacobian.toarray()[:, model.free]
     for _ in range(MAX_ROUNDS):
         # Estimate for the present weights: p = −A⁻¹ (Jᵀ Ω x̂ + Zᵀ Ω x̂)
-        curvature = penalty_curvature_of(model, np.asarray(weights))
+        curvature = model.penalty_curvature_for(np.asarray(weights))
         prior = (rows.T * curvature) @ rows
         inverse = positive_inverse(data + prior + IGNORANCE * model.scale * np.eye(len(data)))
         step = -inverse @ (slope + rows.T @ (curvature * model.penalty))

@@ -6,7 +6,7 @@ all others are penalties. With s² = mean ω τ² over the data, cost/s² is −
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,9 @@ from scipy import sparse
 from lampest.cost.cost import Cost
 from lampest.cost.losses import Loss
 from lampest.cost.problem import Evaluation, Residuals, residuals
-from lampest.files.levels import TWO_SIDED
 from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array
-from lampest.posterior.interval import LEVEL
+from lampest.panel.trust_region import MAX_DENSE
 
 NEAR_BOUND = 1e-3  # of log r: distance from a bound within which a cell is at it
 IGNORANCE = 1e-4  # prior precision of log r, which regularises cells without data and penalties
@@ -57,14 +56,12 @@ class LinearModel:
     @cached_property
     def at_lower(self) -> NDArray[np.bool_]:
         """Whether a cell is held at its lower bound by the gradient, boolean (cells,)."""
-        near = self._position - self._log_bounds[0] <= NEAR_BOUND
-        return near & (self.gradient > 0) & ~self.fixed if near.any() else near
+        return (self._rooms[0] <= NEAR_BOUND) & (self.gradient > 0) & ~self.fixed
 
     @cached_property
     def at_upper(self) -> NDArray[np.bool_]:
         """Whether a cell is held at its upper bound by the gradient, boolean (cells,)."""
-        near = self._log_bounds[1] - self._position <= NEAR_BOUND
-        return near & (self.gradient < 0) & ~self.fixed if near.any() else near
+        return (self._rooms[1] <= NEAR_BOUND) & (self.gradient < 0) & ~self.fixed
 
     @cached_property
     def fixed(self) -> NDArray[np.bool_]:
@@ -77,11 +74,17 @@ class LinearModel:
         return np.flatnonzero(~(self.at_lower | self.at_upper | self.fixed))
 
     @cached_property
+    def _rooms(self) -> tuple[Array, Array]:
+        """Distances of log r from the lower and the upper bound, (cells,)."""
+        lower, upper = self.at.data.log_bounds
+        return (self.at.position - lower).ravel(), (upper - self.at.position).ravel()
+
+    @cached_property
     def ignorance(self) -> Array:
         """Prior precision ε of log r, (free,); 12/ln²(upper/lower) for cells that were not read."""
-        lower, upper = (bound[self.free] for bound in self._log_bounds)
         # Variance of a uniform distribution over the bounds: ln²(upper/lower)/12
-        within = 12 / np.maximum(upper - lower, NEAR_BOUND) ** 2
+        below, above = (room[self.free] for room in self._rooms)
+        within = 12 / np.maximum(below + above, NEAR_BOUND) ** 2
         return np.asarray(np.where(self.unread, np.maximum(within, IGNORANCE), IGNORANCE))
 
     @cached_property
@@ -93,13 +96,9 @@ class LinearModel:
         return np.asarray(seen[self.free] == 0)
 
     @cached_property
-    def _position(self) -> Array:
-        return np.log(self.at.cell_resistance).ravel()
-
-    @cached_property
-    def _log_bounds(self) -> tuple[Array, Array]:
-        lower, upper = self.at.data.log_bounds
-        return lower.ravel(), upper.ravel()
+    def unread_rows(self) -> NDArray[np.bool_]:
+        """Whether a penalty involves a free cell whose own reading is missing, boolean (penalty rows,)."""
+        return np.asarray(abs(self.penalty_jacobian)[:, self.free[self.unread]].sum(axis=1) > 0)
 
     @cached_property
     def _residuals(self) -> Residuals:
@@ -113,14 +112,12 @@ class LinearModel:
     @cached_property
     def noise(self) -> Array:
         """Standard deviations τ of the data, (data rows,)."""
-        return self._of_rows(self._deviation)
+        return self._of_rows(0.0)
 
-    @property
-    def _deviation(self) -> Array:
-        return self.at.data.deviation if self.deviation is None else self.deviation
-
-    def _of_rows(self, deviation: Array) -> Array:
-        return np.asarray(np.sqrt(_squares(self.through) @ deviation.ravel() ** 2))
+    def _of_rows(self, own_error: Array | float) -> Array:
+        """Return the standard deviations of the data, (data rows,), with a further error of each reading."""
+        noise = self.at.data.deviation if self.deviation is None else self.deviation
+        return np.asarray(np.sqrt(_squares(self.through) @ np.hypot(noise, own_error).ravel() ** 2))
 
     @cached_property
     def data_curvature(self) -> Array:
@@ -142,8 +139,7 @@ class LinearModel:
     def scale(self) -> float:
         """Scale s² = mean ω τ² over the data with curvature; τ includes the error that is the same in all frames."""
         seen = self.data_curvature > 0
-        off = np.hypot(self._deviation, self.own_error) if np.any(self.own_error) else None
-        noise = self.noise if off is None else self._of_rows(off)
+        noise = self._of_rows(self.own_error)
         return float(np.mean(self.data_curvature[seen] * noise[seen] ** 2)) if seen.any() else 1.0
 
     @cached_property
@@ -164,31 +160,36 @@ class LinearModel:
     @cached_property
     def penalty_curvature(self) -> Array:
         """Curvature ω of the penalties, (penalty rows,)."""
-        return penalty_curvature_of(self, self.at.weights)
+        return self.penalty_curvature_for(self.at.weights)
+
+    def penalty_curvature_for(self, weights: Array) -> Array:
+        """Return the curvature ω of the penalties for given weights (terms,), (penalty rows,)."""
+        curvature: Array = weights[self.penalty_term]
+        for number, loss, rows in curved_rows(self.at.cost, self.penalty_term):
+            curvature[rows] *= loss.penalty_curvature(self.penalty[rows], weights[number], self.scale)
+        return curvature
 
     @cached_property
-    def weight_pulls(self) -> Array:
-        """W = σ λ Zᵀ ½ρ'(x̂), (cells, n), of the n terms whose weights the data chose.
+    def pulls(self) -> sparse.csc_array:
+        """Independent errors of half the gradient due to penalties, (W, Zᵀ H), sparse (cells, n).
 
-        A column is the change of half the gradient for one standard deviation σ of log λ. Without it, 95 % intervals
-        cover 81 to 83 % of the cells where the noise is as large as the prior (docs/studies/calibration.md).
+        W = σ λ Zᵀ ½ρ'(x̂) has a column for each weight that the data chose, for one standard deviation σ of log λ.
+        Without it, 95 % intervals cover 81 to 83 % of the cells where the noise is as large as the prior
+        (docs/studies/calibration.md). H is half the slope ∂φ/∂x of each row beyond ω x̂; see `Loss.steady_pull`.
         """
-        slopes = [np.zeros((0, len(self.penalty_term)))]
+        terms, weights, residual = self.at.cost.terms, self.at.weights, self.penalty
+        beyond, columns = np.zeros(len(residual)), [sparse.csc_array((len(residual), 0))]
+        for number, loss, rows in curved_rows(self.at.cost, self.penalty_term):
+            beyond[rows] = weights[number] * loss.steady_pull(residual[rows])
         for number, sigma in enumerate(self.weight_sigma):
             rows = self.penalty_term == number
             if np.isfinite(sigma) and rows.any():
-                loss, residual = self.at.cost.terms[number].loss, self.penalty
-                slope = self.at.weights[number] * loss.stiffness(residual) * residual
-                slopes.append(np.where(rows, sigma * slope, 0.0)[None])
-        return np.asarray(self.penalty_jacobian.T @ np.concatenate(slopes).T)
-
-    @cached_property
-    def steady_pull(self) -> Array:
-        """H of the penalties, (penalty rows,): half the slope ∂φ/∂x beyond ω x̂; see `Loss.steady_pull`."""
-        pull = np.zeros(len(self.penalty_term))
-        for number, loss, rows in curved_rows(self.at.cost, self.penalty_term):
-            pull[rows] = self.at.weights[number] * loss.steady_pull(self.penalty[rows])
-        return pull
+                slope = weights[number] * terms[number].loss.stiffness(residual) * residual
+                columns.append(sparse.csc_array(np.where(rows, sigma * slope, 0.0)[:, None]))
+        columns += [sparse.diags_array(beyond)] if beyond.any() else []
+        return sparse.csc_array(
+            self.penalty_jacobian.T @ sparse.hstack([sparse.csc_array((len(residual), 0)), *columns])
+        )
 
     @cached_property
     def penalty_jacobian(self) -> sparse.csc_array:
@@ -227,14 +228,6 @@ class LinearModel:
         return sparse.csc_array(jacobian @ sparse.diags_array(cells.ravel()))
 
 
-def penalty_curvature_of(model: LinearModel, weights: Array) -> Array:
-    """Return the curvature ω of the penalties for given weights (terms,), (penalty rows,)."""
-    curvature: Array = weights[model.penalty_term]
-    for number, loss, rows in curved_rows(model.at.cost, model.penalty_term):
-        curvature[rows] *= loss.penalty_curvature(model.penalty[rows], weights[number], model.scale)
-    return curvature
-
-
 def curved_rows(cost: Cost, term: NDArray[np.intp]) -> Iterator[tuple[int, Loss, NDArray[np.bool_]]]:
     """Yield (number, loss, boolean rows) of every term whose loss is not squared, where ω is not the weight alone.
 
@@ -245,26 +238,21 @@ def curved_rows(cost: Cost, term: NDArray[np.intp]) -> Iterator[tuple[int, Loss,
             yield number, part.loss, rows
 
 
-def least_widening(model: LinearModel) -> Array:
-    """Return the least widening C of every penalty row, max(1, ω x̂²/s²); see `lampest.posterior.dense`.
-
-    Residuals of a cell without a reading are no evidence: they are assumed as large as the 95 % quantile of the other
-    residuals of the term.
-    """
-    squares, cells = model.penalty_squares, np.zeros(model.at.cell_resistance.size)
-    widened = np.maximum(1.0, squares)
-    if not model.unread.any():
-        return widened
-    cells[model.free[model.unread]] = 1.0
-    unread = abs(model.penalty_jacobian) @ cells > 0
-    for number in np.unique(model.penalty_term):
-        own = model.penalty_term == number
-        if (others := own & ~unread).any():
-            far = np.quantile(squares[others], LEVEL, method="higher") / TWO_SIDED**2
-            widened[own & unread] = np.maximum(widened[own & unread], far)
-    return widened
-
-
 def _squares(rows: sparse.csc_array) -> sparse.csc_array:
     """Return the squares of the entries of a sparse matrix."""
     return with_entries(rows, rows.data**2)
+
+
+@lru_cache(maxsize=64)
+def rank(cost: Cost) -> int:
+    """Return the rank of the Jacobian of all penalties at random cells, without regard to bounds.
+
+    For large panels full rank is returned, which penalties nearly have.
+    """
+    function = residuals(cost).penalties.by_cells
+    if function.shape[1] > MAX_DENSE:
+        return min(function.shape)
+    anywhere = np.random.default_rng(0)
+    values = function(*(anywhere.uniform(0.5, 2.0, size) for size in function.sizes))
+    jacobian = sparse.csr_array((values, function.pattern), shape=function.shape)
+    return int(np.linalg.matrix_rank((jacobian.T @ jacobian).toarray(), hermitian=True))

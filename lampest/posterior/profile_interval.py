@@ -7,99 +7,23 @@ Sources: Venzon & Moolgavkar, Applied Statistics 37, 1988 (profile intervals); A
 Numerical Continuation Methods, 2003, chapter 2.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import TWO_SIDED
 from lampest.panel.panel import Array
-from lampest.posterior.dense import DenseErrors
+from lampest.posterior.covariance import DenseErrors, SampledErrors, errors_of
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.sampled import SampledErrors
-from lampest.posterior.track import errors_of
 from lampest.recording.readings import Readings, stand_in_spread
 
 MAX_MISSING = 3  # missing readings with a profile; each costs about two solves, others are approximated by tangents
-Ends = Iterator[tuple[Array, Array, Array]]  # (tangent, lower end, upper end), each (frames · cells) of log r
-
-
-@dataclass(frozen=True, eq=False)
-class ProfileInterval:
-    """Interval of a cell by its profile likelihood.
-
-    Attributes
-    ----------
-    errors : DenseErrors
-        Errors of the estimate, in which the cell is a free one.
-    cell : int
-        Number of the cell.
-    steps : int
-        Steps along the length of the tangent. With these, the path ends within a tenth of an optimum with the cell
-        held.
-    max_step : float
-        Largest step of the cell's log r.
-    max_tangents : float
-        Maximum length of the path in lengths of the tangent: a penalty in ohm rises slowly towards a short.
-    max_steps : int
-        Maximum number of steps, which reach a factor of 20,000: the tangent of an undetermined cell has no end.
-    """
-
-    errors: DenseErrors
-    cell: int
-    steps: int = 3
-    max_step: float = 0.5
-    max_tangents: float = 3.0
-    max_steps: int = 20
-
-    @property
-    def _place(self) -> int:
-        """Position of the cell among the free cells."""
-        return int(np.searchsorted(self.errors.model.free, self.cell))
-
-    @property
-    def tangent(self) -> Array:
-        """Change of log r of all cells, in linear approximation, if the cell moves to its upper end, (cells,)."""
-        # A⁻¹ e_c/(A⁻¹)_cc·1.96·σ_c
-        column, change = self.errors.inverse[:, self._place], np.zeros(self.errors.model.at.cell_resistance.size)
-        far = TWO_SIDED * np.sqrt(self.errors.variance[self._place])
-        change[self.errors.model.free] = column / column[self._place] * far
-        return change
-
-    def end(self, side: int) -> Array:
-        """Return the change of log r of all cells at the lower (side −1) or the upper (1) end, (cells,)."""
-        model, place = self.errors.model, self._place
-        # Rise of φ at the end: 1.96² s² C = 1.96² S_cc/(A⁻¹)_cc
-        most = TWO_SIDED**2 * self.errors.variance[place] / self.errors.inverse[place, place]
-        far = self.tangent[self.cell]
-        step, risen, before = side * min(far / self.steps, self.max_step), 0.0, 0.0
-        ended = model.at.position
-        for position, force in self._path(step, round(min(self.max_tangents * far / abs(step), self.max_steps))):
-            # Rise of φ along the path by the trapezoidal rule, with the force λ = ½ dφ/du_c.
-            ended, risen, before = position, risen + step * (before + force), force
-            if risen >= most:
-                break
-        return np.asarray((ended - model.at.position).ravel())
-
-    def _path(self, step: float, most: int) -> Iterator[tuple[Array, float]]:
-        """Yield (log r (frames, rows, columns), λ) after each of at most `most` steps, until a bound holds the cell."""
-        errors = self.errors
-        for _ in range(most):
-            model = errors.model
-            if self.cell not in model.free:
-                return
-            place = int(np.searchsorted(model.free, self.cell))
-            # δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c with λ such that δ_c = step
-            newton, column = -errors.inverse @ model.gradient[model.free] / 2, errors.inverse[:, place]
-            force = (step - newton[place]) / column[place]
-            change = np.zeros(model.at.position.size)
-            change[model.free] = newton + force * column
-            change *= min(1.0, 2 * self.max_step / float(np.abs(change).max()))
-            position = model.at.position + change.reshape(model.at.position.shape)
-            position = np.clip(position, *model.at.data.log_bounds)
-            yield position, float(force)
-            errors = DenseErrors(replace(model, at=model.at.elsewhere(np.exp(position))))
+STEPS = 3  # along the length of the tangent: the path then ends within a tenth of an optimum with the cell held
+MAX_STEP = 0.5  # largest step of the cell's log r
+MAX_TANGENTS = 3.0  # length of the path in lengths of the tangent: a penalty in ohm rises slowly towards a short
+MAX_STEPS = 20  # which reach a factor of 20,000: the tangent of an undetermined cell has no end
 
 
 def beyond_tangents(
@@ -118,39 +42,69 @@ def beyond_tangents(
     moved : callable or None
         Readings → change of log r (rows, columns), NaN if the solve fails. None if a penalty determines the cells.
     """
-    errors, shape = errors_of(model, None), readings.value.shape
-    places = np.argwhere(missing)[:MAX_MISSING]
-    first = model.at.cell_resistance.size - readings.value.size
-    profiles = _profiled(errors, places @ (shape[1], 1) + first)
-    if moved is not None:
-        profiles = _stood_in(errors, readings, places, moved)
-    straight, below, above = np.zeros((3, *shape))
-    for ends in profiles:
-        tangent, low, high = (change.ravel()[-readings.value.size :].reshape(shape) for change in ends)
-        straight += tangent**2
+    errors, size = errors_of(model, None), readings.value.size
+    straight, below, above = np.zeros((3, size))
+    for place in np.flatnonzero(missing)[:MAX_MISSING]:
+        cell = int(place) + model.at.cell_resistance.size - size
+        if moved is not None:
+            changes = _stood_in(errors, readings, int(place), moved)
+        elif cell in model.free and not isinstance(errors, SampledErrors):
+            changes = tangent(errors, cell), profile_end(errors, cell, -1), profile_end(errors, cell, 1)
+        else:
+            continue
+        along, low, high = (change.ravel()[-size:] for change in changes)
+        straight += along**2
         # Ends of failed solves are NaN, which fmax ignores.
         below += np.fmax(np.fmax(-low, -high), 0.0) ** 2
         above += np.fmax(np.fmax(low, high), 0.0) ** 2
-    return np.maximum(below - straight, 0.0), np.maximum(above - straight, 0.0)
+    further = (np.maximum(end - straight, 0.0).reshape(readings.value.shape) for end in (below, above))
+    return next(further), next(further)
 
 
-def _profiled(errors: DenseErrors, cells: NDArray[np.intp]) -> Ends:
-    """Yield the profile ends of unread cells (numbers), except cells at a bound and those of large panels."""
-    for cell in cells[np.isin(cells, errors.model.free)] if not isinstance(errors, SampledErrors) else ():
-        profile = ProfileInterval(errors, int(cell))
-        yield profile.tangent, profile.end(-1), profile.end(1)
+def tangent(errors: DenseErrors, cell: int) -> Array:
+    """Return the change of log r of all cells, in linear approximation, if a free cell moves to its upper end."""
+    place = int(np.searchsorted(errors.model.free, cell))
+    # A⁻¹ e_c/(A⁻¹)_cc·1.96·σ_c
+    column, change = errors.inverse[:, place], np.zeros(errors.model.at.cell_resistance.size)
+    change[errors.model.free] = column / column[place] * (TWO_SIDED * np.sqrt(errors.variance[place]))
+    return change
+
+
+def profile_end(errors: DenseErrors, cell: int, side: int) -> Array:
+    """Return the change of log r of all cells at a free cell's lower (side −1) or upper (1) end, (cells,)."""
+    begin, far = errors.model.at, tangent(errors, cell)[cell]
+    place = int(np.searchsorted(errors.model.free, cell))
+    # Rise of φ at the end: 1.96² s² C = 1.96² S_cc/(A⁻¹)_cc
+    most = TWO_SIDED**2 * errors.variance[place] / errors.inverse[place, place]
+    step, risen, before, position = side * min(far / STEPS, MAX_STEP), 0.0, 0.0, begin.position
+    for _ in range(round(min(MAX_TANGENTS * far / abs(step), MAX_STEPS))):
+        model = errors.model
+        if cell not in model.free:  # a bound holds it
+            break
+        place = int(np.searchsorted(model.free, cell))
+        # δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c with λ such that δ_c = step
+        newton, column = -errors.inverse @ model.gradient[model.free] / 2, errors.inverse[:, place]
+        force = float((step - newton[place]) / column[place])
+        change = np.zeros(position.size)
+        change[model.free] = newton + force * column
+        change *= min(1.0, 2 * MAX_STEP / float(np.abs(change).max()))
+        position = np.clip(position + change.reshape(position.shape), *begin.data.log_bounds)
+        # Rise of φ along the path by the trapezoidal rule, with the force λ = ½ dφ/du_c.
+        risen, before = risen + step * (before + force), force
+        if risen >= most:
+            break
+        errors = DenseErrors(replace(model, at=begin.elsewhere(np.exp(position))))
+    return np.asarray((position - begin.position).ravel())
 
 
 def _stood_in(
-    errors: DenseErrors, readings: Readings, places: NDArray[np.intp], moved: Callable[[Readings], Array]
-) -> Ends:
-    """Yield the ends by solving again with each missing reading's substitute at both ends of its spread."""
-    spread, model = stand_in_spread(readings.value, readings.plain), errors.model
-    for row, column in places:
-        unit = np.zeros(readings.value.shape)
-        unit[row, column] = TWO_SIDED * spread[row, column]
-        rows = np.asarray(model.through @ (readings.value * unit).reshape(-1, 1))
-        nothing, tangent = np.zeros((unit.size, 1)), np.zeros(model.at.cell_resistance.size)
-        tangent[model.free] = errors.answer(rows, nothing, nothing)[:, 0]
-        ends = [moved(replace(readings, value=readings.value * np.exp(side * unit))) for side in (-1, 1)]
-        yield tangent, ends[0], ends[1]
+    errors: DenseErrors, readings: Readings, place: int, moved: Callable[[Readings], Array]
+) -> tuple[Array, Array, Array]:
+    """Return tangent and ends by solving again with a reading's substitute (number) at both ends of its spread."""
+    model, unit = errors.model, np.zeros(readings.value.shape)
+    unit.flat[place] = TWO_SIDED * stand_in_spread(readings.value, readings.plain).flat[place]
+    rows = np.asarray(model.through @ (readings.value * unit).reshape(-1, 1))
+    nothing, along = np.zeros((unit.size, 1)), np.zeros(model.at.cell_resistance.size)
+    along[model.free] = errors.answer(rows, nothing, nothing)[:, 0]
+    low, high = (moved(replace(readings, value=readings.value * np.exp(side * unit))) for side in (-1, 1))
+    return along, low, high

@@ -26,7 +26,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.posterior.dense import inverse_and_volume
+from lampest.posterior.covariance import inverse_and_volume
 from lampest.posterior.interval import LEVEL
 
 MAX_CELLS = 400  # of a panel: beyond, the matrices of the model take seconds

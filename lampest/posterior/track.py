@@ -7,12 +7,10 @@ import numpy as np
 from lampest.files.levels import TWO_SIDED
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
-from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.certainty import Certainty, LogInterval, common_variance, own_part
-from lampest.posterior.dense import DenseErrors, Memory, active_bounds
+from lampest.posterior.covariance import DenseErrors, Memory, SampledErrors, active_bounds, errors_of
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.sampled import SampledErrors, SampledMemory
 
 MIN_NOISE_SHARE = 1e-4  # least noise relative to the deviation that includes own errors: rounding of the difference
 
@@ -211,19 +209,3 @@ class Track:
         read = model.at_lower & (model.at.data.lower.ravel() == measured)  # r ≥ R: the bound has its reading's error
         answer[read] = columns[read] / measured[read, None]
         return answer, own.widened(answer)
-
-
-def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = None) -> DenseErrors:
-    """Return the errors of an estimate, as matrices or from samples.
-
-    Parameters
-    ----------
-    model : LinearModel
-    memory : Memory or None
-        Errors of the previous frame and of the baseline.
-    drawn : array, shape (data rows, n), or None
-        V, random errors that the readings of a frame share.
-    """
-    if isinstance(memory, SampledMemory) or model.at.cell_resistance.size > MAX_DENSE:
-        return SampledErrors(model, memory if isinstance(memory, SampledMemory) else None, drawn)
-    return DenseErrors(model, memory, drawn)

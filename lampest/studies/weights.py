@@ -30,7 +30,7 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MAX_DENSE
-from lampest.posterior.dense import DenseErrors
+from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
 from lampest.recording.recording import Recording

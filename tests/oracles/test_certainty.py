@@ -27,10 +27,9 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
 from lampest.panel.scene import Systematic
 from lampest.posterior.certainty import Certainty
-from lampest.posterior.dense import DenseErrors, DenseMemory
+from lampest.posterior.covariance import DenseErrors, DenseMemory, SampledErrors, SampledMemory
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.sampled import SampledErrors, SampledMemory
 from lampest.solvers.multistart import best_solution, evaluated
 from tests.estimates import in_intervals, recording_of, rms
 
@@ -158,7 +157,7 @@ def unit_draws(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], list[int]]:
     def draw(each: int) -> list[int]:
         seeds: list[int] = []
         random = SimpleNamespace(default_rng=lambda seed: (seeds.append(seed), UnitDraws(each))[1])
-        monkeypatch.setattr("lampest.posterior.sampled.np", SimpleNamespace(**(vars(np) | {"random": random})))
+        monkeypatch.setattr("lampest.posterior.covariance.np", SimpleNamespace(**(vars(np) | {"random": random})))
         return seeds
 
     return draw
@@ -170,7 +169,7 @@ def test_samples_of_unit_draws_add_up_to_the_covariance(unit_draws: Callable[[in
     covariance = root @ root.T
     known = DenseMemory(covariance[:12, :12], covariance[12:, 12:], covariance[:12, 12:])
     matrices = DenseErrors(model, known, drawn)
-    each = len(model.noise) + 2 * len(model.penalty_term) + 2 + model.weight_pulls.shape[1]
+    each = len(model.noise) + len(model.penalty_term) + 2 + model.pulls.shape[1]
     count = each + 24
     last, baseline = np.vstack([np.zeros((each, 24)), root.T]).reshape(count, 2, 12).swapaxes(0, 1)
     samples = SampledErrors(model, SampledMemory(last, baseline, 5), drawn, samples=count, accuracy=1e-12)

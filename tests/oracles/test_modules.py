@@ -29,9 +29,9 @@ from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts.floating import grounding, two_point_resistance
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
+from lampest.posterior.covariance import SampledMemory
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.sampled import SampledMemory
 from lampest.posterior.track import Track
 from lampest.recording.simulation import Simulation, simulate
 from lampest.runs.batch import Task, run_batch, solve_long

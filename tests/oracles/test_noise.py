@@ -19,9 +19,8 @@ from lampest.estimate.scatter import scatter
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Systematic
-from lampest.posterior.dense import DenseErrors
+from lampest.posterior.covariance import DenseErrors, SampledErrors
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.posterior.sampled import SampledErrors
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.info import describe

@@ -26,9 +26,8 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Faults, Scene
-from lampest.posterior.dense import DenseErrors, DenseMemory
+from lampest.posterior.covariance import DenseErrors, DenseMemory, SampledErrors, SampledMemory
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.sampled import SampledErrors, SampledMemory
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -358,7 +357,7 @@ def test_common_step_is_that_of_most_readings() -> None:
 def test_samples_agree_with_matrices_along_a_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every frame's noise is new: the same samples again and again would not average out."""
     dense = with_bars(walk(0, 2.0), Arrival())
-    monkeypatch.setattr("lampest.posterior.track.MAX_DENSE", 1)
+    monkeypatch.setattr("lampest.posterior.covariance.MAX_DENSE", 1)
     sampled = with_bars(walk(0, 2.0), Arrival())
     assert rms(deviation(sampled)[-1]) == pytest.approx(rms(deviation(dense)[-1]), rel=0.06)
     assert_allclose(sampled.cell_resistance, dense.cell_resistance, rtol=0.05)

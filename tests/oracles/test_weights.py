@@ -25,10 +25,9 @@ from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.weights import WeightSearch, converter_and_faults, residual_scale, strongest, with_chosen_weights
 from lampest.panel.readouts import TwoPointReadout
-from lampest.posterior.dense import DenseErrors, rank
+from lampest.posterior.covariance import DenseErrors, SampledErrors
 from lampest.posterior.fixed_point import first_weights, next_weights, settled_weights
-from lampest.posterior.linear import LinearModel
-from lampest.posterior.sampled import SampledErrors
+from lampest.posterior.linear import LinearModel, rank
 from lampest.posterior.spectrum import Rule, Spectrum, best_weight
 from lampest.runs.config import Case
 from lampest.solvers.multistart import best_solution

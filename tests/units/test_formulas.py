@@ -45,9 +45,8 @@ from lampest.loads.pressure import determined, total_force
 from lampest.panel import compiled
 from lampest.panel.panel import Array
 from lampest.posterior import profile_interval
-from lampest.posterior.dense import DenseErrors, swept
+from lampest.posterior.covariance import DenseErrors, SampledErrors, swept
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.sampled import SampledErrors
 from lampest.solvers.bounds import bounds_matter, lower_along
 from lampest.solvers.smoothing import Smoothing
 
@@ -263,16 +262,23 @@ def test_maps_of_error_bars_reach_as_far_as_those_of_each_frame_and_nowhere_wher
     )
 
 
-def test_profiles_are_of_missing_cells_that_are_free_where_matrices_are_at_hand(
+def test_profiles_are_of_three_missing_cells_that_are_free_where_matrices_are_at_hand(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    ends = lambda errors, cell: SimpleNamespace(tangent=cell, end=lambda side: side * errors.length)  # noqa: E731
-    monkeypatch.setattr(profile_interval, "ProfileInterval", ends)
-    dense: Any = SimpleNamespace(model=SimpleNamespace(free=np.array([0, 2, 5])), length=7.0)
-    assert list(profile_interval._profiled(dense, np.array([1, 2, 5]))) == [(2, -7.0, 7.0), (5, -7.0, 7.0)]
-    sampled = object.__new__(SampledErrors)
-    sampled.__dict__["model"] = dense.model
-    assert list(profile_interval._profiled(sampled, np.array([1, 2, 5]))) == []
+    """Cells 1, 2, 4 and 5 of a pair were not read; 1 stands at a bound, and 5 is one too many. Tangents move by 1."""
+    readings: Any = SimpleNamespace(value=np.zeros((2, 3)))
+    model: Any = SimpleNamespace(free=np.array([6, 8, 10, 11]), at=SimpleNamespace(cell_resistance=np.zeros((2, 2, 3))))
+    errors: Any = SimpleNamespace(model=model)
+    missing = np.array([[False, True, True], [False, True, True]])
+    monkeypatch.setattr(profile_interval, "errors_of", lambda model, memory: errors)
+    monkeypatch.setattr(profile_interval, "tangent", lambda errors, cell: np.eye(12)[cell])
+    ends = {-1: -3.0, 1: 2.0}
+    monkeypatch.setattr(profile_interval, "profile_end", lambda errors, cell, side: ends[side] * np.eye(12)[cell])
+    below, above = profile_interval.beyond_tangents(model, readings, missing, None)
+    np.testing.assert_allclose(below, 8.0 * np.array([[0, 0, 1], [0, 1, 0]]))
+    np.testing.assert_allclose(above, 3.0 * np.array([[0, 0, 1], [0, 1, 0]]))
+    errors = object.__new__(SampledErrors)
+    assert not np.any(profile_interval.beyond_tangents(model, readings, missing, None))
 
 
 def test_readings_that_are_all_values_are_told_to_a_cost_without_sides() -> None:
@@ -371,15 +377,16 @@ def test_a_force_adds_pressures_up_whose_common_errors_move_together() -> None:
     assert force.deviation == pytest.approx(0.4 * np.hypot(np.sqrt(3) * 0.3, 3 * 0.1))
 
 
-def test_penalties_are_as_wide_as_their_residuals_say_without_the_share_of_the_frame_before(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_penalties_are_as_wide_as_their_residuals_say_without_the_share_of_the_frame_before() -> None:
+    """Residuals beside a cell that was not read are as wide as the largest other one of their term, and no evidence."""
     term, squares = np.array([0, 0, 0, 1, 1]), np.array([4.0, 1.0, 9.0, 0.5, 2.0])
-    monkeypatch.setattr("lampest.posterior.dense.least_widening", lambda _: np.maximum(squares, 1.0))
     jacobian = sparse.csc_array([[1.0, 0.0], [0.0, 2.0], [1.0, 0.0], [0.5, 0.0], [0.0, 2.0]])
     terms = [SimpleNamespace(weighs_previous=weighs) for weighs in (False, True)]
     at = SimpleNamespace(cost=SimpleNamespace(terms=terms))
-    model: Any = SimpleNamespace(penalty_term=term, penalty_squares=squares, previous_jacobian=jacobian, at=at)
+    unread = np.zeros(5, dtype=bool)
+    model: Any = SimpleNamespace(
+        penalty_term=term, penalty_squares=squares, previous_jacobian=jacobian, at=at, unread_rows=unread
+    )
     model.known_share = lambda variance: LinearModel.known_share(model, variance)
     determined = {0: 7.0, 1: 0.2}
     for variance, shares in ((None, [0, 0, 0, 0, 0]), (np.array([0.4, 0.9]), [0, 0, 0, 0.1, 1.0])):
@@ -387,6 +394,9 @@ def test_penalties_are_as_wide_as_their_residuals_say_without_the_share_of_the_f
         errors = SimpleNamespace(model=model, before=before, determined=determined.get)
         widening = DenseErrors.__dict__["widening"].func(errors)
         np.testing.assert_allclose(widening, np.subtract([4.0, 2.0, 9.0, 2.5, 2.5], shares))
+    unread[1], errors.before, squares[2] = True, None, 90.0
+    widening = DenseErrors.__dict__["widening"].func(errors)
+    np.testing.assert_allclose(widening, [95 / 7, 90 / 1.959964**2, 90.0, 2.5, 2.5], rtol=1e-6)
 
 
 def test_squares_alone_are_called_squares() -> None:

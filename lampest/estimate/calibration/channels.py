@@ -30,7 +30,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenReadout
 from lampest.panel.scene import Scene, SeriesPerLine, Systematic
 from lampest.panel.systematic import USUAL, systematic_of
-from lampest.posterior.dense import positive_inverse
+from lampest.posterior.covariance import positive_inverse
 from lampest.recording.recording import Recording
 from lampest.solvers.multistart import BROKEN
 

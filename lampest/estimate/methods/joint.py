@@ -25,7 +25,7 @@ from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.chain import Chain
-from lampest.posterior.dense import positive_inverse
+from lampest.posterior.covariance import positive_inverse
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.track import Bars, Change

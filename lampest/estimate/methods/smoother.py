@@ -36,7 +36,7 @@ from lampest.files.levels import NOISE_REACH
 from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
-from lampest.posterior.dense import positive_inverse
+from lampest.posterior.covariance import positive_inverse
 from lampest.posterior.linear import IGNORANCE
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings

@@ -1,31 +1,35 @@
-"""Posterior covariance of log r in closed form, as matrices over the cells.
+"""Posterior covariance of log r: as matrices over the cells, or from samples in product form.
 
 With A = Jᵀ Ω J + Zᵀ Ω Z + ε s² over the free cells (J: data, Z: penalties) and the gain K = A⁻¹ Jᵀ Ω, the error of the
 estimate is K·noise plus the bias of the penalties. Its covariance is
 
-    S = K (τ² + V Vᵀ) Kᵀ + A⁻¹ (s² Zᵀ (C − B) Ω Z + Zᵀ H² Z + W Wᵀ + ε s⁴) A⁻¹ + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ,   M = Zᵀ Ω Z₀
+    S = K (τ² + V Vᵀ) Kᵀ + A⁻¹ (s² Zᵀ (C − B) Ω Z + P Pᵀ + ε s⁴) A⁻¹ + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ,   M = Zᵀ Ω Z₀
 
 with these symbols:
 
     Ω    diagonal matrix of the curvatures ω of the residuals
     τ    standard deviations of the data
     V    columns of random errors that the readings of a frame share
-    W    σ λ Zᵀ ½ρ', the effect of the uncertainty σ of a chosen weight's log λ (Wood, Pya & Säfken, J. Am. Stat.
-         Assoc. 111, 2016)
+    P    independent errors of half the gradient due to penalties: σ λ Zᵀ ½ρ', the effect of the uncertainty σ of a
+         chosen weight's log λ (Wood, Pya & Säfken, J. Am. Stat. Assoc. 111, 2016), and the slope of a penalty's loss
+         beyond that of its curvature
     S₀   covariance of the previous frame and of the baseline, as far as terms read them
     B    share of a penalty residual's variance that is the previous frame's error, where a term weighs that error
          (Joseph's form)
     C    widening of a penalty residual x̂: the largest of 1, of ω x̂²/s², and of Σ ω x̂²/(s² γ) over its term, γ the
          number of residuals of the term that the data determine. A penalty that does not suit the data therefore does
          not lead to narrow error bars.
-    H    slope of a penalty's loss beyond that of its curvature
 
 With C = 1 and equal noise of all data, S is the Laplace approximation s² A⁻¹.
+
+A sample is ε = A⁻¹ (Jᵀ Ω (τ z₁ + V z₃) + s Zᵀ √((C − B) Ω) z₂ + P z₄ − M ε₀) with standard normal z. It costs one solve
+by conjugate gradients. Its covariance is S but for the prior term ε s⁴. Standard deviations from n samples scatter by
+1/√(2n).
 """
 
-from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import product
 from typing import Any, Self
 
@@ -34,40 +38,21 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import blas, lapack
 
-from lampest.cost.cost import Cost
-from lampest.cost.problem import residuals
+from lampest.files.levels import TWO_SIDED
 from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import MAX_DENSE
+from lampest.panel.trust_region import MAX_DENSE, Linear, steihaug
 from lampest.posterior.certainty import Certainty, common_variance
-from lampest.posterior.interval import one_sided
-from lampest.posterior.linear import IGNORANCE, LinearModel, least_widening
-from lampest.solvers.hessian import block_diagonal
+from lampest.posterior.interval import LEVEL, one_sided
+from lampest.posterior.linear import IGNORANCE, LinearModel, rank
+from lampest.solvers.hessian import Hessian, block_diagonal
+from lampest.solvers.preconditioners import TwoLevel
+from lampest.solvers.smoothing import Smoothing
 
 
 @dataclass(frozen=True, eq=False)
-class Memory(ABC):
-    """Errors of log r of the last estimate and of the baseline, for the error bars of the next frame."""
-
-    last: Array
-    baseline: Array
-
-    @abstractmethod
-    def resting(self) -> Self:
-        """Return the memory with the last estimate as the baseline."""
-
-    @abstractmethod
-    def shared(self) -> Array:
-        """Return the covariance of the last estimate and the baseline, cell by cell, (cells,)."""
-
-    @abstractmethod
-    def variance(self) -> Array:
-        """Return the variance of the last estimate, (cells,)."""
-
-
-@dataclass(frozen=True, eq=False)
-class DenseMemory(Memory):
-    """Covariances of log r as matrices.
+class DenseMemory:
+    """Errors of log r of the last estimate and of the baseline, for the error bars of the next frame, as matrices.
 
     Attributes
     ----------
@@ -77,20 +62,57 @@ class DenseMemory(Memory):
         Covariance between the last estimate (rows) and the baseline (columns).
     """
 
+    last: Array
+    baseline: Array
     with_baseline: Array
 
     def resting(self) -> Self:
+        """Return the memory with the last estimate as the baseline."""
         return replace(self, baseline=self.last, with_baseline=self.last)
 
     def shared(self) -> Array:
+        """Return the covariance of the last estimate and the baseline, cell by cell, (cells,)."""
         return np.asarray(np.diag(self.with_baseline))
 
     def variance(self) -> Array:
+        """Return the variance of the last estimate, (cells,)."""
         return np.asarray(np.diag(self.last))
 
     def both(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Return the joint covariance S₀ of (last estimate, baseline) as 2 × 2 blocks."""
         return (self.last, self.with_baseline), (self.with_baseline.T, self.baseline)
+
+
+@dataclass(frozen=True, eq=False)
+class SampledMemory:
+    """The same as samples, (samples, cells) each.
+
+    Attributes
+    ----------
+    last, baseline : array, shape (samples, cells)
+        Errors of the last estimate, and of the baseline.
+    frames : int
+        Number of frames so far, the seed of the next frame's noise.
+    """
+
+    last: Array
+    baseline: Array
+    frames: int = 1
+
+    def resting(self) -> Self:
+        """Return the memory with the last estimate as the baseline."""
+        return replace(self, baseline=self.last)
+
+    def shared(self) -> Array:
+        """Return the covariance of the last estimate and the baseline, cell by cell, (cells,)."""
+        return np.asarray(np.mean(self.last * self.baseline, axis=0))
+
+    def variance(self) -> Array:
+        """Return the variance of the last estimate, (cells,)."""
+        return np.asarray(np.mean(self.last**2, axis=0))
+
+
+Memory = DenseMemory | SampledMemory
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,13 +136,20 @@ class DenseErrors:
     @cached_property
     def sensitivity(self) -> Array:
         """Sensitivity ∂x/∂u of the data over all cells, (data rows, frames · cells)."""
-        through = block_diagonal([network.sensitivity() for network in self.model.at.networks])
-        return np.asarray(self.model.through @ through)
+        return np.asarray(self.model.through @ self._readings_by_cells)
+
+    @property
+    def _readings_by_cells(self) -> Array:
+        return block_diagonal([network.sensitivity() for network in self.model.at.networks])
 
     @cached_property
     def jacobian(self) -> Array:
         """J, the sensitivity over the free cells, (data rows, free)."""
         return np.asarray(self._of_free(self.sensitivity))
+
+    def _of_free(self, columns: Any) -> Any:
+        free = self.model.free
+        return columns if len(free) == columns.shape[1] else columns[:, free]
 
     def forward(self, change: Array) -> Array:
         """Return the change of the data, (data rows, n), for changes of log r of all cells, (cells, n)."""
@@ -130,37 +159,33 @@ class DenseErrors:
         """Return Jᵀ Ω x over all cells, (cells, n), for data x (data rows, n)."""
         return np.asarray(self.sensitivity.T @ (self.model.data_curvature[:, None] * rows))
 
-    def solved(self, right: Array) -> Array:
-        """Return A⁻¹ x, (free, n)."""
+    def solved(self, right: Array, *, fine: bool = False) -> Array:
+        """Return A⁻¹ x, (free, n); `fine` requests the accuracy of reported values."""
         return np.asarray(self.inverse @ right)
 
     def gained(self, rows: Array, *, fine: bool = False) -> Array:
-        """Return K x, (free, n), for data x (data rows, n); `fine` requests the accuracy of reported values."""
-        return np.asarray(self._gain @ rows)
+        """Return K x, (free, n), for data x (data rows, n)."""
+        return self.solved(self.weighed(rows)[self.model.free], fine=fine)
 
     @cached_property
-    def _sparse_penalties(self) -> sparse.csc_array:
-        """√Ω Z over the free cells, (penalty rows, free) sparse."""
-        rows = self._of_free(self.model.penalty_jacobian)
+    def _rows(self) -> sparse.csc_array:
+        """√Ω Z over all cells, (penalty rows, cells) sparse."""
+        rows = self.model.penalty_jacobian
         return with_entries(rows, rows.data * np.sqrt(self.model.penalty_curvature)[rows.indices])
 
     @cached_property
     def _penalties(self) -> Array:
-        return np.asarray(self._sparse_penalties.toarray())
-
-    def _of_free(self, columns: Any) -> Any:
-        free = self.model.free
-        return columns if len(free) == columns.shape[1] else columns[:, free]
+        """√Ω Z over the free cells, (penalty rows, free)."""
+        return np.asarray(self._of_free(self._rows).toarray())
 
     @cached_property
     def inverse(self) -> Array:
         """A⁻¹, (free, free). Raises numpy.linalg.LinAlgError if A is not positive definite."""
+        # A = Jᵀ Ω J + Zᵀ Ω Z + ε s²; dsyrk fills the upper triangle.
         if not len(self.model.free):
             return np.zeros((0, 0))
-        # A = Jᵀ Ω J + Zᵀ Ω Z + ε s²; dsyrk fills the upper triangle.
         matrix = blas.dsyrk(1.0, (self.jacobian * np.sqrt(self.model.data_curvature)[:, None]).T)
-        if len(self.model.penalty_term):
-            matrix += self._sparse_penalties.T @ self._penalties
+        matrix += self._of_free(self._rows).T @ self._penalties
         matrix[np.diag_indices(len(matrix))] += self.model.ignorance * self.model.scale
         return positive_inverse(matrix)
 
@@ -172,21 +197,7 @@ class DenseErrors:
     @cached_property
     def _pulls(self) -> Array:
         """A⁻¹ Zᵀ √Ω, (free, penalty rows)."""
-        return np.asarray((self._sparse_penalties @ self.inverse).T)
-
-    @cached_property
-    def _held(self) -> Array:
-        """A⁻¹ Zᵀ H, (free, penalty rows where H is not zero)."""
-        beyond = np.flatnonzero(self.model.steady_pull)
-        if not len(beyond):
-            return np.zeros((len(self.inverse), 0))
-        rows = sparse.csr_array(self._of_free(self.model.penalty_jacobian))[beyond]
-        return np.asarray((rows @ self.inverse).T * self.model.steady_pull[beyond])
-
-    @cached_property
-    def _reweighted(self) -> Array:
-        """A⁻¹ W = A⁻¹ σ λ Zᵀ ½ρ', (free, n): the change of log r for one standard deviation of log λ."""
-        return self.inverse @ self.model.weight_pulls[self.model.free]
+        return np.asarray((self._of_free(self._rows) @ self.inverse).T)
 
     def determined(self, term: int) -> float:
         """Return the number of residuals of a term (number) that the data determine.
@@ -194,20 +205,18 @@ class DenseErrors:
         γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t), B_t = Z_tᵀ Ω Z_t, B the sum over terms. For a single term tr(B⁺ B_t) is the rank
         of B_t.
         """
-        return self._determined[term]
+        own, rows = self.model.penalty_term == term, self._penalties
+        # tr(A⁻¹ B_t) = Σ over the rows of term t of diag(√Ω Z A⁻¹ Zᵀ √Ω)
+        used = float(np.sum(rows[own] * self._pulls.T[own]))
+        if own.all():
+            return min(rank(self.model.at.cost.unweighted), len(self.inverse)) - used
+        # tr(B⁺ B_t) in the same way
+        return float(np.sum((rows[own] @ self._penalties_inverse) * rows[own])) - used
 
     @cached_property
-    def _determined(self) -> dict[int, float]:
-        model, rows = self.model, self._penalties
-        # tr(A⁻¹ B_t) = Σ over the rows of term t of diag(√Ω Z A⁻¹ Zᵀ √Ω)
-        used = (rows * self._pulls.T).sum(axis=1)
-        numbers = [int(number) for number in np.unique(model.penalty_term)]
-        if len(numbers) == 1:
-            known = min(rank(model.at.cost.unweighted), len(self.inverse))
-            return {numbers[0]: float(known - used.sum())}
-        # diag(√Ω Z B⁺ Zᵀ √Ω), whose sum over the rows of term t is tr(B⁺ B_t)
-        alone = np.einsum("ij,jk,ik->i", rows, np.linalg.pinv(rows.T @ rows, hermitian=True), rows, optimize=True)
-        return {number: float((alone - used)[model.penalty_term == number].sum()) for number in numbers}
+    def _penalties_inverse(self) -> Array:
+        """B⁺, (free, free)."""
+        return np.asarray(np.linalg.pinv(self._penalties.T @ self._penalties, hermitian=True))
 
     @cached_property
     def _carried(self) -> list[tuple[int, Array]]:
@@ -217,39 +226,36 @@ class DenseErrors:
         return [(which, np.asarray(-self._pulls @ (rows.toarray() * size))) for which, rows in known if rows.nnz]
 
     @cached_property
-    def _parts(self) -> list[tuple[Array, Array]]:
-        """Pairs (X, variances) with S = Σ X diag(variances) Xᵀ, without the errors of previous frames.
-
-        Every X is (free, n), with n variances.
-        """
+    def _own(self) -> list[tuple[Array, Array]]:
+        """Pairs (X, Y), (free, n) each, with S = Σ X Yᵀ without the errors of previous frames."""
         model = self.model
-        parts = [(self._gain, model.noise**2), (self.inverse, model.scale**2 * model.ignorance)]
-        if len(model.penalty_term):
-            independent = np.hstack([self._held, self._reweighted])
-            parts += [(self._pulls, model.scale * self.widening), (independent, np.ones(independent.shape[1]))]
+        parts: list[tuple[Array, Array | float]] = [
+            (self._gain, model.noise**2),
+            (self.inverse, model.scale**2 * model.ignorance),
+        ]
+        parts += [(self._pulls, model.scale * self.widening), ((model.pulls[model.free].T @ self.inverse).T, 1.0)]
         if self.drawn is not None:
-            parts.append((self._gain @ self.drawn, np.ones(self.drawn.shape[1])))
-        return parts
+            parts.append((self._gain @ self.drawn, 1.0))
+        return [(rows * size, rows) for rows, size in parts]
+
+    @cached_property
+    def _inherited(self) -> list[tuple[Array, Array]]:
+        """The same of (A⁻¹ M) S₀ (A⁻¹ M)ᵀ, block by block of S₀."""
+        if self.before is None:
+            return []
+        pairs, both = product(self._carried, repeat=2), self.before.both()
+        return [(first @ both[row][column], second) for (row, first), (column, second) in pairs]
 
     @cached_property
     def variance(self) -> Array:
         """Diagonal of S, (free,)."""
-        variance = sum(rows**2 @ size for rows, size in self._parts)
-        if self.before is not None:
-            # + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ, block by block of S₀
-            for (row, first), (column, second) in product(self._carried, repeat=2):
-                variance += np.sum((first @ self.before.both()[row][column]) * second, axis=1)
-        return np.asarray(variance)
+        return np.asarray(sum(np.sum(one * other, axis=1) for one, other in self._own + self._inherited))
 
     @cached_property
     def covariance(self) -> Array:
         """S over all cells, (frames · cells, frames · cells); zero for cells that are not free."""
-        covariance = sum((rows * size) @ rows.T for rows, size in self._parts)
-        if self.before is not None:
-            for (row, first), (column, second) in product(self._carried, repeat=2):
-                covariance += first @ self.before.both()[row][column] @ second.T
         whole = np.zeros((self.model.at.cell_resistance.size,) * 2)
-        whole[np.ix_(self.model.free, self.model.free)] = covariance
+        whole[np.ix_(self.model.free, self.model.free)] = sum(x @ y.T for x, y in self._own + self._inherited)
         return whole
 
     def memory(self) -> Memory:
@@ -281,13 +287,21 @@ class DenseErrors:
 
     @cached_property
     def widening(self) -> Array:
-        """Variance factor C − B of the penalty rows, (penalty rows,)."""
+        """Variance factor C − B of the penalty rows, (penalty rows,).
+
+        Residuals that involve a cell without a reading are no evidence: they are assumed at least as large as the 95 %
+        quantile of the other residuals of the term.
+        """
         model = self.model
-        squares, widened = model.penalty_squares, least_widening(model)
+        squares, unread = model.penalty_squares, model.unread_rows
+        widened = np.maximum(1.0, squares)
         for number in np.unique(model.penalty_term):
             own = model.penalty_term == number
             # Σ ω x̂²/(s² γ) over the rows of one term
             widened[own] = np.maximum(widened[own], squares[own].sum() / max(self.determined(int(number)), 1.0))
+            if (own & unread).any() and (own & ~unread).any():
+                far = np.quantile(squares[own & ~unread], LEVEL, method="higher") / TWO_SIDED**2
+                widened[own & unread] = np.maximum(widened[own & unread], far)
         return np.asarray(widened - model.known_share(None if self.before is None else self.before.variance()))
 
     def reading_deviation(self) -> Array:
@@ -297,11 +311,11 @@ class DenseErrors:
         for missing ones it is computed.
         """
         model = self.model
-        slopes = self._of_free(block_diagonal([network.sensitivity() for network in model.at.networks]))
+        slopes = self._of_free(self._readings_by_cells)
         variance = model.scale * np.sum((slopes @ self.inverse) * slopes, axis=1)
         if model.at.data.partial:
             missing = np.flatnonzero(np.ravel(model.at.data.given.seen) == 0)
-            variance[missing] = sum((slopes[missing] @ rows) ** 2 @ size for rows, size in self._parts)
+            variance[missing] = sum(np.sum((slopes[missing] @ x) * (slopes[missing] @ y), axis=1) for x, y in self._own)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(model.at.cell_resistance.shape))
 
     @property
@@ -352,6 +366,156 @@ class DenseErrors:
         across = image[model.free]
         left = image[own] - np.sum(across * self.solved(across), axis=0)
         return np.asarray(model.scale / np.maximum(left, IGNORANCE * model.scale))
+
+
+@dataclass(frozen=True, eq=False)
+class SampledErrors(DenseErrors):
+    """Errors of an estimate from samples, for panels that are too large for matrices.
+
+    Attributes
+    ----------
+    before : SampledMemory or None
+        Samples of the errors of the previous frame and of the baseline, if terms read these.
+    samples : int
+        Number of samples of the error; standard deviations scatter by 7 %.
+    probes : int
+        Number of random probes of a trace.
+    accuracy, fine_accuracy : float
+        Accuracy of a solve by conjugate gradients: of a sample, and of a value that is reported itself.
+    """
+
+    samples: int = 100
+    probes: int = 8
+    accuracy: float = 1e-3
+    fine_accuracy: float = 1e-7
+
+    @cached_property
+    def _curvature(self) -> Hessian:
+        """Derivatives at the estimate, for products with ∂y/∂u."""
+        return Hessian(self.model.at, Smoothing.start(self.model.at))
+
+    def _adjoint(self, rows: Array) -> Array:
+        """Return Jᵀ Ω x over all cells for one column x of the data."""
+        weights = np.asarray(self.model.through.T @ (self.model.data_curvature * rows))
+        return self._curvature.adjoint(weights.reshape(self.model.at.cell_resistance.shape))
+
+    def _forward(self, change: Array) -> Array:
+        """Return the change of the data for one change of log r of all cells."""
+        return np.asarray(self.model.through @ self._curvature.forward(change).ravel())
+
+    def forward(self, change: Array) -> Array:
+        return _by_columns(self._forward, change, len(self.model.noise))
+
+    def weighed(self, rows: Array) -> Array:
+        return _by_columns(self._adjoint, rows, self.model.at.cell_resistance.size)
+
+    def solved(self, right: Array, *, fine: bool = False) -> Array:
+        accuracy = self.fine_accuracy if fine else self.accuracy
+        return _by_columns(lambda column: -steihaug(*self._system, column, accuracy).step, right, len(right))
+
+    @cached_property
+    def _system(self) -> tuple[Linear, Linear]:
+        """Product with A, and preconditioner M⁻¹ ≈ A⁻¹, for vectors over the free cells."""
+        model, whole, free = self.model, np.zeros(self.model.at.cell_resistance.size), self.model.free
+
+        def product(search: Array) -> Array:
+            whole[free] = search
+            image = self._adjoint(self._forward(whole)) + self._rows.T @ (self._rows @ whole)
+            return np.asarray(image[free] + model.scale * model.ignorance * search)
+
+        ridge, chosen = np.full(len(whole), IGNORANCE * model.scale), np.isin(np.arange(len(whole)), free)
+        return product, TwoLevel.of(self._curvature, ridge).over(chosen, model.at.cell_resistance)
+
+    def determined(self, term: int) -> float:
+        """Return γ of a term from probes; each term has an equal share of the rank of all penalties."""
+        every = min(rank(self.model.at.cost.unweighted), len(self.model.free))
+        return every / len(np.unique(self.model.penalty_term)) - self.used(term)
+
+    def used(self, term: int) -> float:
+        """Return tr(A⁻¹ Z_tᵀ Ω Z_t) of a term (number), estimated from random probes."""
+        random, own = np.random.default_rng(1), self.model.penalty_term == term
+        rows, total = self._rows[own], 0.0
+        for _ in range(self.probes):
+            # Hutchinson's estimate: E pᵀ √Ω Z A⁻¹ Zᵀ √Ω p for random signs p
+            right = (rows.T @ random.choice([-1.0, 1.0], int(own.sum())))[self.model.free]
+            total += float(right @ self.solved(right[:, None])[:, 0])
+        return total / self.probes
+
+    @property
+    def _frames(self) -> int:
+        return 0 if self.before is None else self.before.frames
+
+    @cached_property
+    def _samples(self) -> tuple[Array, Array]:
+        """Samples of ε, (samples, free), and an estimate of the diagonal of A⁻¹ Zᵀ Ω Z, (free,)."""
+        model, random = self.model, np.random.default_rng(self._frames)
+        pulled, samples = np.zeros(len(model.free)), np.empty((self.samples, len(model.free)))
+        size = np.sqrt(self.widening * model.scale)
+        curvature = sparse.diags_array(model.penalty_curvature)
+        # Ω Z₀, for M ε₀ = Zᵀ Ω Z₀ ε₀
+        previous, baseline = curvature @ model.previous_jacobian, curvature @ model.baseline_jacobian
+        for number in range(self.samples):
+            noise = random.standard_normal(len(model.noise)) * model.noise
+            pull = random.standard_normal(len(size))
+            if self.drawn is not None:
+                noise = noise + self.drawn @ random.standard_normal(self.drawn.shape[1])
+            # Jᵀ Ω (τ z₁ + V z₃) + s Zᵀ √((C − B) Ω) z₂ + P z₄ − M ε₀
+            right = self._adjoint(noise) + self._rows.T @ (size * pull)
+            right += model.pulls @ random.standard_normal(model.pulls.shape[1])
+            if self.before is not None:
+                known = previous @ self.before.last[number] + baseline @ self.before.baseline[number]
+                right -= model.penalty_jacobian.T @ known
+            samples[number] = self.solved(right[model.free, None])[:, 0]
+            # E[ε·(Zᵀ √Ω z₂)/√(s²(C − B))] = diag(A⁻¹ Zᵀ Ω Z) over the samples
+            pulled += samples[number] * (self._rows.T @ (pull / size))[model.free] / self.samples
+        return samples, pulled
+
+    @property
+    def variance(self) -> Array:
+        return np.asarray(np.mean(self._samples[0] ** 2, axis=0))
+
+    @property
+    def resolution(self) -> Array:
+        """Diagonal of the averaging kernel, clipped to 0 to 1 because samples scatter, (free,)."""
+        return np.clip(1 - self._samples[1], 0, 1)
+
+    def reading_deviation(self) -> Array:
+        """Return the standard deviation of the modelled readings over the samples, (frames, rows, columns)."""
+        whole, squares = np.zeros(self.model.at.cell_resistance.size), np.zeros(self.model.at.cell_resistance.shape)
+        for sample in self._samples[0]:
+            whole[self.model.free] = sample
+            squares += np.reshape(self._curvature.forward(whole), squares.shape) ** 2
+        return np.sqrt(squares / self.samples)
+
+    def memory(self) -> Memory:
+        size = self.model.at.cell_resistance[0].size
+        samples = np.zeros((self.samples, self.model.at.cell_resistance.size))
+        samples[:, self.model.free] = self._samples[0]
+        if len(self.model.at.cell_resistance) == 2:
+            return SampledMemory(samples[:, size:], samples[:, :size])
+        baseline = np.zeros_like(samples) if self.before is None else self.before.baseline
+        return SampledMemory(samples, baseline, self._frames + 1)
+
+
+def _by_columns(function: Callable[[Array], Array], columns: Array, size: int) -> Array:
+    """Return the results (size, n) of a function of single columns for n columns."""
+    return np.stack([function(column) for column in columns.T], axis=1) if columns.size else np.zeros((size, 0))
+
+
+def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = None) -> DenseErrors:
+    """Return the errors of an estimate, as matrices or from samples.
+
+    Parameters
+    ----------
+    model : LinearModel
+    memory : Memory or None
+        Errors of the previous frame and of the baseline.
+    drawn : array, shape (data rows, n), or None
+        V, random errors that the readings of a frame share.
+    """
+    if isinstance(memory, SampledMemory) or model.at.cell_resistance.size > MAX_DENSE:
+        return SampledErrors(model, memory if isinstance(memory, SampledMemory) else None, drawn)
+    return DenseErrors(model, memory, drawn)
 
 
 def active_bounds(
@@ -441,18 +605,3 @@ def swept(table: Array, place: int) -> Array:
     table = blas.dger(-1 / pivot, row, column, a=table.T, overwrite_a=True).T
     table[place], table[:, place], table[place, place] = row / abs(pivot), column / abs(pivot), -1 / pivot
     return table
-
-
-@lru_cache(maxsize=64)
-def rank(cost: Cost) -> int:
-    """Return the rank of the Jacobian of all penalties at random cells, without regard to bounds.
-
-    For large panels full rank is returned, which penalties nearly have.
-    """
-    function = residuals(cost).penalties.by_cells
-    if function.shape[1] > MAX_DENSE:
-        return min(function.shape)
-    anywhere = np.random.default_rng(0)
-    values = function(*(anywhere.uniform(0.5, 2.0, size) for size in function.sizes))
-    jacobian = sparse.csr_array((values, function.pattern), shape=function.shape)
-    return int(np.linalg.matrix_rank((jacobian.T @ jacobian).toarray(), hermitian=True))
