@@ -19,10 +19,10 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
-from lampest.posterior.spectrum import Rule
 from lampest.recording.readings import AT_MOST, Readings, stand_in_spread
 from lampest.solvers.solution import Settings
 
+Rule = Literal["risk", "evidence"]  # function of a weight that its choice minimises
 OPEN_FACTOR, SHORT_FACTOR = 1e9, 1e-6  # of the apparent resistance: beyond, double precision has no difference
 CONTRADICTED_FACTOR = 1e-3  # of the upper bound: the lower bound of a cell whose reading contradicts its bounds
 MAX_CONTRADICTED = 0.5  # of the readings: if more contradict the bounds, the bounds are the mistake

@@ -164,7 +164,7 @@ class WeightSearch:
                 previous = list(weights)
                 for number in self.open_terms:
                     spectra = self.spectra(number, weights)
-                    weights[number] = best_weight(spectra, "risk")
+                    weights[number] = best_weight(spectra)
                     information = sum(spectrum.information(weights[number]) for spectrum in spectra)
                     sigma[number] = information**-0.5 if information > 0 else np.nan
                 changes = np.log(np.array(weights) / np.array(previous))

@@ -2,14 +2,13 @@
 
 The data and the other penalties o have the curvature A = Jᵀ Ω J + Σ λ_o Z_oᵀ Z_o. With A = R Rᵀ and
 R⁻¹ Zᵀ Z R⁻ᵀ = Q diag(κ) Qᵀ, the change of the estimate is p = T q with T = R⁻ᵀ Q and q(λ) = −f·(b + λ d),
-f = 1/(1 + λ κ), where b and d are the slopes of everything else and of the penalty. The functions that a rule
-minimises, including determinants and traces, are sums over κ.
+f = 1/(1 + λ κ), where b and d are the slopes of everything else and of the penalty. The risk that the weight minimises
+is a sum over κ.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +16,8 @@ from scipy.linalg import cho_factor, eigh, solve_triangular
 
 from lampest.panel.panel import Array
 from lampest.posterior.covariance import DenseErrors
-from lampest.posterior.linear import IGNORANCE, LinearModel, rank
+from lampest.posterior.linear import IGNORANCE, LinearModel
 
-Rule = Literal["risk", "evidence"]
 GRID = 80  # points in log λ, between which the minimum is refined
 PRECISION = 0.005  # of log λ
 # Factor of the range of λ beyond the stiffest and the softest direction; share of the largest κ below which κ is zero.
@@ -34,18 +32,12 @@ class Spectrum:
     ----------
     stiffness : array, shape (unknowns,)
         κ, ascending.
-    data_slope, pull, penalty_slope : array, shape (unknowns,)
-        Slopes in the basis T: of the misfit, of the other penalties, and d of this one at λ = 1.
+    pull, penalty_slope : array, shape (unknowns,)
+        Slopes in the basis T: b_o of the other penalties, and d of this one at λ = 1.
     directions : array, shape (data rows, unknowns)
         √Ω J T.
-    residual : array, shape (data rows,)
-        √Ω x̂ of the data.
     penalty : float
         Σ x̂² of the penalty.
-    scale : float
-        s², the mean of ω τ².
-    rank : int
-        Rank of the penalty's Jacobian.
     volume : float
         log det(A/s²).
     gram : array, shape (unknowns, unknowns)
@@ -55,14 +47,10 @@ class Spectrum:
     """
 
     stiffness: Array
-    data_slope: Array
     pull: Array
     penalty_slope: Array
     directions: Array
-    residual: Array
     penalty: float
-    scale: float
-    rank: int
     volume: float
     gram: Array
     spread: Array
@@ -105,52 +93,23 @@ class Spectrum:
         # R⁻¹ Zᵀ Z R⁻ᵀ = Q diag(κ) Qᵀ, T = R⁻ᵀ Q
         stiffness, vectors = eigh(penalties @ penalties.T)
         basis = solve_triangular(factor, vectors, lower=True, trans="T")
-        directions, residual = jacobian @ basis, size * model.residual
-        gram, noise = basis.T @ basis, directions * (size * model.noise)[:, None]
-        # Covariance of T⁻¹ u = Qᵀ Rᵀ u, for the rule "risk"
+        directions, gram = jacobian @ basis, basis.T @ basis
+        noise = directions * (size * model.noise)[:, None]
+        # Covariance of T⁻¹ u = Qᵀ Rᵀ u
         known, back = np.zeros_like(gram), vectors.T @ np.tril(factor).T
         if covariance is not None and loss.enters != "dual":  # absolute losses hold cells where the reference cannot
             known = back @ covariance[np.ix_(model.free, model.free)] @ back.T
         return cls(
             np.maximum(stiffness, 0),
-            directions.T @ residual,
             basis.T @ (rows[~own].T @ (others * model.penalty[~own])),
             vectors.T @ (penalties @ penalty),
             directions,
-            residual,
             float(penalty @ penalty),
-            model.scale,
-            min(rank(model.at.cost.unweighted), len(stiffness)),
             float(np.sum(np.log(np.diag(factor) ** 2 / model.scale))),
             gram,
             (noise.T @ noise) * gram,
             known * gram,
         )
-
-    def change(self, weight: float) -> Array:
-        """Return q(λ), the change from the point of linearisation to the minimum, (unknowns,)."""
-        slope = self.data_slope + self.pull + weight * self.penalty_slope
-        return np.asarray(-slope / (1 + weight * self.stiffness))
-
-    def misfit(self, weight: float) -> float:
-        """Return the misfit ρ = Σ ω x² of the data at the minimum for λ."""
-        residual = self.residual + self.directions @ self.change(weight)
-        return float(residual @ residual)
-
-    def penalised(self, weight: float) -> float:
-        """Return η = Σ x² of the penalty at the minimum for λ."""
-        change = self.change(weight)
-        return max(self.penalty + float(change @ (2 * self.penalty_slope + self.stiffness * change)), 0.0)
-
-    def evidence(self, weight: float) -> float:
-        """Return −2 log of the evidence for λ, up to a constant.
-
-        (ρ + λη)/s² + log det((A + λ ZᵀZ)/s²) − rank·log(λ/s²)
-        """
-        fit = (self.misfit(weight) + weight * self.penalised(weight)) / self.scale
-        # log det((A + λ ZᵀZ)/s²) = log det(A/s²) + Σ log(1 + λ κ)
-        volume = self.volume + float(np.sum(np.log1p(weight * self.stiffness)))
-        return fit + volume - self.rank * float(np.log(weight / self.scale))
 
     def risk(self, weight: float) -> float:
         """Return the expected squared error E Σ (log r̂ − log r)² for a truth near the point of linearisation.
@@ -182,13 +141,13 @@ class Spectrum:
         return -float(np.log(EXTENT_FACTOR * effective.max())), float(np.log(EXTENT_FACTOR / effective.min()))
 
 
-def best_weight(spectra: Sequence[Spectrum], rule: Rule) -> float:
-    """Return the λ that minimises the function of a rule, summed over spectra, within the range of their extents."""
+def best_weight(spectra: Sequence[Spectrum]) -> float:
+    """Return the λ of least risk, summed over spectra, within the range of their extents."""
     extents = [spectrum.extent for spectrum in spectra]
 
     def value(place: float) -> float:
         places = (float(np.exp(min(max(place, low), high))) for low, high in extents)
-        return float(sum(getattr(spectrum, rule)(weight) for spectrum, weight in zip(spectra, places, strict=True)))
+        return sum(spectrum.risk(weight) for spectrum, weight in zip(spectra, places, strict=True))
 
     lowest, highest = zip(*extents, strict=True)
     # Global minimum on a grid of log λ, refined between its neighbours by the golden section (Kiefer, 1953). SciPy's

@@ -24,6 +24,7 @@ from lampest.cost.terms import Term, term_kind
 from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import named_method
+from lampest.estimate.objective import Rule
 from lampest.estimate.sequence import deciding_data
 from lampest.estimate.weights import WeightSearch, with_chosen_weights
 from lampest.files.errors import InputError
@@ -31,8 +32,8 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.covariance import DenseErrors
-from lampest.posterior.linear import LinearModel
-from lampest.posterior.spectrum import Rule, Spectrum
+from lampest.posterior.linear import LinearModel, rank
+from lampest.posterior.spectrum import Spectrum
 from lampest.recording.recording import Recording
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure
 from lampest.runs.config import Case, Run, read_run
@@ -194,7 +195,7 @@ def solve_at(subject: WeightSubject, weight: float, start: Array | None) -> Curv
     risk = sum(spectrum.risk(weight) for spectrum in subject.spectra) if subject.spectra else np.nan
     with suppress(*BROKEN):  # where bounds decide every cell, the evidence is unknown
         if subject.noisy:
-            evidence = Spectrum.of(model).evidence(weight) + bound_evidence(model)
+            evidence = free_evidence(model, weight) + bound_evidence(model)
     if subject.truth is not None:
         error = float(np.sqrt(np.nanmean((np.log(solution.cell_resistance[-1]) - subject.truth) ** 2)))
     return CurvePoint(
@@ -209,6 +210,18 @@ def solve_at(subject: WeightSubject, weight: float, start: Array | None) -> Curv
         float(np.sum(model.at_lower | model.at_upper)),
         solution.cell_resistance,
     )
+
+
+def free_evidence(model: LinearModel, weight: float) -> float:
+    """Return the part of −2 ln evidence by free cells at the estimate for λ, up to a constant.
+
+    (ρ + λη)/s² + log det((A + λ ZᵀZ)/s²) − rank·log(λ/s²), A the curvature of the data.
+    """
+    spectrum, scale = Spectrum.of(model), model.scale
+    fit = (float(model.data_curvature @ model.residual**2) + weight * spectrum.penalty) / scale
+    # log det((A + λ ZᵀZ)/s²) = log det(A/s²) + Σ log(1 + λ κ)
+    volume = spectrum.volume + float(np.sum(np.log1p(weight * spectrum.stiffness)))
+    return fit + volume - min(rank(model.at.cost.unweighted), len(model.free)) * float(np.log(weight / scale))
 
 
 def bound_evidence(model: LinearModel) -> float:
