@@ -158,7 +158,9 @@ def audited(task: AuditTask) -> tuple[Audited, ...]:
 
 def _counted(task: AuditTask, name: str, method: StudyMethod, recording: Recording) -> Audited:
     try:
-        results = reconstruct(recording, Estimator(method.parts, task.audit.formulation, error_bars=True))
+        results = reconstruct(
+            recording, Estimator(method.parts, task.audit.formulation, bounds=method.bounds, error_bars=True)
+        )
     except InputError as error:
         return _failed(task, name, error)
     assert recording.truth_cell_resistance is not None and recording.truth_pressure is not None

@@ -137,7 +137,8 @@ class BenchFile(Configuration):
     def estimator(self, method: str, solver: str, shape: common.Shape) -> Estimator:
         """Return a method with a solver for a panel; the baseline of a large one is solved separately."""
         formulation = self.formulation(solver, joint=max(shape) <= self.limits.joint)
-        return Estimator(self.estimators[method].parts, formulation, self.solver, error_bars=False)
+        chosen = self.estimators[method]
+        return Estimator(chosen.parts, formulation, self.solver, chosen.bounds, error_bars=False)
 
     def formulation(self, solver: Any, *, joint: bool) -> Method:
         """Return the formulation of a solver."""
@@ -163,16 +164,6 @@ class BenchFrame(TimedFrame):
 
     kind: str = column("1", "first: a cold start; pair: together with the baseline; later: from the frame before")
     inverse_s: float = column("s", "a dense inverse of size rows + columns - 1 at that time")
-
-
-def solve_two_frames(task: tuple[BenchFile, common.Shape, str, str]) -> None:
-    """Solve a first frame and the next, for a measurement of memory."""
-    bench, shape, method, solver = task
-    recording = bench.recording(shape)
-    readings = recording.readings()
-    stream = first_stream(recording, readings, bench.estimator(method, solver, shape))
-    for frame in recording.measured_frames()[:2]:
-        stream, _ = stream.push(readings[frame])
 
 
 class BenchPart(NamedTuple):
@@ -226,7 +217,7 @@ def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
             if 3.0 + sum(frame.seconds for frame in own if frame.solver == solver) > end - perf_counter():
                 missed.append((shape, method, f"memory of {solver}"))
                 continue
-            peak = peak_memory(solve_two_frames, (bench, shape, method, solver))
+            peak = peak_memory(simulated(shape, part.recording), bench.estimator(method, solver, shape))
             own = [replace(frame, memory_mb=peak) if frame.solver == solver else frame for frame in own]
         frames += own
     return Bench(bench, tuple(frames), tuple(missed))

@@ -10,17 +10,20 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from lampest.cost.terms import Term
-from lampest.estimate.estimator import Bounds
+from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.sequence import reconstruct
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.document import read_document, validated
+from lampest.files.errors import InputError
 from lampest.files.typed import Configuration, check_range
 from lampest.loads.shapes import AnyShape, OralDisc
 from lampest.panel.panel import Array
 from lampest.recording.datasets import folder as shipped_folder
 from lampest.recording.readings import Readings
-from lampest.recording.recording import Recording
+from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.simulation import Simulation, read_simulations
+from lampest.recording.stored import only_frames
 from lampest.runs.config import Terms, terms_of
 from lampest.runs.executors import Processes
 from lampest.solvers.solution import STRICT
@@ -34,9 +37,10 @@ Sizes = tuple[int | Shape, ...]  # sides of square panels, or [rows, columns]
 
 @dataclass(frozen=True)
 class StudyMethod(Configuration):
-    """Terms of a method, as in a run file. Raises ValueError without a term."""
+    """Terms and bounds of a method, as in a run file. Raises ValueError without a term."""
 
     terms: Terms  # type: ignore[valid-type]
+    bounds: Bounds = Bounds()
 
     def __post_init__(self) -> None:
         if not self.parts:
@@ -56,13 +60,6 @@ class SquaredMethod(StudyMethod):
         super().__post_init__()
         if not all(term.loss.squared for term in self.parts):
             raise ValueError("only squared losses can be compared with a least-squares solver")
-
-
-@dataclass(frozen=True)
-class BoundedMethod(StudyMethod):
-    """Method with bounds."""
-
-    bounds: Bounds = Bounds()
 
 
 Method = TypeVar("Method", bound=StudyMethod)
@@ -103,7 +100,6 @@ def lamprey_mouth(centre_mm: tuple[float, float], diameter_mm: float = 35.0) -> 
 
 
 Result = TypeVar("Result")
-Task = TypeVar("Task")
 MIN_GAP = 1e-12  # less is rounding
 STATUS = Path("/proc/self/status")  # memory of a process, on Linux
 
@@ -183,18 +179,27 @@ def inverse_time(matrix: Array) -> float:
     return min(spent, inverses(count), inverses(count)) / count
 
 
-def peak_memory(work: Callable[[Task], object], task: Task) -> float:
-    """Return the peak resident size, 10⁶ bytes, of a fresh process that does some work; NaN if it died.
+def first_frames(recording: Recording, count: int) -> Recording:
+    """Return the unloaded and the first measured frames. Raises InputError with fewer than two measured ones."""
+    measured = recording.measured_frames()[:count]
+    if len(measured) < 2:
+        raise InputError(f"{recording.name}: a trade-off needs at least two measured frames")
+    chosen = recording.role == UNLOADED
+    chosen[measured] = True
+    return replace(only_frames(replace(recording, number=np.arange(len(chosen))), chosen), number=None)
+
+
+def peak_memory(recording: Recording, estimator: Estimator) -> float:
+    """Return the peak resident size, 10⁶ bytes, of a fresh process that solves two frames in sequence; NaN if it died.
 
     Unlike tracemalloc, this includes compiled costs and IPOPT's factors.
     """
-    ((_, megabytes),) = Processes(1).results(_peak_after, [(work, task)])
+    ((_, megabytes),) = Processes(1).results(_peak_of, [(first_frames(recording, 2), estimator)])
     return float("nan") if isinstance(megabytes, Exception) else float(megabytes)
 
 
-def _peak_after(task: tuple[Callable[[Task], object], Task]) -> float:
-    """Return the peak resident size of this process after some work, 10⁶ bytes."""
-    work, argument = task
-    work(argument)
+def _peak_of(task: tuple[Recording, Estimator]) -> float:
+    """Return the peak resident size of this process after a reconstruction, 10⁶ bytes."""
+    reconstruct(*task)
     line = next(line for line in STATUS.read_text().splitlines() if line.startswith("VmHWM:"))
     return float(line.split()[1]) * 1024 / 1e6

@@ -376,7 +376,7 @@ def solves_of(task: AtlasTask) -> tuple[Solve, ...]:
             if scene.weight is not None:
                 terms = tuple(term if term.reads_measurement else replace(term, weight=scene.weight) for term in terms)
             try:
-                parts = _parts(Estimator(terms, formulation, atlas.solver), recording)
+                parts = _parts(Estimator(terms, formulation, atlas.solver, method.bounds), recording)
                 solves += [_judged(task, name, part, recording, scene.cells) for part in parts]
             except InputError as error:
                 solves.append(_failed(sample, name, formulation, "frame", f"{REFUSED}{error}"))

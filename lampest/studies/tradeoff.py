@@ -8,7 +8,7 @@ reference's baseline.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import count
+from itertools import count, product
 from pathlib import Path
 from string import ascii_lowercase
 from time import perf_counter, process_time
@@ -34,7 +34,6 @@ from lampest.panel.scene import Scene
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.recording.stored import only_frames
 from lampest.report.compare import Table, relative_error
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure
 from lampest.runs.case import check_name
@@ -95,17 +94,16 @@ class Simulated(Configuration):
         check_positive_fields(self, "diameter_mm")
         check_ranges(self, 0, 2**64 - 1, "seed")
 
-    def recordings(self, frames: int) -> Iterator[Recording]:
-        """Yield recordings <panel>_<scene>_<noise> in order of size, with three unloaded and some measured frames."""
+    def simulations(self, frames: int) -> Iterator[tuple[str, Simulation]]:
+        """Yield name, <panel>_<scene>_<noise>, and simulation in order of size, with 3 unloaded frames and `frames`."""
         lamprey = common.shipped_lamprey()
         for rows, columns in common.shapes_of(self.sizes):
             mouth = common.lamprey_mouth((10 * (columns // 2) - 6, 10 * (rows // 2) - 4), self.diameter_mm)
             known: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": lamprey.course}
-            for noise, readout in self.noise.items():
-                place = Scene(Panel(rows, columns), readout, lamprey.scene.series_resistance_ohm)
-                for scene, unmodelled in self.scenes.items():
-                    simulation = Simulation(1, self.seed, place, unmodelled=unmodelled, **known)
-                    yield replace(simulate(simulation, f"{rows}x{columns}"), name=f"{rows}x{columns}_{scene}_{noise}")
+            for (noise, readout), (effect, unmodelled) in product(self.noise.items(), self.scenes.items()):
+                scene = Scene(Panel(rows, columns), readout, lamprey.scene.series_resistance_ohm)
+                simulation = Simulation(1, self.seed, scene, unmodelled=unmodelled, **known)
+                yield f"{rows}x{columns}_{effect}_{noise}", simulation
 
 
 @dataclass(frozen=True)
@@ -137,9 +135,7 @@ class TradeoffFile(Configuration):
     schema: Literal[1]
     recordings: tuple[str, ...] = ()
     simulated: Simulated | None = None
-    estimators: dict[str, common.BoundedMethod] = field(
-        default_factory=lambda: common.paper_methods(common.BoundedMethod)
-    )
+    estimators: dict[str, common.StudyMethod] = field(default_factory=lambda: common.paper_methods(common.StudyMethod))
     formulations: tuple[MethodName | AnyMethod, ...] = (
         "naive",
         "scaled",
@@ -212,26 +208,18 @@ def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
     """Read the settings of a trade-off and its recordings. Raises InputError with line and column."""
     settings = read_settings(TradeoffFile)(path, assigned)
     files = recording_paths(path, list(settings.recordings))
-    recordings = [first_frames(Recording.load(file), settings.frames) for file in files]
+    recordings = [common.first_frames(Recording.load(file), settings.frames) for file in files]
     if settings.simulated is not None:
         try:
-            recordings += settings.simulated.recordings(settings.frames)
+            for name, simulation in settings.simulated.simulations(settings.frames):
+                panel = simulation.scene.panel
+                recordings.append(replace(simulate(simulation, f"{panel.rows}x{panel.columns}"), name=name))
         except ValueError as error:
             raise InputError(f"{path}: simulated: {error}") from error
     names = [recording.name for recording in recordings]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"{path}: two recordings are called {twice[0]}")
     return Plan(settings, recordings)
-
-
-def first_frames(recording: Recording, count: int) -> Recording:
-    """Return the unloaded and the first measured frames. Raises InputError with fewer than two measured ones."""
-    measured = recording.measured_frames()[:count]
-    if len(measured) < 2:
-        raise InputError(f"{recording.name}: a trade-off needs at least two measured frames")
-    chosen = recording.role == UNLOADED
-    chosen[measured] = True
-    return replace(only_frames(replace(recording, number=np.arange(len(chosen))), chosen), number=None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,14 +249,14 @@ def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list
     memory = {}
     for shape, name in fresh:
         estimator = settings.estimator(str(settings.memory), settings.rungs(shape)[name])
-        memory[shape, name] = peak_memory(_passage, (estimator, first_frames(first[shape], 2)))
+        memory[shape, name] = peak_memory(first[shape], estimator)
         on_step(next(done), len(chosen) + len(fresh))
     return [replace(frame, memory_mb=memory.get((frame.shape, frame.solver))) for frame in measured]
 
 
-def _passage(task: tuple[Estimator, Recording]) -> Passage:
+def _passage(recording: Recording, estimator: Estimator) -> Passage:
     """Solve the frames of a recording in sequence."""
-    (estimator, recording), clock = task, [process_time()]
+    clock = [process_time()]
     estimates = reconstruct(recording, estimator, lambda *_: clock.append(process_time()))
     return estimates, np.diff(clock)
 
@@ -281,7 +269,7 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
         if turn and perf_counter() - begin > settings.patience_s:
             break
         for name, formulation in rungs.items():
-            runs[name].append(_passage((settings.estimator(method, formulation), recording)))
+            runs[name].append(_passage(recording, settings.estimator(method, formulation)))
     costs = list(_costs(runs[REFERENCE][0][0]))
     objective = {
         name: [_objective(*cost, cells) for cost, cells in zip(costs, run[0][0].cell_resistance, strict=True)]
