@@ -1,6 +1,10 @@
 """The contract of every study: a table, samples with units and pictures; one sentence for a mistake in its file."""
 
 import csv
+import os
+import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,6 +15,8 @@ import pytest
 
 Command = Callable[..., SimpleNamespace]
 Row = dict[str, str]
+ROOT = Path(__file__).parents[2]
+MAIN = ("-c", "from lampest.cli import main; main()")
 
 BENCH = "schema: 1\nsizes: [3]\nframes: 1\nrepeats: 1\nmemory: [3]\nlimits: {nodal: 3}\n"
 EXTREMES = "schema: 1\ngrid: {sizes: [[2, 3]], decades: [1], noise: [0]}\nstructured: {sizes: []}\n"
@@ -19,12 +25,32 @@ WEIGHTS = (
     "  d: {terms: {misfit: {weighting: noise}, relative_change: {weight: 10}}}\n"
 )
 GRADIENT_ALONE = WEIGHTS.split("  d:")[0]
+AUDIT = """schema: 1
+simulation:
+  schema: 1
+  seed: 3
+  scene:
+    panel: {rows: 6, columns: 5}
+    response: {kind: published}
+    readout: {kind: two_point, adc_bits: 12, noise_lsb: 1}
+    series_resistance_ohm: 140
+  baseline_frames: 5
+  frames: 2
+  loads: [{kind: rod, centre_mm: [20, 25], diameter_mm: 20, mass_g: 200}]
+seeds: 3
+estimators: {LSM: {terms: {misfit: {}}}}
+effects:
+  nothing: {}
+  noise 3: {noise_factor: 3}
+executor: {kind: serial}
+"""
 SETTINGS = {
     "bench": BENCH + "estimators: {mine: {terms: {misfit: {}, gradient: {weight: 2}}}}\n",
     "extremes": EXTREMES + "estimators: {mine: {terms: {misfit: {}}}}\n",
     "tradeoff": "schema: 1\nrecordings: [small.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n"
     "formulations: [scaled, reduced]\nframes: 2\nrepeats: 1\nmemory: LSM\n",
     "weights": WEIGHTS + "  both: {terms: {misfit: {}, gradient: {weight: auto}, cell_resistance: {weight: auto}}}\n",
+    "audit": AUDIT,
 }
 UNKNOWN_NOISE = "panel: {rows: 3, columns: 4, pitch_mm: 10}\nseries_resistance_ohm: 140\n"
 
@@ -39,8 +65,7 @@ def check_bench(rows: list[Row], group: h5py.Group, out: str) -> None:
     assert all(20 < float(row["memory_mb"]) < 2000 for row in rows)
     assert [*group["solver"][:2]] == [b"reduced", b"nodal"] and list(group["frame"]) == [0, 0, 1, 1]
     assert np.all(group["memory_mb"][()] > 20) and np.all(group["inverse_s"][()] > 0)
-    assert group["status"][0] == b"optimum verified"
-    assert "verified" in out
+    assert group["status"][0] == b"optimum verified" and "verified" in out
 
 
 def check_extremes(rows: list[Row], group: h5py.Group, out: str) -> None:
@@ -68,8 +93,17 @@ def check_weights(rows: list[Row], group: h5py.Group, out: str) -> None:
     assert len(group["error"]) >= 33
     chosen = dict(zip(group["choices/rule"][()], group["choices/weight"][()], strict=True))
     assert np.isclose(chosen[b"risk"], float(table["g", "risk"]["weight"]), rtol=1e-5)
-    assert np.any(group["weight"][()] == chosen[b"risk"])
-    assert "best" in out and "Morozov" in out
+    assert np.any(group["weight"][()] == chosen[b"risk"]) and "best" in out and "Morozov" in out
+
+
+def check_audit(rows: list[Row], group: h5py.Group, out: str) -> None:
+    nothing, noisy = rows
+    assert (nothing["effect"], nothing["verdict"]) in (("nothing", "covered"), ("nothing", "wide"))
+    assert (noisy["reported"], noisy["verdict"]) == ("3", "reported") and float(noisy["cells"]) > 80
+    assert float(noisy["chi_square"]) > 5 > 2 > float(nothing["chi_square"])
+    assert "measured in unloaded frames; the scene specifies" in out
+    held, cells = group["cells_covered"][3:].sum(), group["cells"][3:].sum()
+    assert cells == 3 * 2 * 30 and 100 * held / cells == pytest.approx(float(noisy["cells"]), rel=1e-4)
 
 
 CHECKS = {
@@ -77,68 +111,86 @@ CHECKS = {
     "extremes": ("solves", check_extremes),
     "tradeoff": ("frames", check_tradeoff),
     "weights": ("small/g", check_weights),
+    "audit": ("recordings", check_audit),
 }
 STEMS = {"weights": "tune"}  # of the files, where it is not the study's name
 PICTURED = ("tradeoff", "weights")
-SLOW = {"bench": pytest.mark.slow}
+
+
+def started(folder: Path, *words: str) -> SimpleNamespace:
+    """Run Python as a user does; return code, out and err."""
+    environment = {**os.environ, "COLUMNS": "100", "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, *words]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=environment)
+    return SimpleNamespace(code=done.returncode, out=done.stdout, err=done.stderr)
 
 
 def studied(
     lampest: Command, disk: SimpleNamespace, study: str, text: str, *words: str
 ) -> tuple[SimpleNamespace, Path]:
-    """Run a study on a file of that text; return how it ended, and its folder."""
-    out = disk.folder / "out"
-    return lampest("study", study, disk.run(text, f"{study}.yaml"), "--out", out, *words), out
+    """Run a study, or the script of a page, on a file of that text; return how it ended, and its folder."""
+    file, out = disk.run(text, f"{study}.yaml"), disk.folder / "out"
+    if study == "audit":
+        return started(disk.folder, "-m", "docs.studies.audit", str(file), "--out", "out"), out
+    return lampest("study", study, file, "--out", out, *words), out
 
 
-def table_of(out: Path, study: str) -> list[Row]:
-    with (out / f"{STEMS.get(study, study)}.csv").open() as file:
-        return list(csv.DictReader(file))
+def table_of(file: Path) -> list[Row]:
+    with file.open(encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("study", [pytest.param(name, marks=SLOW.get(name, ())) for name in SETTINGS])
+@pytest.mark.parametrize("study", SETTINGS)
 def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
     study: str, disk: SimpleNamespace, lampest: Command
 ) -> None:
     done, out = studied(lampest, disk, study, SETTINGS[study])
     left_out = "small/both left out: it has 2 penalty terms, not one" if study == "weights" else ""
-    assert done.code == 0 and left_out in done.err and bool(done.err) == bool(left_out), done.err
-    assert max(map(len, done.out.splitlines())) <= 100 + len(str(disk.folder))
-    place, check = CHECKS[study]
-    with h5py.File(out / f"{STEMS.get(study, study)}.h5") as file:
+    assert done.code == 0 and left_out in done.err and (bool(done.err) == bool(left_out) or study == "audit"), done.err
+    shown = done.out.split("cells, change, press.")[0].splitlines()
+    assert max(len(line.rstrip()) for line in shown) <= 100 + len(str(disk.folder))
+    (place, check), stem = CHECKS[study], out / STEMS.get(study, study)
+    with h5py.File(stem.with_suffix(".h5")) as file:
         group = file[f"entry/{place}"]
-        for name, values in group.items():
-            if isinstance(values, h5py.Dataset):
-                assert (
-                    values.attrs["units"]
-                    and values.attrs["long_name"]
-                    and len(values) == len(next(iter(group.values())))
-                ), name
-        check(table_of(out, study), group, done.out)
+        datasets = {name: values for name, values in group.items() if isinstance(values, h5py.Dataset)}
+        for name, values in datasets.items():
+            assert values.attrs["units"] and values.attrs["long_name"], name
+        assert len({len(values) for values in datasets.values()}) == 1
+        check(table_of(stem.with_suffix(".csv")), group, done.out)
     pictures = [*out.glob("*.png")]
     assert bool(pictures) == (study in PICTURED)
     assert all(picture.read_bytes().startswith(b"\x89PNG") for picture in pictures)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [
+        ("noise_factor", "noise_facto", "audit.yaml:17:"),
+        pytest.param("seeds: 3", "seeds: 0", "audit.yaml", marks=pytest.mark.slow),
+        pytest.param("baseline_frames: 5", "baseline_frames: 1", "audit.yaml", marks=pytest.mark.slow),
+    ],
+)
+def test_a_mistake_in_the_file_of_a_script_is_one_sentence(
+    disk: SimpleNamespace, lampest: Command, old: str, new: str, place: str
+) -> None:
+    done, out = studied(lampest, disk, "audit", AUDIT.replace(old, new))
+    assert done.code == 2 and place in done.err and len(done.err.strip().splitlines()) == 1 and not out.exists()
 
 
 def test_weights_without_noise_and_truth_are_chosen_by_risk_alone(disk: SimpleNamespace, lampest: Command) -> None:
     path = disk.recording(disk.folder / "small.h5", scene=UNKNOWN_NOISE)
     with h5py.File(path, "a") as file:
         del file["entry/truth"]
-    done, out = studied(lampest, disk, "weights", GRADIENT_ALONE + "bounds: {upper: none}\n")
+    text = GRADIENT_ALONE + "bounds: {upper: none}\n"
+    done, out = studied(lampest, disk, "weights", text + "auto_weight: {rule: evidence}\n")
+    assert done.code == 2 and "auto_weight.rule: evidence needs the noise" in done.err and not out.exists()
+    done, out = studied(lampest, disk, "weights", text)
     assert done.code == 0, done.err
-    rules = {row["rule"]: row for row in table_of(out, "weights")}
+    rules = {row["rule"]: row for row in table_of(out / "tune.csv")}
     assert set(rules) == {"risk", "Morozov", "L-curve"}
     assert rules["risk"]["in_use"] == "1" and rules["Morozov"]["weight"] == ""
     assert {row["rms_log_error"] for row in rules.values()} == {""}
-
-
-def test_a_rule_that_needs_the_noise_is_refused_without_it(disk: SimpleNamespace, lampest: Command) -> None:
-    disk.recording(disk.folder / "small.h5", scene=UNKNOWN_NOISE)
-    text = GRADIENT_ALONE + "bounds: {upper: none}\nauto_weight: {rule: evidence}\n"
-    done, out = studied(lampest, disk, "weights", text)
-    assert done.code == 2 and "auto_weight.rule: evidence needs the noise" in done.err
-    assert not out.exists()
 
 
 @pytest.mark.slow
@@ -146,5 +198,40 @@ def test_settings_of_the_command_override_the_file_of_a_study(disk: SimpleNamesp
     setting = ("--set", "estimators.g.terms.gradient.weight=0.002")
     done, out = studied(lampest, disk, "weights", GRADIENT_ALONE, *setting)
     assert done.code == 0, done.err
-    (given,) = (row for row in table_of(out, "weights") if row["rule"] == "given")
+    (given,) = (row for row in table_of(out / "tune.csv") if row["rule"] == "given")
     assert float(given["weight"]) == 0.002
+
+
+@pytest.mark.slow
+def test_the_papers_page_needs_nothing_else_and_its_scenes_give_most_of_its_numbers(tmp_path: Path) -> None:
+    """The script of the page adds the paper's solver; the command draws the same without it, of the same results."""
+    done = started(tmp_path, "-m", "docs.studies.paper", "--out", "out", "--jobs", "1")
+    assert done.code == 0, done.err
+    assert all((tmp_path / line).is_file() for line in done.out.splitlines())
+    written = tmp_path / "out"
+    page = (written / "paper.html").read_text(encoding="utf-8")
+    text = re.sub(r"base64,[\w+/=]+", "", page)  # whose letters may spell anything
+    assert "http" not in text.replace("https://www.w3.org", "") and page.count("data:image/png;base64,") >= 5
+    assert all(part in page for part in ("Fig. 1-e", "Fig. 2-a", "Fig. 6", "Fig. 8", "Fig. 9", "Table I"))
+    pictures = {file.stem.split("_")[0] for file in written.glob("*.png")}
+    assert pictures == {"fig1e", "fig2", "fig6", "fig8", "fig9"}
+    rows = table_of(written / "numbers.csv")
+    ours = {(row["figure"], row["quantity"]): float(row["clean scenes"]) for row in rows}
+    # The two mouths cover as many cells as published; plain least squares follows its readings far more closely.
+    assert [ours[key] for key in ours if key[0].startswith("Fig. 9")] == [4, 4, 3, 3]
+    assert ours["Table I", "LSM, all steps: data error"] < 0.05 < 1.33
+    assert ours["Fig. 8-a", "measured, smallest change"] == pytest.approx(-63, abs=1.5), "series resistance included"
+    # Ranges of figure 8 and mean errors of table I within a quarter, by the solver in kind; clean scenes give 7.
+    judged = [row for row in rows if row["figure"].startswith("Fig. 8") or "data error" in row["quantity"]]
+    good = {
+        side: sum(abs(float(row[side]) / float(row["published"]) - 1) <= 0.25 for row in judged)
+        for side in ("clean scenes", "paper's panel", "its solver")
+    }
+    assert len(judged) == 19 and good["its solver"] >= 13 > good["clean scenes"]
+    for file in written.glob("*.*"):
+        file.unlink()
+    done = started(tmp_path, *MAIN, "study", "paper", "--out", "out", "--jobs", "1")
+    assert done.code == 0, done.err
+    assert done.out.splitlines()[-1].endswith(".png")
+    again = table_of(written / "numbers.csv")
+    assert again == [{name: text for name, text in row.items() if name != "its solver"} for row in rows]
