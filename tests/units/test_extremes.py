@@ -1,6 +1,5 @@
 """The atlas of extremes: what it measures is measured right, and nothing is passed over."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +16,6 @@ from lampest import (
     Panel,
     Recording,
     Scene,
-    Settings,
     Status,
     TwoPointReadout,
     two_point_resistance,
@@ -26,6 +24,7 @@ from lampest.cost.given import Background, Given
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.recording.readings import AT_LEAST, AT_MOST
+from lampest.runs.executors import Serial
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.studies.extremes import (
     CASES,
@@ -48,7 +47,8 @@ from lampest.studies.extremes import (
 from lampest.studies.study import read_settings
 
 ROOT = Path(__file__).parents[2]
-Command = Callable[..., SimpleNamespace]
+
+
 read_atlas = read_settings(AtlasFile)
 TINY = """\
 schema: 1
@@ -60,33 +60,37 @@ executor: {kind: serial}
 """
 
 
-@pytest.fixture(scope="module")
-def tiny(tmp_path_factory: pytest.TempPathFactory) -> tuple[Solve, ...]:
-    path = tmp_path_factory.mktemp("extremes") / "tiny.yaml"
-    path.write_text(TINY)
-    return run_atlas(read_atlas(path))
-
-
 @pytest.mark.slow
-def test_every_solve_ends_verified_or_with_a_sentence(tiny: tuple[Solve, ...]) -> None:
-    assert {solve.case for solve in tiny} == set(CASES)
-    assert {solve.formulation for solve in tiny} == {"reduced", "nodal"}
+def test_every_solve_ends_verified_or_with_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    solves = run_atlas(read_atlas(tmp_path / "tiny.yaml"))
+    assert {solve.case for solve in solves} == set(CASES)
+    assert {solve.formulation for solve in solves} == {"reduced", "nodal"}
     sentences = {status.value for status in Status}
-    for solve in tiny:
+    for solve in solves:
         assert solve.verified or (not solve.solved and solve.status in sentences), solve
         # A penalty of 10¹² multiplies the rounding of the gradient; there the step that is left decides.
         assert not solve.solved or solve.residual <= 1e-6 or solve.case == "weight 1e12"
-        assert solve.forward_digits > 9, solve
-        if mild(solve):
-            assert solve.verified, solve
+        assert solve.forward_digits > 9 and (solve.verified or not mild(solve)), solve
         assert solve.case != "log-uniform" or solve.method != "plain" or solve.excess < 1e-6
 
 
-def test_baselines_are_judged_by_the_cost_that_they_minimise() -> None:
+def test_baselines_are_judged_by_the_cost_that_they_minimise_and_crashes_are_shown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Relative methods solve theirs without the terms that compare with it."""
-    found = run_atlas(read_tiny())
-    assert {(solve.method, solve.part) for solve in found} >= {("LSR-dCR", "baseline"), ("LSR-gdCR", "baseline")}
-    assert all(solve.verified for solve in found), found
+    atlas = AtlasFile(1, Grid((2,), (1.0,), (0.0,)), Grid(()), executor=Serial())
+    solves = run_atlas(atlas)
+    assert {(solve.method, solve.part) for solve in solves} >= {("LSR-dCR", "baseline"), ("LSR-gdCR", "baseline")}
+    assert all(solve.verified for solve in solves), solves
+
+    def breaks(*arguments: object) -> None:
+        raise KeyError("gone")
+
+    monkeypatch.setattr("lampest.studies.extremes.first_stream", breaks)
+    solves = run_atlas(atlas)
+    assert all(solve.crashed and "KeyError" in solve.status for solve in solves)
+    assert atlas_remarks(solves)[0].startswith("0 of ")
 
 
 def test_digits() -> None:
@@ -211,6 +215,11 @@ def test_scenes_of_an_atlas_are_solved_by_both_formulations_where_its_file_says_
         with pytest.raises(ValueError, match=r"must|between|at"):
             Grid(**{"sizes": (64,)} | wrong)
     assert Grid((1, 64), (0.0, 15.0), (0.0, 100.0), 1000).shapes == ((1, 1), (64, 64)) and Grid((1,), seeds=0)
+    shipped = read_atlas(ROOT / "configs" / "extremes.yaml")
+    assert list(shipped.estimators) == ["LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR"]
+    assert {task.sample.case for task in shipped.tasks} == set(CASES)
+    scenes = sum(len(task.formulations) for task in shipped.tasks)
+    assert scenes * 8 >= 2000, "solves: of a scene three of two parts, two of a pair"
     for wrong, sentence in (
         ({"estimators": {}}, "at least one"),
         ({"grid": Grid(()), "structured": Grid(())}, "no scene"),
@@ -318,31 +327,6 @@ def test_code_at_the_upper_rail_is_never_taken_for_zero() -> None:
     scene = Scene(Panel(2, 3), readout)
     made = Recording(scene, resistance, np.zeros(1), np.ones(1, dtype=np.uint8))
     np.testing.assert_array_equal(made.readings().side[0], [[AT_MOST, 0, 0], [AT_LEAST, 0, 0]])
-
-
-def test_shipped_atlas_is_in_order() -> None:
-    atlas = read_atlas(ROOT / "configs" / "extremes.yaml")
-    assert list(atlas.estimators) == ["LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR"]
-    assert {task.sample.case for task in atlas.tasks} == set(CASES)
-    solves = sum(len(task.formulations) for task in atlas.tasks) * 8  # of a scene: three of two parts, two of a pair
-    assert solves >= 2000
-
-
-def test_crashes_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    def breaks(*arguments: object) -> None:
-        raise KeyError("gone")
-
-    monkeypatch.setattr("lampest.studies.extremes.first_stream", breaks)
-    atlas = read_tiny()
-    found = run_atlas(atlas)
-    assert all(solve.crashed and "KeyError" in solve.status for solve in found)
-    assert atlas_remarks(found)[0].startswith("0 of ")
-
-
-def read_tiny() -> AtlasFile:
-    from lampest.runs.executors import Serial
-
-    return AtlasFile(1, Grid((2,), (1.0,), (0.0,)), Grid(()), solver=Settings(), executor=Serial())
 
 
 def test_heat_map_has_a_square_for_every_scene_and_counts_failures(disk: SimpleNamespace) -> None:
