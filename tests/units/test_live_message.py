@@ -39,7 +39,6 @@ from lampest.report.live.handover import Errand
 from lampest.report.live.message import (
     ANSWER,
     HISTORY_FRAMES,
-    UNKNOWN,
     VERDICTS,
     Message,
     Picture,
@@ -56,40 +55,28 @@ from lampest.report.live.state import read_load, verdict_of
 from lampest.report.live.watcher import Unloaded, Watched, in_one_batch, watcher
 
 
-def test_total_pressure_is_a_force() -> None:
-    """10 kPa on 100 cells of 10 mm × 10 mm are 100 N; where as much sucks on half of them, 50 N press."""
-    scene = Scene(Panel(10, 10), response=PublishedResponse())
-    assert force_of(scene, np.full((10, 10), 10.0)).newton == pytest.approx(100.0)
-    half = np.repeat([[10.0], [-10.0]], 5, axis=0) * np.ones((10, 10))
-    assert force_of(scene, half).newton == pytest.approx(50.0)
-
-
-def test_a_force_with_saturated_cells_is_a_lower_bound() -> None:
-    """A cell beyond what the response determines, 40 kPa, counts with that and is counted."""
-    kpa = np.zeros((10, 10))
-    kpa[2, 2:6], kpa[3, 3] = 10.0, 95.0
-    force = force_of(Scene(Panel(10, 10), response=PublishedResponse()), kpa)
-    assert force.newton == pytest.approx(4.0 + 4.0) and force.saturated == 1
-
-
-def test_a_scene_without_a_response_has_no_force() -> None:
-    pressed, force = read_load(PressureTrack.begin(Scene(Panel(2, 2))), np.full((2, 2), 0.5), None, 0.0)
-    assert pressed is None and np.isnan(force.newton)
-
-
-def force_of(scene: Scene, kpa: Array) -> Force:
-    """Of cells under such pressures, without error bars."""
+def force_of(kpa: Array, **entries: Any) -> Force:
+    """Of 10 × 10 cells of 10 mm × 10 mm under such pressures, without error bars."""
+    scene = Scene(Panel(10, 10), response=PublishedResponse(), **entries)
     water = water_pressure(scene.panel, scene.water)
     ratio = ratio_from_pressure(water + kpa) / ratio_from_pressure(water)
     return read_load(PressureTrack.begin(scene), ratio, None, 0.0)[1]
 
 
-def test_a_force_is_that_of_the_scene() -> None:
-    """Water that stood there before counts as nothing, nor does what a broken cell seems to say."""
-    response, ten = PublishedResponse(), np.full((10, 10), 10.0)
-    assert force_of(Scene(Panel(10, 10), water=Water(500.0), response=response), ten).newton == pytest.approx(100.0)
-    broken = Scene(Panel(10, 10), faults=Faults(dead_rows=(3,), shorted=((0, 0),)), response=response)
-    assert force_of(broken, ten).newton == pytest.approx(89.0)
+def test_the_total_pressure_of_the_cells_is_a_force() -> None:
+    """10 kPa on 100 cells are 100 N; what sucks, what stood there before and what is broken counts as nothing."""
+    ten = np.full((10, 10), 10.0)
+    broken = Faults(dead_rows=(3,), shorted=((0, 0),))
+    assert force_of(ten).newton == force_of(ten, water=Water(500.0)).newton == pytest.approx(100.0)
+    assert force_of(np.repeat([[10.0], [-10.0]], 5, axis=0) * np.ones((10, 10))).newton == pytest.approx(50.0)
+    assert force_of(ten, faults=broken).newton == pytest.approx(89.0)
+    kpa = np.zeros((10, 10))
+    kpa[2, 2:6], kpa[3, 3] = 10.0, 95.0
+    force = force_of(kpa)
+    assert force.newton == pytest.approx(4.0 + 4.0), "beyond 40 kPa a cell counts with that, and is counted"
+    assert force.saturated == 1
+    pressed, unknown = read_load(PressureTrack.begin(Scene(Panel(2, 2))), np.full((2, 2), 0.5), None, 0.0)
+    assert pressed is None and np.isnan(unknown.newton), "a scene without a response has no force"
 
 
 def drawn(change: Array, force: Force, *maps: Array, number: int = 1) -> Picture:
@@ -165,8 +152,8 @@ def test_a_row_has_a_number_for_every_channel() -> None:
     pressing, lamprey = float(VERDICTS.index("pressing")), float(ANSWERS.index("lamprey"))
     known = {"sequence": 7.0, "force": 1.5, "verdict": pressing, "solved": 1.0, "force_sd": 0.25}
     known |= {"change_0_0": -4.0, "change_1_2": 1.0, "pressure_0_1": -1.5, "cells_1_0": 999.0}
-    known |= {"answer": lamprey, "alarm": 1.0, "since_s": 6.0, "diameter_mm": 35.0}
-    assert {name: row[name] for name in known} == known and np.isnan(row["until_s"])
+    known |= {"answer": lamprey, "alarm": 1.0, "since_s": 6.0, "diameter_mm": 35.0, "x_mm": 44.0, "suction_kpa": -11.0}
+    assert {name: row[name] for name in known} == known and np.isnan(row["until_s"]) and row["probability"] > 0.5
     places = {channel.label: channel.place for channel in message.channels()}
     assert places["change_1_2"] == (0.02, 0.01) and places["force"] is None
     third = np.full((2, 3), 1 / 3)
@@ -177,6 +164,8 @@ def test_a_row_has_a_number_for_every_channel() -> None:
     assert (content["force"], content["force_sd"], content["force_sd_of"]) == (0.3333, 0.3333, None)
     silent = message_of()
     assert np.isnan(silent.row()[-len(ANSWER) :]).all() and silent.signature == (7, "", "")
+    signatures = [message_of(*given).signature for given in ((LAMPREY,), (CUP,), (CUP, "alarm"), (CUP, "alarm", 8))]
+    assert len({silent.signature, *signatures}) == 5 and message_of(CUP).signature == signatures[1]
     gone = dataclasses.replace(silent, picture=dataclasses.replace(silent.picture, verdict="unsolved"))
     assert not gone.solved and gone.row()[3] == 0.0
 
@@ -298,33 +287,30 @@ def test_a_panel_that_nothing_has_touched_is_answered_with_nothing() -> None:
     told = here.after(broken).detected
     assert told.answer == "cannot say" and told.why
     assert here.after(broken).after(scan_of(taken(4), 6)).detected.answer == "nothing"
-
-
-def test_a_panel_too_large_for_patterns_is_said_at_once() -> None:
     scan = dataclasses.replace(scan_of(taken(4), 3), recorded=np.full((33, 32), 1000.0))
     told = Watched("mat").after(Unloaded(dataclasses.replace(SCENE, panel=Panel(33, 32)), (scan,) * 3)).detected
     assert told.answer == "cannot say" and "up to 1024 cells" in told.why
 
 
-def test_a_new_zero_ends_what_was_attached() -> None:
+def test_a_new_zero_ends_what_was_attached_and_the_latest_of_what_has_left_is_remembered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(watcher_module, "MAX_REMEMBERED", 1)
     recording = taken(8)
+
+    def with_attached(*attachments: Attachment) -> Watched:
+        return dataclasses.replace(here, watch=dataclasses.replace(here.watch, attachments=attachments))
+
     here = watched(recording)
-    here = dataclasses.replace(here, watch=dataclasses.replace(here.watch, attachments=(LAMPREY,)))
-    here = here.after(2)
+    left = [dataclasses.replace(LAMPREY, since_s=float(since), until_s=8.0) for since in (1, 2)]
+    after = with_attached(CUP, *left).after(scan_of(recording, 6))
+    assert after.detected.attachments == (CUP, left[1])
+    here = with_attached(LAMPREY).after(2)
     for frame in (5, 6):
         assert here.detected.attachments[0].present
         here = here.after(scan_of(recording, frame))
     assert here.detected.attachments[0].until_s == recording.time[5] and not here.missing
     assert here.watch is not None and here.watch.rest_s == recording.time[6]
-
-
-def test_only_the_latest_of_what_has_left_is_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(watcher_module, "MAX_REMEMBERED", 1)
-    recording = taken(4)
-    here = watched(recording)
-    left = [dataclasses.replace(LAMPREY, since_s=float(since), until_s=8.0) for since in (1, 2)]
-    here = dataclasses.replace(here, watch=dataclasses.replace(here.watch, attachments=(CUP, *left)))
-    assert here.after(scan_of(recording, 6)).detected.attachments == (CUP, left[1])
 
 
 def test_an_alarm_stays_until_it_is_acknowledged_and_rises_once_for_each_lamprey() -> None:
@@ -342,25 +328,6 @@ def test_an_alarm_stays_until_it_is_acknowledged_and_rises_once_for_each_lamprey
     assert with_detected(seen, another).alarm == another.sentence
     slow = Detected.of("here", (dataclasses.replace(LAMPREY, breath=Breathing()),), 1.0)
     assert with_detected(view, slow).alarm == slow.sentence, "nothing more will be known"
-
-
-def test_a_message_is_new_with_its_frame_its_sentence_and_its_alarm() -> None:
-    view = View("here", "LSM", "receiving", Panel(2, 3), picture=drawn(np.zeros((2, 3)), UNKNOWN))
-    raised = with_detected(view, Detected.of("here", (LAMPREY,), 4.0))
-    messages = [Message.of(one) for one in (view, raised, acknowledged(raised), raised)]
-    signatures = [message.signature for message in messages if message is not None]
-    assert len(set(signatures)) == 3 and signatures[1] == signatures[3]
-
-
-def test_streams_of_numbers_have_the_answer_too() -> None:
-    view = View("here", "LSM", "receiving", Panel(2, 3), picture=drawn(np.zeros((2, 3)), UNKNOWN))
-    for one, known in ((view, False), (with_detected(view, Detected.of("here", (LAMPREY,), 4.0)), True)):
-        message = Message.of(one)
-        numbers = dict(zip([channel.label for channel in message.channels()], message.row(), strict=True))
-        assert np.isnan(numbers["until_s"]) and np.isnan(numbers["probability"]) != known
-        if known:
-            assert (numbers["answer"], numbers["alarm"], numbers["since_s"]) == (0, 1, 6.0)
-            assert (numbers["x_mm"], numbers["diameter_mm"], numbers["suction_kpa"]) == (44.0, 35.0, -11.0)
 
 
 def test_more_than_can_be_watched_is_watched_less_often(monkeypatch: pytest.MonkeyPatch) -> None:

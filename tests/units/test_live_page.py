@@ -21,7 +21,7 @@ from lampest.report.live import server as server_module
 from lampest.report.live.handover import Newest
 from lampest.report.live.message import View
 from lampest.report.live.run import Outlets, Replay, chosen, live
-from lampest.report.live.server import PageActions, PageServer, address, is_local_name, serving
+from lampest.report.live.server import PageActions, address, is_local_name, serving
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 TOKEN = "a-token-of-my-own"
@@ -99,7 +99,10 @@ def test_the_server_gives_the_page_and_the_views_and_nothing_else(page: SimpleNa
     answer = page.ask()
     assert answer.status == 200 and answer.headers["Content-Type"] == "text/html; charset=utf-8"
     assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
-    assert answer.read() == files("lampest.report.live").joinpath("page.html").read_bytes()
+    text = files("lampest.report.live").joinpath("page.html").read_text(encoding="utf-8")
+    assert answer.read().decode() == text and len(text) < 30_000
+    elsewhere = r"https?://|\bsrc=|@import|url\(|<link(?! rel=\"icon\" href=\"data:,\")"
+    assert not re.findall(elsewhere, text), "the page loads nothing from elsewhere"
     views = page.ask("/views")
     assert views.headers["Content-Type"] == "text/event-stream"
     assert first_view(views)["state"] == "receiving"
@@ -111,7 +114,7 @@ def test_the_server_gives_the_page_and_the_views_and_nothing_else(page: SimpleNa
     for method in ("HEAD", "PUT", "DELETE", "OPTIONS", "TRACE", "NONSENSE"):
         refused = page.ask("/", method)
         assert (refused.status, refused.headers["Allow"]) == (405, "GET, POST")
-    assert page.server.server_address[0] == "127.0.0.1"
+    assert page.server.server_address[0] == "127.0.0.1" and page.server.url.endswith("/")
 
 
 def test_a_new_zero_is_for_the_page_itself_to_ask_for() -> None:
@@ -161,6 +164,8 @@ def test_on_the_loopback_the_server_answers_to_no_foreign_name(page: SimpleNames
     assert page.status("/views", Host="attacker.example:8137") == 403
     assert all(is_local_name(name) for name in ("127.0.0.1", "[::1]:80", "[::1]", "localhost", "127.0.0.9:1"))
     assert not any(is_local_name(name) for name in ("", "10.0.0.1:80", "localhost.example", "[::2]:80"))
+    answer = page.wired(b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n").recv(4096)
+    assert answer.startswith(b"HTTP/1.0 400 "), answer
 
 
 def test_clients_may_come_and_go_as_they_like(page: SimpleNamespace, capfd: pytest.CaptureFixture[str]) -> None:
@@ -175,12 +180,9 @@ def test_clients_may_come_and_go_as_they_like(page: SimpleNamespace, capfd: pyte
     assert capfd.readouterr() == ("", "")
 
 
-def test_more_clients_than_seats_are_told_so(page: SimpleNamespace) -> None:
-    assert [page.status("/views") for _ in range(server_module.MAX_STREAMS)] == [200] * server_module.MAX_STREAMS
-    assert (page.status("/views"), page.status()) == (503, 200)
-
-
-def test_guests_that_never_read_give_their_seats_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_guests_beyond_the_seats_are_told_so_and_those_that_never_read_give_theirs_to_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     for name, value in {"MAX_STREAMS": 2, "TURN_SECONDS": 0.3, "HEARTBEAT_SECONDS": 0.1}.items():
         monkeypatch.setattr(server_module, name, value)
     with page_at("127.0.0.1") as page:
@@ -188,11 +190,11 @@ def test_guests_that_never_read_give_their_seats_to_others(monkeypatch: pytest.M
         def status() -> bytes:
             return bytes(page.wired(b"GET /views HTTP/1.1\r\nHost: localhost\r\n\r\n").recv(12)[9:])
 
-        assert [status(), status(), status()] == [b"200", b"200", b"503"]
+        assert [status(), status(), status()] == [b"200", b"200", b"503"] and page.status() == 200
         until = time.monotonic() + 10
         while (answer := status()) != b"200" and time.monotonic() < until:
             time.sleep(0.1)
-        assert answer == b"200"
+        assert answer == b"200" and server_module.PageServer.daemon_threads
 
 
 def test_the_last_view_reaches_everybody_and_nobody_holds_up_the_end() -> None:
@@ -212,26 +214,13 @@ def test_the_last_view_reaches_everybody_and_nobody_holds_up_the_end() -> None:
     connection.close()
 
 
-def test_an_address_in_use_is_one_sentence(page: SimpleNamespace) -> None:
-    with pytest.raises(InputError, match=rf"cannot listen at 127\.0\.0\.1:{page.port} \(Address already in use\)"):
-        live(Replay(LAMPREY), chosen(None, None), Outlets(f"127.0.0.1:{page.port}"))
-
-
-def test_an_address_is_a_host_and_a_port() -> None:
-    assert address("localhost:0") == ("127.0.0.1", 0)
-    assert address("[::1]:81") == ("::1", 81)
+def test_an_address_is_a_host_and_a_port_that_nobody_has(page: SimpleNamespace) -> None:
+    assert address("localhost:0") == ("127.0.0.1", 0) and address("[::1]:81") == ("::1", 81)
     for text in ("", "8137", "127.0.0.1", "127.0.0.1:x", "host:80", "127.0.0.1:70000", ":80"):
         with pytest.raises(InputError, match="not of the form HOST:PORT"):
             address(text)
-    with page_at("0.0.0.0") as open_to_all:
-        assert not open_to_all.server.local and open_to_all.server.url.startswith("http://127.0.0.1:")
-    assert PageServer.daemon_threads
-
-
-def test_the_page_loads_nothing_from_elsewhere() -> None:
-    text = files("lampest.report.live").joinpath("page.html").read_text(encoding="utf-8")
-    assert not re.findall(r"https?://|\bsrc=|@import|url\(|<link(?! rel=\"icon\" href=\"data:,\")", text)
-    assert len(text) < 30_000
+    with pytest.raises(InputError, match=rf"cannot listen at 127\.0\.0\.1:{page.port} \(Address already in use\)"):
+        live(Replay(LAMPREY), chosen(None, None), Outlets(f"127.0.0.1:{page.port}"))
 
 
 # Who may see the page: on the loopback address everybody here, elsewhere whoever brings the token.
@@ -263,22 +252,16 @@ def test_a_browser_needs_the_token_once_and_programs_bring_it_as_they_like(open_
     assert all(open_page.status("/views", Authorization=f"{kind} {TOKEN}") == 200 for kind in ("Bearer", "token"))
 
 
-def test_a_token_is_made_up_and_never_the_same() -> None:
+def test_a_token_is_made_up_elsewhere_and_on_the_loopback_only_asked_for_if_one_is_given() -> None:
     tokens = set()
     for _ in range(2):
         with page_at("0.0.0.0") as page:
             tokens.add(token := page.server.url.partition("?token=")[2])
             assert (page.status(), page.status(f"/?token={token}")) == (403, 200)
+            assert not page.server.local and page.server.url.startswith("http://127.0.0.1:")
     assert len(tokens) == 2 and all(len(token) >= 32 for token in tokens)
-
-
-def test_on_the_loopback_a_token_is_asked_for_if_one_is_given(page: SimpleNamespace) -> None:
-    assert page.server.url.endswith("/") and page.status() == 200
     with page_at("127.0.0.1", TOKEN) as guarded:
         assert (guarded.status(), guarded.status(f"/?token={TOKEN}")) == (403, 200)
-
-
-def test_tokens_that_are_none_are_refused() -> None:
     for token in ("short", "with a blank in it", "ä" * 20, "x" * 15):
         with pytest.raises(InputError, match="--token: give at least 16"), page_at("127.0.0.1", token):
             pass
@@ -315,8 +298,3 @@ def test_error_pages_reflect_nothing_of_the_request(request_line: bytes, host: s
         answer = b"".join(iter(lambda: client.recv(4096), b""))
     assert b"script" not in answer.replace(b"script-src", b"") and b"alert" not in answer
     assert re.match(rb"(HTTP/1\.[01] )?[45]\d\d [A-Z][A-Za-z -]+\r?\n", answer), answer
-
-
-def test_a_request_with_two_names_of_the_host_is_refused(page: SimpleNamespace) -> None:
-    answer = page.wired(b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n").recv(4096)
-    assert answer.startswith(b"HTTP/1.0 400 "), answer
