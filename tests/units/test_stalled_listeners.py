@@ -5,12 +5,15 @@ import json
 import socket
 import threading
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 from paho.mqtt.client import Client
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
 
 from lampest.loads.pressure import Force
 from lampest.panel.panel import Panel
@@ -39,14 +42,15 @@ def message(number: int, side: int = 64) -> Message:
     return Message(panel, picture, View("here", "LSM", "receiving", panel))
 
 
-def small_socket() -> socket.socket:
-    """An end that holds little of what it has not read."""
-    end = socket.socket()
-    end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SMALL_BUFFER)
-    return end
+def within(work: Callable[[], object]) -> None:
+    """Do something that must come to an end."""
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join(PATIENCE_SECONDS)
+    assert not thread.is_alive(), "it hangs"
 
 
-def sent(send: Send) -> None:
+def send_all(send: Send) -> None:
     """All frames, from a thread that must not hang."""
 
     def every() -> None:
@@ -57,49 +61,47 @@ def sent(send: Send) -> None:
     within(every)
 
 
-def within(work: Callable[[], object]) -> None:
-    """Do something that must come to an end."""
-    thread = threading.Thread(target=work, daemon=True)
-    thread.start()
-    thread.join(PATIENCE_SECONDS)
-    assert not thread.is_alive(), "it hangs"
+def small_socket() -> socket.socket:
+    """An end that holds little of what it has not read."""
+    end = socket.socket()
+    end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SMALL_BUFFER)
+    return end
+
+
+@contextmanager
+def sleeper(where: str) -> Iterator[socket.socket]:
+    """A listener at an address that never reads."""
+    port = urlsplit(where).port
+    with closing(small_socket()) as asleep:
+        asleep.connect(("127.0.0.1", port))
+        asleep.sendall(HANDSHAKE.format(port=port).encode())
+        yield asleep
 
 
 def read_all(end: socket.socket) -> int:
     """How many bytes a peer gets that wakes up at last."""
     end.settimeout(2.0)
     count = 0
-    try:
+    with suppress(OSError):
         while piece := end.recv(1 << 20):
             count += len(piece)
-    except OSError:
-        pass
     return count
 
 
 @pytest.mark.slow
 def test_a_websocket_that_never_reads_holds_up_neither_frames_nor_others_nor_the_end() -> None:
-    from websockets.exceptions import ConnectionClosed
-    from websockets.sync.client import connect
-
     came: list[int] = []
-    way = publish_at("websocket://127.0.0.1:0").opened(lambda sentence: None)
+    way = publish_at("websocket://127.0.0.1:0").opened(print)
     where, send = way.__enter__()
-    port = int(where.split(":")[2].strip("/"))
-    with closing(small_socket()) as asleep, connect(where, max_size=None) as awake:
-        asleep.connect(("127.0.0.1", port))
-        asleep.sendall(HANDSHAKE.format(port=port).encode())
+    with sleeper(where) as asleep, connect(where, max_size=None) as awake:
 
         def listening() -> None:
-            try:
-                for text in awake:
-                    came.append(json.loads(text)["sequence"])
-            except ConnectionClosed:
-                pass
+            with suppress(ConnectionClosed):
+                came.extend(json.loads(text)["sequence"] for text in awake)
 
         ear = threading.Thread(target=listening, daemon=True)
         ear.start()
-        sent(send)
+        send_all(send)
         within(lambda: way.__exit__(None, None, None))
         ear.join(PATIENCE_SECONDS)
         assert came[-1] == FRAMES and came == sorted(set(came)), "who listens gets the newest frame, in order"
@@ -108,27 +110,18 @@ def test_a_websocket_that_never_reads_holds_up_neither_frames_nor_others_nor_the
 
 @pytest.mark.slow
 def test_a_websocket_that_never_reads_loses_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    from websockets.exceptions import InvalidStatus
-    from websockets.sync.client import connect
-
     monkeypatch.setattr(websocket, "MAX_STREAMS", 1)
     monkeypatch.setattr(websocket, "TURN_SECONDS", 0.2)
-    with publish_at("websocket://127.0.0.1:0").opened(lambda sentence: None) as (where, send):
-        port = int(where.split(":")[2].strip("/"))
-        with closing(small_socket()) as asleep:
-            asleep.connect(("127.0.0.1", port))
-            asleep.sendall(HANDSHAKE.format(port=port).encode())
-            sent(send)
+    with publish_at("websocket://127.0.0.1:0").opened(print) as (where, send), sleeper(where):
+        send_all(send)
 
-            def admitted() -> None:
-                while True:
-                    try:
-                        with connect(where, max_size=None):
-                            return
-                    except InvalidStatus:
-                        time.sleep(0.1)
+        def admitted() -> None:
+            while True:
+                with suppress(InvalidStatus), connect(where, max_size=None):
+                    return
+                time.sleep(0.1)
 
-            within(admitted)
+        within(admitted)
 
 
 def test_a_broker_that_never_reads_holds_up_neither_frames_nor_the_end() -> None:
@@ -144,9 +137,9 @@ def test_a_broker_that_never_reads_holds_up_neither_frames_nor_the_end() -> None
             taken.append(end)
 
         threading.Thread(target=deaf, daemon=True).start()
-        way = publish_at(f"mqtt://127.0.0.1:{door.getsockname()[1]}/panel").opened(lambda sentence: None)
+        way = publish_at(f"mqtt://127.0.0.1:{door.getsockname()[1]}/panel").opened(print)
         _, send = way.__enter__()
-        sent(send)
+        send_all(send)
         clients = [one for one in gc.get_objects() if type(one) is Client]
         ours = [one.socket() for one in clients if one.socket() is not None]
         assert ours and all(one.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) for one in ours), "sent at once"
