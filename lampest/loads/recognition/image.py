@@ -6,7 +6,7 @@ is block diagonal; loads may lie across seams. A load in several windows is take
 nearest.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
@@ -36,13 +36,13 @@ class WindowNetwork:
         """Return the readings of the window, (rows, columns)."""
         return np.asarray(self.layout.joined(np.stack([network.reading() for network in self.networks])))
 
-    def sensitivity(self, cells: Any = None) -> Array:
-        """Return the block diagonal Jacobian J (readings, cells), or its columns of some cells by number."""
+    def sensitivity(self) -> Array:
+        """Return the block diagonal Jacobian J, (readings, cells)."""
         numbers = self.layout.split(np.arange(np.prod(self.layout.shape)).reshape(self.layout.shape))
         whole = np.zeros((numbers.size, numbers.size))
         for network, own in zip(self.networks, numbers.reshape(len(numbers), -1), strict=True):
             whole[np.ix_(own, own)] = network.sensitivity()
-        return whole if cells is None else whole[:, cells]
+        return whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,19 +88,15 @@ class WindowScene:
 
     def network(self, cells: Array, ties: Array, wiring: None) -> WindowNetwork:
         """Return the network of all modules."""
-        parts = zip(self.scenes, self.layout.split(cells), strict=True)
+        layout = layout_of(self.panel)
+        parts = zip(self.scenes, layout.split(cells), strict=True)
         solved = (own.circuit.network(part, own.circuit.ties(part), own.wiring) for own, part in parts)
-        return WindowNetwork(self.layout, tuple(solved))
-
-    @property
-    def layout(self) -> Modules:
-        """Layout of the modules."""
-        assert self.panel.modules is not None
-        return self.panel.modules
+        return WindowNetwork(layout, tuple(solved))
 
     def _joined(self, part: Callable[[Scene, Array], Array], image: Array) -> Array:
-        pairs = zip(self.scenes, self.layout.split(image), strict=True)
-        return np.asarray(self.layout.joined(np.stack([part(*pair) for pair in pairs])))
+        layout = layout_of(self.panel)
+        pairs = zip(self.scenes, layout.split(image), strict=True)
+        return np.asarray(layout.joined(np.stack([part(*pair) for pair in pairs])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +126,7 @@ class Window:
     @classmethod
     def about(cls, scene: Scene, place: Array) -> "Window":
         """Return the window over the modules that a load at a place (x, y) in mm may reach."""
-        layout, spans = scene.panel.modules, list[NDArray[np.intp]]()
-        assert layout is not None
+        layout, spans = layout_of(scene.panel), list[NDArray[np.intp]]()
         sizes = layout.each.columns, layout.each.rows
         for at, axis, size in zip(place, scene.panel.centres_mm(), sizes, strict=True):
             first, last = axis[::size], axis[size - 1 :: size]
@@ -161,9 +156,9 @@ class ImageWatch:
     ----------
     panelled : Panelled
         Constants of the whole image.
-    modules : tuple of Watch or None
-        Watch of each module for step detection, None for one without readings. Modules under a window keep the state
-        in which it opened.
+    modules : dict of int to Watch
+        Watch of each module with readings for step detection, by its number. Modules under a window keep the state in
+        which it opened.
     opened : tuple of (Window, Watch, float)
         The open windows, and the time of the last touch of each, s.
     attachments : tuple of Attachment
@@ -171,51 +166,47 @@ class ImageWatch:
     """
 
     panelled: Panelled
-    modules: tuple[Watch | None, ...]
+    modules: Mapping[int, Watch]
     opened: tuple[Opened, ...] = ()
     attachments: tuple[Attachment, ...] = ()
 
     @classmethod
     def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "ImageWatch":
         """Return the watch before the first frame, as `Watch.begin`."""
-        scene, modules = panelled.scene, list[Watch | None]()
-        for number, own in enumerate(scene.of_modules):
-            cells = _layout(scene).cells(number)
-            read = np.isfinite(sigma[cells]) & np.isfinite(measured[cells])
-            part = replace(panelled, scene=own, water=panelled.water[cells])
-            at_rest = np.where(read, measured[cells], np.median(measured[cells][read])) if read.any() else None
-            given = sigma[cells], unloaded[(..., *cells)], time
-            modules.append(None if at_rest is None else Watch.begin(part, at_rest, *given))
-        return cls(panelled, tuple(modules))
+        modules = dict[int, Watch]()
+        for number, own in enumerate(panelled.scene.of_modules):
+            cells = layout_of(panelled.scene.panel).cells(number)
+            if (read := np.isfinite(sigma[cells]) & np.isfinite(measured[cells])).any():
+                part = replace(panelled, scene=own, water=panelled.water[cells])
+                at_rest = np.where(read, measured[cells], np.median(measured[cells][read]))
+                modules[number] = Watch.begin(part, at_rest, sigma[cells], unloaded[(..., *cells)], time)
+        return cls(panelled, modules)
 
     @ONE_BLAS_THREAD
     def push(self, measured: Array, sigma: Array, time: float) -> "ImageWatch":
         """Push a frame, as `Watch.push`."""
-        modules, opened, stepped = list(self.modules), list(self.opened), list[int]()
         # Step detection in modules without a window; a step opens one, and freezes the modules under it.
-        for number in set(range(len(modules))) - under_windows(opened):
-            if (module := modules[number]) is not None:
+        followed, opened = dict[int, Watch](), list(self.opened)
+        for number, module in self.modules.items():
+            if number not in under_windows(self.opened):
                 cells = self._layout.cells(number)
-                modules[number] = module = module.followed(measured[cells], sigma[cells], time)
-                if module.present:
-                    stepped.append(number)
-        for number in stepped:
-            if number not in under_windows(opened):
-                window = Window.about(self.panelled.scene, self._place(number, modules[number]))
+                followed[number] = module.followed(measured[cells], sigma[cells], time)
+        for number, module in followed.items():
+            if module.present and number not in under_windows(opened):
+                window = Window.about(self.panelled.scene, self._place(number, module))
                 opened.append((window, self._begun(window, sigma), time))
-        for number in under_windows(opened):
-            modules[number] = self.modules[number]
         pushed = list[Opened]()
         for window, watch, touched_s in opened:
             watch = watch.push(measured[window.cells], sigma[window.cells], time)
             pushed.append((window, watch, time if watch.present else touched_s))
-        image = replace(self, modules=tuple(modules), opened=tuple(pushed))
+        under = {number: self.modules[number] for number in under_windows(opened) & self.modules.keys()}
+        image = replace(self, modules={**followed, **under}, opened=tuple(pushed))
         return replace(image, attachments=image._merged())._closed(time) if pushed else image
 
     def touched(self, unloaded: Array) -> bool:
         """Return whether any module is touched, as `Watch.touched`."""
         each = self._layout.split(unloaded)
-        return any(watch is not None and watch.touched(each[:, n]) for n, watch in enumerate(self.modules))
+        return any(watch.touched(each[:, number]) for number, watch in self.modules.items())
 
     def ended(self) -> "ImageWatch":
         """Return the watch once it has ended, as `Watch.ended`."""
@@ -244,79 +235,64 @@ class ImageWatch:
 
     @property
     def _layout(self) -> Modules:
-        return _layout(self.panelled.scene)
+        return layout_of(self.panelled.scene.panel)
 
     @property
     def _watches(self) -> list[Watch]:
         """Watches of the windows, and of the modules without a window."""
         covered = under_windows(self.opened)
-        alone = (watch for number, watch in enumerate(self.modules) if watch is not None and number not in covered)
+        alone = (watch for number, watch in self.modules.items() if number not in covered)
         return [*(watch for _, watch, _ in self.opened), *alone]
 
-    def _place(self, number: int, watch: Watch | None) -> Array:
+    def _place(self, number: int, watch: Watch) -> Array:
         """Return the place (x, y) in the image, mm, where a module's readings changed most."""
-        assert watch is not None
         corner = self.panelled.scene.panel.places_mm[:, *self._layout.cells(number)][:, 0, 0]
-        scores = watch.test.scores(watch.mean - watch.resting)
-        return np.asarray(
-            corner + watch.panelled.detector.search(watch.panelled.scene.panel).places[int(np.argmax(scores))]
-        )
+        search = watch.panelled.detector.search(watch.panelled.scene.panel)
+        strongest = int(np.argmax(watch.test.scores(watch.mean - watch.resting)))
+        return np.asarray(corner + search.places[strongest])
 
     def _begun(self, window: Window, sigma: Array) -> Watch:
         """Return the watch of a new window, with the joined states of its modules."""
-        panelled, layout = self.panelled, window.scene.layout
-        parts = [self.modules[number] for number in window.numbers]
-        known = [part for part in parts if part is not None]
-        begun_s = max(part.window[-1][0] if part.window else part.begun for part in known)
+        layout, known = layout_of(window.scene.panel), [self.modules[n] for n in window.numbers if n in self.modules]
         blank = known[0].resting * 0 + np.median([np.median(part.resting) for part in known])
-
-        def whole(of: Callable[[Watch], Array]) -> Array:
-            each = [blank if part is None else of(part) for part in parts]
-            return np.asarray(layout.joined(np.reshape(each, (len(each), layout.each.rows, layout.each.columns))))
-
-        shape, baseline = window.scene.panel.shape, whole(lambda part: part.resting)
-        own = replace(panelled, scene=cast(Scene, window.scene), water=panelled.water[window.cells])
-        start = Watch.begin(own, np.exp(baseline), sigma[window.cells], np.zeros((0, *shape)), known[0].rest_s)
+        levels = {number: (part.resting, part.mean, *part.recent) for number, part in self.modules.items()}
+        states = np.array([levels.get(number, 4 * (blank,)) for number in window.numbers])
+        images = layout.joined(np.swapaxes(states, 0, 1).reshape(4, -1, layout.each.rows, layout.each.columns))
+        baseline, mean, *recent = images.reshape(4, -1)
+        own = replace(self.panelled, scene=cast(Scene, window.scene), water=self.panelled.water[window.cells])
+        resting = np.exp(images[0]), sigma[window.cells], np.zeros((0, *layout.shape))
+        start = Watch.begin(own, *resting, max(part.rest_s for part in known))
         loud = np.full(len(start.test.loud), max(float(part.test.loud.mean()) for part in known))
-        return replace(
-            start,
-            test=replace(start.test, loud=loud),
-            rested=min(part.rested for part in known),
-            rest_s=max(part.rest_s for part in known),
-            mean=whole(lambda part: part.mean).ravel(),
-            begun=begun_s,
-            recent=tuple(whole(lambda part, n=n: part.recent[n]).ravel() for n in (0, 1)),  # type: ignore[misc]
-            window=((begun_s, baseline.ravel()),),
-            uneven=False,
-        )
+        begun = max(part.window[-1][0] if part.window else part.begun for part in known)
+        start = replace(start, test=replace(start.test, loud=loud), rested=min(part.rested for part in known))
+        last = ((begun, baseline),)
+        return replace(start, mean=mean, begun=begun, recent=tuple(recent), window=last, uneven=False)
 
     def _closed(self, time: float) -> "ImageWatch":
         """Return the watch without the windows that were calm for CALM_S; their modules take over the states."""
         opened = tuple(opening for opening in self.opened if time - opening[2] < CALM_S)
-        modules, covered = list(self.modules), under_windows(opened)
-        for window, watch, _ in set(self.opened) - set(opened):
-            shape, layout = window.scene.panel.shape, window.scene.layout
-            images = np.reshape([watch.resting, watch.mean, *watch.recent], (4, *shape))
-            for place, number in enumerate(window.numbers):
-                module = modules[number]
-                if module is not None and number not in covered:
-                    baseline, mean, *recent = layout.split(images)[:, place].reshape(4, -1)
-                    at_rest = replace(module, resting=baseline, rest_s=watch.rest_s, rested=watch.rested, mean=mean)
-                    again = replace(at_rest, recent=tuple(recent), begun=watch.begun, window=watch.window)
-                    modules[number] = replace(again, uncovered_s=watch.uncovered_s)
-        return replace(self, modules=tuple(modules), opened=opened)
+        modules, names = dict(self.modules), ("rest_s", "rested", "begun", "window", "uncovered_s")
+        for window, watch, _ in (opening for opening in self.opened if time - opening[2] >= CALM_S):
+            layout, own = layout_of(window.scene.panel), {name: getattr(watch, name) for name in names}
+            images = np.reshape([watch.resting, watch.mean, *watch.recent], (4, *layout.shape))
+            for number, levels in zip(window.numbers, np.swapaxes(layout.split(images), 0, 1), strict=True):
+                if number in modules and number not in under_windows(opened):
+                    baseline, mean, *recent = levels.reshape(4, -1)
+                    module = replace(modules[number], resting=baseline, mean=mean, recent=tuple(recent))
+                    modules[number] = replace(module, **own)
+        return replace(self, modules=modules, opened=opened)
 
     def _merged(self) -> tuple[Attachment, ...]:
         """Return the attachments of all windows; a load in two windows is taken from the nearer middle."""
-        every = list[tuple[Window, Attachment]]()
-        for window, watch, _ in self.opened:
-            for load in watch.attachments:
-                x, y = (load.x_mm[0] + window.x_mm, load.x_mm[1]), (load.y_mm[0] + window.y_mm, load.y_mm[1])
-                every.append((window, replace(load, x_mm=x, y_mm=y)))
-        every.sort(key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1])))
+        every = [
+            (window, replace(load, x_mm=(x + window.x_mm, x_sd), y_mm=(y + window.y_mm, y_sd)))
+            for window, watch, _ in self.opened
+            for load in watch.attachments
+            for (x, x_sd), (y, y_sd) in [(load.x_mm, load.y_mm)]
+        ]
         # nearest to its window's middle first; equal loads of other windows are dropped
-        merged: list[tuple[Window, Attachment]] = []
-        for window, load in every:
+        merged = list[tuple[Window, Attachment]]()
+        for window, load in sorted(every, key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1]))):
             if not any(window is not neighbour and _same_load(load, seen) for neighbour, seen in merged):
                 merged.append((window, load))
         ended = [load for load in self.attachments if load.until_s is not None]
@@ -329,9 +305,10 @@ def under_windows(opened: Sequence[Opened]) -> set[int]:
     return {number for window, *_ in opened for number in window.numbers}
 
 
-def _layout(scene: Scene) -> Modules:
-    assert scene.panel.modules is not None
-    return scene.panel.modules
+def layout_of(panel: Panel) -> Modules:
+    """Return the layout of a panel of modules."""
+    assert panel.modules is not None
+    return panel.modules
 
 
 def _same_load(first: Attachment, second: Attachment) -> bool:
