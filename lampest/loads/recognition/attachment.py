@@ -145,81 +145,55 @@ def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[A
     since : float
         Time of arrival, s.
     """
-    best, attachments, first = verdict.best, list[Attachment](), 0
+    # ln r/r0 of the cells with the prior N(0, 1), independent of any candidate
+    best, shape, attachments, first = verdict.best, frame.measured.shape, list[Attachment](), 0
+    cells = frame.cells(np.zeros(shape), np.eye(frame.measured.size))
+    change, sd = cells.state.reshape(shape), np.sqrt(np.diag(cells.covariance)).reshape(shape)
+    moved = np.abs(change) > NOISE_REACH * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
+    # Δg = g₀ (e^−x − 1) and σ = g₀ e^−x σ_x of x = ln r/r₀
+    resting = np.exp(-frame.baseline.logarithm)
+    more, errors = resting * np.expm1(-change), resting * np.exp(-change) * sd
     clear = best.evidence - max(fit.evidence for fit in verdict.fits if fit.candidate in UNIFORM)
-    cells = _ChangedCells.of(frame)
     for candidate, own in best.loads:
         disc, after = candidate.disc(own), first + len(own)
         covariance, first = best.covariance[first:after, first:after], after
-        groups = cells.groups() if disc is None else [cells.moved & under(frame.panel, disc)]
+        known: dict[str, Any] = {"sucks": verdict.sucks_at(disc), "since_s": since, "clear": clear}
+        if disc is None:
+            groups = _groups(frame.panel, moved, more, errors)
+        else:
+            groups, apart = [moved & under(frame.panel, disc)], frame.panel.pitch_mm / 2
+            known |= {"x_mm": (disc.x_mm, apart), "y_mm": (disc.y_mm, apart)}
+            known["sucks_s"] = since if known["sucks"] > 0.5 else None
+            for name, (value, slopes) in candidate.report(own).items():
+                # σ² = sᵀ C s, with s the derivative of the quantity by φ
+                known[name] = value, float(np.sqrt(slopes @ covariance @ slopes))
         for group in groups:
-            attachment = replace(cells.load(group), sucks=verdict.sucks_at(disc), since_s=since, clear=clear)
-            if disc is not None:
-                apart = frame.panel.pitch_mm / 2
-                pairs: dict[str, Any] = {"x_mm": (disc.x_mm, apart), "y_mm": (disc.y_mm, apart)}
-                for name, (value, slopes) in candidate.report(own).items():
-                    # σ² = sᵀ C s, with s the derivative of the quantity by φ
-                    pairs[name] = value, float(np.sqrt(slopes @ covariance @ slopes))
-                attachment = replace(attachment, sucks_s=since if attachment.sucks > 0.5 else None, **pairs)
-            attachments.append(attachment)
+            conductance = float(more[group].sum()), float(np.hypot.reduce(errors[group]))
+            load = _touched(frame.panel, group, change)
+            attachments.append(replace(load, conductance_s=conductance, **known))
     return attachments
 
 
-@dataclass(frozen=True, eq=False)
-class _ChangedCells:
-    """Changes of a frame's cells, independent of any candidate.
+def _groups(panel: Panel, moved: NDArray[np.bool_], more: Array, errors: Array) -> list[NDArray[np.bool_]]:
+    """Return the groups of neighbouring changed cells with a significant conductance; all of them if none is."""
+    first, second, _ = panel.neighbours
+    # connected components of the changed cells; a group counts if |Σ Δg| > SIGNIFICANT · √Σ σ²
+    linked = moved.flat[first] & moved.flat[second]
+    pairs = coo_array((linked[linked], (first[linked], second[linked])), shape=2 * (moved.size,))
+    _, labels = connected_components(pairs)
+    groups = [labels.reshape(moved.shape) == label for label in dict.fromkeys(labels[moved.ravel()])]
+    sure = [group for group in groups if abs(more[group].sum()) > SIGNIFICANT * np.hypot.reduce(errors[group])]
+    return sure or [moved]
 
-    Attributes
-    ----------
-    change : array, shape (rows, columns)
-        ln r/r0.
-    moved : boolean array, shape (rows, columns)
-        Cells with a significant change.
-    more, errors : array, shape (rows, columns)
-        Increase of the conductance since rest, S, and its standard deviation.
-    panel : Panel
-    """
 
-    change: Array
-    moved: NDArray[np.bool_]
-    more: Array
-    errors: Array
-    panel: Panel
-
-    @classmethod
-    def of(cls, frame: Observation) -> "_ChangedCells":
-        """Return the changes of a frame's cells, estimated with the prior ln r/r0 ~ N(0, 1)."""
-        shape = frame.measured.shape
-        cells = frame.cells(np.zeros(shape), np.eye(frame.measured.size))
-        change, sd = cells.state.reshape(shape), np.sqrt(np.diag(cells.covariance)).reshape(shape)
-        moved = np.abs(change) > NOISE_REACH * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
-        resting = np.exp(-frame.baseline.logarithm)
-        # Δg = g₀ (e^−x − 1) and σ = g₀ e^−x σ_x of x = ln r/r₀
-        more, errors = resting * np.expm1(-change), resting * np.exp(-change) * sd
-        return cls(change, moved, more, errors, frame.panel)
-
-    def groups(self) -> list[NDArray[np.bool_]]:
-        """Return the groups of neighbouring changed cells with a significant conductance; all of them if none is."""
-        first, second, _ = self.panel.neighbours
-        # connected components of the changed cells; a group counts if |Σ Δg| > SIGNIFICANT · √Σ σ²
-        linked = self.moved.flat[first] & self.moved.flat[second]
-        pairs = coo_array((linked[linked], (first[linked], second[linked])), shape=2 * (self.moved.size,))
-        _, labels = connected_components(pairs)
-        groups = [labels.reshape(self.moved.shape) == label for label in dict.fromkeys(labels[self.moved.ravel()])]
-        sure = [
-            group for group in groups if abs(self.more[group].sum()) > SIGNIFICANT * np.hypot.reduce(self.errors[group])
-        ]
-        return sure or [self.moved]
-
-    def load(self, group: NDArray[np.bool_]) -> Attachment:
-        """Return an attachment with the centre, area and conductance of a group of cells."""
-        # centre of the cells weighted by |ln r/r₀|, to half a pitch
-        weight, apart = np.abs(self.change) * (group if group.any() else 1.0), self.panel.pitch_mm / 2
-        x, y = (float(np.nansum(weight * line) / weight.sum()) for line in self.panel.places_mm)
-        count, square = int(group.sum()), self.panel.pitch_mm**2
-        conductance = float(self.more[group].sum()), float(np.hypot.reduce(self.errors[group]))
-        area = count * square, square * (max(count, 1) / 3) ** 0.5
-        return Attachment(0.0, 0.0, (x, apart), (y, apart), cells=count, area_mm2=area, conductance_s=conductance)
+def _touched(panel: Panel, group: NDArray[np.bool_], change: Array) -> Attachment:
+    """Return an attachment with the centre and area of a group of cells that changed by ln r/r0."""
+    # centre of the cells weighted by |ln r/r₀|, to half a pitch
+    weight, apart = np.abs(change) * (group if group.any() else 1.0), panel.pitch_mm / 2
+    x, y = (float(np.nansum(weight * line) / weight.sum()) for line in panel.places_mm)
+    count, square = int(group.sum()), panel.pitch_mm**2
+    area = count * square, square * (max(count, 1) / 3) ** 0.5
+    return Attachment(0.0, 0.0, (x, apart), (y, apart), cells=count, area_mm2=area)
 
 
 def continued_by(
@@ -238,7 +212,7 @@ def continued_by(
         Whether it is a repeated recognition since that step. Attachments without a load then stay, because nothing
         leaves without a step, except those that arrived with the step, which were parts of another load.
     """
-    attachments, left = list(before), [number for number, attachment in enumerate(before) if attachment.present]
+    attachments, left = list(before), [number for number, load in enumerate(before) if load.present]
     # Greedy matching: the load with the nearest attachment first, within the larger diameter of both.
     apart = [min((attachments[number].distance(load.place) for number in left), default=inf) for load in loads]
     for load in (loads[number] for number in np.argsort(apart, kind="stable")):
@@ -249,11 +223,7 @@ def continued_by(
         else:
             attachments.append(load)
     if again:
-        return tuple(
-            attachment
-            for number, attachment in enumerate(attachments)
-            if number not in left or attachment.since_s < time
-        )
+        return tuple(load for number, load in enumerate(attachments) if number not in left or load.since_s < time)
     for number in left:
         attachments[number] = replace(attachments[number], until_s=time)
     return tuple(attachments)

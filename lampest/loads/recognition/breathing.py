@@ -190,6 +190,15 @@ class Patterns:
         weighed = np.linalg.solve(noise * np.eye(len(mean)) + film @ film.T, mean)
         return np.asarray(weighed / max(float(mean @ weighed), 1e-300))
 
+    def suction_weights(self, whitening: Array) -> Array:
+        """Return the weights (readings,) with which changes of ln y sum to the relative change of the load's suction.
+
+        Changes common to all readings and those of other loads are excluded; those of the load's place and of its rim
+        alone have little weight. `whitening` (readings, readings) whitens changes of ln y.
+        """
+        own, _ = self.beside_others(np.zeros((1, len(whitening))))
+        return np.asarray(whitening.T @ own.weights(MAX_SWINGS["own"], 1.0, EDGE_SD))
+
 
 def patterns_of(
     frame: Observation, fit: Fit, whitening: Array, detector: Detector
@@ -245,16 +254,6 @@ def breaths(
     changes = (changes - _of_water(changes, frame, fit, pressure)) @ whitening.T
     each = [(place, breath(times, changes, own)) for place, own in patterns_of(frame, fit, whitening, detector)]
     return [(place, seen) for place, seen in each if seen is not None]
-
-
-def suction_weights(patterns: Patterns, whitening: Array) -> Array:
-    """Return the weights (readings,) with which changes of ln y sum to the relative change of a load's suction.
-
-    Changes common to all readings and those of other loads are excluded; those of the load's place and of its rim alone
-    have little weight.
-    """
-    own, _ = patterns.beside_others(np.zeros((1, len(whitening))))
-    return np.asarray(whitening.T @ own.weights(MAX_SWINGS["own"], 1.0, EDGE_SD))
 
 
 def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:

@@ -19,16 +19,8 @@ from scipy.sparse import csc_array
 
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.loads.recognition.attachment import Attachment, attachments_of, continued_by
-from lampest.loads.recognition.breathing import (
-    MIN_RATE_HZ,
-    MIN_WINDOW_S,
-    WINDOW_S,
-    Patterns,
-    breaths,
-    patterns_of,
-    suction_weights,
-)
+from lampest.loads.recognition.attachment import Attachment, Pair, attachments_of, continued_by
+from lampest.loads.recognition.breathing import MIN_RATE_HZ, MIN_WINDOW_S, WINDOW_S, Patterns, breaths, patterns_of
 from lampest.loads.recognition.candidates import FIELD, DiscSearch
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import IMPOSSIBLE, RARE_LOG_ODDS, Verdict
@@ -43,6 +35,12 @@ SETTLES_S = 60.0  # duration of drift that is expected within the unloaded frame
 MIN_CHANGE = 0.5  # of the present load's score: a larger change is another load, or the load has left
 UNEVENLY = "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
 FIRST_S, MIN_FRAMES = 1.0, 3  # time and least frames until the first recognition, and between judgements of breath
+Frames = tuple[tuple[float, Array], ...]
+
+
+def latest(window: Frames) -> Frames:
+    """Return the last frames: those within WINDOW_S, and at least MIN_FRAMES."""
+    return window[-max(sum(at > window[-1][0] - WINDOW_S for at, _ in window), MIN_FRAMES) :]
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +205,7 @@ class Watch:
     begun: float
     recent: tuple[Array, ...]
     film_sd: Array | float = 0.0
-    window: tuple[tuple[float, Array], ...] = ()
+    window: Frames = ()
     present: bool = False
     size: Array | float = 0.0
     left: Array | float = 0.0
@@ -332,17 +330,14 @@ class Watch:
             resumed = self._resumed(shown)
             if resumed is not self:
                 return resumed._stepped(shown, logarithm, time)
-            former = replace(self, former=None) if self.present else None
+            former, seen = (replace(self, former=None), self.seen) if self.present else (None, None)
             watch = replace(self, mean=shown, begun=before, window=((time, logarithm),), known=False, former=former)
-            watch = watch if self.present else replace(watch, present=True, seen=None)
-            size = self.test.sizes(shown - self.resting)
-            watch = replace(watch, next_s=before + FIRST_S, breath_s=time + MIN_WINDOW_S + 1 / MIN_RATE_HZ)
-            return replace(watch, size=size, sample_s=before + BLOCK_S)
+            watch = replace(watch, present=True, seen=seen, size=self.test.sizes(shown - self.resting))
+            breath_s = time + MIN_WINDOW_S + 1 / MIN_RATE_HZ
+            return replace(watch, next_s=before + FIRST_S, breath_s=breath_s, sample_s=before + BLOCK_S)
         # No step: running mean with the time constant FOLLOWS_S; without a load the baseline and v_k² follow, too.
         share = min((time - before) / FOLLOWS_S, 1.0)
-        follows = max(1 / (len(self.window) + 1), share)
-        lately = sum(sample[0] > time - WINDOW_S for sample in self.window)
-        window = (*self.window[-max(lately, MIN_FRAMES - 1) :], (time, logarithm))
+        follows, window = max(1 / (len(self.window) + 1), share), latest((*self.window, (time, logarithm)))
         watch = replace(self, mean=self.mean + follows * (shown - self.mean), window=window)
         if self.present:
             return watch
@@ -354,9 +349,8 @@ class Watch:
         former = self.former
         if former is None or np.any(former.test.scores(logarithm - former.mean) >= former._least_step):
             return self
-        window = (*former.window, *self.window)
-        lately = sum(at > window[-1][0] - WINDOW_S for at, _ in window)
-        return replace(former, recent=self.recent, sigma=self.sigma, window=window[-max(lately, MIN_FRAMES) :])
+        window = latest((*former.window, *self.window))
+        return replace(former, recent=self.recent, sigma=self.sigma, window=window)
 
     @property
     def _least_step(self) -> Array:
@@ -406,11 +400,9 @@ class Watch:
 
         The present readings become the baseline, unless no load had been recognised.
         """
-        closed = tuple(
-            replace(attachment, until_s=time) if attachment.present else attachment for attachment in self.attachments
-        )
-        ended = replace(self, present=False, known=False, former=None, attachments=closed)
-        watch = replace(ended, film_sd=0.0, next_s=np.inf, breath_s=np.inf)
+        closed = tuple(replace(load, until_s=time) if load.present else load for load in self.attachments)
+        watch = replace(self, present=False, known=False, former=None, attachments=closed)
+        watch = replace(watch, film_sd=0.0, next_s=np.inf, breath_s=np.inf)
         if self.seen is None:
             return replace(watch, mean=self.resting, window=())
         return replace(watch, resting=self.mean, rest_s=time, rested=float(len(self.window)), left_s=time)
@@ -461,12 +453,11 @@ class Watch:
         lasted = float(times[-1] - times[0])
         # complete if it lasts WINDOW_S but for 2.5 mean steps
         full = lasted > WINDOW_S - 2.5 * lasted / max(len(times) - 1, 1)
-        attachments, fit, detector = list(self.attachments), self.verdict.best, self.panelled.detector
-        for place, breath in breaths(times, logarithms, self.seen, fit, self.test.whitening, detector):
-            present = [number for number, attachment in enumerate(attachments) if attachment.present]
+        attachments, common = list(self.attachments), (self.seen, self.verdict.best, self.test.whitening)
+        for place, breath in breaths(times, logarithms, *common, self.panelled.detector):
+            present = [number for number, load in enumerate(attachments) if load.present]
             number = min(present, key=lambda number: attachments[number].distance(place))
-            own = attachments[number]
-            attachments[number] = replace(own, breath=own.breath.after(breath, full=full))
+            attachments[number] = replace(own := attachments[number], breath=own.breath.after(breath, full=full))
         judged_s = float(times[-1]) if full else self.judged_s
         breath_s = time + (MIN_WINDOW_S + 1 / MIN_RATE_HZ if full else FIRST_S)
         return replace(self, attachments=tuple(attachments), judged_s=judged_s, breath_s=breath_s)
@@ -480,18 +471,18 @@ class Watch:
         block = np.array([logarithm for at, logarithm in self.window if at > self.sample_s - BLOCK_S])
         if len(block) < MIN_FRAMES:
             return self
-        attachments, patterns = list(self.attachments), list[tuple[tuple[float, float], Patterns]]()
-        for number, attachment in enumerate(attachments):
-            if attachment.present and attachment.sucks > 0.5:
-                track = attachment.track
-                if track is None or track.moves != len(attachment.moved_s):
-                    whitening, fit = self.test.whitening, self.verdict.best
-                    patterns = patterns or patterns_of(self.seen, fit, whitening, self.panelled.detector)
-                    own = min(patterns, key=lambda pair: attachment.distance(pair[0]), default=None)
-                    if own is None:
-                        continue
-                    weights, reference = suction_weights(own[1], whitening), np.log(self.seen.measured.ravel())
-                    begin = self.sample_s - BLOCK_S, len(attachment.moved_s)
-                    track = Pumping.begin(weights, reference, *begin, track)
-                attachments[number] = replace(attachment, track=track.after(block, time))
+        attachments, reference = list(self.attachments), np.log(self.seen.measured.ravel())
+        sucking = {number: load for number, load in enumerate(attachments) if load.present and load.sucks > 0.5}
+        tracked = {number for number, load in sucking.items() if load.track and load.track.moves == len(load.moved_s)}
+        common, patterns = (self.seen, self.verdict.best, self.test.whitening), list[tuple[Pair, Patterns]]()
+        if sucking.keys() - tracked:
+            patterns = patterns_of(*common, self.panelled.detector)
+        for number, load in sucking.items():
+            track = load.track
+            if number not in tracked and patterns:
+                _, own = min(patterns, key=lambda pair, load=load: load.distance(pair[0]))  # type: ignore[misc]
+                begin = self.sample_s - BLOCK_S, len(load.moved_s)
+                track = Pumping.begin(own.suction_weights(common[2]), reference, *begin, track)
+            if track is not None and (number in tracked or patterns):
+                attachments[number] = replace(load, track=track.after(block, time))
         return replace(self, attachments=tuple(attachments), sample_s=time + BLOCK_S)

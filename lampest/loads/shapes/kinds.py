@@ -23,6 +23,8 @@ from lampest.loads.shapes.shape import Candidate, Prior, Shape, Template, centre
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import VACUUM_KPA
 
+DIAMETER = Prior(log(30), 0.35, step=0.2)  # ln mm: 95 % of diameters are between 15 and 60 mm (an assumption)
+TILT = Prior(0, 0.25, step=0.3, sway=0.1)
 CLOSED = 0.05  # rounding of d_i/d at 0, so that it stays positive for any width of the rim
 
 
@@ -32,16 +34,10 @@ class RoundCandidate(Candidate):
 
     Attributes
     ----------
-    diameter : Prior
-        Assumption: 95 % of diameters are between 15 and 60 mm.
-    width : Prior or None
-        Width of the rim; None for a full disc.
-    suction : Prior or None
-        Suction inside the rim; None for none.
-    rim, push : Prior or None
-        Pressure under the rim, or its excess over p_bear; one of the two.
-    tilt : Prior
-        Assumption: 95 % of tilts along each axis are below a half.
+    numbers : mapping of str to Prior
+        Priors of the numbers beside the centre, in the order of φ: `diameter`; `width` of the rim, absent for a full
+        disc; `suction` inside the rim, absent for none; and one of `rim`, the pressure under it, and `push`, its excess
+        over p_bear. Tilts along x and y follow; 95 % are below a half (an assumption).
     uneven : tuple of float
         Standard deviations of the numbers of `Unevenness`, the last of φ. Assumption: manufactured objects are round
         within 8 %, and press evenly within ±16 % along the rim.
@@ -49,29 +45,19 @@ class RoundCandidate(Candidate):
         Common error of the places of both edges. Assumption: films are cut to a millimetre, and rims are rounded.
     """
 
-    diameter: Prior = Prior(log(30), 0.35, step=0.2)
-    width: Prior | None = None
-    suction: Prior | None = None
-    rim: Prior | None = None
-    push: Prior | None = None
-    tilt: Prior = Prior(0, 0.25, step=0.3, sway=0.1)
+    numbers: Mapping[str, Prior]
     uneven: tuple[float, ...] = (0.02, 0.02, 0.08, 0.08)
     edge_mm: float = 0.7
 
     @cached_property
-    def numbers(self) -> Mapping[str, Prior]:
-        """Priors of all numbers but the centre and the unevenness, in the order of φ."""
-        named = {name: getattr(self, name) for name in ("diameter", "width", "suction", "rim", "push")}
-        named |= {"tilt_x": self.tilt, "tilt_y": self.tilt}
-        return {name: prior for name, prior in named.items() if prior is not None}
-
-    @cached_property
-    def _places(self) -> Mapping[str, int]:
-        return {name: number for number, name in enumerate(("x", "y", *self.numbers, *Unevenness._fields))}
+    def _own(self) -> Mapping[str, Prior]:
+        """Priors of all numbers but the centre, in the order of φ."""
+        uneven = zip(Unevenness._fields, self.uneven, strict=True)
+        tilts = {"tilt_x": TILT, "tilt_y": TILT}
+        return {**self.numbers, **tilts, **{name: Prior(0, sd, step=0.1) for name, sd in uneven}}
 
     def priors(self, panel: Panel) -> Mapping[str, Prior]:
-        uneven = zip(Unevenness._fields, self.uneven, strict=True)
-        return {**centre_priors(panel), **self.numbers, **{name: Prior(0, sd, step=0.1) for name, sd in uneven}}
+        return {**centre_priors(panel), **self._own}
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
         disc, by_parameter = self.disc_with_slopes(parameters)
@@ -95,22 +81,23 @@ class RoundCandidate(Candidate):
 
     def _numbers(self, parameters: Array) -> Array:
         """Return the numbers of the disc, (8, …), of φ (parameters, …), real or complex."""
-        at = dict(zip(self._places, parameters, strict=True))
+        at = dict(zip(("x", "y", *self._own), parameters, strict=True))
         diameter = np.exp(at["diameter"])
         share = suction = np.zeros_like(diameter)
-        if self.width is not None:  # d_i/d = 1 − 2w/d, smoothly limited to positive values
+        if "width" in at:  # d_i/d = 1 − 2w/d, smoothly limited to positive values
             hollow = 1 - 2 * np.exp(at["width"]) / diameter
             share = (hollow + np.sqrt(hollow**2 + CLOSED**2)) / 2
-        if self.suction is not None:
+        if "suction" in at:
             suction = -np.exp(at["suction"])
         # p_bear = −s d_i²/(d² − d_i²)
         bearing = -suction * share**2 / (1 - share**2)
-        rim = np.exp(at["rim"]) if self.push is None else bearing + np.exp(at["push"])
+        rim = np.exp(at["rim"]) if "rim" in at else bearing + np.exp(at["push"])
         return np.stack([at["x"], at["y"], diameter, share * diameter, suction, rim, at["tilt_x"], at["tilt_y"]])
 
     def start(self, disc: Disc) -> Array:
         """Return φ of a disc; numbers that the disc lacks are small, and a full disc has the same force."""
-        width, bearing, mean = 0.0 if self.width is None else exp(self.width.mean), 0.0, disc.rim_kpa
+        hollow = "width" in self.numbers
+        width, bearing, mean = exp(self.numbers["width"].mean) if hollow else 0.0, 0.0, disc.rim_kpa
         if disc.inner_mm:
             hole = (disc.inner_mm / disc.diameter_mm) ** 2
             mean = disc.rim_kpa * (1 - hole) + disc.suction_kpa * hole
@@ -120,13 +107,11 @@ class RoundCandidate(Candidate):
             "diameter": log(disc.diameter_mm),
             "width": log(max(min(width, 0.4 * disc.diameter_mm), 0.5)),
             "suction": log(max(-disc.suction_kpa, 1.0)),
-            "rim": log(max(mean if self.width is None else disc.rim_kpa, 0.1)),
+            "rim": log(max(disc.rim_kpa if hollow else mean, 0.1)),
             "push": log(max(disc.rim_kpa - bearing, 0.5)),
-            "tilt_x": disc.tilt_x,
-            "tilt_y": disc.tilt_y,
         }
-        others = (values.get(name, prior.mean) for name, prior in self.numbers.items())
-        return np.array([disc.x_mm, disc.y_mm, *others, *EVEN])
+        others = (values[name] for name in self.numbers)
+        return np.array([disc.x_mm, disc.y_mm, *others, disc.tilt_x, disc.tilt_y, *EVEN])
 
     def like(self, other: Candidate, parameters: Array) -> Array | None:
         """Return φ of the other kind's disc, with its unevenness if it is round, too."""
@@ -137,9 +122,8 @@ class RoundCandidate(Candidate):
 
     def blind(self, parameters: Array) -> Array:
         """Return the standard deviation that readings cannot reduce: edge_mm/d of ln d, 0 of all others."""
-        unseen, place = np.zeros(len(parameters)), self._places["diameter"]
-        unseen[place] = self.edge_mm / exp(parameters[place])
-        return unseen
+        place = ("x", "y", *self._own).index("diameter")
+        return np.asarray(np.eye(len(parameters))[place] * (self.edge_mm / exp(parameters[place])))
 
     def report(self, parameters: Array) -> dict[str, tuple[float, Array]]:
         disc, slopes = self.disc_with_slopes(parameters)
@@ -187,8 +171,7 @@ class Rod(RoundShape):
         label="rod",
         templates=(Template(40.0, faint=True), Template(25.0, faint=True)),
         # Assumptions: 95 % of rods are 9 to 67 mm wide and press with 1 to 60 kPa.
-        diameter=Prior(log(25), 0.5, step=0.2),
-        rim=Prior(log(8), 1.0),
+        numbers={"diameter": Prior(log(25), 0.5, step=0.2), "rim": Prior(log(8), 1.0)},
     )
     positive: ClassVar[tuple[str, ...]] = ("diameter_mm", "mass_g")
     kind: Literal["rod"] = "rod"
@@ -213,8 +196,7 @@ class Ring(RoundShape):
         label="ring",
         templates=(Template(22.0, 11.0, faint=True), Template(42.0, 32.0), Template(32.0, 21.0)),
         # Assumptions: 95 % of rings are 2.3 to 13 mm wide, and press with 4 to 220 kPa.
-        width=Prior(log(5.5), 0.45),
-        rim=Prior(log(30), 1.0),
+        numbers={"diameter": DIAMETER, "width": Prior(log(5.5), 0.45), "rim": Prior(log(30), 1.0)},
     )
     positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm", "mass_g")
     kind: Literal["ring"] = "ring"
@@ -281,9 +263,12 @@ class OralDisc(RoundShape):
         # with 0.02 to 110 kPa more than their suction requires: nearly nothing under a soft mouth, 80 kPa if bending
         # under rim and teeth is included. 95 % of suctions are 1.8 to 35 kPa. 95 % of mouths have axes within a ratio
         # of 1.22 and press evenly within ±34 % along the rim. A soft rim has more lobes than are fitted.
-        width=Prior(log(5.5), 0.3),
-        suction=Prior(log(8), 0.75),
-        push=Prior(log(1.5), 2.2, step=2.0),
+        numbers={
+            "diameter": DIAMETER,
+            "width": Prior(log(5.5), 0.3),
+            "suction": Prior(log(8), 0.75),
+            "push": Prior(log(1.5), 2.2, step=2.0),
+        },
         uneven=(0.05, 0.05, 0.17, 0.17),
         edge_mm=1.1,
     )
