@@ -15,7 +15,7 @@ from lampest.estimate.still_cells import possible_errors
 from lampest.files.levels import SIGNIFICANCE
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.converter import ENDLESS, noise_of_variance, sigma_code
+from lampest.panel.readouts.converter import ENDLESS
 from lampest.panel.readouts.readout import in_panel_order
 from lampest.panel.scene import Scene, Systematic
 from lampest.panel.systematic import HIDDEN_ERRORS, Possible
@@ -264,15 +264,15 @@ def shown_factor(readout: Readout, factor: float) -> float:
     not scatter. Without any scatter σ is that of the converter's step.
     """
     assumed = np.mean(readout.sigma_code())
-    return float(np.mean(sigma_code(readout, _shown_noise(readout, factor))) / assumed)
+    return float(np.mean(readout.sigma_code(_shown_noise(readout, factor))) / assumed)
 
 
 def _shown_noise(readout: Readout, factor: float) -> float:
     """Return the noise of one reading in LSB that a scatter of `factor` times the assumed σ shows."""
     assumed = np.mean(readout.sigma_code())
     # scatter² = factor² (σ² − σ_lasting²): σ_lasting remains in the mean of endlessly many samples
-    lasting = np.mean(sigma_code(readout, readout.assumed_noise, ENDLESS))
-    return noise_of_variance(readout, factor**2 * float(assumed**2 - lasting**2))
+    lasting = np.mean(readout.sigma_code(readout.assumed_noise, ENDLESS))
+    return readout.noise_of_variance(factor**2 * float(assumed**2 - lasting**2))
 
 
 def _noise_in_words(readout: Readout | None, factor: float, *, unloaded: bool) -> str:

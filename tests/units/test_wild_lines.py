@@ -15,7 +15,6 @@ from wild_board import IDLE, Script, WildBoard, hundred_a_second, wild_board, wi
 
 from lampest import Faults, InputError, Panel, Recording, Scene, TwoPointReadout
 from lampest.panel.panel import EachModule, Modules
-from lampest.panel.readouts.converter import noise_of_variance
 from lampest.recording.acquisition import Acquisition
 from lampest.recording.board import several, stream
 from lampest.recording.board.port import NoBoardError
@@ -679,6 +678,6 @@ def test_noise_comes_from_pairs_of_unloaded_codes_that_follow_each_other() -> No
             acquisition=Acquisition(*(counter[:count] for counter in counters), np.zeros(0)),
         )
 
-    assert noise_from_repeats([first(frames)]) == noise_of_variance(readout, np.mean(differences**2) / 2)
+    assert noise_from_repeats([first(frames)]) == readout.noise_of_variance(np.mean(differences**2) / 2)
     assert noise_from_repeats([first(13)]) is None, "48 pairs"
     assert noise_from_repeats([first(14)]) is not None, "52 pairs"

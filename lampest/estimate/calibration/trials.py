@@ -15,7 +15,7 @@ from lampest.files.levels import MAD_TO_SIGMA
 from lampest.files.whole import note_read
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.converter import ENDLESS, averaged_variance, noise_of_variance, sigma_code
+from lampest.panel.readouts.converter import ENDLESS
 from lampest.panel.readouts.lines import Side
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM
@@ -77,9 +77,9 @@ class Trial:
         _check_drift(name, readout, residual)
         squares, freedom = (residual**2).sum(axis=(0, 1 + across)), np.where(inside, counts - 1, 0).sum(axis=across)
         # pooled variance: (BELIEF σ_scene² + Σ residual²)/(BELIEF + freedom), LSB²
-        variance = (BELIEF * averaged_variance(readout, readout.assumed_noise) + squares) / (BELIEF + freedom)
-        noise = np.array([noise_of_variance(readout, value) for value in variance])
-        lasting = np.array([float(sigma_code(readout, value, ENDLESS)) for value in noise])
+        variance = (BELIEF * readout.averaged_variance(readout.assumed_noise) + squares) / (BELIEF + freedom)
+        noise = np.array([readout.noise_of_variance(value) for value in variance])
+        lasting = np.array([float(readout.sigma_code(value, ENDLESS)) for value in noise])
         of_mean = np.expand_dims(variance, across) / np.maximum(counts, 1) + np.expand_dims(lasting, across) ** 2
         memory = recording.scene.converter_memory is not None
         return cls(name, ohm, mean, readout.lsb_volt * np.sqrt(of_mean), noise, freedom, memory)
@@ -162,7 +162,7 @@ def _valid(name: str, readout: Readout, volt: Array, across: int) -> NDArray[np.
         deviation = (volt - np.nanmedian(volt, axis=0)) / readout.lsb_volt
         robust = MAD_TO_SIGMA * np.nanmedian(np.abs(deviation), axis=(0, 1 + across))
     # Where the noise is below one step of the code, the median deviation is zero.
-    least = np.maximum(sigma_code(readout, readout.assumed_noise), 1 / readout.readings)
+    least = np.maximum(readout.sigma_code(readout.assumed_noise), 1 / readout.readings)
     wild = np.abs(deviation) > 7.0 * np.expand_dims(np.maximum(np.nan_to_num(robust), least), across)  # robust σ
     if wild.sum() > 0.02 * wild.size + 2:  # spikes are some in ten thousand
         raise InputError(f"{name}: no calibration: {100 * wild.mean():.0f} % of its readings {CHANGE}")

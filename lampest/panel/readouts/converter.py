@@ -4,7 +4,7 @@ Averages of codes retain a part of the quantisation error. The variance over rep
 noise alone.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -15,6 +15,8 @@ from lampest.files.typed import Configuration, check_range, check_ranges
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 
+MIN_REPEATS = 50  # repeated readings, which determine a noise to a tenth
+ENDLESS = 65535  # readings, so many that the remaining part of σ is the one that averaging cannot remove
 MIN_VOLT, MAX_VOLT = 1e-3, 1e3  # V: that of a thermocouple; the limit of low voltage in IEC 60038
 
 
@@ -120,19 +122,32 @@ class Converter(Configuration):
         codes = np.array(self.assumed_noise) if codes is None else codes
         return np.asarray((along(self.noisy_side, codes) if codes.ndim else codes) * self.lsb_volt)
 
-    def sigma_code(self) -> Array:
+    def sigma_code(self, noise_lsb: PerLine | None = None, readings: int | None = None) -> Array:
         """Return σ of the mean of `readings` codes, in LSB: σ² = (noise² + 1/12 − b²)/readings + b².
 
         b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is the part of the quantisation error that averaging cannot remove, because
-        without noise all readings agree. It is 1/12 without noise, and negligible above half an LSB. Source: Widrow &
-        Kollár, Quantization Noise, 2008 (dither).
+        without noise all readings agree. It is 1/12 without noise, and negligible above half an LSB. None: the
+        converter's own noise, or number of readings. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
         """
+        noise = np.array(self.assumed_noise if noise_lsb is None else noise_lsb)
         # The tail beyond 2000 harmonics is 1/(2π²·2000); it matters only without noise, where b² is 1/12.
-        harmonic, noise = np.arange(1, 2001, dtype=float), np.array(self.assumed_noise)
+        harmonic = np.arange(1, 2001, dtype=float)
         # Terms of b², one for each harmonic h of the quantisation error (noise (…, 1), harmonic (2000,))
         damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2)) / (2 * np.pi**2 * harmonic**2)
         bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
-        return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / self.readings + bias))
+        return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / (readings or self.readings) + bias))
+
+    def averaged_variance(self, noise_lsb: PerLine) -> Array:
+        """Return the variance that averaging removes, σ²(readings) − σ²(ENDLESS readings), LSB²."""
+        return np.asarray(self.sigma_code(noise_lsb) ** 2 - self.sigma_code(noise_lsb, ENDLESS) ** 2)
+
+    def noise_of_variance(self, variance: float) -> float:
+        """Return the noise in LSB whose `averaged_variance` is a given one in LSB², by bisection."""
+        low, high = 0.0, 2.0**self.adc_bits
+        while high - low > 1e-6:
+            middle = (low + high) / 2
+            low, high = (middle, high) if float(self.averaged_variance(middle)) < variance else (low, middle)
+        return low
 
     def sigma(self, recorded: Array) -> Array:
         """Return σ of recorded readings, the same shape and unit."""
@@ -155,26 +170,3 @@ class Converter(Configuration):
             edges = np.array([max(edges[0], within[0]), min(edges[1], within[1])])
         ends = self.recorded_from_volt(edges)
         return float(ends.min()), float(ends.max())
-
-
-MIN_REPEATS = 50  # repeated readings, which determine a noise to a tenth
-ENDLESS = 65535  # readings, so many that the remaining part of σ is the one that averaging cannot remove
-
-
-def sigma_code(readout: Converter, noise_lsb: PerLine, readings: int | None = None) -> Array:
-    """Return σ of the mean code in LSB for another noise and, unless None, another number of readings."""
-    return np.asarray(replace(readout, noise_lsb=noise_lsb, readings=readings or readout.readings).sigma_code())
-
-
-def averaged_variance(readout: Converter, noise_lsb: PerLine) -> Array:
-    """Return the variance that averaging removes, σ²(readings) − σ²(ENDLESS readings), LSB²."""
-    return np.asarray(sigma_code(readout, noise_lsb) ** 2 - sigma_code(readout, noise_lsb, ENDLESS) ** 2)
-
-
-def noise_of_variance(readout: Converter, variance: float) -> float:
-    """Return the noise in LSB whose `averaged_variance` is a given one in LSB², by bisection."""
-    low, high = 0.0, 2.0**readout.adc_bits
-    while high - low > 1e-6:
-        middle = (low + high) / 2
-        low, high = (middle, high) if float(averaged_variance(readout, middle)) < variance else (low, middle)
-    return low

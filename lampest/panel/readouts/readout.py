@@ -315,14 +315,11 @@ def with_memory(readout: Readout, fraction: float, volt: Array) -> Array:
     volt : array, shape (…, rows, columns)
         U in the panel's order.
     """
-    # Recursion along the scan from V_0 = 0.
     channels = in_scan_order(readout, volt)
-    held, last = np.empty_like(channels), np.zeros(channels.shape[:-1])
-    for number in range(channels.shape[-1]):
-        last = held[..., number] = (1 - fraction) * channels[..., number] + fraction * last
-    # Periodic frame: V_0 = V_last adds m^n·V_last to channel n, and V_last itself is larger by 1/(1 − m^N).
-    fading = fraction ** np.arange(1, channels.shape[-1] + 1)
-    held += fading * (last / (1 - fading[-1]))[..., None]
+    # Periodic frame: the recursion is a product in the discrete Fourier transform, V(ω) = (1 − m)/(1 − m e^−iω) U(ω).
+    turns = np.fft.rfftfreq(channels.shape[-1])
+    response = (1 - fraction) / (1 - fraction * np.exp(-2j * np.pi * turns))
+    held = np.fft.irfft(response * np.fft.rfft(channels), channels.shape[-1])
     return in_panel_order(readout, held, volt.shape)
 
 

@@ -21,8 +21,6 @@ from lampest.panel.readouts.lines import LineNumber, check_resistors
 from lampest.panel.readouts.readout import SHORT_SHARE, FreeTest, Readout, Surroundings
 from lampest.panel.readouts.wiring import Wiring
 
-AT_ONCE = 1 << 16  # sums that are computed at once: half a megabyte
-
 
 @dataclass(frozen=True, kw_only=True)
 class TwoPointReadout(Readout):
@@ -174,11 +172,6 @@ class TwoPointReadout(Readout):
         total = self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
         return np.asarray(total + (row_ohm[:, None] + column_ohm[None, :]))
 
-    def beyond(self, network: Network, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
-        """Return the change of the readings by the additional resistance of both channels, (rows, columns) ohm."""
-        total = self.to_recorded(network.reading(), scene) + (row_ohm[:, None] + column_ohm[None, :])
-        return np.asarray(self.from_recorded(total, scene) - network.reading())
-
     def shared_errors(
         self, cells: Array, measured: Array, scene: Surroundings, reference: float, channel: float
     ) -> Array:
@@ -225,8 +218,7 @@ def four_point_excess(resistance: Array, sigma: Array) -> Array:
     Effective resistance is a metric (Klein & Randić, J. Math. Chem. 12, 1993): no path from row j over column q and row
     p to column k is shorter than R_jk. σ is that of all four readings together. The shortest path over any q from row j
     to row p is computed first, then the shortest over any p: (rows² · columns) sums. The result is −∞ for readings with
-    infinite σ. It is also −∞ for a frame in which no reading exceeds the sum of the least readings of its row, of its
-    column and of the panel, because no path is shorter than this sum.
+    infinite σ.
 
     Parameters
     ----------
@@ -236,29 +228,20 @@ def four_point_excess(resistance: Array, sigma: Array) -> Array:
         Standard deviations; infinite for readings that are excluded.
     """
     value = np.where(np.isfinite(sigma), resistance, np.inf)
-    # Only frames with a reading above the bound min_q R_jq + min_p R_pk + min_pq R_pq need the search.
-    row, column = (value.min(axis=axis, keepdims=True) for axis in (2, 1))
-    long = np.isfinite(value) & (value > row + column + row.min(axis=1, keepdims=True))
-    excess, frames = np.full(value.shape, -np.inf), np.flatnonzero(long.any(axis=(1, 2)))
-    rows, value = value.shape[1], value[frames]
-    variance, worst = np.where(np.isfinite(sigma[frames]), sigma[frames], 0.0) ** 2, excess[frames]
-    together = max(1, AT_ONCE // max(value[:, 0].size * rows, 1))
-    for begin in range(0, rows if len(frames) else 0, together):
-        some = slice(begin, begin + together)
-        # Row to row, for rows j of this chunk and all rows p: min_q (R_jq + R_pq), and its variance
-        over = value[:, some, None] + value[:, None]
-        middle = over.argmin(axis=3)[..., None]
-        between = np.take_along_axis(over, middle, axis=3)
-        spread = np.take_along_axis(variance[:, some, None] + variance[:, None], middle, axis=3)
-        # Row to column: min_p (min_q (R_jq + R_pq) + R_pk), and the variance of all four readings
-        way = between + value[:, None]
-        last = way.argmin(axis=2)[:, :, None]
-        noise = variance[:, some] + np.take_along_axis(spread + variance[:, None], last, axis=2)[:, :, 0]
-        way = np.take_along_axis(way, last, axis=2)[:, :, 0]
-        counted = np.isfinite(value[:, some]) & np.isfinite(way) & (noise > 0)
-        beyond = np.subtract(value[:, some], way, out=np.zeros_like(way), where=counted)
-        worst[:, some] = np.where(counted, beyond, -np.inf) / np.sqrt(np.where(counted, noise, 1.0))
-    excess[frames] = worst
+    variance, excess = np.where(np.isfinite(sigma), sigma, 0.0) ** 2, np.full(value.shape, -np.inf)
+    for row in range(value.shape[1]):
+        # Row to row p: min_q (R_jq + R_pq), and its variance
+        over = value[:, [row]] + value
+        middle = over.argmin(axis=2)[..., None]
+        between = np.take_along_axis(over, middle, axis=2)
+        spread = np.take_along_axis(variance[:, [row]] + variance, middle, axis=2)
+        # Row to column k: min_p (min_q (R_jq + R_pq) + R_pk), and the variance of all four readings
+        way = between + value
+        last = way.argmin(axis=1)[:, None]
+        noise = variance[:, row] + np.take_along_axis(spread + variance, last, axis=1)[:, 0]
+        way = np.take_along_axis(way, last, axis=1)[:, 0]
+        counted = np.isfinite(value[:, row]) & np.isfinite(way) & (noise > 0)
+        excess[:, row][counted] = (value[:, row][counted] - way[counted]) / np.sqrt(noise[counted])
     return excess
 
 

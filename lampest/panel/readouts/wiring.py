@@ -15,7 +15,7 @@ import numpy as np
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration
 from lampest.panel.kirchhoff import bipartite
-from lampest.panel.network import Entries, Loading, Network, Numbers, ReadCircuit, SecondOrder, TiedNetwork
+from lampest.panel.network import Entries, Loading, Network, Numbers, ReadCircuit, SecondOrder, TiedNetwork, loading_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, check_lines, per_line
 
@@ -161,14 +161,12 @@ class Ladder:
     """Factorisation of K·i = e for the currents i through cells, with potential differences e = Bᵀp of the terminals.
 
     K = diag(r) + T, T_cd the resistance of the wire that the paths of cells c and d to the terminals share. K is solved
-    by block elimination along a ladder: the lines of one side are its rungs, the wire of the other side its rails. The
-    rungs passed so far act as a source with an internal conductance. Each rung adds its own conductance to it, and each
-    segment of the rails its resistance. The cost is long·short³.
+    by block elimination along a ladder: the rows are its rungs, the wire of the columns its rails. The rungs passed so
+    far act as a source with an internal conductance. Each rung adds its own conductance to it, and each segment of the
+    rails its resistance. The cost is rows·columns³.
 
     Attributes
     ----------
-    swapped : bool
-        Whether the columns are the rungs.
     outer, inner : slice
         Slices that order the rungs, and the cells of a rung: a rung enters at its first cell, rails leave at the last
         rung.
@@ -182,7 +180,6 @@ class Ladder:
         Resistance of the segments of the rails, ohm; the last one includes the contacts.
     """
 
-    swapped: bool
     outer: slice
     inner: slice
     rung: Array
@@ -192,23 +189,19 @@ class Ladder:
 
     @classmethod
     def of(cls, cells: Array, wiring: Wiring) -> "Ladder":
-        """Return the ladder of cells (rows, columns) ohm; the lines of the longer side are the rungs."""
-        lines, swapped = wiring.lines, cells.shape[1] > cells.shape[0]
-        flipped = [lines.columns_leave == "top", lines.rows_enter == "right"]
-        ohm = [lines.row_ohm_per_cell, lines.column_ohm_per_cell]
-        contacts = np.split(wiring.contact_ohm(cells.shape), [len(cells)])
-        if swapped:
-            flipped, ohm, contacts = [not flip for flip in flipped[::-1]], ohm[::-1], contacts[::-1]
-        outer, inner = (slice(None, None, -1 if flip else 1) for flip in flipped)
-        turned = (cells.T if swapped else cells)[outer, inner]
+        """Return the ladder of cells (rows, columns) ohm."""
+        lines, contacts = wiring.lines, wiring.contact_ohm(cells.shape)
+        outer = slice(None, None, -1 if lines.columns_leave == "top" else 1)
+        inner = slice(None, None, -1 if lines.rows_enter == "right" else 1)
+        turned = cells[outer, inner]
         count, size = turned.shape
         steps, every = np.arange(1, size + 1), np.arange(size)
         # K of one rung: cells c and d share min(c, d) segments and the rung's contact; r on the diagonal.
-        matrix = np.tile(ohm[0] * np.minimum.outer(steps, steps).astype(float), (count, 1, 1))
-        matrix += contacts[0][outer, None, None]
+        matrix = np.tile(lines.row_ohm_per_cell * np.minimum.outer(steps, steps).astype(float), (count, 1, 1))
+        matrix += contacts[:count][outer, None, None]
         matrix[:, every, every] += turned
-        segment = np.full((count, size), ohm[1])
-        segment[-1] += contacts[1][inner]
+        segment = np.full((count, size), lines.column_ohm_per_cell)
+        segment[-1] += contacts[count:][inner]
         rung = np.linalg.inv(matrix)
         passed, shown, before = np.empty_like(rung), np.empty_like(rung), np.zeros((size, size))
         for number in range(count):
@@ -216,12 +209,11 @@ class Ladder:
             total = before + rung[number]
             passed[number] = np.linalg.inv(np.eye(size) + total * segment[number])
             before = shown[number] = passed[number] @ total
-        return cls(swapped, outer, inner, rung, passed, shown, segment)
+        return cls(outer, inner, rung, passed, shown, segment)
 
     def solve(self, differences: Array) -> Array:
         """Return i = K⁻¹·e: currents through the cells for e (rows, columns, patterns) volt, the same shape, ampere."""
-        turned = (differences.swapaxes(0, 1) if self.swapped else differences)[self.outer, self.inner]
-        own = self.rung @ turned
+        own = self.rung @ differences[self.outer, self.inner]
         source, potential = np.empty_like(own), np.empty_like(own)
         before, after = np.zeros(own.shape[1:]), np.zeros(own.shape[1:])
         # Forward: source current of all rungs so far, behind each segment.
@@ -231,8 +223,7 @@ class Ladder:
         for number in reversed(range(len(own))):
             current = source[number] - self.shown[number] @ after
             after = potential[number] = after + self.segment_ohm[number, :, None] * current
-        current = (own - self.rung @ potential)[self.outer, self.inner]
-        return current.swapaxes(0, 1) if self.swapped else current
+        return np.asarray((own - self.rung @ potential)[self.outer, self.inner])
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,7 +335,9 @@ class WiredSecondOrder(SecondOrder):
         differences = network.potential_differences
         moved = network.driven_through((differences * (network.conductance * step).ravel()).T).T
         twice = 2 * np.sum(moved * bipartite(*self.loading, differences), axis=0).reshape(step.shape)
-        return network.read_change(change), network.conductance * (twice + network.drawn(self.loading_change(change)))
+        return network.read_change(change), network.conductance * (
+            twice + network.drawn(loading_of(*self.change_of_slopes(change)))
+        )
 
     def _twice_between(self, cells: Numbers | None) -> Array:
         """Return Dᵀ W D over the numbered cells (None: all), (cells, cells)."""

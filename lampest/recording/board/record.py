@@ -20,7 +20,7 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import deaf, ending_signals
 from lampest.files.whole import check_output, folder_beside, is_locked, own
-from lampest.panel.readouts.converter import MIN_REPEATS, noise_of_variance
+from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import damaged_frames, whole_events
 from lampest.recording.board.journal import Journal
@@ -396,4 +396,4 @@ def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
     if readout is None or count < MIN_REPEATS:
         return None
     # The variance of a difference of two readings is twice that of one.
-    return noise_of_variance(readout, total / count / 2)
+    return readout.noise_of_variance(total / count / 2)
