@@ -63,18 +63,14 @@ class Cost:
 
     def symbols(self) -> "Symbols":
         """Return new symbols of all inputs of the cost except weights and duals."""
-        return Symbols.of(self.panel.crossings, self.frames, partial=self.partial)
+        shape = self.panel.crossings, self.frames
+        cell_resistance, reading = (casadi.SX.sym(name, *shape) for name in ("cell_resistance", "reading"))
+        return Symbols(cell_resistance, reading, Given.symbols(*shape, partial=self.partial))
 
     def residuals(self, symbols: "Symbols") -> list[tuple[int, casadi.SX]]:
-        """Return (number of the term, residual) pairs of expressions, frame by frame."""
-        pairs = self._all_residuals(symbols)
-        if not self.faulty:
-            return pairs
-        return [(number, part[rows]) for (number, part), rows in zip(pairs, self._sound_rows, strict=True)]
-
-    def _all_residuals(self, symbols: "Symbols") -> list[tuple[int, casadi.SX]]:
-        """Return the residuals of all terms, including those of faulty cells."""
-        pairs = []
+        """Return (number of the term, residual) pairs of expressions, frame by frame, without rows of faulty cells."""
+        pairs, unknown = [], casadi.vec(symbols.cell_resistance)
+        faulty = [frame * self.panel.crossings + cell for frame in range(self.frames) for cell in self.faulty]
         for frame in range(self.frames):
             baseline = symbols.cell_resistance[:, 0] if frame else None
             # Frame 1 of a joint solve compares with frame 0, its baseline; a single frame compares with given earlier
@@ -83,22 +79,15 @@ class Cost:
             cells, reading = symbols.cell_resistance[:, frame], symbols.reading[:, frame]
             state = State(panel=self.panel, cell_resistance=cells, reading=reading, **known)
             for number, term in enumerate(self.terms):
-                if frame or self.needs_previous or not term.needs_previous:
-                    pairs.append((number, _residual_of(term, state)))
+                if not (frame or self.needs_previous or not term.needs_previous):
+                    continue
+                residual = _residual_of(term, state)
+                if faulty:
+                    # Rows with a nonzero in the columns of faulty cells in ∂residual/∂r are left out.
+                    touched = set(casadi.jacobian(residual, unknown)[:, faulty].sparsity().row())
+                    residual = residual[[row for row in range(residual.shape[0]) if row not in touched]]
+                pairs.append((number, residual))
         return pairs
-
-    @cached_property
-    def _sound_rows(self) -> list[list[int]]:
-        """Numbers of the rows of each residual that do not depend on a faulty cell."""
-        symbols = self.symbols()
-        cells = casadi.vec(symbols.cell_resistance)
-        # Columns of faulty cells in ∂residual/∂r; rows with a nonzero there are removed.
-        every = [frame * self.panel.crossings + cell for frame in range(self.frames) for cell in self.faulty]
-        rows = []
-        for _, residual in self._all_residuals(symbols):
-            touched = set(casadi.jacobian(residual, cells)[:, every].sparsity().row())
-            rows.append([row for row in range(residual.shape[0]) if row not in touched])
-        return rows
 
     @cached_property
     def functions(self) -> "CostFunctions":
@@ -127,14 +116,10 @@ def _residual_of(term: Term, state: State) -> casadi.SX:
             f"{name} is {rows} × {columns}, not a column of one or more rows; fields of state are columns, "
             "state.grid(state.cell_resistance) is the matrix of rows × columns, and casadi.vec makes a column of one"
         )
-    if len(state.panel.neighbours[2]) and _symbols_in(residual).isdisjoint(_symbols_in(unknown)):
+    symbols, unknowns = ({symbol.element_hash() for symbol in casadi.symvar(part)} for part in (residual, unknown))
+    if len(state.panel.neighbours[2]) and symbols.isdisjoint(unknowns):
         raise InputError(f"{name} is constant: it must depend on state.cell_resistance or state.reading")
     return residual
-
-
-def _symbols_in(expression: casadi.SX) -> set[int]:
-    """Return the hashes of all symbols in an expression."""
-    return {symbol.element_hash() for symbol in casadi.symvar(expression)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,12 +137,6 @@ class Symbols:
     cell_resistance: casadi.SX
     reading: casadi.SX
     given: Given
-
-    @classmethod
-    def of(cls, cells: int, frames: int, *, partial: bool) -> "Symbols":
-        """Return new symbols for a number of cells and frames."""
-        cell_resistance, reading = (casadi.SX.sym(name, cells, frames) for name in ("cell_resistance", "reading"))
-        return cls(cell_resistance, reading, Given.symbols(cells, frames, partial=partial))
 
     @property
     def unknown(self) -> casadi.SX:

@@ -307,15 +307,15 @@ def inverse_of(conductance: Array, ties: Array) -> Array:
     rows, columns = conductance.shape[-2:]
     Panel(rows, columns).check_memory()
     total = line_sums(conductance) + ties
-    if not (total > 0).all():
+    if not total.all():
         raise np.linalg.LinAlgError("a line is not connected")
     own = total[..., :rows]
     shares = conductance / own[..., None]
     schur = -conductance.swapaxes(-1, -2) @ shares
     np.einsum("...ii->...i", schur)[...] += total[..., rows:]
     # Z_kk' = S⁻¹, Z_jk = diag(a)⁻¹ G S⁻¹, Z_jj' = diag(a)⁻¹ + diag(a)⁻¹ G S⁻¹ Gᵀ diag(a)⁻¹
-    inverse = np.empty((*total.shape, rows + columns))
     within: Array = np.linalg.inv(schur)
+    inverse = np.empty((*total.shape, rows + columns), dtype=within.dtype)
     between = shares @ within
     inverse[..., rows:, rows:] = within
     inverse[..., :rows, rows:], inverse[..., rows:, :rows] = between, between.swapaxes(-1, -2)
