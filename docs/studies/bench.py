@@ -93,14 +93,14 @@ class _Point:
 
     def residuals(self, position: Array) -> Array:
         """f(u)."""
-        return self.scale * self._at(position).of_terms(self.solver._functions[0])
+        return self.scale * self._at(position).call(self.solver._functions[0])
 
     def jacobian(self, position: Array) -> Array:
         """∂f/∂u = ∂f/∂r·diag(r) + ∂f/∂y·∂y/∂u, dense."""
         at = self._at(position)
         cells, function = at.cell_resistance, self.solver._functions[1]
         size, count = cells[0].size, cells.size
-        partial = sparse.csc_array((self.scale * at.of_terms(function), function.pattern), shape=function.shape)
+        partial = sparse.csc_array((self.scale * at.call(function), function.pattern), shape=function.shape)
         blocks = [
             partial[:, count + frame * size : count + (frame + 1) * size] @ network.sensitivity()
             for frame, network in enumerate(at.networks)

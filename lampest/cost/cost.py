@@ -69,8 +69,7 @@ class Cost:
 
     def residuals(self, symbols: "Symbols") -> list[tuple[int, casadi.SX]]:
         """Return (number of the term, residual) pairs of expressions, frame by frame, without rows of faulty cells."""
-        pairs, unknown = [], casadi.vec(symbols.cell_resistance)
-        faulty = [frame * self.panel.crossings + cell for frame in range(self.frames) for cell in self.faulty]
+        pairs = []
         for frame in range(self.frames):
             baseline = symbols.cell_resistance[:, 0] if frame else None
             # Frame 1 of a joint solve compares with frame 0, its baseline; a single frame compares with given earlier
@@ -79,15 +78,24 @@ class Cost:
             cells, reading = symbols.cell_resistance[:, frame], symbols.reading[:, frame]
             state = State(panel=self.panel, cell_resistance=cells, reading=reading, **known)
             for number, term in enumerate(self.terms):
-                if not (frame or self.needs_previous or not term.needs_previous):
-                    continue
-                residual = _residual_of(term, state)
-                if faulty:
-                    # Rows with a nonzero in the columns of faulty cells in ∂residual/∂r are left out.
-                    touched = set(casadi.jacobian(residual, unknown)[:, faulty].sparsity().row())
-                    residual = residual[[row for row in range(residual.shape[0]) if row not in touched]]
-                pairs.append((number, residual))
-        return pairs
+                if frame or self.needs_previous or not term.needs_previous:
+                    pairs.append((number, _residual_of(term, state)))
+        if not self.faulty:
+            return pairs
+        return [(number, part[rows]) for (number, part), rows in zip(pairs, self._sound_rows, strict=True)]
+
+    @cached_property
+    def _sound_rows(self) -> list[list[int]]:
+        """Numbers of the rows of each residual that do not depend on a faulty cell."""
+        symbols = self.symbols()
+        cells = casadi.vec(symbols.cell_resistance)
+        # Columns of faulty cells in ∂residual/∂r; rows with a nonzero there are removed.
+        every = [frame * self.panel.crossings + cell for frame in range(self.frames) for cell in self.faulty]
+        rows = []
+        for _, residual in replace(self, faulty=()).residuals(symbols):
+            touched = set(casadi.jacobian(residual, cells)[:, every].sparsity().row())
+            rows.append([row for row in range(residual.shape[0]) if row not in touched])
+        return rows
 
     @cached_property
     def functions(self) -> "CostFunctions":

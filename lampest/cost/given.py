@@ -5,7 +5,7 @@ A further input for new terms is one more field of `Given`, with its source and 
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
-from functools import cache, cached_property
+from functools import cache
 from typing import Any, Protocol, Self
 
 import casadi
@@ -162,16 +162,6 @@ class Given:
                 value = value[:, frame]
             parts[name] = value
         return parts
-
-    @cached_property
-    def flat(self) -> dict[str, Array]:
-        """Flat arrays by name; absent values are replaced by the number of their source."""
-        values = {}
-        for name, source in self.sources().items():
-            value = getattr(self, name)
-            if value is not None or not source.partial:
-                values[name] = np.full(self.measured[0].size, source.absent) if value is None else value.ravel()
-        return values
 
     def named(self) -> Iterable[tuple[str, Any]]:
         """Yield (name, value) of every field that is known."""

@@ -61,16 +61,6 @@ class PenaltyEvidence:
     count: float
     trace: Callable[[], float]
 
-    @property
-    def squares(self) -> float:
-        """Σ x̂²."""
-        return float(np.sum(self.residual**2))
-
-    @property
-    def determined(self) -> float:
-        """γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t): number of residuals that the data determine."""
-        return self.count - self.trace()
-
 
 @dataclass(frozen=True)
 class Loss(Configuration):
@@ -142,8 +132,8 @@ class Loss(Configuration):
         return float(np.sum(evidence.residual * _halves(self, evidence.residual)[0]))
 
     def determined(self, evidence: PenaltyEvidence) -> float:
-        """Return γ of the fixed point λ = s² γ/η."""
-        return evidence.determined
+        """Return γ = tr(B⁺ B_t) − tr(A⁻¹ B_t) of the fixed point λ = s² γ/η: the residuals that the data determine."""
+        return evidence.count - evidence.trace()
 
 
 @guarded
@@ -176,10 +166,6 @@ class Squared(Loss):
     def cost(self, residual: Any) -> Any:
         """Return Σ x², symbolic or numeric."""
         return casadi.sumsqr(residual)
-
-    def stiffness(self, residual: Array) -> Array:
-        """Return ones."""
-        return np.ones_like(residual)
 
 
 @dataclass(frozen=True)
@@ -215,7 +201,7 @@ class Huber(Loss):
 
     def size(self, evidence: PenaltyEvidence) -> float:
         """Return η = Σ x² over rows with curvature: a residual with ω = 0 does not inform the weight."""
-        return evidence.squares
+        return float(np.sum(evidence.residual**2))
 
 
 @dataclass(frozen=True)

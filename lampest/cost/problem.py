@@ -21,7 +21,6 @@ from lampest.panel.readouts.floating import FloatingNetwork
 from lampest.panel.readouts.wiring import Wiring
 
 ROUNDING = 1e-15  # relative rounding error of a residual: four last bits of double precision
-BLOCK = 8  # panels by which compiled functions grow: fewer sizes to compile
 Panels = NDArray[np.intp] | int
 
 
@@ -82,24 +81,12 @@ class Data:
         chosen.__dict__["ties"] = self.ties[panels]
         return chosen
 
-    def padded(self, values: Array) -> Array:
-        """Return values of panels, (panels, …), as rows (size, n), the last row repeated up to a multiple of BLOCK.
-
-        Compiled functions exist for such sizes only.
-        """
-        flat = values.reshape(len(values), -1)
-        missing = -len(flat) % BLOCK
-        return np.concatenate([flat, np.repeat(flat[-1:], missing, axis=0)]) if missing else flat
-
     @cached_property
     def flat(self) -> dict[str, Array]:
-        """Arrays by name for compiled functions, `padded` for many panels; see `Given.flat`."""
-        if not self.panels:
-            return self.given.flat
-        known, blank = dict(self.given.named()), (*self.panels, self.measured[0].size)
-        absent = {name: source.absent for name, source in self.given.sources().items() if name not in known}
-        every = known | {name: np.full(blank, value) for name, value in absent.items()}
-        return {name: self.padded(values) for name, values in every.items()}
+        """Arrays (…, numbers) by name for compiled functions; absent ones consist of the number of their source."""
+        blank, known = (*self.panels, self.lower[0].size), dict(self.given.named())
+        absent = {name: np.full(blank, source.absent) for name, source in self.given.sources().items()}
+        return {name: values.reshape(*self.panels, -1) for name, values in (absent | known).items()}
 
     def limited(self, seconds: float | None) -> "Data":
         """Return the data with a time limit in s from now on; None for no limit."""
@@ -235,27 +222,17 @@ class Evaluation:
         """The solved network of every frame."""
         return self.data.networks(self.cell_resistance) if self.solved is None else self.solved
 
-    def call(self, function: Compiled, dual: Array) -> Array:
-        """Return the values of a compiled function at this point and these duals, (…, nonzeros)."""
-        point = {
+    def call(self, function: Compiled, dual: Array | None = None) -> Array:
+        """Return the values of a compiled function at this point, (…, nonzeros); duals of None are zeros."""
+        panels, zeros = self.data.panels, np.zeros(len(self.cost.slope))
+        values = self.data.flat | {
             "cell_resistance": self.cell_resistance,
             "reading": self.reading,
             "weights": self.weights,
-            "dual": dual,
+            "dual": zeros if dual is None else dual,  # costs with duals are solved panel by panel
         }
-        if not self.data.panels:
-            given = self.data.flat
-            return function(*[point[name] if name in point else given[name] for name in function.names])
-        (count,) = self.data.panels
-        point["dual"] = np.zeros((count, 0))  # costs with duals are solved panel by panel
-        given = self.data.flat | {name: self.data.padded(value) for name, value in point.items()}
-        size = len(given["reading"])
-        values = _mapped(function, size, self.data.place)(*(given[name] for name in function.names))
-        return values.reshape(size, -1)[:count]
-
-    def of_terms(self, function: Compiled) -> Array:
-        """Return the values at this point of a compiled function that has no duals, (…, nonzeros)."""
-        return self.call(function, np.zeros(len(self.cost.slope)))
+        called = _mapped(function, *panels, self.data.place) if panels else function
+        return called(*(values[name] for name in function.names)).reshape(*panels, -1)
 
     @cached_property
     def first(self) -> Array:
@@ -263,7 +240,7 @@ class Evaluation:
 
         Costs of the terms at this point, their costs at y = 0, and the gradient by (r; y).
         """
-        return self.of_terms(self.cost.functions.first)
+        return self.call(self.cost.functions.first)
 
     @property
     def costs(self) -> Array:
@@ -289,7 +266,7 @@ class Evaluation:
 
     def log_gradient(self, dual: Array) -> Array:
         """Return ∂φ/∂u = r·∂φ/∂r + Jᵀ ∂φ/∂y, u = log r, (…, frames, rows, columns); duals are clipped to |z| ≤ 1."""
-        direct, through = self.partials(within_one(dual))
+        direct, through = self.partials(np.clip(dual, -1, 1))
         gradient: Array = direct * self.cell_resistance
         for frame, network in enumerate(self.networks):
             # Jᵀ ∂φ/∂y by one product with the network of each frame
@@ -311,23 +288,15 @@ class Evaluation:
     @cached_property
     def nonsmooth(self) -> Array:
         """Residuals x with an absolute loss, (residuals,)."""
-        return self.of_terms(self.cost.functions.nonsmooth) if len(self.cost.slope) else np.zeros(0)
+        return self.call(self.cost.functions.nonsmooth) if len(self.cost.slope) else np.zeros(0)
 
     @cached_property
-    def nonsmooth_reach(self) -> Array:
-        """Σ |∂x/∂r|·r + Σ |∂x/∂y|·|y| of the residuals with an absolute loss, (residuals,).
-
-        This is the error of a residual per relative error of cells and readings.
-        """
-        rows, columns = self.cost.functions.nonsmooth_jacobian.pattern
-        slopes = self.of_terms(self.cost.functions.nonsmooth_jacobian)
-        at = np.concatenate([self.cell_resistance.ravel(), self.reading.ravel()])
-        return np.asarray(np.bincount(rows, np.abs(slopes * at[columns]), len(self.nonsmooth)), dtype=float)
-
-    @property
     def last_bits(self) -> Array:
-        """Rounding errors of residuals with an absolute loss, (residuals,)."""
-        return ROUNDING * self.nonsmooth_reach
+        """Rounding errors of residuals with an absolute loss, ε·(Σ |∂x/∂r|·r + Σ |∂x/∂y|·|y|), (residuals,)."""
+        rows, columns = self.cost.functions.nonsmooth_jacobian.pattern
+        slopes = self.call(self.cost.functions.nonsmooth_jacobian)
+        at = np.concatenate([self.cell_resistance.ravel(), self.reading.ravel()])
+        return ROUNDING * np.bincount(rows, np.abs(slopes * at[columns]), len(self.nonsmooth))
 
     @property
     def rounding(self) -> float:
@@ -346,7 +315,7 @@ class Evaluation:
         It is zero where the first-order optimality conditions hold. `log_gradient` is ∂φ/∂u for these duals, if it is
         already computed.
         """
-        gap = self.dual_gap(within_one(dual)) / self.cost_scale if len(dual) else 0.0
+        gap = self.dual_gap(np.clip(dual, -1, 1)) / self.cost_scale if len(dual) else 0.0
         return float(self.projected_gradients(self.log_gradient(dual) if log_gradient is None else log_gradient)) + gap
 
     def projected_gradients(self, log_gradient: Array) -> Array:
@@ -357,19 +326,10 @@ class Evaluation:
         away = np.abs(self.position - np.minimum(np.maximum(target, lower), upper))
         return np.asarray(away.max(axis=(-3, -2, -1)))
 
-    def projected_gradient(self, log_gradient: Array) -> float:
-        """Return max |u − Π(u − ∇φ/s)| of a single panel for a gradient ∂φ/∂u (frames, rows, columns)."""
-        return float(self.projected_gradients(log_gradient))
-
     @cached_property
     def position(self) -> Array:
         """Position u = log r, (…, frames, rows, columns)."""
         return np.log(self.cell_resistance)
-
-
-def within_one(dual: Array) -> Array:
-    """Return the duals of absolute losses, clipped to |z| ≤ 1."""
-    return np.clip(dual, -1, 1) if len(dual) else dual
 
 
 @dataclass(frozen=True, eq=False)
@@ -395,13 +355,13 @@ class Part:
 
     def values(self, at: Evaluation) -> Array:
         """Return x at a point, (rows,)."""
-        return at.of_terms(self.value)
+        return at.call(self.value)
 
     def jacobian(self, name: str, at: Evaluation) -> sparse.csc_array:
         """Return one of the derivatives at a point, (rows, unknowns) sparse."""
         derivative: Compiled = getattr(self, name)
         structure = derivative.structure
-        return with_entries(structure, at.of_terms(derivative)) if structure.nnz else structure
+        return with_entries(structure, at.call(derivative)) if structure.nnz else structure
 
 
 @dataclass(frozen=True, eq=False)

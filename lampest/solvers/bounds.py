@@ -7,7 +7,7 @@ The multiplier of an active bound is the remaining gradient. Source: Nocedal & W
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.cost.problem import Evaluation, within_one
+from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
 
 MILLIONTH = 1e-6  # relative error that a reading or a cell may have where the noise is not known
@@ -81,7 +81,7 @@ def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
         return False
     if all(term.reads_measurement and term.loss.squared for term in at.cost.terms):
         return True
-    through, networks = at.partials(within_one(dual))[1], at.networks
+    through, networks = at.partials(np.clip(dual, -1, 1))[1], at.networks
     # Pull of a cell's own reading, J_cc·∂φ/∂y_c, and of all readings, Jᵀ·∂φ/∂y.
     own = through * np.stack([network.own_response() for network in networks])
     pull = np.stack([network.adjoint(part) for network, part in zip(networks, through, strict=True)])

@@ -95,7 +95,7 @@ def crowds_bounds(start: Evaluation) -> bool:
     if hessian.dense or not hessian.only_data or not all(term.loss.squared for term in start.cost.terms):
         return False
     cells = start.cell_resistance
-    if start.projected_gradient(hessian.gradient.reshape(cells.shape)) <= METHOD.start_tolerance:
+    if start.projected_gradients(hessian.gradient.reshape(cells.shape)) <= METHOD.start_tolerance:
         return False
     stopped = int(np.sum(((cells <= data.lower) | (cells >= data.upper)) & (data.lower < data.upper)))
     return stopped > sum(cells.shape[1:]) and bool(np.all(np.isfinite([1 / data.lower, data.upper])))

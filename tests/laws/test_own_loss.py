@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, replace
-from types import SimpleNamespace
 from typing import Any, Literal
 
 import casadi
@@ -12,7 +11,7 @@ from laws.samples import members_of
 from numpy.testing import assert_allclose
 
 from lampest import Array, Gradient, InputError, Misfit, Panel, Reconstruction, Recording, Scene, Term, reconstruct
-from lampest.cost.losses import Absolute, AnyLoss, Huber, Loss, Squared
+from lampest.cost.losses import Absolute, AnyLoss, Huber, Loss, PenaltyEvidence, Squared
 from lampest.files.document import adapter
 from lampest.panel.readouts.floating import two_point_resistance
 from tests.estimates import recording_of
@@ -95,7 +94,7 @@ def test_what_follows_from_the_formula_is_what_the_losses_say(loss: Loss) -> Non
     assert_allclose(plain.curvature(GRID), loss.curvature(GRID), atol=1e-12)
     assert_allclose(plain.steady_pull(GRID), loss.steady_pull(GRID), atol=1e-6 * CORNER)
     inside = GRID[np.abs(GRID) < CORNER]
-    evidence = SimpleNamespace(residual=inside, squares=float(inside @ inside), determined=3.0)
+    evidence = PenaltyEvidence(inside, 0.0, 5.0, lambda: 2.0)
     assert plain.size(evidence) == pytest.approx(loss.size(evidence))
     assert plain.determined(evidence) == loss.determined(evidence) == 3.0
 

@@ -81,8 +81,7 @@ def state(data: Data, cells: Array, scale: float = 1.0) -> State:
     """One frame with every length of the axis of ohms multiplied by `scale`; numbers as CasADi's matrices."""
     frame = {"cell_resistance": cells[0].ravel(), "reading": two_point_resistance(cells[0]).ravel()}
     columns = {
-        name: casadi.DM(value * scale if name in IN_OHMS else value)
-        for name, value in (frame | data.given.flat).items()
+        name: casadi.DM(value * scale if name in IN_OHMS else value) for name, value in (frame | data.flat).items()
     }
     return State(panel=PANEL, **columns)
 

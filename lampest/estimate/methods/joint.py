@@ -226,7 +226,7 @@ class Joint:
     def kkt_residual(self) -> Array:
         """Norm of the projected gradient of Φ in each frame, (frames,), see `Evaluation.projected_gradient`."""
         pairs = zip(self.at, 2 * self.gradient[:, : self.cells], strict=True)
-        return np.array([at.projected_gradient(slope.reshape(at.cell_resistance.shape)) for at, slope in pairs])
+        return np.array([at.projected_gradients(slope.reshape(at.cell_resistance.shape)) for at, slope in pairs])
 
     @cached_property
     def models(self) -> tuple[LinearModel, ...]:

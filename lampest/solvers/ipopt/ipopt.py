@@ -100,11 +100,11 @@ class Ipopt:
             return Outcome(start.cell_resistance, np.zeros_like(self.cost.slope), Status.TIME, 0)
         # Units: resistances in s, the geometric mean of the apparent ones; split residuals in their largest.
         scale = float(np.exp(np.mean(np.log(data.apparent_resistance))))
-        split = start.of_terms(self.cost.functions.split)
+        split = start.call(self.cost.functions.split)
         split_scale = max(float(np.abs(split).max(initial=0)), 1e-12)
         own: dict[str, Any] = {"ties": data.ties.ravel() * scale, "weights": self.cost.weights}
         own |= {"scale": scale, "cost_scale": start.cost_scale, "split_scale": split_scale}
-        values = data.given.flat | own
+        values = data.flat | own
         parameters = np.concatenate([np.atleast_1d(values[name]) for name in self._built.parameters])
         x0 = self._start(start, scale, split / split_scale)
         # Smaller cells than `Readout.nearly_shorted` do not change any reading.
@@ -149,7 +149,7 @@ class Ipopt:
             return {}
         gradient, conductance = start.log_gradient(np.zeros(0)), x0[: start.cell_resistance.size]
         # Barrier parameter: the gradient that a Newton step leaves (quadratic convergence), at most IPOPT's mu_init.
-        barrier = min(start.projected_gradient(gradient) ** 2, 0.1)
+        barrier = min(float(start.projected_gradients(gradient)) ** 2, 0.1)
         pull = gradient.ravel() / (conductance * start.cost_scale)
         of_bounds = np.zeros(len(x0))
         of_bounds[: len(conductance)] = limits.multipliers(conductance, pull, barrier)
