@@ -13,7 +13,7 @@ from sphinx.application import Sphinx
 from typer.cli import get_docs_for_click
 
 from lampest.cli import app as commands
-from lampest.runs.held import all_columns
+from lampest.runs.case import all_columns
 from lampest.solvers.solution import ADVICE
 
 MARKED = re.compile(r"<!-- generated: (\w+) -->\n")

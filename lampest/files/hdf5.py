@@ -121,19 +121,15 @@ def ascii_array(values: Any) -> Any:
 
 
 def set_attributes(node: Any, **attributes: Any) -> None:
-    """Write attributes, text as fixed-length ASCII; equal attributes give equal bytes, unlike with `attrs`.
+    """Write attributes, text as fixed-length ASCII.
 
     For an attribute above 4,000 bytes, its SHA-256 is written as a further attribute `<name>_sha256`.
     """
-    place = node.id
     for name, value in attributes.items():
-        data, key = np.asarray(ascii_array(value) if isinstance(value, str | list) else value), name.encode("utf-8")
+        data = np.asarray(ascii_array(value) if isinstance(value, str | list) else value)
         if data.nbytes > 4_000:  # HDF5 may store larger ones without a checksum
             set_attributes(node, **{f"{name}_{DIGEST}": digest_of(data)})
-        if h5py.h5a.exists(place, key):
-            h5py.h5a.delete(place, key)
-        kind, space = _kind_and_space(data)
-        h5py.h5a.create(place, key, kind, space).write(data, kind)
+        node.attrs.create(name, data)
 
 
 def write_dataset(
@@ -176,25 +172,13 @@ def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> Non
 
 def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
     """Write an uncompressed dataset, within the metadata if it is small, otherwise with a digest; also scalars."""
-    properties, links = h5py.h5p.create(h5py.h5p.DATASET_CREATE), h5py.h5p.create(h5py.h5p.LINK_CREATE)
-    links.set_create_intermediate_group(True)
-    properties.set_obj_track_times(False)  # times would make equal contents different files
-    compact = data.nbytes <= 60_000  # within the metadata; HDF5's limit is 64 KiB
+    properties, compact = h5py.h5p.create(h5py.h5p.DATASET_CREATE), data.nbytes <= 60_000  # HDF5's limit is 64 KiB
     if compact:
         properties.set_layout(h5py.h5d.COMPACT)
-    kind, space = _kind_and_space(data)
-    made = h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, links)
-    if data.size:
-        made.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(data), kind)
-    dataset = h5py.Dataset(made)
+    dataset = group.create_dataset(name, data=data, dcpl=properties)
     if not compact:
         set_attributes(dataset, **{DIGEST: digest_of(data)})
     return dataset
-
-
-def _kind_and_space(data: NDArray[Any]) -> tuple[h5py.h5t.TypeID, h5py.h5s.SpaceID]:
-    space = h5py.h5s.create_simple(data.shape) if data.shape else h5py.h5s.create(h5py.h5s.SCALAR)
-    return h5py.h5t.py_create(data.dtype, logical=True), space
 
 
 def write_scale(group: h5py.Group, name: str, data: Any, units: str, long_name: str) -> None:

@@ -17,7 +17,8 @@ from lampest.recording.recording import Recording
 from lampest.report.compare import data_error
 from lampest.report.strongest import strongest_index
 from lampest.report.words import digits, median_text, spanned
-from lampest.runs.columns import FIGURES, Column
+from lampest.runs.case import FIGURES
+from lampest.runs.columns import Column
 from lampest.runs.filling import named_result
 from lampest.runs.results import CaseResult, write_results
 

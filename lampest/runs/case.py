@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,21 +13,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, extra
+from lampest.files.typed import installed
 from lampest.panel.panel import Array
 from lampest.panel.scene import scene_text
 from lampest.recording.recording import coordinates
-from lampest.runs.columns import CELLS, FIGURES, FRAMES, MAPS, Column, Series
-from lampest.runs.held import ATTRIBUTES, COLUMNS, FRAME, MEASURED, NAMES, REQUIRED, TIME, Held, all_columns
+from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, Content, Series
 
 if TYPE_CHECKING:
     from pandas import DataFrame as DataFrame
     from xarray import Dataset as Dataset
 
 SHARED = "recording"  # group with the measurement that all estimators share
+COLUMNS = tuple(Column(item.name, **item.metadata["column"]) for item in fields(Content) if "column" in item.metadata)
+TIME, FRAME, MEASURED = (column for column in COLUMNS if column.name in ("time", "frame", "measured"))
+NAMES = frozenset(column.name for column in COLUMNS)
+REQUIRED = frozenset(item.name for item in fields(Content) if item.name in NAMES and item.default is MISSING)
+FIGURES = tuple(
+    replace(item.metadata["figures"], name=item.name) for item in fields(Content) if "figures" in item.metadata
+)
+# Attribute of an estimator's group → its field, and the value if the attribute is missing.
+ATTRIBUTES: dict[str, tuple[str, Any]] = {
+    item.metadata["attribute"]: (item.name, item.default) for item in fields(Content) if "attribute" in item.metadata
+}
+
+
+def all_columns(further: Sequence[Column] = ()) -> tuple[Column, ...]:
+    """Return the columns of lampest, of installed packages, and further ones.
+
+    Raises InputError for a repeated name.
+    """
+    columns = (*COLUMNS, *installed("lampest.columns", Column), *further)
+    for names in ([column.name for column in columns], [column.path for column in columns]):
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"two columns of results are called {name}")
+    return columns
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CaseResult(Held):
+class CaseResult(Content):
     """Result of a case: the estimates of a recording's measured frames by an estimator.
 
     Raises InputError for unfit names, wrong shapes and impossible values. Arrays that are not listed are described by
@@ -67,15 +91,16 @@ class CaseResult(Held):
     def __post_init__(self) -> None:
         check_name(self.recording, "recording")
         check_name(self.estimator, "estimator")
+        path, base = self._path(MEASURED), f"/entry/{self.recording}/{self.estimator}"
         if self.measured.ndim != 3 or self.measured.size == 0:
-            raise InputError(f"{self._path(MEASURED)} must be frames × rows × columns with at least one frame")
+            raise InputError(f"{path} must be frames × rows × columns with at least one frame")
         if self.measured.shape[1:] != self.scene.panel.shape:
             rows, columns = self.scene.panel.shape
-            raise InputError(f"{self._path(MEASURED)} does not have the {rows} × {columns} cells of the scene's panel")
+            raise InputError(f"{path} does not have the {rows} × {columns} cells of the scene's panel")
         for folder in FIGURES:
             for name, values in getattr(self, folder.name).items():
                 check_name(name, folder.folder)
-                self._check_shape(f"/entry/{self.recording}/{self.estimator}/{folder.folder}/{name}", values, FRAMES)
+                self._check_shape(f"{base}/{folder.folder}/{name}", values, FRAMES)
         self.check(COLUMNS)
         self.swept  # noqa: B018
 
@@ -277,7 +302,7 @@ def series_of(case: CaseResult, columns: Sequence[Column], *, raw: bool = False)
             held[column.label] = Series(column.label, column.axes, values, *words)
     for folder in FIGURES:
         for figure, values in getattr(case, folder.name).items():
-            name, units, meaning = f"{folder.folder}_{figure}", folder.units(figure), folder.long_name(figure)
+            name, units, meaning = f"{folder.folder}_{figure}", folder.units, folder.long_name(figure)
             held[name] = Series(name, FRAMES, values, units, meaning, path=f"{folder.folder}/{figure}")
     return held
 

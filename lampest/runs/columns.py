@@ -1,7 +1,7 @@
-"""Columns of results: dataset, meaning, values and validation.
+"""Content of a case, each part declared once: columns of a results file with their checks, attributes, figures.
 
-Those of lampest are the fields of `lampest.runs.case.CaseResult`. A package adds further ones by naming them in the
-entry point group `lampest.columns`, a script by handing them to `named_result`, `write_results` and `read_results`.
+A package adds columns by naming them in the entry point group `lampest.columns`, a script by handing them to
+`named_result`, `write_results` and `read_results`.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, replace
 from functools import partial
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from lampest.files.errors import InputError
 from lampest.files.typed import Validated
 from lampest.panel.panel import Array, beyond_any_panel
 from lampest.panel.readouts.readout import Readout
+from lampest.panel.scene import Scene
 from lampest.recording.recording import UNLOADED
 
 if TYPE_CHECKING:  # readers of results need not load the solvers
@@ -34,39 +36,41 @@ RESERVED = (*CELLS, "x", "y", "scene", "start_time", "cost", "weight", "weight_s
 Check = Callable[[Any, NDArray[np.bool_]], str | None]
 
 
-def _unless(right: Callable[[Array, NDArray[np.bool_]], Any], said: str) -> Check:
-    return lambda values, solved: None if np.all(right(np.asarray(values), solved)) else said
-
-
 def possible(values: Array, solved: NDArray[np.bool_]) -> str | None:
     """Return a fault if a number exceeds that of any panel."""
     beyond = np.asarray(values)[beyond_any_panel(values)]
     return f"holds {beyond[0]:.6g}, which no panel has" if beyond.size else None
 
 
-def _physical(right: Callable[[Array, NDArray[np.bool_]], Any], said: str) -> Check:
-    """Return a check of measured or comparable values, which must be possible, too."""
-    return lambda values, solved: possible(values, solved) or _unless(right, said)(values, solved)
+def _check(sentence: str, right: Callable[[Array, NDArray[np.bool_]], Any], *, physical: bool = True) -> Check:
+    """Return a check of values, which must be possible, too, where they are measured or comparable."""
+
+    def fault(values: Any, solved: NDArray[np.bool_]) -> str | None:
+        beyond = possible(values, solved) if physical else None
+        return beyond or (None if np.all(right(np.asarray(values), solved)) else sentence)
+
+    return fault
 
 
-finite = _physical(lambda values, solved: np.isfinite(values), "must be finite")
-positive = _physical(lambda values, solved: (values > 0) & (values < np.inf), "must be positive and finite everywhere")
-positive_or_missing = _physical(
-    lambda values, solved: np.isnan(values) | ((values > 0) & (values < np.inf)), "must be positive and finite, or NaN"
+finite = _check("must be finite", lambda values, solved: np.isfinite(values))
+positive = _check("must be positive and finite everywhere", lambda values, solved: (values > 0) & (values < np.inf))
+positive_or_missing = _check(
+    "must be positive and finite, or NaN", lambda values, solved: np.isnan(values) | ((values > 0) & (values < np.inf))
 )
-positive_or_infinite = _physical(lambda values, solved: values > 0, "must be positive everywhere")
-not_negative = _unless(lambda values, solved: ~(values < 0), "must not be negative")
-not_zero_or_less = _unless(lambda values, solved: ~(values <= 0), "must be positive")
-numbers_if_solved = _physical(
-    lambda values, solved: np.where(solved, np.isfinite(values), np.isnan(values)),
+positive_or_infinite = _check("must be positive everywhere", lambda values, solved: values > 0)
+not_negative = _check("must not be negative", lambda values, solved: ~(values < 0), physical=False)
+not_zero_or_less = _check("must be positive", lambda values, solved: ~(values <= 0), physical=False)
+numbers_if_solved = _check(
     "must be numbers where solved is 1, and NaN elsewhere",
+    lambda values, solved: np.where(solved, np.isfinite(values), np.isnan(values)),
 )
-known_if_solved = _unless(  # numbers, or infinite
-    lambda values, solved: np.isnan(values) != solved, "must be NaN where solved is 0, only"
+known_if_solved = _check(  # numbers, or infinite
+    "must be NaN where solved is 0, only", lambda values, solved: np.isnan(values) != solved, physical=False
 )
-missing_unless_solved = _unless(
-    lambda values, solved: np.isnan(values) | (solved & np.isfinite(values)),
+missing_unless_solved = _check(
     "must be numbers or NaN where solved is 1, and NaN elsewhere",
+    lambda values, solved: np.isnan(values) | (solved & np.isfinite(values)),
+    physical=False,
 )
 
 
@@ -212,79 +216,69 @@ class Series:
         return attributes | {"flag_values": values, "flag_meanings": " ".join(word for _, word in self.flags)}
 
 
-def declared(axes: tuple[str, ...], units: str, words: str, *checks: Check, default: Any = MISSING, **more: Any) -> Any:
+def _declared(
+    axes: tuple[str, ...], units: str, words: str, *checks: Check, default: Any = MISSING, **more: Any
+) -> Any:
     """Return a dataclass field that is a column, optional if `default` is None; `more` are arguments of `Column`."""
     about = {"axes": axes, "units": units, "long_name": words, "checks": checks} | more
     return field(default=default, metadata={"column": about})
 
 
-maps, frames, cells = partial(declared, MAPS), partial(declared, FRAMES), partial(declared, CELLS, "ohm")
-counts = partial(frames, "1", dtype=np.int64)
+_maps, _frames, _cells = partial(_declared, MAPS), partial(_declared, FRAMES), partial(_declared, CELLS, "ohm")
+_counts = partial(_frames, "1", dtype=np.int64)
+_given = partial(_cells, shared=True)
 
 
-def flag(words: str, unset: str, then: str, **more: Any) -> Any:
+def _flag(words: str, unset: str, then: str, **more: Any) -> Any:
     """Return a field of flags of cells."""
-    return maps("1", words, dtype=np.uint8, flags=((0, unset), (1, then)), **more)
+    return _maps("1", words, dtype=np.uint8, flags=((0, unset), (1, then)), **more)
 
 
-def deviation(units: str, words: str) -> Any:
+def _deviation(units: str, words: str) -> Any:
     """Return a field of standard deviations of cells."""
-    return maps(units, words, not_negative, known_if_solved, default=None)
+    return _maps(units, words, not_negative, known_if_solved, default=None)
 
 
-def end(units: str, which: str) -> Any:
-    """Return a field of interval ends of cells."""
-    return maps(units, f"95 % interval, {which} end", known_if_solved, default=None)
+def _share(words: str, units: str = "1") -> Any:
+    """Return an optional field of cells that is known where a frame is solved."""
+    return _maps(units, words, known_if_solved, default=None)
+
+
+def _attribute(name: str, source: str = "", default: Any = "", value: Any = None) -> Any:
+    """Return a field that is an attribute of the estimator's group, omitted in the file at its default.
+
+    Its value is that of estimates: a function of them, or the dotted name of an attribute.
+    """
+    return field(
+        default=default, metadata={"attribute": name, "value": value or (attrgetter(source) if source else None)}
+    )
 
 
 def of_steps(value: Callable[[Step], ArrayLike]) -> Callable[[Estimates], Array]:
     """Return a function that stacks values of all steps, shape (frames, ...)."""
-    return lambda estimates: np.stack([np.asarray(value(step)) for step in estimates.steps])
+    return lambda done: np.stack([np.asarray(value(step)) for step in done.steps])
 
 
-def of_solutions(name: str) -> Callable[[Estimates], Array]:
+def _of_solutions(name: str) -> Callable[[Estimates], Array]:
     """Return a function that stacks an attribute of all solutions, shape (frames,)."""
     return of_steps(lambda step: getattr(step.solution, name))
 
 
-def frame_numbers(done: Estimates) -> NDArray[np.intp]:
+def _frame_numbers(done: Estimates) -> NDArray[np.intp]:
     """Return indices into the recording, of which only a part may have been read."""
     return done.frame if done.recording.number is None else done.recording.number[done.frame]
 
 
-def truth(done: Estimates) -> Array | None:
+def _truth(done: Estimates) -> Array | None:
     """Return true cells, (frames, rows, columns) ohm, or None."""
     cells = done.recording.truth_cell_resistance
     return None if cells is None else cells[done.frame]
 
 
-def truth_baseline(done: Estimates) -> Array | None:
+def _truth_baseline(done: Estimates) -> Array | None:
     """Return the mean of true unloaded cells, (rows, columns) ohm, or None."""
     cells, unloaded = done.recording.truth_cell_resistance, done.recording.role == UNLOADED
     return cells[unloaded].mean(axis=0) if cells is not None and np.any(unloaded) else None
-
-
-@dataclass(frozen=True)
-class Figures:
-    """Columns over the frames whose names depend on the case, in a group of their own.
-
-    Attributes
-    ----------
-    name : str
-        Attribute of a case.
-    folder : str
-        Group in the file.
-    value : callable
-        Estimates → name → values (frames).
-    long_name, units : callable
-        Name → description and unit.
-    """
-
-    name: str
-    folder: str
-    value: Callable[[Estimates], Mapping[str, Array]]
-    long_name: Callable[[str], str]
-    units: Callable[[str], str] = lambda name: "1"
 
 
 def _of_terms(done: Estimates, values: Sequence[Array] | Sequence[tuple[float, ...]]) -> dict[str, Array]:
@@ -322,6 +316,35 @@ def _of_contact(name: str) -> str:
     return f"{deviation}contact resistance of {line.replace('_', ' ')}"
 
 
+@dataclass(frozen=True)
+class Figures:
+    """Columns over the frames whose names depend on the case, in a group of their own.
+
+    Attributes
+    ----------
+    folder : str
+        Group in the file.
+    value : callable
+        Estimates → name → values (frames).
+    long_name : callable
+        Name → description.
+    units : str
+    name : str
+        Attribute of a case.
+    """
+
+    folder: str
+    value: Callable[[Estimates], Mapping[str, Array]]
+    long_name: Callable[[str], str]
+    units: str = "1"
+    name: str = ""
+
+    @property
+    def field(self) -> Any:
+        """Field of a dataclass that holds them."""
+        return field(default_factory=dict, metadata={"figures": self})
+
+
 MISFIT = {
     "chi_square": "sum of squared residuals over their noise",
     "degrees_of_freedom": "readings less the trace of the resolution",
@@ -331,25 +354,153 @@ MISFIT = {
     "worst_column": "column that holds most of chi square",
     "worst_column_share": "share of that column",
 }
-FIGURES = (
-    Figures("contacts", "contact", _contacts, _of_contact, lambda name: "ohm"),
-    Figures(
-        "costs",
-        "cost",
-        lambda done: _of_terms(done, [step.solution.costs for step in done.steps]),
-        lambda name: f"cost of the term {name}",
-    ),
-    Figures(
-        "weights",
-        "weight",
-        lambda done: _of_terms(done, [step.weights for step in done.steps]),
-        lambda name: f"weight of the term {name}",
-    ),
-    Figures(
-        "weight_sigma",
-        "weight_sigma",
-        _chosen,
-        lambda name: f"standard deviation of ln of the chosen weight of the term {name}",
-    ),
-    Figures("misfit", "model_check", lambda done: done.misfit, lambda name: MISFIT.get(name, name)),
-)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Content(Validated):
+    """Fields of a case, see `lampest.runs.case.CaseResult`."""
+
+    recording: str
+    estimator: str
+    scene: Scene
+    case_id: str = _attribute("case_id")
+    case_yaml: str = _attribute("case")
+    swept_json: str = _attribute("swept")
+    versions: dict[str, str] = field(default_factory=dict)
+    baseline_status: str = _attribute("baseline_status", "baseline.status")
+    baseline_solve_time: float = _attribute("baseline_solve_time_s", "baseline.seconds", float("nan"))
+    joint_start: bool = _attribute("joint_start", "joint_start", default=False)
+    model_mark: str = _attribute("model_explains", "model_check.mark")
+    model_sentence: str = _attribute("model_check", "model_check.sentence")
+    noise_sentence: str = _attribute("noise_check", "noise.sentence")
+    noise_learned: str = _attribute("noise_learned", "noise.summary")
+    film_sentence: str = _attribute("film", value=lambda done: "" if done.film is None else done.film.sentence)
+    warnings: str = _attribute("warnings", value=lambda done: "\n".join(done.checks))
+    reading_error: float = _attribute("reading_error", "noise.reading_error", 0.0)
+    frame_noise: dict[str, Array] = field(default_factory=dict)
+    start_time: str = ""
+    # The measurement that all estimates of a recording share: frames, readings with their noise, and the truth.
+    time: Array = _frames("s", "time of the frame", finite, shared=True)
+    frame: NDArray[np.int64] = _counts("index of the frame in the recording", value=_frame_numbers, shared=True)
+    measured: Array = _maps(
+        "ohm",
+        "reading between the lines without series resistance; NaN where missing",
+        positive_or_missing,
+        dataset="resistance",
+        as_volt="volt",
+        shared=True,
+    )
+    measured_baseline: Array = _cells(
+        "mean of the unloaded frames", positive_or_missing, dataset="baseline", as_volt="baseline", shared=True
+    )
+    sigma: Array | None = _maps(
+        "ohm", "standard deviation of the reading", positive_or_infinite, as_volt="sigma", shared=True, default=None
+    )
+    sigma_baseline: Array | None = _cells(
+        "standard deviation of the baseline",
+        positive_or_infinite,
+        as_volt="sigma_baseline",
+        shared=True,
+        default=None,
+    )
+    reading_side: NDArray[np.int8] | None = _maps(
+        "1",
+        "0: a value; a bound: 1 the truth is at least this, -1 at most",
+        value=lambda done: done.readings.side,
+        dtype=np.int8,
+        flags=((-1, "truth_is_at_most_this"), (0, "value"), (1, "truth_is_at_least_this")),
+        shared=True,
+        default=None,
+    )
+    missing_readings: NDArray[np.int64] | None = _counts("readings that say nothing", shared=True, default=None)
+    bound_readings: NDArray[np.int64] | None = _counts(
+        "readings at a rail, zero, or below the series resistance", shared=True, default=None
+    )
+    truth: Array | None = _maps("ohm", "true cell resistance", positive, value=_truth, shared=True, default=None)
+    truth_baseline: Array | None = _cells(
+        "mean true unloaded cell resistance", positive, value=_truth_baseline, shared=True, default=None
+    )
+    # The estimate of every frame, and the outcome of its solve.
+    cell_resistance: Array = _maps("ohm", "estimated cell resistance", numbers_if_solved, not_zero_or_less)
+    relative_change: Array = _maps("percent", "cell resistance against its baseline", missing_unless_solved)
+    reading_model: Array = _maps(
+        "ohm",
+        "reading of the estimated cells",
+        numbers_if_solved,
+        not_negative,
+        value=of_steps(lambda step: step.solution.reading[-1]),
+        dataset="two_point_model",
+        as_volt="reading_model",
+    )
+    reading_sigma: Array | None = _maps(
+        "ohm", "standard deviation of a reading about the model's, noise and model error included", default=None
+    )
+    open_cell: NDArray[np.uint8] = _flag(
+        "1: cannot be distinguished from an open cell", "conducts", "cannot_be_told_from_open"
+    )
+    at_lower_bound: NDArray[np.uint8] = _flag(
+        "1: cell resistance stands at its lower bound", "above_lower_bound", "at_lower_bound"
+    )
+    baseline_resistance: Array = _cells("estimated unloaded cell resistance", possible)
+    status: tuple[str, ...] = _frames("1", "how the solve ended", dtype=str)
+    iterations: NDArray[np.int64] = _counts("iterations of the solver", value=_of_solutions("iterations"))
+    starts: NDArray[np.int64] | None = _counts(
+        "number of starts; the estimate is the best local optimum that they reached",
+        value=_of_solutions("starts"),
+        default=None,
+    )
+    solve_time: Array = _frames("s", "wall time of the solve", value=of_steps(lambda step: step.seconds))
+    objective: Array = _frames("1", "value of the cost function", value=_of_solutions("objective"))
+    kkt_residual: Array = _frames("1", "violation of the optimality conditions", value=_of_solutions("kkt_residual"))
+    solved: NDArray[np.bool_] = _frames("1", "1: solved, 0: failed", dtype=bool, flags=((0, "failed"), (1, "solved")))
+    # The uncertainty of an estimate; absent where the noise is unknown or error bars were not requested.
+    cell_resistance_errors: Array | None = _deviation("ohm", "posterior standard deviation of the cell resistance")
+    cell_resistance_lower: Array | None = _share("95 % interval, lower end", "ohm")
+    cell_resistance_upper: Array | None = _share("95 % interval, upper end", "ohm")
+    relative_change_errors: Array | None = _deviation("percent", "posterior standard deviation of the relative change")
+    relative_change_lower: Array | None = _share("95 % interval, lower end", "percent")
+    relative_change_upper: Array | None = _share("95 % interval, upper end", "percent")
+    sigma_own: Array | None = _deviation("1", "standard deviation of ln r: each cell's own error")
+    sigma_common: Array | None = _deviation(
+        "1", "standard deviation of ln r: error common to all cells, or to those of a line"
+    )
+    resolution: Array | None = _share("diagonal of the averaging kernel")
+    data_share: Array | None = _share("share of the estimate that comes from the data")
+    error_bar_time: Array | None = _frames("s", "wall time of the error bars", default=None)
+    baseline_resistance_errors: Array | None = _cells(
+        "posterior standard deviation of the unloaded cell resistance", not_negative, default=None
+    )
+    # Pressures of the cells; absent without error bars, which the uncertainty of pressures requires.
+    pressure: Array | None = _share("pressure of the load on the cell", "kPa")
+    pressure_errors: Array | None = _deviation("kPa", "standard deviation of the pressure")
+    pressure_own: Array | None = _deviation("kPa", "standard deviation of the pressure: each cell's own error")
+    pressure_common: Array | None = _deviation("kPa", "standard deviation of the pressure: common error of all cells")
+    pressure_lower: Array | None = _share("95 % interval, lower end", "kPa")
+    pressure_upper: Array | None = _share("95 % interval, upper end", "kPa")
+    saturated: NDArray[np.uint8] | None = _flag(
+        "1: the response leaves the pressure open",
+        *("response_tells_pressure", "response_does_not_tell_pressure"),
+        default=None,
+    )
+    pressing: NDArray[np.uint8] | None = _flag(
+        "1: a load presses on the cell, beyond errors and what the film keeps of earlier loads",
+        *("no_load_presses", "load_presses"),
+        default=None,
+    )
+    tared: tuple[str, ...] | None = _frames(
+        "1", "why the zero of pressures was taken anew after the frame; empty: it was not", dtype=str, default=None
+    )
+    contacts: dict[str, Array] = Figures("contact", _contacts, _of_contact, "ohm").field
+    costs: dict[str, Array] = Figures(
+        "cost", lambda done: _of_terms(done, [step.solution.costs for step in done.steps]), "cost of the term {}".format
+    ).field
+    weights: dict[str, Array] = Figures(
+        "weight", lambda done: _of_terms(done, [step.weights for step in done.steps]), "weight of the term {}".format
+    ).field
+    weight_sigma: dict[str, Array] = Figures(
+        "weight_sigma", _chosen, "standard deviation of ln of the chosen weight of the term {}".format
+    ).field
+    misfit: dict[str, Array] = Figures(
+        "model_check", lambda done: done.misfit, lambda name: MISFIT.get(name, name)
+    ).field
+    extra: Mapping[str, Array] = field(default_factory=dict)

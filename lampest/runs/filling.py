@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from functools import cache
 from importlib.metadata import version
 
@@ -14,10 +15,9 @@ from lampest.files.document import plain_content, to_yaml
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.runs.case import CaseResult
-from lampest.runs.columns import FIGURES, Column
+from lampest.runs.case import FIGURES, CaseResult, all_columns
+from lampest.runs.columns import Column, Content
 from lampest.runs.config import Case, hash_of
-from lampest.runs.held import all_columns
 
 LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
 NUMBERS = ("gain", "unloaded")  # attributes of `FrameNoise` that are numbers
@@ -63,18 +63,9 @@ def _filled(estimates: Estimates, columns: Sequence[Column], names: dict[str, st
         **names,
         versions=library_versions(),
         scene=estimates.recording.scene,
-        baseline_status=estimates.baseline.status,
-        baseline_solve_time=estimates.baseline.seconds,
-        joint_start=estimates.joint_start,
-        model_mark=estimates.model_check.mark,
-        model_sentence=estimates.model_check.sentence,
-        noise_sentence=estimates.noise.sentence,
-        noise_learned=estimates.noise.summary,
-        warnings="\n".join(estimates.checks),
-        reading_error=estimates.noise.reading_error,
         frame_noise=_arrays_of(estimates.noise.frame),
         start_time=estimates.recording.start_time or "",
-        film_sentence="" if estimates.film is None else estimates.film.sentence,
+        **{item.name: item.metadata["value"](estimates) for item in fields(Content) if item.metadata.get("value")},
         **{folder.name: folder.value(estimates) for folder in FIGURES},
     )
     result.check(table)

@@ -18,10 +18,21 @@ from lampest.files.parts import join_parts
 from lampest.files.typed import Configuration, check_not_negative, typed
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, scene_text
-from lampest.runs.case import SHARED, StoredCase, places_of, series_of
+from lampest.runs.case import (
+    ATTRIBUTES,
+    FIGURES,
+    FRAME,
+    MEASURED,
+    REQUIRED,
+    SHARED,
+    TIME,
+    StoredCase,
+    all_columns,
+    places_of,
+    series_of,
+)
 from lampest.runs.case import CaseResult as CaseResult
-from lampest.runs.columns import FIGURES, FRAMES, MAPS, Column, Series
-from lampest.runs.held import ATTRIBUTES, FRAME, MEASURED, REQUIRED, TIME, all_columns
+from lampest.runs.columns import FRAMES, MAPS, Column, Series
 
 FORMAT = "results/1"
 POSITIONS = "y x"  # attribute `coordinates` of the CF conventions, which xarray reads

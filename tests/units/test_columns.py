@@ -13,8 +13,8 @@ from support import invented_case
 import lampest
 from lampest import Bounds, Estimates, Estimator, InputError, read_results, write_results
 from lampest.estimate.sequence import reconstruct
+from lampest.runs.case import COLUMNS, REQUIRED, all_columns
 from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, of_steps, positive
-from lampest.runs.held import COLUMNS, REQUIRED, all_columns
 
 DATA = Path(__file__).parents[2] / "data"
 LEAST = Column(

@@ -29,8 +29,8 @@ from lampest.report.plots.maps import MapPainter, Scale, Tile, banded_scale, cha
 from lampest.report.plots.style import change_text, new_figure, plain_number, round_numbers, save, short_title
 from lampest.report.plots.timeline import timeline
 from lampest.report.words import digits
+from lampest.runs.case import COLUMNS
 from lampest.runs.columns import FRAMES, Column
-from lampest.runs.held import COLUMNS
 
 ADDON = """\
 from dataclasses import dataclass

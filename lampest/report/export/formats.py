@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, extra
 from lampest.report.words import no_formula
-from lampest.runs.case import CaseResult, about, places_of, series_of
+from lampest.runs.case import CaseResult, about, all_columns, places_of, series_of
 from lampest.runs.columns import FRAMES, Series
-from lampest.runs.held import all_columns
 
 CSV_KINDS = {"f": "double", "i": "integer", "u": "integer", "b": "boolean"}  # of XML Schema, by numpy's letter
 NAMES = ("recording", "estimator")

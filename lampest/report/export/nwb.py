@@ -13,9 +13,8 @@ import numpy as np
 from lampest.files.errors import InputError, extra
 from lampest.panel.scene import Experiment, MeasuredSubject
 from lampest.report.export.formats import Export
-from lampest.runs.case import CaseResult, about, series_of
+from lampest.runs.case import TIME, CaseResult, about, all_columns, series_of
 from lampest.runs.columns import CELLS
-from lampest.runs.held import TIME, all_columns
 
 
 class NwbExport(Export):
