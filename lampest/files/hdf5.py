@@ -172,10 +172,16 @@ def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> Non
 
 def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
     """Write an uncompressed dataset, within the metadata if it is small, otherwise with a digest; also scalars."""
-    properties, compact = h5py.h5p.create(h5py.h5p.DATASET_CREATE), data.nbytes <= 60_000  # HDF5's limit is 64 KiB
-    if compact:
+    properties, links = h5py.h5p.create(h5py.h5p.DATASET_CREATE), h5py.h5p.create(h5py.h5p.LINK_CREATE)
+    links.set_create_intermediate_group(True)
+    properties.set_obj_track_times(False)  # times would make equal contents different files
+    compact = data.nbytes <= 60_000  # HDF5's limit is 64 KiB
+    if compact:  # which h5py itself cannot request for scalars
         properties.set_layout(h5py.h5d.COMPACT)
-    dataset = group.create_dataset(name, data=data, dcpl=properties)
+    kind, space = h5py.h5t.py_create(data.dtype, logical=True), h5py.h5s.create_simple(data.shape)
+    dataset = h5py.Dataset(h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, links))
+    if data.size:
+        dataset[...] = data
     if not compact:
         set_attributes(dataset, **{DIGEST: digest_of(data)})
     return dataset

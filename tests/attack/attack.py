@@ -16,6 +16,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+import pytest
 from fuzz.batches import write_recording
 from support import invented_case
 
@@ -25,32 +26,31 @@ HOUSE = Path(__file__).parents[2]
 MAIN = "from lampest.cli import main; main()"
 LONGEST_SENTENCE = 1_000
 HELD = ""
+SEED = int(os.environ.get("ATTACK_SEED", "1"))  # another one chooses other damage
 
-Tries = Callable[[np.random.Generator, Path, int], Iterator[str]]
+Rng = np.random.Generator
+Outcomes = Iterator[str]
+Tries = Callable[[Rng, Path, int], Outcomes]
 
 
-@dataclass(frozen=True)
-class Attack:
-    """One way to do harm.
+def attack(quick: int = 1, full: int = 1) -> Callable[[Tries], Callable[..., None]]:
+    """Make a test of tries (generator, empty folder, how many), each HELD, or a sentence on what fell.
 
-    Parameters
-    ----------
-    group, name : what it is about, and in a few words what is tried.
-    tries : (generator, empty folder, how many) → for each try HELD, or a sentence on what fell.
-    quick : how many in `make test`; 0: none. full : how many in `python -m tests.attack`.
+    quick : how many in `make test`; 0: none. full : how many under the mark `soak`.
     """
+    counts = [pytest.param(quick, marks=[] if quick else pytest.mark.soak), pytest.param(full, marks=pytest.mark.soak)]
 
-    group: str
-    name: str
-    tries: Tries
-    quick: int = 1
-    full: int = 1
+    def made(tries: Tries) -> Callable[..., None]:
+        @pytest.mark.parametrize("count", counts[: 2 if full > quick else 1] if quick else counts[1:])
+        def test(tmp_path: Path, count: int) -> None:
+            outcomes = list(tries(np.random.default_rng([SEED, *tries.__name__.encode()]), tmp_path, count))
+            fallen = [outcome for outcome in outcomes if outcome != HELD]
+            assert outcomes and not fallen, f"{len(fallen)} of {len(outcomes)} fell: {fallen[:5]}"
 
-    def fallen(self, seed: int, folder: Path, count: int) -> tuple[int, list[str]]:
-        """How often it was tried, and what fell."""
-        rng = np.random.default_rng([seed, *self.name.encode()])
-        outcomes = list(self.tries(rng, folder, count))
-        return len(outcomes), [outcome for outcome in outcomes if outcome != HELD]
+        test.__doc__ = tries.__doc__
+        return test
+
+    return made
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import re
 import struct
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 from unittest.mock import patch
@@ -297,45 +298,37 @@ def matlab_file(array: Any, packed: bool) -> bytes:
 
 def changed(kind: str, style: str, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
     """One to four changes of one style to one of the good files."""
-    content = seeds[int(rng.integers(len(seeds)))]
-    count = int(rng.integers(1, 5))
+    content, count = one_of(seeds, rng), int(rng.integers(1, 5))
     if style == "meaning":
         return changed_tree({"run": RUN, "scene": SCENE, "simulation": SIMULATION}[kind], count, rng)
-    if style == "nodes":
-        return changed_nodes(content, count, rng)
-    if style == "parts":
-        return changed_parts(content, count, rng)
-    change = changed_text if style == "text" else changed_bytes
+    if style in ("nodes", "parts"):
+        return (changed_nodes if style == "nodes" else changed_parts)(content, count, rng)
     for _ in range(count):
-        content = change(content, seeds, rng)
+        content = (changed_text if style == "text" else changed_bytes)(content, seeds, rng)
     return content
 
 
+def one_of(things: Any, rng: np.random.Generator) -> Any:
+    """One thing of several."""
+    return things[int(rng.integers(len(things)))]
+
+
 def changed_bytes(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
-    """A cut, some other bytes, a hole, a piece of another file, or a large number where a size may stand."""
-    data, kind = bytearray(content), rng.integers(7)
-    at = int(rng.integers(len(data) + 1))
-    piece = int(rng.integers(1, 64))
-    if kind == 0:
-        return bytes(data[:at])
-    if kind == 1:
-        for place in rng.integers(0, max(len(data), 1), 8):
-            data[place : place + 1] = bytes([rng.integers(256)])
-    elif kind == 2:
-        data[at : at + piece] = rng.bytes(piece)
-    elif kind == 3:
-        del data[at : at + piece]
+    """A cut, a hole, other bytes, a piece of another file, a large number where a size may stand, or a turned bit."""
+    at, length, other = int(rng.integers(len(content) + 1)), int(rng.integers(1, 64)), one_of(seeds, rng)
+    start, kind = int(rng.integers(len(other) + 1)), rng.integers(7)
+    if kind < 2:
+        return content[:at] + content[at + (length if kind else len(content)) :]
+    if kind == 2:
+        places = rng.integers(0, max(len(content), 1), 8).tolist()
+        return bytes(int(rng.integers(256)) if place in places else byte for place, byte in enumerate(content))
+    if kind == 3:
+        at, piece = at // 8 * 8, one_of(BYTES, rng)
     elif kind == 4:
-        other = seeds[int(rng.integers(len(seeds)))]
-        start = int(rng.integers(len(other) + 1))
-        data[at : at + piece] = other[start : start + piece]
-    elif kind == 5:
-        token = BYTES[int(rng.integers(len(BYTES)))]
-        data[at // 8 * 8 : at // 8 * 8 + len(token)] = token
-    elif len(data):
-        place = int(rng.integers(len(data)))
-        data[place] ^= 1 << int(rng.integers(8))
-    return bytes(data)
+        piece = bytes([byte ^ 1 << int(rng.integers(8)) for byte in content[at : at + 1]])
+    else:
+        piece = rng.bytes(length) if kind == 5 else other[start : start + length]
+    return content[:at] + piece + content[at + len(piece) :]
 
 
 def changed_parts(content: bytes, count: int, rng: np.random.Generator) -> bytes:
@@ -343,7 +336,7 @@ def changed_parts(content: bytes, count: int, rng: np.random.Generator) -> bytes
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         parts = {name: archive.read(name) for name in archive.namelist()}
     for _ in range(count):
-        name = list(parts)[int(rng.integers(len(parts)))]
+        name = one_of(list(parts), rng)
         change = changed_bytes if name.endswith(".npy") else changed_text
         parts[name] = change(parts[name], (parts[name],), rng)
     stream = io.BytesIO()
@@ -357,7 +350,7 @@ def changed_text(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Genera
     """A line twice, gone or moved; a word for another; a nasty text somewhere; or a change of bytes."""
     lines, kind = content.split(b"\n"), rng.integers(7)
     words = [match.span() for match in re.finditer(rb"[^\s,:;\[\]{}']+", content)]
-    nasty = NASTY_TEXTS[int(rng.integers(len(NASTY_TEXTS)))].encode("utf-8", "surrogatepass")
+    nasty = one_of(NASTY_TEXTS, rng).encode("utf-8", "surrogatepass")
     at, other = (int(place) for place in rng.integers(0, len(lines), 2))
     if kind == 0:
         lines.insert(at, lines[other])
@@ -366,8 +359,7 @@ def changed_text(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Genera
     elif kind == 2:
         lines[at], lines[other] = lines[other], lines[at]
     elif kind in (3, 4) and words:
-        start, end = words[int(rng.integers(len(words)))]
-        first, last = words[int(rng.integers(len(words)))]
+        (start, end), (first, last) = one_of(words, rng), one_of(words, rng)
         return content[:start] + (nasty if kind == 3 else content[first:last]) + content[end:]
     elif kind == 5:
         place = int(rng.integers(len(content) + 1))
@@ -381,10 +373,8 @@ def changed_tree(tree: Any, count: int, rng: np.random.Generator) -> bytes:
     """Other values, keys and shapes in what a YAML file says; written as JSON, which is YAML too."""
     tree = json.loads(json.dumps(tree))
     for _ in range(count):
-        node, place = _somewhere(tree, rng)
-        value = copy.deepcopy(NASTY_VALUES[int(rng.integers(len(NASTY_VALUES)))])
-        other, there = _somewhere(tree, rng)
-        kind = rng.integers(5)
+        (node, place), (other, there) = _somewhere(tree, rng), _somewhere(tree, rng)
+        value, kind = copy.deepcopy(one_of(NASTY_VALUES, rng)), rng.integers(5)
         if kind == 0:
             node[place] = json.loads(json.dumps(other[there]))
         elif kind == 1 and isinstance(node, dict):
@@ -402,8 +392,7 @@ def _somewhere(tree: Any, rng: np.random.Generator) -> tuple[Any, Any]:
     """A container within the tree and a key or index of it."""
     node = tree
     while True:
-        keys = list(node) if isinstance(node, dict) else list(range(len(node)))
-        key = keys[int(rng.integers(len(keys)))]
+        key = one_of(list(node) if isinstance(node, dict) else range(len(node)), rng)
         if not isinstance(node[key], dict | list) or not node[key] or rng.random() < 0.25:
             return node, key
         node = node[key]
@@ -415,14 +404,11 @@ def changed_nodes(content: bytes, count: int, rng: np.random.Generator) -> bytes
         for _ in range(count):
             names: list[str] = []
             file.visit(names.append)
-            if not names:
-                break
-            name = names[int(rng.integers(len(names)))]
-            change = NODE_CHANGES[int(rng.integers(len(NODE_CHANGES)))]
-            try:
-                change(file, name, rng)
-            except (ValueError, TypeError, LookupError, OSError, RuntimeError, AttributeError):
-                continue
+            with (
+                suppress(ValueError, TypeError, LookupError, OSError, RuntimeError, AttributeError),
+                np.errstate(all="ignore"),
+            ):
+                one_of(NODE_CHANGES, rng)(file, one_of(names, rng), rng)
         file.flush()
         stream = io.BytesIO()
         with h5py.File(stream, "w") as fresh:
@@ -441,9 +427,7 @@ def _replaced(file: Any, name: str, data: Any = None, **how: Any) -> None:
     attributes = dict(file[name].attrs) if name in file else {}
     del file[name]
     dataset = file.create_dataset(name, data=data, **how)
-    for key in ("units", "long_name"):
-        if key in attributes:
-            dataset.attrs[key] = attributes[key]
+    dataset.attrs.update({key: attributes[key] for key in ("units", "long_name") if key in attributes})
 
 
 def _values(file: Any, name: str) -> Any:
@@ -455,83 +439,55 @@ def _values(file: Any, name: str) -> Any:
 
 def other_type(file: Any, name: str, rng: np.random.Generator) -> None:
     """The same numbers as another type, or as what is no number."""
-    values = _values(file, name)
-    kinds = ("f2", "f4", "f8", "g", "i1", "u8", ">f8", "S8", "c16", "b1", "V8")
-    kind = kinds[int(rng.integers(len(kinds)))]
-    with np.errstate(all="ignore"):
-        _replaced(file, name, np.asarray(values).astype(kind) if kind != "V8" else np.zeros(np.shape(values), kind))
+    values, kind = _values(file, name), one_of(("f2", "f4", "f8", "g", "i1", "u8", ">f8", "S8", "c16", "b1", "V8"), rng)
+    _replaced(file, name, values.astype(kind) if kind != "V8" else np.zeros(values.shape, kind))
 
 
 def other_shape(file: Any, name: str, rng: np.random.Generator) -> None:
     """One axis more, less, longer or empty; a scalar; nothing at all."""
     values = _values(file, name)
-    shapes = (
-        values[None],
-        values[:0],
-        values.ravel()[:1].reshape(()),
-        np.concatenate([values, values]),
-        values.T,
-        values[..., 0],
-    )
-    chosen = int(rng.integers(len(shapes) + 1))
-    _replaced(file, name, h5py.Empty("f8") if chosen == len(shapes) else shapes[chosen])
+    shapes = (values[None], values[:0], values.ravel()[:1].reshape(()), np.concatenate([values, values]), values.T)
+    _replaced(file, name, one_of((*shapes, values[..., 0], h5py.Empty("f8")), rng))
 
 
 def claimed(file: Any, name: str, rng: np.random.Generator) -> None:
     """A thousand million frames that are not there."""
-    shape = [10 ** int(rng.integers(3, 13)), *file[name].shape[1:]]
-    kind = ("f8", "S16", "u1")[int(rng.integers(3))] if rng.random() < 0.3 else file[name].dtype
-    _replaced(file, name, shape=tuple(shape), dtype=kind, chunks=(1024, *shape[1:]), compression="gzip", fillvalue=1)
+    shape = (10 ** int(rng.integers(3, 13)), *file[name].shape[1:])
+    kind = one_of(("f8", "S16", "u1"), rng) if rng.random() < 0.3 else file[name].dtype
+    _replaced(file, name, shape=shape, dtype=kind, chunks=(1024, *shape[1:]), compression="gzip", fillvalue=1)
 
 
 def other_values(file: Any, name: str, rng: np.random.Generator) -> None:
     """Not a number, infinite, zero, negative, huge or tiny, in one place or everywhere."""
-    value = (np.nan, np.inf, -np.inf, 0, -1, 1e308, 5e-324, 2**63)[int(rng.integers(8))]
-    dataset = file[name]
-    if dataset.size > MOST_READ:
-        return
-    where = ... if rng.random() < 0.3 else tuple(int(rng.integers(size)) for size in dataset.shape)
-    with np.errstate(all="ignore"):
+    value, dataset = one_of((np.nan, np.inf, -np.inf, 0, -1, 1e308, 5e-324, 2**63), rng), file[name]
+    if dataset.size <= MOST_READ:
+        where = ... if rng.random() < 0.3 else tuple(int(rng.integers(size)) for size in dataset.shape)
         dataset[where] = np.asarray(value).astype(dataset.dtype)
 
 
 def texts(file: Any, name: str, rng: np.random.Generator) -> None:
     """A text for what is there: variable length, long, not ASCII, nested YAML."""
-    options = (
-        "text", "é" * 10, "x" * 100_000, "\n", "{" * 1000, "a: &a [*a]", json.dumps(SCENE),
-        "!!python/object:os.system {}",
-        NASTY_TEXTS[int(rng.integers(len(NASTY_TEXTS)))].replace("\0", ""),
-    )  # fmt: skip
-    chosen = options[int(rng.integers(len(options)))]
-    if rng.random() < 0.5:
-        _replaced(file, name, chosen)
-    else:
-        _replaced(file, name, np.bytes_(chosen.encode("utf-8", "replace")))
+    options = ("text", "é" * 10, "x" * 100_000, "\n", "{" * 1000, "a: &a [*a]", json.dumps(SCENE))
+    chosen = one_of((*options, "!!python/object:os.system {}", one_of(NASTY_TEXTS, rng).replace("\0", "")), rng)
+    _replaced(file, name, chosen if rng.random() < 0.5 else np.bytes_(chosen.encode("utf-8", "replace")))
 
 
 def linked(file: Any, name: str, rng: np.random.Generator) -> None:
     """A link to nowhere, to itself, to an ancestor, to another file or to the machine's files."""
-    kind = rng.integers(7)
-    target = (
-        h5py.SoftLink("/nowhere"),
-        h5py.SoftLink(f"/{name}"),
-        h5py.SoftLink("/"),
-        h5py.ExternalLink("small.h5", "/entry"),
-    )
-    if kind < 4:
-        del file[name]
-        file[name] = target[kind]
-    elif kind == 4:
-        del file[name]
-        file[name] = h5py.ExternalLink(("/etc/passwd", "/dev/zero", "small.h5")[int(rng.integers(3))], f"/{name}")
-    elif kind == 5:
-        shape = file[name].shape
+    shape = file[name].shape if isinstance(file[name], h5py.Dataset) else (3,)
+    layout = h5py.VirtualLayout(shape=shape, dtype="f8")
+    layout[...] = h5py.VirtualSource("small.h5", "/entry/two_point/resistance", shape=shape)
+    elsewhere = one_of(("/etc/passwd", "/dev/zero", "small.h5"), rng)
+    targets = (*map(h5py.SoftLink, ("/nowhere", f"/{name}", "/")), h5py.ExternalLink("small.h5", "/entry"))
+    target = one_of((*targets, h5py.ExternalLink(elsewhere, f"/{name}"), layout, None), rng)
+    if target is None:
         _replaced(file, name, shape=shape, dtype="f8", external=[("/dev/zero", 0, 10**6)])
-    else:
-        layout = h5py.VirtualLayout(shape=file[name].shape, dtype="f8")
-        layout[...] = h5py.VirtualSource("small.h5", "/entry/two_point/resistance", shape=file[name].shape)
-        del file[name]
+        return
+    del file[name]
+    if target is layout:
         file.create_virtual_dataset(name, layout)
+    else:
+        file[name] = target
 
 
 def group_for_dataset(file: Any, name: str, rng: np.random.Generator) -> None:
@@ -546,7 +502,7 @@ def group_for_dataset(file: Any, name: str, rng: np.random.Generator) -> None:
 
 def gone(file: Any, name: str, rng: np.random.Generator) -> None:
     """Deleted, or under another name."""
-    other = ("..", ".", "a\nb", "x" * 300, "é", " ", "recording", "\x1b[31m")[int(rng.integers(8))]
+    other = one_of(("..", ".", "a\nb", "x" * 300, "é", " ", "recording", "\x1b[31m"), rng)
     if rng.random() < 0.5:
         file.move(name, f"{name.rpartition('/')[0]}/{other}")
     else:
@@ -555,29 +511,23 @@ def gone(file: Any, name: str, rng: np.random.Generator) -> None:
 
 def other_attribute(file: Any, name: str, rng: np.random.Generator) -> None:
     """An attribute that is gone, or something else."""
-    nodes = [file, *(file[part] for part in _prefixes(name))]
-    node = nodes[int(rng.integers(len(nodes)))]
-    names = [*node.attrs, "readings", "order", "published", "lampest_unfinished", "lampest_format", "joint_start"]
-    chosen = names[int(rng.integers(len(names)))]
-    values = (
-        None, 0, -1, 2**63, 1e308, np.nan, "text", "é", np.bytes_(b"\xff\xfe"), [1, 2], ["a", "b"],
-        np.zeros((2, 2)), h5py.Empty("f8"),
-        "{}", "[]", '{"LSM": 5}', '{"LSM": {"all": {"time_s": -1}}}', '{"LSM": {"none": {}}}',
-        "[" * 1000, True, 1 + 1j, "x" * 60_000,
-        np.array([b"a"], dtype=h5py.string_dtype()), np.zeros(2, [("a", "f8")]), "9" * 5000,
-    )  # fmt: skip
-    value = values[int(rng.integers(len(values)))]
+    parts = name.split("/")
+    node = one_of([file, *(file["/".join(parts[: depth + 1])] for depth in range(len(parts)))], rng)
+    further = ("readings", "order", "published", "lampest_unfinished", "lampest_format", "joint_start")
+    chosen, value = one_of([*node.attrs, *further], rng), one_of(ATTRIBUTES, rng)
     if value is None:
         del node.attrs[chosen]
     else:
         node.attrs[chosen] = value
 
 
-def _prefixes(name: str) -> list[str]:
-    parts = name.split("/")
-    return ["/".join(parts[: depth + 1]) for depth in range(len(parts))]
-
-
+ATTRIBUTES: tuple[Any, ...] = (
+    None, 0, -1, 2**63, 1e308, np.nan, "text", "é", np.bytes_(b"\xff\xfe"), [1, 2], ["a", "b"],
+    np.zeros((2, 2)), h5py.Empty("f8"),
+    "{}", "[]", '{"LSM": 5}', '{"LSM": {"all": {"time_s": -1}}}', '{"LSM": {"none": {}}}',
+    "[" * 1000, True, 1 + 1j, "x" * 60_000,
+    np.array([b"a"], dtype=h5py.string_dtype()), np.zeros(2, [("a", "f8")]), "9" * 5000,
+)  # fmt: skip
 NodeChange = Callable[[Any, str, np.random.Generator], None]
 NODE_CHANGES: tuple[NodeChange, ...] = (
     other_type, other_shape, claimed, other_values, texts, linked, group_for_dataset, gone, other_attribute,

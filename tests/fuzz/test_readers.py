@@ -1,6 +1,6 @@
 """Whatever a file holds: it is taken, or refused with one sentence.
 
-Files that are nearly right: python -m tests.attack --group inputs.
+`ATTACK_SEED=2 python -m pytest -m soak tests/fuzz tests/attack` tries other files, and many more.
 """
 
 import io
@@ -13,6 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from attack.attack import SEED
 from fuzz.mutants import RUN, SUFFIXES, Corpus, Mutant, corpus
 from fuzz.readers import FINE, REFUSED, cleared, receive
 from hypothesis import given, settings
@@ -62,11 +63,18 @@ def test_good_files_are_taken(good: Corpus, folder: Path, kind: str) -> None:
         assert receive(Mutant(kind, content), folder) == FINE
 
 
-def test_numbers_stand_for_inputs(good: Corpus, folder: Path) -> None:
+@pytest.mark.parametrize(
+    "count", [pytest.param(40, marks=pytest.mark.slow), pytest.param(2500, marks=pytest.mark.soak)]
+)
+@pytest.mark.parametrize("kind", SUFFIXES)
+def test_files_that_are_nearly_right_are_taken_or_refused(good: Corpus, folder: Path, kind: str, count: int) -> None:
+    """The number of an input stands for the same one in every process."""
     again = corpus(folder)
     cleared(folder)
-    for kind in ("run", "scene", "simulation", "setting", "table"):
-        assert all(good.mutant(number, kind) == again.mutant(number, kind) for number in range(10))
+    for number in np.random.default_rng(SEED).integers(2**31, size=count).tolist():
+        mutant = good.mutant(number, kind)
+        assert kind in ("recording", "results") or mutant == again.mutant(number, kind)
+        assert receive(mutant, folder) in (FINE, REFUSED), number
 
 
 @pytest.mark.slow

@@ -1,10 +1,9 @@
 """Libraries that are not installed: whatever needs one says how it is installed, all else works."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from attack.attack import HELD, Attack, command, drawn, small_folder
+from attack.attack import HELD, Outcomes, Rng, attack, command, drawn, small_folder
 
 # Command → the library without which it is refused; other commands are tried without it, too.
 NEEDED: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -27,7 +26,8 @@ SPARED = (
 )
 
 
-def _refused(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(2, len(NEEDED))
+def test_commands_that_need_what_is_not_installed(rng: Rng, folder: Path, count: int) -> Outcomes:
     """The commands that need a library, without it."""
     made = _made(folder)
     for _, (library, arguments) in drawn(rng, NEEDED, count):
@@ -36,7 +36,8 @@ def _refused(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str
         yield f"{' '.join(arguments)} without {library}: {fault}" if fault else HELD
 
 
-def _others(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(1, len(SPARED))
+def test_commands_that_do_not_need_what_is_not_installed(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Commands that need none of the libraries, without any of them; a table may ask for one."""
     made = _made(folder)
     missing = ",".join(library for library, _ in NEEDED)
@@ -54,9 +55,3 @@ def _made(folder: Path) -> Path:
         book.active.append(values)
     book.save(made / "sheet.xlsx")
     return made
-
-
-ATTACKS = (
-    Attack("libraries", "commands that need what is not installed", _refused, 2, len(NEEDED)),
-    Attack("libraries", "commands that do not need what is not installed", _others, 1, len(SPARED)),
-)

@@ -4,11 +4,10 @@ import contextlib
 import os
 import shutil
 import socket
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from attack.attack import HELD, Attack, called, drawn, everything, small_folder
+from attack.attack import HELD, Outcomes, Rng, attack, called, drawn, everything, small_folder
 
 from lampest import Recording, Scene, TwoPointReadout, two_point_resistance
 from lampest.recording.stored import save_parts
@@ -62,14 +61,16 @@ TWICE = (
 FILES = tuple(writer for writer in WRITERS if writer[0] not in ("run", "plot", "detect"))
 
 
-def _no_place(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(18, 18)
+def test_nothing_and_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
     """'' and / of every command that writes."""
     made = small_folder(folder / "work")
     for _, (writer, place) in drawn(rng, [(writer, place) for writer in WRITERS for place in ("", "/")], count):
         yield _untouched(made, (*writer, place))
 
 
-def _no_file(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(12, 30)
+def test_devices_pipes_sockets_folders_and_links_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A device, a pipe, a socket, a folder and a link in place of a file: opening them would wait or harm."""
     made = _beside_precious(folder, "work")
     os.mkfifo(made / "pipe.h5")
@@ -88,7 +89,8 @@ def _no_file(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str
             yield _untouched(made, (*writer, f"{kind}.h5")) or _precious(folder)
 
 
-def _over_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(6, 30)
+def test_what_is_read_as_what_is_written(rng: Rng, folder: Path, count: int) -> Outcomes:
     """What a command reads as what it writes: by its name, in another way, through another name of the same file."""
     made = _inputs(folder / "work")
     shutil.copy(made / "results.h5", made / "detections.h5")
@@ -102,7 +104,8 @@ def _over_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator
     yield _untouched(made, ("detect", "detections.h5"), "is an input")
 
 
-def _own_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(6, 100)
+def test_every_input_of_every_command_as_its_output(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Every command's output as every one of its inputs, however it is named: none is harmed."""
     tries = [(words, read) for words in TABLES for read in words if "." in read]
     for index, (words, read) in drawn(rng, tries, count):
@@ -110,7 +113,8 @@ def _own_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator[
         yield _untouched(made, tuple(read if word == "OUT" else word for word in words), read)
 
 
-def _named_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(3, len(FOLDERS))
+def test_inputs_named_as_what_is_written_into_a_folder(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A file that a command reads under the name of one that it would write into its folder."""
     for index, (words, source, *names) in drawn(rng, FOLDERS, count):
         made = _inputs(folder / f"work{index}")
@@ -130,14 +134,16 @@ def _named_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterato
         yield f"{' '.join(words)}: {fault}" if fault else HELD
 
 
-def _one_name(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_two_outputs_of_one_name(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Two outputs of one name."""
     made = small_folder(folder / "work")
     for words in TWICE:
         yield _untouched(made, words, "two outputs")
 
 
-def _parts_beside(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_files_named_as_parts_once_were(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A recording that is saved in parts, beside files that have the names that parts once had."""
     made = small_folder(folder / "work")
     for number in range(3):
@@ -168,7 +174,8 @@ def _inputs(made: Path) -> Path:
     return made
 
 
-def _lock_that_is_a_link(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_a_lock_that_is_a_link_or_a_pipe(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A run's lock that links to a file which opening it for writing would empty; or that is a pipe."""
     for kind in ("link", "pipe"):
         made = _beside_precious(folder, kind)
@@ -180,7 +187,8 @@ def _lock_that_is_a_link(rng: np.random.Generator, folder: Path, count: int) -> 
         yield _untouched(made, ("run", "run.yaml", "--jobs", "1", "--out", "out")) or _precious(folder)
 
 
-def _cases_elsewhere(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_cases_that_link_to_another_s_folder(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A folder of cases that links to another's, with unfinished files in it."""
     for fresh in ((), ("--fresh",)):
         made, other = small_folder(folder / f"work{len(fresh)}"), folder / "other"
@@ -194,7 +202,8 @@ def _cases_elsewhere(rng: np.random.Generator, folder: Path, count: int) -> Iter
         yield HELD if everything(other) == before else "the other folder is another one"
 
 
-def _parts_of_others(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_unfinished_files_of_others(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Unfinished files in the folder of results that this run did not make: they stay."""
     made = small_folder(folder / "work")
     for place in (made / "out", made / "out" / "cases"):
@@ -206,7 +215,8 @@ def _parts_of_others(rng: np.random.Generator, folder: Path, count: int) -> Iter
     yield HELD if len(kept) == 2 else "an unfinished file of another is gone"
 
 
-def _results_that_are_links(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_results_and_pictures_that_are_links(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A results file and a picture that are links: what they point at stays as it is."""
     made = _beside_precious(folder, "work")
     (made / "out").mkdir()
@@ -217,7 +227,8 @@ def _results_that_are_links(rng: np.random.Generator, folder: Path, count: int) 
     yield _untouched(made, ("plot", "results.h5")) or _precious(folder)
 
 
-def _simulation_through_a_link(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_a_simulation_s_output_that_is_a_link(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A simulation's own `output` that is a link."""
     made = _beside_precious(folder, "work")
     (made / "simulation.h5").symlink_to(folder / "precious")
@@ -241,19 +252,3 @@ def _untouched(folder: Path, arguments: tuple[str, ...], *words: str) -> str:
     changed = [name for name in before | after if before.get(name) != after.get(name)]
     fault = ended.refused(*words) or ("" if not changed else f"{changed} changed")
     return f"{' '.join(arguments)}: {fault}" if fault else HELD
-
-
-ATTACKS = (
-    Attack("writes", "nothing and / as outputs", _no_place, 18, 18),
-    Attack("writes", "devices, pipes, sockets, folders and links as outputs", _no_file, 12, 30),
-    Attack("writes", "what is read as what is written", _over_inputs, 6, 30),
-    Attack("writes", "every input of every command as its output", _own_inputs, 6, 100),
-    Attack("writes", "inputs named as what is written into a folder", _named_inputs, 3, len(FOLDERS)),
-    Attack("writes", "two outputs of one name", _one_name),
-    Attack("writes", "files named as parts once were", _parts_beside),
-    Attack("writes", "a lock that is a link or a pipe", _lock_that_is_a_link),
-    Attack("writes", "cases that link to another's folder", _cases_elsewhere),
-    Attack("writes", "unfinished files of others", _parts_of_others),
-    Attack("writes", "results and pictures that are links", _results_that_are_links, 1),
-    Attack("writes", "a simulation's output that is a link", _simulation_through_a_link, 1),
-)

@@ -6,7 +6,7 @@ from typing import Any
 
 import h5py
 import numpy as np
-from attack.attack import HELD, SIMULATION, Attack, Ended, called, drawn, printable
+from attack.attack import HELD, SIMULATION, Ended, Outcomes, Rng, attack, called, drawn, printable
 from fuzz.batches import write_recording
 from support import invented_case
 
@@ -63,7 +63,8 @@ def _tried(what: str, place: Path, commands: Commands) -> Iterator[str]:
             yield f"{what}: {' '.join(arguments)}: {fault}" if fault else HELD
 
 
-def _scenes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(4, 60)
+def test_scenes_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Scenes and simulations with such numbers: simulated, run, calibrated and looked for loads."""
     tries = [(old, new, value) for old, new in SCENES for value in EXTREME]
     for number, (old, new, value) in drawn(rng, tries, count):
@@ -77,7 +78,8 @@ def _scenes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]
         yield from _tried(what, place, RUNS + LOOKS if (place / "small.h5").is_file() else ())
 
 
-def _results(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(3, 60)
+def test_results_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Results that hold such numbers, in one place or in all."""
     names = ("cell_resistance", "relative_change", "measured", "measured_baseline", "baseline_resistance", "truth",
              "time", "sigma", "sigma_baseline", "reading_model", "objective", "solve_time")  # fmt: skip
@@ -100,7 +102,8 @@ def _results(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str
         yield from _tried(f"{name} with {'all' if whole else 'some'} {value}", place, commands)
 
 
-def _readings(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(3, 30)
+def test_readings_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Recordings of such readings, σ and times."""
     tries = [(name, value, whole) for name in ("recorded", "sigma", "time") for value in EXTREME for whole in (1, 0)]
     for number, (name, value, whole) in drawn(rng, tries, count):
@@ -114,7 +117,8 @@ def _readings(rng: np.random.Generator, folder: Path, count: int) -> Iterator[st
         yield from _tried(f"{name} of {value}", place, RUNS[:1] + LOOKS)
 
 
-def _next_to_nothing(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(1, 6)
+def test_panels_of_which_next_to_nothing_is_left(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Panels of which one cell, one row or one reading is left; and the smallest panels."""
     everywhere = [[row, column] for row in range(6) for column in range(7)]
     faults = {
@@ -160,11 +164,3 @@ def _replace(path: Path, name: str, values: Any) -> None:
 
 def _yaml(value: float) -> str:
     return {"inf": ".inf", "-inf": "-.inf", "nan": ".nan"}.get(repr(float(value)), repr(float(value)))
-
-
-ATTACKS = (
-    Attack("values", "scenes with numbers of no panel", _scenes, 4, 60),
-    Attack("values", "results with numbers of no panel", _results, 3, 60),
-    Attack("values", "readings with numbers of no panel", _readings, 3, 30),
-    Attack("values", "panels of which next to nothing is left", _next_to_nothing, 1, 6),
-)

@@ -3,13 +3,12 @@
 import dataclasses
 import datetime
 import inspect
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from attack.attack import HELD, Attack
+from attack.attack import HELD, Outcomes, Rng, attack
 
 import lampest
 from lampest.files.typed import Validated
@@ -25,7 +24,8 @@ MADE_BY_LAMPEST = {
 }
 
 
-def _classes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(3, len(WRONG))
+def test_wrong_values_at_every_field_of_every_public_class(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Every field of every public class that a user makes; estimators have sentences of their own."""
     recording = lampest.datasets.load("rod")
     good: dict[str, dict[str, Any]] = {
@@ -45,7 +45,8 @@ def _classes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str
                 yield _refused(kind, f"{name}: {word}", good.get(name, {}) | {word: WRONG[index]})
 
 
-def _functions(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(3, len(WRONG))
+def test_wrong_values_at_public_functions(rng: Rng, folder: Path, count: int) -> Outcomes:
     """The first argument of every public function."""
     for name in sorted(lampest.__all__):
         function = getattr(lampest, name)
@@ -58,7 +59,8 @@ def _functions(rng: np.random.Generator, folder: Path, count: int) -> Iterator[s
                 yield _refused(partial(function, WRONG[index]), name, given)
 
 
-def _meant(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_what_once_was_taken_silently(rng: Rng, folder: Path, count: int) -> Outcomes:
     """What once was taken silently."""
     recording = lampest.datasets.load("rod")
     fields = {name: getattr(recording, name) for name in ("scene", "recorded", "time", "role")}
@@ -86,10 +88,3 @@ def _refused(make: Any, what: str, given: dict[str, Any], must: bool = False) ->
     except Exception as error:
         return f"{what}: {type(error).__name__}: {error}"
     return f"{what}: is taken" if must else HELD
-
-
-ATTACKS = (
-    Attack("types", "wrong values at every field of every public class", _classes, 3, len(WRONG)),
-    Attack("types", "wrong values at public functions", _functions, 3, len(WRONG)),
-    Attack("types", "what once was taken silently", _meant),
-)

@@ -3,12 +3,11 @@
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
 import numpy as np
-from attack.attack import HELD, Attack, Ended, command, small_folder
+from attack.attack import HELD, Ended, Outcomes, Rng, attack, command, small_folder
 from fuzz.mutants import good_recordings
 
 MEGABYTES, SECONDS = 900, 60  # of a command; with its libraries it has 150, and machines have other things to do
@@ -21,7 +20,8 @@ WIDE = "panel: {rows: 1, columns: 60001}\nreadout: {kind: two_point, noise_lsb: 
 TABLE = ("--rows", "3", "--columns", "4", "--out", "out.h5")
 
 
-def _labels(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_texts_that_are_one_long_text_many_times(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A list of texts without a fixed length of which all are the same long one."""
     path = folder / "small.h5"
     path.write_bytes(good_recordings(folder)[0])
@@ -48,7 +48,8 @@ def _place(whole: bytearray, length: int) -> int:
     return place
 
 
-def _packed_matrix(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_a_compressed_matrix_of_390_mb_in_a_mat_file(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A matrix of 390 MB in a .mat file of 400 kB: whole numbers of one byte, so that eight times as many come out."""
     values = 390_000_000 // 12 * 12
     head = struct.pack("<IIIIIIiiiiIIII", 6, 8, 9, 0, 5, 12, values // 12, 3, 4, 0, 1, 1, ord("a"), 0)
@@ -61,13 +62,15 @@ def _packed_matrix(rng: np.random.Generator, folder: Path, count: int) -> Iterat
     yield _bounded(command("import", "bomb.mat", *TABLE, folder=folder, seconds=SECONDS), "bomb.mat")
 
 
-def _packed_arrays(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_a_compressed_array_of_480_mb_in_an_npz_file(rng: Rng, folder: Path, count: int) -> Outcomes:
     """An array of 480 MB in an .npz file of 500 kB."""
     np.savez_compressed(folder / "bomb.npz", a=np.zeros((40_000_000, 3, 4), dtype=np.uint8))
     yield _bounded(command("import", "bomb.npz", *TABLE, folder=folder, seconds=SECONDS), "bomb.npz")
 
 
-def _newlines(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(0, 1)
+def test_200_mb_of_line_ends(rng: Rng, folder: Path, count: int) -> Outcomes:
     """200 MB of line ends."""
     with (folder / "lines.csv").open("wb") as stream:
         for _ in range(200):
@@ -75,7 +78,8 @@ def _newlines(rng: np.random.Generator, folder: Path, count: int) -> Iterator[st
     yield _bounded(command("import", "lines.csv", *TABLE, folder=folder, seconds=SECONDS), "lines.csv")
 
 
-def _long_columns(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(0, 1)
+def test_a_column_of_400_000_rows_in_an_xlsx_file(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A column of 400 000 rows in a sheet of 2 MB, which is no table of a panel."""
     parts = {
         "[Content_Types].xml": '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types"><Default '
@@ -99,7 +103,8 @@ def _long_columns(rng: np.random.Generator, folder: Path, count: int) -> Iterato
     yield ended.refused("1 fields") or ended.within(ROWS_SECONDS, MEGABYTES)
 
 
-def _wide_panels(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_panels_of_1_60001_cells(rng: Rng, folder: Path, count: int) -> Outcomes:
     """1 × 60001 cells, whose lines' impedance has 29 GB, in commands that need it; a look at the file does not."""
     made = small_folder(folder / "work")
     scene = "\n".join(f"  {line}" for line in WIDE.splitlines())
@@ -123,7 +128,8 @@ def _wide_panels(rng: np.random.Generator, folder: Path, count: int) -> Iterator
     yield ended.within(SECONDS, MEGABYTES) if sentence else ended.said("a run of a wide panel")
 
 
-def _told(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(0, 1)
+def test_sizes_that_are_none(rng: Rng, folder: Path, count: int) -> Outcomes:
     """What is no size is refused in a sentence."""
     made = small_folder(folder / "work")
     for word in ("", "-1GB", "0", "lots", "1e9", "nan"):
@@ -132,14 +138,3 @@ def _told(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
 
 def _bounded(ended: Ended, *words: str) -> str:
     return ended.refused(*words) or ended.within(SECONDS, MEGABYTES) or HELD
-
-
-ATTACKS = (
-    Attack("memory", "texts that are one long text many times", _labels),
-    Attack("memory", "a compressed matrix of 390 MB in a .mat file", _packed_matrix),
-    Attack("memory", "a compressed array of 480 MB in an .npz file", _packed_arrays),
-    Attack("memory", "200 MB of line ends", _newlines, 0),
-    Attack("memory", "a column of 400 000 rows in an .xlsx file", _long_columns, 0),
-    Attack("memory", "panels of 1 × 60001 cells", _wide_panels),
-    Attack("memory", "sizes that are none", _told, 0),
-)

@@ -1,12 +1,12 @@
 """Damaged files: what is read from them is what was written, or nothing is."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-from attack.attack import HELD, Attack, called, command, small_folder
+from attack.attack import HELD, Outcomes, Rng, Tries, attack, called, command, small_folder
 from fuzz.mutants import good_recordings, good_results, without_checksums
 from unclosed import unclosed_recording
 
@@ -20,8 +20,8 @@ MOST_ADDRESSES = 3_000_000_000
 FILES_AT_ONCE = 40  # of one command, which has two minutes for them however busy the machine is
 
 
-def _flipped(name: str, reader: Reader, make: Callable[[Path], bytes]) -> Callable[..., Iterator[str]]:
-    def tries(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+def _flipped(name: str, reader: Reader, make: Callable[[Path], bytes]) -> Tries:
+    def tries(rng: Rng, folder: Path, count: int) -> Outcomes:
         """A few bits of a file are turned: it is refused in a sentence, or read as what was written."""
         whole, path = make(folder), folder / name
         path.write_bytes(whole)
@@ -36,8 +36,8 @@ def _flipped(name: str, reader: Reader, make: Callable[[Path], bytes]) -> Callab
     return tries
 
 
-def _cut(name: str, reader: Reader, make: Callable[[Path], bytes]) -> Callable[..., Iterator[str]]:
-    def tries(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+def _cut(name: str, reader: Reader, make: Callable[[Path], bytes]) -> Tries:
+    def tries(rng: Rng, folder: Path, count: int) -> Outcomes:
         """A file that ends early, lost a page in its middle, or has one twice."""
         whole, path = make(folder), folder / name
         path.write_bytes(whole)
@@ -93,7 +93,8 @@ def _unsealed(folder: Path) -> bytes:
     return bytes(without_checksums(good_recordings, folder)[0])
 
 
-def _older_files(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_files_without_checksums(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Files with datasets of another program are read; `check` says that nothing vouches for them."""
     made = small_folder(folder / "work")
     for name in ("small.h5", "results.h5"):
@@ -106,7 +107,8 @@ def _older_files(rng: np.random.Generator, folder: Path, count: int) -> Iterator
         yield HELD if called("info", name, folder=made).code == 0 else f"{name}: info refuses"
 
 
-def _named(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_a_bit_in_each_dataset(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A turned bit in each dataset: `check` names it, and whatever reads it; what does not, says what was written."""
     made = small_folder(folder / "work")
     with h5py.File(made / "small.h5") as file:
@@ -136,7 +138,8 @@ def _place(node: Any) -> int | None:
     return Path(node.file.filename).read_bytes().index(node[()].tobytes(), header)
 
 
-def _allocations(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(0, 400)
+def test_sizes_in_files_without_checksums(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Bits turned in a file of an older version, read with little memory: a sentence or its numbers, never a crash."""
     whole = _unsealed(folder)
     structure = [place for place in range(len(whole)) if whole[place] not in (0, 255)][:6000]
@@ -153,7 +156,8 @@ def _allocations(rng: np.random.Generator, folder: Path, count: int) -> Iterator
             yield HELD if fine else ended.said("an older file, damaged")
 
 
-def _unclosed(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(20, 400)
+def test_bits_pages_and_tails_of_an_unclosed_recording(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A killed recorder's file, damaged: refused or read as it was; repair keeps only what was written."""
     path = unclosed_recording(folder / "e.h5", Scene(Panel(3, 4), TwoPointReadout(), 140.0), 12, unloaded=3)
     whole, meant = path.read_bytes(), Recording.load(path)
@@ -193,7 +197,8 @@ def _datasets(file: h5py.File) -> list[str]:
     return paths
 
 
-def _shapes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(20, 400)
+def test_datasets_of_another_shape_or_type(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A dataset is a single value, empty, text, or has an axis more: every reader refuses it in a sentence or reads."""
     made = small_folder(folder / "work")
     whole = {name: (made / name).read_bytes() for name in ("small.h5", "results.h5")}
@@ -213,14 +218,13 @@ def _shapes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]
         yield f"{word}, {path}: {fault}" if (fault := ended.survived()) else HELD
 
 
-ATTACKS = (
-    Attack("damage", "bits of a recording", _flipped("a.h5", Recording.load, _recording), 100, 2500),
-    Attack("damage", "bits of results", _flipped("b.h5", read_results, good_results), 50, 2500),
-    Attack("damage", "a recording with pages lost or doubled", _cut("c.h5", Recording.load, _recording), 40, 400),
-    Attack("damage", "results with pages lost or doubled", _cut("d.h5", read_results, good_results), 20, 400),
-    Attack("damage", "bits, pages and tails of an unclosed recording", _unclosed, 20, 400),
-    Attack("damage", "a bit in each dataset", _named),
-    Attack("damage", "datasets of another shape or type", _shapes, 20, 400),
-    Attack("damage", "files without checksums", _older_files),
-    Attack("damage", "sizes in files without checksums", _allocations, 0, 400),
-)
+test_bits_of_a_recording = attack(100, 2500)(_flipped("a.h5", Recording.load, _recording))
+
+
+test_bits_of_results = attack(50, 2500)(_flipped("b.h5", read_results, good_results))
+
+
+test_a_recording_with_pages_lost_or_doubled = attack(40, 400)(_cut("c.h5", Recording.load, _recording))
+
+
+test_results_with_pages_lost_or_doubled = attack(20, 400)(_cut("d.h5", read_results, good_results))

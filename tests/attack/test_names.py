@@ -1,17 +1,17 @@
 """Names that would move the cursor, paint, or pretend to be another line: what reaches a terminal is plain."""
 
 import ast
-from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
 import numpy as np
-from attack.attack import HELD, HOUSE, Attack, called, printable, small_folder
+from attack.attack import HELD, HOUSE, Outcomes, Rng, attack, called, printable, small_folder
 
 SIGNS = ("\x1b[2J", "\x1b]0;mine\x07", "\r", "\n", "\x9b31m", "\u202e", "\u2028", "\x7f", "\b\b\b", "[bold]", "\udc80")
 
 
-def _files(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(2, len(SIGNS))
+def test_files_with_signs_for_a_terminal(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Files of such names, read, written and refused."""
     for number in rng.permutation(len(SIGNS))[:count]:
         sign = SIGNS[number]
@@ -34,7 +34,8 @@ def _files(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
             yield HELD if plain and not lines else ended.said(f"{arguments[0]} with {sign!r}")
 
 
-def _attributes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(2, len(SIGNS))
+def test_texts_in_files_with_signs_for_a_terminal(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Texts within results and recordings: sentences, versions, names of groups, labels, scenes."""
     for number in rng.permutation(len(SIGNS))[:count]:
         sign = SIGNS[number].encode("utf-8", "replace").decode()
@@ -67,16 +68,10 @@ def _attributes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[
             yield HELD if plain else ended.said(f"{arguments[0]} with {sign!r} inside")
 
 
-def _one_way_out(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack()
+def test_ways_around_the_one_function_that_shows_names(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Nobody in the package prints but the functions of cli/screen.py that escape."""
     for path in sorted((HOUSE / "lampest").rglob("*.py")):
         calls = [node.func for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
         prints = any(isinstance(call, ast.Name) and call.id == "print" for call in calls)
         yield HELD if not prints or path.name == "screen.py" else f"{path} prints by itself"
-
-
-ATTACKS = (
-    Attack("names", "files with signs for a terminal", _files, 2, len(SIGNS)),
-    Attack("names", "texts in files with signs for a terminal", _attributes, 2, len(SIGNS)),
-    Attack("names", "ways around the one function that shows names", _one_way_out),
-)

@@ -17,7 +17,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from attack.attack import HELD, HOUSE, MAIN, Attack, command
+from attack.attack import HELD, HOUSE, MAIN, Outcomes, Rng, attack, command
 from wild_board import Script, WildBoard, hundred_a_second, wild_board, wire
 
 from lampest import InputError, Recording
@@ -38,7 +38,7 @@ MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin:/
 Said = Callable[[Hello, int], bytes]
 
 
-def _sayings(rng: np.random.Generator) -> tuple[Said, ...]:
+def _sayings(rng: Rng) -> tuple[Said, ...]:
     """What a line may say in place of frame `number`."""
     return (
         lambda hello, number: wire(hello, number),
@@ -53,7 +53,7 @@ def _sayings(rng: np.random.Generator) -> tuple[Said, ...]:
     )
 
 
-def _script(rng: np.random.Generator) -> Script:
+def _script(rng: Rng) -> Script:
     """Some of the sayings, in any mixture, at any rate up to as fast as the line takes them."""
     sayings = _sayings(rng)
     weights = rng.dirichlet(np.full(len(sayings), 0.3))
@@ -66,7 +66,8 @@ def _script(rng: np.random.Generator) -> Script:
     return script
 
 
-def _floods(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(3, 100)
+def test_floods_replays_wraps_and_garbage_on_a_serial_line(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A line of random sayings: recording ends in time, with a sentence or with frames whose losses are counted."""
     for number in range(count):
         out = folder / f"{number}.h5"
@@ -92,7 +93,8 @@ def _ended(port: str, out: Path, wanted: dict[str, float]) -> str:
     return HELD
 
 
-def _noise(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(1, 20)
+def test_noise_in_which_answers_are_lost_jumps_of_the_clock(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Good frames among bursts of garbage in which answers are lost, and jumps of the clock by up to 10 s."""
     for number in range(count):
         jumps: list[int] = []
@@ -109,7 +111,7 @@ def _noise(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
         yield HELD if not wrong else f"{done.lost} lost, {done.restarts} restarts, {len(labels)} jumps of {jumps}"
 
 
-def _noisy(rng: np.random.Generator, board: WildBoard, hello: Hello, jumps: list[int]) -> Iterator[tuple[float, bytes]]:
+def _noisy(rng: Rng, board: WildBoard, hello: Hello, jumps: list[int]) -> Iterator[tuple[float, bytes]]:
     ahead = 60_000
     for number in from_zero():
         chance = rng.random()
@@ -123,13 +125,14 @@ def _noisy(rng: np.random.Generator, board: WildBoard, hello: Hello, jumps: list
         yield 0.005, wire(hello, number, ahead + 10 * number)
 
 
-def _kills(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(1, 100)
+def test_recorders_killed_at_any_moment(rng: Rng, folder: Path, count: int) -> Outcomes:
     """SIGKILL to a recorder at any moment: every frame that it counted is read, in order, before and after repair."""
     for number in range(count):
         yield _killed(rng, folder / f"{number}.h5")
 
 
-def _killed(rng: np.random.Generator, out: Path) -> str:
+def _killed(rng: Rng, out: Path) -> str:
     script = (
         "import sys; from pathlib import Path; from lampest.recording.board.record import record\n"
         "tell = lambda now: print(now.frames, flush=True)\n"
@@ -169,7 +172,8 @@ def _running(*words: object) -> Iterator["subprocess.Popen[str]"]:
             process.kill()
 
 
-def _day(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(0, 8)
+def test_thousands_of_frames_of_a_day_at_10_a_second(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Parts of a day at 10 frames a second, over the wrap of the board's clock, as fast as the line takes them."""
     sizes = {}
     for frames in (PART, (count + 1) * PART):
@@ -194,7 +198,8 @@ def _hurried(hello: Hello) -> Iterator[tuple[float, bytes]]:
         yield 0.0, wire(hello, number, 2**32 - 50_000 + 100 * number)
 
 
-def _flood(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(0, 5)
+def test_a_flood_tenths_of_a_minute(rng: Rng, folder: Path, count: int) -> Outcomes:
     """As many bytes of garbage as the line takes for so many tenths of a minute, good frames among them."""
     junk = [rng.bytes(4000) for _ in range(20)]
 
@@ -215,7 +220,8 @@ def _flood(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     yield HELD if sizes[-1] < sizes[0] + 30 else f"{sizes[0]:.0f} MB, then {sizes[-1]:.0f} MB"
 
 
-def _guests(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(20, 500)
+def test_guests_without_the_token_before_a_board_at_every_address(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A live page at all addresses before a board: nobody sees, tares or records without the token, by any address."""
     with wild_board(hundred_a_second) as board, _page(folder, board.port) as where:
         addresses = sorted({"127.0.0.1", *_addresses()})
@@ -269,7 +275,8 @@ def _asked(host: str, where: int, method: str, path: str, headers: dict[str, str
         return answer.status, answer.read(200)
 
 
-def _pauses(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+@attack(1, 10)
+def test_pauses_of_a_broker(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A broker pauses for one to three seconds: what was sent meanwhile is lost, but for the first 0.2 s."""
     from paho.mqtt.client import Client
     from paho.mqtt.enums import CallbackAPIVersion
@@ -311,14 +318,3 @@ def _reached(client: Any) -> bool:
     with suppress(OSError):
         return bool(client.reconnect() == 0)
     return False
-
-
-ATTACKS = (
-    Attack("boards", "floods, replays, wraps and garbage on a serial line", _floods, quick=3, full=100),
-    Attack("boards", "noise in which answers are lost, jumps of the clock", _noise, quick=1, full=20),
-    Attack("boards", "recorders killed at any moment", _kills, quick=1, full=100),
-    Attack("boards", "thousands of frames of a day at 10 a second", _day, quick=0, full=8),
-    Attack("boards", "a flood, tenths of a minute", _flood, quick=0, full=5),
-    Attack("page", "guests without the token before a board, at every address", _guests, quick=20, full=500),
-    Attack("page", "pauses of a broker", _pauses, quick=1, full=10),
-)
