@@ -6,21 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lampest.cli.screen import (
-    INTERRUPTED,
-    Amount,
-    Assign,
-    AssignToScene,
-    Count,
-    Output,
-    option,
-    positive,
-    progress,
-    say,
-    say_text,
-    scene_of,
-    warn,
-)
+from lampest.cli import screen
 from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,20 +14,22 @@ if TYPE_CHECKING:
     from lampest.recording.board.record import Progress, Recorded
 
 PORT = "Serial port such as /dev/ttyACM0, or a URL. Default: the Arduino. Repeat it for each module, in order."
-Port = Annotated[list[str] | None, option(PORT)]
-SceneFile = Annotated[Path | None, option("YAML file of the scene. Default: the board's settings.")]
-Frames = Annotated[int | None, option("Stop after this number of frames, such as 600.", min=1)]
-Period = Annotated[float | None, option("Seconds between frames, such as 0.1. Default: 1.", callback=positive)]
+Port = Annotated[list[str] | None, screen.option(PORT)]
+SceneFile = Annotated[Path | None, screen.option("YAML file of the scene. Default: the board's settings.")]
+Frames = Annotated[int | None, screen.option("Stop after this number of frames, such as 600.", min=1)]
+Period = Annotated[
+    float | None, screen.option("Seconds between frames, such as 0.1. Default: 1.", callback=screen.positive)
+]
 
 
 def record(
-    out: Output = None,
+    out: screen.Output = None,
     port: Port = None,
     count: Frames = None,
-    seconds: Amount = None,
+    seconds: screen.Amount = None,
     scene: SceneFile = None,
-    assign: AssignToScene = None,
-    baseline: Annotated[int, option(min=0)] = 0,
+    assign: screen.AssignToScene = None,
+    baseline: Annotated[int, screen.option(min=0)] = 0,
     period: Period = None,
     list_: bool = False,
 ) -> None:
@@ -63,17 +51,17 @@ def record(
 
     if list_:
         for device in (available := ports()):
-            say(f"{device.url}  {device.description}{'  (looks like an Arduino)' if device.likely else ''}")
+            screen.say(f"{device.url}  {device.description}{'  (looks like an Arduino)' if device.likely else ''}")
         if not available:
-            say("there is no serial port", to=sys.stderr)
+            screen.say("there is no serial port", to=sys.stderr)
         return
     if out is None:
         raise InputError("--out: name the new recording")
     if count is not None and seconds is not None:
         raise InputError("--count and --seconds: give one of them")
     options: dict[str, Any] = {"frames": count, "seconds": seconds, "baseline": baseline, "period": period}
-    agreed = scene_of(scene, assign)
-    with pressed_keys() as keys, progress("waiting for the board") as show:
+    agreed = screen.scene_of(scene, assign)
+    with pressed_keys() as keys, screen.progress("waiting for the board") as show:
 
         def on_progress(at: "Progress") -> None:
             time = "" if at.sample is None else f" at {at.sample.time:.1f} s"
@@ -89,7 +77,7 @@ def calibrate(
     loads: Path | None = None,
     from_recording: bool = False,
     tolerance: float = 0.01,
-    out: Output = None,
+    out: screen.Output = None,
 ) -> None:
     """Calibrate the electronics with known resistors or many loads, or the film with known loads, and write a scene.
 
@@ -122,7 +110,7 @@ def calibrate(
         raise InputError(f"--known: give one for each of the {len(files)} files, or one for all")
     recordings = [Recording.load(file) for file in files]
     calibration: Calibration
-    with progress("calibrating"):
+    with screen.progress("calibrating"):
         if loads is not None:
             from lampest.estimate.calibration.known_loads import read_known_loads
             from lampest.estimate.calibration.loads import calibrate_loads
@@ -140,12 +128,12 @@ def calibrate(
             tables = [known_resistors(word, recording.scene.panel) for recording, word in named]
             calibration = calibrate_resistors(recordings, tables, tolerance)
     if out is None:
-        say_text(calibration.text().removesuffix("\n"))
+        screen.say_text(calibration.text().removesuffix("\n"))
     else:
         write_whole(out, calibration.text())
-        say(f"{calibration.summary}: {out}")
+        screen.say(f"{calibration.summary}: {out}")
     for warning in calibration.warnings:
-        warn(warning)
+        screen.warn(warning)
 
 
 def live(
@@ -153,16 +141,16 @@ def live(
     recording: Path | None = None,
     estimator: str | None = None,
     config: Path | None = None,
-    assign: Assign = None,
-    speed: Annotated[float, option(callback=positive)] = 1.0,
+    assign: screen.Assign = None,
+    speed: Annotated[float, screen.option(callback=screen.positive)] = 1.0,
     http: str = "127.0.0.1:8137",
-    token: Annotated[str | None, option(envvar="LAMPEST_TOKEN")] = None,
+    token: Annotated[str | None, screen.option(envvar="LAMPEST_TOKEN")] = None,
     count: Frames = None,
-    baseline: Count = 3,
+    baseline: screen.Count = 3,
     scene: SceneFile = None,
     period: Period = None,
-    out: Output = None,
-    publish: Annotated[list[str] | None, option(metavar="WHERE")] = None,
+    out: screen.Output = None,
+    publish: Annotated[list[str] | None, screen.option(metavar="WHERE")] = None,
 ) -> None:
     """Reconstruct frames as they arrive and show them in the browser.
 
@@ -195,16 +183,16 @@ def live(
         raise InputError("--recording: --port, --scene, --period and --out are for a board")
     if assign and config is None:
         raise InputError("--set: overrides entries of a run's file; name one with --config")
-    source: LiveBoard | Replay = LiveBoard(tuple(port or ()), scene_of(scene, None), baseline, period, out)
+    source: LiveBoard | Replay = LiveBoard(tuple(port or ()), screen.scene_of(scene, None), baseline, period, out)
     if recording is not None:
         source = Replay(recording, speed, baseline)
 
     def on_address(url: str) -> None:
-        say(f"{url}  (Ctrl-C ends)" if url.startswith("http") else url)
+        screen.say(f"{url}  (Ctrl-C ends)" if url.startswith("http") else url)
 
     with ending_signals():  # every end of the command sends the board its command to stop
         estimators, outlets = chosen(estimator, config, tuple(assign or ())), Outlets(http, token, publish or ())
-        done = run_live(source, estimators, outlets, count, on_address, warn)
+        done = run_live(source, estimators, outlets, count, on_address, screen.warn)
     if done is not None:
         report_recorded(done)
 
@@ -215,7 +203,7 @@ def report_recorded(done: "Recorded") -> None:
     Raises typer.Exit with code 130 for an interrupted recording.
     """
     noise = "" if done.noise_lsb is None else f", noise of one reading {done.noise_lsb:.2f} LSB"
-    say(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
+    screen.say(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
     jumps = "1 jump" if done.clock_jumps == 1 else f"{done.clock_jumps} jumps"
     parted, behind = (f"{count} of the {done.frames} frames" for count in (done.parted, done.behind))
     bare = done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm
@@ -239,6 +227,6 @@ def report_recorded(done: "Recorded") -> None:
         ),
     ):
         if true:
-            warn(sentence)
+            screen.warn(sentence)
     if done.ended_by:
-        raise typer.Exit(INTERRUPTED)
+        raise typer.Exit(screen.INTERRUPTED)

@@ -6,23 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from lampest.cli.screen import (
-    SOME_FAILED,
-    Amount,
-    Assign,
-    AssignToScene,
-    Count,
-    NewFile,
-    Output,
-    as_options,
-    option,
-    print_notes,
-    progress,
-    say,
-    say_text,
-    scene_of,
-    warn,
-)
+from lampest.cli import screen
 from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,14 +16,14 @@ if TYPE_CHECKING:
     from lampest.runs.config import Case
 
 
-Lines = Annotated[int | None, option(min=1)]
+Lines = Annotated[int | None, screen.option(min=1)]
 
 
 def init(
     folder: Annotated[Path, typer.Argument(metavar="DIR")] = Path(),
-    readout: Annotated[str, option(metavar="CIRCUIT")] = "two_mux",
-    rows: Count = 10,
-    columns: Count = 10,
+    readout: Annotated[str, screen.option(metavar="CIRCUIT")] = "two_mux",
+    rows: screen.Count = 10,
+    columns: screen.Count = 10,
     purpose: str | None = None,
 ) -> None:
     """Write starter files for your circuit: a scene, a run, a simulated recording and its simulation.
@@ -61,12 +45,14 @@ def init(
 
     circuit = circuit_called(readout)
     for path in write_starter(folder, readout, rows, columns, purpose):
-        say(path)
+        screen.say(path)
     run, scene = folder / RUN, folder / SCENE
-    say_text(f"\nthe wiring that {scene} describes ({circuit.kind}); another one: lampest init --readout CIRCUIT")
-    say_text(circuit.sketch)
-    say(f"software: {circuit.software}")
-    say_text(
+    screen.say_text(
+        f"\nthe wiring that {scene} describes ({circuit.kind}); another one: lampest init --readout CIRCUIT"
+    )
+    screen.say_text(circuit.sketch)
+    screen.say(f"software: {circuit.software}")
+    screen.say_text(
         f"\nnow: lampest run {run}                    ({RECORDING}, simulated for this circuit)"
         f"\n     lampest plot results/{run.stem}/results.h5 --show change"
         f"\nthen, with the numbers of your circuit in {scene}:"
@@ -76,9 +62,9 @@ def init(
 
 def run(
     config: Path,
-    out: Output = None,
-    assign: Assign = None,
-    jobs: Annotated[int | None, option(min=1)] = None,
+    out: screen.Output = None,
+    assign: screen.Assign = None,
+    jobs: Annotated[int | None, screen.option(min=1)] = None,
     fresh: bool = False,
     yes: bool = False,
 ) -> None:
@@ -107,22 +93,22 @@ def run(
         refuse_large(cases.cases)
     limited = any(case.estimator.solver.time_limit_s is not None for case in cases.cases)
     for name, text in cases.assumed:
-        warn(f"{name}: {text} assumed; the scene does not say")
+        screen.warn(f"{name}: {text} assumed; the scene does not say")
     executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases), separate=limited)
-    with progress("frames", counted=True) as on_frames:
+    with screen.progress("frames", counted=True) as on_frames:
         report = run_batch(cases, out or Path("results") / config.stem, executor, fresh=fresh, on_frames=on_frames)
     counts = f"{counted(report.done, 'case')} solved, {report.skipped} were done before, {len(report.failed)} failed"
-    say(f"{counts}: {report.results or 'no results'}")
+    screen.say(f"{counts}: {report.results or 'no results'}")
     if report.aside:
-        warn(f"existing results of other cases were renamed: {report.aside}")
-    print_notes(f"warning: {line}" for line in report.warnings)
+        screen.warn(f"existing results of other cases were renamed: {report.aside}")
+    screen.print_notes(f"warning: {line}" for line in report.warnings)
     for name, sentence in report.failed:
-        warn(f"{name} failed: {sentence}")
+        screen.warn(f"{name} failed: {sentence}")
     if report.lost:
         left = f"{counted(report.not_run, 'case')} were not run: {report.lost}; repeat the command to run them"
-        warn(left)
+        screen.warn(left)
     if report.failed or report.not_run:
-        raise typer.Exit(SOME_FAILED)
+        raise typer.Exit(screen.SOME_FAILED)
 
 
 def refuse_large(cases: "Sequence[Case]") -> None:
@@ -145,7 +131,7 @@ def refuse_large(cases: "Sequence[Case]") -> None:
             )
 
 
-def simulate(config: Path, out: Output = None, assign: Assign = None) -> None:
+def simulate(config: Path, out: screen.Output = None, assign: screen.Assign = None) -> None:
     """Simulate recordings with known truth from a scene.
 
     Parameters
@@ -157,24 +143,24 @@ def simulate(config: Path, out: Output = None, assign: Assign = None) -> None:
     """
     from lampest.recording.simulation import run as run_simulation
 
-    with progress("frames", counted=True) as on_frame:
+    with screen.progress("frames", counted=True) as on_frame:
         written_files = run_simulation(config, out, on_frame, tuple(assign or ()))
     for path in written_files:
-        say(path)
+        screen.say(path)
 
 
 def import_(
     file: Path,
-    out: NewFile,
+    out: screen.NewFile,
     rows: Lines = None,
     columns: Lines = None,
     scene: Path | None = None,
-    assign: AssignToScene = None,
+    assign: screen.AssignToScene = None,
     unit: str | None = None,
-    period: Amount = None,
+    period: screen.Amount = None,
     time_unit: Literal["s", "ms", "us"] | None = None,
     missing: str = "mark",
-    baseline: Annotated[int, option(min=0)] = 0,
+    baseline: Annotated[int, screen.option(min=0)] = 0,
     transpose: bool = False,
     variable: str | None = None,
     layout: str | None = None,
@@ -213,7 +199,7 @@ def import_(
     from lampest.recording.foreign.importing import import_file
     from lampest.report.info import understood_lines
 
-    agreed = scene_of(scene, assign)
+    agreed = screen.scene_of(scene, assign)
     options: dict[str, Any] = {
         "transpose": transpose,
         "variable": variable,
@@ -221,15 +207,15 @@ def import_(
         "missing": missing,
         "layout": layout,
     }
-    with progress("reading"):
+    with screen.progress("reading"):
         recording, notes = import_file(file, rows, columns, agreed, unit, baseline, time_unit=time_unit, **options)
         recording.save(out)
     for line in understood_lines(recording, notes):
-        say(as_options(line))
-    say(out)
+        screen.say(screen.as_options(line))
+    screen.say(out)
 
 
-def tare(file: Path, frames: Annotated[str, option()], out: NewFile) -> None:
+def tare(file: Path, frames: Annotated[str, screen.option()], out: screen.NewFile) -> None:
     """Choose new baseline frames; all other frames become measured ones, and no reading changes.
 
     Parameters
@@ -247,6 +233,6 @@ def tare(file: Path, frames: Annotated[str, option()], out: NewFile) -> None:
     named = frames_named(frames, len(recording.role))
     made, change = tared(recording, named)
     made.save(out)
-    say(f"unloaded: frames {named[0]} to {named[-1]}: {out}")
+    screen.say(f"unloaded: frames {named[0]} to {named[-1]}: {out}")
     if change > MIN_CHANGE:
-        warn(f"readings change by up to {100 * change:.1f} % within these frames; did a load come or go?")
+        screen.warn(f"readings change by up to {100 * change:.1f} % within these frames; did a load come or go?")

@@ -7,18 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lampest.cli.screen import (
-    WRONG_INPUT,
-    Amount,
-    Output,
-    option,
-    print_notes,
-    print_table,
-    progress,
-    say,
-    say_text,
-    warn,
-)
+from lampest.cli import screen
 from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,11 +16,11 @@ if TYPE_CHECKING:
     from lampest.report.detect.answer import Detected
     from lampest.report.detect.pressed import PressedCells
 
-FramesNamed = Annotated[str | None, option("Range of frames: 40:50 is 40 to 49.", metavar="RANGE")]
+FramesNamed = Annotated[str | None, screen.option("Range of frames: 40:50 is 40 to 49.", metavar="RANGE")]
 
 
 def _frames(text: str | None) -> range | None:
-    """Return the frames that an option names, or None for all. Raises InputError unless it names some."""
+    """Return the frames that an screen.option names, or None for all. Raises InputError unless it names some."""
     from lampest.recording.recording import frames_named
 
     return None if text is None else frames_named(text)
@@ -39,8 +28,8 @@ def _frames(text: str | None) -> range | None:
 
 def compare(
     results: list[Path],
-    csv: Output = None,
-    report: Output = None,
+    csv: screen.Output = None,
+    report: screen.Output = None,
     frames: FramesNamed = None,
     published: bool = False,
 ) -> None:
@@ -59,7 +48,7 @@ def compare(
     """
     from lampest.report.compare import compare_files, legend, model_notes, screen_blocks, write_csv
 
-    with progress("recordings") as on_recording:
+    with screen.progress("recordings") as on_recording:
         rows = compare_files(results, _frames(frames))
         if csv:
             write_csv(csv, rows)
@@ -69,16 +58,16 @@ def compare(
             write_report(results, report, on_recording, _frames(frames))
     blocks = screen_blocks(rows, published=published)
     for block in blocks:
-        say(block.title)
-        print_table(block)
-    print_notes((*legend(rows, blocks), *model_notes(rows)))
+        screen.say(block.title)
+        screen.print_table(block)
+    screen.print_notes((*legend(rows, blocks), *model_notes(rows)))
 
 
 def plot(
     results: Path,
-    out: Output = None,
-    show: Annotated[str | None, option(metavar="KIND")] = None,
-    frame: Annotated[int | None, option(min=0)] = None,
+    out: screen.Output = None,
+    show: Annotated[str | None, screen.option(metavar="KIND")] = None,
+    frame: Annotated[int | None, screen.option(min=0)] = None,
     recording: list[str] | None = None,
     estimator: list[str] | None = None,
     frames: FramesNamed = None,
@@ -103,16 +92,16 @@ def plot(
     from lampest.report.plots import plot_results
 
     chosen: dict[str, Any] = {"estimators": tuple(estimator or ()), "recordings": tuple(recording or ())}
-    with progress("pictures") as shown:
+    with screen.progress("pictures") as shown:
         files = plot_results(results, out, show, on_picture=shown, frame=frame, frames=_frames(frames), **chosen)
     for path in files:
-        say(path)
+        screen.say(path)
 
 
 def export(
     results: Path,
-    to: Annotated[str, option(metavar="FORMAT")],
-    out: Output = None,
+    to: Annotated[str, screen.option(metavar="FORMAT")],
+    out: screen.Output = None,
     recording: str | None = None,
     start: str | None = None,
     frames: FramesNamed = None,
@@ -135,15 +124,15 @@ def export(
     from lampest.report.export import export_results
 
     for file in export_results(results, to, out, recording, start, _frames(frames)):
-        say(file)
+        screen.say(file)
 
 
 def detect(
     file: Path,
-    out: Output = None,
+    out: screen.Output = None,
     json_: bool = False,
     all_: bool = False,
-    patch: Amount = None,
+    patch: screen.Amount = None,
     estimator: str | None = None,
     frames: FramesNamed = None,
 ) -> None:
@@ -174,7 +163,7 @@ def detect(
     if results is None and estimator is not None:
         raise InputError(f"{file}: --estimator: a recording has none; name a results file")
     loads: Sequence[PressedCells] = ()
-    with progress("recordings" if results else "frames") as on_case:
+    with screen.progress("recordings" if results else "frames") as on_case:
         if results is None:
             answers = [detect_recording(file, patch, _frames(frames), on_case)]
         else:
@@ -182,7 +171,7 @@ def detect(
             loads = pressed(results.named("estimator", (estimator or results.estimators()[0],)))
     if json_:
         content = [answer.content() for answer in answers]
-        say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
+        screen.say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
     else:
         folder = file.parent if results is not None else Path("results") / file.stem
         _tell(answers, loads, folder if out is None else out, everything=all_)
@@ -197,19 +186,19 @@ def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder
     from lampest.report.plots.timeline import plot_timelines, timeline_files
 
     refuse_inputs([folder / FILE, *timeline_files(answers, folder), *([folder / PRESSED] if loads else [])])
-    with progress("pictures") as on_picture:
+    with screen.progress("pictures") as on_picture:
         files = [write_detections(folder / FILE, answers), *plot_timelines(answers, folder, on_picture)]
     files += [write_pressed(folder / PRESSED, loads)] if loads else []
     for answer in answers:
-        say(f"{answer.recording}: {answer.sentence}" if len(answers) > 1 else answer.sentence)
-    print_notes(f"warning: {answer.recording}: {line}" for answer in answers for line in answer.warnings)
-    print_table(event_table(answers))
+        screen.say(f"{answer.recording}: {answer.sentence}" if len(answers) > 1 else answer.sentence)
+    screen.print_notes(f"warning: {answer.recording}: {line}" for answer in answers for line in answer.warnings)
+    screen.print_table(event_table(answers))
     if everything:
-        print_table(load_table(answers))
-        print_table(pressed_table(loads))
-        print_notes(tuple(f"{answer.recording}: {note}" for answer in answers for note in answer.notes))
+        screen.print_table(load_table(answers))
+        screen.print_table(pressed_table(loads))
+        screen.print_notes(tuple(f"{answer.recording}: {note}" for answer in answers for note in answer.notes))
     for path in files:
-        say(path)
+        screen.say(path)
 
 
 def terms() -> None:
@@ -225,17 +214,17 @@ def terms() -> None:
             if field.name != "kind"
         )
         rows.append((kind, " ".join((term.__doc__ or "").split("\n\n")[0].split()), term.unit, options))
-    print_table(Table(("term", "residual", "unit", "options and defaults"), tuple(rows)))
+    screen.print_table(Table(("term", "residual", "unit", "options and defaults"), tuple(rows)))
 
 
 def schema() -> None:
     """Print the JSON schema of a run's file."""
     from lampest.runs.config import json_schema
 
-    say_text(json.dumps(json_schema(), indent=2))
+    screen.say_text(json.dumps(json_schema(), indent=2))
 
 
-def info(file: Path, picture: Output = None) -> None:
+def info(file: Path, picture: screen.Output = None) -> None:
     """Describe a file and draw the frame with the strongest change as a small map.
 
     Parameters
@@ -247,14 +236,14 @@ def info(file: Path, picture: Output = None) -> None:
     """
     from lampest.report.info import describe
 
-    with progress("reading"):
+    with screen.progress("reading"):
         lines = describe(file)
     for line in lines:
-        say(line)
+        screen.say(line)
     if picture is not None:
         from lampest.report.plots import plot_file
 
-        say(plot_file(file, picture))
+        screen.say(plot_file(file, picture))
 
 
 def check(files: Annotated[list[Path], typer.Argument(parser=Path, metavar="FILE...")], repair: bool = False) -> None:
@@ -270,16 +259,16 @@ def check(files: Annotated[list[Path], typer.Argument(parser=Path, metavar="FILE
     from lampest.report.info import checked_sentence
 
     damaged = 0
-    with progress("files") as on_file:
+    with screen.progress("files") as on_file:
         for number, file in enumerate(files, 1):
             try:
-                say(_repaired(file) if repair else checked_sentence(file))
+                screen.say(_repaired(file) if repair else checked_sentence(file))
             except InputError as error:
-                warn(error)
+                screen.warn(error)
                 damaged += 1
             on_file(number, len(files))
     if damaged:
-        raise typer.Exit(WRONG_INPUT)
+        raise typer.Exit(screen.WRONG_INPUT)
 
 
 def _repaired(file: Path) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lampest.cli.screen import Assign, Output, option, print_table, progress, say, warn
+from lampest.cli import screen
 
 if TYPE_CHECKING:
     from lampest.studies.study import Study
@@ -53,7 +53,7 @@ def study_command(word: str) -> Callable[..., None]:
     """Return the command of a study."""
     module, about = STUDIES[word]
 
-    def command(config: Config = None, out: Output = None, assign: Assign = None) -> None:
+    def command(config: Config = None, out: screen.Output = None, assign: screen.Assign = None) -> None:
         run_study(import_module(module).STUDY, config, out, assign)
 
     command.__name__, command.__doc__ = word, f"{about}{PARAMETERS}"
@@ -62,19 +62,21 @@ def study_command(word: str) -> Callable[..., None]:
 
 def run_study(study: "Study[Any, Any]", config: Path | None, out: Path | None, assign: list[str] | None) -> None:
     """Run a study; print its tables, remarks and files, and omissions on stderr."""
-    with progress(study.counts) as on_step:
+    with screen.progress(study.counts) as on_step:
         reported = study.run(config, out, tuple(assign or ()), on_step)
     for title, table in reported.tables:
         if title:
-            say(title)
-        print_table(table)
+            screen.say(title)
+        screen.print_table(table)
     for line in (*reported.remarks, *reported.files):
-        say(line)
+        screen.say(line)
     for sentence in reported.left_out:
-        warn(sentence)
+        screen.warn(sentence)
 
 
-def paper(config: Config = None, out: Output = None, jobs: Annotated[int | None, option(min=1)] = None) -> None:
+def paper(
+    config: Config = None, out: screen.Output = None, jobs: Annotated[int | None, screen.option(min=1)] = None
+) -> None:
     """Reproduce the paper's figures and table from shipped recordings, beside the published numbers.
 
     Writes paper.html, numbers.csv and every figure as PNG.

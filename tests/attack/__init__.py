@@ -1,1 +1,1 @@
-"""Attacks on lampest: hostile files, names, values and places. `python -m tests.attack` tells which of them held."""
+"""Attacks on lampest: hostile files, names, values and places. The mark `soak` tries them by the thousand."""

@@ -250,7 +250,7 @@ def test_a_simulation_is_overridden(tmp_path: Path, lampest: Command, monkeypatc
         bars.append((label, counted))
         return nullcontext(lambda done, total: bars.append((done, total)))
 
-    monkeypatch.setattr("lampest.cli.estimation.progress", shown)
+    monkeypatch.setattr("lampest.cli.screen.progress", shown)
     ended = lampest("simulate", tmp_path / "simulation.yaml", "--set", "frames=2", "--out", tmp_path / "two.h5")
     assert ended.code == 0 and "2 measured" in lampest("info", tmp_path / "two.h5").out
     assert bars[0] == ("frames", True) and bars[-1][0] == bars[-1][1] > 2
