@@ -16,7 +16,6 @@ from wild_board import IDLE
 
 from lampest import Arrival, InputError, Misfit, Readings, Rod, Scene, Settings, two_point_resistance
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.loads.pressure import Pressure, Tare, total_force
 from lampest.panel.panel import EachModule, Modules, Panel
@@ -30,6 +29,7 @@ from lampest.recording.simulation import Course, Simulation, Unmodelled, read_si
 from lampest.report.live import engine as engine_module
 from lampest.report.live import run as run_module
 from lampest.report.live.engine import Engine, FrameSource, with_picture
+from lampest.report.live.handover import Errand
 from lampest.report.live.message import Message, Picture, View, view_text
 from lampest.report.live.run import (
     METHODS,
@@ -102,18 +102,16 @@ def test_what_is_left_to_another_process_reaches_the_frames_after(
 
 @pytest.mark.slow
 def test_should_the_other_process_die_every_frame_waits_for_its_own(lamprey: Recording) -> None:
-    with Engine("test", "test", METHODS["smooth"], 3, beside=True) as engine:
+    engine = Engine("test", "test", METHODS["smooth"], 3, beside=True)
 
-        def kill(seconds: float) -> None:
-            settle(engine)
-            beside = engine._beside
-            if engine.shown.item.frames == 5:
-                beside._worker.process.kill()
-                until(lambda: beside.gone)
+    def kill() -> None:
+        if engine.shown.item.frames == 5:
+            until(lambda: bool(engine._beside._workers.processes))
+            engine._beside._workers.kill()
+            engine._beside.ask(Errand("check", tuple))  # an idle process dies unnoticed
+            until(lambda: engine._beside.gone)
 
-        from_recording(engine, lamprey, 1e9, None, kill)
-        engine.finish()
-        view = engine.shown.item
+    view = replay(engine, lamprey, kill)
     assert view.picture is not None and view.picture.status == "optimum verified"
     assert view.deviation_of == view.picture.number, "error bars come with the frame"
 
@@ -124,6 +122,29 @@ def until(true: Callable[[], bool], seconds: float = 60.0) -> None:
     while not true():
         assert time.monotonic() < end, "it never came"
         time.sleep(0.005)
+
+
+def settle(engine: Engine) -> None:
+    """Wait until every frame that was taken has been solved."""
+
+    def solved() -> bool:
+        view = engine.shown.item
+        return view.frames == (view.picture.number if view.picture else 3)  # three are unloaded
+
+    until(solved)
+
+
+def replay(engine: Engine, recording: Recording, on_frame: Callable[[], object], frames: int | None = None) -> View:
+    """The last view of a replay; each frame waits for the one before, and for `on_frame`."""
+    with engine:
+
+        def look(seconds: float) -> None:
+            settle(engine)
+            on_frame()
+
+        from_recording(engine, recording, 1e9, frames, look)
+        engine.finish()
+        return engine.shown.item
 
 
 @pytest.mark.parametrize(
@@ -147,7 +168,7 @@ def test_live_finds_what_a_batch_finds(method: Estimator) -> None:
     )
 
 
-def test_an_unloaded_reading_that_leaps_is_left_out_as_in_a_batch(lamprey: Recording) -> None:
+def test_the_baseline_is_the_unloaded_frames_without_a_reading_that_leaps_as_in_a_batch(lamprey: Recording) -> None:
     recorded = lamprey.recorded.copy()
     recorded[1, 2, 3] *= 1.5
     wild = dataclasses.replace(lamprey, recorded=recorded)
@@ -157,6 +178,10 @@ def test_an_unloaded_reading_that_leaps_is_left_out_as_in_a_batch(lamprey: Recor
     measured = np.array([picture.measured_change for picture in found])[:, 2, 3]
     np.testing.assert_allclose(measured, 100 * (batch.measured / batch.measured_baseline - 1)[:, 2, 3])
     np.testing.assert_allclose(measured, [picture.measured_change[2, 3] for picture in calm], atol=1)
+    unsaid = pictures(LSM, dataclasses.replace(lamprey, role=np.full(9, MEASURED)))
+    for first, named in zip(unsaid, calm, strict=True):
+        np.testing.assert_array_equal(first.relative_change, named.relative_change)
+    assert [picture.number for picture in unsaid] == [4, 5, 6, 7, 8, 9], "the first frames, where none is said to be"
 
 
 def test_coupled_modules_leave_weights_to_second_looks_and_modules_by_themselves_nothing() -> None:
@@ -182,27 +207,15 @@ def test_a_reading_that_leaps_alone_stands_as_before_and_a_touch_does_not(lampre
     assert json.loads(told)["health"]["leaps"] == 1
     assert np.abs(found[4].relative_change).max() < 1
     assert found[5].relative_change[6, 2] == pytest.approx(-80, abs=1)
-
-
-def test_where_a_reading_hears_its_own_cell_alone_nothing_is_taken_for_a_leap() -> None:
+    # Where a reading hears its own cell alone, nothing is taken for a leap.
     readout = VirtualGroundReadout(feedback_ohm=1000.0, adc_bits=12, noise_lsb=1.0)
-    scene = Scene(Panel(6, 7), readout)
     cells = np.full((8, 6, 7), 3000.0)
     cells[6:, 2, 3] = 1000.0
-    role = np.where(np.arange(8) < 3, UNLOADED, MEASURED).astype(np.uint8)
-    found = pictures(LSM, Recording(scene, readout.exact_reading(cells), np.arange(8.0), role))
+    found = pictures(
+        LSM, Recording(Scene(Panel(6, 7), readout), readout.exact_reading(cells), np.arange(8.0), role[:8])
+    )
     assert [picture.outliers for picture in found] == [0] * 5
     assert found[3].relative_change[2, 3] == pytest.approx(-66.7, abs=1)
-
-
-def test_the_first_frames_are_the_baseline_where_none_is_said_to_be(lamprey: Recording) -> None:
-    unsaid = dataclasses.replace(lamprey, role=np.full(9, MEASURED))
-    found = pictures(METHODS["smooth"], unsaid)
-    said = pictures(METHODS["smooth"], lamprey)
-    np.testing.assert_array_equal(
-        [picture.relative_change for picture in found], [picture.relative_change for picture in said]
-    )
-    assert [picture.number for picture in found] == [4, 5, 6, 7, 8, 9]
 
 
 def test_a_circuit_that_does_not_explain_the_frames_is_said(lamprey: Recording) -> None:
@@ -214,15 +227,6 @@ def test_a_circuit_that_does_not_explain_the_frames_is_said(lamprey: Recording) 
         said = engine.shown.item.model
     assert "series_resistance_ohm near" in said
     assert json.loads(view_text(View("a", "b", "c", model=said), 0.0))["model"] == said
-
-
-def test_a_wrong_reading_and_channels_that_differ_are_no_other_circuit() -> None:
-    """The first loaded frames of the shipped mouth: one reading is wrong, and its rim presses cells to 100 ohm."""
-    mouth = Recording.load(LAMPREY.with_name("lamprey_35mm.h5"))
-    frames = np.append(np.flatnonzero(mouth.role == UNLOADED), [4, 5, 6])
-    role = np.array([UNLOADED] * 3 + [MEASURED] * 3, dtype=np.uint8)
-    check = Prepared(Recording(mouth.scene, mouth.recorded[frames], np.arange(6.0), role)).check
-    assert check.mark == "yes"
 
 
 def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over(
@@ -268,6 +272,10 @@ def test_a_frame_that_fails_shows_no_number_and_the_next_one_goes_on(lamprey: Re
     content = json.loads(view_text(view, 0.0), parse_constant=pytest.fail)
     assert content["picture"]["change"] == [None] * 100 and not content["picture"]["health"]["solved"]
     assert content["picture"]["force"] is None and content["history"] == [[failed.time, None]]
+    below = dataclasses.replace(lamprey, scene=dataclasses.replace(lamprey.scene, series_resistance_ohm=5000.0))
+    for picture in pictures(LSM, below):
+        assert picture.status == failed.status
+        assert np.isnan(picture.relative_change).all() and np.isnan(picture.force.newton)
 
 
 def test_a_solver_that_gives_up_shows_its_sentence(lamprey: Recording) -> None:
@@ -278,13 +286,6 @@ def test_a_solver_that_gives_up_shows_its_sentence(lamprey: Recording) -> None:
         assert picture.status == "no baseline: the iteration limit was reached before an optimum" or (
             picture.status == "the iteration limit was reached before an optimum"
         )
-        assert np.isnan(picture.relative_change).all() and np.isnan(picture.force.newton)
-
-
-def test_an_unloaded_panel_below_the_series_resistance_is_said_in_every_frame(lamprey: Recording) -> None:
-    scene = dataclasses.replace(lamprey.scene, series_resistance_ohm=5000.0)
-    for picture in pictures(LSM, dataclasses.replace(lamprey, scene=scene)):
-        assert picture.status == "too few of the frame's readings are values: the others are missing, or bounds"
         assert np.isnan(picture.relative_change).all() and np.isnan(picture.force.newton)
 
 
@@ -330,32 +331,28 @@ def drifting(film: Film | None = None, drift: float = 0.01) -> Recording:
 
 @pytest.mark.slow
 def test_live_pressure_forgets_what_the_film_remembers() -> None:
-    film = Film(0.2, 0.08)
-    told, silent = drifting(film, 0.0), dataclasses.replace(drifting(film, 0.0), scene=drifting(None, 0.0).scene)
+    told = drifting(Film(0.2, 0.08), 0.0)
+    silent = dataclasses.replace(told, scene=dataclasses.replace(told.scene, film=None))
     left = [pictures(LSM, recording)[-40].force.newton for recording in (told, silent)]
     assert abs(left[0]) < 0.1 * abs(left[1])
 
 
 @pytest.mark.slow
-def test_zero_is_taken_anew_live_where_nothing_touches_the_panel() -> None:
-    recording = drifting()
-    said: list[str] = []
-    with Engine("test", "test", dataclasses.replace(LSM, tare=Tare(10)), 3) as engine:
-
-        def look(seconds: float) -> None:
-            settle(engine)
-            said.append(engine.shown.item.zero)
-
-        from_recording(engine, recording, 1e9, None, look)
-        engine.finish()
-        view = engine.shown.item
+def test_zero_is_taken_anew_live_where_nothing_touches_the_panel_and_when_it_is_asked_for() -> None:
+    recording, said = drifting(), list[str]()
+    engine = Engine("test", "test", dataclasses.replace(LSM, tare=Tare(10)), 3)
+    view = replay(engine, recording, lambda: said.append(engine.shown.item.zero))
     whens = [int(text.split("frame ")[1].split(":")[0]) for text in said if text]
     assert whens and "nothing touched the panel for 10 frames" in view.zero
     assert not any(31 <= when <= 50 for when in whens)
-    (plain,) = pictures(LSM, recording)[-1:]
-    change = np.abs(view.picture.relative_change).max()
-    assert change < 0.6 * np.abs(plain.relative_change).max()
+    plain = pictures(LSM, recording)[-1]
+    assert np.abs(view.picture.relative_change).max() < 0.6 * np.abs(plain.relative_change).max()
     assert json.loads(view_text(view, 0.0))["zero"] == view.zero
+
+    asked = Engine("test", "test", LSM, 3)  # at frame 35, where the rod lies there and is taken for the unloaded panel
+    view = replay(asked, recording, lambda: asked.tare() if asked.shown.item.frames == 35 else None, 45)
+    assert view.zero == f"taken anew after frame 38: {ASKED}"
+    assert view.picture is not None and np.abs(view.picture.relative_change).max() < 5
 
 
 SMALL = Scene(Panel(3, 4), TwoPointReadout(), 140.0, response=PublishedResponse())
@@ -466,29 +463,3 @@ def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, mo
         found = Recording.load(tmp_path / f"{name}.h5")
         assert found.role.tolist() == [UNLOADED, UNLOADED, MEASURED]
         np.testing.assert_array_equal(found.raw_sums, sums[:3])
-
-
-def settle(engine: Engine) -> None:
-    """Wait until every frame that was taken has been solved."""
-    for _ in range(2000):
-        view = engine.shown.item
-        if view.frames == 0 or (view.picture is not None and view.picture.number >= view.frames):
-            return
-        time.sleep(0.005)
-
-
-@pytest.mark.slow
-def test_zero_is_taken_anew_when_it_is_asked_for() -> None:
-    recording = drifting()
-    with Engine("test", "test", LSM, 3) as engine:
-
-        def ask(seconds: float) -> None:
-            settle(engine)
-            if engine.shown.item.frames == 35:  # the rod lies there: it is taken for the unloaded panel
-                engine.tare()
-
-        from_recording(engine, recording, 1e9, 45, ask)
-        engine.finish()
-        view = engine.shown.item
-    assert view.zero == f"taken anew after frame 38: {ASKED}"
-    assert view.picture is not None and np.abs(view.picture.relative_change).max() < 5

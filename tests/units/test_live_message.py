@@ -351,8 +351,9 @@ def test_a_process_of_its_own_answers_and_its_death_is_said() -> None:
     beside.finish()
     assert answers[-1].answer == "nothing"
     beside = watcher("mouth", answers.append)
-    beside._worker.process.kill()
     beside.ask([2])
+    assert waited(lambda: bool(beside._workers.processes), 20.0)
+    beside._workers.kill()
     beside.finish()
     assert answers[-1].answer == "cannot say" and "has died" in answers[-1].why
     beside.close()
