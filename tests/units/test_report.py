@@ -200,18 +200,16 @@ def test_page_needs_nothing_else() -> None:
         assert word in page.text, word
 
 
-def test_nothing_is_recommended_without_truth_and_noise() -> None:
-    page = Page(report(batch(*(invented_case(method, truth=False, weights={}) for method in METHODS[:2]))))
-    assert "which fewer than two of them have" in page.text and "cannot rank the estimators" in page.text
-
-
-def test_what_comes_from_files_is_text() -> None:
+def test_what_comes_from_files_is_text_and_nothing_is_recommended_without_truth_and_noise() -> None:
     names = ("<script>alert(1)&", "a\"b'c", "$\\frac$ x^2", "{{ 7 * 191 }}", "y" * 190)
-    cases = [invented_case(name, "<img src=x onerror=alert(1)>", (2, 3, 3), case_yaml="</pre><b>&") for name in names]
-    page = Page(report(batch(*cases)))
+    known: dict[str, Any] = {"case_yaml": "</pre><b>&", "truth": False, "weights": {}}
+    page = Page(
+        report(batch(*(invented_case(name, "<img src=x onerror=alert(1)>", (2, 3, 3), **known) for name in names)))
+    )
     assert "script" not in {tag for tag, _ in page.tags} and "1337" not in page.text
     assert all(name in page.text for name in names[:4]) and "</pre><b>&" in page.text
     assert all(uri.startswith("data:") for uri in page.values("src"))
+    assert "which fewer than two of them have" in page.text and "cannot rank the estimators" in page.text
 
 
 @pytest.mark.parametrize("shape", [(1, 4, 4), (2, 1, 1), (2, 1, 7), (2, 7, 1), (2, 2, 30)])
@@ -221,20 +219,21 @@ def test_a_report_of_every_shape_is_written(shape: tuple[int, int, int]) -> None
 
 
 @pytest.mark.slow
-def test_frames_without_a_baseline_to_compare_with_are_shown() -> None:
-    """A frame is solved, and its change is NaN, because the unloaded panel was not."""
-    case = invented_case("LSR-CR", truth=False)
-    without = dataclasses.replace(case, relative_change=np.full_like(case.cell_resistance, np.nan))
-    assert "LSR-CR" in Page(report(batch(certain(invented_case("LSM", truth=False)), without))).text
-
-
-@pytest.mark.slow
-def test_frames_that_failed_are_named() -> None:
+def test_the_page_names_frames_that_failed_and_says_what_verified_means_and_how_many_starts_there_were() -> None:
     failed = {"LSM": (), "LSR-CR": (0, 1, 2), "LSR-dCR": (1,)}
     page = Page(report(batch(*(certain(invented_case(name, failed=frames)) for name, frames in failed.items()))))
     assert "LSR-CR, frames 5 to 7: stopped: too many iterations" in page.text
     assert "LSR-dCR, frame 6: stopped" in page.text and "LSR-CR failed in 3 of 3 frames" in page.text
     Page(report(batch(invented_case("LSM", failed=(0, 1, 2)))))
+    sought = invented_case(status=("optimum verified",) * 3, starts=np.array([1, 7, 3]))
+    rough = invented_case("naive", status=("approximate, as the formulation asks",) * 3)
+    text = Page(report(batch(sought, rough))).text
+    assert "frames at a verified optimum 3 of 3 (1 to 7 starts each) –" in text
+    assert "no small change of any cell lowers the cost. Such an optimum is local" in text
+    # A frame is solved, and its change is NaN, because the unloaded panel was not.
+    case = invented_case("LSR-CR", truth=False)
+    without = dataclasses.replace(case, relative_change=np.full_like(case.cell_resistance, np.nan))
+    assert "LSR-CR" in Page(report(batch(certain(invented_case("LSM", truth=False)), without))).text
 
 
 @pytest.mark.slow
@@ -267,15 +266,6 @@ def test_copies_of_a_recording_are_no_further_recordings() -> None:
     assert "2 recordings only" in page and "2 recordings only" in before
     together = "All recordings together Medians"
     assert page.split(together)[1].split("All figures")[0][:400] == before.split(together)[1][:400]
-
-
-@pytest.mark.slow
-def test_the_page_says_what_verified_means_and_how_many_starts_there_were() -> None:
-    sought = invented_case(status=("optimum verified",) * 3, starts=np.array([1, 7, 3]))
-    rough = invented_case("naive", status=("approximate, as the formulation asks",) * 3)
-    text = Page(report(batch(sought, rough))).text
-    assert "frames at a verified optimum 3 of 3 (1 to 7 starts each) –" in text
-    assert "no small change of any cell lowers the cost. Such an optimum is local" in text
 
 
 def test_files_are_put_together(tmp_path: Path) -> None:
@@ -333,28 +323,26 @@ def test_centre_area_peak_and_force_of_any_load() -> None:
     assert found.errors[1, 2] == pytest.approx(100 * np.sqrt(6 / 12))
     assert found.values[2, :2] == pytest.approx((0, 0))
     assert np.all(found.errors[2, :2] == pytest.approx(10 / np.sqrt(12)))  # a spot in a corner is somewhere in its cell
+    # A film whose curve is known to 30 %: so is the force, and the centre is not moved.
+    common = pressed_of(pressing(pressure=pressure, pressure_own=errors, pressure_common=0.3 * pressure))
+    assert common.errors[1, -1] == pytest.approx(np.hypot(found.errors[1, -1], 0.3 * 6.4))
+    np.testing.assert_allclose(common.errors[1, :3], found.errors[1, :3])
+    sigma = np.full(SHAPE, 0.01)
+    both = dataclasses.replace(common.case, sigma_own=sigma, sigma_common=2 * sigma)
+    figures = figures_of(both, np.ones(SHAPE[0], bool))
+    assert figures["own standard deviation of pressed cells median [kPa]"] == pytest.approx(0.2)
+    assert figures["common standard deviation of pressed cells median [kPa]"] == pytest.approx(3.0)
+    assert both.error_words.endswith("of pressures: own 0.2 kPa, common 3 kPa")
 
 
 def test_forces_of_noisy_maps_scatter_as_they_say() -> None:
     pressure, errors = maps()
-    rng = np.random.default_rng(4)
-    forces = []
+    rng, forces = np.random.default_rng(4), list[float]()
     for _ in range(200):
         noisy = pressure + errors * rng.standard_normal(SHAPE) * (pressure > 1)
         one = pressed_of(pressing(pressure=noisy, pressure_own=errors))
         forces.append(one.values[1, -1])
     assert np.std(forces) == pytest.approx(one.errors[1, -1], rel=0.2)
-
-
-def test_common_errors_of_pressures_add_up_in_the_force() -> None:
-    """A film whose curve is known to 30 %: so is the force, and the centre is not moved."""
-    pressure, errors = maps()
-    plain, common = (
-        pressed_of(pressing(pressure=pressure, pressure_own=errors, pressure_common=share * pressure))
-        for share in (0.0, 0.3)
-    )
-    assert common.errors[1, -1] == pytest.approx(np.hypot(plain.errors[1, -1], 0.3 * 6.4))
-    np.testing.assert_allclose(common.errors[1, :3], plain.errors[1, :3])
 
 
 def test_every_frame_is_written_and_the_strongest_shown(tmp_path: Path) -> None:
@@ -371,15 +359,3 @@ def test_every_frame_is_written_and_the_strongest_shown(tmp_path: Path) -> None:
     assert [line["saturated cells"] for line in lines] == ["0", "2", "0"]
     (row,) = pressed_table(found).cells
     assert row[:4] == ("mouth", "LSM", "6", "6") and "≥\N{NO-BREAK SPACE}6.400 ± 0.049" in row and row[-1] == "2"
-
-
-def test_tables_give_both_parts_of_pressures_where_something_presses() -> None:
-    pressure, errors = maps()
-    sigma = np.full(SHAPE, 0.01)
-    case = pressing(
-        pressure=pressure, pressure_own=errors, pressure_common=0.3 * pressure, sigma_own=sigma, sigma_common=2 * sigma
-    )
-    figures = figures_of(case, np.ones(SHAPE[0], bool))
-    assert figures["own standard deviation of pressed cells median [kPa]"] == pytest.approx(0.2)
-    assert figures["common standard deviation of pressed cells median [kPa]"] == pytest.approx(3.0)
-    assert case.error_words.endswith("of pressures: own 0.2 kPa, common 3 kPa")
