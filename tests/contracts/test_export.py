@@ -90,38 +90,26 @@ def check_table(table: Any, results: Path) -> None:
             assert_array_equal(lines.saturated.astype(float), shown(case, "saturated").ravel())
 
 
-def test_csv_is_what_pandas_reads(lampest: Run, results: Path) -> None:
+def test_csv_is_what_pandas_reads(lampest: Run, results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import pandas
 
     path = exported(lampest, results, "csv")
     assert path == results.with_suffix(".csv")
     table = pandas.read_csv(path)
     check_table(table, results)
+    written = path.read_bytes()
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    assert export_results(results, "csv")[0].read_bytes() == written, "nor is pandas needed to write it"
     told = json.loads(path.with_name("r.csv-metadata.json").read_text())
     assert told["url"] == "r.csv"
     columns = {column["name"]: column for column in told["tableSchema"]["columns"]}
     assert list(columns) == list(table.columns)
     assert columns["pressure_kPa"]["schema:unitText"] == "kPa"
     assert columns["open_cell"]["schema:valueReference"]["1"] == "cannot_be_told_from_open"
-    assert [(note["recording"], note["estimator"]) for note in told["notes"]] == [
-        ("mouth", "LSM"),
-        ("mouth", "LSR-gCR"),
-        ("other", "LSM"),
-    ]
+    noted = [(note["recording"], note["estimator"]) for note in told["notes"]]
+    assert noted == [("mouth", "LSM"), ("mouth", "LSR-gCR"), ("other", "LSM")]
     assert told["notes"][0]["start_time"] == START and "start_time" not in told["notes"][2]
     assert "rows: 4" in told["notes"][0]["scene"] and "misfit" in told["notes"][0]["case"]
-
-
-def test_csv_needs_no_pandas(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    table, _ = export_results(results, "csv")
-    with table.open(encoding="utf-8", newline="") as file:
-        lines = list(csv.DictReader(file))
-    assert len(lines) == 2 * 3 * 4 * 5 + 2 * 3 * 6
-    assert {line["saturated"] for line in lines if line["recording"] == "mouth"} == {"0", "1", ""}
-    assert {line["frame"] for line in lines if line["recording"] == "other"} == {"5", "6"}
-    first = read_results(results).cases[0]
-    assert [float(line["cell_resistance_ohm"]) for line in lines[:20]] == first.cell_resistance[0].ravel().tolist()
 
 
 def test_names_that_spreadsheets_would_compute_are_texts_in_csv(lampest: Run, tmp_path: Path) -> None:
@@ -149,17 +137,11 @@ def test_parquet_is_what_pyarrow_and_pandas_read(lampest: Run, results: Path, tm
     assert json.loads(schema.field("solved").metadata[b"flags"]) == {"0": "failed", "1": "solved"}
     assert str(schema.field("saturated").type) == "uint8", "a flag that some cases lack stays a flag"
     assert json.loads(schema.metadata[b"lampest"])[0]["start_time"] == START
-
-
-def test_readings_in_volt_and_in_ohm_are_two_columns(tmp_path: Path) -> None:
-    import pandas
-
     volt = invented_case("LSM", "volts", (2, 3, 4))
     scene = dataclasses.replace(volt.scene, readout=LoadedColumnsReadout(load_ohm=1000.0), series_resistance_ohm=0.0)
     write_results(tmp_path / "r.h5", [invented_case("LSM", "ohms", (2, 3, 4)), dataclasses.replace(volt, scene=scene)])
-    (path,) = export_results(tmp_path / "r.h5", "parquet")
-    table = pandas.read_parquet(path)
-    assert table[table.recording == "ohms"].measured_volt.isna().all()
+    table = pandas.read_parquet(export_results(tmp_path / "r.h5", "parquet", tmp_path / "both.parquet")[0])
+    assert table[table.recording == "ohms"].measured_volt.isna().all(), "readings in volt are a column of their own"
     assert_array_equal(table[table.recording == "volts"].measured_volt, volt.measured.ravel())
 
 
@@ -252,14 +234,6 @@ def test_nwb_is_what_pynwb_reads(lampest: Run, results: Path) -> None:
     session.read_io.close()
 
 
-def test_a_start_that_is_given_is_kept(lampest: Run, results: Path) -> None:
-    from pynwb import read_nwb
-
-    session = read_nwb(str(exported(lampest, results, "nwb", "--recording", "other", "--start", START)))
-    assert session.session_start_time.isoformat() == START
-    session.read_io.close()
-
-
 @pytest.mark.parametrize(
     ("library", "to"), [("pyarrow", "parquet"), ("zarr.storage", "zarr"), ("xarray", "zarr"), ("pynwb", "nwb")]
 )
@@ -285,18 +259,18 @@ def test_an_export_that_fails_leaves_neither_of_its_files(results: Path) -> None
     assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
 
 
-def test_who_was_measured_is_in_nwb(tmp_path: Path) -> None:
+def test_who_was_measured_and_a_start_that_is_given_are_in_nwb(lampest: Run, tmp_path: Path) -> None:
     from pynwb import read_nwb
 
-    case = invented_case("LSM", "mouth", (2, 3, 4), start_time=START)
+    case = invented_case("LSM", "mouth", (2, 3, 4))
     scene = dataclasses.replace(
         case.scene,
         subject=MeasuredSubject(id="L7", species="Petromyzon marinus", length_mm=420.0, mass_g=150.0),
         experiment=Experiment(title="attachment", experimenter="Doe, Jane", water_temperature_celsius=12.5),
     )
     write_results(tmp_path / "r.h5", [dataclasses.replace(case, scene=scene)])
-    (path,) = export_results(tmp_path / "r.h5", "nwb")
-    session = read_nwb(str(path))
+    session = read_nwb(str(exported(lampest, tmp_path / "r.h5", "nwb", "--start", START)))
+    assert session.session_start_time.isoformat() == START
     assert (session.subject.subject_id, session.subject.species) == ("L7", "Petromyzon marinus")
     assert (session.subject.weight, session.subject.description) == ("0.15 kg", "420 mm long")
     assert session.experiment_description == "attachment; water at 12.5 degrees Celsius"

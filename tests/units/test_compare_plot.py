@@ -42,12 +42,9 @@ def test_the_figures_are_what_they_are_called() -> None:
         "published data error sd [%]": 1.29,
     }
     assert {name: row[name] for name in expected} == pytest.approx(expected)
-
-
-def test_a_joint_start_is_told_apart() -> None:
     initial, following = compare(Results((invented_case("LSR-dCR", shape=(4, 5, 6)),), PUBLISHED))
     names = "steps", "frames", "published time [s]"
-    assert [initial[name] for name in names] == ["initial", 1, 58.63]
+    assert [initial[name] for name in names] == ["initial", 1, 58.63], "a joint start is told apart"
     assert [following[name] for name in names] == ["following", 3, 8.05]
     assert initial["solve time sd [s]"] is None and initial["data error sd [%]"] is not None
     (alone,) = compare(Results((invented_case("LSR-dCR", shape=(1, 5, 6)),)))
@@ -141,12 +138,6 @@ def test_the_same_picture_twice(tmp_path: Path) -> None:
         results.of("ear")
 
 
-def test_the_frame_that_most_estimators_solved() -> None:
-    cases = [invented_case(name, failed=(2,) if name == "LSM" else ()) for name in METHODS]
-    assert strongest_index(cases[1:]) == 2
-    assert strongest_index(cases) == 1
-
-
 @pytest.mark.slow
 def test_pictures_go_where_they_are_asked_to(tmp_path: Path) -> None:
     write_results(tmp_path / "one.h5", [invented_case("LSM", shape=(1, 3, 3))])
@@ -164,29 +155,22 @@ def test_pictures_go_where_they_are_asked_to(tmp_path: Path) -> None:
         plot_results(tmp_path / "two.h5", tmp_path / "x.png", recordings=["c"])
 
 
-def test_results_without_a_solved_frame_are_compared(tmp_path: Path) -> None:
+def test_results_without_a_solved_frame_are_compared_and_others_call_their_optima_local(tmp_path: Path) -> None:
     case = invented_case("LSM", failed=(0, 1, 2))
     write_results(tmp_path / "r.h5", [dataclasses.replace(case, baseline_resistance=np.full((10, 10), np.nan))])
     assert plot_results(tmp_path / "r.h5")
     (row,) = compare_files([tmp_path / "r.h5"])
     assert row["frames solved"] == 0 and row["data error mean [%]"] is None and row["worst KKT residual"] is None
     assert any("solved 0/3" in line for line in describe(tmp_path / "r.h5"))
-
-
-def test_an_optimum_is_called_local_with_its_starts(tmp_path: Path) -> None:
     words = ("optimum verified", "an optimum, but a plateau", "approximate, as the formulation asks; not an optimum")
-    starts = np.array([1, 4, 9])
-    write_results(
-        tmp_path / "r.h5",
-        [
-            invented_case("LSM", status=words, starts=starts),
-            invented_case("linearised", status=words[2:] * 3, starts=starts),
-            invented_case("old"),
-        ],
-    )
-    told = "\n".join(describe(tmp_path / "r.h5"))
+    cases = {"LSM": {"status": words}, "linearised": {"status": words[2:] * 3}, "old": {"starts": None}}
+    starts = {"starts": np.array([1, 4, 9])}
+    write_results(tmp_path / "s.h5", [invented_case(name, **starts | about) for name, about in cases.items()])
+    told = "\n".join(describe(tmp_path / "s.h5"))
     assert "solved 3/3, verified local optima, best of 1 to 4 starts a frame  r " in told
     assert told.count("local optima") == 1
+    half = [invented_case(name, failed=(2,) if name == "LSM" else ()) for name in METHODS]
+    assert strongest_index(half[1:]) == 2 and strongest_index(half) == 1, "of the frames that most estimators solved"
 
 
 def test_a_description_names_the_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -198,15 +182,8 @@ def test_a_description_names_the_cases(tmp_path: Path, monkeypatch: pytest.Monke
     values = np.linspace(300, 400, 3 * 30 * 14).reshape(3, 30, 14)
     Recording(scene, values, np.arange(3.0), np.array([0, 1, 1], dtype=np.uint8)).save(tmp_path / "rec.h5")
     text = "\n".join(describe(tmp_path / "rec.h5"))
-    for part in (
-        "3: 1 unloaded, 2 measured; 0 to 2 s",
-        "300 to 400 ohm",
-        "140 ohm",
-        "10 bits",
-        "readings of frame 2 at 2 s, the strongest change",
-        "rises by . ",
-    ):
-        assert part in text
+    parts = ("3: 1 unloaded, 2 measured; 0 to 2 s", "300 to 400 ohm", "140 ohm", "10 bits", "rises by . ")
+    assert all(part in text for part in (*parts, "readings of frame 2 at 2 s, the strongest change"))
     assert [line[:2] for line in text.splitlines() if line.endswith("#" * 28)][-1:] == ["29"], "all columns are shown"
     wide = np.full((2, 60, 300), 300.0)
     wide[1, 0, 0] = np.nan
@@ -219,12 +196,8 @@ def test_a_description_names_the_cases(tmp_path: Path, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize("sources", [1, 3])
 def test_a_wide_table_folds_its_texts_and_keeps_its_figures(sources: int, capsys: pytest.CaptureFixture[str]) -> None:
-    headers = (
-        "recording",
-        "what",
-        "nothing",
-        *(f"number {number} [kPa]" for number in range(5 if sources == 1 else 7)),
-    )
+    numbers = range(5 if sources == 1 else 7)
+    headers = ("recording", "what", "nothing", *(f"number {number} [kPa]" for number in numbers))
     figures = [f"{-1.5 * number:.1f} ± {number}.25" for number in range(len(headers) - 3)]
     rows = tuple((f"panel_{source}", "ring or rod or lamprey or cup", "", *figures) for source in range(sources))
     print_table(Table(headers, rows))
@@ -277,13 +250,10 @@ def test_results_with_swept_numbers_are_plotted_over_them(tmp_path: Path) -> Non
     errors = [row["cell error median [%]"] for row in compare(Results(tuple(SWEPT)))]
     names = ["plain", "smooth", "both, log_ratio.weight 0.1", "both, log_ratio.weight 1.0"]
     lines = {str(line.get_label()): line for line in cells.get_lines()}
-    assert list(lines) == names and (cells.get_ylabel(), readings.get_xlabel()) == (
-        "cell error, median [%]",
-        "gradient.weight",
-    )
-    assert list(lines["smooth"].get_xdata()) == [1e-8, 1e-6, 1e-4]
+    labels = (cells.get_ylabel(), readings.get_xlabel())
+    assert list(lines) == names and labels == ("cell error, median [%]", "gradient.weight")
+    assert list(lines["smooth"].get_xdata()) == [1e-8, 1e-6, 1e-4] and cells.get_xscale() == "log"
     assert list(lines["smooth"].get_ydata()) == errors[1:4]
-    assert cells.get_xscale() == "log"
     write_results(tmp_path / "plain.h5", SWEPT[:1])
     assert plot_results(tmp_path / "plain.h5")[0].name == "contours_mouth.png"
     with pytest.raises(InputError, match="holds no sweep to draw"):
