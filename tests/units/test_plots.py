@@ -110,14 +110,6 @@ def painted(painter: MapPainter, tile: Tile) -> Axes:
     return axes
 
 
-@pytest.mark.parametrize(("reference", "unit"), [(1.0, "in reference resistors"), (1000.0, "[ohm]")])
-def test_resistances_over_an_unknown_reference_are_in_units_of_it(reference: float, unit: str) -> None:
-    case = invented_case()
-    scene = replace(case.scene, readout=TwoPointReadout(reference_ohm=reference))
-    figure = plot_of("resistance").draw((replace(case, scene=scene),))
-    assert {f"reading {unit}", f"resistance {unit}"} <= {axes.get_ylabel() for axes in figure.axes}
-
-
 def test_scales_end_at_round_numbers() -> None:
     assert round_numbers(0.2, 30) == [0.2, 0.5, 1, 2, 5, 10, 20]
     decade = np.geomspace(0.3, 40, 101)
@@ -134,33 +126,33 @@ def test_scales_end_at_round_numbers() -> None:
     assert banded_scale([np.array([700.0])], "x").norm.vmax == 100
     assert [plain_number(value) for value in (-0.5, 1e3)] == ["−0.5", "1000"]
     assert short_title("y" * 22) == "y" * 22 and short_title("y" * 23) == "y" * 21 + "…"
+    texts = {3.71: "+3.7", -82.4: "−82", 9502050701.0: "+9.5·10⁹", -1.0e5: "−1.0·10⁵", 99999.0: "+99999"}
+    assert {value: change_text(value, 10.0) for value in texts} == texts
+    large = change_scale([np.array([-80.0, 400.0, 0.0])], "change [%]")
+    down, up = (large.norm(np.array([value]))[0] for value in (-60.0, 150.0))  # factors of 2.5 are equally strong
+    assert down + up == pytest.approx(large.colours.N - 1, abs=1)
+    assert change_scale([np.array([-4.0, 3.0])], "change [%]").norm.vmax == 5.0
 
 
 def maps_of(figure: Figure) -> list[Axes]:
     return [axes for axes in figure.axes if axes.get_title()]
 
 
-def test_a_loaded_cell_is_bright_and_every_map_of_resistance_has_its_own_scale() -> None:
+def test_a_loaded_cell_is_bright_and_every_map_of_resistance_has_its_own_scale_and_unit() -> None:
     case = invented_case()
     crosstalk = replace(case, measured=case.measured / 50)
     measured, estimated, _ = (axes.collections[1] for axes in maps_of(plot_of("resistance").draw((crosstalk,))))
     low, high = (sum(measured.cmap(measured.norm(value))[:3]) for value in measured.norm.inverse(np.array([0.1, 0.9])))
-    assert low > high
-    assert measured.norm.vmax < estimated.norm.vmax
-
-
-def test_readings_of_pull_ups_are_shown_as_they_were_recorded() -> None:
-    case = invented_case()
+    assert low > high and measured.norm.vmax < estimated.norm.vmax
+    for reference, unit in ((1.0, "in reference resistors"), (1000.0, "[ohm]")):
+        scene = replace(case.scene, readout=TwoPointReadout(reference_ohm=reference))
+        figure = plot_of("resistance").draw((replace(case, scene=scene),))
+        assert {f"reading {unit}", f"resistance {unit}"} <= {axes.get_ylabel() for axes in figure.axes}
     readout = LoadedColumnsReadout(polarity="down", supply_volt=5.0, load_ohm=35e3, drive_ohm=30)
     scene = replace(case.scene, readout=readout, series_resistance_ohm=0.0)
     pulled_up = replace(case, scene=scene, measured=np.full_like(case.measured, 1.5))
-    measured = maps_of(plot_of("resistance").draw((pulled_up,)))[0]
-    assert_allclose(measured.collections[1].get_array(), 3.5)
-
-
-def distance(values: Any, truth: Any) -> float:
-    """Of two maps, relative to the second."""
-    return float(np.sqrt(np.sum((values - truth) ** 2) / np.sum(truth**2)))
+    shown = maps_of(plot_of("resistance").draw((pulled_up,)))[0]
+    assert_allclose(shown.collections[1].get_array(), 3.5, err_msg="as it was recorded")
 
 
 def test_a_map_of_change_shows_rim_and_centre_with_its_error_and_the_outline_of_the_load() -> None:
@@ -179,24 +171,22 @@ def test_a_map_of_change_shows_rim_and_centre_with_its_error_and_the_outline_of_
         measured=np.full((1, 6, 6), 660.0),
         measured_baseline=base,
     )
+
+    def distance(values: Any) -> str:
+        logs, true = np.log(values), np.log(truth)
+        return digits(100 * float(np.sqrt(np.sum((logs - true) ** 2) / np.sum(true**2))), 2)
+
     figure = plot_of("change").draw((made,))
     measured, estimated, true = maps_of(figure)
     assert [axes.get_title().split("\n") for axes in (measured, estimated, true)] == [
-        ["measured", f"error {digits(100 * distance(np.log(0.66), np.log(truth)), 2)} %"],
-        ["estimated: LSM", f"error {digits(100 * distance(np.log(1.02 * truth), np.log(truth)), 2)} %"],
+        ["measured", f"error {distance(0.66)} %"],
+        ["estimated: LSM", f"error {distance(1.02 * truth)} %"],
         ["truth", "−94 … +900 %"],
     ]
     painted = true.collections[1]
     colours = {value: tuple(painted.cmap(painted.norm(value))) for value in (-94.0, -67.0, -20.0, 0.0, 150.0, 901.0)}
     assert len(set(colours.values())) == len(colours)  # rim and centre stand on one scale, neither beyond its end
     assert "true outline of the load" in {text.get_text() for text in figure.legends[0].get_texts()}
-
-
-def test_halves_and_doubles_are_equally_strong_and_small_changes_keep_even_bands() -> None:
-    large = change_scale([np.array([-80.0, 400.0, 0.0])], "change [%]")
-    down, up = (large.norm(np.array([value]))[0] for value in (-60.0, 150.0))  # factors of 2.5
-    assert down + up == pytest.approx(large.colours.N - 1, abs=1)
-    assert change_scale([np.array([-4.0, 3.0])], "change [%]").norm.vmax == 5.0
 
 
 def test_residuals_are_those_of_the_readings_and_name_their_size() -> None:
@@ -235,14 +225,6 @@ def test_what_is_no_number_is_grey_and_what_was_not_solved_says_so() -> None:
     assert figure.axes[1].get_ylabel() == "resolution"
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(3.71, "+3.7"), (-82.4, "−82"), (9502050701.0, "+9.5·10⁹"), (-1.0e5, "−1.0·10⁵"), (99999.0, "+99999")],
-)
-def test_changes_beyond_five_digits_are_powers_of_ten(value: float, text: str) -> None:
-    assert change_text(value, 10.0) == text
-
-
 def case_with_pressure(shape: tuple[int, int, int] = (3, 10, 10), sd: float = 0.1) -> CaseResult:
     case = invented_case(shape=shape, failed=(0,) if shape[0] > 1 else ())
     ratio = case.cell_resistance / case.baseline_resistance
@@ -262,11 +244,21 @@ def case_with_pressure(shape: tuple[int, int, int] = (3, 10, 10), sd: float = 0.
 @pytest.mark.parametrize(
     ("shape", "sd"), [((3, 10, 10), 0.1), ((1, 1, 1), 0.0), ((1, 1, 7), np.inf), ((2, 5, 1), 0.1), ((1, 24, 16), 1.0)]
 )
-def test_pressures_of_every_shape_are_drawn(tmp_path: Path, shape: tuple[int, int, int], sd: float) -> None:
+def test_pressures_of_every_shape_are_drawn_with_units_and_frame(
+    tmp_path: Path, shape: tuple[int, int, int], sd: float
+) -> None:
     case = case_with_pressure(shape, sd)
     for name in ("first.png", "second.png"):
         save(PressurePlot().draw((case,)), tmp_path / name)
     assert (tmp_path / "first.png").read_bytes() == (tmp_path / "second.png").read_bytes()
+    figure = PressurePlot(5).draw((case,))
+    labels = [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text]
+    labels += [figure.get_supxlabel(), figure.get_supylabel()]
+    assert len(labels) == 4 and all("[" in label for label in labels) and "frame 5 at 5 s" in figure.get_suptitle()
+    with pytest.raises(InputError, match="frame 99 has no results"):
+        PressurePlot(99).draw((case,))
+    with pytest.raises(InputError, match="holds no pressure"):
+        picture((invented_case(),), "pressure")
 
 
 def test_a_timeline_has_a_band_for_each_attachment_and_circles_of_those_that_are_there() -> None:
@@ -295,20 +287,3 @@ def test_a_timeline_has_a_band_for_each_attachment_and_circles_of_those_that_are
     assert figure.get_size_inches()[1] == 3.4
     figure = timeline(Detected.of("mouth", (), 4.0, course=course))
     assert [text.get_text() for text in figure.get_axes()[1].texts] == ["nothing was there"]
-
-
-def test_units_and_frame_are_told() -> None:
-    case = case_with_pressure()
-    figure = PressurePlot(6).draw((case,))
-    labels = [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text]
-    labels += [figure.get_supxlabel(), figure.get_supylabel()]
-    assert len(labels) == 4 and all("[" in label for label in labels)
-    assert "frame 6 at 6 s" in figure.get_suptitle()
-
-
-def test_nothing_to_draw_is_one_sentence() -> None:
-    case = case_with_pressure()
-    with pytest.raises(InputError, match="frame 99 has no results"):
-        PressurePlot(99).draw((case,))
-    with pytest.raises(InputError, match="holds no pressure"):
-        picture((invented_case(),), "pressure")
