@@ -11,6 +11,7 @@ from support import invented_case
 from lampest.report.page.compared import (
     PREDICTION,
     Batch,
+    Comparison,
     Interval,
     Standing,
     advise,
@@ -23,8 +24,6 @@ from lampest.report.page.compared import (
 )
 from lampest.report.page.page import COVERED, SPREAD, disagreements, doubts, failures, figures
 from lampest.runs.results import CaseResult
-
-pytestmark = pytest.mark.slow
 
 SHAPE = (4, 3, 3)
 
@@ -61,12 +60,8 @@ def test_bootstrap_intervals_of_a_mean_hold_it() -> None:
         assert found.value == pytest.approx(values.mean()) and found.lower < found.value < found.upper
         held += found.lower <= 0 <= found.upper
     assert 0.90 <= held / 400 <= 0.97
-
-
-def test_blocks_are_neighbours_and_every_frame_is_drawn_alike() -> None:
-    drawn = picks(10, 3, np.random.default_rng(2))
-    assert drawn.shape == (2000, 10)
-    assert np.all((drawn[:, 1:3] - drawn[:, :2]) % 10 == 1)
+    drawn = picks(10, 3, rng)  # blocks are neighbours, and every frame is drawn alike
+    assert drawn.shape == (2000, 10) and np.all((drawn[:, 1:3] - drawn[:, :2]) % 10 == 1)
     assert np.all(np.abs(np.bincount(drawn.ravel(), minlength=10) / drawn.size - 0.1) < 0.01)
 
 
@@ -88,6 +83,10 @@ def test_blocks_widen_the_interval_of_frames_that_remember() -> None:
     assert block_length(np.ones((30, 2))) == 4 and block_length(np.ones((1, 2))) == 1
     slow = np.sin(np.arange(300) / 40)
     assert 30 < block_length(np.stack([slow, -slow], axis=1)) <= 100
+
+
+def compared(results: Batch) -> Comparison | None:
+    return comparison_of(results, np.random.default_rng(0))
 
 
 def with_change(estimator: str, change: float, below: float, above: float) -> CaseResult:
@@ -132,36 +131,34 @@ def test_the_fastest_of_those_without_a_practical_difference_is_recommended() ->
     near = hard + 0.002 * rng.standard_normal(30)
     near += 0.0002 - np.mean(near - hard)
     given = {"best": (hard, 8.0), "near": (near, 2.0), "far": (hard + 0.01, 0.5)}
-    comparison = comparison_of(cohort(30, **given), np.random.default_rng(0))
+    comparison = compared(cohort(30, **given))
     assert [row.estimator for row in comparison.standings] == ["best", "near", "far"]
     assert [row.told_apart for row in comparison.standings] == [False, False, True]
     assert comparison.standings[2].difference.value == pytest.approx(1.0)
     assert comparison.standings[2].wins == 0
     assert sum(row.wins for row in comparison.standings) == 30
     advice = advise(cohort(30, **given), comparison)
-    assert (
-        advice.headline
-        == "No practical difference between best and near; near (gradient λ = 0.5) is the fastest of them."
-    )
+    alike = "No practical difference between best and near; near (gradient λ = 0.5) is the fastest of them."
+    assert advice.headline == alike
     assert "near takes 2.0 ms a frame, best 8.0 ms." in advice.reasons and not advice.warnings
     given["near"] = (near, 7.5)
     slow = cohort(30, **given)
-    assert advise(slow, comparison_of(slow, np.random.default_rng(0))).estimator == "best"
+    assert advise(slow, compared(slow)).estimator == "best"
 
 
 def test_speed_makes_up_for_no_error_and_a_sure_trifle_decides_nothing() -> None:
     """Twice the error for half the time, not sure in five recordings; and a thousandth that is sure in all."""
     twice = cohort(5, slow=([0.01, 0.02, 0.01, 0.02, 0.01], 8.0), fast=([0.09, 0.01, 0.01, 0.02, 0.01], 4.0))
-    comparison = comparison_of(twice, np.random.default_rng(0))
+    comparison = compared(twice)
     assert not comparison.standings[1].told_apart
-    advice = advise(twice, comparison)
-    assert (
-        advice.estimator == "slow"
-        and "The difference between fast and slow is not significant (95 % interval " in " ".join(advice.reasons)
+    advice, sentence = (
+        advise(twice, comparison),
+        "The difference between fast and slow is not significant (95 % interval ",
     )
+    assert advice.estimator == "slow" and sentence in " ".join(advice.reasons)
     hard = 0.02 + 0.001 * np.arange(30)
     trifle = cohort(30, one=(hard, 4.0), other=(hard * 1.001, 4.0))
-    comparison = comparison_of(trifle, np.random.default_rng(0))
+    comparison = compared(trifle)
     assert comparison.standings[1].told_apart
     assert Standing("wide", Interval(2.0, 1.0, 3.0), Interval(1.5, 0.5, 2.5), 0).told_apart
     assert advise(trifle, comparison).headline.startswith("No practical difference between one and other")
@@ -170,11 +167,9 @@ def test_speed_makes_up_for_no_error_and_a_sure_trifle_decides_nothing() -> None
 def test_few_recordings_and_a_single_one_are_warned_of() -> None:
     errors = [0.01, 0.02, 0.03]
     few = cohort(3, A=(errors, 1.0), B=([0.05] * 3, 1.0))
-    assert any(
-        "fewer than 5" in sentence for sentence in advise(few, comparison_of(few, np.random.default_rng(0))).warnings
-    )
+    assert any("fewer than 5" in sentence for sentence in advise(few, compared(few)).warnings)
     one = cohort(1, A=(errors, 1.0), B=([0.05], 1.0))
-    comparison = comparison_of(one, np.random.default_rng(0))
+    comparison = compared(one)
     assert comparison.over_frames and comparison.values.shape == (SHAPE[0], 2)
     assert any("One recording only" in sentence for sentence in advise(one, comparison).warnings)
 
@@ -188,12 +183,12 @@ def test_without_truth_the_prediction_decides_and_without_noise_nothing_does() -
 
     given = (("follows all", 0.0, 1.0), ("right", 0.8, 0.3), ("too stiff", 3.0, 0.05))
     known = batch(*(case(*method[:1], f"r{number}", *method[1:]) for number in range(6) for method in given))
-    comparison = comparison_of(known, np.random.default_rng(0))
+    comparison = compared(known)
     assert comparison.criterion is PREDICTION
     assert [row.estimator for row in comparison.standings] == ["right", "follows all", "too stiff"]
     assert advise(known, comparison).estimator == "right"
     bare = batch(*(invented_case(name, "r", SHAPE, truth=False) for name in ("A", "B")))
-    untold = advise(bare, comparison_of(bare, np.random.default_rng(0)))
+    untold = advise(bare, compared(bare))
     assert untold.estimator is None and "cannot rank" in untold.headline
 
 
@@ -207,7 +202,7 @@ def test_who_fails_does_not_compete() -> None:
     assert match.estimators == ("A", "B") and len(match.recordings) == 3
     assert match.left_out[0] == "C, without results of the same recordings"
     assert match.left_out[1] == "1 of 4 recordings lack some of the estimators"
-    assert comparison_of(batch(invented_case("A", "r1"), invented_case("B", "r2")), np.random.default_rng(0)) is None
+    assert compared(batch(invented_case("A", "r1"), invented_case("B", "r2"))) is None
     match = matched(batch(*cases).recordings)
     assert match.left_out == ("C failed in 3 of 40 frames",) and match.frames == 39
 
