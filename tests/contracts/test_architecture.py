@@ -50,7 +50,7 @@ DOORS = {
         "report.export.formats",
         "studies",
     ),
-    "mpmath": ("studies.extremes",),
+    "mpmath": ("studies.certified",),
     "xarray": ("runs.case", "report.export.formats"),
     "pandas": ("runs.case",),
     "pyarrow": ("report.export.formats",),

@@ -26,6 +26,7 @@ from lampest.estimate.methods.method import OptimalMethod
 from lampest.recording.readings import AT_LEAST, AT_MOST
 from lampest.runs.executors import Serial
 from lampest.solvers.multistart import best_solution, evaluated
+from lampest.studies.certified import correct_digits, exact_residual, fifty_digits
 from lampest.studies.extremes import (
     CASES,
     CRASHED,
@@ -36,9 +37,6 @@ from lampest.studies.extremes import (
     _parts,
     atlas_remarks,
     atlas_rows,
-    correct_digits,
-    exact_residual,
-    fifty_digits,
     mild,
     recording_of,
     run_atlas,

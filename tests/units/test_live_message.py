@@ -236,7 +236,7 @@ def test_an_urgent_errand_waits_for_urgent_ones_alone() -> None:
     assert look.queued([other]) == [other, look]
     assert Errand("look", float).queued([look, other]) == [Errand("look", float), other]
     assert look.queued([urgent]) == [urgent] and urgent.queued([look]) == [urgent] == urgent.queued([urgent])
-    assert look.done() == 0
+    assert look.run() == 0
 
 
 SCENE = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())

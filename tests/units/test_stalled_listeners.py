@@ -1,4 +1,4 @@
-"""Listeners that never read: frames go on, nothing piles up, and the end is not held up."""
+"""Listeners: who is admitted; from those that never read frames go on, nothing piles up, and the end is not held up."""
 
 import gc
 import json
@@ -23,6 +23,7 @@ from lampest.report.live.publish.publish import Send
 
 FRAMES = 120  # of 107 kB: more than the two ends of a connection hold by themselves
 PATIENCE_SECONDS = 30.0
+TOKEN = "0123456789abcdef"
 SMALL_BUFFER = 4096
 HANDSHAKE = (
     "GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -146,3 +147,29 @@ def test_a_broker_that_never_reads_holds_up_neither_frames_nor_the_end() -> None
         within(lambda: way.__exit__(None, None, None))
         with closing(taken[0]):
             assert read_all(taken[0]) < FRAMES * len(message(1).text()) / 2, "nothing is kept for it"
+
+
+@pytest.mark.parametrize(
+    ("host", "headers", "path", "status"),
+    [
+        ("127.0.0.1", {"Origin": "http://evil.example"}, "", 403),
+        ("127.0.0.1", {"Origin": "http://127.0.0.1:8137"}, "", 101),
+        ("127.0.0.1", {}, "", 101),
+        ("0.0.0.0", {}, "", 403),
+        ("0.0.0.0", {}, "?token=wrong", 403),
+        ("0.0.0.0", {}, f"?token={TOKEN}", 101),
+        ("0.0.0.0", {"Authorization": f"Bearer {TOKEN}"}, "", 101),
+    ],
+)
+def test_a_websocket_is_for_this_computer_and_elsewhere_asks_for_a_token(
+    host: str, headers: dict[str, str], path: str, status: int
+) -> None:
+    token = TOKEN if host == "0.0.0.0" else None
+    with publish_at(f"websocket://{host}:0", token).opened(print) as (where, _):
+        port = urlsplit(where).port
+        try:
+            with connect(f"ws://127.0.0.1:{port}/{path}", additional_headers=headers) as connection:
+                answer = connection.response.status_code
+        except InvalidStatus as refused:
+            answer = refused.response.status_code
+    assert answer == status

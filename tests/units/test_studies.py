@@ -15,6 +15,7 @@ from docs.studies.audit import Audited, audit_remarks, audit_rows
 from docs.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
 from lampest import Array, InputError, Panel, Recording, Scene
 from lampest.runs.config import read_run
+from lampest.runs.executors import Serial
 from lampest.runs.results import Results
 from lampest.studies import common, tradeoff, weights
 from lampest.studies import paper as page
@@ -299,6 +300,26 @@ def test_a_call_takes_the_lesser_of_wall_and_processor_time(monkeypatch: pytest.
         for name, times in clocks.items():
             monkeypatch.setattr(common, name, times.__next__)
         assert common.clocked(lambda: "done") == ("done", 2.0)
+
+
+def test_peak_memory_is_that_of_two_frames_and_unknown_if_the_process_died(
+    tiny: Plan, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    solved = list[int]()
+
+    def reconstructed(recording: Recording, estimator: Any) -> None:
+        if solved:
+            raise MemoryError
+        solved.append(len(recording.measured_frames()))
+
+    (recording,), estimator = tiny.recordings, tiny.settings.estimator("LSM", tiny.settings.ladder[0])
+    longer = replace(recording, role=np.array([1, 1, 1], dtype=np.uint8))
+    (tmp_path / "status").write_text("Name: x\nVmHWM:\t 2500 kB\nVmRSS: 1 kB\n")
+    for name, value in (("reconstruct", reconstructed), ("Processes", lambda count: Serial())):
+        monkeypatch.setattr(common, name, value)
+    monkeypatch.setattr(common, "STATUS", tmp_path / "status")
+    assert common.peak_memory(longer, estimator) == pytest.approx(2.56) and solved == [2]
+    assert np.isnan(common.peak_memory(longer, estimator))
 
 
 def test_curves_are_refined_about_the_least_error(monkeypatch: pytest.MonkeyPatch) -> None:

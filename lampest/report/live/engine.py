@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import methodcaller
 from queue import SimpleQueue
 from threading import Event
 from typing import Any
@@ -65,7 +66,7 @@ class Engine:
         self._solving: Future[None] | None = None
         self._zero_asked, self._looked = Event(), 0.0
         self._found: SimpleQueue[Any] = SimpleQueue()
-        self._beside = Beside(Errand.done, Errand.queued, self._take_answer) if beside else None
+        self._beside = Beside(methodcaller("run"), Errand.queued, self._take_answer) if beside else None
         self._watcher = watcher(name, self._take_detected) if beside else None
 
     def __enter__(self) -> "Engine":
@@ -184,7 +185,7 @@ class Engine:
         """Show warnings about the frames."""
         check = Errand("check", partial(_warnings, scene, unloaded, loaded))
         if self._beside is None or self._beside.gone:
-            self._take_answer(check, check.done())
+            self._take_answer(check, check.run())
         else:
             self._beside.ask(check)
 

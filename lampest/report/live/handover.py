@@ -150,7 +150,3 @@ class Errand(NamedTuple):
         if any(errand.urgent and not self.urgent for errand in same):
             return waiting
         return [self if errand in same else errand for errand in waiting] if same else [*waiting, self]
-
-    def done(self) -> Any:
-        """Run the task."""
-        return self.run()

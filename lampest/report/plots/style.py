@@ -68,7 +68,8 @@ def save(figure: Figure, path: str | Path) -> None:
     path = Path(path)
     if path.suffix not in SUFFIXES:
         raise InputError(f"{path}: {PICTURES}")
-    _write(_drawn(figure, path.suffix[1:]), path)
+    with whole_file(path) as unfinished:
+        unfinished.write_bytes(_drawn(figure, path.suffix[1:]))
 
 
 def write_all(
@@ -84,7 +85,8 @@ def write_all(
     """
     tasks = list(zip(figures, files, strict=True))
     for file, image in zip(files, each_of(_image, tasks, on_picture, Serial() if in_process else None), strict=True):
-        _write(image, file)
+        with whole_file(file) as unfinished:
+            unfinished.write_bytes(image)
     return list(files)
 
 
@@ -92,11 +94,6 @@ def _image(task: tuple[Callable[[], Figure], Path]) -> bytes:
     draw, file = task
     with verbatim():
         return _drawn(draw(), file.suffix[1:])
-
-
-def _write(image: bytes, path: Path) -> None:
-    with whole_file(path) as unfinished:
-        unfinished.write_bytes(image)
 
 
 def data_uri(figure: Figure, kind: Literal["png", "svg"] = "svg") -> str:
