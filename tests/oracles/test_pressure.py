@@ -8,15 +8,7 @@ import pytest
 from lampest import Array, Cells, Panel, Scene, Simulation, SuctionCup, Systematic, Temperature, TwoPointReadout, Water
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.loads.film import ERRORS
-from lampest.loads.pressure import (
-    Pressure,
-    PressureTrack,
-    Tare,
-    determined,
-    pressure_of,
-    total_force,
-    water_pressure,
-)
+from lampest.loads.pressure import Pressure, PressureTrack, Tare, determined, pressure_of, total_force, water_pressure
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA, Film, ratio_from_pressure
 from lampest.recording.simulation.simulation import simulate
 

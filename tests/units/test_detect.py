@@ -225,11 +225,7 @@ def test_a_fit_is_as_wide_as_its_prior_where_nothing_was_read_and_else_as_its_cu
     """One pressure of 5 ± 5 kPa on all cells, at 5 kPa; its evidence is a Gaussian's over that of the prior."""
     for sigma in (1e9, 1.0):
         frame = at_rest(sigma)
-        fitting, whitening, parameters = (
-            Fitting(FLAT, frame, 6.0),
-            Whitening.about(frame),
-            np.array([5.0]),
-        )
+        fitting, whitening, parameters = (Fitting(FLAT, frame, 6.0), Whitening.about(frame), np.array([5.0]))
         likelihood = fitting.about(parameters, whitening)
         point, fit = fitting.at(parameters, likelihood), fitting.stays(parameters, whitening)
         variance = 1 / float(point.normal[0, 0])

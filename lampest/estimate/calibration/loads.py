@@ -9,13 +9,7 @@ from numpy.typing import NDArray
 from lampest.cost.terms import Misfit
 from lampest.estimate.calibration import MIN_SAMPLE, Calibration, common_scene
 from lampest.estimate.calibration.known_loads import KnownLoad, KnownLoads
-from lampest.estimate.calibration.response import (
-    FittedResponse,
-    Loaded,
-    deviations_from_others,
-    fit_loads,
-    response_of,
-)
+from lampest.estimate.calibration.response import FittedResponse, Loaded, deviations_from_others, fit_loads, response_of
 from lampest.estimate.estimates import log_change
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct

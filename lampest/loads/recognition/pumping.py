@@ -45,11 +45,7 @@ class Jumps(NamedTuple):
 # A quiet cup, a disturbed cup, and a mouth. The rate of pumps is that of the geometric mean of 20 and 200 s, and their
 # shortest interval half of the shortest published one. The other numbers are assumptions: a single jump must not
 # decide, and only pumps are both frequent and upwards.
-KINDS = (
-    Jumps(0.45, 1 / 200, 0.0, 0.6),
-    Jumps(0.05, 1 / 30, 0.0, 0.6),
-    Jumps(0.5, 1 / 63, 0.4, 0.3, interval_s=10.0),
-)
+KINDS = (Jumps(0.45, 1 / 200, 0.0, 0.6), Jumps(0.05, 1 / 30, 0.0, 0.6), Jumps(0.5, 1 / 63, 0.4, 0.3, interval_s=10.0))
 OF_KINDS = Jumps(*np.array(KINDS).T[..., None, None, None, None])  # the same, along the first axis of GRID
 LEAKS = np.array([0.0, 0.001, 0.003, 0.01, 0.03])  # λ, 1/s: between pumps a tenth is lost in 200 s, or half in 20 s
 NOISES = np.geomspace(0.003, 0.2, 6)  # σ of a sample: from quiet readings to breathing that is aliased
