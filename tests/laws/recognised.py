@@ -1,13 +1,16 @@
-"""What recognition says of a simulated load. No test stands here."""
+"""What recognition says of a simulated load, and of a recording. No test stands here."""
 
 import numpy as np
 
-from lampest import Panel, Scene, Shape, Simulation, TwoPointReadout, simulate
+from lampest import Panel, Recording, Scene, Shape, Simulation, TwoPointReadout, simulate
+from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.candidates import LOADS
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Verdict
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
 from lampest.loads.shapes.shape import Candidate
+from lampest.report.detect.answer import Detected
+from lampest.report.detect.detection import Known, known_of, measured_frames
 
 PANEL, PATCH_MM = Panel(10, 10), 6.0
 
@@ -19,6 +22,13 @@ def frame_under(load: Shape, panel: Panel) -> Observation:
     resting = readings[[0, 1, 2]].mean()
     baseline = Baseline.of(resting.value, resting.sigma, recording.scene, ModelErrors())
     return Observation(readings.value[3], readings.sigma[3], baseline, np.zeros(panel.shape), 1.0)
+
+
+def answered(recording: Recording) -> Detected:
+    """As `lampest detect` does."""
+    known = known_of(Prepared(recording))
+    assert isinstance(known, Known)
+    return known.answer(measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)))
 
 
 def verdict_on(load: Shape, loads: tuple[Candidate, ...] = LOADS, panel: Panel = PANEL) -> Verdict:

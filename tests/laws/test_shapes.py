@@ -49,10 +49,6 @@ def sums(load: Shape) -> tuple[float, float]:
     return float(contact.sum() * FINE.pitch_mm**2), float(suction.sum() * FINE.pitch_mm**2)
 
 
-def test_a_template_is_a_full_disc_with_nothing_else_unless_it_says_so() -> None:
-    assert tuple(Template(30.0)) == (30.0, 0.0, 0.0, False)
-
-
 @pytest.mark.parametrize("kind", SHAPES)
 def test_is_in_the_schema_and_comes_back_from_yaml(kind: type[Shape]) -> None:
     load = load_of(kind)
@@ -132,10 +128,7 @@ def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> N
 def test_what_recognition_fits_is_what_simulation_makes(kind: type[Shape]) -> None:
     load = dataclasses.replace(load_of(kind), centre_mm=(43.0, 47.5), tilt=0.3, tilt_direction_deg=70.0)
     disc = load.disc()
-    sampled, (smooth, _) = (
-        np.sum(load.mean_pressure(PANEL, 6.0), axis=0),
-        pressure_at_places(PANEL.places_mm, 6.0, disc),
-    )
+    sampled, smooth = np.sum(load.mean_pressure(PANEL, 6.0), axis=0), pressure_at_places(PANEL.places_mm, 6.0, disc)[0]
     assert np.abs(sampled - smooth).max() < max(disc.rim_kpa, -disc.suction_kpa) / (2 * POINTS)
     fitted, _ = kind.candidate.pressure(PANEL, 6.0, kind.candidate.start(disc))
     assert np.abs(fitted - smooth).max() < 0.05 * max(disc.rim_kpa, -disc.suction_kpa)
@@ -146,6 +139,7 @@ def test_labels_and_kinds_are_their_own() -> None:
     assert len(set(every)) == len(every)
     kinds = [example(kind).split(",")[0] for kind in shape_types()]
     assert len(set(kinds)) == len(kinds)
+    assert tuple(Template(30.0)) == (30.0, 0.0, 0.0, False), "a full disc with nothing else unless it says so"
 
 
 def test_a_mouth_of_any_form_bears_its_suction() -> None:
@@ -161,14 +155,8 @@ def test_a_mouth_of_any_form_bears_its_suction() -> None:
 
 
 def test_a_mouth_is_long_and_uneven_where_it_says() -> None:
-    load = OralDisc(
-        centre_mm=(45.0, 45.0),
-        diameter_mm=40.0,
-        rim_width_mm=6.0,
-        pressure_kpa=-9.0,
-        elongation=1.44,
-        elongation_deg=90.0,
-    )
+    form = {"diameter_mm": 40.0, "rim_width_mm": 6.0, "elongation": 1.44, "elongation_deg": 90.0}
+    load = OralDisc(centre_mm=(45.0, 45.0), pressure_kpa=-9.0, **form)
     sucked = load.mean_pressure(FINE, FINE.pitch_mm)[1] < 0
     assert sucked.any(axis=1).sum() * 0.5 == pytest.approx(28 * 1.2, abs=1)
     assert sucked.any(axis=0).sum() * 0.5 == pytest.approx(28 / 1.2, abs=1)
@@ -234,11 +222,9 @@ def test_the_slopes_of_an_oval_are_its_differences(seed: int) -> None:
 
 
 def test_patches_without_gaps_hold_the_whole_force() -> None:
+    """And a disc beside the panel presses on nothing."""
     for diameter in (20.0, 33.0, 39.9):
         pressure, _ = pressure_at_places(OBLONG.places_mm, 10.0, Disc(18.3, 31.7, diameter, 0.0, 0.0, 3.0, 0.0, 0.0))
         assert pressure.sum() * 100 == pytest.approx(3 * np.pi * diameter**2 / 4, rel=0.01)
-
-
-def test_a_disc_beside_the_panel_presses_on_nothing() -> None:
     pressure, slopes = pressure_at_places(OBLONG.places_mm, 6.0, Disc(-40.0, 10.0, 20.0, 10.0, -5.0, 9.0, 0.1, 0.0))
     assert not pressure.any() and not slopes.any()

@@ -1,29 +1,28 @@
 """Recognition on panels of modules, of mouths that no package made, and of a load's size against a random walk."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from laws.recognised import PATCH_MM, frame_under, verdict_on
+from laws.recognised import PATCH_MM, answered, frame_under, verdict_on
 
 import lampest
 from docs.studies.attachments import SLIDES_S, SLIDING, TOUCH_S, UNLOADED, recording, seen
-from lampest import Array, Course, Faults, OralDisc, Panel, Recording, Rod, Scene, Simulation, TwoPointReadout, simulate
-from lampest.estimate.prepared import Prepared
+from lampest import Array, Course, Faults, OralDisc, Panel, Rod, Scene, Simulation, TwoPointReadout, simulate
 from lampest.files.levels import SIGNIFICANT
 from lampest.loads.recognition.attachment import Attachment, attachments_of
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fitting, Verdict, along_diameter
-from lampest.loads.recognition.image import CALM_S, ImageWatch, Window
+from lampest.loads.recognition.image import ImageWatch, Window
 from lampest.loads.recognition.observation import OUTLIER_SHARE, ModelErrors, Observation, Whitening, outliers
 from lampest.loads.recognition.watch import Panelled
 from lampest.panel.panel import EachModule, Modules
-from lampest.report.detect.answer import LAMPREY, Detected
-from lampest.report.detect.detection import Known, detect_recording, known_of, measured_frames
+from lampest.report.detect.answer import LAMPREY
+from lampest.report.detect.detection import detect_recording
 
 READOUT = TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
 SCENE = Scene(Panel(modules=Modules(2, 3, EachModule(6, 7), 4.0)), READOUT, 140.0)
@@ -270,37 +269,22 @@ def test_recognition_looks_where_something_changed(tmp_path: Path, monkeypatch: 
     assert set(looks) == {(10, 10)} and len(looks) <= 5
 
 
-def detected(whole: Recording) -> Detected:
-    """The answer to all frames."""
-    watched = known_of(Prepared(whole))
-    assert isinstance(watched, Known)
-    return watched.answer(measured_frames(whole, watched, np.ones(len(whole.time), dtype=bool)))
+def test_breath_is_judged_in_windows_that_nothing_begins_anew() -> None:
+    """A deep breath is no row of steps: by 14 % of its suction, it changes the readings by more than half of the load.
 
-
-def test_a_mouth_that_breathes_deeply_is_no_row_of_steps() -> None:
-    """By 14 % of its suction, so that its breath changes the readings by more than half of the load."""
+    Nor is an outlier in two frames of three. The first 8 s of another mouth leave a breath of 6 % at 0.7 Hz open:
+    frames after a full window are judged before the next is full. The first seconds of a shaken cup look like breath.
+    """
     assert seen("uneven mouth", 4.0, 501003).lamprey < 10
-
-
-def test_an_outlier_in_two_frames_of_three_does_not_begin_a_window_anew() -> None:
     assert seen("mouth partly off", 4.0, 501001).lamprey < 8
-
-
-def test_frames_after_a_full_window_are_judged_before_the_next_is_full() -> None:
-    """The first 8 s leave a breath of 6 % at 0.7 Hz open."""
-    whole, *_ = recording("mouth", 4.0, 501005)
-    assert detected(whole).answer == LAMPREY
-
-
-def test_a_cup_that_is_shaken_is_no_lamprey_in_any_frame() -> None:
-    """Its first seconds look like breath."""
+    assert answered(recording("mouth", 4.0, 501005)[0]).answer == LAMPREY
     assert np.isnan(seen("shaken cup", 4.0, 812005).lamprey)
 
 
 @pytest.mark.parametrize("seed", range(1, 4))
 def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
     whole, made, _, _ = recording(SLIDING, 4.0, seed, attached_s=20.0)
-    answer = detected(whole)
+    answer = answered(whole)
     (attachment,) = answer.attachments
     begin = whole.time[UNLOADED] + TOUCH_S
     assert answer.answer == LAMPREY and "pumping" not in answer.sentence
@@ -361,51 +345,6 @@ def test_small_rods_are_as_large_as_they_are_said_to_be(diameter_mm: float, cent
     error = np.sqrt(slopes @ best.covariance @ slopes)
     assert error < 9.0
     assert abs(value - diameter_mm) < 2 * error
-
-
-@dataclass(frozen=True, eq=False)
-class Rested:
-    """What a module, or a window of modules, knows of its cells at rest."""
-
-    resting: Any
-    mean: Any
-    recent: Any
-    rest_s: float = 0.0
-    rested: float = 0.0
-    begun: float = 0.0
-    window: Any = ()
-    uncovered_s: float = 0.0
-    number: int = 0
-
-
-def test_modules_go_on_from_where_the_windows_that_close_stand_unless_another_covers_them() -> None:
-    """One window over modules 0, 1, 3 and 4 has been calm for long, one over 1, 2, 4 and 5 has not; 3 is dead."""
-    rng = np.random.default_rng(1)
-    old, young = (Window.about(SCENE, np.array(place)) for place in ([69.0, 57.0], [143.0, 57.0]))
-    assert (old.numbers, young.numbers) == ((0, 1, 3, 4), (1, 2, 4, 5))
-    known = [Rested(*rng.normal(size=(2, 42)), tuple(rng.normal(size=(2, 42))), number=number) for number in range(6)]
-    calm, busy = (
-        Rested(*rng.normal(size=(2, 168)), tuple(rng.normal(size=(2, 168))), *(10.0 * n + np.arange(1.0, 6.0)))
-        for n in (1, 2)
-    )
-    modules = {number: module for number, module in enumerate(known) if number != 3}
-    opened: Any = ((old, calm, 100.0), (young, busy, 100.0 + 1e-3))
-    watch = ImageWatch(None, modules, opened)  # type: ignore[arg-type]
-    closed = watch._closed(100.0 + CALM_S)
-    assert closed.opened == opened[1:] and {**closed.modules, 0: known[0]} == modules
-    first: Any = closed.modules[0]
-    assert first.number == 0
-    for now, image in zip(
-        (first.resting, first.mean, *first.recent), (calm.resting, calm.mean, *calm.recent), strict=True
-    ):
-        np.testing.assert_array_equal(np.ravel(now), np.reshape(image, (12, 14))[:6, :7].ravel())
-    assert (first.rest_s, first.rested, first.begun, first.window, first.uncovered_s) == (11, 12, 13, 14, 15)
-    assert watch._closed(99.0 + CALM_S).modules == modules
-    both = watch._closed(101.0 + CALM_S)
-    assert both.opened == () and set(both.modules) == {0, 1, 2, 4, 5}
-    last: Any = both.modules[5]
-    np.testing.assert_array_equal(np.ravel(last.resting), busy.resting.reshape(12, 14)[6:, 7:].ravel())
-    assert last.number == 5 and last.rest_s == 21
 
 
 @pytest.mark.parametrize(

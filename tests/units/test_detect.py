@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from support import invented_case
 
-from lampest import Block, Faults, InputError, OralDisc, Panel, Recording, Ring, Rod, Scene, Systematic, Water
+from lampest import Block, Faults, InputError, OralDisc, Panel, Recording, Ring, Rod, Scene, Systematic
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.breathing import Breath, Breathing
@@ -95,20 +95,24 @@ def at_rest(sigma: float = 1.0, errors: ModelErrors | None = None, scene: Scene 
     return Observation(measured, np.full(measured.shape, sigma), baseline, 0 * measured, 540.0, **known)
 
 
-def test_offsets_are_those_of_channels_reference_and_readings() -> None:
-    """Of 2 rows and 3 columns 3 ohm each; of the reference 0.6 %, of readings 2 % of all that is in series."""
+def test_assumed_errors_are_those_of_channels_reference_readings_and_wandering_cells() -> None:
+    """Of 2 rows and 3 columns 3 ohm each; of the reference 0.6 %, of readings 2 % of all that is in series.
+
+    Cells at rest wander by 1 % a decade of minutes by themselves, by 2 % with all others, and by 0.2 % at once.
+    """
     found = ModelErrors(reading_error=0.02).offsets(np.full((2, 3), 1000.0), SMALL)
     rows, columns = np.indices((2, 3)).reshape(2, 6)
     lines = [*(rows == 0, rows == 1), *(columns == number for number in range(3))]
     expected = np.column_stack([*(3.0 * line for line in lines), np.full(6, 0.006 * 1140), 0.02 * 1140 * np.eye(6)])
     np.testing.assert_allclose(found, expected)
-
-
-def test_cells_at_rest_wander_by_decades_of_minutes() -> None:
-    """1 % a decade by itself, 2 % with all others, and 0.2 % at once: 540 s are a decade."""
-    expected = 0.02**2 + (0.01**2 + 0.002**2) * np.eye(3)
-    np.testing.assert_allclose(ModelErrors().resting_covariance(540.0, 3), expected)
-    np.testing.assert_allclose(ModelErrors().resting_covariance(0.0, 3), 0.002**2 * np.eye(3))
+    for seconds, common, own in ((540.0, 0.02, 0.01), (0.0, 0.0, 0.0)):
+        expected = common**2 + (own**2 + 0.002**2) * np.eye(3)
+        np.testing.assert_allclose(ModelErrors().resting_covariance(seconds, 3), expected)
+    scene = replace(SMALL, systematic=Systematic(0.03, 5.0))
+    errors = ModelErrors().of_scene(scene, 0.03)
+    assert (errors.channel_ohm, errors.reference, errors.reading_error) == (5.0, pytest.approx(0.03 / 3**0.5), 0.03)
+    counted = counting(np.array([1.0, 0.0, -1.0, np.inf, np.nan]), np.array([2.0, 3, 4, 5, 6]))
+    np.testing.assert_array_equal(counted, [1, 3e3, 4e3, 5e3, 6e3])
 
 
 def test_readings_without_worth_leave_what_was_assumed() -> None:
@@ -159,11 +163,6 @@ def test_a_change_is_that_of_the_response_under_water_and_ends_where_a_cell_is_o
     np.testing.assert_allclose(slope, (frame.change(pressure + 1e-4)[0] - change) / 1e-4, rtol=0.05, atol=1e-6)
     far, flat = frame.change(np.full((2, 3), -1e4))
     assert np.all(far == 12) and np.all(flat == 0)
-
-
-def test_counted_readings_have_a_finite_sigma() -> None:
-    found = counting(np.array([1.0, 0.0, -1.0, np.inf, np.nan]), np.array([2.0, 3, 4, 5, 6]))
-    np.testing.assert_array_equal(found, [1, 3e3, 4e3, 5e3, 6e3])
 
 
 def test_several_loads_are_their_parts_in_a_row() -> None:
@@ -356,9 +355,23 @@ def test_the_sentence_says_what_where_since_when_and_how_strong() -> None:
     assert answer.sentence == (
         "lamprey attached since 6.0 s, 35 ± 2 mm at (44, 46) mm, −11 ± 2 kPa, breathing 1.1 Hz, 8 ± 1 % (P = 0.99)"
     )
-    gone = replace(BREATHES, until_s=30.0)
-    assert "lamprey attached from 6.0 s to 30.0 s" in Detected.of("mouth", (gone,), 4.0).sentence
-    assert "and 1 more" in Detected.of("mouth", (BREATHES, BREATHES), 4.0).sentence
+    rod, gone = replace(SEEN, sucks=0.0, suction_kpa=None), replace(BREATHES, since_s=5.0, until_s=30.0)
+    sure = replace(BREATHES, sucks=1.0, breath=replace(BREATHES.breath, odds=9.0))
+    contacts = [replace(rod, diameter_mm=None, x_mm=(float(x), 1.0)) for x in range(8)]
+    for loads, begin, end in (
+        ((gone,), "lamprey attached from 5.0 s to 30.0 s", ""),
+        ((BREATHES, BREATHES), "lamprey", "and 1 more (P = 0.99)"),
+        ((sure,), "lamprey", "(P > 0.99)"),
+        ((BREATHES, gone), "lamprey attached since 6.0 s", ""),  # a present load comes first
+        ((BREATHES, rod), "lamprey attached since 6.0 s", ""),  # the most alarming one is the answer
+        ((rod,), "contact since 6.0 s, 35 ± 2 mm at (44, 46) mm", ""),
+        (contacts, "8 contacts: ", "; 2 more (P > 0.99)"),
+        ((), "nothing", ""),
+    ):
+        sentence = Detected.of("mouth", loads, 4.0).sentence
+        assert sentence.startswith(begin) and sentence.endswith(end)
+        assert sentence.count("; ") == 6 * (loads is contacts)
+    assert Detected.of("none", (), 4.0).probability < 1, "a load may be too weak for a step"
 
 
 @pytest.mark.parametrize(
@@ -371,36 +384,35 @@ def test_the_sentence_says_what_where_since_when_and_how_strong() -> None:
         ({"odds": 4.0, "suction": 0.02}, 4.0, SUCKS, "it moves at a breathing rate, but probably not by its suction"),
         ({"odds": 0.0, "hertz": None}, 4.0, SUCKS, "breathing shows after 4.5 s at the earliest"),
         ({"suction": 1.0}, 4.0, LAMPREY, ""),
+        (None, 4.0, PRESSES, ""),
     ],
 )
-def test_the_answer_follows_from_two_probabilities(change: dict[str, Any], rate: float, answer: str, why: str) -> None:
-    breath = replace(BREATHES.breath, **({"odds": 0.0} if rate == 1.0 else {}) | change)
-    one = replace(BREATHES, breath=breath)
+def test_the_answer_follows_from_two_probabilities(
+    change: dict[str, Any] | None, rate: float, answer: str, why: str
+) -> None:
+    breath = replace(BREATHES.breath, **({"odds": 0.0} if rate == 1.0 else {}) | (change or {}))
+    one = replace(BREATHES, breath=breath, sucks=0.02 if change is None else BREATHES.sucks)
     said, probability, reason = answer_of(one, rate)
     assert said == answer and 0.5 <= probability <= 1 and reason.startswith(why) and bool(reason) == bool(why)
 
 
-def test_what_hardly_sucks_presses() -> None:
-    assert answer_of(replace(BREATHES, sucks=0.02), 4.0)[0] == PRESSES
-
-
-def test_the_most_alarming_attachment_is_the_answer() -> None:
-    rod = replace(SEEN, sucks=0.0, suction_kpa=None)
-    assert Detected.of("two", (BREATHES, rod), 4.0).answer == LAMPREY
-    assert Detected.of("two", (rod,), 4.0).sentence.startswith("contact since 6.0 s, 35 ± 2 mm at (44, 46) mm")
-    gone = replace(BREATHES, since_s=9.0, until_s=30.0)
-    assert "attached since 6.0 s" in Detected.of("two", (BREATHES, gone), 4.0).sentence, "what is there comes first"
-    nothing = Detected.of("none", (), 4.0)
-    assert nothing.sentence == "nothing" and nothing.probability < 1, "a load may be too weak for a step"
-
-
-def test_a_part_that_a_later_look_does_not_see_has_not_left() -> None:
-    """Nothing leaves without a step: what was seen since the step alone was a part of another load."""
+def test_loads_go_on_and_leave_by_steps_alone() -> None:
+    """A part of another load that was seen since the last step alone has not left; each contact has its own history."""
     fin, part = SEEN, replace(SEEN, x_mm=(80.0, 0.6))
     old = replace(part, since_s=2.0)
     for before, again, kept in (((fin, part), True, (None,)), ((fin, old), True, (None, None))):
         assert tuple(one.until_s for one in continued_by(before, [fin], 6.0, again=again)) == kept
     assert [one.until_s for one in continued_by((fin, part), [fin], 9.0)] == [None, 9.0]
+    left, right = (replace(SEEN, sucks=0.0, diameter_mm=None, x_mm=(x, 1.0)) for x in (10.0, 90.0))
+    new = replace(left, x_mm=(60.0, 1.0), since_s=9.0)
+    found = continued_by((left, right), [new, left, right], 9.0)
+    assert sorted((one.x_mm[0], one.since_s) for one in found) == [(10.0, 6.0), (60.0, 9.0), (90.0, 6.0)]
+    # A look in which a load stands out less says how it fades; one in which it stands out more says what it is.
+    cup = replace(SEEN, clear=900.0)
+    for clear, sucks in ((200.0, 0.99), (2000.0, 0.01)):
+        rest = replace(SEEN, sucks=0.01, diameter_mm=None, clear=clear)
+        (one,) = continued_by((cup,), [rest], 400.0, again=True)
+        assert one.sucks == sucks and (one.diameter_mm is None) == (sucks < 0.5)
 
 
 def test_the_signs_add_up_and_the_sentence_says_which_decided() -> None:
@@ -424,20 +436,6 @@ def test_windows_add_up_and_one_does_not_turn_the_answer() -> None:
     assert cup.suction < 1e-3 and mouth.suction == pytest.approx(0.99, rel=0.01)
     assert cup.after(own, full=True).suction < 0.01
     assert mouth.after(own, full=True).after(unclear, full=True).suction > 0.8
-
-
-def test_what_sucked_has_sucked_when_its_suction_has_leaked() -> None:
-    """A look in which a load stands out less says how it fades; one in which it stands out more says what it is."""
-    cup = replace(SEEN, clear=900.0)
-    for clear, sucks in ((200.0, 0.99), (2000.0, 0.01)):
-        rest = replace(SEEN, sucks=0.01, diameter_mm=None, clear=clear)
-        (found,) = continued_by((cup,), [rest], 400.0, again=True)
-        assert found.sucks == sucks and (found.diameter_mm is None) == (sucks < 0.5)
-
-
-def test_a_probability_that_rounds_to_one_is_none() -> None:
-    sure = replace(BREATHES, sucks=1.0, breath=replace(BREATHES.breath, odds=9.0))
-    assert Detected.of("mouth", (sure,), 4.0).sentence.endswith("(P > 0.99)")
 
 
 def test_events_say_when_it_touched_sucked_moved_and_left() -> None:
@@ -528,29 +526,20 @@ def test_noise_that_frames_share_is_what_it_was(readout: Any) -> None:
     channels = 2 if scene.circuit.by_columns else 3
     patterns = np.arange(2.0 * channels).reshape(channels, 2), np.ones((channels, 1))
     arrays = _arrays_of(FrameNoise(scene, 4, 0.01, *patterns))
-    assert {name: value.shape for name, value in arrays.items()} == {
-        "gain": (),
-        "unloaded": (),
-        "together": (channels, 2),
-        "apart": (channels, 1),
-    }
+    shapes = {"gain": (), "unloaded": (), "together": (channels, 2), "apart": (channels, 1)}
+    assert {name: value.shape for name, value in arrays.items()} == shapes
     found = frame_noise_of(arrays, scene)
     assert found is not None and (found.unloaded, found.gain) == (4, 0.01)
-    np.testing.assert_array_equal(found.common_ripple, patterns[0])
-    np.testing.assert_array_equal(found.line_ripple, patterns[1])
+    np.testing.assert_array_equal(np.hstack([found.common_ripple, found.line_ripple]), np.hstack(patterns))
     alone = frame_noise_of({"gain": np.array(0.0), "unloaded": np.array(1)}, scene)
     assert alone is not None and alone.common_ripple.shape == alone.line_ripple.shape == (channels, 0)
     assert frame_noise_of({}, scene) is None and _arrays_of(None) == {}
-    for wrong, said in (
-        ({"gain": np.array(np.nan)}, "finite numbers"),
-        ({"gain": np.array(-0.1)}, "must not be negative, frame_unloaded at least 1"),
-        ({"unloaded": np.array(0)}, "must not be negative, frame_unloaded at least 1"),
-        ({"unloaded": np.ones(2)}, "must not be negative, frame_unloaded at least 1"),
-        ({"apart": np.ones((channels + 1, 1))}, f"must have {channels} rows"),
-        ({"together": np.ones(channels)}, f"must have {channels} rows"),
-    ):
-        with pytest.raises(ValueError, match=said):
-            frame_noise_of(arrays | wrong, scene)
+    wrong = ("gain", np.nan), ("gain", -0.1), ("unloaded", 0), ("unloaded", np.ones(2)), ("apart", np.ones((4, 1)))
+    negative, rows = "must not be negative, frame_unloaded at least 1", f"must have {channels} rows"
+    said = "finite numbers", negative, negative, negative, rows, rows
+    for (name, value), sentence in zip((*wrong, ("together", np.ones(channels))), said, strict=True):
+        with pytest.raises(ValueError, match=sentence):
+            frame_noise_of(arrays | {name: np.array(value)}, scene)
 
 
 def test_readings_that_faults_blind_do_not_count() -> None:
@@ -615,20 +604,6 @@ def test_a_mat_speaks_of_contacts_alone(tmp_path: Path) -> None:
     assert answer.answer == PRESSES and not any(word in words for word in ("suck", "lamprey", "breath"))
 
 
-def test_a_sentence_describes_six_contacts_and_counts_the_others() -> None:
-    contacts = [replace(SEEN, sucks=0.0, diameter_mm=None, x_mm=(float(x), 1.0)) for x in range(8)]
-    sentence = Detected.of("mat", contacts, 4.0).sentence
-    assert sentence.startswith("8 contacts: ") and sentence.count("; ") == 6 and "; 2 more (" in sentence
-
-
-def test_of_two_contacts_each_keeps_its_own_history() -> None:
-    """Also where a third comes that is nearer to one of them than nothing else."""
-    left, right = (replace(SEEN, sucks=0.0, diameter_mm=None, x_mm=(x, 1.0)) for x in (10.0, 90.0))
-    new = replace(left, x_mm=(60.0, 1.0), since_s=9.0)
-    found = continued_by((left, right), [new, left, right], 9.0)
-    assert sorted((one.x_mm[0], one.since_s) for one in found) == [(10.0, 6.0), (60.0, 9.0), (90.0, 6.0)]
-
-
 def test_one_frame_shows_no_change(tmp_path: Path) -> None:
     recorded(frames=1).save(tmp_path / "one.h5")
     answer = detect_recording(tmp_path / "one.h5")
@@ -638,13 +613,6 @@ def test_one_frame_shows_no_change(tmp_path: Path) -> None:
         few = Recording(scene, values[:frames], np.arange(float(frames)), (np.arange(frames) > 0).astype(np.uint8))
         found = known_of(Prepared(few))
         assert isinstance(found, Known) if known else found.why == "the noise is unknown, and too few frames show it"
-
-
-def test_errors_are_those_that_the_scene_names() -> None:
-    scene = solved_case(water=Water(70.0), systematic=Systematic(0.03, 5.0)).scene
-    errors = ModelErrors().of_scene(scene, 0.03)
-    assert (errors.channel_ohm, errors.reference) == (5.0, pytest.approx(0.03 / 3**0.5))
-    assert errors.reading_error == 0.03
 
 
 def test_a_file_that_is_neither_is_refused(tmp_path: Path) -> None:
