@@ -254,6 +254,7 @@ class MemoryErrors:
 
 
 ERRORS = MemoryErrors()
+NO_CREEP = "creep not estimated: what stays after loads does not fade as creep does"
 
 
 @dataclass(frozen=True)
@@ -264,10 +265,10 @@ class FilmKnown:
     ----------
     film : Film
         As the scene specifies it.
-    hysteresis, creep : Strength
+    creep : Strength
         Mean and standard deviation.
-    sentence : str
-        Strengths that the scene leaves open and their sources, in words.
+    origin : str
+        Source of the creep that the scene leaves open.
     cells : (array, array) or None
         Creep of each cell and its standard deviation, (rows, columns), estimated from a recording.
     residue : float
@@ -276,16 +277,29 @@ class FilmKnown:
     """
 
     film: Film
-    hysteresis: Strength
     creep: Strength
-    sentence: str = ""
+    origin: str = "assumed"
     cells: tuple[Array, Array] | None = None
     residue: float = 0.02
 
     @classmethod
     def specified(cls, film: Film) -> "FilmKnown":
-        known = cls(film, film.hysteresis_strength, film.creep_strength)
-        return replace(known, sentence=known._described("assumed"))
+        return cls(film, film.creep_strength)
+
+    @property
+    def hysteresis(self) -> Strength:
+        """Mean and standard deviation of the hysteresis."""
+        return self.film.hysteresis_strength
+
+    @property
+    def sentence(self) -> str:
+        """Strengths that the scene leaves open and their sources, in words."""
+        parts, (mean, sd) = list[str](), (100 * number for number in self.creep)
+        if self.film.hysteresis == "auto":
+            parts.append(f"hysteresis {100 * self.hysteresis.mean:.0f} +- {100 * self.hysteresis.sd:.0f} %, assumed")
+        if self.film.creep_per_decade == "auto":
+            parts.append(f"creep {mean:.1f} +- {sd:.1f} % for each decade, {self.origin}" if sd else NO_CREEP)
+        return "; ".join(parts)
 
     def at_rest(self, water: Array, response: Response) -> FilmMemory:
         """Return the films at rest in water, (films, rows, columns).
@@ -320,23 +334,20 @@ class FilmKnown:
         usual, data = self.film.creep_strength, (self.film.answer, change, sd, time)
         each = _likelihood(*data, ERRORS.cell_memory, RESIDUES).sum(axis=(2, 3))
         logarithm = each - RESIDUES[:, None] / self.residue - CREEPS / usual.mean
-        # moments of c, marginal over ρ; then the marginal of ρ, integrated over c with the grid's spacing
-        mean, shared = (float(number) for number in _moments(np.logaddexp.reduce(logarithm, axis=0)))
-        volume = np.logaddexp.reduce(logarithm + np.log(np.gradient(CREEPS)), axis=1) + np.log(np.gradient(RESIDUES))
-        weight = np.exp(volume - volume.max())
-        weight /= weight.sum()
-        residue = float(np.sqrt(weight @ RESIDUES**2))
+        # moments of c, marginal over ρ; then of ρ, integrated over c with the grid's spacing
+        mean, shared = (float(number) for number in _moments(np.logaddexp.reduce(logarithm, axis=0), CREEPS))
+        volume = np.logaddexp.reduce(logarithm + np.log(np.gradient(CREEPS)), axis=1)
+        residue, residue_sd = _moments(volume, RESIDUES)
         if mean > ERRORS.most_creep:
-            message = "creep not estimated: what stays after loads does not fade as creep does"
-            known = replace(self, creep=Strength(0.0, 0.0), residue=ERRORS.lasting_share)
-            return replace(known, sentence=known._described("", message))
-        spread = float(np.hypot(shared, mean * self.film.cell_spread))
-        known = replace(self, creep=Strength(mean, float(np.hypot(spread, ERRORS.cell_memory * mean))), residue=residue)
+            return replace(self, creep=Strength(0.0, 0.0), residue=ERRORS.lasting_share)
+        spread, lasting = float(np.hypot(shared, mean * self.film.cell_spread)), float(np.hypot(residue, residue_sd))
+        creep, cells = Strength(mean, float(np.hypot(spread, ERRORS.cell_memory * mean))), None
         if spread > shared:
-            own = _likelihood(*data, ERRORS.memory, weight[None] @ RESIDUES)[0]
-            known = replace(known, cells=_moments(own - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2))
-        message = f"estimated from the recording, and {100 * residue:.1f} % of a load may stay after it"
-        return replace(known, sentence=known._described(message if shared <= 0.8 * usual.sd else "assumed"))
+            own = _likelihood(*data, ERRORS.memory, residue[None])[0]
+            cells = _moments(own - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2, CREEPS)
+        origin = f"estimated from the recording, and {100 * lasting:.1f} % of a load may stay after it"
+        known = replace(self, creep=creep, residue=lasting, cells=cells)
+        return replace(known, origin=origin) if shared <= 0.8 * usual.sd else known
 
     def at_once(self, change: Array, time: Array) -> tuple[Array, Array]:
         """Return ln r/r_rest without creep, and its error by the uncertainty of creep, (frames, rows, columns).
@@ -359,23 +370,14 @@ class FilmKnown:
         expected, stronger = np.stack(answers, axis=1)
         return expected, np.abs(stronger - expected)
 
-    def _described(self, creep_from: str, instead: str = "") -> str:
-        parts = []
-        if self.film.hysteresis == "auto":
-            parts.append(f"hysteresis {100 * self.hysteresis.mean:.0f} +- {100 * self.hysteresis.sd:.0f} %, assumed")
-        if self.film.creep_per_decade == "auto":
-            mean, sd = (100 * number for number in self.creep)
-            parts.append(instead or f"creep {mean:.1f} +- {sd:.1f} % for each decade, {creep_from}")
-        return "; ".join(parts)
 
-
-def _moments(logarithm: Array) -> tuple[Array, Array]:
-    """Return the mean and the standard deviation of c, (...), from ln P at CREEPS, (strengths, ...)."""
-    wide = np.gradient(CREEPS).reshape(-1, *[1] * (logarithm.ndim - 1))
+def _moments(logarithm: Array, grid: Array) -> tuple[Array, Array]:
+    """Return the mean and the standard deviation of a strength, (...), from ln P at the grid, (strengths, ...)."""
+    wide = np.gradient(grid).reshape(-1, *[1] * (logarithm.ndim - 1))
     weight = np.exp(logarithm - logarithm.max(axis=0)) * wide
     weight = weight / weight.sum(axis=0)
-    mean = np.tensordot(CREEPS, weight, 1)
-    return mean, np.sqrt(np.maximum(np.tensordot(CREEPS**2, weight, 1) - mean**2, 0.0))
+    mean = np.tensordot(grid, weight, 1)
+    return mean, np.sqrt(np.maximum(np.tensordot(grid**2, weight, 1) - mean**2, 0.0))
 
 
 def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, residues: Array) -> Array:

@@ -289,10 +289,9 @@ class PressureTrack:
         below, above = np.hypot(fell, shared), np.hypot(rose, shared)
         least, most = of_change(above), of_change(-below)
         errors = (of_change(-below / TWO_SIDED) - of_change(above / TWO_SIDED)) / 2
-        if alternatives:
-            open_kpa, empty = _distance(alternatives, expected), VACUUM_KPA - self.films.water
-            least = np.maximum(expected - np.hypot(expected - least, TWO_SIDED * open_kpa), empty)
-            most, errors = expected + np.hypot(most - expected, TWO_SIDED * open_kpa), np.hypot(errors, open_kpa)
+        open_kpa, empty = _distance(alternatives, expected), VACUUM_KPA - self.films.water
+        least = np.maximum(expected - np.hypot(expected - least, TWO_SIDED * open_kpa), empty)
+        most, errors = expected + np.hypot(most - expected, TWO_SIDED * open_kpa), np.hypot(errors, open_kpa)
         # Split of the error: each cell's own part, and the rest, which cells share.
         half = (fell + rose) / (2 * TWO_SIDED) if own is None else own
         scatter = np.hypot(half, scatter_sd(self.scene, self.scene.specified_systematic) * answer)

@@ -36,18 +36,14 @@ from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.report.detect.detection import detect_recording
 
 PANEL = Panel(9, 11, 10.0)
-READOUT = TwoPointReadout(kind="two_point", noise_lsb=0.7)
+READOUT = TwoPointReadout(noise_lsb=0.7)
 CENTRE = (52.0, 37.0)
 TWO = AND.join([OralDisc.candidate.label] * 2)
-MOUTH = OralDisc(
-    kind="oral_disc", centre_mm=CENTRE, diameter_mm=34, rim_width_mm=5.5, pressure_kpa=-11, rim_kpa=85, tilt=0.2
-)
+MOUTH = OralDisc(centre_mm=CENTRE, diameter_mm=34, rim_width_mm=5.5, pressure_kpa=-11, rim_kpa=85, tilt=0.2)
 LOADS: dict[str, Any] = {
-    "rod": Rod(kind="rod", centre_mm=CENTRE, diameter_mm=40, mass_g=700),
-    "ring": Ring(kind="ring", centre_mm=CENTRE, inner_diameter_mm=26, outer_diameter_mm=37, mass_g=850),
-    "cup": SuctionCup(
-        kind="suction_cup", centre_mm=CENTRE, inner_diameter_mm=26, outer_diameter_mm=37, pressure_kpa=-9
-    ),
+    "rod": Rod(centre_mm=CENTRE, diameter_mm=40, mass_g=700),
+    "ring": Ring(centre_mm=CENTRE, inner_diameter_mm=26, outer_diameter_mm=37, mass_g=850),
+    "cup": SuctionCup(centre_mm=CENTRE, inner_diameter_mm=26, outer_diameter_mm=37, pressure_kpa=-9),
     "mouth": MOUTH,
 }
 
@@ -291,8 +287,8 @@ def test_strong_suction_leaves_no_smaller_disc_possible(tmp_path: Path) -> None:
     assert found.diameter_mm[1] < 3 and abs(found.diameter_mm[0] - 32.2) < 2 * found.diameter_mm[1]
 
 
-STRONG = OralDisc(kind="oral_disc", centre_mm=(37, 35), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=60)
-SMALL_ROD = Rod(kind="rod", centre_mm=(37, 35), diameter_mm=30, mass_g=300)
+STRONG = OralDisc(centre_mm=(37, 35), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=60)
+SMALL_ROD = Rod(centre_mm=(37, 35), diameter_mm=30, mass_g=300)
 SQUARE = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0)
 
 

@@ -44,9 +44,7 @@ def test_pressures_come_back_from_their_cells(name: str) -> None:
 
 def test_simulation_puts_in_what_the_scene_tells() -> None:
     scene = Scene(Panel(8, 8), water=Water(50.0), temperature=COOLING)
-    cup = SuctionCup(
-        kind="suction_cup", centre_mm=(35, 35), inner_diameter_mm=27, outer_diameter_mm=35, pressure_kpa=-8
-    )
+    cup = SuctionCup(centre_mm=(35, 35), inner_diameter_mm=27, outer_diameter_mm=35, pressure_kpa=-8)
     simulation = Simulation(schema=1, seed=3, scene=scene, cells=Cells(), baseline_frames=1, frames=3, loads=(cup,))
     recording = simulate(simulation)
     cells, pressure = recording.truth_cell_resistance, recording.truth_pressure
@@ -109,7 +107,7 @@ def test_pressures_are_flagged_where_the_curve_ends() -> None:
     np.testing.assert_array_equal(uncertain[:, 0, 0], [1, 1, 1, 0, 1, 1, 1, 1])
 
 
-def test_open_and_unseen_cells() -> None:
+def test_open_and_unseen_cells_and_failed_frames() -> None:
     ratio = np.full((1, 4, 3), 50.0)
     ratio[0, 0] = 1.0
     lower, upper = 0.5 * ratio, np.full_like(ratio, np.inf)
@@ -122,14 +120,10 @@ def test_open_and_unseen_cells() -> None:
         assert np.all(np.isinf(pressed.errors[0]) == (np.arange(4) == 1)[:, None])
         assert np.all(pressed.saturated == 1)
         assert not np.any(np.isnan([pressed.pressure, pressed.lower, pressed.errors]))
-
-
-def test_failed_frames_stay_empty() -> None:
-    ratio = np.ones((2, 4, 3))
-    ratio[1] = np.nan
-    pressed = pressure_of(ratio, ratio, ratio, SCENES["cold water"])
+    failed = np.where(np.arange(2)[:, None, None] == 1, np.nan, np.ones((2, 4, 3)))
+    pressed = pressure_of(failed, failed, failed, SCENES["cold water"])
     for values in (pressed.pressure, pressed.lower, pressed.upper, pressed.errors):
-        np.testing.assert_array_equal(np.isnan(values), np.isnan(ratio))
+        np.testing.assert_array_equal(np.isnan(values), np.isnan(failed))
     assert np.all(pressed.saturated[1] == 0)
 
 
@@ -142,7 +136,7 @@ def test_impossible_ratios_are_refused(ratio: float, lower: float, upper: float)
         pressure_of(values[0][:, :3], values[1][:, :3], values[2][:, :3], AIR)
 
 
-def test_temperatures_are_of_this_world() -> None:
+def test_temperatures_are_of_this_world_and_stand_in_a_scene_that_has_them() -> None:
     """Each number may be at the ends of its range, and beyond neither of them."""
     ends = (("coefficient_per_kelvin", -1.0, 1.0), ("coefficient_sd_per_kelvin", 0.0, 1.0))
     for name, low, high in (*ends, ("baseline_celsius", -273.15, 1000.0), ("measured_celsius", -273.15, 1000.0)):
@@ -150,9 +144,6 @@ def test_temperatures_are_of_this_world() -> None:
         for beyond in (low - 0.01, high + 0.01):
             with pytest.raises(ValueError, match=name):
                 dataclasses.replace(COOLING, **{name: beyond})
-
-
-def test_scene_with_and_without_the_new_keys() -> None:
     for scene in SCENES.values():
         assert validated(parse_document(to_yaml(scene), "scene"), Scene) == scene
     assert "water" not in to_yaml(AIR) and "temperature" not in to_yaml(AIR)

@@ -216,9 +216,8 @@ def detect_recording(
 
     def looked_at() -> Frames:
         for block in blocks:
-            for done, frame in enumerate(
-                measured_frames(stored.part(block), watched, np.isin(block, requested)), block[0]
-            ):
+            measured = measured_frames(stored.part(block), watched, np.isin(block, requested))
+            for done, frame in enumerate(measured, block[0]):
                 on_frame(done, stored.frames)
                 yield frame
             on_frame(block[-1] + 1, stored.frames)
@@ -241,12 +240,8 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
             return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
         sigma, notes = _scattered(readings.plain_values)
     else:
-        noise, error, besides, scene = (
-            seen.frame,
-            seen.reading_error,
-            seen.corrected_effects,
-            with_saturated_stage(head).scene,
-        )
+        noise, error, besides = seen.frame, seen.reading_error, seen.corrected_effects
+        scene = with_saturated_stage(head).scene
         specified = np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
         sigma, readings = seen.sigma_factor / seen.model_factor * specified, seen.readings
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
