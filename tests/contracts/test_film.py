@@ -63,7 +63,9 @@ def test_a_run_reads_the_film_and_says_what_it_took_it_for(recording: Path, lamp
     assert "film       hysteresis 0.2, creep_per_decade auto" in lampest("info", recording).out
 
 
-def test_tare_makes_other_frames_the_unloaded_ones_and_changes_nothing_else(recording: Path, lampest: Command) -> None:
+def test_tare_makes_other_frames_the_unloaded_ones_and_says_where_something_came_or_went(
+    recording: Path, lampest: Command
+) -> None:
     out = recording.parent / "zeroed.h5"
     ended = lampest("tare", recording, "--frames", "55:60", "--out", out)
     assert (ended.code, ended.out, ended.err) == (0, f"unloaded: frames 55 to 59: {out}\n", "")
@@ -72,16 +74,9 @@ def test_tare_makes_other_frames_the_unloaded_ones_and_changes_nothing_else(reco
     for name in ("recorded", "time", "truth_pressure", "raw_sums"):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
     assert after.scene == before.scene and after.simulation == before.simulation
-
-
-def test_tare_says_where_something_came_or_went(recording: Path, lampest: Command) -> None:
-    ended = lampest("tare", recording, "--frames", "10:30", "--out", recording.parent / "zeroed.h5")
+    ended = lampest("tare", recording, "--frames", "10:30", "--out", recording.parent / "loaded.h5")
     assert ended.code == 0 and "did a load come or go?" in ended.err
-
-
-def test_shipped_configurations_are_read() -> None:
-
-    ((name, simulation),) = read_simulations(Path(__file__).parents[2] / "configs" / "film.yaml")
+    ((name, simulation),) = read_simulations(CONFIGS / "film.yaml")
     assert name.endswith("lamprey_film.h5") and simulation.film is not None
 
 
@@ -152,33 +147,26 @@ def test_yaml_says_the_same_as_csv_and_without_out_the_scene_is_printed(
     assert public.read_scene(path.with_name("scene.yaml")).response is not None
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("rod_1,4,6,10,,30,360", "loads.csv:2: loads.0: a foot needs x_mm and y_mm"),
-        ("rod_1,4,6,10,10,30,heavy", "loads.csv:2: loads.0.mass_g: Input should be a valid number"),
-        ("rod_1,4,,10,10,30,360", "loads.csv:2: each load needs a frame in the columns first and last"),
-        ("rod_1,4,9,10,10,30,360", "rod_1: there is no frame 9, its frames are 0 to 6"),
-        ("rod_1,2,6,10,10,30,360", "rod_1: frames 2 to 6 hold unloaded ones"),
-        ("rod_1,4,6,710,10,30,360", "load 1: its foot misses the film of every cell"),
-        ("cup_1,4,6,10,10,30,360", "load 1: there is no recording cup_1 among rod_1"),
-        ("rod_1,4,6,40,40,30,360", "the loads do not explain the cells"),
-        ("", "loads: name one at least"),
-    ],
-)
-def test_loads_that_cannot_be_are_one_sentence(
-    rods: list[Path], tmp_path: Path, lampest: Command, text: str, words: str
-) -> None:
+WRONG = {
+    "rod_1,4,6,10,,30,360": "loads.csv:2: loads.0: a foot needs x_mm and y_mm",
+    "rod_1,4,6,10,10,30,heavy": "loads.csv:2: loads.0.mass_g: Input should be a valid number",
+    "rod_1,4,,10,10,30,360": "loads.csv:2: each load needs a frame in the columns first and last",
+    "rod_1,4,9,10,10,30,360": "rod_1: there is no frame 9, its frames are 0 to 6",
+    "rod_1,2,6,10,10,30,360": "rod_1: frames 2 to 6 hold unloaded ones",
+    "rod_1,4,6,710,10,30,360": "load 1: its foot misses the film of every cell",
+    "cup_1,4,6,10,10,30,360": "load 1: there is no recording cup_1 among rod_1",
+    "rod_1,4,6,40,40,30,360": "the loads do not explain the cells",
+    "": "loads: name one at least",
+}
+
+
+def test_loads_that_cannot_be_are_one_sentence(rods: list[Path], tmp_path: Path, lampest: Command) -> None:
     path, out = tmp_path / "loads.csv", tmp_path / "scene.yaml"
-    path.write_text(f"recording,first,last,x_mm,y_mm,diameter_mm,mass_g\n{text}\n")
-    ended = lampest("calibrate", rods[0], "--loads", path, "--out", out)
-    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
-    assert words in ended.err and not out.exists()
-
-
-def test_resistors_and_loads_are_two_calibrations(rods: list[Path], lampest: Command) -> None:
+    for text, words in WRONG.items():
+        path.write_text(f"recording,first,last,x_mm,y_mm,diameter_mm,mass_g\n{text}\n")
+        ended = lampest("calibrate", rods[0], "--loads", path, "--out", out)
+        assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
+        assert words in ended.err and not out.exists()
     ended = lampest("calibrate", rods[0], "--loads", CONFIGS / "known_loads.csv", "--known", "1000")
-    assert (ended.code, ended.err) == (
-        2,
-        "lampest: --known, --loads and --from-recording are different calibrations: give one of them\n",
-    )
+    several = "lampest: --known, --loads and --from-recording are different calibrations: give one of them\n"
+    assert (ended.code, ended.err) == (2, several)

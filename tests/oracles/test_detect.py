@@ -211,24 +211,16 @@ def test_the_field_is_none_of_a_reading_that_stands_alone() -> None:
 
 
 @pytest.mark.slow
-def test_what_is_no_shape_is_unlike_any() -> None:
-    blocks = [
-        Block(centre_mm=place, length_mm=length, width_mm=14, mass_g=300, angle_deg=angle)
-        for place, length, angle in (((40, 20), 70, 20), ((60, 45), 80, -35), ((30, 60), 50, 80), ((85, 20), 40, 60))
-    ]
+def test_what_is_no_shape_is_unlike_any_and_a_thin_line_is_no_lamprey() -> None:
+    """Under a line few cells change; suction that a rim cancels in every patch could be made to explain them."""
+    angles = (((40, 20), 70, 20), ((60, 45), 80, -35), ((30, 60), 50, 80), ((85, 20), 40, 60))
+    form = {"width_mm": 14, "mass_g": 300}
+    blocks = [Block(centre_mm=place, length_mm=length, angle_deg=angle, **form) for place, length, angle in angles]
     verdict = verdict_on(*blocks)
     assert verdict.best.candidate.label == "unlike any" and max(verdict.shares) > 0.99 and verdict.sucks_at(None) < 1e-3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("place", "angle_deg"), [((15.0, 15.0), 135.0), ((52.0, 37.0), 45.0), ((75.0, 47.0), 20.0), ((40.0, 60.0), 90.0)]
-)
-def test_a_thin_line_is_no_lamprey(place: tuple[float, float], angle_deg: float) -> None:
-    """Under a line few cells change; suction that a rim cancels in every patch could be made to explain them."""
-    line = Block(centre_mm=place, length_mm=45, width_mm=5, mass_g=150, angle_deg=angle_deg)
-    verdict = verdict_on(line)
-    assert verdict.sucks_at(None) < 0.1
+    for place, angle in (((15.0, 15.0), 135.0), ((52.0, 37.0), 45.0), ((75.0, 47.0), 20.0), ((40.0, 60.0), 90.0)):
+        line = Block(centre_mm=place, length_mm=45, width_mm=5, mass_g=150, angle_deg=angle)
+        assert verdict_on(line).sucks_at(None) < 0.1
 
 
 def test_the_field_has_the_evidence_of_its_gaussian() -> None:
