@@ -170,7 +170,7 @@ class Detector:
         dropped: list[int] | None = None
         for _ in range(MAX_ROUNDS):
             whitening = self.fitting(explains.candidate, calm).errors(explains, scatter)
-            fit = explains = self.fitting(fit.candidate, calm).best(fit.parameters, whitening, quick=True)
+            fit = explains = self.fitting(fit.candidate, calm).best(fit.parameters, whitening)
             far = self._contradicting(frame, fit)
             if far.tolist() == dropped:
                 break
@@ -194,9 +194,7 @@ class Detector:
                 # a descent that stays above the best one by MAX_LOG_RATIO is given up
                 most = min((descent.cost for descent in descents), default=np.inf) + MAX_LOG_RATIO
                 descents.append(fitting.descended(load.start(disc), likelihood, SEARCH.evaluations // 2, most))
-            fits.append(
-                fitting.fit_at(min(descents, key=lambda descent: descent.cost), likelihood, whitening, quick=True)
-            )
+            fits.append(fitting.fit_at(min(descents, key=lambda descent: descent.cost), likelihood, whitening))
         return fits
 
     def _settled(self, frame: Observation, fits: Sequence[Fit], field: Fit, calm: Observation) -> Verdict:
@@ -268,7 +266,7 @@ class Detector:
             parts, own = zip(*sorted(loads, key=lambda load: not load[0].sucks), strict=True)
             fitting = self.fitting(Several.of(parts), calm)
             descended = fitting.descended(np.concatenate(own), likelihood, SEARCH.evaluations // 2)
-            return fitting.fit_at(descended, likelihood, whitening, quick=True)
+            return fitting.fit_at(descended, likelihood, whitening)
 
         def likely(fit: Fit) -> float:
             return fit.evidence - prior_cost(fit, calm)
@@ -319,7 +317,7 @@ class Detector:
         for exponent in self.exponents:
             bent = BentSuction(exponent=exponent, gain=film.gain, gain_sd=film.gain_sd)
             frame = replace(calm, baseline=replace(baseline, scene=replace(baseline.scene, response=bent)))
-            fits.append(self.fitting(fit.candidate, frame).best(fit.parameters, whitening, quick=True))
+            fits.append(self.fitting(fit.candidate, frame).best(fit.parameters, whitening))
         shares = softmax(EVIDENCE_SHARE * np.array([alternative.evidence for alternative in fits]))
         # law of total covariance: mean of the covariances within the curves, and covariance between them
         apart = np.array([alternative.parameters for alternative in fits]) - fit.parameters

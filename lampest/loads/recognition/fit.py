@@ -27,7 +27,6 @@ from lampest.panel.panel import Array, Panel
 # Search with one linearised circuit; a change of ln P below `settled` changes nothing that is reported.
 SEARCH = LevenbergMarquardt(evaluations=30, settled=0.3)
 MAX_ROUNDS = 4  # linearisations of the circuit in a fit; also fits with errors about the previous one
-MIN_MEASURED_WIDTH = 0.3  # of the prior's width: wider axes of the posterior are measured, see `Fitting._widths`
 MAX_LOG_RATIO = 20.0  # difference of ln P to the best candidate beyond which candidates do not count
 # Assumed −ln P: of one in twenty, for every further load, a rim that moves without its suction, and a mouth that does
 # not breathe; and of the impossible, hidden suction and two loads in one place. Such combinations fit loads that are no
@@ -223,7 +222,7 @@ class Fitting:
             lambda point, count: count > 4 and point.cost > most,
         ).at
 
-    def best(self, start: Array, whitening: Whitening, most: float = np.inf, *, quick: bool = False) -> Fit:
+    def best(self, start: Array, whitening: Whitening, most: float = np.inf) -> Fit:
         """Return the fit at the most probable φ.
 
         Parameters
@@ -233,11 +232,8 @@ class Fitting:
             Errors of the readings.
         most : float
             Cost above which the search ends early.
-        quick : bool
-            Whether the posterior's widths are taken from the Gauss-Newton matrix alone.
         """
-        point, likelihood = self.settled(start, whitening, most)
-        return self.fit_at(point, likelihood, whitening, quick=quick or point.cost > most)
+        return self.fit_at(*self.settled(start, whitening, most), whitening)
 
     def settled(
         self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None
@@ -262,16 +258,16 @@ class Fitting:
     def stays(self, parameters: Array, whitening: Whitening) -> Fit:
         """Return the fit at given φ, without a search."""
         likelihood = self.about(parameters, whitening)
-        return self.fit_at(self.at(parameters, likelihood), likelihood, whitening, quick=True)
+        return self.fit_at(self.at(parameters, likelihood), likelihood, whitening)
 
-    def fit_at(self, point: Linearisation, likelihood: CellLikelihood, whitening: Whitening, *, quick: bool) -> Fit:
+    def fit_at(self, point: Linearisation, likelihood: CellLikelihood, whitening: Whitening) -> Fit:
         """Return the fit at a point, with the likelihood that was linearised there and its evidence."""
-        widths, spread = self._widths(point, likelihood, quick=quick)
-        covariance = spread @ spread.T + np.diag(self.candidate.blind(point.parameters) ** 2)
-        # Laplace: ln P(R) = −cost + Σ ln(posterior width/prior width) − ½ ln det C + constant
-        evidence = float(np.log(widths).sum() - point.cost) - whitening.volume
+        sd = self._prior[1]
+        covariance = np.linalg.inv(point.normal) + np.diag(self.candidate.blind(point.parameters) ** 2)
+        # Laplace: ln P(R) = −cost − ½ ln det (H sd sdᵀ) − ½ ln det C + constant, with the Gauss-Newton matrix H
+        width = float(np.linalg.slogdet(point.normal * np.outer(sd, sd))[1]) / 2
         known = point.parameters, covariance, point.change, point.by_parameter, likelihood.residual
-        likely = 2 * likelihood.exact, point.cost, whitening.volume, evidence
+        likely = 2 * likelihood.exact, point.cost, whitening.volume, -width - point.cost - whitening.volume
         return Fit(self.candidate, *known, *likely, whitening.scatter)
 
     @cached_property
@@ -310,22 +306,6 @@ class Fitting:
         """Return the errors about the change that a fit explains, with a relative deviation `scatter` of the film."""
         film = self.frame.baseline.film(self.explained(fit), scatter)
         return Whitening.about(self.frame, fit.change, film, scatter)
-
-    def _widths(self, point: Linearisation, likelihood: CellLikelihood, *, quick: bool) -> tuple[Array, Array]:
-        """Return the posterior's widths along its axes over those of the prior, and a root of its covariance.
-
-        Where a rim runs between patches, derivatives are 0, and the Gauss-Newton matrix gives the width of the prior.
-        Such an axis has the width of the parabola through the cost one Gauss-Newton width away, averaged over both
-        sides.
-        """
-        sd = self._prior[1]
-        stiffness, axes = np.linalg.eigh(point.normal * np.outer(sd, sd))
-        widths, axes = 1 / np.sqrt(np.maximum(stiffness, 1.0)), sd[:, None] * axes
-        for axis in np.flatnonzero(widths > (np.inf if quick else MIN_MEASURED_WIDTH)):
-            step = widths[axis] * axes[:, axis]
-            rises = [self.at(point.parameters + sign * step, likelihood).cost - point.cost for sign in (1, -1)]
-            widths[axis] *= np.mean(1 / np.sqrt(np.maximum(1.0, 2 * np.array(rises))))
-        return widths, axes * widths
 
 
 def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
