@@ -204,23 +204,6 @@ def test_values_are_those_of_fine_sampling(seed: int) -> None:
     assert np.abs(pressure - expected).max() < 0.04 * (disc.rim_kpa - disc.suction_kpa)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_the_slopes_of_an_oval_are_its_differences(seed: int) -> None:
-    disc, form = drawn_disc(100 + seed)
-    slopes, step = pressure_at_places(OBLONG.places_mm, 6.0, disc, form)[1], 1e-6
-    for slope, apart in zip(slopes, np.eye(12) * step, strict=True):
-        up, down = (
-            pressure_at_places(
-                OBLONG.places_mm,
-                6.0,
-                Disc(*(np.array(disc) + sign * apart[:8])),
-                Unevenness(*(np.array(form) + sign * apart[8:])),
-            )[0]
-            for sign in (1, -1)
-        )
-        np.testing.assert_allclose(slope, (up - down) / (2 * step), atol=1e-6 * disc.rim_kpa)
-
-
 def test_patches_without_gaps_hold_the_whole_force() -> None:
     """And a disc beside the panel presses on nothing."""
     for diameter in (20.0, 33.0, 39.9):

@@ -26,7 +26,7 @@ from lampest.loads.recognition.fit import (
     rises,
     states,
 )
-from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, Whitening, outliers
+from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
 from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.kinds import RoundCandidate
@@ -256,15 +256,6 @@ def test_an_outlier_does_not_move_the_mouth(ohm: float, place: tuple[int, int]) 
         assert verdict.best.candidate.label == "lamprey or cup"
         found.append(disc_of(verdict).diameter_mm)
     assert found[0] == pytest.approx(34, abs=0.6) and found[1] == pytest.approx(found[0], abs=0.01)
-
-
-def test_an_outlier_is_the_reading_that_the_others_contradict() -> None:
-    frame = frames_of(recorded(frames=1))[0]
-    weight = Whitening.about(frame)
-    residual = frame.residual()
-    assert list(outliers(weight, residual)) == []
-    residual[17] += 60.0
-    assert list(outliers(weight, residual)) == [17]
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from docs.studies.attachments import CURVES, SLIDES_S, SLIDING, TOUCH_S, UNLOADE
 from lampest import Array, Course, Faults, OralDisc, Panel, Rod, Scene, Simulation, TwoPointReadout, simulate
 from lampest.files.levels import SIGNIFICANT
 from lampest.loads.recognition.attachment import Attachment, attachments_of
-from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM
+from lampest.loads.recognition.candidates import LOADS
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fitting, Verdict, along_diameter
 from lampest.loads.recognition.image import ImageWatch, Window
@@ -357,36 +357,6 @@ def test_small_rods_are_as_large_as_they_are_said_to_be(diameter_mm: float, cent
     error = np.sqrt(slopes @ best.covariance @ slopes)
     assert error < 9.0
     assert abs(value - diameter_mm) < 2 * error
-
-
-@pytest.mark.parametrize(
-    ("goodness", "further", "counts"), [(0.7, 0, 1.0), (2.5, 0, 0.4), (0.7, 2, 0.5), (2.5, 2, 0.2)]
-)
-def test_differences_of_evidence_count_less_where_shapes_compete_and_where_none_fits(
-    goodness: float, further: int, counts: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By χ² per reading of the fit with the most evidence beyond its prior, never by less than one."""
-    evidence, before = np.array([-3.0, 1.0, 2.0, 0.5])[: 2 + further], np.array([0.0, 0.5, 3.0, 1.5])[: 2 + further]
-    chi2 = np.where(evidence == 1.0, 100 * goodness, 1e4)
-    fits: Any = [SimpleNamespace(evidence=own, chi2=misfit) for own, misfit in zip(evidence, chi2, strict=True)]
-    costs = iter(before)
-    monkeypatch.setattr("lampest.loads.recognition.fit.prior_cost", lambda *_: next(costs))
-    assert len(UNIFORM) == 2
-    frame: Any = SimpleNamespace(measured=np.zeros((10, 10)))
-    verdict = Verdict.of(fits, frame)
-    shares = np.exp(counts * evidence - before)
-    np.testing.assert_allclose(verdict.shares, shares / shares.sum())
-    assert (verdict.goodness, verdict.evidence) == (pytest.approx(goodness), 0.5)
-
-
-def test_loads_of_a_verdict_stand_in_the_order_of_their_evidence_without_fields_and_uniform_pressure() -> None:
-    kinds = (*UNIFORM, LOADS[0], FIELD, LOADS[1], LOADS[2])
-    fits: Any = [
-        SimpleNamespace(candidate=kind, evidence=own) for kind, own in zip(kinds, (9, 8, 1, 7, 3, 2), strict=True)
-    ]
-    verdict = Verdict(tuple(fits), (0.1, 0.2, 0.05, 0.05, 0.4, 0.2), 1.0, 0.0)
-    assert [fit.evidence for fit in verdict.loads] == [3, 2, 1]
-    assert verdict.best is fits[4] and verdict.nothing == pytest.approx(0.3)
 
 
 def test_a_load_sucks_since_it_stands_there_where_that_is_more_probable_than_not(

@@ -3,17 +3,15 @@
 import dataclasses
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from lampest import Cells, Course, Estimates, Estimator, InputError, Recording, Stream, TwoPointReadout, read_results
+from lampest import Cells, Course, Estimates, Estimator, InputError, Recording, Stream, TwoPointReadout
 from lampest.cost.terms import Misfit, RelativeChange, Term
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import to_yaml
-from lampest.files.hdf5 import existing_file, read_attribute
 from lampest.loads.film import Creep, FilmKnown, FilmMemory, Plays
 from lampest.loads.pressure import Pressure, Tare, TareWatch, pressure_of
 from lampest.loads.shapes import OralDisc, Rod, Shape, SuctionCup
@@ -21,8 +19,6 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, Film, PublishedResponse, TableResponse, ratio_from_pressure
 from lampest.panel.scene import Scene, Systematic, Water
 from lampest.recording.simulation import Simulation, Unmodelled, simulate
-from lampest.runs.filling import named_result
-from lampest.runs.results import write_results
 
 WALK = np.concatenate([np.linspace(*ends, 40) for ends in ((0, 30), (30, -8), (-8, -2), (-2, 12), (12, 3), (3, 25))])
 
@@ -266,16 +262,6 @@ def test_pressure_within_a_twelfth_of_full_scale_at_a_hysteresis_of_24_percent()
     assert np.percentile(np.abs(estimate.pressure - truth), 99) < 0.08 * truth.max()
 
 
-@pytest.mark.slow
-def test_results_say_what_the_film_was_taken_for(tmp_path: Path) -> None:
-    path = tmp_path / "results.h5"
-    write_results(path, [named_result(estimated_creep(0.08), "LSM")])
-    (case,) = read_results(path).cases
-    assert case.film_sentence.startswith("creep ") and "from the recording" in case.film_sentence
-    with existing_file(path) as file:
-        assert read_attribute(file, f"/entry/{case.recording}/LSM", "film") == case.film_sentence
-
-
 @pytest.mark.parametrize("film", [Film(), Film(creep_per_decade=1e-4)])
 def test_a_film_without_memory_leaves_bars_as_wide_as_none(film: Film) -> None:
     """A calibrated curve is known where it was loaded: its bars do not depend on whether the scene names a film."""
@@ -410,18 +396,6 @@ def test_nothing_attached_is_never_taken_for_zero(load: Shape, approach: float, 
     pressed = np.abs(truth[3:]).max(axis=(1, 2)) > 0.1
     assert len(at) >= 1 and not any(pressed[last - 9 : last - 4].any() for last in at)
     assert not pressed[at[(at > ARRIVES + approach) & (at < LEAVES)]].any()
-
-
-def test_results_say_at_which_frames_and_why(tmp_path: Path) -> None:
-    estimates = tared(Tare(10))
-    write_results(tmp_path / "results.h5", [named_result(estimates, "LSM")])
-    (case,) = read_results(tmp_path / "results.h5").cases
-    assert case.tared == estimates.tared
-    said = [why for why in case.tared if why]
-    assert said and all(why.startswith("nothing touched the panel for 10 frames (9 s)") for why in said)
-    write_results(tmp_path / "plain.h5", [named_result(tared(None), "LSM")])
-    (plain,) = read_results(tmp_path / "plain.h5").cases
-    assert plain.tared is None
 
 
 def test_watch_waits_for_frames_in_a_row_that_moved_and_forgets_at_a_gap() -> None:

@@ -87,15 +87,6 @@ def test_errors_are_the_slopes() -> None:
     np.testing.assert_allclose(pressed.errors, np.hypot(sd, RESPONSE_SD * change) / -slope, rtol=0.1)
 
 
-def test_water_takes_from_the_range_and_from_the_sensitivity() -> None:
-    """The same pressure makes less of a change under water, where the film is already pressed."""
-    pressure, deep = np.full((1, 4, 3), 2.0), Scene(Panel(4, 3), water=Water(400.0))
-    change = log_change(pressure, deep)
-    assert np.all(change > log_change(pressure, AIR))
-    unknowing = pressure_of(np.exp(change), np.exp(change), np.exp(change), AIR)
-    assert np.all(unknowing.pressure < pressure)
-
-
 def test_pressures_are_flagged_where_the_curve_ends() -> None:
     pressure = np.array([-10.5, -9.0, -8.0, 0.0, 20.0, 30.9, 31.5, 200.0])[:, None, None] * np.ones((4, 3))
     ratio = np.exp(log_change(pressure, AIR))

@@ -299,9 +299,8 @@ def test_a_verdict_weighs_half_of_what_evidence_says_and_less_where_nothing_fits
     """80 readings; differences of evidence count by EVIDENCE_SHARE, over χ² per reading beyond 1."""
     frame = rising()
     uniform = [fit_of(NOTHING, DISC, -50.0), fit_of(FLAT, DISC, -46.0)]
-    rod, mouth, field = (
-        fit_of(kind, DISC, one) for kind, one in ((Rod.candidate, 3.0), (OralDisc.candidate, 5.0), (FIELD, 1.0))
-    )
+    kinds = ((Rod.candidate, 3.0, 900.0), (OralDisc.candidate, 5.0, 80.0), (FIELD, 1.0, 9.0))
+    rod, mouth, field = (fit_of(kind, DISC, one, chi2=chi2) for kind, one, chi2 in kinds)
     verdict = Verdict.of([*uniform, rod, mouth, field], frame)
     expected = np.exp(0.5 * np.array([-50, -46, 3, 5, 1]))
     np.testing.assert_allclose(verdict.shares, expected / expected.sum(), rtol=1e-6)
@@ -321,6 +320,10 @@ def test_a_verdict_weighs_half_of_what_evidence_says_and_less_where_nothing_fits
     alone = Verdict.of(uniform, frame)
     assert alone.shares[1] / alone.shares[0] == pytest.approx(np.exp(4)) and alone.loads == ()
     poor = Verdict.of([*uniform, replace(rod, chi2=160.0)], frame)
+    good = Verdict.of([*uniform, replace(rod, chi2=40.0)], frame)
+    assert good.goodness == 0.5 and good.shares[2] / good.shares[1] == pytest.approx(np.exp(49 / 2))
+    overlapping = replace(fit_of(Several.of(2 * (Rod.candidate,)), DISC), evidence=20.0, chi2=1.0)
+    assert Verdict.of([*uniform, mouth, overlapping], frame).goodness == 1, "of the best beyond its prior"
     assert poor.goodness == 2 and poor.shares[2] / poor.shares[1] == pytest.approx(np.exp(49 / 4))
 
 
