@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 
 FEW = 2  # variants of a test that `make test` runs where there are many
-THINNED = ("attack", "oracles", "units")  # laws and contracts keep all of theirs
+THINNED = ("oracles", "units")  # laws and contracts keep all of theirs
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

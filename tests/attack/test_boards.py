@@ -17,6 +17,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+import pytest
 from attack.attack import HELD, HOUSE, MAIN, Outcomes, Rng, attack, command
 from wild_board import Script, WildBoard, hundred_a_second, wild_board, wire
 
@@ -27,6 +28,7 @@ from lampest.recording.board.record import record, repair
 from lampest.report.live.publish import publish_at
 from tests.bodies import hello_body
 
+pytestmark = pytest.mark.slow
 DAY_FRAMES = 864_000  # of 24 h at 10 frames a second
 PART = 1_000  # frames of a day's part
 MORE_MEGABYTES, FRAME_BYTES = 8.0, 250  # by which a recording five times as long may grow; of a frame of 3 × 4 cells

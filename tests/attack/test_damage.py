@@ -6,6 +6,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pytest
 from attack.attack import HELD, Outcomes, Rng, Tries, attack, called, command, small_folder
 from fuzz.mutants import good_recordings, good_results, without_checksums
 from unclosed import unclosed_recording
@@ -14,6 +15,7 @@ from lampest import InputError, Panel, Recording, Scene, TwoPointReadout, read_r
 from lampest.files.document import plain_content
 from lampest.recording.board.record import repair
 
+pytestmark = pytest.mark.slow
 Reader = Callable[[Path], Any]
 BITS_AT_ONCE = (1, 1, 1, 2, 8)
 MOST_ADDRESSES = 3_000_000_000

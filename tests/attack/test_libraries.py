@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from attack.attack import HELD, Outcomes, Rng, attack, command, drawn, small_folder
 
 # Command → the library without which it is refused; other commands are tried without it, too.
@@ -24,6 +25,9 @@ SPARED = (
     ("import", "table.csv", "--rows", "3", "--columns", "4", "--out", "imported.h5"),
     ("run", "run.yaml", "--jobs", "1", "--out", "results"),
 )
+
+
+pytestmark = pytest.mark.slow
 
 
 @attack(2, len(NEEDED))

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pytest
 from attack.attack import HELD, Ended, Outcomes, Rng, attack, command, small_folder
 from fuzz.mutants import good_recordings
 
+pytestmark = pytest.mark.slow
 MEGABYTES, SECONDS = 900, 60  # of a command; with its libraries it has 150, and machines have other things to do
 ROWS_SECONDS = 8  # with eight others on the machine; a command of the shell takes one, all the rows take ten more
 MAIN = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"

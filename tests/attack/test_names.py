@@ -5,8 +5,10 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pytest
 from attack.attack import HELD, HOUSE, Outcomes, Rng, attack, called, printable, small_folder
 
+pytestmark = pytest.mark.slow
 SIGNS = ("\x1b[2J", "\x1b]0;mine\x07", "\r", "\n", "\x9b31m", "\u202e", "\u2028", "\x7f", "\b\b\b", "[bold]", "\udc80")
 
 

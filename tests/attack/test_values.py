@@ -6,12 +6,14 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pytest
 from attack.attack import HELD, SIMULATION, Ended, Outcomes, Rng, attack, called, drawn, printable
 from fuzz.batches import write_recording
 from support import invented_case
 
 from lampest import Recording, write_results
 
+pytestmark = pytest.mark.slow
 EXTREME = (1e300, 1e-300, 5e-324, -1e300, 1e160, 1e29, 1e-29, 0.0, -0.0, 1e12, np.inf, -np.inf, np.nan)
 # Words of the libraries behind; a user's panel has none of them.
 FOREIGN = (

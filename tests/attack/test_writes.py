@@ -7,6 +7,7 @@ import socket
 from pathlib import Path
 
 import numpy as np
+import pytest
 from attack.attack import HELD, Outcomes, Rng, attack, called, drawn, everything, small_folder
 
 from lampest import Recording, Scene, TwoPointReadout, two_point_resistance
@@ -113,6 +114,7 @@ def test_every_input_of_every_command_as_its_output(rng: Rng, folder: Path, coun
         yield _untouched(made, tuple(read if word == "OUT" else word for word in words), read)
 
 
+@pytest.mark.slow
 @attack(3, len(FOLDERS))
 def test_inputs_named_as_what_is_written_into_a_folder(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A file that a command reads under the name of one that it would write into its folder."""
@@ -215,6 +217,7 @@ def test_unfinished_files_of_others(rng: Rng, folder: Path, count: int) -> Outco
     yield HELD if len(kept) == 2 else "an unfinished file of another is gone"
 
 
+@pytest.mark.slow
 @attack()
 def test_results_and_pictures_that_are_links(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A results file and a picture that are links: what they point at stays as it is."""

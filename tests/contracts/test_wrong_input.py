@@ -166,20 +166,18 @@ DOCUMENTS: dict[str, tuple[str, tuple[tuple[str, str, str, str], ...]]] = {
                 (FIRST, below(FIRST, f"solver: {{time_limit_s: {limit}}}"), "", "time_limit_s")
                 for limit in ("0", "-1", ".nan", ".inf", "soon")
             ),
-            (FIRST, below(FIRST, "executor: {kind: procesess}"), "2:1", "executor: "),
-            (
-                FIRST,
-                below(FIRST, "executor: {kind: processes, workers: 0}"),
-                "",
-                "workers must lie between 1 and 10000",
+            *(
+                (FIRST, below(FIRST, f"executor: {{{executor}}}"), place, words)
+                for executor, place, words in (
+                    ("kind: procesess", "2:1", "executor: "),
+                    ("workers: 2", "2:1", "executor: Input should be a mapping with a 'kind'\n"),
+                    ("kind: processes, workers: 0", "", "workers must lie between 1 and 10000"),
+                    ("kind: serial, workers: 2", "", "executor.workers: no such key"),
+                    ("kind: dask, address: 'tcp://a:1', workers: 2", "", "address names a cluster that runs"),
+                    ("kind: dask, scheduler_file: /dev/zero", "", "executor.scheduler_file: /dev/zero: is no regular"),
+                )
             ),
-            (FIRST, below(FIRST, "executor: {kind: serial, workers: 2}"), "", "executor.workers: no such key"),
-            (
-                FIRST,
-                below(FIRST, "executor: {kind: dask, address: 'tcp://a:1', workers: 2}"),
-                "",
-                "address names a cluster that runs",
-            ),
+            (FIRST, below(FIRST, "sweep: {executor.workers: [1, 2]}"), "2:9", "where cases run changes no result, so"),
             ("estimators:", "estimatros:", "", "estimatros: no such key; did you mean estimators?"),
             ("LSM:", "recording:", "", "an estimator cannot be called 'recording'"),
             ("{misfit: {}}", "{gradient: {}}", "", "gradient needs the term misfit: without it nothing reads what was"),
@@ -396,37 +394,16 @@ def full(monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
     monkeypatch.setattr(Path, "write_bytes", failing)
 
 
-def test_full_disk_at_the_end(disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The cases fitted on the disk, all of them together do not: they are kept, and collected once there is room."""
-    out = disk.folder / "out"
-    with monkeypatch.context() as patch:
-        full(patch, "results.h5")
-        ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
-    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
-    assert "No space left" in ended.err and "results.h5" in ended.err
-    assert not list(out.rglob("*results.h5*"))
-    ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
-    assert (ended.code, ended.err) == (0, "")
-    assert "0 cases solved, 3 were done before" in ended.out
+def test_a_full_disk_keeps_what_fits(disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cases that do not fit have failed. If only all of them together do not, they are collected once there is room."""
+    run, out = disk.folder / "run.yaml", disk.folder / "out"
+    for suffix, codes in ((".h5", (2, 3)), ("results.h5", (2,))):
+        with monkeypatch.context() as patch:
+            full(patch, suffix)
+            ended = lampest("run", run, "--out", out, "--jobs", "1")
+        assert ended.code in codes and "No space left" in ended.err and "Traceback" not in ended.err
+        assert not list(out.rglob(f"*{suffix}*"))
+    assert (ended.out, ended.err.count("\n")) == ("", 1) and "results.h5" in ended.err
+    ended = lampest("run", run, "--out", out, "--jobs", "1")
+    assert (ended.code, ended.err) == (0, "") and "0 cases solved, 3 were done before" in ended.out
     assert (out / "results.h5").is_file()
-
-
-def test_full_disk_at_every_case(disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cases that could not be kept have failed; no half file is left."""
-    out = disk.folder / "out"
-    full(monkeypatch, ".h5")
-    ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
-    assert ended.code in (2, 3)
-    assert "No space left" in ended.err
-    assert "Traceback" not in ended.err
-    assert not list(out.rglob("*.h5*"))
-
-
-def test_full_disk_in_the_library(disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
-    import lampest
-
-    recording = lampest.Recording.load(disk.folder / "small.h5")
-    full(monkeypatch, "copy")
-    with pytest.raises(lampest.InputError, match="No space left"):
-        recording.save(disk.folder / "copy.h5")
-    assert not list(disk.folder.glob("*copy*"))

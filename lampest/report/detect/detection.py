@@ -115,11 +115,11 @@ class Known:
             for value, sigma, time in frames:
                 watch = watch.push(value, sigma, time)
                 course.append((time, watch.stands_out))
+            if len(course) < 2:
+                return Detected.unknown(self.name, "one frame shows no change; three are needed")
+            return self.detected(watch.ended(), frame_rate([time for time, _ in course]), np.array(course).T)
         except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
             return Detected.unknown(self.name, logged_reason(error, self.name))
-        if len(course) < 2:
-            return Detected.unknown(self.name, "one frame shows no change; three are needed")
-        return self.detected(watch.ended(), frame_rate([time for time, _ in course]), np.array(course).T)
 
     def detected(self, watch: Watch | ImageWatch, rate: float, course: Array | None = None) -> Detected:
         """Return the answer after the frames so far.
