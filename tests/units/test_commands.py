@@ -52,6 +52,8 @@ FIGURES = re.compile(r"such as|with|\d|else", re.IGNORECASE)
 def test_every_option_has_help_and_every_command_an_example(name: str) -> None:
     command = COMMANDS[name]
     assert command.help and command.epilog.startswith(f"Example: lampest {name}")
+    reads_a_configuration = name in ("run", "simulate", "live") or (name.startswith("study") and "paper" not in name)
+    assert not reads_a_configuration or any("--set" in parameter.opts for parameter in command.params)
     for parameter in command.params:
         assert parameter.help, f"{name}: {parameter.name}"
         kind = str(getattr(parameter, "type_descriptor", None) or getattr(parameter, "type", "")).lower()
@@ -59,15 +61,15 @@ def test_every_option_has_help_and_every_command_an_example(name: str) -> None:
             assert FIGURES.search(parameter.help), f"{name}: {parameter.name} shows no value"
 
 
-@pytest.mark.parametrize("name", sorted(name for name in COMMANDS if name.startswith("study ")))
 def test_a_study_takes_a_folder_that_is_not_there_yet(
-    name: str, tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folders: list[object] = []
     monkeypatch.setattr("lampest.cli.studies.run_study", lambda study, config, out, assign: folders.append(out))
-    ended = lampest(*name.split(), "--out", str(tmp_path / "new"))
-    assert ended.code == 0, ended.err
-    assert folders == [tmp_path / "new"]
+    for name in (studies := [name for name in COMMANDS if name.startswith("study ")]):
+        ended = lampest(*name.split(), "--out", str(tmp_path / "new"))
+        assert ended.code == 0, ended.err
+    assert folders == [tmp_path / "new"] * len(studies) and studies
 
 
 def test_no_help_holds_an_emoji(lampest: Command) -> None:
@@ -110,14 +112,6 @@ def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
     assert written == ["detections.h5", "timeline_mine.png"]
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["run", "simulate", "live"] + [f"study {word}" for word in ("bench", "tradeoff", "extremes", "weights")],
-)
-def test_what_reads_a_configuration_overrides_it(name: str) -> None:
-    assert any("--set" in parameter.opts for parameter in COMMANDS[name].params)
-
-
 def test_words_of_the_release_before_answer_and_say_the_new_ones(lampest: Command) -> None:
     assert {name for name, command in TOP.items() if command.hidden} == set(OLD)
     for old, new in (("terms", "show terms"), ("schema", "show schema")):
@@ -137,41 +131,21 @@ def test_version_and_mistyped_commands(lampest: Command) -> None:
     assert "--set" in lampest("run", "x.yaml", "--ste", "a=1").err
 
 
-@pytest.mark.parametrize("counted", [False, True])
-def test_progress_says_how_many_are_done_and_the_time_left(
-    counted: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_progress_says_how_many_are_done_and_the_time_left_on_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "100")
-    with screen.progress("frames", counted=counted) as on_frame:
-        on_frame(3, 9)
-    drawn = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
-    assert "frames" in drawn and "33%" in drawn and "left" in drawn and ("3/9" in drawn) == counted
+    for terminal, counted in ((False, False), (True, False), (True, True)):
+        monkeypatch.setattr(sys.stderr, "isatty", lambda terminal=terminal: terminal)
+        monkeypatch.setenv("TERM", "xterm")
+        monkeypatch.setenv("COLUMNS", "100")
+        with screen.progress("frames", counted=counted) as on_frame:
+            on_frame(3, 9)
+        drawn = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
+        assert terminal or drawn == ""
+        assert all(word in drawn for word in ("frames", "33%", "left")) == terminal and ("3/9" in drawn) == counted
 
 
-def test_no_progress_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    with screen.progress("cases") as on_case:
-        on_case(3, 9)
-    assert capsys.readouterr().err == ""
-
-
-RECORDED = Recorded(
-    path=Path("r.h5"),
-    scene=Scene(Panel(3, 4), TwoPointReadout(), 140.0),
-    frames=7,
-    lost=2,
-    restarts=1,
-    clock_jumps=0,
-    clock_stopped=False,
-    parted=0,
-    behind=0,
-    ended_by="",
-    noise_lsb=0.704,
-    silent=0.0,
-)
-
-
+RECORDED = Recorded(Path("r.h5"), Scene(Panel(3, 4), TwoPointReadout(), 140.0), 7, 2, 1, 0, False, 0, 0, "", 0.704, 0.0)
 # What a recording ended with, and the warning that follows.
 WARNED: tuple[tuple[dict[str, Any], str], ...] = (
     ({}, ""),
@@ -303,11 +277,7 @@ def test_pictures_of_a_frame_and_an_estimator(disk: SimpleNamespace, lampest: Co
     assert again.code == 0 and (new / "x.svg").read_text().startswith("<?xml")
     assert lampest("plot", results, "--out", new / "x.pdf").code == 0 and (new / "x.pdf").is_file()
     shutil.rmtree(new)
-    for wrong in (
-        ("--out", new / "x.jpg"),
-        ("--frame", "999"),
-        ("--estimator", name + "x"),
-    ):
+    for wrong in (("--out", new / "x.jpg"), ("--frame", "999"), ("--estimator", name + "x")):
         ended = lampest("plot", results, *wrong)
         assert ended.code == 2 and not new.exists(), wrong
     assert f"did you mean {name}?" in ended.err
@@ -370,18 +340,12 @@ def test_a_study_whose_input_bears_an_outputs_name_writes_nothing(tmp_path: Path
     assert names(tmp_path) == {"own.h5"}
 
 
-@pytest.mark.parametrize("text", [None, 3, b"r.h5"])
-def test_a_recording_is_loaded_from_a_path(text: Any) -> None:
-    with pytest.raises(InputError, match="path"):
-        Recording.load(text)
-
-
-def test_a_recording_is_saved_under_a_name(disk: SimpleNamespace) -> None:
+def test_paths_that_are_none_are_refused(disk: SimpleNamespace) -> None:
+    for text in (None, 3, b"r.h5"):
+        with pytest.raises(InputError, match="path"):
+            Recording.load(text)
     with pytest.raises(InputError, match="names no file that could be written"):
         Recording.load(disk.folder / "small.h5").save("")
-
-
-def test_a_scene_with_a_zero_byte_in_its_name_is_no_file() -> None:
     with pytest.raises(InputError, match="no such file"):
         read_scene("\0")
 
@@ -408,14 +372,12 @@ def test_what_a_killed_writer_left_goes_with_the_next_export(tmp_path: Path) -> 
     assert foreign.exists()
 
 
-@pytest.mark.parametrize("appended", [b"\0", b"x" * 1000, None])
-def test_bytes_behind_the_end_are_not_as_written(
-    disk: SimpleNamespace, lampest: Command, appended: bytes | None
-) -> None:
+def test_bytes_behind_the_end_are_not_as_written(disk: SimpleNamespace, lampest: Command) -> None:
     path = disk.folder / "sealed.h5"
     Recording.load(disk.folder / "small.h5").save(path)
+    whole = path.read_bytes()
     assert lampest("check", path).code == 0
-    with path.open("ab") as file:
-        file.write(path.read_bytes() if appended is None else appended)
-    done = lampest("check", path)
-    assert done.code == 2 and "behind the end of the file as it was written" in done.err
+    for appended in (b"\0", b"x" * 1000, whole):
+        path.write_bytes(whole + appended)
+        done = lampest("check", path)
+        assert done.code == 2 and "behind the end of the file as it was written" in done.err
