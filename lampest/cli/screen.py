@@ -119,13 +119,6 @@ def say_text(text: str) -> None:
         say(line)
 
 
-def markless(text: str) -> str:
-    """Escape markup of rich and control characters of terminals."""
-    from rich.markup import escape
-
-    return escape(printable(text))
-
-
 def print_notes(notes: Iterable[str]) -> None:
     """Print sentences within 100 columns with hanging indents."""
     for note in notes:
@@ -146,6 +139,7 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
         Whether the numbers of finished and of all parts are shown.
     """
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import MofNCompleteColumn, Progress, TextColumn
 
     columns = (*Progress.get_default_columns(), TextColumn("left"), *[MofNCompleteColumn()] * counted)
@@ -153,7 +147,7 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
         task = bar.add_task(label, total=None)
 
         def show(done: int, total: int | None, text: str | None = None) -> None:
-            bar.update(task, completed=done, total=total, description=text and markless(text))
+            bar.update(task, completed=done, total=total, description=text and escape(printable(text)))
 
         yield show
 

@@ -91,19 +91,23 @@ def _read_values(dataset: h5py.Dataset) -> bool:
     return compact or dataset.fletcher32 or DIGEST in dataset.attrs
 
 
-def is_left_open(path: Path) -> bool:
-    """Return whether a file has an intact superblock that marks it as being written."""
+def _superblock(path: Path) -> tuple[Any, ...]:
+    """Return the fields of a file's superblock, (0, ...) for a shorter file."""
     with path.open("rb") as stream:
         head = stream.read(SUPERBLOCK.size)
-    fields = SUPERBLOCK.unpack(head) if len(head) == SUPERBLOCK.size else (0,) * 10
-    return bool(fields[4] & 4) and fields[9] == lookup3(head)
+    return SUPERBLOCK.unpack(head) if len(head) == SUPERBLOCK.size else (0,) * 10
+
+
+def is_left_open(path: Path) -> bool:
+    """Return whether a file has an intact superblock that marks it as being written."""
+    fields = _superblock(path)
+    return bool(fields[4] & 4) and fields[9] == lookup3(SUPERBLOCK.pack(*fields))
 
 
 def bytes_beyond(path: Path) -> int:
     """Return the number of bytes after the end that the superblock of a closed file states."""
-    with path.open("rb") as stream:
-        head = SUPERBLOCK.unpack(stream.read(SUPERBLOCK.size))
-    return 0 if head[1] < 2 or head[4] & 4 else path.stat().st_size - int(head[7])
+    fields = _superblock(path)
+    return 0 if fields[1] < 2 or fields[4] & 4 else path.stat().st_size - int(fields[7])
 
 
 class Closed(io.FileIO):
@@ -111,7 +115,7 @@ class Closed(io.FileIO):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "rb")
-        fields = list(SUPERBLOCK.unpack(super().read(SUPERBLOCK.size)))
+        fields = list(_superblock(path))
         fields[4], fields[7] = 0, path.stat().st_size
         fields[9] = lookup3(SUPERBLOCK.pack(*fields))
         self._head = SUPERBLOCK.pack(*fields)

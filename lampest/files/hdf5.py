@@ -226,10 +226,9 @@ def shape_of(file: h5py.File, path: str) -> tuple[int, ...]:
 
 def length_of(file: h5py.File, path: str) -> int:
     """Return the length of a dataset's first axis. Raises InputError if it is absent or has no axis."""
-    shape = shape_of(file, path)
-    if not shape:
-        raise InputError(f"{file.filename}: {path} is a single value")
-    return shape[0]
+    if shape := shape_of(file, path):
+        return shape[0]
+    raise InputError(f"{file.filename}: {path} is a single value")
 
 
 @_located
@@ -348,18 +347,9 @@ def attribute_names(file: h5py.File, path: str) -> list[str]:
     return [str(name) for name in _node(file, path).attrs]
 
 
-def child_groups(file: h5py.File, path: str) -> list[str]:
-    """Return the names of the groups within a group, alphabetically. Raises InputError if it is no group."""
-    return _children(file, path, h5py.Group)
-
-
-def child_datasets(file: h5py.File, path: str) -> list[str]:
-    """Return the names of the datasets within a group, alphabetically. Raises InputError if it is no group."""
-    return _children(file, path, h5py.Dataset)
-
-
 @_located
-def _children(file: h5py.File, path: str, kind: type[Any]) -> list[str]:
+def children(file: h5py.File, path: str, kind: type[Any] = h5py.Dataset) -> list[str]:
+    """Return the names of the datasets, or groups, in a group, alphabetically. Raises InputError if it is no group."""
     group = _node(file, path)
     if not isinstance(group, h5py.Group):
         raise InputError(f"{file.filename}: {path} is no group")

@@ -5,7 +5,7 @@ import typing
 from abc import ABCMeta
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, partial, wraps
+from functools import cache, wraps
 from types import UnionType
 from typing import Any, ClassVar, ParamSpec, TypeVar
 
@@ -134,34 +134,27 @@ def _checks(owner: Any) -> dict[str, Callable[[Any, str], Any]]:
 
 
 def _check_of(hint: Any) -> Callable[[Any, str], Any] | None:
-    """Return the function that validates arguments of a type; None for a type without a check."""
+    """Return a function (value, label) → validated argument of a type; None for a type without a check."""
     parts = typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, UnionType) else (hint,)
-    validator = schema_of(hint)
-    if any(typing.get_origin(part) is np.ndarray for part in parts):
-        kind = np.float64 if "float64" in str(hint) else None
-        optional = type(None) in parts
-        return lambda value, label: value if value is None and optional else np.asarray(real_array(value, label), kind)
-    if validator is None:
-        kinds = tuple(part for part in parts if isinstance(part, type))
-        return partial(_instance, kinds) if kinds and hint is not type(None) else None
-    return partial(_conformed, validator)
+    kinds, validator = tuple(part for part in parts if isinstance(part, type)), schema_of(hint)
+    is_array, number = any(typing.get_origin(part) is np.ndarray for part in parts), "float64" in str(hint)
 
+    def checked(value: Any, label: str) -> Any:
+        if is_array:
+            none = value is None and type(None) in parts
+            return value if none else np.asarray(real_array(value, label), np.float64 if number else None)
+        if validator is None:
+            if isinstance(value, kinds):
+                return value
+            needed = " or ".join(kind.__name__ for kind in kinds)
+            raise InputError(f"{label}: {needed} is needed, not {in_words(value)}")
+        plain = _plain(value, label)
+        try:
+            return conformed(validator, plain)
+        except InputError as error:
+            raise InputError(f"{label}: {error}") from error
 
-def _conformed(validator: Any, value: Any, label: str) -> Any:
-    """Return an argument validated by pydantic. Raises InputError with the label."""
-    plain = _plain(value, label)
-    try:
-        return conformed(validator, plain)
-    except InputError as error:
-        raise InputError(f"{label}: {error}") from error
-
-
-def _instance(kinds: tuple[type, ...], value: Any, label: str) -> Any:
-    """Return an argument that is an instance of one of the classes. Raises InputError with the label for others."""
-    if not isinstance(value, kinds):
-        needed = " or ".join(kind.__name__ for kind in kinds)
-        raise InputError(f"{label}: {needed} is needed, not {in_words(value)}")
-    return value
+    return checked if is_array or validator or (kinds and hint is not type(None)) else None
 
 
 def _plain(value: Any, label: str) -> Any:

@@ -337,7 +337,7 @@ def read_carried(path: Path) -> CarriedOver:
     with hdf5.existing_file(path) as file:
         if hdf5.read_attribute(file, "/", "lampest_format") != CARRIED:
             raise InputError(f"{path}: is not the remainder of a part of a case")
-        names = hdf5.child_datasets(file, "/carried")
+        names = hdf5.children(file, "/carried")
         return CarriedOver({name: hdf5.read_array(file, f"/carried/{name}", (1, 2)) for name in names})
 
 

@@ -317,7 +317,7 @@ def _results_file(path: Path) -> Iterator[h5py.File]:
 
 
 def _in_order(file: h5py.File, path: str) -> list[str]:
-    names = hdf5.child_groups(file, path)
+    names = hdf5.children(file, path, h5py.Group)
     return sorted(names, key=lambda name: (hdf5.read_number(file, f"{path}/{name}", "order", 0), name))
 
 
@@ -383,7 +383,7 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: s
 
 def _read_figures(file: h5py.File, path: str, shape: tuple[int, ...], part: slice) -> dict[str, Array]:
     """Return figures by name, each of shape (frames,)."""
-    names = hdf5.child_datasets(file, path) if hdf5.has(file, path) else []
+    names = hdf5.children(file, path) if hdf5.has(file, path) else []
     return {name: hdf5.read_array(file, f"{path}/{name}", 1, shape, part) for name in names}
 
 

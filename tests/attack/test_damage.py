@@ -97,7 +97,6 @@ def _unsealed(folder: Path) -> bytes:
 
 @attack()
 def test_files_without_checksums(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """Files with datasets of another program are read; `check` says that nothing vouches for them."""
     made = small_folder(folder / "work")
     for name in ("small.h5", "results.h5"):
         ended = called("check", name, folder=made)
@@ -111,7 +110,6 @@ def test_files_without_checksums(rng: Rng, folder: Path, count: int) -> Outcomes
 
 @attack()
 def test_a_bit_in_each_dataset(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A turned bit in each dataset: `check` names it, and whatever reads it; what does not, says what was written."""
     made = small_folder(folder / "work")
     with h5py.File(made / "small.h5") as file:
         places: dict[str, int] = {}
@@ -201,7 +199,6 @@ def _datasets(file: h5py.File) -> list[str]:
 
 @attack(20, 400)
 def test_datasets_of_another_shape_or_type(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A dataset is a single value, empty, text, or has an axis more: every reader refuses it in a sentence or reads."""
     made = small_folder(folder / "work")
     whole = {name: (made / name).read_bytes() for name in ("small.h5", "results.h5")}
     commands = {"small.h5": ("info", "check", "tare"), "results.h5": ("info", "check", "compare", "plot", "export")}

@@ -32,7 +32,6 @@ pytestmark = pytest.mark.slow
 
 @attack(2, len(NEEDED))
 def test_commands_that_need_what_is_not_installed(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """The commands that need a library, without it."""
     made = _made(folder)
     for _, (library, arguments) in drawn(rng, NEEDED, count):
         ended = command(*arguments, folder=made, without=library)
@@ -42,7 +41,6 @@ def test_commands_that_need_what_is_not_installed(rng: Rng, folder: Path, count:
 
 @attack(1, len(SPARED))
 def test_commands_that_do_not_need_what_is_not_installed(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """Commands that need none of the libraries, without any of them; a table may ask for one."""
     made = _made(folder)
     missing = ",".join(library for library, _ in NEEDED)
     for arguments in SPARED[:count]:

@@ -24,7 +24,6 @@ TABLE = ("--rows", "3", "--columns", "4", "--out", "out.h5")
 
 @attack()
 def test_texts_that_are_one_long_text_many_times(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A list of texts without a fixed length of which all are the same long one."""
     path = folder / "small.h5"
     path.write_bytes(good_recordings(folder)[0])
     with h5py.File(path, "a") as file:
@@ -52,7 +51,6 @@ def _place(whole: bytearray, length: int) -> int:
 
 @attack()
 def test_a_compressed_matrix_of_390_mb_in_a_mat_file(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A matrix of 390 MB in a .mat file of 400 kB: whole numbers of one byte, so that eight times as many come out."""
     values = 390_000_000 // 12 * 12
     head = struct.pack("<IIIIIIiiiiIIII", 6, 8, 9, 0, 5, 12, values // 12, 3, 4, 0, 1, 1, ord("a"), 0)
     head += struct.pack("<II", 2, values)
@@ -66,14 +64,12 @@ def test_a_compressed_matrix_of_390_mb_in_a_mat_file(rng: Rng, folder: Path, cou
 
 @attack()
 def test_a_compressed_array_of_480_mb_in_an_npz_file(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """An array of 480 MB in an .npz file of 500 kB."""
     np.savez_compressed(folder / "bomb.npz", a=np.zeros((40_000_000, 3, 4), dtype=np.uint8))
     yield _bounded(command("import", "bomb.npz", *TABLE, folder=folder, seconds=SECONDS), "bomb.npz")
 
 
 @attack(0, 1)
 def test_200_mb_of_line_ends(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """200 MB of line ends."""
     with (folder / "lines.csv").open("wb") as stream:
         for _ in range(200):
             stream.write(b"\n" * 1_000_000)
@@ -107,7 +103,6 @@ def test_a_column_of_400_000_rows_in_an_xlsx_file(rng: Rng, folder: Path, count:
 
 @attack()
 def test_panels_of_1_60001_cells(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """1 × 60001 cells, whose lines' impedance has 29 GB, in commands that need it; a look at the file does not."""
     made = small_folder(folder / "work")
     scene = "\n".join(f"  {line}" for line in WIDE.splitlines())
     (made / "wide.yaml").write_text(f"schema: 1\nseed: 1\nframes: 1\nbaseline_frames: 1\nscene:\n{scene}\n")
@@ -132,7 +127,6 @@ def test_panels_of_1_60001_cells(rng: Rng, folder: Path, count: int) -> Outcomes
 
 @attack(0, 1)
 def test_sizes_that_are_none(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """What is no size is refused in a sentence."""
     made = small_folder(folder / "work")
     for word in ("", "-1GB", "0", "lots", "1e9", "nan"):
         yield command("info", "small.h5", folder=made, memory=word).refused("LAMPEST_MEMORY")

@@ -26,7 +26,6 @@ MADE_BY_LAMPEST = {
 
 @attack(3, len(WRONG))
 def test_wrong_values_at_every_field_of_every_public_class(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """Every field of every public class that a user makes; estimators have sentences of their own."""
     recording = lampest.datasets.load("rod")
     good: dict[str, dict[str, Any]] = {
         "Panel": {"rows": 3, "columns": 4},
@@ -47,7 +46,6 @@ def test_wrong_values_at_every_field_of_every_public_class(rng: Rng, folder: Pat
 
 @attack(3, len(WRONG))
 def test_wrong_values_at_public_functions(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """The first argument of every public function."""
     for name in sorted(lampest.__all__):
         function = getattr(lampest, name)
         if not inspect.isfunction(function) or not inspect.signature(function).parameters:

@@ -67,7 +67,6 @@ def _tried(what: str, place: Path, commands: Commands) -> Iterator[str]:
 
 @attack(4, 60)
 def test_scenes_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """Scenes and simulations with such numbers: simulated, run, calibrated and looked for loads."""
     tries = [(old, new, value) for old, new in SCENES for value in EXTREME]
     for number, (old, new, value) in drawn(rng, tries, count):
         place = folder / f"scene{number}"
@@ -82,7 +81,6 @@ def test_scenes_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) -> 
 
 @attack(3, 60)
 def test_results_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """Results that hold such numbers, in one place or in all."""
     names = ("cell_resistance", "relative_change", "measured", "measured_baseline", "baseline_resistance", "truth",
              "time", "sigma", "sigma_baseline", "reading_model", "objective", "solve_time")  # fmt: skip
     looks = (("info",), ("compare", "--report", "r.html"), ("plot",), ("plot", "--show", "profiles"), ("detect",))
@@ -106,7 +104,6 @@ def test_results_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) ->
 
 @attack(3, 30)
 def test_readings_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """Recordings of such readings, σ and times."""
     tries = [(name, value, whole) for name in ("recorded", "sigma", "time") for value in EXTREME for whole in (1, 0)]
     for number, (name, value, whole) in drawn(rng, tries, count):
         place = folder / f"readings{number}"
@@ -121,7 +118,6 @@ def test_readings_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) -
 
 @attack(1, 6)
 def test_panels_of_which_next_to_nothing_is_left(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """Panels of which one cell, one row or one reading is left; and the smallest panels."""
     everywhere = [[row, column] for row in range(6) for column in range(7)]
     faults = {
         "one cell": {"open": everywhere[:-1]},

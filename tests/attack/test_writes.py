@@ -11,7 +11,6 @@ import pytest
 from attack.attack import HELD, Outcomes, Rng, attack, called, drawn, everything, small_folder
 
 from lampest import Recording, Scene, TwoPointReadout, two_point_resistance
-from lampest.recording.stored import save_parts
 
 WRITERS: tuple[tuple[str, ...], ...] = (
     ("run", "run.yaml", "--jobs", "1", "--out"),
@@ -64,7 +63,6 @@ FILES = tuple(writer for writer in WRITERS if writer[0] not in ("run", "plot", "
 
 @attack(18, 18)
 def test_nothing_and_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """'' and / of every command that writes."""
     made = small_folder(folder / "work")
     for _, (writer, place) in drawn(rng, [(writer, place) for writer in WRITERS for place in ("", "/")], count):
         yield _untouched(made, (*writer, place))
@@ -72,7 +70,6 @@ def test_nothing_and_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
 
 @attack(12, 30)
 def test_devices_pipes_sockets_folders_and_links_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A device, a pipe, a socket, a folder and a link in place of a file: opening them would wait or harm."""
     made = _beside_precious(folder, "work")
     os.mkfifo(made / "pipe.h5")
     (made / "folder.h5").mkdir()
@@ -92,7 +89,6 @@ def test_devices_pipes_sockets_folders_and_links_as_outputs(rng: Rng, folder: Pa
 
 @attack(6, 30)
 def test_what_is_read_as_what_is_written(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """What a command reads as what it writes: by its name, in another way, through another name of the same file."""
     made = _inputs(folder / "work")
     shutil.copy(made / "results.h5", made / "detections.h5")
     tries = [(*writer, way) for writer in (*FILES, *OVER_INPUTS) if writer[0] != "record" for way in ("", "./", "hard")]
@@ -107,7 +103,6 @@ def test_what_is_read_as_what_is_written(rng: Rng, folder: Path, count: int) -> 
 
 @attack(6, 100)
 def test_every_input_of_every_command_as_its_output(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """Every command's output as every one of its inputs, however it is named: none is harmed."""
     tries = [(words, read) for words in TABLES for read in words if "." in read]
     for index, (words, read) in drawn(rng, tries, count):
         made = _inputs(folder / f"work{index}")
@@ -117,7 +112,6 @@ def test_every_input_of_every_command_as_its_output(rng: Rng, folder: Path, coun
 @pytest.mark.slow
 @attack(3, len(FOLDERS))
 def test_inputs_named_as_what_is_written_into_a_folder(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A file that a command reads under the name of one that it would write into its folder."""
     for index, (words, source, *names) in drawn(rng, FOLDERS, count):
         made = _inputs(folder / f"work{index}")
         (made / "OUT").mkdir()
@@ -138,22 +132,9 @@ def test_inputs_named_as_what_is_written_into_a_folder(rng: Rng, folder: Path, c
 
 @attack()
 def test_two_outputs_of_one_name(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """Two outputs of one name."""
     made = small_folder(folder / "work")
     for words in TWICE:
         yield _untouched(made, words, "two outputs")
-
-
-@attack()
-def test_files_named_as_parts_once_were(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A recording that is saved in parts, beside files that have the names that parts once had."""
-    made = small_folder(folder / "work")
-    for number in range(3):
-        (made / f".long.h5.{number:06d}").write_text("precious")
-    before = everything(made)
-    save_parts(made / "long.h5", [Recording.load(made / "small.h5")] * 3)
-    after = everything(made)
-    yield HELD if after.pop("long.h5") and after == before else f"{after.keys() ^ before.keys()} changed"
 
 
 def _inputs(made: Path) -> Path:
@@ -178,7 +159,6 @@ def _inputs(made: Path) -> Path:
 
 @attack()
 def test_a_lock_that_is_a_link_or_a_pipe(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A run's lock that links to a file which opening it for writing would empty; or that is a pipe."""
     for kind in ("link", "pipe"):
         made = _beside_precious(folder, kind)
         (made / "out").mkdir()
@@ -191,7 +171,6 @@ def test_a_lock_that_is_a_link_or_a_pipe(rng: Rng, folder: Path, count: int) -> 
 
 @attack()
 def test_cases_that_link_to_another_s_folder(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A folder of cases that links to another's, with unfinished files in it."""
     for fresh in ((), ("--fresh",)):
         made, other = small_folder(folder / f"work{len(fresh)}"), folder / "other"
         other.mkdir(exist_ok=True)
@@ -206,7 +185,6 @@ def test_cases_that_link_to_another_s_folder(rng: Rng, folder: Path, count: int)
 
 @attack()
 def test_unfinished_files_of_others(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """Unfinished files in the folder of results that this run did not make: they stay."""
     made = small_folder(folder / "work")
     for place in (made / "out", made / "out" / "cases"):
         place.mkdir()
@@ -220,7 +198,6 @@ def test_unfinished_files_of_others(rng: Rng, folder: Path, count: int) -> Outco
 @pytest.mark.slow
 @attack()
 def test_results_and_pictures_that_are_links(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A results file and a picture that are links: what they point at stays as it is."""
     made = _beside_precious(folder, "work")
     (made / "out").mkdir()
     (made / "out" / "results.h5").symlink_to(folder / "precious")
@@ -232,7 +209,6 @@ def test_results_and_pictures_that_are_links(rng: Rng, folder: Path, count: int)
 
 @attack()
 def test_a_simulation_s_output_that_is_a_link(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A simulation's own `output` that is a link."""
     made = _beside_precious(folder, "work")
     (made / "simulation.h5").symlink_to(folder / "precious")
     yield _untouched(made, ("simulate", "simulation.yaml")) or _precious(folder)

@@ -18,15 +18,8 @@ from tests.small_files import run_command
 
 EXTENSIONS = Path(__file__).with_name("extensions.py")
 ELLIPSE = Ellipse(centre_mm=(25.0, 20.0), long_mm=40.0, short_mm=20.0, pressure_kpa=15.0)
-GROUPS = {
-    "terms": "Leash",
-    "losses": "Cushion",
-    "readouts": "Divider",
-    "methods": "Even",
-    "shapes": "Ellipse",
-    "columns": "CONTRAST",
-    "plots": "HISTOGRAM",
-}
+GROUPS = {"terms": "Leash", "losses": "Cushion", "readouts": "Divider", "methods": "Even", "shapes": "Ellipse"}
+GROUPS |= {"columns": "CONTRAST", "plots": "HISTOGRAM"}
 SIMULATION = """\
 schema: 1
 seed: 3
@@ -190,28 +183,19 @@ def test_a_package_brings_all_of_them_to_yaml(tmp_path: Path) -> None:
         assert_allclose(soft, plain, rtol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("groups", "sentence"),
-    [
-        ({"terms": "Even"}, "lampest.terms: Even of an installed package is no Term"),
-        pytest.param(
-            {"methods": "Leash"}, "lampest.methods: Leash of an installed package is no Method", marks=pytest.mark.slow
-        ),
-        pytest.param(
-            {"terms": "contrast"},
-            "lampest.terms: extra = addon:contrast of an installed package is no type",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            {"terms": "lampest.Misfit"},
-            "lampest.terms: Misfit of an installed package needs kind: Literal['...'] with",
-            marks=pytest.mark.slow,
-        ),
-    ],
+SLOW = {"marks": pytest.mark.slow}
+WRONG = (
+    pytest.param("terms", "Even", "Even of an installed package is no Term"),
+    pytest.param("methods", "Leash", "Leash of an installed package is no Method", **SLOW),
+    pytest.param("terms", "contrast", "extra = addon:contrast of an installed package is no type", **SLOW),
+    pytest.param("terms", "lampest.Misfit", "Misfit of an installed package needs kind: Literal['...'] with", **SLOW),
 )
-def test_what_a_package_names_wrongly_is_one_sentence(tmp_path: Path, groups: dict[str, str], sentence: str) -> None:
-    environment = installed(tmp_path, groups)
+
+
+@pytest.mark.parametrize(("group", "name", "sentence"), WRONG)
+def test_what_a_package_names_wrongly_is_one_sentence(tmp_path: Path, group: str, name: str, sentence: str) -> None:
+    environment = installed(tmp_path, {group: name})
     (tmp_path / "run.yaml").write_text(RUN)
     ended = run_command("run", "run.yaml", cwd=tmp_path, env=environment)
-    assert ended.returncode == 2 and ended.stderr.startswith(f"lampest: {sentence}"), ended.stderr
+    assert ended.returncode == 2 and ended.stderr.startswith(f"lampest: lampest.{group}: {sentence}"), ended.stderr
     assert ended.stderr.count("\n") == 1

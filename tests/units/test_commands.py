@@ -145,7 +145,9 @@ def test_progress_says_how_many_are_done_and_the_time_left_on_a_terminal(
         assert all(word in drawn for word in ("frames", "33%", "left")) == terminal and ("3/9" in drawn) == counted
 
 
-RECORDED = Recorded(Path("r.h5"), Scene(Panel(3, 4), TwoPointReadout(), 140.0), 7, 2, 1, 0, False, 0, 0, "", 0.704, 0.0)
+COUNTS = {"frames": 7, "lost": 2, "restarts": 1, "clock_jumps": 0, "clock_stopped": False, "parted": 0, "behind": 0}
+ENDED: Any = COUNTS | {"ended_by": "", "noise_lsb": 0.704, "silent": 0.0}
+RECORDED = Recorded(path=Path("r.h5"), scene=Scene(Panel(3, 4), TwoPointReadout(), 140.0), **ENDED)
 # What a recording ended with, and the warning that follows.
 WARNED: tuple[tuple[dict[str, Any], str], ...] = (
     ({}, ""),
@@ -226,8 +228,8 @@ def test_a_simulation_is_overridden(tmp_path: Path, lampest: Command, monkeypatc
 
     monkeypatch.setattr("lampest.cli.screen.progress", shown)
     ended = lampest("simulate", tmp_path / "simulation.yaml", "--set", "frames=2", "--out", tmp_path / "two.h5")
-    assert ended.code == 0 and "2 measured" in lampest("info", tmp_path / "two.h5").out
-    assert bars[0] == ("frames", True) and bars[-1][0] == bars[-1][1] > 2
+    assert ended.code == 0 and bars[0] == ("frames", True) and bars[-1][0] == bars[-1][1] > 2
+    assert "2 measured" in lampest("info", tmp_path / "two.h5").out
     assert lampest("simulate", tmp_path / "simulation.yaml", "--set", "frames").code == 2
 
 

@@ -58,30 +58,18 @@ def recording_of(case: Case) -> Recording:
     cells[:, case.broken.open_cells(case.scene.panel)] = np.inf
     cells[:, case.broken.shorted_cells(case.scene.panel)] = 0.0
     resistance, sums = measured(case.scene, cells, Unmodelled(), seed=7)
-    codes = raw_sums(case.scene.readout, sums)
-    return Recording(
-        case.scene, resistance, still.time, still.role, raw_sums=codes, raw_readings=case.scene.readout.readings
-    )
+    raw = {"raw_sums": raw_sums(case.scene.readout, sums), "raw_readings": case.scene.readout.readings}
+    return Recording(case.scene, resistance, still.time, still.role, **raw)
 
 
 def samples_of(recording: Recording) -> list[Sample]:
     """The same frames as a board sends them."""
     readout, (rows, columns) = recording.scene.readout, recording.scene.panel.shape
-    hello = Hello(
-        rows,
-        columns,
-        readout.readings,
-        *(16, 16, 64),
-        firmware=(1, 0),
-        period_us=1_000_000,
-        shortest_period_us=1000,
-        settle_us=2,
-        supply_millivolt=5000,
-        reference_milliohm=round(readout.reference_ohm * 1000),
-        adc_bits=readout.adc_bits,
-        measured_across=readout.measured_across,
-        running=True,
-    )
+    times = {"period_us": 1_000_000, "shortest_period_us": 1000, "settle_us": 2}
+    circuit = {"supply_millivolt": 5000, "reference_milliohm": round(readout.reference_ohm * 1000)}
+    converter = {"adc_bits": readout.adc_bits, "measured_across": readout.measured_across}
+    further = times | circuit | converter
+    hello = Hello(rows, columns, readout.readings, *(16, 16, 64), firmware=(1, 0), running=True, **further)
     return [
         Sample(Frame(readout.readings, number, 1000 * number, 0, sums), hello, float(number), 0.0, 0, 0)
         for number, sums in enumerate(recording.raw_sums)
@@ -154,12 +142,13 @@ def test_what_does_not_fit_is_named() -> None:
     """Shapes and σ are a mistake; values never are."""
     good = np.full((2, *SHAPE), 700.0)
     role = np.ones(2, dtype=np.uint8)
-    with pytest.raises(InputError, match=r"^the readings are 9 × 8, but the scene's panel is 8 × 9$"):
-        Readings.of(WHOLE, good[0].T)
-    with pytest.raises(InputError, match=r"^sigma has another shape than the readings$"):
-        Readings.of(WHOLE, good, np.ones(2))
-    with pytest.raises(InputError, match=r"^sigma\[0, 0\] is 0 ohm; it must be positive$"):
-        Readings.of(WHOLE, good, np.zeros(SHAPE))
+    for given, sentence in (
+        ((good[0].T,), r"^the readings are 9 × 8, but the scene's panel is 8 × 9$"),
+        ((good, np.ones(2)), r"^sigma has another shape than the readings$"),
+        ((good, np.zeros(SHAPE)), r"^sigma\[0, 0\] is 0 ohm; it must be positive$"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            Readings.of(WHOLE, *given)
     with pytest.raises(InputError, match=r"^mine: /entry/two_point/sigma\[0, 0\] is -1 ohm; it must be positive$"):
         Recording(WHOLE, good, np.arange(2.0), role, np.full(SHAPE, -1.0), name="mine")
 
@@ -203,17 +192,14 @@ def test_no_value_is_refused(wrong: float, scene: Scene, seen: float, side: floa
         assert readings.value[0, 3, 5] == (580.0 if side == AT_LEAST else 560.0)
 
 
-def test_a_reading_whose_noise_is_not_finite_says_nothing() -> None:
+def test_a_reading_whose_noise_is_not_finite_and_a_frame_of_holes_say_nothing() -> None:
+    holes = Readings.of(WHOLE, np.full(SHAPE, np.nan))
+    assert not holes.seen.any() and np.all(holes.value == 1)
     sigma = np.full(SHAPE, 2.0)
     sigma[1, 1], sigma[2, 2] = np.nan, np.inf
     readings = Readings.of(WHOLE, np.full(SHAPE, 700.0), sigma)
     assert_array_equal(readings.seen == 0, ~np.isfinite(sigma))
     assert readings.sigma is not None and np.all(np.isfinite(readings.sigma))
-
-
-def test_a_frame_that_shows_nothing_is_no_error() -> None:
-    readings = Readings.of(WHOLE, np.full(SHAPE, np.nan))
-    assert not readings.seen.any() and np.all(readings.value == 1)
 
 
 def test_the_mean_is_over_what_says_something() -> None:

@@ -221,7 +221,7 @@ def _of_level_7(path: Path) -> Arrays:
     arrays = {}
     try:
         with hdf5.existing_file(path) as file:
-            for name in hdf5.child_datasets(file, "/"):
+            for name in hdf5.children(file, "/"):
                 dataset = file[name]
                 text = hdf5.read_attribute(file, f"/{name}", "MATLAB_class") == "char"
                 empty = hdf5.read_attribute(file, f"/{name}", "MATLAB_empty")
