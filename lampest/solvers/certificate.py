@@ -6,7 +6,7 @@ Source: Nocedal & Wright, Numerical Optimization, 2006, theorem 2.4; Boyd & Vand
 section 9.5 (the decrement).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -18,7 +18,7 @@ from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, MAX_DENSE, restricted, steihaug
 from lampest.solvers.bounds import MILLIONTH, free_cells, lower_along, within_bounds
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import Hessian, matrix_between
 from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel
 
 # Of a cell's posterior standard deviation: allowed length of the remaining Newton step where the noise is known.
@@ -87,21 +87,6 @@ class Certificate:
         if self.definiteness is not Definiteness.POSITIVE:
             return False
         return float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH or self.deviations <= DEVIATION_SHARE
-
-    def after(self, at: Evaluation, gradient: Array) -> "Certificate":
-        """Return the certificate at a nearby point from its gradient and the factor of this one.
-
-        Second derivatives are taken as unchanged.
-        """
-        if self.factor is None or self.definiteness is not Definiteness.POSITIVE:
-            return self
-        slope = gradient.ravel()[self.factor.cells]
-        # s = −H⁻¹ g, δ² = −gᵀs = gᵀ H⁻¹ g
-        part = self.factor.solve(-slope)
-        decrement = float(np.sqrt(max(-float(slope @ part), 0.0)))
-        deviations = self.deviations * decrement / (self.decrement or 1.0)
-        step = within_bounds(at, self.factor.cells, part)
-        return replace(self, step=step, decrement=decrement, deviations=deviations)
 
     def converged(self, cost_scale: float) -> bool:
         """Return whether one more step moves no cell by a millionth and lowers the cost by at most its rounding.
@@ -181,7 +166,7 @@ def _confirmed(
 
 def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
     """Return the certificate by a Cholesky factor; where that fails, by eigenvectors."""
-    matrix, slope = hessian.between(free), hessian.gradient[free]
+    matrix, slope = matrix_between(hessian.matrix, free), hessian.gradient[free]
     least = ROUNDING * _usual_curvature(hessian)[free]
     factor = None
     if np.all(matrix.diagonal() > least):

@@ -155,12 +155,10 @@ class Hessian:
         """Return ∇²φ·p, flat.
 
         A product costs eight products of (rows, columns) with (columns, lines) matrices and never forms a matrix over
-        the cells. If the matrix over the cells that can move is already computed, it is used instead.
+        the cells. If that is already computed, it is used instead.
         """
-        if "_of_movable" in self.__dict__:
-            whole = np.zeros(step.size)
-            whole[self._movable] = self._of_movable @ step[self._movable]
-            return whole
+        if "matrix" in self.__dict__:
+            return np.asarray(self.matrix @ step)
         cells = self.at.cell_resistance
         pairs = zip(self._second_orders, step.reshape(cells.shape), strict=True)
         changes, seconds = zip(*(order.products(frame) for order, frame in pairs), strict=True)
@@ -187,7 +185,7 @@ class Hessian:
         weight = np.maximum(self.curvature, 0.0)
         if not all(term.loss.squared for term in self.at.cost.terms if term.reads_measurement):
             part = residuals(self.at.cost).data
-            _, stiffness = slopes_of(self, part, part.values(self.at))
+            stiffness = self._stiffness(part)
             # W_i = Σ_k (∂x_k/∂y_i)²·ρ'(x_k)/x_k
             weight = part.jacobian("by_model", self.at).power(2).T @ stiffness
         return np.asarray(weight.reshape(self.at.cell_resistance.shape))
@@ -201,8 +199,20 @@ class Hessian:
             return sparse.csr_array((size, size))
         # P = ∂x/∂u = (∂x/∂r)·diag(r)
         slopes = part.jacobian("by_cells", self.at) @ sparse.diags_array(self.at.cell_resistance.ravel())
-        _, stiffness = slopes_of(self, part, part.values(self.at))
-        return sparse.csr_array(slopes.T @ (sparse.diags_array(stiffness) @ slopes))
+        return sparse.csr_array(slopes.T @ (sparse.diags_array(self._stiffness(part)) @ slopes))
+
+    def _stiffness(self, part: Part) -> Array:
+        """Return weight·ρ'(x)/x of the residuals x of a part, (rows,); absolute losses are smoothed."""
+        cost, value = self.at.cost, part.values(self.at)
+        stiffness = np.zeros(len(value))
+        for number, term in enumerate(cost.terms):
+            rows = part.term == number
+            if rows.any() and term.loss.enters == "dual":
+                dual = self.smoothing.dual[cost.functions.nonsmooth_terms == number]
+                stiffness[rows] = replace(self.smoothing, dual=dual).stiffness(value[rows])
+            elif rows.any():
+                stiffness[rows] = 2 * term.loss.stiffness(value[rows])
+        return np.asarray(self.at.weights[part.term] * stiffness)
 
     @cached_property
     def only_data(self) -> bool:
@@ -231,87 +241,37 @@ class Hessian:
         """The Hessian ∇²φ, dense (…, frames · cells, frames · cells)."""
         jacobians = [network.sensitivity() for network in self.at.networks]
         matrix = block_diagonal([second.matrix() for second in self._second_orders])
-        self._add_terms(matrix, jacobians)
-        # + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y), the curvature of r = exp(u)
-        np.einsum("...ii->...i", matrix)[...] += self.direct - self.through
-        return matrix
-
-    @cached_property
-    def _movable(self) -> Numbers:
-        """Numbers of the cells of `_of_movable`.
-
-        These are the cells with room between their bounds where the second derivatives allow a matrix over a part of
-        the cells: a single frame whose readings enter T on the diagonal only. Otherwise they are all cells.
-        """
-        data, entries = self.at.data, self._entries[0]
-        free = np.flatnonzero(data.lower < data.upper)
-        alone = len(self.at.networks) == 1 and entries.at_model is not None and not entries.crossed
-        return free if alone else np.arange(data.lower.size)
-
-    @cached_property
-    def _of_movable(self) -> Array:
-        """Hessian ∇²φ of a single frame over the cells that can move; readings without weight are left out."""
-        entries, values = self._entries
-        cells, movable = self.at.cell_resistance.ravel(), self._movable
-        # Position of each cell in the smaller matrix, −1 for cells that cannot move.
-        place = np.full(len(cells), -1)
-        place[movable] = np.arange(len(movable))
-        row, column = entries.at_cells
-        own = (place[row] >= 0) & (place[column] >= 0)
-        # N + diag(r) T_rr diag(r) + JᵀT_yy J + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)
-        matrix = self._second_orders[0].matrix(movable)
-        moved = values[entries.cells] * cells[row] * cells[column]
-        matrix[place[row[own]], place[column[own]]] += moved[own]
-        matrix += self._square(movable, values[entries.model], entries.at_model)
-        matrix.flat[:: len(matrix) + 1] += (self.direct - self.through)[movable]
-        return matrix
-
-    def _square(self, cells: Numbers, weight: Array, readings: Numbers | None = None) -> Array:
-        """Return JᵀWJ of a single frame over the chosen cells; readings (None: all) without weight are skipped."""
-        counted = np.flatnonzero(weight)
-        read = counted if readings is None else readings[counted]
-        return weighted_square(self.at.networks[0].sensitivity(cells, read), weight[counted])
-
-    def between(self, chosen: Numbers) -> Array:
-        """Return the dense Hessian ∇²φ over the chosen unknowns (numbers)."""
-        if len(self._movable) == self.at.cell_resistance.size:
-            return matrix_between(self.matrix, chosen)
-        return matrix_between(self._of_movable, np.searchsorted(self._movable, chosen))
-
-    def gauss_newton_between(self, chosen: Numbers) -> Array:
-        """Return the dense Gauss–Newton matrix JᵀWJ + PᵀKP over the chosen unknowns (numbers)."""
-        return matrix_between(self._gauss_newton_matrix, chosen)
-
-    @cached_property
-    def _gauss_newton_matrix(self) -> Array:
-        weights = self.reading_weight.reshape(len(self.at.networks), -1)
-        pairs = zip(self.at.networks, weights, strict=True)
-        blocks = [weighted_square(network.sensitivity(), weight) for network, weight in pairs]
-        return np.asarray(block_diagonal(blocks) + self.penalty_matrix.toarray())
-
-    def _add_terms(self, matrix: Array, jacobians: Sequence[Array]) -> None:
-        """Add (diag r; J)ᵀ T (diag r; J) in place; matrix (…, cells, cells), one Jacobian for each frame."""
         cells = self._flat(self.at.cell_resistance)
-        count = cells.shape[-1]
-        entries, values = self._entries
+        count, (entries, values) = cells.shape[-1], self._entries
+        # N + diag(r) T_rr diag(r)
         row, column = entries.at_cells
-        # diag(r) T_rr diag(r)
         matrix[..., row, column] += values[..., entries.cells] * cells[..., row] * cells[..., column]
-        # Jᵀ T_yy J; where T_yy is diagonal, frame by frame
+        # + Jᵀ T_yy J; where T_yy is diagonal, frame by frame
         if entries.at_model is None:
             jacobian = block_diagonal(jacobians)
             matrix += jacobian.T @ (self.terms[count:, count:] @ jacobian)
         else:
             weight = np.zeros_like(cells)
             weight[..., entries.at_model] = values[..., entries.model]
-            size = count // len(jacobians)
             for number, jacobian in enumerate(jacobians):
+                size = count // len(jacobians)
                 span = slice(number * size, (number + 1) * size)
                 matrix[..., span, span] += weighted_square(jacobian, weight[..., span])
         if entries.crossed:
-            # diag(r) T_ry J and its transpose
+            # + diag(r) T_ry J and its transpose
             cross = cells[:, None] * (self.terms[:count, count:] @ block_diagonal(jacobians))
             matrix += cross + cross.T
+        # + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)
+        np.einsum("...ii->...i", matrix)[...] += self.direct - self.through
+        return matrix
+
+    @cached_property
+    def gauss_newton_matrix(self) -> Array:
+        """The Gauss–Newton matrix JᵀWJ + PᵀKP, dense."""
+        weights = self.reading_weight.reshape(len(self.at.networks), -1)
+        pairs = zip(self.at.networks, weights, strict=True)
+        blocks = [weighted_square(network.sensitivity(), weight) for network, weight in pairs]
+        return np.asarray(block_diagonal(blocks) + self.penalty_matrix.toarray())
 
     @cached_property
     def _entries(self) -> tuple[Entries, Array]:
@@ -325,25 +285,6 @@ class Hessian:
     @cached_property
     def _smooth_terms(self) -> Array:
         return self.at.call(self.at.cost.functions.hessian, self.smoothing.dual)
-
-
-def slopes_of(hessian: Hessian, part: Part, value: Array) -> tuple[Array, Array]:
-    """Return weight·(ρ'(x), ρ'(x)/x) of the residuals x of a part, (rows) each; absolute losses are smoothed."""
-    cost, weights, smoothing = hessian.at.cost, hessian.at.weights, hessian.smoothing
-    stiffness: Array = 2 * weights[part.term]
-    slope = stiffness * value
-    for number, term in enumerate(cost.terms):
-        rows = part.term == number
-        if not rows.any():
-            continue
-        if term.loss.enters == "dual":
-            own = replace(smoothing, dual=smoothing.dual[cost.functions.nonsmooth_terms == number])
-            slope[rows] = weights[number] * own.slope(value[rows])
-            stiffness[rows] = weights[number] * own.stiffness(value[rows])
-        else:
-            stiffness[rows] *= term.loss.stiffness(value[rows])
-            slope[rows] = stiffness[rows] * value[rows]
-    return slope, stiffness
 
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:

@@ -6,25 +6,24 @@ are closest to quadratic. Absolute losses are smoothed less and less.
 Source: Lin & Moré, SIAM J. Optim. 9, 1999; Chan, Golub & Mulet, SIAM J. Sci. Comput. 20, 1999 (smoothing).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, log
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import SUFFICIENT_DECREASE, Linear, restricted, steihaug
-from lampest.solvers.bounds import MILLIONTH, MIN_DECREASE_SHARE, free_cells, moved_by
-from lampest.solvers.certificate import Certificate, Definiteness, certificate
+from lampest.panel.trust_region import SUFFICIENT_DECREASE, Linear, SubproblemStep, restricted, steihaug
+from lampest.solvers.bounds import MILLIONTH, MIN_DECREASE_SHARE, moved_by
+from lampest.solvers.certificate import Certificate, certificate
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.interior_point import by_interior_point
 from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor, preconditioner
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
-from lampest.solvers.termination import ProgressWindow
 
 
 @dataclass(frozen=True)
@@ -49,13 +48,19 @@ class Steps:
     max_reuse_distance : float
         Change of log r beyond which the preconditioner is made anew. Without it small panels take a third more
         products.
-    refactor_distance : float
-        Change of log r up to which a factor of ∇²φ still serves as certificate; second derivatives change by about the
-        same share. If the next step is expected to be shorter than its square, ∇²φ is factored before it.
+    max_final_step : float
+        Largest step of log r that is taken without a new point: second derivatives change by about the same share.
     min_smoothed_cost : float
         Cost, relative to the cost's scale, below which the smoothing need not become finer.
     min_damping, next_damping, max_damping : float
         μ of Levenberg's step: first value, least value of a second try, and largest value.
+    window : int
+        Iterations after which a solve counts as stalled; well-posed frames end within 15 iterations.
+    min_decrease : float
+        Relative decrease of the cost over the window. A joint pair on a plateau falls by more and still ends verified
+        (test_random_problems).
+    min_reduction : float
+        Share of the projected gradient at the window's begin below which the solve still converges.
     """
 
     radius_factor: float = 0.25
@@ -65,11 +70,14 @@ class Steps:
     max_products: tuple[int, int] = (400, 40)
     max_reuse_products: tuple[int, int] = (30, 5)
     max_reuse_distance: float = 0.7
-    refactor_distance: float = 0.01
+    max_final_step: float = 0.01
     min_smoothed_cost: float = 1e-4
     min_damping: float = 1e-15
     next_damping: float = 1e-4
     max_damping: float = 1e3
+    window: int = 20
+    min_decrease: float = 1e-8
+    min_reduction: float = 0.1
 
 
 STEPS = Steps()
@@ -98,28 +106,47 @@ class ProjectedNewton:
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`. A failed solve does not raise; the outcome's status states the failure."""
         start, iteration = by_interior_point(start)
-        iterate, progress = Iterate.of(start, Smoothing.start(start), self.preconditioner), ProgressWindow()
-        unsettled, tolerance = 0, self.settings.tolerance
+        iterate = Iterate.of(start, Smoothing.start(start), self.preconditioner)
+        history, unsettled, tolerance = list[tuple[float, float]](), 0, self.settings.tolerance
         while iteration < self.settings.max_iterations:
-            progress = progress.after(iterate.hessian.smoothing.width, iterate.objective, iterate.residual)
-            if data.overdue or progress.stalled:
+            history.append((iterate.objective, iterate.residual))
+            if data.overdue or stalled(history):
                 return iterate.outcome(Status.TIME if data.overdue else Status.STALLED, iteration)
             # Absolute losses: narrow the smoothing once its error exceeds what is left of the gradient.
-            stationary = iterate.residual <= tolerance
-            if stationary or iterate.residual <= iterate.gap / 2:
-                # At an optimum of the smoothed cost: narrow the smoothing, or end where the certificate holds.
-                if not iterate.sharp(tolerance):
-                    iterate, iteration = iterate.sharpened(), iteration + 1
-                    continue
+            stationary, sharp = iterate.residual <= tolerance, iterate.sharp(tolerance)
+            reached, trial = stationary or iterate.residual <= iterate.gap / 2, None
+            # At an optimum of the smoothed cost: end where the certificate holds.
+            if reached and sharp:
                 if iterate.settled or unsettled == STEPS.max_tries:
                     return iterate.outcome(Status.OPTIMUM, iteration)
                 unsettled += 1
-            # One step; without one, the solve ends unless absolute losses can still be smoothed less.
-            trial = (negative_curvature_step(iterate) if stationary else None) or descent_step(iterate)
-            if trial is None and iterate.sharp(tolerance):
+            if sharp or not reached:
+                trial = (iterate.below_saddle if stationary else None) or descent_step(iterate)
+            # Without a step the solve ends unless absolute losses can still be smoothed less.
+            if trial is None and sharp:
                 return iterate.outcome(Status.OPTIMUM if stationary else Status.BREAKDOWN, iteration)
-            iterate, iteration = trial or iterate.sharpened(), iteration + 1
+            if trial is None:
+                trial, history = iterate.sharpened(), []
+            iterate, iteration = trial, iteration + 1
         return iterate.outcome(Status.ITERATIONS, iteration)
+
+
+def stalled(history: Sequence[tuple[float, float]]) -> bool:
+    """Return whether neither cost nor projected gradient fell by the required amount over a full window.
+
+    A stalled solve is one whose cost has stopped falling although its gradient has not vanished: the data and penalties
+    leave a valley whose floor is flat, or a loss has corners that second derivatives do not show.
+    Source: Nocedal & Wright, Numerical Optimization, 2006, section 3.1 (stopping by the decrease of the cost).
+
+    Parameters
+    ----------
+    history : sequence of (cost, projected gradient)
+        One pair for each iteration with the same smoothing.
+    """
+    if len(history) <= STEPS.window:
+        return False
+    (first, steep), (last, residual) = history[-STEPS.window - 1], history[-1]
+    return first - last < STEPS.min_decrease * abs(last) and residual > STEPS.min_reduction * steep
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,10 +165,6 @@ class Iterate:
         Number of Gauss–Newton steps that are left before a direction of negative curvature is followed.
     convex : bool
         Whether no direction up to this point had negative curvature.
-    expected : float
-        Length of the next step of log r, extrapolated from the decrease of the residual.
-    nearby : Certificate or None
-        Certificate of an earlier point.
     damping : float
         μ of the next Levenberg step.
     """
@@ -151,8 +174,6 @@ class Iterate:
     preconditioner: Preconditioner | None = None
     gauss_newton: int = STEPS.gauss_newton
     convex: bool = True
-    expected: float = inf
-    nearby: Certificate | None = None
     damping: float = STEPS.min_damping
 
     @classmethod
@@ -182,14 +203,7 @@ class Iterate:
     def sharp(self, tolerance: float) -> bool:
         """Return whether the duality gap of the smoothing is at most `tolerance` of the cost."""
         # The reference is the cost itself, but at least min_smoothed_cost and at most one cost scale.
-        allowed = min(self.at.cost_scale, max(self.at.objective, STEPS.min_smoothed_cost * self.at.cost_scale))
-        return self.gap * self.at.cost_scale <= tolerance * allowed
-
-    @property
-    def settled(self) -> bool:
-        """Whether this is a certified strict minimum, or a plateau without any gradient or direction of descent."""
-        flat = not self.residual and self.certificate.lower is None
-        return self.certificate.settled or flat
+        return self.gap <= tolerance * min(1.0, max(self.at.objective / self.at.cost_scale, STEPS.min_smoothed_cost))
 
     def sharpened(self) -> "Iterate":
         """Return the same point with a tenth of the smoothing width."""
@@ -198,61 +212,44 @@ class Iterate:
 
     @cached_property
     def certificate(self) -> Certificate:
-        """Certificate of this point, reusing a previous factor while the Hessian has hardly changed."""
-        previous, cells = self.nearby, self.at.cell_resistance
-        if (
-            previous is not None
-            and previous.factor is not None
-            and previous.factor.distance(cells) <= STEPS.refactor_distance**2
-        ):
-            free = np.flatnonzero(free_cells(self.at, self.hessian.gradient))
-            if previous.definiteness is Definiteness.POSITIVE and np.array_equal(free, previous.factor.cells):
-                return previous.after(self.at, self.hessian.gradient)
+        """Certificate of this point."""
         return certificate(self.hessian, self.preconditioner)
 
     @property
-    def known(self) -> Certificate | None:
-        """The newest certificate: of this point if it is computed, otherwise of an earlier one."""
-        own: Certificate | None = self.__dict__.get("certificate")
-        return own or self.nearby
+    def settled(self) -> bool:
+        """Whether this is a certified strict minimum, or a plateau without any gradient or direction of descent."""
+        return self.certificate.settled or (not self.residual and self.certificate.lower is None)
+
+    @property
+    def below_saddle(self) -> "Iterate | None":
+        """The certificate's point of lower cost next to a saddle; None if the certificate found none."""
+        lower = self.certificate.lower
+        return None if lower is None else Iterate.of(lower, self.hessian.smoothing.moved(self.at, lower), convex=False)
 
     @property
     def newest(self) -> Preconditioner | None:
-        """The factor of ∇²φ of the newest certificate; without one, the preconditioner of an earlier point."""
-        return self.preconditioner if self.known is None or self.known.factor is None else self.known.factor
+        """The factor of this point's certificate if that is computed; otherwise M of an earlier point."""
+        own: Certificate | None = self.__dict__.get("certificate")
+        return self.preconditioner if own is None or own.factor is None else own.factor
 
     def outcome(self, status: Status, iterations: int) -> Outcome:
         """Return the outcome at this point.
 
-        A certifying Newton step of the certificate is applied first if it comes from a factor and is short enough for
-        the certificate to remain valid.
+        The certificate's Newton step is taken first if it comes from a factor, is long enough to improve the estimate,
+        and short enough for the certificate to remain valid.
         """
         final: Certificate | None = self.__dict__.get("certificate")
         cells, dual = self.at.cell_resistance, self.hessian.smoothing.slope(self.at.nonsmooth)
-        factored = final is not None and final.factor is not None and final.settled and not len(dual)
-        if (
-            final is not None
-            and factored
-            # long enough to improve the estimate, short enough for second derivatives not to change
-            and MILLIONTH / 1000 < float(np.abs(final.step).max()) <= STEPS.refactor_distance
-        ):
+        exact = final is not None and final.factor is not None and final.settled and not len(dual)
+        if final is not None and exact and MILLIONTH / 1000 < np.abs(final.step).max() <= STEPS.max_final_step:
             cells = np.exp(self.at.position + final.step.reshape(cells.shape))
         return Outcome(cells, dual, status, iterations, final, self.newest, self.convex, self.at)
 
     def at_step(self, step: Array) -> "Iterate | None":
         """Return the point after a step of u (flat), clipped to the bounds; None if its network cannot be solved."""
-        at = moved_by(self.at, step)
-        return (
-            None
-            if at is None
-            else Iterate.of(at, self.hessian.smoothing.moved(self.at, at), self.preconditioner, convex=self.convex)
-        )
-
-    def expects(self, trial: "Iterate") -> float:
-        """Return the expected length, in log r, of the step that follows `trial`; infinite for smoothed losses."""
-        moved = float(np.abs(trial.at.position - self.at.position).max())
-        # Linear convergence: the next step is shorter by the ratio of the residuals.
-        return inf if len(self.at.nonsmooth) else moved * trial.residual / (self.residual or 1.0)
+        if (at := moved_by(self.at, step)) is None:
+            return None
+        return Iterate.of(at, self.hessian.smoothing.moved(self.at, at), self.preconditioner, convex=self.convex)
 
 
 def descent_step(point: Iterate) -> Iterate | None:
@@ -265,7 +262,7 @@ def descent_step(point: Iterate) -> Iterate | None:
     if trial is not None and trial.gauss_newton:
         return trial
     trials = [candidate for candidate in (trial, levenberg_step(point)) if candidate is not None]
-    return min(trials, key=lambda candidate: candidate.objective, default=None) or negative_curvature_step(point)
+    return min(trials, key=lambda candidate: candidate.objective, default=None) or point.below_saddle
 
 
 def trust_region_step(point: Iterate) -> Iterate | None:
@@ -274,14 +271,10 @@ def trust_region_step(point: Iterate) -> Iterate | None:
     Every iteration begins with an infinite radius: one-sided readings curve the cost on one side only, so that the
     radius of one iteration need not suit the next.
     """
-    hessian, cells = point.hessian, point.at.cell_resistance
-    # Near convergence: compute the certificate now, so that its factor preconditions this step as well.
-    if point.expected <= STEPS.refactor_distance**2 and not len(point.at.nonsmooth):
-        _ = point.certificate
+    hessian, cached = point.hessian, point.newest
     # Preconditioner: the cached one unless the point has moved too far from it.
-    free, cached = free_cells(point.at, hessian.gradient), point.newest
-    if cached is None or cached.distance(cells) > STEPS.max_reuse_distance:
-        cached = preconditioner(hessian, free)
+    if cached is None or cached.distance(point.at.cell_resistance) > STEPS.max_reuse_distance:
+        cached = preconditioner(hessian, hessian.free)
     # Unknowns are relative changes s of conductances, δu = −log(1 − s) = s + s²/2 + …: their Hessian is ∇²φ + diag(∇φ).
     # Where lines touch, steps are in log r itself.
     radius, patience, convex = inf, point.gauss_newton, point.convex
@@ -289,7 +282,7 @@ def trust_region_step(point: Iterate) -> Iterate | None:
     exact: Linear = lambda step: hessian.product(step) + curved * step  # noqa: E731
     product = exact
     for _ in range(STEPS.max_tries):
-        direction = newton_direction(point, cached, free, product, radius)
+        direction = newton_direction(point, cached, product, radius)
         convex = convex and not direction.negative
         # Negative curvature: up to `gauss_newton` times, a Levenberg step or the Gauss–Newton matrix replaces ∇²φ.
         if direction.negative and patience and product is exact:
@@ -297,16 +290,14 @@ def trust_region_step(point: Iterate) -> Iterate | None:
             if damped is not None:
                 return replace(damped, gauss_newton=patience - 1, convex=False)
             product, patience = hessian.gauss_newton_product, patience - 1
-            cached = gauss_newton_factor(hessian, free) or cached
-            direction = newton_direction(point, cached, free, product, radius)
+            cached = gauss_newton_factor(hessian, hessian.free) or cached
+            direction = newton_direction(point, cached, product, radius)
         trial = point.at_step(direction.step)
-        if trial is not None and decrease_ratio(point, trial, direction.predicted) >= SUFFICIENT_DECREASE:
-            # Accepted: keep the preconditioner and the certificate unless conjugate gradients took too many products.
-            worn = direction.products > STEPS.max_reuse_products[hessian.dense]
+        if trial is not None and decrease_ratio(point, trial, direction.decrease) >= SUFFICIENT_DECREASE:
+            # Accepted: keep the preconditioner unless conjugate gradients took too many products.
+            kept = None if direction.products > STEPS.max_reuse_products[hessian.dense] else cached
             patience = patience if direction.negative or product is not exact else STEPS.gauss_newton
-            expected = point.expects(trial) if hessian.dense else inf
-            cached, nearby = None if worn else cached, None if worn else point.known
-            return Iterate(trial.hessian, trial.objective, cached, patience, convex, expected, nearby, point.damping)
+            return Iterate(trial.hessian, trial.objective, kept, patience, convex, point.damping)
         # Rejected: try again within a smaller radius.
         radius = STEPS.radius_factor * direction.length
         if not radius > 0:
@@ -316,11 +307,9 @@ def trust_region_step(point: Iterate) -> Iterate | None:
 
 def decrease_ratio(point: Iterate, trial: Iterate, predicted: float) -> float:
     """Return actual over predicted decrease of the cost; within rounding, 1 if the gradient halved, otherwise −1."""
-    if not np.isfinite(trial.objective):
-        return -1.0
     decrease, rounding = point.objective - trial.objective, MIN_DECREASE_SHARE * abs(point.objective)
     if predicted > rounding:
-        return decrease / predicted
+        return decrease / predicted if np.isfinite(decrease) else -1.0
     return 1.0 if abs(decrease) <= rounding and trial.residual <= point.residual / 2 else -1.0
 
 
@@ -333,35 +322,8 @@ def shares_conductance(at: Evaluation) -> bool:
     return wiring is not None and bool(wiring.joined) and all(term.reads_measurement for term in at.cost.terms)
 
 
-@dataclass(frozen=True, eq=False)
-class Direction:
-    """A step that minimises the quadratic model within trust radius and bounds.
-
-    Attributes
-    ----------
-    step : array, shape (cells,)
-        Change of u = log r.
-    predicted : float
-        Decrease of the quadratic model.
-    length : float
-        ‖s‖_M.
-    products : int
-        Maximum number of products with the Hessian in any of its solves.
-    negative : bool
-        Whether a direction of negative curvature was met.
-    """
-
-    step: Array
-    predicted: float
-    length: float
-    products: int
-    negative: bool
-
-
-def newton_direction(
-    point: Iterate, precondition: Preconditioner, free: NDArray[np.bool_], product: Linear, radius: float
-) -> Direction:
-    """Return a minimiser of the quadratic model gᵀs + ½ sᵀHs within the trust radius and the bounds.
+def newton_direction(point: Iterate, precondition: Preconditioner, product: Linear, radius: float) -> SubproblemStep:
+    """Return the minimiser δu of the quadratic model gᵀs + ½ sᵀHs within the trust radius and the bounds.
 
     Conjugate gradients solve the model over the moving cells. Cells that the solution takes beyond a bound are fixed at
     it, and the model is solved again over the others.
@@ -370,54 +332,36 @@ def newton_direction(
     ----------
     point : Iterate
     precondition : Preconditioner
-    free : boolean array, shape (cells,)
-        Cells outside the active set.
     product : Linear
         H·p over all cells.
     radius : float
         Trust radius in the norm of the preconditioner.
     """
-    at, gradient = point.at, point.hessian.gradient
-    logarithmic = shares_conductance(at)
-    low, high = step_bounds(at, logarithmic=logarithmic)
+    at, gradient, free = point.at, point.hessian.gradient, point.hessian.free
+    low, high = (bound.ravel() - at.position.ravel() for bound in at.data.log_bounds)
+    low, high = np.maximum(low, -STEPS.max_step), np.minimum(high, STEPS.max_step)
+    if not (logarithmic := shares_conductance(at)):
+        low, high = -np.expm1(-low), -np.expm1(-high)  # 1 − exp(−δu)
     # Forcing term: superlinear convergence (Nocedal & Wright 2006, section 7.1).
-    accuracy = min(0.1, point.residual**0.5)
-    moving, step, slope = free, np.zeros(free.size), gradient
-    products, negative, length, predicted = 0, False, 0.0, -inf
+    accuracy, limit = min(0.1, point.residual**0.5), STEPS.max_products[point.hessian.dense]
+    moving, step, slope, products, negative = free, np.zeros(free.size), gradient, 0, False
     for _ in range(STEPS.max_tries):
         chosen = np.flatnonzero(moving)
         part, inverse = restricted(product, chosen, free.size), precondition.over(moving, at.cell_resistance)
-        limit = STEPS.max_products[point.hessian.dense]
         solved = steihaug(part, inverse, slope[chosen], accuracy, radius, most_products=limit)
-        products, negative, length = max(products, solved.products), negative or solved.negative, solved.length
-        step = np.where(moving, 0.0, step)
+        products, negative = max(products, solved.products), negative or solved.negative
         step[chosen] = solved.step
         beyond = moving & ((step < low) | (step > high))
         if not beyond.any():
-            predicted = solved.decrease if moving is free else predicted
             break
         step, moving = np.clip(step, low, high), moving & ~beyond
         if not moving.any():
             break
         # Gradient of the model over the moving cells, with the others at their bounds: g + H s_fixed
         slope = gradient + product(np.where(moving, 0.0, step))
-    if predicted == -inf:
-        predicted = -float(gradient @ step + 0.5 * step @ product(step))
+    decrease = solved.decrease if moving is free else -float(gradient @ step + 0.5 * step @ product(step))
     # δu = −log(1 − s)
-    return Direction(step if logarithmic else -np.log1p(-step), predicted, length, products, negative)
-
-
-def step_bounds(at: Evaluation, *, logarithmic: bool) -> tuple[Array, Array]:
-    """Return lower and upper bounds of a step, flat: of δu, or of the relative change of conductances 1 − exp(−δu)."""
-    lower, upper = (bound.ravel() - at.position.ravel() for bound in at.data.log_bounds)
-    low, high = np.maximum(lower, -STEPS.max_step), np.minimum(upper, STEPS.max_step)
-    return (low, high) if logarithmic else (-np.expm1(-low), -np.expm1(-high))
-
-
-def negative_curvature_step(point: Iterate) -> Iterate | None:
-    """Return the certificate's point of lower cost next to a saddle; None if the certificate found none."""
-    lower = point.certificate.lower
-    return None if lower is None else Iterate.of(lower, point.hessian.smoothing.moved(point.at, lower), convex=False)
+    return SubproblemStep(step if logarithmic else -np.log1p(-step), solved.length, decrease, negative, products)
 
 
 def levenberg_step(point: Iterate) -> Iterate | None:
@@ -426,7 +370,7 @@ def levenberg_step(point: Iterate) -> Iterate | None:
     The damping μ of the next step is a tenth if the cost fell by at least half of the predicted decrease (Moré 1978).
     Returns None on large problems, or if no μ lowers the cost.
     """
-    hessian, free = point.hessian, free_cells(point.at, point.hessian.gradient)
+    hessian, free = point.hessian, point.hessian.free
     if not hessian.dense or not free.any():
         return None
     slope, damping = hessian.gradient[free], point.damping

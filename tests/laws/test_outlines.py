@@ -8,7 +8,6 @@ import pytest
 
 import lampest
 from lampest import Cells, Panel, Scene, Simulation
-from lampest.cost.given import Background
 from lampest.estimate.outliers import impossible_readings
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
@@ -16,9 +15,6 @@ from lampest.panel.readouts.floating import exact_two_point_resistance
 from lampest.panel.response import PUBLISHED
 from lampest.report.detect.detection import detect_recording
 from lampest.report.detect.pressed import pressed_of
-from lampest.solvers.hessian import Hessian
-from lampest.solvers.multistart import evaluated
-from lampest.solvers.smoothing import Smoothing
 from tests.estimates import recording_of
 from tests.outlines import OUTLINES
 
@@ -191,25 +187,6 @@ def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path)
     answer = detect_recording(tmp_path / "hand.h5")
     assert answer.attachments and np.hypot(answer.attachments[0].x_mm[0] - 20, answer.attachments[0].y_mm[0] - 46) < 6
     assert estimate.result().to_xarray()["x"].dims == ("row", "column")
-
-
-@pytest.mark.parametrize("outline", ["hand", "foot"])
-def test_a_matrix_between_cells_that_can_move_is_that_of_all(outline: str) -> None:
-    """Absent crossings and readings without weight are left out of it, and nothing else."""
-    panel, cells = drawn(outline, 9)
-    readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
-    row, column = np.argwhere(panel.present)[5]
-    readings[row, column] = np.inf
-    estimator = lampest.Estimator((lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=3.0)))
-    scene = Scene(panel, READOUT)
-    data = estimator.data(lampest.Readings.of(scene, readings).alone(), Background(scene))
-    at = evaluated(estimator.cost(scene, 1, partial=data.partial), data, 1.3 * data.uniform_start)
-    hessian = Hessian(at, Smoothing.start(at))
-    chosen = np.flatnonzero(panel.present)[1:]
-    np.testing.assert_allclose(hessian.between(chosen), hessian.matrix[np.ix_(chosen, chosen)], rtol=1e-9, atol=1e-9)
-    step = np.where(panel.present, np.random.default_rng(1).standard_normal(panel.shape), 0.0).ravel()
-    plain = Hessian(at, Smoothing.start(at)).product(step)
-    np.testing.assert_allclose(hessian.product(step)[chosen], plain[chosen], rtol=1e-9, atol=1e-9 * np.abs(plain).max())
 
 
 def test_a_reading_that_no_cells_allow_is_left_out() -> None:
