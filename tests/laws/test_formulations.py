@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from lampest import Array, TwoPointReadout, two_point_resistance
 from lampest.panel.readouts.floating import FloatingNetwork, grounding
-from lampest.solvers.ipopt.formulations import FORMULATIONS
+from lampest.solvers.ipopt import FORMULATIONS
 
 SHAPES = [(1, 1), (1, 4), (4, 1), (2, 2), (3, 5), (5, 3), (4, 4)]
 

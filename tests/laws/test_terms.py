@@ -19,8 +19,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Misfit, State, Term, term_kind, term_types
 from lampest.estimate.sequence import reconstruct
 from lampest.solvers.hessian import Hessian
-from lampest.solvers.ipopt.formulations import FORMULATIONS
-from lampest.solvers.ipopt.program import Program
+from lampest.solvers.ipopt import FORMULATIONS, Program
 from lampest.solvers.smoothing import Smoothing
 
 PANEL = Panel(3, 4)

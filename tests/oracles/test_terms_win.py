@@ -28,7 +28,7 @@ from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Faults, Scene
 from lampest.posterior.covariance import DenseErrors, DenseMemory, SampledErrors, SampledMemory
 from lampest.posterior.linear import LinearModel
-from lampest.solvers.ipopt.formulations import FORMULATIONS
+from lampest.solvers.ipopt import FORMULATIONS
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
 from tests.estimates import log_errors, recording_of, rms

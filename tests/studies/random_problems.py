@@ -30,8 +30,7 @@ import numpy as np
 
 from lampest.cost.problem import Evaluation
 from lampest.files.errors import InputError
-from lampest.solvers.ipopt.formulations import FORMULATIONS
-from lampest.solvers.ipopt.ipopt import Ipopt
+from lampest.solvers.ipopt import FORMULATIONS, Ipopt
 from lampest.solvers.multistart import BROKEN, convex, evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Status

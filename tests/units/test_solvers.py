@@ -12,8 +12,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.sequence import first_stream
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.solvers.hessian import Hessian
-from lampest.solvers.ipopt.formulations import FORMULATIONS
-from lampest.solvers.ipopt.ipopt import Ipopt, Limits
+from lampest.solvers.ipopt import FORMULATIONS, Ipopt, Limits
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.preconditioners import Cholesky
 from lampest.solvers.projected_newton import ProjectedNewton

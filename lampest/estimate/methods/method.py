@@ -26,8 +26,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.profile_interval import beyond_tangents
 from lampest.recording.readings import Readings
-from lampest.solvers.ipopt.formulations import FORMULATIONS
-from lampest.solvers.ipopt.ipopt import Ipopt
+from lampest.solvers.ipopt import FORMULATIONS, Ipopt
 from lampest.solvers.multistart import BROKEN, best_solution
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Solution, Solver

@@ -1,1 +1,0 @@
-"""IPOPT on formulations that keep node voltages as decision variables."""
