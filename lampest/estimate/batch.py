@@ -28,7 +28,7 @@ from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.multistart import BROKEN, SAME_MINIMUM, several_minima
 from lampest.solvers.projected_lbfgs import BatchOutcome, InverseHessians, serves, solve
-from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Solution, Status
+from lampest.solvers.solution import VERIFIED, Outcome, Solution, Status, solution_at
 
 MIN_PANELS_PER_THREAD = 20  # with fewer panels in a thread, threads cost more than they save
 MAX_BLOCK_FRAMES = 40  # frames that are solved together: 50 MB of inverse Hessians at 20 × 20
@@ -293,34 +293,18 @@ class StreamBatch:
         return Evaluation.at(self.cost, self.data, np.clip(cells, self.data.lower, self.data.upper), weights)
 
     def _solutions(self, ended: BatchOutcome, starts: int) -> list[Solution | None]:
-        """Return the checked solutions of all panels; None where one is not verified.
-
-        Those of streams with error bars have the evaluation for them. The solver's cache of a stream stays.
-        """
-        points, data, at = ended.points, self.data, ended.points.at
-        cells = at.cell_resistance
-        # cells at a bound, to the solver's tolerance; a panel is `held` if bounds that matter keep a cell
-        at_lower, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
+        """Return the checked solutions of all panels, None where one is not verified; a stream's solver cache stays."""
+        points, data = ended.points, self.data
+        # a panel is `held` if bounds that matter keep a cell
         held = np.asarray((~points.free & (data.lower < data.upper).reshape(points.free.shape)).any(axis=1))
-        solutions: list[Solution | None] = [None] * len(cells)
+        solutions: list[Solution | None] = [None] * len(self.numbers)
         for number in np.flatnonzero(ended.solved & (points.residual <= VERIFIED)).tolist():
-            stream, gradient = self.streams[number], points.gradient[number].reshape(cells[number].shape)
-            matter = held[number] and bounds_matter(at.some(number), gradient, NO_DUAL)
-            solutions[number] = Solution(
-                cells[number],
-                at.reading[number],
-                at.costs[number],
-                float(at.objectives[number]),
-                float(points.residual[number]),
-                at_lower[number],
-                open_cell[number],
-                Status.HELD if matter else Status.OPTIMUM,
-                int(ended.iterations[number]),
-                at=None if stream.track is None else at.some(number),
-                dual=NO_DUAL,
-                preconditioner=stream.prepared,
-                starts=starts,
-            )
+            at, kept = points.at.some(number), self.streams[number].prepared
+            gradient = points.gradient[number].reshape(at.cell_resistance.shape)
+            status = Status.HELD if held[number] and bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
+            iterations = int(ended.iterations[number])
+            outcome = Outcome(at.cell_resistance, NO_DUAL, status, iterations, preconditioner=kept)
+            solutions[number] = replace(solution_at(at, float(points.residual[number]), outcome, status), starts=starts)
         return solutions
 
 

@@ -275,8 +275,8 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
     if verdict.definiteness is Definiteness.INDEFINITE:
         return failure(cost, data, Status.SADDLE, residual, outcome)
     if not verdict.settled:
-        return _solution(at, residual, outcome, UNSETTLED[verdict.definiteness])
-    return _solution(at, residual, outcome, Status.HELD if bounds_matter(at, gradient, dual) else Status.OPTIMUM)
+        return solution_at(at, residual, outcome, UNSETTLED[verdict.definiteness])
+    return solution_at(at, residual, outcome, Status.HELD if bounds_matter(at, gradient, dual) else Status.OPTIMUM)
 
 
 def _sharp(at: Evaluation, outcome: Outcome) -> Hessian:
@@ -311,10 +311,11 @@ def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:
     if not np.all(np.isfinite(outcome.cell_resistance)):
         return failure(cost, data, Status.BREAKDOWN, float("nan"), outcome)
     at = Evaluation.at(cost, data, np.clip(outcome.cell_resistance, data.lower, data.upper))
-    return _solution(at, at.kkt_residual(outcome.dual), outcome, Status.APPROXIMATE)
+    return solution_at(at, at.kkt_residual(outcome.dual), outcome, Status.APPROXIMATE)
 
 
-def _solution(at: Evaluation, residual: float, outcome: Outcome, status: Status) -> Solution:
+def solution_at(at: Evaluation, residual: float, outcome: Outcome, status: Status) -> Solution:
+    """Return the solution at an evaluation, with its KKT residual, for a checked outcome."""
     cells, data = at.cell_resistance, at.data
     ends = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
     fields = (cells, at.reading, at.costs, at.objective, residual, *ends, status, outcome.iterations)

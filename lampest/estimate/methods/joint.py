@@ -166,28 +166,21 @@ class Joint:
     @property
     def steps(self) -> Array:
         """u_{t+1} − u_t − c_t, (frames − 1, cells)."""
-        return np.asarray(np.diff(self.log_cells, axis=0) - self._common[:, None])
+        return np.asarray(np.diff(self.log_cells, axis=0) - self.shift[self._sharing :, None])
 
     @cached_property
     def value(self) -> float:
         """Φ."""
-        stray = np.sum(self._shifted**2 * self.certainty) + IGNORANCE * np.sum(self._strayed**2)
-        priors = stray + np.sum(self.chance**2) + np.sum(self.stiffness * self.steps**2)
+        strayed = IGNORANCE * np.sum((self.log_cells - self.frames.anchor) ** 2)
+        ties = np.sum(self.stiffness * self.steps**2)
+        priors = np.sum(self._shifted**2 * self.certainty) + np.sum(self.chance**2) + strayed + ties
         return sum(at.objective for at in self.at) + float(priors)
 
     @property
     def _shifted(self) -> Array:
         """(z − ẑ, c)."""
-        return self.shift if self.held is None else np.append(self.shift[: self._sharing] - self.held[0], self._common)
-
-    @property
-    def _common(self) -> Array:
-        """c."""
-        return self.shift[self._sharing :]
-
-    @property
-    def _strayed(self) -> Array:
-        return np.asarray(self.log_cells - self.frames.anchor)
+        known = 0.0 if self.held is None else self.held[0]
+        return np.append(self.shift[: self._sharing] - known, self.shift[self._sharing :])
 
     @property
     def certainty(self) -> Array:
@@ -207,7 +200,7 @@ class Joint:
         pulls = np.pad(self.stiffness * self.steps, ((1, 1), (0, 0)))
         misfit = np.stack([at.log_gradient(NO_DUAL).ravel() / 2 for at in self.at])
         # ½ ∂Φ/∂u_t = ½ ∂misfit/∂u_t + λ_{t−1} x_{t−1} − λ_t x_t + ε (u_t − a_t);  ½ ∂Φ/∂w_t = V_tᵀ ½ ∂misfit/∂f + w_t
-        cells = misfit + pulls[:-1] - pulls[1:] + IGNORANCE * self._strayed
+        cells = misfit + pulls[:-1] - pulls[1:] + IGNORANCE * (self.log_cells - self.frames.anchor)
         chance = np.einsum("tri,tr->ti", self.frames.drawn, self._through) + self.chance
         return np.concatenate([cells, chance], axis=1)
 

@@ -38,11 +38,10 @@ from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.covariance import positive_inverse
 from lampest.posterior.linear import IGNORANCE
-from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.multistart import BROKEN
-from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Solver, Status, blank
+from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solver, Status, failure, solution_at
 
 MAX_LAST_CHANGE = 1e-3  # of a standard deviation: largest change of a cell by a further Newton step
 MAX_UNLOADED_PARTS = 5  # of the unloaded frames: enough to identify a wrong reading; more cost time
@@ -166,11 +165,16 @@ class SmootherMethod(Method):
             joint, rounds = self._joint(state, data, start, len(resting), until)
             fault = Status.TIME if monotonic() > until else Status.UNVERIFIED
             solutions = _checked(joint, rounds, fault)[len(resting) - 1 :]
-            steps = [Step(solution, (perf_counter() - begin) / len(data), (1.0,)) for solution in solutions]
-            if state.track is not None and steps[0].solution.solved:
-                state, steps = _barred(state, state.track, joint, steps)
-            baseline = steps[0] if steps[0].solution.solved else state.baseline
-            return replace(state, baseline=baseline, previous=steps[-1].estimate(0)), steps[1:]
+            seconds, track = (perf_counter() - begin) / len(data), state.track
+            baseline, *steps = (Step(solution, seconds, (1.0,)).bare() for solution in solutions)
+            if track is not None and baseline.solution.solved:
+                begin, shared = perf_counter(), track.shared and track.shared.beyond(joint.frames.errors)
+                certainty, bars = error_bars(joint, len(resting), shared)
+                seconds, track = (perf_counter() - begin) / len(solutions), replace(track, baseline=certainty)
+                pairs = zip(steps, bars, strict=True)
+                steps = [replace(s, bars=own, bars_seconds=seconds) if s.solution.solved else s for s, own in pairs]
+            baseline = baseline if baseline.solution.solved else state.baseline
+            return replace(state, baseline=baseline, previous=steps[-1].estimate(0), track=track), steps
         return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
 
     def least_cost(self, state: SequenceState, readings: Sequence[Readings]) -> Joint:
@@ -230,29 +234,15 @@ def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
     """Return the solution of every frame; NaN with the status `fault` where the optimality conditions do not hold."""
     faint = np.any(np.abs(joint.newton()[0]) > MAX_LAST_CHANGE * np.sqrt(joint.chain.variance), axis=1)
     solutions, slopes = [], 2 * joint.gradient[:, : joint.cells]
-    for at, residual, weak, slope in zip(joint.at, joint.kkt_residual, faint, slopes, strict=True):
-        cells, data = at.cell_resistance, at.data
+    for at, residual, weak, slope in zip(joint.at, joint.kkt_residual.tolist(), faint, slopes, strict=True):
+        outcome = Outcome(at.cell_resistance, NO_DUAL, fault, rounds)
         if not residual <= VERIFIED:
-            failed = blank(cells.shape, 1, fault)
-            solutions.append(replace(failed, kkt_residual=float(residual), iterations=rounds))
+            solutions.append(failure(at.cost, at.data, fault, residual, outcome))
             continue
-        low, high = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
-        held = bounds_matter(at, slope.reshape(cells.shape), NO_DUAL)
+        held = bounds_matter(at, slope.reshape(at.cell_resistance.shape), NO_DUAL)
         status = Status.FAINT if weak else Status.HELD if held else Status.OPTIMUM
-        outcome = (at.costs, at.objective, float(residual), low, high, status, rounds)
-        solutions.append(Solution(cells, at.reading, *outcome))
+        solutions.append(solution_at(at, residual, outcome, status))
     return solutions
-
-
-def _barred(state: S, track: Track, joint: Joint, steps: list[Step]) -> tuple[S, list[Step]]:
-    """Return the state and the steps with error bars; the first of the steps is the baseline."""
-    begin = perf_counter()
-    beyond = None if track.shared is None else track.shared.beyond(joint.frames.errors)
-    baseline, bars = error_bars(joint, len(joint.position) - len(steps) + 1, beyond)
-    seconds = (perf_counter() - begin) / len(steps)
-    pairs = zip(steps[1:], bars, strict=True)
-    barred = [replace(step, bars=own, bars_seconds=seconds) if step.solution.solved else step for step, own in pairs]
-    return replace(state, track=replace(track, baseline=baseline)), [steps[0], *barred]
 
 
 @dataclass(frozen=True)
@@ -382,16 +372,16 @@ def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, un
     shift = np.zeros(frames.shared.shape[2] + len(start) - 1)
     joint = Joint(frames, start, shift, walk.stiffness(joint.steps**2 + variance[1:] + variance[:-1]))
     # Rounds: Newton step, E x² under P, smaller q, new λ.
-    rounds, moving, taken = 0, True, walk.deviation
+    rounds, moving = 0, True
     while rounds < MAX_ROUNDS and moving and monotonic() < until:
         before, joint = joint, joint.stepped()
         moved = np.abs(joint.log_cells - before.log_cells).max(initial=0.0, where=~joint.pressed[:, : joint.cells])
         squares = joint.expected_squares()
         walk, on = walk.drawn_down(squares, joint.stiffness, least)
-        # U is evaluated at the model's readings, and again once q has halved: with a large q these follow the noise,
+        # U is evaluated at the model's readings, and again with the last q: with a large q these follow the noise,
         # which an error of the reference would seem to explain.
-        if not on or walk.deviation < taken / 2:
-            joint, taken = replace(joint, frames=joint.frames.sharing(joint.at)), walk.deviation
+        if not on:
+            joint = replace(joint, frames=joint.frames.sharing(joint.at))
         joint, rounds = replace(joint, stiffness=walk.stiffness(squares)), rounds + 1
         moving = on or moved > MAX_ROUND_CHANGE * noise
     # Fixed λ: hold z as far as cells away from loads agree, then minimise Φ to the tolerance.
