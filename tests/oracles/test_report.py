@@ -207,6 +207,20 @@ def test_who_fails_does_not_compete() -> None:
     assert match.left_out == ("C failed in 3 of 40 frames",) and match.frames == 39
 
 
+def test_copies_of_a_recording_are_no_further_recordings() -> None:
+    """Two recordings and a copy of one, under another name and without its last frame, are two; two frames are none."""
+    cases = [invented_case(name, recording, SHAPE) for recording in ("r0", "r1") for name in ("A", "B")]
+    copies = [invented_case(name, "again", (3, 3, 3), measured=cases[0].measured[:3]) for name in ("A", "B")]
+    match = matched(batch(*cases, *copies).recordings)
+    assert [*match.recordings] == ["r0", "r1"] and match.frames == 8
+    assert match.left_out == ("again, whose readings are those of r0: a copy does not count again",)
+    results = batch(*cases, *copies)
+    assert f"Not compared: {match.left_out[0]}." in advise(results, compared(results)).warnings
+    half = [np.where(np.arange(4)[:, None, None] < 2, case.measured, 1.0) for case in cases[:2]]
+    others = [dataclasses.replace(case, recording="half", measured=own) for case, own in zip(cases, half, strict=False)]
+    assert [*matched(batch(*cases, *others).recordings).recordings] == ["r0", "r1", "half"]
+
+
 def test_figures_of_a_case_are_what_they_are_called() -> None:
     case = invented_case(shape=(10, 4, 5), failed=(3, 4))
     good = case.solved

@@ -84,14 +84,8 @@ def test_what_is_left_to_another_process_reaches_the_frames_after(
     lies = dataclasses.replace(lamprey, recorded=lamprey.recorded[[0, 1, 2, *(6 * [8])]])
     *_, waited = pictures(METHODS["smooth"], lies)
     batch = reconstruct(lies, METHODS["smooth"])
-    with Engine("test", "test", METHODS["smooth"], 3, beside=True) as engine:
-
-        def found(seconds: float) -> None:
-            until(lambda: engine.shown.item.frames in (3, engine.shown.item.deviation_of))  # three are unloaded
-
-        from_recording(engine, lies, 1e9, None, found)
-        engine.finish()
-        view = engine.shown.item
+    engine = Engine("test", "test", METHODS["smooth"], 3, beside=True)
+    view = replay(engine, lies, lambda: until(lambda: engine.shown.item.frames in (3, engine.shown.item.deviation_of)))
     assert view.picture is not None and view.skipped == 0
     np.testing.assert_allclose(view.picture.relative_change, waited.relative_change, atol=0.05)
     names = ("pressure", "lower", "upper", "errors", "own", "common", "saturated", "pressing")

@@ -245,29 +245,6 @@ def test_many_recordings_are_shown_in_part_and_the_page_says_which() -> None:
     assert all(f"r{number}" in page.text for number in range(8)) and "units with the smallest error, of 8" in page.text
 
 
-@pytest.mark.slow
-def test_copies_of_a_recording_are_no_further_recordings() -> None:
-    """Two recordings and a copy of one, under another name and without its last frame, are two."""
-    cases = [invented_case(name, f"r{number}", (4, 3, 3)) for number in range(2) for name in ("A", "B")]
-
-    def cut(case: CaseResult) -> CaseResult:
-        shorter = {
-            field.name: value[:3]
-            for field in dataclasses.fields(case)
-            if isinstance(value := getattr(case, field.name), np.ndarray | tuple) and len(value) == 4
-        }
-        maps = {name: {term: value[:3] for term, value in getattr(case, name).items()} for name in ("costs", "weights")}
-        return dataclasses.replace(case, recording="again", **shorter, **maps)
-
-    alone, copied = batch(*cases), batch(*cases, *(cut(case) for case in cases[:2]))
-    said = "Not compared: again, whose readings are those of r0: a copy does not count again."
-    page, before = Page(report(copied)).text, Page(report(alone)).text
-    assert said in page and said not in before
-    assert "2 recordings only" in page and "2 recordings only" in before
-    together = "All recordings together Medians"
-    assert page.split(together)[1].split("All figures")[0][:400] == before.split(together)[1][:400]
-
-
 def test_files_are_put_together(tmp_path: Path) -> None:
     write_results(tmp_path / "one.h5", [invented_case("LSM"), invented_case("LSR-CR")])
     write_results(tmp_path / "two.h5", [invented_case("LSM"), invented_case("LSR-dCR")])

@@ -398,13 +398,10 @@ def test_a_quarter_is_of_the_published_number() -> None:
     }
     assert table.cells[0] == ("measured [%]", "Fig. 8-a", "−80.0", "−60.0", "−59.9", "−100", "–")
     assert table.cells[1][3:] == ("12,346", "−80.0", "1.00", "2.00")
-
-
-def test_a_mouth_covers_its_rim() -> None:
     change = np.full((8, 9), -5.0)
     change[2:6, 3:8] = -80.0
     change[3:5, 4:7], change[0, 0] = 300.0, -39.0
-    assert covered(change) == (4, 5)
+    assert covered(change) == (4, 5), "a mouth covers its rim"
 
 
 @pytest.fixture(scope="module")
