@@ -41,7 +41,7 @@ class KnownLoad:
     Raises
     ------
     ValueError
-        If a number is out of range, or the numbers do not make one load.
+        If a number is out of range.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -63,6 +63,9 @@ class KnownLoad:
         check_positive_fields(self, "mass_g", "force_newton", "diameter_mm", "length_mm", "width_mm")
         if self.pressure_kpa is not None and not 1e-6 < abs(self.pressure_kpa) < 1e4:
             raise ValueError("pressure_kpa must not be 0, and below 1e4")
+
+    def check(self) -> None:
+        """Raise ValueError unless these numbers make one load."""
         if [self.mass_g, self.force_newton, self.pressure_kpa].count(None) != 2:
             raise ValueError("a load needs one of mass_g, force_newton and pressure_kpa")
         given = tuple(number is not None for number in (self.diameter_mm, self.length_mm, self.width_mm))
@@ -74,7 +77,7 @@ class KnownLoad:
             raise ValueError("a weight or force needs its foot: diameter_mm, or length_mm and width_mm")
 
     def pressure(self, panel: Panel, patch_mm: float, along_mm: float = 0.0, down_mm: float = 0.0) -> Array:
-        """Return the mean pressure on every patch, (rows, columns) kPa.
+        """Return the mean pressure on every patch, (rows, columns) kPa. Raises ValueError as `check`.
 
         Parameters
         ----------
@@ -84,6 +87,7 @@ class KnownLoad:
         along_mm, down_mm : float
             Displacement of the foot along x and y.
         """
+        self.check()
         if self.x_mm is None or self.y_mm is None:
             return np.full(panel.shape, self.pressure_kpa)
         length, width, diameter = (size or 0.0 for size in (self.length_mm, self.width_mm, self.diameter_mm))
@@ -144,7 +148,13 @@ def read_known_loads(path: Path) -> KnownLoads:
     table = path.suffix.lower() == ".csv"
     try:
         document = parse_document(_as_yaml(path), str(path)) if table else read_document(path)
-        return cast(KnownLoads, validated(document, KnownLoads))
+        known = cast(KnownLoads, validated(document, KnownLoads))
+        for number, load in enumerate(known.loads):
+            try:
+                load.check()
+            except ValueError as error:
+                raise document.error(("loads", number), str(error)) from error
+        return known
     except InputError as error:
         if not table:
             raise
