@@ -15,13 +15,14 @@ READINGS = 20
 
 def unclosed_recording(path: Path, scene: Scene, frames: int, unloaded: int) -> Path:
     """Frames at 10 Hz, two events and a frame that was begun, as kill -9 leaves them, beside `growing.h5`."""
-    rng, readout, hello = np.random.default_rng(8), scene.readout, SimpleNamespace(readings=READINGS)
+    rng, hello = np.random.default_rng(8), SimpleNamespace(readings=READINGS)
     with Journal.create(path.with_name("growing.h5"), scene, READINGS) as journal:
         for number in range(frames):
             sums = rng.integers(8000, 8010, scene.panel.shape, dtype=np.uint16)
-            frame: Any = SimpleNamespace(device_ms=100 * number, sequence=number, missed=0, sums=sums)
-            sample: Any = Sample(frame, hello, 0.1 * number, 1.7e9 + 0.1 * number, 0, 0)
-            journal.append((sample,), readout.recorded_from_sums(sums, READINGS)[None], [int(number >= unloaded)])
+            frame: Any = SimpleNamespace(readings=READINGS, device_ms=100 * number, sequence=number, missed=0)
+            frame.sums = sums
+            sample: Any = Sample(frame, hello, scene, 0.1 * number, 1.7e9 + 0.1 * number, 0, 0)
+            journal.append((sample,), int(number < unloaded))
         journal.mark(0.3, "touch")
         journal.mark(0.5, "leave")
         journal.file[f"entry/{journal.paths[0]}"].resize(frames + 1, axis=0)

@@ -24,7 +24,7 @@ from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
 from lampest.panel.response import Film, PublishedResponse
 from lampest.recording.board import record as record_module
 from lampest.recording.board.protocol import Frame
-from lampest.recording.board.stream import Sample
+from lampest.recording.board.stream import Sample, scene_of
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, Unmodelled, read_simulations, simulate
 from lampest.report.live import engine as engine_module
@@ -432,7 +432,10 @@ def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, mo
     sums = np.full((4, 3, 4), 64 * 700, np.uint16)
     sums[2:, 1, 2] = 64 * 720
     frames = [Frame(64, number, 500 * number, 0, each) for number, each in enumerate(sums)]
-    samples = [Sample(each, hello, 0.5 * number, 50.0, 2 * (number == 1), 0) for number, each in enumerate(frames)]
+    told = scene_of(hello, None)
+    samples = [
+        Sample(each, hello, told, 0.5 * number, 50.0, 2 * (number == 1), 0) for number, each in enumerate(frames)
+    ]
 
     def arriving(*source: Any) -> Any:
         yield from (samples[:2], (), samples[2:])

@@ -71,7 +71,9 @@ def samples_of(recording: Recording) -> list[Sample]:
     further = times | circuit | converter
     hello = Hello(rows, columns, readout.readings, *(16, 16, 64), firmware=(1, 0), running=True, **further)
     return [
-        Sample(Frame(readout.readings, number, 1000 * number, 0, sums), hello, float(number), 0.0, 0, 0)
+        Sample(
+            Frame(readout.readings, number, 1000 * number, 0, sums), hello, recording.scene, float(number), 0.0, 0, 0
+        )
         for number, sums in enumerate(recording.raw_sums)
     ]
 
@@ -99,7 +101,7 @@ def test_every_way_in_gives_the_same_cells(name: str) -> None:
 
     def board(engine: Engine) -> None:
         for sample in samples_of(recording):
-            take_sample(engine, sample, case.scene)
+            take_sample(engine, sample)
 
     # A recording's frames are solved in blocks, others one by one: both to the solver's tolerance.
     cells, baseline = own_loop(recording, case.estimator)

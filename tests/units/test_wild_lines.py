@@ -1,5 +1,6 @@
 """Serial lines that never end or lie, counters that wrap, and several boards as one image."""
 
+import copy
 import itertools
 import time
 from collections.abc import Iterator
@@ -21,11 +22,20 @@ from lampest.recording.board.port import NoBoardError
 from lampest.recording.board.protocol import Frame, Garbage, Hello, message
 from lampest.recording.board.record import Recorded, Recorder, _wanted, noise_from_repeats, record
 from lampest.recording.board.several import LATE_SECONDS, Alignment, samples_of
-from lampest.recording.board.stream import Sample, Samples, Scanning, board_samples
+from lampest.recording.board.stream import (
+    CLOCK_JUMPED,
+    CLOCK_STOPPED,
+    Sample,
+    Samples,
+    Scanning,
+    board_samples,
+    scene_of,
+)
 from lampest.recording.recording import MEASURED, UNLOADED
 from tests.bodies import hello_body
 
 Sent = Iterator[tuple[float, bytes]]
+OWN = scene_of(IDLE, None)
 
 
 def larger(hello: Hello) -> Sent:
@@ -115,10 +125,9 @@ def frame(number: int, device_ms: int) -> Frame:
 
 def run_of(*frames: tuple[int, int]) -> tuple[Scanning, list[Sample]]:
     """A run of 10 ms between frames, and the samples that frames (number, ms) make of it."""
-    run, found = Scanning(replace(IDLE, period_us=10_000), 0, None), []
+    run, found = Scanning(replace(IDLE, period_us=10_000), OWN, 0, None), list[Sample]()
     for number, device_ms in frames:
-        run, samples = run.taking(frame(number, device_ms))
-        found += samples
+        found += run.take(frame(number, device_ms))
     return run, found
 
 
@@ -182,7 +191,7 @@ def test_frames_are_counted_and_timed_whatever_numbers_and_clock_do() -> None:
     for name, (sent, expected, jumps) in RUNS.items():
         _, samples = run_of(*sent)
         assert places(samples)[1:] == expected[1:], name
-        assert [number for number, sample in enumerate(samples) if sample.clock_jump] == jumps, name
+        assert [number for number, sample in enumerate(samples) if CLOCK_JUMPED in sample.events] == jumps, name
         period = [0.01 * (1 + lost) for _, lost, _ in expected[1:]]
         elapsed = [sample.time for sample in samples]
         np.testing.assert_allclose(np.diff(elapsed), period, atol=0.01 if sent is LATE else 1e-9, err_msg=name)
@@ -194,7 +203,7 @@ def test_frames_are_counted_and_timed_whatever_numbers_and_clock_do() -> None:
 
 def test_frames_that_are_sent_again_later_are_none() -> None:
     run, _ = run_of(*SENT)
-    assert not [sample for step in range(5) for sample in run.taking(frame(*SENT[step]))[1]]
+    assert not [sample for step in range(5) for sample in run.take(frame(*SENT[step]))]
 
 
 def test_a_first_number_is_believed_as_far_as_the_clock_allows() -> None:
@@ -214,8 +223,7 @@ def test_a_clock_that_stands_still_costs_no_frame_and_is_named_once(tmp_path: Pa
     _, found = run_of(*((number, 500 + 10 * min(number, 4)) for number in range(101)))
     assert places(found) == [(number, 0, 0) for number in range(101)]
     assert np.all(np.diff([sample.time for sample in found]) >= 0.01 - 1e-9)
-    assert [number for number, sample in enumerate(found) if sample.events] == [6]
-    assert not any(sample.clock_jump for sample in found)
+    assert [(number, sample.events) for number, sample in enumerate(found) if sample.events] == [(6, (CLOCK_STOPPED,))]
 
 
 def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None:
@@ -237,26 +245,25 @@ def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None
 
 def test_a_plug_that_is_out_loses_no_frames() -> None:
     _, (*_, last) = run_of((0, 500), (1, 510))
-    again = Scanning(replace(IDLE, period_us=10_000), 1, replace(last, host_time=last.host_time - 60))
-    _, (sample,) = again.taking(frame(3, 540))
+    again = Scanning(replace(IDLE, period_us=10_000), OWN, 1, replace(last, host_time=last.host_time - 60))
+    (sample,) = again.take(frame(3, 540))
     assert (sample.lost, sample.session) == (3, 1) and sample.time == pytest.approx(60, abs=1)
 
 
 def test_ticks_that_the_board_missed_are_no_jump() -> None:
     run, _ = run_of((0, 500), (1, 510))
-    _, (sample,) = run.taking(replace(frame(2, 5520), missed=500))
-    assert sample.time == pytest.approx(5.02) and not sample.clock_jump
+    (sample,) = run.take(replace(frame(2, 5520), missed=500))
+    assert sample.time == pytest.approx(5.02) and not sample.events
 
 
 def test_a_wrong_frame_that_was_believed_is_doubted_after_a_silence() -> None:
     run, _ = run_of((0, 500), (1, 510), (149, 2000))
-    run, samples = run.taking(frame(2, 520))
-    assert not samples
-    doubting = run.doubted()
-    again, samples = doubting.taking(frame(4, 540))
+    assert not run.take(frame(2, 520))
+    run.doubt()
+    assert not run.take(frame(0, 500)), "nor is what was sent before the frame that is not in doubt"
+    samples = run.take(frame(4, 540))
     assert places(list(samples)) == [(4, 2, 0)] and samples[0].time > 1.5
-    assert not doubting.taking(frame(0, 500))[1], "nor is what was sent before the frame that is not in doubt"
-    assert again.taking(frame(5, 550))[1]
+    assert run.take(frame(5, 550))
 
 
 ABSURD = {
@@ -356,92 +363,89 @@ def sent(number: int, at: float, arrived: float | None = None) -> Sample:
     """Frame `number` of a board whose clock began at −100 s of the host's."""
     sums = np.full((3, 4), number, np.uint16)
     frame = Frame(2, number, round(1e3 * (at + 100)), 0, sums)
-    return Sample(frame, AT, at + 100, at if arrived is None else arrived, 0, 0)
+    return Sample(frame, AT, OWN, at + 100, at if arrived is None else arrived, 0, 0)
 
 
-def shown(here: Alignment, now: float) -> tuple[Alignment, list[tuple[int | None, ...]]]:
+def shown(here: Alignment, now: float) -> list[tuple[int | None, ...]]:
     frames = []
-    while (found := here.frame(now)) is not None:
-        here, parts = found
-        frames.append(tuple(parts[b].frame.sequence if b in parts else None for b in range(len(here.shown))))
-    return here, frames
+    while (parts := here.frame(now)) is not None:
+        frames.append(tuple(parts[b].frame.sequence if b in parts else None for b in range(here.boards)))
+    return frames
 
 
 def test_late_arrivals_are_set_right_by_the_boards_clocks() -> None:
     """Frames of two boards that begin a fifth of a period apart arrive by up to half a period late."""
-    rng, here, seen = np.random.default_rng(1), Alignment.of(2), []
+    rng, here, seen = np.random.default_rng(1), Alignment(2), []
     for number in range(30):
         for board in range(2):
             at = (number + 0.2 * board) * PERIOD
             late = 0.0 if number % 5 == 0 else rng.uniform(0, 0.5 * PERIOD)
-            here = here.taking(board, sent(number, at, at + late))
-        here, frames = shown(here, (number + 1) * PERIOD)
-        seen += frames
+            here.take(board, sent(number, at, at + late))
+        seen += shown(here, (number + 1) * PERIOD)
     assert all(one == other for one, other in seen) and len(seen) >= 29
 
 
 def test_the_next_board_leads_while_the_first_is_gone_and_nobody_waits_twice() -> None:
-    here, seen = Alignment.of(2), []
+    here, seen = Alignment(2), []
     for number in range(20):
         for board in range(2):
             if board or not 5 <= number < 12:
-                here = here.taking(board, sent(number, number * PERIOD))
-        here, frames = shown(here, number * PERIOD + 0.01)
-        seen += frames
+                here.take(board, sent(number, number * PERIOD))
+        seen += shown(here, number * PERIOD + 0.01)
         if number == 9:
-            here, frames = shown(here, number * PERIOD + 2.5 * PERIOD + LATE_SECONDS)
-            seen += frames
+            seen += shown(here, number * PERIOD + 2.5 * PERIOD + LATE_SECONDS)
     whole = [(number, number) for number in (*range(5), *range(12, 20))]
     assert [one for one in seen if None not in one] == whole
     assert [one for one in seen if None in one] == [(None, number) for number in range(5, 12)]
 
 
 def test_a_clock_that_runs_slow_loses_no_frame_of_the_other() -> None:
-    here, seen = Alignment.of(2), []
+    here, seen = Alignment(2), []
     for number in range(400):
-        here = here.taking(0, sent(number, number * PERIOD))
+        here.take(0, sent(number, number * PERIOD))
         if number < 392:
-            here = here.taking(1, sent(number, number * PERIOD * 1.02))
-        here, frames = shown(here, number * PERIOD)
-        seen += frames
-    here, frames = shown(here, 1e9)
-    assert [one for one, _ in seen + frames] == list(range(400))
-    assert sum(other is None for _, other in seen + frames) <= 12
+            here.take(1, sent(number, number * PERIOD * 1.02))
+        seen += shown(here, number * PERIOD)
+    seen += shown(here, 1e9)
+    assert [one for one, _ in seen] == list(range(400))
+    assert sum(other is None for _, other in seen) <= 12
 
 
 def test_a_board_is_waited_for_until_it_is_late() -> None:
-    both = Alignment.of(2).taking(0, sent(0, 0.0)).taking(1, sent(0, -0.4 * PERIOD))
-    here, parts = both.frame(0.0) or pytest.fail("a part that began 0.4 periods before belongs to the frame")
-    assert here.moment == 0.0 and [*parts] == [0, 1]
-    late = 1.5 * PERIOD + LATE_SECONDS
-    assert LATE_SECONDS == 0.3
-    alone = here.taking(0, sent(1, PERIOD))
+    """A part that began 0.4 periods before belongs to the frame; the second board leads once the first is late."""
+    here, late = Alignment(2), 1.5 * PERIOD + LATE_SECONDS
+    for board, at in enumerate((0.0, -0.4 * PERIOD)):
+        here.take(board, sent(0, at))
+    assert shown(here, 0.0) == [(0, 0)] and here.moment == 0.0 and LATE_SECONDS == 0.3
+    alone, other = copy.deepcopy(here), here
+    alone.take(0, sent(1, PERIOD))
     assert alone.frame(PERIOD + late - 1e-3) is None
-    gone, parts = alone.frame(PERIOD + late + 1e-3) or pytest.fail("it is late")
-    assert [*parts] == [0] and gone.missing == (1,)
-    other, late = here.taking(1, sent(1, 0.9 * PERIOD)), 2.5 * PERIOD + LATE_SECONDS
-    assert other.frame(late - 1e-3) is None
-    led, parts = other.frame(late + 1e-3) or pytest.fail("the second board leads")
-    assert [*parts] == [1] and led.moment == pytest.approx(0.9 * PERIOD) and led.began == 0.0
+    assert shown(alone, PERIOD + late + 1e-3) == [(1, None)] and alone.missing == (1,)
+    other.take(1, sent(1, 0.9 * PERIOD))
+    assert other.frame(late + PERIOD - 1e-3) is None
+    assert shown(other, late + PERIOD + 1e-3) == [(None, 1)]
+    assert (other.moment, other.began) == (pytest.approx(0.9 * PERIOD), 0.0)
 
 
 def test_a_boards_clock_is_set_by_the_quickest_of_fifty_frames() -> None:
-    here = Alignment.of(1)
+    here = Alignment(1)
     for number in range(60):
-        here = here.taking(0, sent(number, number * PERIOD, number * PERIOD + (0.01 if number == 12 else 0.02)))
+        here.take(0, sent(number, number * PERIOD, number * PERIOD + (0.01 if number == 12 else 0.02)))
     assert len(here.delays[0]) == 50
     assert [here.waiting[0][number][0] - number * PERIOD for number in (11, 12, 59)] == pytest.approx(
         [0.02, 0.01, 0.01]
     )
-    assert here.taking(0, replace(sent(60, 9.0, 9.5), session=1)).delays == (pytest.approx((-99.5,)),)
+    here.take(0, replace(sent(60, 9.0, 9.5), session=1))
+    assert [*here.delays[0]] == pytest.approx([-99.5])
 
 
 def test_the_image_begins_where_every_board_has_come() -> None:
-    here = Alignment.of(2)
+    here = Alignment(2)
     for number in range(-1, 3):
-        here = here.taking(0, sent(number + 1, number * PERIOD))
+        here.take(0, sent(number + 1, number * PERIOD))
     assert here.frame(1e9) is None
-    assert shown(here.taking(1, sent(7, 0.4 * PERIOD)), 0.1 * PERIOD)[1] == [(1, 7)]
+    here.take(1, sent(7, 0.4 * PERIOD))
+    assert shown(here, 0.1 * PERIOD) == [(1, 7)]
 
 
 def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> tuple[list[Sample], list[str]]:
@@ -467,18 +471,18 @@ def test_boards_are_one_image_that_names_who_is_gone(monkeypatch: pytest.MonkeyP
     """The second board lacks the frames 2 and 3, the third restarts and says that it lost two frames."""
     boards = {name: [sent(number, 5 + number * PERIOD) for number in range(6)] for name in "abcd"}
     del boards["b"][2:4]
-    boards["c"][4:] = [replace(sample, session=1, lost=2, clock_jump=True) for sample in boards["c"][4:]]
+    boards["c"][4:] = [replace(sample, session=1, lost=2, events=(CLOCK_JUMPED,)) for sample in boards["c"][4:]]
     boards["d"] = [
         replace(sent(number, at, at + 0.01), frame=replace(sent(number, at).frame, missed=3))
         for number, at in enumerate(5 + PERIOD * np.arange(6))
     ]
     images, states = image_of(monkeypatch, boards)
     assert [image.missing for image in images] == [0, 0, 1, 1, 0, 0]
-    assert [image.events for image in images] == [(), (), ("gone: 0,1",), (), ("back: 0,1",), ()]
+    jumped = (CLOCK_JUMPED,)
+    assert [image.events for image in images] == [(), (), ("gone: 0,1",), (), (*jumped, "back: 0,1"), jumped]
     assert [image.frame.sequence for image in images] == [0, 1, 2, 3, 4, 5]
     assert {image.frame.missed for image in images} == {3}
     assert [image.session for image in images] == [0, 0, 0, 0, 1, 1]
-    assert [image.clock_jump for image in images] == [False] * 4 + [True] * 2
     assert not any(image.lost for image in images), "no board lacks it where the others have it"
     np.testing.assert_allclose([image.time for image in images], PERIOD * np.arange(6), atol=1e-9)
     np.testing.assert_allclose([image.host_time for image in images], 5.01 + PERIOD * np.arange(6), atol=1e-9)
@@ -505,7 +509,7 @@ def test_frames_that_all_boards_lost_are_lost(monkeypatch: pytest.MonkeyPatch) -
 def test_a_request_records_behind_the_unloaded_frames(tmp_path: Path) -> None:
     said: list[tuple[str, bool]] = []
     path = tmp_path / "one.h5"
-    recorder = Recorder(tmp_path, None, 2, lambda sentence, runs: said.append((sentence, runs)))
+    recorder = Recorder(tmp_path, 2, lambda sentence, runs: said.append((sentence, runs)))
     with pytest.raises(InputError, match="up to 64 letters"):
         recorder.ask("a/b")
     recorder.ask("one")
@@ -537,7 +541,7 @@ def test_a_request_records_behind_the_unloaded_frames(tmp_path: Path) -> None:
 
 def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     samples = [sent(number, 0.1 * number - 100) for number in range(5)]
-    changes: tuple[dict[str, Any], ...] = ({"lost": 2}, {"clock_jump": True}, {"events": (stream.CLOCK_STOPPED,)})
+    changes: tuple[dict[str, Any], ...] = ({"lost": 2}, {"events": (CLOCK_JUMPED,)}, {"events": (CLOCK_STOPPED,)})
     for number, change in enumerate((*changes, {"missing": 1, "session": 3}), 1):
         samples[number] = replace(samples[number], **change)
     asked: list[Any] = []
@@ -568,7 +572,7 @@ def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytes
         assert steps == [(1, 0, ""), (2, 2, ""), (2, 2, "the board is gone"), (3, 2, ""), (4, 2, ""), (5, 2, "")]
         found = Recording.load(done.path)
         assert found.role.tolist() == [MEASURED] * 5 and found.acquisition is not None
-        assert found.acquisition.event_label == ("clock jump", stream.CLOCK_STOPPED)
+        assert found.acquisition.event_label == ("clock jump", "clock stopped")
         np.testing.assert_allclose(found.acquisition.event_time, found.time[[2, 3]])
     assert asked == [(urls, None, 0.1, False) for urls in (("p",), ["p", "q"], ())]
 
@@ -596,7 +600,7 @@ def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
     fit, other = (Frame(2, 9, 50, 0, np.ones(shape, np.uint16)) for shape in ((3, 4), (3, 5)))
     unfit = (Garbage(3), other, other, Garbage(1), Garbage(2), idle, idle, idle, idle)
     for messages, over in ((unfit, False), ((*unfit, IDLE, fit), True)):
-        _, samples, ended = line._taken(Scanning(idle, 0, None), messages)
+        samples, ended = line._taken(Scanning(idle, OWN, 0, None), messages)
         assert (samples, ended) == ((), over)
     counts = {"pieces that are no message": 6, "frames of another size": 4, "answers": 9}
     assert line._unfit == counts
@@ -605,9 +609,10 @@ def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
     kinds = "9 answers, 6 pieces that are no message, 4 frames of another size"
     with pytest.raises(InputError, match=rf"^url: nothing fit for 33 s, though the line is not silent \({kinds}\)$"):
         line.check(1.0)
-    run, samples, ended = line._taken(Scanning(idle, 0, None), (fit, fit))
+    run = Scanning(idle, OWN, 0, None)
+    samples, ended = line._taken(run, (fit, fit))
     assert len(samples) == 1 and not ended and line._unfit == {"frames out of order": 1}
-    assert len(line._taken(run, (fit,))[1]) == 0 and line._unfit == {"frames out of order": 2}
+    assert line._taken(run, (fit,)) == ((), False) and line._unfit == {"frames out of order": 2}
 
 
 # Messages that arrive, how the board answers when it is asked (None: not at all), when the end is requested, and how
@@ -636,7 +641,7 @@ def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch
         board: Any = SimpleNamespace(messages=messages.__next__, identify=identify, heard=5)
         board.stop = lambda: (replace(FIT, sequence=10, device_ms=1050),)
         line = stream._Line("url", None, None, ended.__next__)
-        batches = line._run(board, RUNNING)
+        batches = line._run(board, RUNNING, OWN)
         found = [*itertools.islice(batches, len(sizes))]
         assert [len(batch) for batch in found] == sizes
         assert all(sample.session == 0 for batch in found for sample in batch)
@@ -645,7 +650,7 @@ def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch
         assert line._unfit["answers"] == since
     line.last = replace(sent(3, 0.0), session=4)
     board.messages, board.identify, line._ending = [(FIT,)].pop, lambda: IDLE, lambda: False
-    assert [sample.session for batch in line._run(board, RUNNING) for sample in batch] == [5]
+    assert [sample.session for batch in line._run(board, RUNNING, OWN) for sample in batch] == [5]
 
 
 def test_a_recording_ends_after_its_frames_or_seconds() -> None:

@@ -4,7 +4,7 @@ It has the layout of a recording. Other processes can read it meanwhile (single 
 flushed frames remain readable after a crash.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +23,7 @@ from lampest.panel.scene import Scene
 from lampest.recording import acquisition
 from lampest.recording.acquisition import group_of
 from lampest.recording.board.stream import Sample
-from lampest.recording.recording import FORMAT
+from lampest.recording.recording import FORMAT, MEASURED, UNLOADED
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,16 @@ class Journal:
     Attributes
     ----------
     file : h5py.File
-    paths : tuple of str
-        Paths of the datasets with a row for every frame.
+    scene : Scene
     """
 
     file: h5py.File
-    paths: tuple[str, ...]
+    scene: Scene
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """Paths of the datasets with a row for every frame."""
+        return tuple(path for path, *_ in acquisition.growing(self.scene.circuit))
 
     @classmethod
     @contextmanager
@@ -55,14 +59,21 @@ class Journal:
             file.flush()
             file.swmr_mode = True
             with locked(path):  # HDF5's own lock ended where SWMR began
-                yield cls(file, tuple(path for path, *_ in acquisition.growing(scene.circuit)))
+                yield cls(file, scene)
 
-    def append(self, samples: Sequence[Sample], recorded: Array, roles: Sequence[int]) -> None:
-        """Append frames with recorded values (frames, rows, columns), and flush them. Raises InputError if it fails."""
-        fields = [vars(sample.frame) | vars(sample) for sample in samples]
-        names = ("time", "sums", *(name for name, *_ in acquisition.FRAME_FIELDS))
-        time, sums, *acquired = ([field[name] for field in fields] for name in names)
+    def append(self, samples: Sequence[Sample], unloaded: int, keys: Callable[[], str] = lambda: "") -> None:
+        """Append and flush samples with their events, and the pressed keys as events. Raises InputError if it fails.
+
+        The first `unloaded` samples are unloaded.
+        """
+        fields = [vars(sample.frame) | vars(sample) | {"recorded": sample.recorded} for sample in samples]
+        names = ("recorded", "time", "sums", *(name for name, *_ in acquisition.FRAME_FIELDS))
+        recorded, time, sums, *acquired = ([field[name] for field in fields] for name in names)
+        roles = [UNLOADED if number < unloaded else MEASURED for number in range(len(samples))]
         self._push(self.paths, (recorded, time, roles, sums, *acquired), acquisition.FRAME_CHECKSUM)
+        for sample in samples:
+            for event in (*sample.events, *keys()):
+                self.mark(sample.time, event)
 
     def mark(self, time: float, label: str) -> None:
         """Append an event; its label is cut to 16 characters."""

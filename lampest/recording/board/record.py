@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any
 
 import numpy as np
 
@@ -26,8 +25,8 @@ from lampest.recording.acquisition import damaged_frames, whole_events
 from lampest.recording.board.journal import Journal
 from lampest.recording.board.protocol import MAX_CODE
 from lampest.recording.board.several import samples_of
-from lampest.recording.board.stream import CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples, agreed_and_recorded
-from lampest.recording.recording import MEASURED, UNLOADED, Recording, recording_file
+from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples
+from lampest.recording.recording import UNLOADED, Recording, recording_file
 from lampest.recording.stored import StoredRecording, opened, save_parts
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot or separator: a visible file within the folder
@@ -152,11 +151,13 @@ def record(  # noqa: PLR0913 # the options of a command
                 for batch in _wanted(batches, frames, seconds, period or 1.0):
                     if batch:
                         states[:] = [""]
-                        journal = journal or stack.enter_context(journal_of(out, batch[0], scene))
-                        appended(journal, batch, scene, baseline - count["frames"], keys)
+                        journal = journal or stack.enter_context(
+                            Journal.create(out, batch[0].scene, batch[0].hello.readings)
+                        )
+                        journal.append(batch, baseline - count["frames"], keys)
                     for last in batch:
-                        count.update(frames=1, lost=last.lost, clock_jumps=last.clock_jump, parted=last.missing > 0)
-                        count.update(clock_stopped=CLOCK_STOPPED in last.events, behind=bool(ended_by()))
+                        count.update(frames=1, lost=last.lost, parted=last.missing > 0, behind=bool(ended_by()))
+                        count.update(last.events)
                         on_progress(Progress(last, count["frames"], count["lost"], ""))
                     if not batch and states[-1]:
                         on_progress(Progress(None, count["frames"], count["lost"], states[-1]))
@@ -172,10 +173,21 @@ def record(  # noqa: PLR0913 # the options of a command
             raise InputError(f"{out}: ended before the first frame; nothing is written")
         short = seconds is not None and not ended_by() and count["frames"] != frames
         silent = max((seconds or 0.0) - last.time - last.hello.period, 0.0) if short else 0.0
-        counts: Any = {**count, "clock_stopped": count["clock_stopped"] > 0}
         scene, _, noise = made
-        ending: Any = {"ended_by": ended_by(), "noise_lsb": noise, "silent": round(silent, 3)}
-        return Recorded(path=out, scene=scene, restarts=last.session, **counts, **ending)
+        return Recorded(
+            path=out,
+            scene=scene,
+            frames=count["frames"],
+            lost=count["lost"],
+            restarts=last.session,
+            clock_jumps=count[CLOCK_JUMPED],
+            clock_stopped=count[CLOCK_STOPPED] > 0,
+            parted=count["parted"],
+            behind=count["behind"],
+            ended_by=ended_by(),
+            noise_lsb=noise,
+            silent=round(silent, 3),
+        )
 
 
 class Recorder:
@@ -187,16 +199,14 @@ class Recorder:
     ----------
     folder : Path
         Folder of the files.
-    scene : Scene or None
-        Scene of the recordings.
     baseline : int
         Number of unloaded frames.
     say : callable
         Called with a sentence, and with whether a recording is running.
     """
 
-    def __init__(self, folder: Path, scene: Scene | None, baseline: int, say: Callable[[str, bool], None]) -> None:
-        self._folder, self._scene, self._say = folder.absolute(), scene, say
+    def __init__(self, folder: Path, baseline: int, say: Callable[[str, bool], None]) -> None:
+        self._folder, self._say = folder.absolute(), say
         self._baseline, self._unloaded = baseline, deque[Sample](maxlen=baseline)
         self._asked: deque[str] = deque(maxlen=1)
         self._zeroed = Event()
@@ -247,14 +257,14 @@ class Recorder:
         self._path, self._frames = self._folder / f"{name or time.strftime('live_%Y-%m-%d_%H-%M-%S')}.h5", 0
         if self._path.exists():
             raise InputError(f"{self._path}: exists already; a recording is never written over")
-        self._journal = self._open.enter_context(journal_of(self._path, sample, self._scene))
+        self._journal = self._open.enter_context(Journal.create(self._path, sample.scene, sample.hello.readings))
         self._grow(self._journal, tuple(self._unloaded), self._baseline)
         if sample is not self._unloaded[-1]:
             self._grow(self._journal, (sample,), 0)
 
     def _grow(self, journal: Journal, samples: tuple[Sample, ...], unloaded: int) -> None:
         """Append samples, of which the first `unloaded` ones are unloaded, and report the progress."""
-        appended(journal, samples, self._scene, unloaded)
+        journal.append(samples, unloaded)
         self._frames += len(samples)
         self._say(f"recording {self._path}: {self._frames} frames", self._journal is not None)
 
@@ -278,27 +288,6 @@ class Recorder:
         thread = Thread(target=finish, name="lampest-recorder")
         thread.start()
         self._finishing = [*(running for running in self._finishing if running.is_alive()), thread]
-
-
-def journal_of(out: Path, sample: Sample, scene: Scene | None) -> contextlib.AbstractContextManager[Journal]:
-    """Return a new journal for samples of the same board as the given one. Raises InputError as `Journal.create`."""
-    agreed, _ = agreed_and_recorded(sample, scene)
-    return Journal.create(out, agreed, sample.hello.readings)
-
-
-def appended(
-    journal: Journal,
-    batch: tuple[Sample, ...],
-    scene: Scene | None,
-    unloaded: int,
-    keys: Callable[[], str] = lambda: "",
-) -> None:
-    """Append samples, of which the first `unloaded` ones are unloaded, with their events and the pressed keys."""
-    recorded = np.stack([agreed_and_recorded(sample, scene)[1] for sample in batch])
-    journal.append(batch, recorded, [UNLOADED if number < unloaded else MEASURED for number in range(len(batch))])
-    for sample in batch:
-        for event in (*sample.events, *(["clock jump"] if sample.clock_jump else ()), *keys()):
-            journal.mark(sample.time, event)
 
 
 def _wanted(batches: Samples, frames: int | None, seconds: float | None, period: float) -> Samples:

@@ -5,9 +5,11 @@ The board of the first module leads, or the next one while it is absent: its fra
 other board contributes its frame nearest in time. An absent board is missing from the image until it returns.
 """
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass, field, replace
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
 from time import time
@@ -15,7 +17,6 @@ from time import time
 import numpy as np
 
 from lampest.files.errors import InputError
-from lampest.panel.panel import Modules
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import NO_SUM
 from lampest.recording.board.port import only_port
@@ -23,6 +24,7 @@ from lampest.recording.board.stream import RETRY_SECONDS, Sample, Samples, board
 
 LATE_SECONDS = 0.3  # s, and 1.5 periods, after which a silent board counts as missing
 Stamped = tuple[float, Sample]  # start of the scan in s on the host's clock, and the sample
+Listener = tuple[int, str, Scene, float | None]  # board, its port, its own scene, and the period
 Arrived = SimpleQueue[tuple[int, Sample | str | InputError | None]]  # board, and its sample, state, error or end
 
 
@@ -49,21 +51,27 @@ def samples_of(
     readings = {own.readout.readings for own in map(scene.of_modules.__getitem__, numbers) if own.readout}
     if len(readings) != 1:
         raise InputError("modules that are recorded together need a readout with one number of readings for all")
-    return _Boards(scene, layout, numbers, ports).samples(period, on_state, ending)
+    listeners = [
+        (board, port, scene.of_modules[number], period)
+        for board, (port, number) in enumerate(zip(ports, numbers, strict=True))
+    ]
+    return _images(scene, numbers, listeners, on_state, ending)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Alignment:
-    """State of the alignment of several boards.
+    """Alignment of several boards in time.
 
     Attributes
     ----------
-    waiting : tuple of tuple of Stamped
+    boards : int
+        Number of boards.
+    waiting : list of list of Stamped
         Waiting frames of each board, oldest first.
-    shown : tuple of Stamped or None
+    shown : list of Stamped or None
         Last frame of each board in the image.
-    delays : tuple of tuple of float
-        Recent delays of each board in s.
+    delays : list of deque of float
+        Recent delays of each board in s; the least of these relates the two clocks.
     moment, began : float or None
         Times of the newest and of the first frame of the image in s on the host's clock.
     missing : tuple of int
@@ -72,52 +80,54 @@ class Alignment:
         Number of frames of the image so far.
     """
 
-    waiting: tuple[tuple[Stamped, ...], ...]
-    shown: tuple[Stamped | None, ...]
-    delays: tuple[tuple[float, ...], ...]
+    boards: int
     moment: float | None = None
+    began: float | None = None
     missing: tuple[int, ...] = ()
     frames: int = 0
-    began: float | None = None
+    waiting: list[list[Stamped]] = field(init=False)
+    shown: list[Stamped | None] = field(init=False)
+    delays: list[deque[float]] = field(init=False)
 
-    @classmethod
-    def of(cls, boards: int) -> "Alignment":
-        """Return the state before the first frame."""
-        return cls(((),) * boards, (None,) * boards, ((),) * boards)
+    def __post_init__(self) -> None:
+        self.waiting, self.shown = [[] for _ in range(self.boards)], [None] * self.boards
+        self.delays = [deque(maxlen=50) for _ in range(self.boards)]
 
-    def taking(self, board: int, sample: Sample) -> "Alignment":
-        """Return the state after a frame of a board; the delays begin anew after a restart."""
-        known = [*filter(None, [self.shown[board]]), *self.waiting[board]]
-        before = self.delays[board] if known and known[-1][1].session == sample.session else ()
-        delays, waiting = list(self.delays), list(self.waiting)
-        delays[board] = (*before, sample.host_time - sample.time)[-50:]  # the least of these relates the two clocks
-        waiting[board] = (*waiting[board], (sample.time + min(delays[board]), sample))
-        return replace(self, waiting=tuple(waiting), delays=tuple(delays))
+    def _known(self, board: int) -> list[Stamped]:
+        """Return the last shown frame of a board, if any, and those that wait."""
+        return [*filter(None, [self.shown[board]]), *self.waiting[board]]
 
-    def frame(self, now: float) -> "tuple[Alignment, dict[int, Sample]] | None":
-        """Return the next state and its samples by board; None while a present board may still send its frame."""
+    def take(self, board: int, sample: Sample) -> None:
+        """Take a frame of a board; its delays begin anew after a restart."""
+        known, delays = self._known(board), self.delays[board]
+        if not known or known[-1][1].session != sample.session:
+            delays.clear()
+        delays.append(sample.host_time - sample.time)
+        self.waiting[board].append((sample.time + min(delays), sample))
+
+    def frame(self, now: float) -> dict[int, Sample] | None:
+        """Advance to the next frame and return its samples by board; None while a present board may still send."""
         led = self._led(now)
         if led is None:
             return None
         at, period = led[0], led[1].hello.period
         late, parts = now > at + 1.5 * period + LATE_SECONDS, dict[int, Stamped]()
-        for board, waiting in enumerate(self.waiting):
-            known = [*filter(None, [self.shown[board]]), *waiting]
+        for board in range(self.boards):
+            known = self._known(board)
             if not (late or board in self.missing) and (not known or known[-1][0] < at - period / 2):
                 return None
             nearest = min(known, key=lambda stamped: abs(stamped[0] - at), default=None)
             # Half a period, plus the jitter of clocks.
             if nearest is not None and abs(nearest[0] - at) <= 0.75 * period:
                 parts[board] = nearest
-        remaining = [
-            tuple(part for part in waiting if part[0] > (parts[board][0] if board in parts else at - period))
-            for board, waiting in enumerate(self.waiting)
+        ends = [parts[board][0] if board in parts else at - period for board in range(self.boards)]
+        self.waiting = [
+            [part for part in waiting if part[0] > end] for waiting, end in zip(self.waiting, ends, strict=True)
         ]
-        shown = tuple(parts.get(board, last) for board, last in enumerate(self.shown))
-        missing = tuple(board for board in range(len(shown)) if board not in parts)
-        began, frames = at if self.began is None else self.began, self.frames + 1
-        after = Alignment(tuple(remaining), shown, self.delays, at, missing, frames, began)
-        return after, {board: sample for board, (_, sample) in parts.items()}
+        self.shown = [parts.get(board, last) for board, last in enumerate(self.shown)]
+        self.missing = tuple(board for board in range(self.boards) if board not in parts)
+        self.moment, self.began, self.frames = at, at if self.began is None else self.began, self.frames + 1
+        return {board: sample for board, (_, sample) in parts.items()}
 
     def _led(self, now: float) -> Stamped | None:
         """Return the frame that defines the next time, from the first present board; None before it has arrived."""
@@ -136,82 +146,81 @@ class Alignment:
         return None
 
 
-@dataclass(frozen=True, eq=False)
-class _Boards:
-    """Boards of the modules `numbers`, one at each port."""
-
-    scene: Scene
-    layout: Modules
-    numbers: Sequence[int]
-    ports: Sequence[str]
-
-    def samples(self, period: float | None, on_state: Callable[[str], None], ending: Callable[[], bool]) -> Samples:
-        """Yield samples of the whole image in batches; see `board_samples`."""
-        current, ended, arrived = Alignment.of(len(self.ports)), Event(), Arrived()
-        states, listening = [""] * len(self.ports), set(range(len(self.ports)))
-        modules = [self.scene.of_modules[number] for number in self.numbers]
-        threads = [
-            Thread(target=_listen, args=(*listener, period, arrived, ended), daemon=True)
-            for listener in zip(range(len(modules)), self.ports, modules, strict=True)
-        ]
-        for thread in threads:
-            thread.start()
-        try:
-            while listening or not arrived.empty():
-                if ending():
-                    ended.set()
-                with suppress(Empty):
-                    board, item = arrived.get(timeout=0.02)
-                    if isinstance(item, Sample):
-                        current, states[board] = current.taking(board, item), ""
-                    elif isinstance(item, InputError):  # no frame of this board came, so there is no image yet
-                        raise item
-                    elif item is None:
-                        listening.discard(board)
-                    else:
-                        states[board] = str(item)
-                made = list[Sample]()
-                while (step := current.frame(time() if listening else np.inf)) is not None:
-                    made.append(self._image(step[1], current, step[0]))
-                    current = step[0]
-                yield tuple(made)
-                gone = [
-                    f"{self._place(board)} at {self.ports[board]}: {states[board] or 'no frame came'}"
+def _images(
+    scene: Scene,
+    numbers: Sequence[int],
+    listeners: Sequence[Listener],
+    on_state: Callable[[str], None],
+    ending: Callable[[], bool],
+) -> Samples:
+    """Yield samples of the whole image in batches; see `board_samples`. `numbers` are the modules of the boards."""
+    assert scene.panel.modules is not None
+    places = [",".join(map(str, scene.panel.modules.place(number))) for number in numbers]
+    current, ended, arrived = Alignment(len(numbers)), Event(), Arrived()
+    states, listening = [""] * len(numbers), set(range(len(numbers)))
+    threads = [Thread(target=_listen, args=(*listener, arrived, ended), daemon=True) for listener in listeners]
+    for thread in threads:
+        thread.start()
+    try:
+        while listening or not arrived.empty():
+            if ending():
+                ended.set()
+            with suppress(Empty):
+                board, item = arrived.get(timeout=0.02)
+                if isinstance(item, Sample):
+                    current.take(board, item)
+                    states[board] = ""
+                elif isinstance(item, InputError):  # no frame of this board came, so there is no image yet
+                    raise item
+                elif item is None:
+                    listening.discard(board)
+                else:
+                    states[board] = item
+            made, before = list[Sample](), copy(current)
+            while (parts := current.frame(time() if listening else np.inf)) is not None:
+                made.append(_image(scene, numbers, parts, before, current))
+                before = copy(current)
+            yield tuple(made)
+            if made and current.missing:
+                gone = (
+                    f"module {places[board]} at {listeners[board][1]}: {states[board] or 'no frame came'}"
                     for board in current.missing
-                ]
-                if made and gone:
-                    on_state("module " + "; module ".join(gone))
-                    yield ()
-        finally:
-            ended.set()
-            for thread in threads:
-                thread.join()
+                )
+                on_state("; ".join(gone))
+                yield ()
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join()
 
-    def _image(self, parts: dict[int, Sample], before: Alignment, after: Alignment) -> Sample:
-        """Return the boards' frames as one sample, with the clock of the first board and the restarts of all."""
-        every, first = list(parts.values()), next(iter(parts.values()))
-        each, (rows, columns) = self.layout.each, self.layout.shape
-        sums = np.full((self.layout.count, each.rows, each.columns), NO_SUM, dtype=np.uint16)
-        for board, sample in parts.items():
-            sums[self.numbers[board]] = sample.frame.sums
-        fresh = [sample for board, sample in parts.items() if before.shown[board] != after.shown[board]]
-        missed, whole = max(sample.frame.missed for sample in every), self.layout.joined(sums)
-        events = [f"gone: {self._place(board)}" for board in after.missing if board not in before.missing]
-        events += [f"back: {self._place(board)}" for board in before.missing if board not in after.missing]
-        return Sample(
-            replace(first.frame, sequence=before.frames, missed=missed, sums=whole),
-            replace(first.hello, rows=rows, columns=columns),
-            (after.moment or 0.0) - (after.began or 0.0),
-            max(sample.host_time for sample in every),
-            min(sample.lost for sample in fresh) if before.frames else 0,
-            sum(last[1].session for last in after.shown if last is not None),
-            any(sample.clock_jump for sample in fresh),
-            len(after.missing),
-            tuple(events),
-        )
 
-    def _place(self, board: int) -> str:
-        return ",".join(map(str, self.layout.place(self.numbers[board])))
+def _image(
+    scene: Scene, numbers: Sequence[int], parts: dict[int, Sample], before: Alignment, after: Alignment
+) -> Sample:
+    """Return the boards' frames as one sample, with the clock of the first board and the restarts of all."""
+    layout, first = scene.panel.modules, next(iter(parts.values()))
+    assert layout is not None
+    (rows, columns), each = layout.shape, layout.each
+    sums = np.full((layout.count, each.rows, each.columns), NO_SUM, dtype=np.uint16)
+    for board, sample in parts.items():
+        sums[numbers[board]] = sample.frame.sums
+    missed = max(sample.frame.missed for sample in parts.values())
+    fresh = [sample for board, sample in parts.items() if before.shown[board] != after.shown[board]]
+    events = [event for sample in fresh for event in sample.events]
+    for word, some, others in (("gone", after.missing, before.missing), ("back", before.missing, after.missing)):
+        places = [layout.place(numbers[board]) for board in some if board not in others]
+        events += [f"{word}: {','.join(map(str, place))}" for place in places]
+    return Sample(
+        replace(first.frame, sequence=before.frames, missed=missed, sums=layout.joined(sums)),
+        replace(first.hello, rows=rows, columns=columns),
+        scene,
+        (after.moment or 0.0) - (after.began or 0.0),
+        max(sample.host_time for sample in parts.values()),
+        min(sample.lost for sample in fresh) if before.frames else 0,
+        sum(last[1].session for last in after.shown if last is not None),
+        tuple(dict.fromkeys(events)),
+        len(after.missing),
+    )
 
 
 def _listen(board: int, port: str, own: Scene, period: float | None, arrived: Arrived, ended: Event) -> None:

@@ -22,7 +22,7 @@ SHARED = {
 }
 UNFIT_SECONDS = 30.0  # s without a valid frame on a line that is not silent
 RETRY_SECONDS = 0.2  # s between attempts to open a port
-CLOCK_STOPPED = "clock stopped"  # label of the event
+CLOCK_STOPPED, CLOCK_JUMPED = "clock stopped", "clock jump"  # labels of events
 
 
 def scene_of(hello: Hello, scene: Scene | None) -> Scene:
@@ -75,6 +75,8 @@ class Sample:
     frame : Frame
     hello : Hello
         Settings of the board.
+    scene : Scene
+        Scene of `scene_of`.
     time : float
         Time since the first frame in s, by the board's clock; across a restart of the board by the host's.
     host_time : float
@@ -83,29 +85,32 @@ class Sample:
         Frames missing before this one.
     session : int
         Number of restarts, reconnections and new starts of the board's numbers before the frame.
-    clock_jump : bool
-        Whether the board's clock jumped before it.
+    events : tuple of str
+        Labels marked at this time, such as CLOCK_JUMPED.
     missing : int
         Number of modules that are read but absent from the image.
-    events : tuple of str
-        Labels marked at this time.
     """
 
     frame: Frame
     hello: Hello
+    scene: Scene
     time: float
     host_time: float
     lost: int
     session: int
-    clock_jump: bool = False
-    missing: int = 0
     events: tuple[str, ...] = ()
+    missing: int = 0
+
+    @property
+    def recorded(self) -> Array:
+        """Recorded values, (rows, columns) ohm or volt."""
+        return recorded_of_sums(self.scene, self.frame.sums, self.frame.readings)
 
 
 Samples = Generator[tuple[Sample, ...], None, None]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Scanning:
     """Run of a started board: frame numbers and clock increase together, modulo 2³².
 
@@ -117,6 +122,8 @@ class Scanning:
     ----------
     hello : Hello
         Settings of the board.
+    scene : Scene
+        Scene of `scene_of`.
     session : int
         Session of the next frame.
     last : Sample, or None
@@ -132,6 +139,7 @@ class Scanning:
     """
 
     hello: Hello
+    scene: Scene
     session: int
     last: Sample | None
     before: Sample | None = None
@@ -140,53 +148,46 @@ class Scanning:
     stopped: bool = False
     since: float = field(default_factory=time.time)
 
-    def taking(self, frame: Frame) -> tuple["Scanning", tuple[Sample, ...]]:
-        """Return the run after a further frame, and the new samples: one, two, or none if the frame does not follow."""
+    def take(self, frame: Frame) -> tuple[Sample, ...]:
+        """Take a further frame, and return the new samples: one, two, or none if the frame does not follow."""
         if self.before is None:
-            return self._with(self._first(frame))
-        for newest in (self.last or self.before, self.before):  # these differ after `doubted`
+            # Numbers start with 0: earlier frames are lost, unless the clock shows that there was no time for them.
+            time_ms = min(frame.device_ms + 2, self._most_ms(self.since))
+            lost = frame.sequence if 990 * frame.sequence * self.hello.period <= time_ms else 0
+            return (self._accept(self._sample(frame, 0.0, lost)),)
+        for newest in (self.last or self.before, self.before):  # these differ after `doubt`
             if self._follows(frame, newest.frame, newest.host_time):
                 steps, elapsed_ms = _since(newest.frame, frame)
-                sample = self._sample(frame, newest.time + elapsed_ms / 1000, steps - 1)
-                return replace(self, before=newest)._with(sample)
+                self.before = newest
+                return (self._accept(self._sample(frame, newest.time + elapsed_ms / 1000, steps - 1)),)
         # Two consecutive frames that follow each other: the clock has jumped, or the numbers have restarted.
         stray = self.stray
         if stray and _since(stray, frame)[0] == 1 and (first := self._resumed(stray, frame)) is not None:
-            run, more = self._with(first)[0].taking(frame)
-            return run, (first, *more)
-        return replace(self, stray=frame), ()
+            return (self._accept(first), *self.take(frame))
+        self.stray = frame
+        return ()
 
-    def doubted(self) -> "Scanning":
-        """Return the run without its newest sample, after a silence.
+    def doubt(self) -> None:
+        """Forget the newest sample, after a silence: if it was a wrong frame, no other frame would follow it."""
+        self.before, self.stray = self.earlier, None
 
-        If that sample was a wrong frame, no other frame would follow it.
-        """
-        return replace(self, before=self.earlier, stray=None)
-
-    def _with(self, sample: Sample) -> tuple["Scanning", tuple[Sample, ...]]:
-        """Return the run after an accepted sample, and the sample, with an event if the clock stopped."""
+    def _accept(self, sample: Sample) -> Sample:
+        """Continue from a sample, and return it, with an event if the clock stopped."""
         # A late scan explains two frames with equal times, but not three.
         elapsed_ms = _since(self.earlier.frame, sample.frame)[1] if self.earlier else 1
         stopped = elapsed_ms == 0 and self.hello.period > 2e-3
         if stopped and not self.stopped:
-            sample = replace(sample, events=(CLOCK_STOPPED,))
-        run = replace(self, session=sample.session, last=sample, before=sample, earlier=self.before, stray=None)
-        return replace(run, stopped=stopped), (sample,)
+            sample = replace(sample, events=(*sample.events, CLOCK_STOPPED))
+        self.session, self.last, self.stray, self.stopped = sample.session, sample, None, stopped
+        self.before, self.earlier = sample, self.before
+        return sample
 
-    def _sample(self, frame: Frame, at: float, lost: int, anew: int = 0, *, jump: bool = False) -> Sample:
+    def _sample(self, frame: Frame, at: float, lost: int, anew: int = 0, *events: str) -> Sample:
         """Return a sample at a time in s, moved behind the last one if necessary; `anew` is 1 after a restart."""
         now = time.time()
         if self.last is not None and at <= self.last.time:
             at = self.last.time + max(now - self.last.host_time, self.hello.period)
-        return Sample(frame, self.hello, at, now, lost, self.session + anew, jump)
-
-    def _first(self, frame: Frame) -> Sample:
-        """Return the first sample of a run.
-
-        Numbers start with 0, so that earlier frames are lost, unless the clock shows that there was no time for them.
-        """
-        time_for_all = 990 * frame.sequence * self.hello.period <= min(frame.device_ms + 2, self._most_ms(self.since))
-        return self._sample(frame, 0.0, frame.sequence if time_for_all else 0)
+        return Sample(frame, self.hello, self.scene, at, now, lost, self.session + anew, events)
 
     def _follows(self, frame: Frame, before: Frame, host_time: float) -> bool:
         """Return whether number and clock of a frame can follow those of an earlier one, received at host_time."""
@@ -209,7 +210,8 @@ class Scanning:
         newest = max(self.before.time, self.last.time)
         steps, elapsed_ms = _since(self.before.frame, frame)
         if steps == 1 or 0 < 1e3 * steps * self.hello.period <= self._most_ms(self.before.host_time):
-            return self._sample(frame, newest + (steps + frame.missed) * self.hello.period, steps - 1, jump=True)
+            moved = (steps + frame.missed) * self.hello.period
+            return self._sample(frame, newest + moved, steps - 1, 0, CLOCK_JUMPED)
         if not (0 < elapsed_ms < COUNTER // 2 and self._follows(after, frame, time.time())):
             return None
         # Longer gaps are impossible here: after SILENCE_SECONDS the board is identified anew.
@@ -220,12 +222,6 @@ class Scanning:
 def _since(before: Frame, frame: Frame) -> tuple[int, int]:
     """Return the number of frames and the time in ms from one frame to another, modulo 2³²."""
     return (frame.sequence - before.sequence) % COUNTER, (frame.device_ms - before.device_ms) % COUNTER
-
-
-def agreed_and_recorded(sample: Sample, scene: Scene | None) -> tuple[Scene, Array]:
-    """Return the scene of `scene_of`, and the recorded values of a sample, (rows, columns) ohm or volt."""
-    agreed = scene if scene and scene.panel.modules else scene_of(sample.hello, scene)  # modules agreed one by one
-    return agreed, recorded_of_sums(agreed, sample.frame.sums, sample.frame.readings)
 
 
 def board_samples(
@@ -307,7 +303,7 @@ class _Line:
                 readings = agreed.readout.readings if agreed.readout else hello.readings
                 requested = None if self._period is None else round(self._period * 1e6)
                 settings = board.start(agreed.panel.rows, agreed.panel.columns, readings, requested)
-                for samples in self._run(board, settings):
+                for samples in self._run(board, settings, agreed):
                     if samples:
                         self.last, self._scene = samples[-1], agreed
                     yield samples
@@ -319,14 +315,14 @@ class _Line:
         finally:
             board.stop()
 
-    def _run(self, board: Board, hello: Hello) -> Samples:
+    def _run(self, board: Board, hello: Hello, scene: Scene) -> Samples:
         """Yield samples of one run until the board restarts or the end is requested."""
-        run = Scanning(hello, 0 if self.last is None else self.last.session + 1, self.last)
+        run = Scanning(hello, scene, 0 if self.last is None else self.last.session + 1, self.last)
         silent_after = max(SILENCE_SECONDS, 3 * hello.period)
         heard = time.monotonic()
         while True:
             ending = self._ending()
-            run, samples, over = self._taken(run, board.stop() if ending else board.messages())
+            samples, over = self._taken(run, board.stop() if ending else board.messages())
             if samples:
                 heard = time.monotonic()
             yield samples
@@ -341,20 +337,20 @@ class _Line:
                     self._unfit["answers"] += 1
                     if not now.running or now.size != hello.size:
                         return
-                    run = run.doubted()
+                    run.doubt()
                 except NoBoardError:
                     if board.heard == came:  # a noisy line is no reason to reset the board
                         raise
                 heard = time.monotonic()
 
-    def _taken(self, run: Scanning, messages: Sequence[Message]) -> tuple[Scanning, tuple[Sample, ...], bool]:
-        """Return the run after messages, the new samples, and whether the board has restarted."""
+    def _taken(self, run: Scanning, messages: Sequence[Message]) -> tuple[tuple[Sample, ...], bool]:
+        """Return the samples that messages continue a run by, and whether the board has restarted."""
         samples: tuple[Sample, ...] = ()
         for item in messages:
             more, instead = tuple[Sample, ...](), "answers"
             if isinstance(item, Frame):
                 fits = (*item.sums.shape, item.readings) == run.hello.size
-                run, more = run.taking(item) if fits else (run, ())
+                more = run.take(item) if fits else ()
                 instead = "frames out of order" if fits else "frames of another size"
             elif isinstance(item, Garbage):
                 instead = "pieces that are no message"
@@ -364,5 +360,5 @@ class _Line:
             else:
                 self._unfit[instead] += 1
             if isinstance(item, Hello) and not item.running:
-                return run, samples, True
-        return run, samples, False
+                return samples, True
+        return samples, False

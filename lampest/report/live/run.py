@@ -21,7 +21,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.board.port import only_port
 from lampest.recording.board.record import Progress, Recorded, Recorder, record
 from lampest.recording.board.several import samples_of
-from lampest.recording.board.stream import Sample, agreed_and_recorded
+from lampest.recording.board.stream import Sample
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.live.engine import Engine, FrameSource
 from lampest.report.live.message import acknowledged
@@ -177,7 +177,7 @@ def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[tuple[Re
         engine.tare()
 
     engine.show(recording=("", False))
-    with closing(Recorder(Path(), source.scene, source.baseline, say)) as recorder:
+    with closing(Recorder(Path(), source.baseline, say)) as recorder:
         yield recorder, replace(actions, tare=tare, record=recorder.ask)
 
 
@@ -204,7 +204,7 @@ def from_board(engine: Engine, board: LiveBoard, frames: int | None, on_sample: 
     engine.say(f"waiting for the board at {', '.join(board.ports)}")
     with closing(samples_of(board.ports, board.scene, board.period, engine.say)) as samples:
         for sample in islice((sample for batch in samples for sample in batch), frames):
-            take_sample(engine, sample, board.scene)
+            take_sample(engine, sample)
             on_sample(sample)
 
 
@@ -215,7 +215,7 @@ def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) ->
 
     def on_progress(progress: Progress) -> None:
         if progress.sample is not None:
-            take_sample(engine, progress.sample, board.scene)
+            take_sample(engine, progress.sample)
         elif progress.state:
             engine.say(progress.state)
 
@@ -223,11 +223,10 @@ def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) ->
     return record(board.ports, board.out, scene=board.scene, on_progress=on_progress, **how)
 
 
-def take_sample(engine: Engine, sample: Sample, scene: Scene | None) -> None:
+def take_sample(engine: Engine, sample: Sample) -> None:
     """Pass a frame of a board to the engine, in the form of a recording."""
-    agreed, recorded = agreed_and_recorded(sample, scene)
-    source = FrameSource(agreed, sample.hello.period_us * 1e-6, "receiving")
-    engine.take(source, Scan(recorded, None, sample.time, sample.host_time, sample.lost))
+    source = FrameSource(sample.scene, sample.hello.period, "receiving")
+    engine.take(source, Scan(sample.recorded, None, sample.time, sample.host_time, sample.lost))
 
 
 def from_recording(
