@@ -3,9 +3,10 @@
 A recorder appends rows to the datasets and then the checksum of each row, until it closes the file.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from math import prod
 from operator import itemgetter
 from typing import Any
 from zlib import crc32
@@ -34,9 +35,12 @@ FRAME_FIELDS = (
 )
 
 FRAME_CHECKSUM, EVENT_CHECKSUM = "acquisition/crc32", "acquisition/event_crc32"
-EVENT_PATHS = ("acquisition/event_time", "acquisition/event_label")
 LABEL = "S16"  # type of an event's label
 Dataset = tuple[str, str, str, str]  # path below /entry, type while it grows, units, long name
+EVENT_FIELDS: tuple[Dataset, ...] = (
+    ("acquisition/event_time", "f8", "s", "time of the event"),
+    ("acquisition/event_label", LABEL, "1", "label of the event"),
+)
 NO_SUM = np.iinfo(np.uint16).max  # a missing sum; 64 readings of 10 bits sum to at most 65,472
 
 
@@ -147,39 +151,25 @@ def undamaged_frames(file: h5py.File, scene: Scene) -> slice:
     """Return the frames of a finished file, or those written so far. Raises InputError if one is damaged."""
     if "lampest_unfinished" not in file.attrs:
         return hdf5.ALL
-    frames, damaged = damaged_frames(file, scene)
-    if len(damaged) or not np.all(whole_events(file)):
-        fault = f"{len(damaged)} of {frames} frames are damaged, first frame {damaged[0]}" if len(damaged) else ""
+    whole = undamaged_rows(file, growing(scene.circuit), FRAME_CHECKSUM)
+    damaged = np.flatnonzero(~whole)
+    if len(damaged) or not np.all(undamaged_rows(file, EVENT_FIELDS, EVENT_CHECKSUM)):
+        fault = f"{len(damaged)} of {len(whole)} frames are damaged, first frame {damaged[0]}" if len(damaged) else ""
         raise InputError(
             f"{file.filename}: {fault or 'an event is damaged'}; lampest check --repair keeps the undamaged rest"
         )
-    return slice(frames)
+    return slice(len(whole))
 
 
-def damaged_frames(file: h5py.File, scene: Scene) -> tuple[int, NDArray[np.intp]]:
-    """Return (frames written, numbers of the damaged ones) of an unfinished file."""
-    paths = [path for path, *_ in growing(scene.circuit)]
-    readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
-    if scene.readout is None or readings < 1:
-        raise InputError(f"{file.filename}: has no readout, and was never recorded from a board")
-    written = min(hdf5.length_of(file, f"/entry/{path}") for path in paths)
-    checked = hdf5.has(file, f"/entry/{FRAME_CHECKSUM}")
-    frames = hdf5.length_of(file, f"/entry/{FRAME_CHECKSUM}") if checked else written
-    damaged = np.ones(frames, dtype=np.bool_)
-    for part in blocks(min(frames, written), scene.panel.crossings):
-        columns = stored_rows(file, paths, part)
-        recorded, sums = columns[0], columns[paths.index("raw/sums")]
-        if sums.shape != recorded.shape or recorded.ndim != 3:
-            raise InputError(f"{file.filename}: /entry/raw/sums has another shape than the frames")
-        expected = recorded_of_sums(scene, sums, readings)
-        damaged[part] = np.any((expected != recorded) & ~(np.isnan(expected) & np.isnan(recorded)), axis=(1, 2))
-        if checked:
-            damaged[part] |= checksums(columns) != stored_rows(file, (FRAME_CHECKSUM,), part)[0]
-        # HDF5 returns zero for unwritten values; recorded values of a board's codes are never zero.
-        elif len(unwritten := np.flatnonzero(np.any(recorded == 0, axis=(1, 2)))):
-            frames = part.start + int(unwritten[0])
-            break
-    return frames, np.flatnonzero(damaged[:frames])
+def undamaged_rows(file: h5py.File, datasets: Sequence[Dataset], checksum: str) -> NDArray[np.bool_]:
+    """Return which rows of an unfinished file are complete and agree with their checksum."""
+    paths = [checksum, *(path for path, *_ in datasets)]
+    count, *lengths = (hdf5.length_of(file, f"/entry/{path}") for path in paths)
+    right = np.zeros(count, dtype=np.bool_)
+    for part in blocks(min(count, *lengths), prod(hdf5.shape_of(file, f"/entry/{paths[1]}")[1:])):
+        sums, *columns = stored_rows(file, paths, part)
+        right[part] = checksums(columns) == sums
+    return right
 
 
 def blocks(frames: int, crossings: int) -> Iterator[slice]:
@@ -188,20 +178,7 @@ def blocks(frames: int, crossings: int) -> Iterator[slice]:
     return (slice(begin, min(begin + length, frames)) for begin in range(0, frames, length))
 
 
-def whole_events(file: h5py.File) -> NDArray[np.bool_]:
-    """Return which events are undamaged; all if there are no checksums."""
-    paths = [f"/entry/{path}" for path in EVENT_PATHS]
-    events = min(hdf5.length_of(file, path) if hdf5.has(file, path) else 0 for path in paths)
-    if not hdf5.has(file, f"/entry/{EVENT_CHECKSUM}"):
-        return np.ones(events, dtype=np.bool_)
-    count = hdf5.length_of(file, f"/entry/{EVENT_CHECKSUM}")
-    right = np.zeros(count, dtype=np.bool_)
-    part = slice(min(events, count))
-    right[part] = checksums(stored_rows(file, EVENT_PATHS, part)) == stored_rows(file, (EVENT_CHECKSUM,), part)[0]
-    return right
-
-
-def stored_rows(file: h5py.File, paths: Sequence[str], part: slice) -> list[NDArray[Any]]:
+def stored_rows(file: h5py.File, paths: Iterable[str], part: slice) -> list[NDArray[Any]]:
     """Return a range of rows of datasets below /entry. Raises InputError if one cannot be read."""
 
     def rows(path: str) -> NDArray[Any]:

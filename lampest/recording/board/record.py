@@ -1,6 +1,8 @@
 """Recording of a board: frames are appended to a journal, which is rewritten as a recording at the end.
 
-`record` reads from a port. A `Recorder` records the samples of a watched port on request.
+`record` reads from a port. A `Recorder` records the samples of a watched port on request. A journal has the layout of a
+recording. Other processes can read it meanwhile (single writer, multiple readers, SWMR), and flushed frames remain
+readable after a crash.
 """
 
 import contextlib
@@ -8,25 +10,41 @@ import dataclasses
 import re
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
+from typing import Any
 
+import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.files import hdf5
+from lampest.files.document import to_yaml
 from lampest.files.errors import InputError
 from lampest.files.process import deaf, ending_signals
-from lampest.files.whole import check_output, folder_beside, is_locked, own
+from lampest.files.whole import check_output, folder_beside, is_locked, locked, own
+from lampest.panel.panel import Array
 from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import damaged_frames, whole_events
-from lampest.recording.board.journal import Journal
+from lampest.recording.acquisition import (
+    EVENT_CHECKSUM,
+    EVENT_FIELDS,
+    FRAME_CHECKSUM,
+    FRAME_FIELDS,
+    Dataset,
+    blocks,
+    checksums,
+    group_of,
+    growing,
+    stored_rows,
+    undamaged_rows,
+)
 from lampest.recording.board.protocol import MAX_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples
-from lampest.recording.recording import UNLOADED, Recording, recording_file
+from lampest.recording.recording import FORMAT, MEASURED, UNLOADED, Recording, recording_file
 from lampest.recording.stored import StoredRecording, opened, save_parts
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot or separator: a visible file within the folder
@@ -92,6 +110,112 @@ class Progress:
     frames: int
     lost: int
     state: str
+
+
+@dataclass(frozen=True)
+class Journal:
+    """Open, growing recording file.
+
+    Attributes
+    ----------
+    file : h5py.File
+    scene : Scene
+    """
+
+    file: h5py.File
+    scene: Scene
+
+    @classmethod
+    @contextlib.contextmanager
+    def create(cls, path: Path, scene: Scene, readings: int) -> Iterator["Journal"]:
+        """Create and yield a journal. Raises InputError if the file cannot be created, or exists."""
+        check_output(path)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = h5py.File(path, "x", libver=("v110", "v110"))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be made ({error.strerror or error})") from error
+        with file:
+            _lay_out(file, scene, readings)
+            file.flush()
+            file.swmr_mode = True
+            with locked(path):  # HDF5's own lock ended where SWMR began
+                yield cls(file, scene)
+
+    def append(self, samples: Sequence[Sample], unloaded: int, keys: Callable[[], str] = lambda: "") -> None:
+        """Append and flush samples with their events, and the pressed keys as events. Raises InputError if it fails.
+
+        The first `unloaded` samples are unloaded.
+        """
+        fields = [vars(sample.frame) | vars(sample) | {"recorded": sample.recorded} for sample in samples]
+        names = ("recorded", "time", "sums", *(name for name, *_ in FRAME_FIELDS))
+        recorded, time, sums, *acquired = ([field[name] for field in fields] for name in names)
+        roles = [UNLOADED if number < unloaded else MEASURED for number in range(len(samples))]
+        self._push(growing(self.scene.circuit), (recorded, time, roles, sums, *acquired), FRAME_CHECKSUM)
+        for sample in samples:
+            for event in (*sample.events, *keys()):
+                self.mark(sample.time, event)
+
+    def mark(self, time: float, label: str) -> None:
+        """Append an event; its label is cut to 16 characters."""
+        self._push(EVENT_FIELDS, ([time], [hdf5.ascii_array(label)]), EVENT_CHECKSUM)
+
+    def keep(self, source: h5py.File) -> None:
+        """Append the undamaged frames and events of another journal; damaged frames count as lost before the next."""
+        for datasets, checksum in ((growing(self.scene.circuit), FRAME_CHECKSUM), (EVENT_FIELDS, EVENT_CHECKSUM)):
+            paths = [path for path, *_ in datasets]
+            whole = np.flatnonzero(undamaged_rows(source, datasets, checksum))
+            dropped = np.diff(whole, prepend=-1) - 1
+            for part in blocks(len(whole), self.scene.panel.crossings):
+                first, last = whole[part][[0, -1]].tolist()
+                rows = dict(zip(paths, stored_rows(source, paths, slice(first, last + 1)), strict=True))
+                values = {path: column[whole[part] - first] for path, column in rows.items()}
+                if checksum == FRAME_CHECKSUM:
+                    values["acquisition/lost"] = values["acquisition/lost"] + dropped[part]
+                self._push(datasets, [*values.values()], checksum)
+
+    def _push(self, datasets: Sequence[Dataset], values: Sequence[Sequence[Any] | Array], checksum: str) -> None:
+        """Append rows, and then their checksums, once the rows are in the file."""
+        try:
+            columns = [self._extend(path, value) for (path, *_), value in zip(datasets, values, strict=True)]
+            self.file.flush()
+            self._extend(checksum, checksums(columns))
+            self.file[f"entry/{checksum}"].flush()
+        except (OSError, RuntimeError) as error:
+            raise InputError(f"{self.file.filename}: cannot be written ({' '.join(str(error).split())})") from error
+
+    def _extend(self, path: str, values: Sequence[Any] | NDArray[Any]) -> NDArray[Any]:
+        """Append values in the dataset's type, integers clipped to its maximum, and return them."""
+        dataset = self.file[f"entry/{path}"]
+        if dataset.dtype.kind == "u":
+            values = np.minimum(np.asarray(values, np.uint64), np.iinfo(dataset.dtype).max)
+        column, length = np.asarray(values, dataset.dtype), dataset.shape[0]
+        dataset.resize(length + len(column), axis=0)
+        dataset[length:] = column
+        return column
+
+
+def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
+    """Create the groups, datasets and attributes of a journal."""
+    circuit, frames = scene.circuit, group_of(scene.circuit)
+    datasets = (
+        *growing(circuit),
+        *EVENT_FIELDS,
+        (FRAME_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the frame"),
+        (EVENT_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the event"),
+    )
+    entry = file.create_group("entry")
+    hdf5.write_text(entry, "scene", to_yaml(scene))
+    for path, kind, units, long_name in datasets:
+        cells = scene.panel.shape if path.endswith((f"/{circuit.signal}", "/sums")) else ()
+        chunk = (16 if cells else 1024, *cells)  # a chunk is written anew with every frame
+        dataset = entry.create_dataset(path, (0, *cells), kind, maxshape=(None, *cells), chunks=chunk)
+        hdf5.set_attributes(dataset, units=units, long_name=long_name)
+    hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT, lampest_unfinished=np.uint8(1))
+    hdf5.set_attributes(entry, NX_class="NXentry", default=frames)
+    hdf5.set_attributes(entry[frames], NX_class="NXdata", signal=circuit.signal, axes=["time", "row", "column"])
+    hdf5.set_attributes(entry["raw"], NX_class="NXdata", signal="sums", readings=np.uint16(readings))
+    hdf5.set_attributes(entry["acquisition"], NX_class="NXcollection")
 
 
 def record(  # noqa: PLR0913 # the options of a command
@@ -331,16 +455,13 @@ def repair(path: Path) -> tuple[int, int]:
         raise InputError(f"{path}: still being recorded")
     with folder_beside(path) as folder:
         with recording_file(path) as (file, scene, _, _):
-            frames, damaged = damaged_frames(file, scene)
-            if not len(damaged) and np.all(whole_events(file)):
-                whole = path
-            elif len(damaged) == frames:
+            whole = undamaged_rows(file, growing(scene.circuit), FRAME_CHECKSUM)
+            if len(whole) and not whole.any():
                 raise InputError(f"{path}: every frame is damaged")
-            else:
-                whole = folder / path.name
-                with Journal.create(whole, scene, int(hdf5.read_number(file, "/entry/raw", "readings"))) as journal:
-                    journal.keep(file, damaged, frames)
-        return finished(path, whole)[1], len(damaged)
+            readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
+            with Journal.create(folder / path.name, scene, readings) as journal:
+                journal.keep(file)
+        return finished(path, folder / path.name)[1], int(np.sum(~whole))
 
 
 def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float | None]:
