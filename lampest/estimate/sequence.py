@@ -25,8 +25,16 @@ from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, mean_change
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.stored import StoredRecording, first_unloaded, measured_part, of_parts, only_frames
+from lampest.recording.recording import (
+    MEASURED,
+    UNLOADED,
+    Recording,
+    StoredRecording,
+    first_unloaded,
+    measured_part,
+    of_parts,
+    only_frames,
+)
 from lampest.solvers.solution import Status
 
 # Unloaded frames, and measured ones around the strongest, that represent a long recording; at most those of a part.
@@ -261,7 +269,7 @@ class Parts:
         Raises InputError where the estimator needs all frames at once, or as `Stream.begin`.
         """
         check_by_parts(estimator, stored)
-        noise, period = asked[1].noise, frame_period(stored.part(stored.blocks()[0]))
+        noise, period = asked[1].noise, frame_period(stored.part(stored.blocks[0]))
         stream = first_stream(asked[1].recording, noise.readings, estimator, noise, period)
         return cls(stored, *asked, stream)
 
@@ -279,7 +287,7 @@ class Parts:
             Returns the memory after a part's last frame, given the part's number; None where it is not done.
         """
         stream = start = self.stream
-        for number, frames in enumerate(self.stored.blocks()):
+        for number, frames in enumerate(self.stored.blocks):
             carried = done(number)
             if self.independent:
                 stream = start = self.stream
@@ -339,7 +347,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
         lead = only_frames(opening := stored.part(range(min(OPENING_FRAMES, stored.frames))), opening.role == MEASURED)
     resting = baseline_readings(lead, lead.readings())
     best: tuple[float, int] = (-1.0, -1)
-    for frames in stored.blocks():
+    for frames in stored.blocks:
         part = measured_part(stored, frames, WINDOW)
         if part is None:
             continue

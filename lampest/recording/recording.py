@@ -1,11 +1,12 @@
-"""Recordings: frames of readings with their scene and, if simulated, their truth."""
+"""Recordings: frames of readings with their scene and, if simulated, their truth; in memory, or read in parts."""
 
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,10 @@ from numpy.typing import NDArray
 from lampest.files import hdf5
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
+from lampest.files.parts import join_parts
 from lampest.files.process import check_memory
 from lampest.files.typed import Validated, typed
+from lampest.files.whole import folder_beside
 from lampest.panel.panel import Array, Panel, as_panels_have
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene, read_scene, scene_text
@@ -29,6 +32,8 @@ from lampest.recording.readings import Readings, check_sigma
 FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1
 MIN_CHANGE = 0.01  # least relative change of readings or cells by a load or a common error, far above drift
+MAX_READINGS = 2_000_000  # readings of a recording in memory at once: 2 GB, because error bars take 1 kB for each
+PART_READINGS = 500_000  # readings of a part of a longer recording
 FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # suffixes of `import_file`
 
 
@@ -384,3 +389,145 @@ def tared(recording: Recording, frames: range) -> tuple[Recording, float]:
         before, after = shown[:half, known].mean(axis=0), shown[half:, known].mean(axis=0)
         change = float(np.abs(after / before - 1).max(initial=0.0))
     return replace(recording, role=role), change
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRecording:
+    """Recording file that is read in parts.
+
+    Attributes
+    ----------
+    path : Path
+    scene : Scene
+    frames : int
+        Number of frames.
+    start_time : str or None
+        See `Recording`.
+    """
+
+    path: Path
+    scene: Scene
+    frames: int
+    start_time: str | None
+
+    @classmethod
+    def of(cls, path: Path) -> "StoredRecording":
+        """Return the stored recording of a file. Raises InputError if it is no recording, or its datasets disagree."""
+        with recording_file(path) as (file, scene, group, signal):
+            shape = hdf5.shape_of(file, f"{group}/{signal}")
+            if not shape[0]:
+                raise InputError(f"{path}: {group}/{signal} holds no frame")
+            end = undamaged_frames(file, scene).stop
+            for axis in (f"{group}/time", f"{group}/role") if end is None else ():
+                if hdf5.has(file, axis) and hdf5.shape_of(file, axis) != shape[:1]:
+                    raise InputError(f"{path}: {axis} does not have one value for each of the {shape[0]} frames")
+        return cls(path, scene, shape[0] if end is None else end, Recording.load(path, slice(0, 1)).start_time)
+
+    @property
+    def name(self) -> str:
+        """Name of the recording in results."""
+        return self.path.stem
+
+    @property
+    def length(self) -> int:
+        """Number of frames of a part."""
+        return max(16, PART_READINGS // self.scene.panel.crossings)
+
+    @cached_property
+    def role(self) -> NDArray[Any]:
+        """Roles of the frames; measured where the file has none."""
+        with hdf5.existing_file(self.path) as file:
+            path = f"/entry/{group_of(self.scene.circuit)}/role"
+            known = hdf5.has(file, path)
+            return hdf5.read_array(file, path, 1, part=slice(0, self.frames)) if known else np.ones(self.frames)
+
+    @cached_property
+    def blocks(self) -> tuple[range, ...]:
+        """Ranges of frames that are estimated and written part by part.
+
+        If possible, a part ends with a chunk of the measured frames in results.
+        """
+        chunk, ends = max(1, hdf5.CHUNK // self.scene.panel.crossings), [0]
+        measured = self.role == MEASURED
+        full = measured & (np.cumsum(measured) % chunk == 0)
+        while ends[-1] < self.frames:
+            end = min(ends[-1] + self.length, self.frames)
+            last = np.flatnonzero(full[ends[-1] : end])
+            ends.append(ends[-1] + int(last[-1]) + 1 if len(last) and end < self.frames else end)
+        return tuple(range(first, end) for first, end in pairwise(ends))
+
+    @property
+    def measured_blocks(self) -> tuple[int, ...]:
+        """Numbers of the blocks with measured frames."""
+        return tuple(n for n, part in enumerate(self.blocks) if np.any(self.role[part.start : part.stop] == MEASURED))
+
+    def part(self, frames: range, beside: int = 0) -> Recording:
+        """Return a range of frames with up to `beside` further ones on either side. Raises as `Recording.load`."""
+        within = slice(max(frames.start - beside, 0), min(frames.stop + beside, self.frames))
+        return replace(Recording.load(self.path, within), start_time=self.start_time)
+
+
+def only_frames(recording: Recording, frames: NDArray[np.bool_]) -> Recording:
+    """Return chosen frames of a part, boolean (frames,), without acquisition data and raw sums."""
+    return _each_frame((recording,), frames)
+
+
+def of_parts(parts: Sequence[Recording]) -> Recording:
+    """Return overlapping parts of a recording as one, each frame once, without acquisition data and raw sums."""
+    numbers = np.concatenate([part.number for part in parts if part.number is not None])
+    return _each_frame(parts, np.unique(numbers, return_index=True)[1])
+
+
+def _each_frame(parts: Sequence[Recording], chosen: NDArray[Any]) -> Recording:
+    """Return the chosen frames (indices or mask) of concatenated parts, without acquisition data and raw sums."""
+    first = parts[0]
+    names = ["recorded", "time", "role", "number", "truth_cell_resistance", "truth_pressure"]
+    names += ["sigma"] if first.sigma is not None and first.sigma.ndim == 3 else []
+    present = [name for name in names if getattr(first, name) is not None]
+    each: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts])[chosen] for name in present}
+    return replace(first, **each, raw_sums=None, raw_readings=None, acquisition=None)
+
+
+def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
+    """Return at most `most` unloaded frames from the beginning of a recording; None if there is none."""
+    numbers = np.flatnonzero(stored.role == UNLOADED)[:most]
+    parts = (stored.part(frames) for frames in stored.blocks if np.isin(numbers, frames).any())
+    chosen = [only_frames(part, np.isin(part.number, numbers)) for part in parts if part.number is not None]
+    return of_parts(chosen) if chosen else None
+
+
+def measured_part(stored: StoredRecording, frames: range, beside: int) -> Recording | None:
+    """Return the measured frames of a range, and of `beside` frames on either side; None if the range has none."""
+    part = stored.part(frames, beside)
+    assert part.number is not None
+    measured = part.role == MEASURED
+    inside = (part.number >= frames.start) & (part.number < frames.stop)
+    return only_frames(part, measured) if np.any(measured & inside) else None
+
+
+def save_parts(path: Path, parts: Iterable[Recording]) -> None:
+    """Write a recording from its parts, completely or not at all.
+
+    Until all parts exist they are files in a temporary folder next to it. Raises InputError if it cannot be written.
+    """
+    files: list[Path] = []
+    with folder_beside(path) as folder:
+        for number, part in enumerate(parts):
+            files.append(folder / f"{number}.h5")
+            part.save(files[-1])
+        with hdf5.new_large_file(path, sum(file.stat().st_size for file in files)) as file:
+            join_parts(files, file.create_group("entry"), "/entry")
+            with hdf5.existing_file(files[0]) as first:
+                file.attrs.update(first.attrs)
+
+
+def too_long(frames: int, cells: int) -> bool:
+    """Return whether a recording of this many frames and cells is too large for memory."""
+    return frames * cells > MAX_READINGS
+
+
+def opened(path: Path) -> Recording | StoredRecording:
+    """Return the recording of a file, as parts if it is too long for memory. Raises InputError as `Recording.load`."""
+    with recording_file(path) as (file, _, group, signal):
+        readings = prod(hdf5.shape_of(file, f"{group}/{signal}"))
+    return StoredRecording.of(path) if readings > MAX_READINGS else Recording.load(path)

@@ -16,8 +16,16 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.readings import touching_columns, touching_rows
 from lampest.recording.recording import FORMAT as RECORDING
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.stored import MAX_READINGS, PART_READINGS, StoredRecording, opened, too_long
+from lampest.recording.recording import (
+    MAX_READINGS,
+    MEASURED,
+    PART_READINGS,
+    UNLOADED,
+    Recording,
+    StoredRecording,
+    opened,
+    too_long,
+)
 from lampest.report.strongest import as_recorded, mean_reading, strongest_index, strongest_readings
 from lampest.report.words import spanned
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
@@ -54,7 +62,7 @@ def describe(path: str | Path) -> list[str]:
     recording = opened(path)
     if isinstance(recording, Recording):
         return [head, *_recording_lines(recording)]
-    blocks = recording.blocks()
+    blocks = recording.blocks
     parts = ((part.role, part.time) for part in map(recording.part, blocks))
     role, time = (np.concatenate(values) for values in zip(*parts, strict=True))
     words = too_long_words.format(blocks[0][0], blocks[0][-1])
@@ -252,7 +260,7 @@ def checked_sentence(path: Path) -> str:
     elif form == RECORDING or not datasets:
         recording = opened(path)
         if isinstance(recording, StoredRecording):
-            for part in recording.blocks():
+            for part in recording.blocks:
                 recording.part(part)
     return f"{path}: {SEALED.format(bytes=size, datasets=datasets) if datasets else UNSEALED}"
 

@@ -23,7 +23,7 @@ from lampest.files.whole import note_read
 from lampest.loads.pressure import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.recording.stored import StoredRecording, opened
+from lampest.recording.recording import StoredRecording, opened
 from lampest.runs.case import check_name
 from lampest.runs.executors import AnyExecutor, Dask, Executor
 from lampest.runs.results import PublishedFigures
@@ -222,7 +222,7 @@ class _Source:
         try:
             recording = opened(path)
             if isinstance(recording, StoredRecording):
-                first = recording.part(recording.blocks()[0])
+                first = recording.part(recording.blocks[0])
                 return cls(*names, recording.scene, first.readings(), frames=recording.frames, stored=recording)
             frames = len(recording.measured_frames())
         except InputError as error:

@@ -21,9 +21,8 @@ from lampest.loads.shapes import AnyShape, OralDisc
 from lampest.panel.panel import Array
 from lampest.recording.datasets import folder as shipped_folder
 from lampest.recording.readings import Readings
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.recording import UNLOADED, Recording, only_frames
 from lampest.recording.simulation.simulation import Simulation, read_simulations
-from lampest.recording.stored import only_frames
 from lampest.runs.config import Terms, terms_of
 from lampest.runs.executors import Processes
 from lampest.solvers.solution import STRICT

@@ -244,10 +244,10 @@ def test_a_long_recording_is_solved_by_parts_and_goes_on_where_it_ended(
     recording.save(tmp_path / "mat.h5")
     terms = "{misfit: {}, relative_change: {weight: 1e-3}}"
     (tmp_path / "run.yaml").write_text(f"schema: 1\nrecordings: [mat.h5]\nestimators: {{dCR: {{terms: {terms}}}}}\n")
-    monkeypatch.setattr("lampest.recording.stored.MAX_READINGS", 10**6)
+    monkeypatch.setattr("lampest.recording.recording.MAX_READINGS", 10**6)
     whole = run_batch(read_run(tmp_path / "run.yaml"), tmp_path / "whole", Serial())
-    monkeypatch.setattr("lampest.recording.stored.MAX_READINGS", 600)
-    monkeypatch.setattr("lampest.recording.stored.PART_READINGS", 1200)
+    monkeypatch.setattr("lampest.recording.recording.MAX_READINGS", 600)
+    monkeypatch.setattr("lampest.recording.recording.PART_READINGS", 1200)
     run = read_run(tmp_path / "run.yaml")
     [case] = run.cases
     (tmp_path / "parts" / "cases").mkdir(parents=True)

@@ -14,7 +14,7 @@ from lampest.files import hdf5
 from lampest.files.checksums import is_left_open
 from lampest.recording.acquisition import EVENT_CHECKSUM, EVENT_FIELDS, undamaged_rows
 from lampest.recording.board.record import repair
-from lampest.recording.stored import StoredRecording
+from lampest.recording.recording import StoredRecording
 
 SCENE = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
 FRAMES = 12

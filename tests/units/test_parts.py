@@ -20,7 +20,7 @@ import lampest
 from lampest import Array, InputError, Recording, read_results, read_run
 from lampest.estimate.sequence import Parts, asked_frames
 from lampest.files import hdf5
-from lampest.recording import stored
+from lampest.recording import recording as stored
 from lampest.recording.board.record import repair
 from lampest.report.info import checked_sentence
 from lampest.runs import batch
@@ -44,7 +44,7 @@ estimators:
 SCRIPT = """
 import os, re, signal, sys
 from pathlib import Path
-from lampest.recording import stored
+from lampest.recording import recording as stored
 from lampest.runs import batch
 stored.MAX_READINGS, stored.PART_READINGS, left = int(sys.argv[3]), int(sys.argv[3]), int(sys.argv[4])
 write = batch.write_carried
@@ -132,7 +132,7 @@ def test_the_frame_period_of_a_long_recording_is_that_of_its_first_part(tmp_path
     role = (np.arange(40) >= UNLOADED).astype(np.uint8)
     lampest.Recording(SCENE, frames(40), time, role).save(tmp_path / "long.h5")
     recording = stored.StoredRecording.of(tmp_path / "long.h5")
-    assert len(recording.blocks()) == 2
+    assert len(recording.blocks) == 2
     parts = Parts.of(recording, lampest.Estimator((lampest.Misfit(),), "reduced"), asked_frames(recording))
     assert parts.stream.period == pytest.approx(0.1) and parts.independent
 
@@ -292,9 +292,9 @@ def test_parts_are_joined_as_they_are_packed(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(stored, "PART_READINGS", 400)
     save(tmp_path, frames(97))
     long, anew = stored.StoredRecording.of(tmp_path / "long.h5"), list[int]()
-    ends = [block.stop for block in long.blocks()]
-    assert ends == [18, 38, 58, 78, 97] and long.blocks()[-1].start == 78
-    parts = [stored.measured_part(long, block, 0) for block in long.blocks()]
+    ends = [block.stop for block in long.blocks]
+    assert ends == [18, 38, 58, 78, 97] and long.blocks[-1].start == 78
+    parts = [stored.measured_part(long, block, 0) for block in long.blocks]
     write = h5py.Dataset.__setitem__
 
     def counted(dataset: Any, part: Any, values: Any) -> None:
@@ -361,7 +361,7 @@ def test_noise_is_not_packed_and_what_repeats_is(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_commands_read_long_files_by_parts(tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     """`info` and `check` of all; one frame is drawn, and some are compared, exported and looked at."""
-    for module in ("lampest.recording.stored", "lampest.report.info"):
+    for module in ("lampest.recording.recording", "lampest.report.info"):
         for name, readings in (("MAX_READINGS", 600), ("PART_READINGS", 400)):
             monkeypatch.setattr(f"{module}.{name}", readings, raising=False)
     save(tmp_path, frames(60))
@@ -389,7 +389,7 @@ def test_what_holds_all_of_a_recording_asks_for_its_memory(
 ) -> None:
     save(tmp_path, frames(2000))
     (tmp_path / "run.yaml").write_text(RUN)
-    monkeypatch.setattr("lampest.recording.stored.MAX_READINGS", 600)
+    monkeypatch.setattr("lampest.recording.recording.MAX_READINGS", 600)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LAMPEST_MEMORY", "1000000")
     refusal = "2000 frames of 20 cells at once: 1.83 MiB of memory are needed, and there are 977 KiB"

@@ -44,8 +44,16 @@ from lampest.recording.acquisition import (
 from lampest.recording.board.protocol import MAX_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples
-from lampest.recording.recording import FORMAT, MEASURED, UNLOADED, Recording, recording_file
-from lampest.recording.stored import StoredRecording, opened, save_parts
+from lampest.recording.recording import (
+    FORMAT,
+    MEASURED,
+    UNLOADED,
+    Recording,
+    StoredRecording,
+    opened,
+    recording_file,
+    save_parts,
+)
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot or separator: a visible file within the folder
 
@@ -473,9 +481,9 @@ def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float
             noise = noise_from_repeats([recording])
             _with_sigma(recording, noise).save(path)
             return recording.scene, len(recording.time), noise
-        overlapping = (range(max(part.start - 1, 0), part.stop) for part in recording.blocks())
+        overlapping = (range(max(part.start - 1, 0), part.stop) for part in recording.blocks)
         noise = noise_from_repeats(recording.part(part) for part in overlapping)
-        save_parts(path, (_with_sigma(recording.part(part), noise) for part in recording.blocks()))
+        save_parts(path, (_with_sigma(recording.part(part), noise) for part in recording.blocks))
         return recording.scene, recording.frames, noise
 
 

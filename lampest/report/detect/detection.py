@@ -26,8 +26,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings, stand_in
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.stored import StoredRecording
+from lampest.recording.recording import MEASURED, UNLOADED, Recording, StoredRecording
 from lampest.report.detect.answer import Detected
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
@@ -202,7 +201,7 @@ def detect_recording(
         Receives the numbers of watched and of all frames.
     """
     stored = StoredRecording.of(path)
-    part = stored.part(stored.blocks()[0])
+    part = stored.part(stored.blocks[0])
     measured = np.flatnonzero(part.role == MEASURED)[:HEAD_FRAMES]
     if not len(measured):
         raise InputError(f"{path}: no frame is measured (role 1)")
@@ -212,7 +211,7 @@ def detect_recording(
     if isinstance(watched, Detected):
         return replace(watched, warnings=messages)
     requested = range(stored.frames) if frames is None else frames
-    blocks = stored.blocks()
+    blocks = stored.blocks
 
     def looked_at() -> Frames:
         for block in blocks:

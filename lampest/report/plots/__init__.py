@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from lampest.files import hdf5
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import installed, of_kind, typed
-from lampest.recording.stored import StoredRecording, opened, too_long
+from lampest.recording.recording import StoredRecording, opened, too_long
 from lampest.report.plots.contours import (
     CertaintyPlot,
     ChangePlot,
@@ -138,7 +138,7 @@ def plot_file(path: Path, picture: Path) -> Path:
         return plot_results(path, picture, recordings=[stored_cases(path)[0].recording])[0]
     recording = opened(path)
     if isinstance(recording, StoredRecording):
-        recording = recording.part(recording.blocks()[0])
+        recording = recording.part(recording.blocks[0])
     strongest = strongest_readings(recording)
     if strongest is None:
         raise InputError(f"{path}: has no unloaded frames to compare with; lampest tare names some")
