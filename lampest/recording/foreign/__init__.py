@@ -1,1 +1,5 @@
-"""Import of other programs' files as recordings: text tables, sheets, and arrays."""
+"""Import of other programs' files as recordings: text tables, sheets, arrays, and layouts of one's own."""
+
+from lampest.recording.foreign.arrays import Layout
+
+LAYOUTS: tuple[Layout, ...] = ()

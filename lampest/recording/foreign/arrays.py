@@ -85,12 +85,15 @@ class Layout(Validated):
     kind : str
         Name for the option `--layout`. An installed package registers an object of the class in the entry point group
         `lampest.layouts`. In Python the object itself is passed as `import_file(..., layout=...)`.
+    suffixes : tuple of str
+        Suffixes in lower case, such as '.dat', of files that are read by this layout without the option.
 
     >>> issubclass(lampest.Layout, lampest.Layout)
     True
     """
 
     kind: ClassVar[str]
+    suffixes: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def read(self, path: Path, rows: int, columns: int) -> tuple[Array, Array | None]:

@@ -13,6 +13,7 @@ from lampest.files.typed import installed, typed
 from lampest.files.whole import note_read
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
+from lampest.recording.foreign import LAYOUTS
 from lampest.recording.foreign.arrays import MAX_BYTES, READERS, Frames, Layout, Shape, frames_of_arrays
 from lampest.recording.foreign.layouts import frames_of
 from lampest.recording.foreign.table import lines_of_sheets, lines_of_text, readings_table
@@ -22,7 +23,7 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 NOT_READ = {".xls": "save it as .xlsx", ".ods": "save it as .xlsx or .csv", ".xlsb": "save it as .xlsx"}
 SHEETS = (".xlsx", ".xlsm")
-NAMED = (".mat", ".npz", *SHEETS)
+NAMED = (*sorted(set(READERS) - {".npy"}), *SHEETS)
 
 
 @typed
@@ -43,7 +44,8 @@ def import_file(  # noqa: PLR0913 # the options of a command
 ) -> tuple[Recording, tuple[str, ...]]:
     r"""Import a file as a recording of rows × columns cells.
 
-    The suffix determines the format: .xlsx, .npy, .npz, .mat, and a text table for any other; docs/howto/import.md.
+    The suffix determines the format: .xlsx, .npy, .npz, .mat, those of layouts, and a text table for any other;
+    docs/howto/import.md.
 
     Parameters
     ----------
@@ -65,8 +67,8 @@ def import_file(  # noqa: PLR0913 # the options of a command
     missing : {'mark', 'skip-frame', 'refuse'}
         Missing readings become NaN, their frames are left out, or they are an error.
     layout : str, Layout, or None
-        Names of the columns as in a header, 'time,row,column,value'; or a `Layout`, or the kind of an
-        installed one. None: by the header, or by the number of columns.
+        Names of the columns as in a header, 'time,row,column,value'; or a `Layout`, or its kind. None: the layout of
+        the file's suffix, otherwise by the header, or by the number of columns.
     time_unit : {'s', 'ms', 'us'}, or None
         Unit of times that are numbers; None: by the column's name, otherwise by the numbers.
 
@@ -91,8 +93,9 @@ def import_file(  # noqa: PLR0913 # the options of a command
         raise InputError(f"missing readings: '{missing}' is unknown; there are mark, skip-frame, refuse")
     panel = _panel(rows, columns, scene)
     check_unit(unit, scene, path)
-    own = {known.kind: known for known in installed("lampest.layouts", Layout)}
-    layout = own.get(layout, layout) if isinstance(layout, str) else layout
+    layouts = (*LAYOUTS, *installed("lampest.layouts", Layout))
+    own = {name: known for known in layouts for name in (known.kind, *known.suffixes)}
+    layout = own.get(path.suffix.lower()) if layout is None else own.get(str(layout), layout)
     frames = _frames(path, panel, transpose=transpose, variable=variable, layout=layout)
     values, count = frames.values, len(frames.values)
     values[~panel.present & ~(values > 0)] = np.nan

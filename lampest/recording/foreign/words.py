@@ -241,8 +241,6 @@ def _iso(text: str, way: str) -> str:
     if match is None or (match[2] or "none") not in DATES.get(way, "none"):
         raise ValueError
     parts = dict(zip(re.split("[-./]", way), match.group(1, 3, 4), strict=False)) if match[1] else {"year": "2000"}
-    if len(parts["year"]) != 4:
-        raise ValueError
     hours, half = int(match[5] or 0), (match[9] or "").upper()
     hours = hours % 12 + 12 * (half == "PM") if half else hours
     time = f"{hours:02d}:{match[6] or '00'}:{match[7] or '00'}{f'.{match[8]}' if match[8] else ''}"
@@ -304,8 +302,6 @@ def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
         return seconds, ""
     number, known = np.arange(len(seconds)), np.flatnonzero(grow)
     inner = np.interp(number, known, seconds[known])
-    usual = np.median(np.diff(seconds[known]) / np.diff(known)) if len(known) > 1 else 1.0
-    inner += usual * (np.minimum(number - known[0], 0) + np.maximum(number - known[-1], 0))
     places = ", ".join(where(int(place)) for place in cut[:5]) + (", ..." if len(cut) > 5 else "")
     return inner, f"; the time at {places} is missing or does not grow, and is interpolated"
 
