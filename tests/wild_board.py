@@ -12,15 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lampest.recording.board.protocol import (
-    Answer,
-    Frame,
-    Hello,
-    Kind,
-    Result,
-    message,
-    unstuffed,
-)
+from lampest.recording.board.protocol import Answer, Frame, Hello, Kind, Result, message, unstuffed
 from tests.bodies import answer_body, frame_body, hello_body
 
 IDLE = Hello(3, 4, 2, 16, 16, 64, (1, 0), 1_000_000, 1_000, 40, 5000, 1_000_000, 10, "reference", False)

@@ -361,12 +361,7 @@ def mostly(volt: float) -> np.ndarray:
             None,
             "fit none of volt, mV, code in this scene, whose converter ends at 0.5 V",
         ),
-        (
-            mostly(2.5),
-            OWN_VOLTAGES,
-            "volt",
-            r"25 of 30 readings stand at the rail .* is readout.converter_volt, 2.5 V",
-        ),
+        (mostly(2.5), OWN_VOLTAGES, "volt", r"25 of 30 readings stand at the rail .* is readout.converter_volt, 2.5 V"),
         (mostly(0.0), amplifiers(), "volt", None),  # open cells, which an unloaded film has
     ],
 )

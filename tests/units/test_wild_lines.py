@@ -284,10 +284,7 @@ def test_a_board_that_says_what_no_board_can_be_is_refused_in_a_sentence(
     tmp_path: Path, field: str, value: int
 ) -> None:
     said = rf"the board says that {field} is {value}; 1 to \d+ is possible \(firmware pins\.h\)"
-    with (
-        wild_board(hundred_a_second, replace(IDLE, **{field: value})) as board,
-        pytest.raises(InputError, match=said),
-    ):
+    with wild_board(hundred_a_second, replace(IDLE, **{field: value})) as board, pytest.raises(InputError, match=said):
         record(board.port, tmp_path / "r.h5", frames=3)
     assert not list(tmp_path.iterdir())
 
