@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lampest import Array, GroundedReadout, OralDisc, Panel, Ring, Rod, Scene, Shape, SuctionCup, TwoPointReadout, Water
+from lampest import Array, GroundedReadout, OralDisc, Panel, Ring, Rod, Scene, SuctionCup, TwoPointReadout, Water
 from lampest.panel.readouts.floating import two_point_resistance, uniform_factor
+from lampest.panel.readouts.wiring import Lines
 from lampest.panel.response import Film
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation import Cells, Course, read_simulations, run, simulate
@@ -17,16 +18,8 @@ from lampest.recording.simulation.simulation import Simulation, cells_under, pre
 from tests.netlist import two_point_resistances
 
 ROOT = Path(__file__).parents[2]
-SHIPPED = (
-    "lamprey_35mm",
-    "lamprey_25mm",
-    "rod",
-    "ring",
-    "cup_air_10kpa",
-    "cup_air_20kpa",
-    "cup_water_10kpa",
-    "cup_water_20kpa",
-)
+SHIPPED = ("lamprey_35mm", "lamprey_25mm", "rod", "ring")
+SHIPPED += tuple(f"cup_{medium}_{kpa}kpa" for medium in ("air", "water") for kpa in (10, 20))
 PANEL = Panel(10, 10)
 FINE = Panel(160, 160, 0.5)
 
@@ -64,10 +57,9 @@ def test_shipped_file_is_what_its_configuration_makes(name: str) -> None:
 
 
 def test_same_seed_same_bytes(tmp_path: Path) -> None:
-    first, second = tmp_path / "a" / "same.h5", tmp_path / "b" / "same.h5"
-    for path in (first, second):
-        assert run(ROOT / "configs" / "lamprey_35mm.yaml", path) == [path]
-    assert first.read_bytes() == second.read_bytes()
+    paths = tmp_path / "a" / "same.h5", tmp_path / "b" / "same.h5"
+    assert [run(ROOT / "configs" / "lamprey_35mm.yaml", path) for path in paths] == [[path] for path in paths]
+    assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
 @pytest.mark.parametrize("across", ["reference", "sensor"])
@@ -81,43 +73,26 @@ def test_scatter_of_readings_is_the_readouts_sigma(across: str) -> None:
     assert np.max(np.abs(recording.resistance.mean(axis=0) - exact) / sigma) < 5 / np.sqrt(400)
 
 
-def test_uniform_panel_without_electronics_is_exact() -> None:
-    simulation = plain(scene=Scene(PANEL, None, 140.0), cells=Cells(3000, 0.0))
-    recording = simulate(simulation)
+def test_uniform_panel_without_electronics_is_exact_and_cells_are_log_normal() -> None:
+    recording = simulate(plain(scene=Scene(PANEL, None, 140.0), cells=Cells(3000, 0.0)))
     assert recording.raw_sums is None
     np.testing.assert_allclose(recording.resistance, 3000 * uniform_factor(10, 10) + 140, rtol=1e-12)
+    many = simulate(plain(scene=Scene(Panel(60, 60)), frames=1, baseline_frames=0))
+    logarithm = np.log(many.truth_cell_resistance / 3050)
+    assert (np.mean(logarithm), np.std(logarithm)) == (pytest.approx(0, abs=0.01), pytest.approx(0.2, abs=0.01))
 
 
-def test_cells_are_log_normal() -> None:
-    simulation = plain(scene=Scene(Panel(60, 60)), frames=1, baseline_frames=0)
-    logarithm = np.log(simulate(simulation).truth_cell_resistance / 3050)
-    assert np.mean(logarithm) == pytest.approx(0, abs=0.01)
-    assert np.std(logarithm) == pytest.approx(0.2, abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("load", "force_mn"),
-    [
+def test_the_force_on_a_panel_is_that_of_the_load() -> None:
+    """A patch has the mean of its pressure: half under a big straight edge, it sees half of it."""
+    circles = {"inner_diameter_mm": 27, "outer_diameter_mm": 35}
+    for load, force_mn in (
         (Rod(kind="rod", centre_mm=(39, 41), diameter_mm=40, mass_g=680, tilt=0.3), 680 * 9.81),
-        (Ring(kind="ring", centre_mm=(40, 40), inner_diameter_mm=27, outer_diameter_mm=35, mass_g=850), 850 * 9.81),
-        (
-            SuctionCup(
-                kind="suction_cup", centre_mm=(40, 38), inner_diameter_mm=27, outer_diameter_mm=35, pressure_kpa=-10
-            ),
-            0,
-        ),
+        (Ring(kind="ring", centre_mm=(40, 40), mass_g=850, **circles), 850 * 9.81),
+        (SuctionCup(kind="suction_cup", centre_mm=(40, 38), pressure_kpa=-10, **circles), 0),
         (OralDisc(kind="oral_disc", centre_mm=(40, 40), diameter_mm=35, rim_width_mm=5, pressure_kpa=-15), 0),
-    ],
-)
-def test_force_on_a_fine_panel(load: Shape, force_mn: float) -> None:
-    contact, suction = load.mean_pressure(FINE, 0.5)
-    area = 0.25
-    scale = contact.sum() * area
-    assert (contact + suction).sum() * area == pytest.approx(force_mn, abs=2e-3 * scale)
-
-
-def test_a_patch_has_the_mean_of_its_pressure() -> None:
-    """A patch half under a big straight edge sees half the pressure."""
+    ):
+        contact, suction = load.mean_pressure(FINE, 0.5)
+        assert (contact + suction).sum() * 0.25 == pytest.approx(force_mn, abs=2e-3 * contact.sum() * 0.25)
     rod = Rod(kind="rod", centre_mm=(-10_000, 10), diameter_mm=20_020, mass_g=1e6)
     contact, _ = rod.mean_pressure(Panel(3, 3), 6)
     np.testing.assert_allclose(contact[1] / contact[1, 0], [1, 0.5, 0], atol=0.01)
@@ -132,11 +107,9 @@ def test_suction_decays_is_pumped_up_and_pulled_off() -> None:
 
 
 def test_course_of_a_lamprey() -> None:
-    course = Course(
-        start_s=1, approach_s=2, attachment_s=2, breathing_hz=0.5, breathing_depth=0.1, release_at_s=10, release_s=2
-    )
-    time = np.array([0.0, 1.0, 2.0, 3.0, 5.0, 6.5, 7.5, 11.0, 12.0])
-    contact, suction = course.contact_and_suction(time)
+    breathing = {"breathing_hz": 0.5, "breathing_depth": 0.1, "release_at_s": 10, "release_s": 2}
+    course = Course(start_s=1, approach_s=2, attachment_s=2, **breathing)
+    contact, suction = course.contact_and_suction(np.array([0.0, 1.0, 2.0, 3.0, 5.0, 6.5, 7.5, 11.0, 12.0]))
     np.testing.assert_allclose(contact, [0, 0, 0.5, 1, 1, 0.9, 1.1, 0.5, 0], atol=1e-12)
     np.testing.assert_allclose(suction, [0, 0, 0, 0, 1, 0.9, 1.1, 0.5, 0], atol=1e-12)
 
@@ -178,21 +151,19 @@ def test_shipped_scene_is_plausible(name: str) -> None:
 
 
 def test_unmodelled_effects_stay_out_of_the_scene() -> None:
-    clean = simulate(plain())
     effects = Unmodelled(channel_spread_ohm=3, reference_tolerance=0.01, drift_per_minute=0.5, outlier_probability=0.02)
-    dirty = simulate(plain(unmodelled=effects))
-    assert dirty.scene == clean.scene
-    assert not np.allclose(dirty.resistance, clean.resistance)
+    clean, dirty = simulate(plain()), simulate(plain(unmodelled=effects))
+    assert dirty.scene == clean.scene and not np.allclose(dirty.resistance, clean.resistance)
     np.testing.assert_array_equal(dirty.truth_pressure, clean.truth_pressure)
     np.testing.assert_array_equal(dirty.truth_cell_resistance[0], clean.truth_cell_resistance[0])
 
 
 def test_one_effect_does_not_change_the_draws_of_another() -> None:
     exact = Scene(Panel(3, 4), None, 140.0)
-    spread = Unmodelled(channel_spread_ohm=3)
-    both = Unmodelled(channel_spread_ohm=3, drift_per_minute=0.5)
-    alone = simulate(plain(scene=exact, unmodelled=spread))
-    together = simulate(plain(scene=exact, unmodelled=both))
+    effects = ({}, {"drift_per_minute": 0.5})
+    alone, together = (
+        simulate(plain(scene=exact, unmodelled=Unmodelled(channel_spread_ohm=3, **more))) for more in effects
+    )
     for recording in (alone, together):
         channels = recording.resistance - two_point_resistance(recording.truth_cell_resistance) - 140
         # One number for each line: mixed second differences vanish.
@@ -200,8 +171,7 @@ def test_one_effect_does_not_change_the_draws_of_another() -> None:
         np.testing.assert_allclose(channels[1:], channels[:1].repeat(4, axis=0), atol=1e-9)
     np.testing.assert_allclose(alone.resistance[0], together.resistance[0], atol=1e-9)
     noisy, hit = simulate(plain()), simulate(plain(unmodelled=Unmodelled(outlier_probability=5e-3)))
-    same = noisy.raw_sums == hit.raw_sums
-    assert 0.7 < same.mean() < 1
+    assert 0.7 < (noisy.raw_sums == hit.raw_sums).mean() < 1
 
 
 def test_reference_tolerance_scales_what_the_divider_gives() -> None:
@@ -213,14 +183,12 @@ def test_reference_tolerance_scales_what_the_divider_gives() -> None:
     assert 0 < abs(ratio[0, 0, 0] - 1) < 0.0102
 
 
-@pytest.mark.parametrize("across", ["reference", "sensor"])
-def test_saturated_codes_stay_finite(across: str) -> None:
-    readout = TwoPointReadout(measured_across=across)
-    rails = np.array([0, readout.readings * 1023])
-    resistance = readout.recorded_from_sums(rails, readout.readings)
-    assert np.all((resistance > 0) & np.isfinite(resistance))
-    volt = readout.volt_from_recorded(resistance)
-    np.testing.assert_allclose(volt * 1024 / 5, [0.5, 1023.5])
+def test_saturated_codes_stay_finite() -> None:
+    for across in ("reference", "sensor"):
+        readout = TwoPointReadout(measured_across=across)
+        resistance = readout.recorded_from_sums(np.array([0, readout.readings * 1023]), readout.readings)
+        assert np.all((resistance > 0) & np.isfinite(resistance))
+        np.testing.assert_allclose(readout.volt_from_recorded(resistance) * 1024 / 5, [0.5, 1023.5])
 
 
 def test_raw_sums_only_where_sixteen_bits_hold_them() -> None:
@@ -228,8 +196,7 @@ def test_raw_sums_only_where_sixteen_bits_hold_them() -> None:
     assert raw_sums(TwoPointReadout(adc_bits=16, readings=1), sums).dtype == np.uint16
     assert raw_sums(TwoPointReadout(adc_bits=10, readings=65), sums) is None
     recording = simulate(plain(scene=Scene(Panel(3, 4), TwoPointReadout(readings=100))))
-    assert recording.raw_sums is None
-    assert recording.raw_readings is None
+    assert recording.raw_sums is None and recording.raw_readings is None
 
 
 EXACT = TwoPointReadout(adc_bits=24, readings=1, noise_lsb=0.0)
@@ -250,40 +217,33 @@ def volt(recording: Recording) -> Array:
     return 5 * 1000 / (1000 + recording.recorded)
 
 
-def test_absent_effects_change_nothing() -> None:
-    assert np.array_equal(with_effects().recorded, with_effects(supply_ripple_hz=50.0).recorded)
-
-
-def test_noise_factor_multiplies_the_scatter() -> None:
+def test_effects_are_as_large_as_they_are_told() -> None:
+    """Noise, a gain of each frame, errors of readings that all frames share, a stage that clips, a common drift."""
+    clean = with_effects()
+    assert np.array_equal(clean.recorded, with_effects(supply_ripple_hz=50.0).recorded), "an absent effect"
     coarse = TwoPointReadout(adc_bits=16, readings=1, noise_lsb=5.0)
-    clean = volt(with_effects(replace(coarse, noise_lsb=0.0)))
-    once, thrice = ((volt(with_effects(coarse, noise_factor=factor)) - clean).std() for factor in (1.0, 3.0))
-    assert once == pytest.approx(5 * 5 / 2**16, rel=0.1)
-    assert thrice == pytest.approx(3 * once, rel=0.1)
+    silent = volt(with_effects(replace(coarse, noise_lsb=0.0)))
+    once, thrice = ((volt(with_effects(coarse, noise_factor=factor)) - silent).std() for factor in (1.0, 3.0))
+    assert (once, thrice) == (pytest.approx(5 * 5 / 2**16, rel=0.1), pytest.approx(3 * once, rel=0.1))
+    gain = volt(with_effects(gain_spread=0.01)) / volt(clean)
+    assert np.ptp(gain, axis=(1, 2)).max() < 1e-5 and 0.004 < gain[:, 0, 0].std() < 0.02
+    ratio = with_effects(reading_error=0.1).recorded / clean.recorded
+    assert np.ptp(ratio, axis=0).max() < 1e-3 and np.log(ratio[0]).std() == pytest.approx(0.1, rel=0.3)
+    assert volt(with_effects(saturation=0.6)).max() == pytest.approx(3.0, abs=1e-5)
+    drift = np.log(with_effects(common_drift_per_minute=0.6).truth_cell_resistance / clean.truth_cell_resistance)
+    assert drift == pytest.approx(np.broadcast_to(0.01 * np.arange(12)[:, None, None], drift.shape))
 
 
-def test_ripple_is_a_sine_of_its_amplitude_and_frequency_over_the_scan() -> None:
-    wave = (volt(with_effects(supply_ripple_lsb=500, supply_ripple_hz=10)) - volt(with_effects())).reshape(
-        12, 100
-    ) / LSB
+def test_ripple_is_a_sine_of_its_amplitude_and_frequency_in_the_order_of_the_scan() -> None:
+    wave = volt(with_effects(supply_ripple_lsb=500, supply_ripple_hz=10)) - volt(with_effects())
+    wave = wave.reshape(12, 100) / LSB
     spectrum = np.abs(np.fft.rfft(wave, axis=1)) / 50
     assert np.all(np.argmax(spectrum, axis=1) == 10)  # a frame takes a second: ten periods in it, one in each row
     assert spectrum[:, 10] == pytest.approx(500, rel=0.01)
     assert not np.allclose(wave[0], wave[1], atol=50)  # another phase in each frame
-
-
-def test_ripple_follows_the_order_of_the_scan() -> None:
-    by_columns = GroundedReadout(driven="columns", adc_bits=24, readings=1, noise_lsb=0.0)
-    wave = (
-        with_effects(by_columns, supply_ripple_lsb=500, supply_ripple_hz=1).recorded - with_effects(by_columns).recorded
-    )
+    columns = GroundedReadout(driven="columns", adc_bits=24, readings=1, noise_lsb=0.0)
+    wave = with_effects(columns, supply_ripple_lsb=500, supply_ripple_hz=1).recorded - with_effects(columns).recorded
     assert np.abs(np.diff(wave[0], axis=0)).max() < 0.2 * np.abs(np.diff(wave[0], axis=1)).max()
-
-
-def test_gain_is_one_factor_a_frame() -> None:
-    ratio = volt(with_effects(gain_spread=0.01)) / volt(with_effects())
-    assert np.ptp(ratio, axis=(1, 2)).max() < 1e-5
-    assert 0.004 < ratio[:, 0, 0].std() < 0.02
 
 
 def test_inl_is_a_curve_of_the_voltage_alone_and_as_large_as_told() -> None:
@@ -296,19 +256,9 @@ def test_inl_is_a_curve_of_the_voltage_alone_and_as_large_as_told() -> None:
 
 
 def test_wire_is_that_of_a_scene_that_tells_it() -> None:
-    from lampest.panel.readouts.wiring import Lines
-
-    told = simulate(
-        Simulation(1, 5, Scene(Panel(10, 10), EXACT, lines=Lines(0.5, 0.5)), baseline_frames=6, frames=6, loads=(ROD,))
-    )
-    assert np.allclose(with_effects(wire_ohm_per_cell=0.5).recorded, told.recorded, rtol=1e-9)
-    assert with_effects(wire_ohm_per_cell=0.5).scene.lines is None
-
-
-def test_reading_errors_are_the_same_in_all_frames() -> None:
-    ratio = with_effects(reading_error=0.1).recorded / with_effects().recorded
-    assert np.ptp(ratio, axis=0).max() < 1e-3
-    assert np.log(ratio[0]).std() == pytest.approx(0.1, rel=0.3)
+    scene, wired = Scene(Panel(10, 10), EXACT, lines=Lines(0.5, 0.5)), with_effects(wire_ohm_per_cell=0.5)
+    told = simulate(Simulation(1, 5, scene, baseline_frames=6, frames=6, loads=(ROD,)))
+    assert np.allclose(wired.recorded, told.recorded, rtol=1e-9) and wired.scene.lines is None
 
 
 def test_films_answer_less_and_each_otherwise() -> None:
@@ -338,32 +288,24 @@ def test_a_travelling_load_is_elsewhere_when_later_lines_are_read() -> None:
     assert np.array_equal(moving.recorded[moving.role == UNLOADED], with_effects().recorded[moving.role == UNLOADED])
 
 
-def test_a_leak_joins_every_line_with_the_next_from_its_time_on() -> None:
+def test_a_leak_joins_lines_and_a_contact_adds_to_one_row_from_their_time_on() -> None:
     plain, wet = with_effects(), with_effects(leak_ohm=5e3, begins_s=8.0)
     assert np.array_equal(wet.recorded[:8], plain.recorded[:8])
     np.testing.assert_allclose(wet.recorded[9], two_point_resistances(wet.truth_cell_resistance[9], 5e3), rtol=1e-4)
-
-
-def test_a_contact_adds_to_one_row_from_its_time_on() -> None:
-    more = with_effects(contact_ohm=200.0, begins_s=8.0).recorded - with_effects().recorded
+    more = with_effects(contact_ohm=200.0, begins_s=8.0).recorded - plain.recorded
     assert not more[:8].any()
     (row,) = np.flatnonzero(more[8:].any(axis=(0, 2)))
     assert more[8:, row] == pytest.approx(200, rel=1e-3)
 
 
-def test_a_stage_saturates_and_all_cells_drift_alike() -> None:
-    assert volt(with_effects(saturation=0.6)).max() == pytest.approx(3.0, abs=1e-5)
-    truth = [one.truth_cell_resistance for one in (with_effects(), with_effects(common_drift_per_minute=0.6))]
-    drift = np.log(truth[1] / truth[0])
-    assert drift == pytest.approx(np.broadcast_to(0.01 * np.arange(12)[:, None, None], drift.shape))
+MOUTH = OralDisc(diameter_mm=25.0, centre_mm=(15.0, 10.0), rim_width_mm=6.0, pressure_kpa=-11.0, rim_kpa=85.0)
 
 
 def test_a_film_that_remembers_nothing_follows_the_load_of_each_moment() -> None:
     """Frame by frame, beyond 64 of them, and later within the frame where that is asked for."""
     course = Course(start_s=1.0, approach_s=40.0, attachment_s=3.0, breathing_hz=0.13, breathing_depth=0.2)
-    loads = (OralDisc(diameter_mm=25.0, centre_mm=(15.0, 10.0), rim_width_mm=6.0, pressure_kpa=-11.0, rim_kpa=85.0),)
     moving = Unmodelled(load_speed_mm_s=7.0)
-    with_film = plain(frames=80, loads=loads, course=course, film=Film(), cells=Cells(spread=0.1), unmodelled=moving)
+    with_film = plain(frames=80, loads=(MOUTH,), course=course, film=Film(), cells=Cells(spread=0.1), unmodelled=moving)
     without = replace(with_film, film=None)
     time = np.arange(81.0)
     for later in ({}, {"later_s": 0.3}):
@@ -376,9 +318,8 @@ def test_a_film_that_remembers_nothing_follows_the_load_of_each_moment() -> None
 
 def test_a_film_under_a_load_that_only_grows_does_as_in_a_single_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """Hysteresis shows where a load shrinks, be it within a frame."""
-    loads = (OralDisc(diameter_mm=25.0, centre_mm=(15.0, 10.0), rim_width_mm=6.0, pressure_kpa=-11.0, rim_kpa=85.0),)
     course = Course(start_s=1.0, approach_s=60.0, breathing_depth=0.0)
-    growing = plain(frames=40, loads=loads, course=course, film=Film(hysteresis=0.3))
+    growing = plain(frames=40, loads=(MOUTH,), course=course, film=Film(hysteresis=0.3))
     found = cells_under(growing, np.arange(41.0))
     monkeypatch.setattr("lampest.recording.simulation.simulation.MOMENTS", 1)
     np.testing.assert_allclose(cells_under(growing, np.arange(41.0)), found, rtol=1e-12)
