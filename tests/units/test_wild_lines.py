@@ -2,6 +2,7 @@
 
 import copy
 import itertools
+import re
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -28,7 +29,6 @@ from lampest.recording.board.stream import (
     Sample,
     Samples,
     Scanning,
-    board_samples,
     scene_of,
 )
 from lampest.recording.recording import MEASURED, UNLOADED
@@ -109,14 +109,6 @@ def test_a_flood_does_not_stretch_the_time(tmp_path: Path, script: Script) -> No
 def test_frames_are_found_in_a_flood(tmp_path: Path) -> None:
     done = recorded(flooded, tmp_path, frames=50)
     assert (done.frames, done.lost, done.restarts) == (50, 0, 0)
-
-
-@pytest.mark.slow
-def test_the_flood_of_a_live_line_ends_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream, "UNFIT_SECONDS", 0.5)
-    with wild_board(garbage) as board, pytest.raises(InputError, match="nothing fit"):
-        for batch in board_samples(board.port):
-            assert batch == ()
 
 
 def frame(number: int, device_ms: int) -> Frame:
@@ -201,28 +193,17 @@ def test_frames_are_counted_and_timed_whatever_numbers_and_clock_do() -> None:
         np.testing.assert_allclose([sample.time for sample in samples], 0.01 * np.arange(30), atol=1e-9)
 
 
-def test_frames_that_are_sent_again_later_are_none() -> None:
-    run, _ = run_of(*SENT)
-    assert not [sample for step in range(5) for sample in run.take(frame(*SENT[step]))]
-
-
-def test_a_first_number_is_believed_as_far_as_the_clock_allows() -> None:
-    assert run_of((7, 100))[1][0].lost == 7
-    assert run_of((2**32 - 5, 100))[1][0].lost == 0
-
-
-def test_no_frame_is_believed_that_its_clock_puts_days_ahead() -> None:
-    _, found = run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (2, 520))
-    assert places(found) == [(0, 0, 0), (1, 0, 0), (2, 0, 0)]
-    assert run_of((10**8, 2 * 10**9))[1][0].lost == 0
+def test_a_number_is_believed_as_far_as_its_clock_allows() -> None:
+    """The first one; and none that its clock puts days ahead."""
+    assert [run_of(first)[1][0].lost for first in ((7, 100), (2**32 - 5, 100), (10**8, 2 * 10**9))] == [7, 0, 0]
+    assert places(run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (2, 520))[1]) == whole(3)
     _, found = run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (10**8 + 1, 520 + 10**9))
     assert found[2].session == 1 and found[2].lost < 10_000 and found[2].time < 100
 
 
-def test_a_clock_that_stands_still_costs_no_frame_and_is_named_once(tmp_path: Path) -> None:
+def test_a_clock_that_stands_still_costs_no_frame_and_is_named_once() -> None:
     _, found = run_of(*((number, 500 + 10 * min(number, 4)) for number in range(101)))
-    assert places(found) == [(number, 0, 0) for number in range(101)]
-    assert np.all(np.diff([sample.time for sample in found]) >= 0.01 - 1e-9)
+    assert places(found) == whole(101) and np.all(np.diff([sample.time for sample in found]) >= 0.01 - 1e-9)
     assert [(number, sample.events) for number, sample in enumerate(found) if sample.events] == [(6, (CLOCK_STOPPED,))]
 
 
@@ -243,15 +224,11 @@ def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None
     assert found[-1].time == pytest.approx(29.99, rel=0.01)
 
 
-def test_a_plug_that_is_out_loses_no_frames() -> None:
-    _, (*_, last) = run_of((0, 500), (1, 510))
+def test_a_plug_that_is_out_loses_no_frames_and_missed_ticks_are_no_jump() -> None:
+    run, (*_, last) = run_of((0, 500), (1, 510))
     again = Scanning(replace(IDLE, period_us=10_000), OWN, 1, replace(last, host_time=last.host_time - 60))
     (sample,) = again.take(frame(3, 540))
     assert (sample.lost, sample.session) == (3, 1) and sample.time == pytest.approx(60, abs=1)
-
-
-def test_ticks_that_the_board_missed_are_no_jump() -> None:
-    run, _ = run_of((0, 500), (1, 510))
     (sample,) = run.take(replace(frame(2, 5520), missed=500))
     assert sample.time == pytest.approx(5.02) and not sample.events
 
@@ -266,25 +243,20 @@ def test_a_wrong_frame_that_was_believed_is_doubted_after_a_silence() -> None:
     assert run.take(frame(5, 550))
 
 
-ABSURD = {
-    "rows": (0, 255),
-    "columns": (0, 17),
-    "readings": (0, 65),
-    "most_rows": (0,),
-    "most_readings": (0,),
-    "shortest_period_us": (0,),
-    "supply_millivolt": (0,),
-    "reference_milliohm": (0,),
-    "adc_bits": (0, 33, 255),
-}
+ABSURD = {"rows": (0, 255), "columns": (0, 17), "readings": (0, 65), "most_rows": (0,), "most_readings": (0,)}
+ABSURD |= {"shortest_period_us": (0,), "supply_millivolt": (0,), "reference_milliohm": (0,), "adc_bits": (0, 33, 255)}
 
 
-@pytest.mark.parametrize(("field", "value"), [(name, value) for name, values in ABSURD.items() for value in values])
-def test_a_board_that_says_what_no_board_can_be_is_refused_in_a_sentence(
-    tmp_path: Path, field: str, value: int
-) -> None:
-    said = rf"the board says that {field} is {value}; 1 to \d+ is possible \(firmware pins\.h\)"
-    with wild_board(hundred_a_second, replace(IDLE, **{field: value})) as board, pytest.raises(InputError, match=said):
+def test_a_board_that_says_what_no_board_can_be_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    wrong = [(field, value) for field, values in ABSURD.items() for value in values]
+    said = [replace(IDLE, **{field: value}) for field, value in wrong]
+    for hello, (field, value) in zip(said, wrong, strict=True):
+        assert re.fullmatch(rf"the board says that {field} is {value}; 1 to \d+ is possible", hello.fault)
+    assert IDLE.fault == ""
+    with (
+        wild_board(hundred_a_second, said[0]) as board,
+        pytest.raises(InputError, match=r"rows is 0; .* possible \(firmware pins\.h\)"),
+    ):
         record(board.port, tmp_path / "r.h5", frames=3)
     assert not list(tmp_path.iterdir())
 
@@ -347,13 +319,14 @@ def test_a_board_that_answers_without_frames_for_long_comes_back(
 
 def test_ports_and_modules_must_be_as_many() -> None:
     dead = replace(SCENE, faults=Faults(dead_modules=((0, 1),)))
-    with pytest.raises(InputError, match=r"reads 3 modules: .* order \[0, 0\], \[1, 0\], \[1, 1\]; not 2"):
-        samples_of(("a", "b"), dead)
-    with pytest.raises(InputError, match="several boards need a scene"):
-        samples_of(("a", "b"), None)
     larger = Scene(Panel(modules=Modules(2, 3, EachModule(3, 4))), TwoPointReadout(readings=2))
-    with pytest.raises(InputError, match=r"reads 6 modules: .* order \[0, 0\], \[0, 1\], \[0, 2\], \[1, 0\], …; not 7"):
-        samples_of("abcdefg", larger)
+    for ports, scene, words in (
+        ("ab", dead, r"reads 3 modules: .* order \[0, 0\], \[1, 0\], \[1, 1\]; not 2"),
+        ("ab", None, "several boards need a scene"),
+        ("abcdefg", larger, r"reads 6 modules: .* order \[0, 0\], \[0, 1\], \[0, 2\], \[1, 0\], …; not 7"),
+    ):
+        with pytest.raises(InputError, match=words):
+            samples_of(ports, scene)
 
 
 def sent(number: int, at: float, arrived: float | None = None) -> Sample:
@@ -424,6 +397,15 @@ def test_a_board_is_waited_for_until_it_is_late() -> None:
     assert (other.moment, other.began) == (pytest.approx(0.9 * PERIOD), 0.0)
 
 
+def test_the_image_begins_where_every_board_has_come() -> None:
+    here = Alignment(2)
+    for number in range(-1, 3):
+        here.take(0, sent(number + 1, number * PERIOD))
+    assert here.frame(1e9) is None
+    here.take(1, sent(7, 0.4 * PERIOD))
+    assert shown(here, 0.1 * PERIOD) == [(1, 7)]
+
+
 def test_a_boards_clock_is_set_by_the_quickest_of_fifty_frames() -> None:
     here = Alignment(1)
     for number in range(60):
@@ -434,15 +416,6 @@ def test_a_boards_clock_is_set_by_the_quickest_of_fifty_frames() -> None:
     )
     here.take(0, replace(sent(60, 9.0, 9.5), session=1))
     assert [*here.delays[0]] == pytest.approx([-99.5])
-
-
-def test_the_image_begins_where_every_board_has_come() -> None:
-    here = Alignment(2)
-    for number in range(-1, 3):
-        here.take(0, sent(number + 1, number * PERIOD))
-    assert here.frame(1e9) is None
-    here.take(1, sent(7, 0.4 * PERIOD))
-    assert shown(here, 0.1 * PERIOD) == [(1, 7)]
 
 
 def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> tuple[list[Sample], list[str]]:
@@ -489,18 +462,16 @@ def test_boards_are_one_image_that_names_who_is_gone(monkeypatch: pytest.MonkeyP
     assert set(states) == {"module 0,1 at b: no frame came"}
 
 
-def test_a_board_that_never_answers_ends_the_image_with_its_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    boards = {name: [sent(0, 0.0)] for name in "abc"} | {"d": [InputError("no board at d")]}
-    with pytest.raises(InputError, match="no board at d"):
-        image_of(monkeypatch, boards)
-
-
-def test_frames_that_all_boards_lost_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    boards = {name: [sent(number, number * PERIOD) for number in (0, 1, 4)] for name in "abcd"}
+def test_frames_that_all_boards_lost_are_lost_and_a_board_that_never_answers_ends_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    boards: dict[str, list[Any]] = {name: [sent(number, number * PERIOD) for number in (0, 1, 4)] for name in "abcd"}
     for lost, samples in enumerate(boards.values(), 2):
         samples[0], samples[-1] = replace(samples[0], lost=7), replace(samples[-1], lost=lost)
     images, states = image_of(monkeypatch, boards)
     assert ([image.lost for image in images], states) == ([0, 0, 2], [])
+    with pytest.raises(InputError, match="no board at d"):
+        image_of(monkeypatch, boards | {"d": [InputError("no board at d")]})
 
 
 def test_a_request_records_behind_the_unloaded_frames(tmp_path: Path) -> None:
