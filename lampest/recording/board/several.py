@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
 from time import time
@@ -24,7 +24,6 @@ from lampest.recording.board.stream import RETRY_SECONDS, Sample, Samples, board
 
 LATE_SECONDS = 0.3  # s, and 1.5 periods, after which a silent board counts as missing
 Stamped = tuple[float, Sample]  # start of the scan in s on the host's clock, and the sample
-Listener = tuple[int, str, Scene, float | None]  # board, its port, its own scene, and the period
 Arrived = SimpleQueue[tuple[int, Sample | str | InputError | None]]  # board, and its sample, state, error or end
 
 
@@ -51,14 +50,9 @@ def samples_of(
     readings = {own.readout.readings for own in map(scene.of_modules.__getitem__, numbers) if own.readout}
     if len(readings) != 1:
         raise InputError("modules that are recorded together need a readout with one number of readings for all")
-    listeners = [
-        (board, port, scene.of_modules[number], period)
-        for board, (port, number) in enumerate(zip(ports, numbers, strict=True))
-    ]
-    return _images(scene, numbers, listeners, on_state, ending)
+    return _images(scene, numbers, ports, period, on_state, ending)
 
 
-@dataclass(eq=False)
 class Alignment:
     """Alignment of several boards in time.
 
@@ -80,18 +74,14 @@ class Alignment:
         Number of frames of the image so far.
     """
 
-    boards: int
-    moment: float | None = None
-    began: float | None = None
-    missing: tuple[int, ...] = ()
-    frames: int = 0
-    waiting: list[list[Stamped]] = field(init=False)
-    shown: list[Stamped | None] = field(init=False)
-    delays: list[deque[float]] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.waiting, self.shown = [[] for _ in range(self.boards)], [None] * self.boards
-        self.delays = [deque(maxlen=50) for _ in range(self.boards)]
+    def __init__(self, boards: int) -> None:
+        self.boards, self.frames = boards, 0
+        self.moment: float | None = None
+        self.began: float | None = None
+        self.missing: tuple[int, ...] = ()
+        self.waiting: list[list[Stamped]] = [[] for _ in range(boards)]
+        self.shown: list[Stamped | None] = [None] * boards
+        self.delays = [deque[float](maxlen=50) for _ in range(boards)]
 
     def _known(self, board: int) -> list[Stamped]:
         """Return the last shown frame of a board, if any, and those that wait."""
@@ -149,7 +139,8 @@ class Alignment:
 def _images(
     scene: Scene,
     numbers: Sequence[int],
-    listeners: Sequence[Listener],
+    ports: Sequence[str],
+    period: float | None,
     on_state: Callable[[str], None],
     ending: Callable[[], bool],
 ) -> Samples:
@@ -158,7 +149,8 @@ def _images(
     places = [",".join(map(str, scene.panel.modules.place(number))) for number in numbers]
     current, ended, arrived = Alignment(len(numbers)), Event(), Arrived()
     states, listening = [""] * len(numbers), set(range(len(numbers)))
-    threads = [Thread(target=_listen, args=(*listener, arrived, ended), daemon=True) for listener in listeners]
+    boards = zip(range(len(numbers)), ports, map(scene.of_modules.__getitem__, numbers), strict=True)
+    threads = [Thread(target=_listen, args=(*board, period, arrived, ended), daemon=True) for board in boards]
     for thread in threads:
         thread.start()
     try:
@@ -183,7 +175,7 @@ def _images(
             yield tuple(made)
             if made and current.missing:
                 gone = (
-                    f"module {places[board]} at {listeners[board][1]}: {states[board] or 'no frame came'}"
+                    f"module {places[board]} at {ports[board]}: {states[board] or 'no frame came'}"
                     for board in current.missing
                 )
                 on_state("; ".join(gone))

@@ -226,13 +226,13 @@ def clock_of(texts: Sequence[str], name: str, where: Where, *, comma: bool, unit
     seconds = np.array([(time - zoned[0]).total_seconds() for time in zoned])
     if dated:
         zone = "" if times[0].tzinfo else ", no zone in the file"
-        seconds, cut = _growing(seconds, where)
-        return Clock(seconds, stamps[0], f"{way}, s from the first, which is {stamps[0]}{zone}{cut}")
-    day = 24 * SECONDS["h"]
-    seconds += day * np.cumsum(np.diff(seconds, prepend=0.0) < -day / 2)
-    sentence = f"time of day, s from the first; it began at {texts[0]}, the date is not in the file"
+        sentence = f"{way}, s from the first, which is {stamps[0]}{zone}"
+    else:  # across midnight
+        day = 24 * SECONDS["h"]
+        seconds += day * np.cumsum(np.diff(seconds, prepend=0.0) < -day / 2)
+        sentence = f"time of day, s from the first; it began at {texts[0]}, the date is not in the file"
     seconds, cut = _growing(seconds, where)
-    return Clock(seconds, None, f"{sentence}{cut}")
+    return Clock(seconds, stamps[0] if dated else None, f"{sentence}{cut}")
 
 
 def _iso(text: str, way: str) -> str:

@@ -181,24 +181,22 @@ class Simulation(Configuration):
     output: str | None = None
 
     def __post_init__(self) -> None:
-        if not 0 <= self.seed < 2**64:
-            raise ValueError("seed must lie between 0 and 2^64")
-        if self.baseline_frames < 0 or self.frames < 1:
-            raise ValueError("a recording needs at least one measured frame")
         check_range("frame_period_s", self.frame_period_s, 1e-9, 1e8, " s")
-        if self.values > 20_000_000:
-            raise ValueError("more than 20000000 values in one recording")
-        if self.course.start_s <= -self.frame_period_s:
-            raise ValueError(
-                "course.start_s must lie after the last unloaded frame, one frame_period_s before the first"
-            )
-        if self.scene.readout is None and (electronic := self.unmodelled.needs_converter):
-            raise ValueError(f"unmodelled: {', '.join(electronic)} need a readout in the scene")
-        if self.scene.readout is None and self.scene.converter_memory is not None:
-            raise ValueError("converter_memory needs a readout in the scene")
-        film = self.film or self.scene.film
-        if film is not None and "auto" in (film.hysteresis, film.creep_per_decade):
-            raise ValueError("film: a simulation needs numbers where the scene says auto; give a film of its own")
+        film, digital = self.film or self.scene.film, self.scene.readout is not None
+        electronic = ", ".join(self.unmodelled.needs_converter)
+        late = self.course.start_s > -self.frame_period_s
+        auto = film is not None and "auto" in (film.hysteresis, film.creep_per_decade)
+        for right, message in (
+            (0 <= self.seed < 2**64, "seed must lie between 0 and 2^64"),
+            (self.baseline_frames >= 0 and self.frames >= 1, "a recording needs at least one measured frame"),
+            (self.values <= 20_000_000, "more than 20000000 values in one recording"),
+            (late, "course.start_s must lie after the last unloaded frame, one frame_period_s before the first"),
+            (digital or not electronic, f"unmodelled: {electronic} need a readout in the scene"),
+            (digital or self.scene.converter_memory is None, "converter_memory needs a readout in the scene"),
+            (not auto, "film: a simulation needs numbers where the scene says auto; give a film of its own"),
+        ):
+            if not right:
+                raise ValueError(message)
         if self.response is not None:
             self.response.check(self.scene.panel.shape)
 
