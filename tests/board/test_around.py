@@ -50,11 +50,12 @@ def test_ports_that_look_like_an_arduino_come_first(monkeypatch: pytest.MonkeyPa
 
 
 def test_keys_are_read_one_by_one_and_the_terminal_is_restored(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a terminal no key is pressed."""
     import termios
 
     master, slave = os.openpty()
     monkeypatch.setattr(os, "tcgetpgrp", lambda descriptor: os.getpgrp())
-    with os.fdopen(slave) as terminal:
+    with os.fdopen(slave) as terminal, Path(os.devnull).open() as nothing:
         monkeypatch.setattr("sys.stdin", terminal)
         before = termios.tcgetattr(slave)
         with pressed_keys() as keys:
@@ -62,17 +63,11 @@ def test_keys_are_read_one_by_one_and_the_terminal_is_restored(monkeypatch: pyte
             os.write(master, b"ab")
             assert keys() == "ab"
         assert termios.tcgetattr(slave) == before
+        for no_terminal in (nothing, None):
+            monkeypatch.setattr("sys.stdin", no_terminal)
+            with pressed_keys() as keys:
+                assert keys() == ""
     os.close(master)
-
-
-def test_without_a_terminal_no_key_is_pressed(monkeypatch: pytest.MonkeyPatch) -> None:
-    with Path(os.devnull).open() as nothing:
-        monkeypatch.setattr("sys.stdin", nothing)
-        with pressed_keys() as keys:
-            assert keys() == ""
-    monkeypatch.setattr("sys.stdin", None)
-    with pressed_keys() as keys:
-        assert keys() == ""
 
 
 @pytest.mark.slow

@@ -62,35 +62,31 @@ def received(data: bytes) -> tuple[Message, ...]:
     return Receiver().feed(data)[1]
 
 
-def test_crc_has_the_check_value_of_its_catalogue() -> None:
-    assert crc16(b"123456789") == 0x29B1
-
-
-@pytest.mark.parametrize(
-    ("body", "wire"),
-    [
-        (b"\0", "0101"),
-        (b"\0\0", "010101"),
-        (b"\x11\x22\0\x33", "0311220233"),
-        (b"\x11\0\0\0", "0211010101"),
-        (bytes(range(1, 255)), "ff" + bytes(range(1, 255)).hex()),
-        (bytes(range(255)), "01ff" + bytes(range(1, 255)).hex()),
-        (bytes(range(1, 256)), "ff" + bytes(range(1, 255)).hex() + "02ff"),
-        (bytes([*range(2, 256), 0]), "ff" + bytes(range(2, 256)).hex() + "0101"),
-        (bytes([*range(3, 256), 0, 1]), "fe" + bytes(range(3, 256)).hex() + "0201"),
-    ],
+RUN = bytes(range(1, 255)).hex()
+# Examples of the encyclopedia's article on COBS.
+COBS = (
+    (b"\0", "0101"),
+    (b"\0\0", "010101"),
+    (b"\x11\x22\0\x33", "0311220233"),
+    (b"\x11\0\0\0", "0211010101"),
+    (bytes(range(1, 255)), "ff" + RUN),
+    (bytes(range(255)), "01ff" + RUN),
+    (bytes(range(1, 256)), "ff" + RUN + "02ff"),
+    (bytes([*range(2, 256), 0]), "ff" + bytes(range(2, 256)).hex() + "0101"),
+    (bytes([*range(3, 256), 0, 1]), "fe" + bytes(range(3, 256)).hex() + "0201"),
 )
-def test_cobs_examples_of_its_encyclopedia_article(body: bytes, wire: str) -> None:
-    assert stuffed(body).hex() == wire
-    assert unstuffed(bytes.fromhex(wire)) == body
+
+
+def test_crc_and_cobs_are_those_of_their_catalogues() -> None:
+    assert crc16(b"123456789") == 0x29B1
+    for body, wire in COBS:
+        assert stuffed(body).hex() == wire and unstuffed(bytes.fromhex(wire)) == body
 
 
 @given(st.binary(min_size=1, max_size=900))
 def test_cobs_takes_all_zeros_away_and_gives_them_back(body: bytes) -> None:
     wire = stuffed(body)
-    assert 0 not in wire
-    assert len(wire) <= len(body) + len(body) // 254 + 1
-    assert unstuffed(wire) == body
+    assert 0 not in wire and len(wire) <= len(body) + len(body) // 254 + 1 and unstuffed(wire) == body
 
 
 @given(frames())
@@ -101,14 +97,11 @@ def test_a_frame_comes_back(frame: Frame) -> None:
     assert same(back, frame)
 
 
-@pytest.mark.parametrize("running", [False, True])
-def test_hello_and_answer_come_back(running: bool) -> None:
-    hello = Hello(*(16, 3, 1, 16, 16, 64, (2, 9), 4, 5, 6, 3300, 7, 12, "sensor", running))
-    assert received(message(hello_body(hello))) == (hello,)
+def test_hello_and_answer_come_back_and_commands_are_no_messages() -> None:
+    for running in (False, True):
+        hello = Hello(*(16, 3, 1, 16, 16, 64, (2, 9), 4, 5, 6, 3300, 7, 12, "sensor", running))
+        assert received(message(hello_body(hello))) == (hello,)
     assert received(message(answer_body(ANSWER))) == (ANSWER,)
-
-
-def test_a_board_never_mistakes_its_own_commands_for_messages() -> None:
     assert all(isinstance(item, Garbage) for item in received(command(Kind.START, 3, 2**32 - 1)))
 
 
@@ -130,15 +123,12 @@ def test_cuts_and_garbage_around_do_not_matter(
 
 
 def test_byte_by_byte_a_frame_is_complete_at_its_last_byte_and_not_before() -> None:
-    frame = Frame(20, 5, 5000, 0, np.full((10, 10), 9_000, dtype=np.uint16))
-    receiver = Receiver()
+    frame, receiver, came = Frame(20, 5, 5000, 0, np.full((10, 10), 9_000, dtype=np.uint16)), Receiver(), []
     wire = message(frame_body(frame))
-    for byte in wire[:-1]:
+    for byte in wire:
         receiver, items = receiver.feed(bytes([byte]))
-        assert items == ()
-    receiver, items = receiver.feed(wire[-1:])
-    assert same(items[0], frame)
-    assert receiver == Receiver()
+        came.append(items)
+    assert not any(came[:-1]) and same(came[-1][0], frame) and receiver == Receiver()
 
 
 @given(st.binary(max_size=3000))
