@@ -163,41 +163,36 @@ CUT = (
 )
 
 
+ENDED = "return document.getElementById('state').innerText == 'the recording has ended'"
+HIDDEN = "return document.getElementById('sentence').hidden && !document.getElementById('alarm').hidden"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1400, 390])
 def test_every_word_fits_a_wide_and_a_narrow_screen(width: int, tmp_path: Path) -> None:
+    """A change on the map is never called nothing, and an alarm is said once."""
     with live(tmp_path, "--recording", LAMPREY, "--speed", 50) as (window, _):
         window.resized(width, 900, "dark")
-        window.until("return document.getElementById('state').innerText == 'the recording has ended'")
+        window.until(ENDED)
         window.run("view.alarm = view.detection.sentence; answer()")
         assert window.run("return document.querySelectorAll('#events li').length") >= 1
         window.run("document.getElementById('total').innerText = '−123.45 ± 67.89 N'")
-        assert window.run("return document.documentElement.scrollWidth") == width
-        assert window.run(CUT) == []
+        assert window.run("return document.documentElement.scrollWidth") == width and window.run(CUT) == []
         page = window.run("return getComputedStyle(document.body).backgroundColor")
         assert max(map(int, page.strip("rgb()").split(","))) < 64, "dark where the browser is"
-
-
-@pytest.mark.slow
-def test_a_change_on_the_map_is_never_called_nothing_and_an_alarm_is_said_once(tmp_path: Path) -> None:
-    with live(tmp_path, "--recording", LAMPREY, "--speed", 50) as (window, _):
-        window.until("return document.getElementById('state').innerText == 'the recording has ended'")
         window.run("view.alarm = ''; view.detection.answer = view.detection.sentence = 'nothing'")
-        window.run("picture.verdict = 'pressing'; answer()")
-        assert window.text("sentence") == "still deciding: the map shows a change"
-        window.run("picture.verdict = 'nothing'; answer()")
-        assert window.text("sentence") == "nothing"
+        for verdict, sentence in (("pressing", "still deciding: the map shows a change"), ("nothing", "nothing")):
+            window.run(f"picture.verdict = '{verdict}'; answer()")
+            assert window.text("sentence") == sentence
         window.run("view.alarm = view.detection.sentence; answer()")
-        assert window.run(
-            "return document.getElementById('sentence').hidden && !document.getElementById('alarm').hidden"
-        )
+        assert window.run(HIDDEN)
 
 
 @pytest.mark.slow
 def test_a_solver_that_is_too_slow_drops_frames_and_says_so(tmp_path: Path) -> None:
     words = ("--recording", LAMPREY, "--speed", 1000, "--config", ROOT / "configs" / "table1.yaml")
     with live(tmp_path, *words, "--estimator", "LSR-gdCR") as (window, _):
-        window.until("return document.getElementById('state').innerText == 'the recording has ended'")
+        window.until(ENDED)
         window.until(NUMBER, lambda number: number == 24)
         assert int(window.text("skipped")) > 5
         assert "Solving is slower than frames arrive" in window.text("behind")
@@ -292,15 +287,18 @@ def test_a_button_records_what_the_port_delivers(tmp_path: Path) -> None:
     assert Recording.load(other).role[:4].tolist() == [0, 0, 0, 1], "Ctrl-C leaves a clean file"
 
 
-def thirty_frames_a_second(folder: Path, seconds: float) -> int:
-    """10 × 10 cells, 2 readings, 30 frames a second in real time, recorded and shown at once; how many are kept."""
+@pytest.mark.parametrize(
+    "seconds", [pytest.param(5, marks=pytest.mark.slow), pytest.param(600, marks=pytest.mark.soak)]
+)
+def test_thirty_frames_a_second_with_the_page_open(tmp_path: Path, seconds: int) -> None:
+    """10 × 10 cells, 2 readings, 30 frames a second in real time, recorded and shown at once; none is lost."""
     cells, _ = truth_of(LAMPREY)
     with (
-        bench(folder, cells, "--real-time", "--loop") as board,
+        bench(tmp_path, cells, "--real-time", "--loop") as board,
         live(
-            folder,
-            *("--port", board.port, "--scene", scene_file(folder, readings=2), "--period", 1 / 30),
-            *("--count", round(30 * seconds), "--out", folder / "r.h5"),
+            tmp_path,
+            *("--port", board.port, "--scene", scene_file(tmp_path, readings=2), "--period", 1 / 30),
+            *("--count", round(30 * seconds), "--out", tmp_path / "r.h5"),
         ) as (window, process),
     ):
         window.run("window.times = []; setInterval(() => { if (latencies.length) times.push(latencies.at(-1)) }, 200)")
@@ -310,7 +308,7 @@ def thirty_frames_a_second(folder: Path, seconds: float) -> int:
         assert process.wait(seconds + 60) == 0
         window.complaints()
         figures = board.stop()
-    found = Recording.load(folder / "r.h5")
+    found = Recording.load(tmp_path / "r.h5")
     lost, missed = int(found.acquisition.lost.sum()), int(found.acquisition.missed.sum())
     print(
         f"\n{len(found.time)} frames, {found.time[-1]:.1f} s of board time, {lost} lost, {missed} missed; at frame "
@@ -318,17 +316,9 @@ def thirty_frames_a_second(folder: Path, seconds: float) -> int:
         f"{latency[0]:.0f} ms, longest {latency[1]:.0f} ms of {latency[2]}; {figures}"
     )
     assert (len(found.time), lost, missed, figures["overrun"]) == (round(30 * seconds), 0, 0, 0)
-    return len(found.time)
 
 
 def test_a_missing_browser_is_named_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(pytest.fail.Exception, match=r"apt-get install chromium chromium-driver$"), browser(tmp_path):
         pass
-
-
-@pytest.mark.parametrize(
-    "seconds", [pytest.param(5, marks=pytest.mark.slow), pytest.param(600, marks=pytest.mark.soak)]
-)
-def test_thirty_frames_a_second_with_the_page_open(tmp_path: Path, seconds: int) -> None:
-    assert thirty_frames_a_second(tmp_path, seconds) == 30 * seconds
