@@ -8,26 +8,28 @@ from typing import Any
 
 import numpy as np
 import pytest
-from contracts.imports import (
-    CODES,
-    COLUMNS,
-    DIVIDER,
-    FRAMES,
-    LOADED,
-    ROWS,
-    VOLT_OF_CODES,
-    check_refused,
-    check_taken,
-    given,
-    lines,
-    names,
-)
+from contracts import imports
+from contracts.imports import CODES, COLUMNS, DIVIDER, FRAMES, LOADED, ROWS, VOLT_OF_CODES, given, lines, names
 
 from lampest import InputError, Scene, import_file
 
-AS_CODES: dict[str, Any] = {"scene": LOADED, "expected": VOLT_OF_CODES}
 WIDE = FRAMES.reshape(4, -1)
 FOUR = np.arange(4)
+TABLES: dict[str, SimpleNamespace] = {}
+REFUSED: dict[str, SimpleNamespace] = {}
+
+
+def taken(name: str, content: Any, *notes: str, **how: Any) -> None:
+    TABLES[name] = given(content, *notes, **how)
+
+
+def codes(name: str, content: Any, *notes: str, **how: Any) -> None:
+    """Codes of a board with loaded columns."""
+    taken(name, content, *notes, **({"scene": LOADED, "expected": VOLT_OF_CODES} | how))
+
+
+def refused(name: str, content: Any, *notes: str, **how: Any) -> None:
+    REFUSED[name] = given(content, *notes, **how)
 
 
 def with_nan(values: np.ndarray, *places: tuple[Any, ...]) -> np.ndarray:
@@ -37,97 +39,66 @@ def with_nan(values: np.ndarray, *places: tuple[Any, ...]) -> np.ndarray:
     return holes
 
 
-TABLES: dict[str, SimpleNamespace] = {}
-REFUSED: dict[str, SimpleNamespace] = {}
+def blocks(sign: str, between: str, frames: np.ndarray = CODES) -> str:
+    """A line for each row, and something between frames."""
+    return between.join("\n".join(lines(frame, sign)) for frame in frames)
+
 
 # What a terminal shows of a board.
 
+ARDUINO = "12:34:55.100 -> ,511,600\r\n12:34:55.200 -> Panel 3x5 v1.2 ready\r\n"
+ARDUINO += "".join(f"12:34:5{6 + number}.789 -> {line},\r\n" for number, line in enumerate(lines(CODES)))
+MONITOR = (
+    "it began at 12:34:56.789, the date is not in the file",
+    "lines 1, 2 (the first: '511 600')",
+    "code, guessed",
+)
+codes("the Arduino's monitor", ARDUINO, *MONITOR, times=FOUR, rows=None, columns=None)
 CUT = [*lines(CODES[:3]), ",".join(map(str, CODES[3].ravel()[:6]))]
+SENTENCES = ("10 readings missing, in 1 of 4 frames: NaN", "the last number of line 4 is cut")
+HALF = with_nan(VOLT_OF_CODES, (3, 1, slice(1, 5)), (3, 2))
+codes("a monitor cut within a number", CUT, *SENTENCES, expected=with_nan(HALF, (3, 1)))
+codes("a monitor cut after a line", [*CUT, ""], absent="is cut", expected=HALF)
 LABVIEW = ["LabVIEW Measurement\t", "Channels\t15", "***End_of_Header***\t"]
 LABVIEW += ["X_Value\t" + "\t".join(["Channel", *(f"Channel_{n}" for n in range(1, 15))]) + "\tComment"]
-TABLES |= {
-    "the Arduino's monitor": given(
-        "12:34:55.100 -> ,511,600\r\n12:34:55.200 -> Panel 3x5 v1.2 ready\r\n"
-        + "".join(f"12:34:5{6 + number}.789 -> {line},\r\n" for number, line in enumerate(lines(CODES))),
-        "it began at 12:34:56.789, the date is not in the file",
-        "left out: lines 1, 2 (the first: '511 600')",
-        "unit code, guessed",
-        times=FOUR,
-        rows=None,
-        columns=None,
-        **AS_CODES,
-    ),
-    "a monitor cut within a number": given(
-        CUT,
-        "10 readings missing, in 1 of 4 frames: NaN",
-        "the last number of line 4 is cut",
-        scene=LOADED,
-        expected=with_nan(VOLT_OF_CODES, (3, 1), (3, 2)),
-    ),
-    "a monitor cut after a line": given(
-        [*CUT, ""], absent="is cut", scene=LOADED, expected=with_nan(VOLT_OF_CODES, (3, 1, slice(1, 5)), (3, 2))
-    ),
-    "empty columns beside the cells": given(
-        "\r\n".join([*LABVIEW, *(f"{n / 2:.6f}\t{line}\t" for n, line in enumerate(lines(CODES, "\t"))), ""]),
-        "empty columns left out: Comment",
-        times=FOUR / 2,
-        **AS_CODES,
-    ),
-}
+LABVIEW += [*(f"{n / 2:.6f}\t{line}\t" for n, line in enumerate(lines(CODES, "\t"))), ""]
+codes("empty columns beside the cells", "\r\n".join(LABVIEW), "empty columns left out: Comment", times=FOUR / 2)
 for step, unit, scale in ((500, "ms", 1e-3), (40_000, "us", 1e-6)):
     begin = 2**32 - 2 * step
-    TABLES[f"a counter in {unit} that begins again"] = given(
-        [*(f"{(begin + step * n) % 2**32},{line}" for n, line in enumerate(lines(CODES))), ""],
-        f"first field in {unit}; the counter began again once",
-        times=scale * (begin + step * FOUR),
-        **AS_CODES,
-    )
+    text = [*(f"{(begin + step * n) % 2**32},{line}" for n, line in enumerate(lines(CODES))), ""]
+    again = f"first field in {unit}; the counter began again once"
+    codes(f"a counter in {unit} that begins again", text, again, times=scale * (begin + step * FOUR))
 
+NUMBERED = [(number, row, line) for number, frame in enumerate(CODES) for row, line in enumerate(lines(frame))]
 BLOCKS = {
-    "blank lines": "boot...\n" + "\n\n".join("\n".join(lines(frame, "\t")) for frame in CODES),
+    "blank lines": "boot...\n" + blocks("\t", "\n\n"),
     "windows lines": "\r\n\r\n".join("\r\n".join(lines(frame, ", ")) + ",\r\n" for frame in CODES),
-    "marks": "\n---\n".join("\n".join(lines(frame, " ")) for frame in CODES) + "\n---\n",
+    "marks": blocks(" ", "\n---\n") + "\n---\n",
     "titles": "\n".join(f"Frame {number}:\n" + "\n".join(lines(frame, ";")) for number, frame in enumerate(CODES)),
     "numbers": "\n".join(f"{number}\n" + "\n".join(lines(frame, " ")) for number, frame in enumerate(CODES)),
-    "nothing": "\n".join("\n".join(lines(frame)) for frame in CODES),
+    "nothing": blocks(",", "\n"),
     "every line alone": "\n\n".join("\n\n".join(lines(frame)) for frame in CODES),
     "python lists": "\n".join(f"[{line}]" for frame in CODES for line in lines(frame, ", ")),
-    "titles of a chip": "ets Jun  8 2016 00:22:57\n\nentry 0x400805f0\n"
-    + "\n\n".join("\n".join(lines(frame, " ")) for frame in CODES),
-    "frame and row": "frame,row,c0,c1,c2,c3,c4\n"
-    + "\n".join(f"{n},{row},{line}" for n, frame in enumerate(CODES) for row, line in enumerate(lines(frame))),
+    "titles of a chip": "ets Jun  8 2016 00:22:57\n\nentry 0x400805f0\n" + blocks(" ", "\n\n"),
+    "frame and row": "\n".join(["frame,row,c0,c1,c2,c3,c4", *(f"{n},{row},{line}" for n, row, line in NUMBERED)]),
 }
 for name, sign in (("ROW{}={}", ","), ("R{}: {}", ","), ("row {} = {}", ","), ("R{}:  {}", " ")):
-    rows = ((row, line) for frame in CODES for row, line in enumerate(lines(frame, sign)))
-    BLOCKS[name] = "\n".join(name.format(*row) for row in rows)
-TABLES |= {name: given(text, "one row a line, 3 lines a frame", **AS_CODES) for name, text in BLOCKS.items()}
+    BLOCKS[name] = "\n".join(name.format(row, line.replace(",", sign)) for _, row, line in NUMBERED)
+for name, text in BLOCKS.items():
+    codes(name, text, "one row a line, 3 lines a frame")
 for title, times, start in (
     ("Frame {n}, t = {ms} ms", FOUR / 4, None),
     ("time: 2025-01-31 12:00:0{n}Z", FOUR, "2025-01-31T12:00:00Z"),
     ("millis={ms}", FOUR / 4, None),
 ):
-    blocks = [title.format(n=n, ms=250 * n) + "\n" + "\n".join(lines(frame)) for n, frame in enumerate(CODES)]
-    TABLES[title] = given(blocks, times=times, start=start, **AS_CODES)
-TABLES["blocks that are cut"] = given(
-    [
-        *lines(CODES[0])[1:],  # the terminal was opened between two rows
-        "",
-        *lines(CODES[1]),
-        "",
-        *lines(CODES[2])[:2],  # a row was lost: nobody knows which
-        "",
-        *lines(CODES[3])[:2],  # the terminal was closed
-    ],
-    "the first block (line 1) is cut and left out",
-    "has 2 of 3 lines",
-    scene=LOADED,
-    expected=with_nan(VOLT_OF_CODES[1:], (1,), (2, 2)),
-)
-REFUSED["blocks that are longer than the panel"] = given(
-    "\n\n".join("\n".join(lines(frame) + lines(frame)[:1]) for frame in CODES),
-    "m.csv:1: a block of 4 lines, where the panel has 3 rows",
-    scene=LOADED,
-)
+    titled = [title.format(n=n, ms=250 * n) + "\n" + "\n".join(lines(frame)) for n, frame in enumerate(CODES)]
+    codes(title, titled, times=times, start=start)
+# The terminal was opened between two rows; a row was lost, nobody knows which; the terminal was closed.
+BROKEN = [*lines(CODES[0])[1:], "", *lines(CODES[1]), "", *lines(CODES[2])[:2], "", *lines(CODES[3])[:2]]
+SENTENCES = ("the first block (line 1) is cut and left out", "has 2 of 3 lines")
+codes("blocks that are cut", BROKEN, *SENTENCES, expected=with_nan(VOLT_OF_CODES[1:], (1,), (2, 2)))
+LONG = blocks(",", "\n\n", np.concatenate([CODES, CODES[:, :1]], axis=1))
+refused("long blocks", LONG, "m.csv:1: a block of 4 lines, where the panel has 3 rows", scene=LOADED)
 
 TEN = VOLT_OF_CODES[np.arange(10) % 4]
 
@@ -146,18 +117,14 @@ for separator, debug in itertools.product(
     ("Frame {n} t={ms} ms\n", "t = {ms} ms\n", "\n", ""),
     (FREE_HEAP, "wifi: rssi -61", "# note", "42 overruns 7 8 9 1 2 3"),
 ):
-    TABLES[f"{debug} between rows after {separator!r}"] = given(
-        debugged(separator, debug),
-        *["skipped between rows: line 11, line 28"] * ("Frame" in separator and debug == FREE_HEAP),
-        scene=LOADED,
-        expected=TEN,
-        times=0.1 * np.arange(10) if "ms" in separator else None,
-    )
+    skipped = ["skipped between rows: line 11, line 28"] * ("Frame" in separator and debug == FREE_HEAP)
+    times = 0.1 * np.arange(10) if "ms" in separator else None
+    name = f"{debug} between rows after {separator!r}"
+    codes(name, debugged(separator, debug), *skipped, expected=TEN, times=times)
 LOST = debugged("Frame {n} t={ms} ms\n", "DEBUG: 1")
 del LOST[LOST.index("Frame 4 t=400 ms") + 2]
-TABLES["a row that was lost"] = given(
-    LOST, "has 2 of 3 lines and is missing", scene=LOADED, expected=with_nan(TEN, (4,)), times=0.1 * np.arange(10)
-)
+SENTENCE = "has 2 of 3 lines and is missing"
+codes("a row that was lost", LOST, SENTENCE, expected=with_nan(TEN, (4,)), times=0.1 * np.arange(10))
 
 # Headers.
 
@@ -169,52 +136,35 @@ for pattern, first in (
 ):  # fmt: skip
     header = ",".join(np.array(names(pattern, first).split(","))[ORDER])
     sentence = f"cells by their names, which count from {first}"
-    TABLES[f"cells called {pattern}"] = given([header, *lines(WIDE[:, ORDER])], sentence, unit="ohm")
+    taken(f"cells called {pattern}", [header, *lines(WIDE[:, ORDER])], sentence, unit="ohm")
 TURNED = [names("r{c}c{r}"), *lines(FRAMES)]
-TABLES |= {
-    "names of a transposed panel": given(TURNED, transpose=True),
-    "a cell without a column": given(
-        [names("r{r}c{c}").removesuffix(",r2c4"), *lines(WIDE[:, :14])],
-        "1 cells have no column",
-        expected=with_nan(FRAMES, (slice(None), 2, 4)),
-    ),
-    "a data frame": given(
-        [",".join(["frame", *map(str, range(15))]), *(f"{n},{line}" for n, line in enumerate(lines(FRAMES)))],
-        "left out: frame",
-        times=FOUR,
-    ),
-}
-REFUSED |= {
-    "names beyond the panel": given(
-        TURNED, "'r3c0' is beyond the panel of 3 × 5 cells, ", "; with `transpose` it would"
-    ),
-    "a name twice": given(
-        "\n".join(TURNED).replace("r0c0", "r0c1"), "'r0c1' and 'r0c1' are the same cell", transpose=True
-    ),
-}
+FEWER = [names("r{r}c{c}").removesuffix(",r2c4"), *lines(WIDE[:, :14])]
+PANDAS = [",".join(["frame", *map(str, range(15))]), *(f"{n},{line}" for n, line in enumerate(lines(FRAMES)))]
+taken("names of a transposed panel", TURNED, transpose=True)
+taken("a cell without a column", FEWER, "1 cells have no column", expected=with_nan(FRAMES, (slice(None), 2, 4)))
+taken("a data frame", PANDAS, "left out: frame", times=FOUR)
+BEYOND = ("'r3c0' is beyond the panel of 3 × 5 cells, ", "; with `transpose` it would")
+refused("names beyond the panel", TURNED, *BEYOND)
+TWICE = "\n".join(TURNED).replace("r0c0", "r0c1")
+refused("a name twice", TWICE, "'r0c1' and 'r0c1' are the same cell", transpose=True)
 for first in (0, 1):
     header = "," + ",".join(f"c{column + first}" for column in range(COLUMNS)[::-1])
     text = "\n\n".join(
         "\n".join([header, *(f"r{row + first},{lines(frame[:, ::-1])[row]}" for row in (1, 2, 0))]) for frame in FRAMES
     )
-    sentence = f"rows by their names, columns by their names from {first}"
-    TABLES[f"named rows and columns from {first}"] = given(text, sentence)
+    taken(f"named rows and columns from {first}", text, f"rows by their names, columns by their names from {first}")
     turned = text.replace("r", "?").replace("c", "r").replace("?", "c")
-    REFUSED[f"named rows and columns from {first}, transposed"] = given(turned, "`transpose` swaps")
+    refused(f"named rows and columns from {first}, transposed", turned, "`transpose` swaps")
 
 SPREADSHEET = ["% exported on Monday", "Zeit [ms];" + names("Z{r}S{c} [kΩ]", 1, ";") + ";"]
 SPREADSHEET += [f"{250 * n};{line};" for n, line in enumerate(lines(FRAMES / 1000, ";", ","))]
 for encoding in ("utf-8", "utf-8-sig", "utf-16", "utf-16-le"):
-    TABLES[f"a spreadsheet in {encoding}"] = given(
-        "\r\n".join([*SPREADSHEET, ";" * 17, ""]).encode(encoding),
-        "unit kohm, as the header says",
-        "decimal commas",
-        times=FOUR / 4,
-    )
-TABLES["decimal commas without a header"] = given(
-    "\ufeff# exported\r\n\r\n" + "\r\n".join(lines(FRAMES, ";", ",")), "decimal commas"
-)
-TABLES["numbers in quotes"] = given(line.replace(",", '","').join('""') for line in lines(FRAMES))
+    text = "\r\n".join([*SPREADSHEET, ";" * 17, ""]).encode(encoding)
+    sentences = ("unit kohm, as the header says", "decimal commas")
+    taken(f"a spreadsheet in {encoding}", text, *sentences, times=FOUR / 4)
+EXPORTED = "\ufeff# exported\r\n\r\n" + "\r\n".join(lines(FRAMES, ";", ","))
+taken("decimal commas without a header", EXPORTED, "decimal commas")
+taken("numbers in quotes", (line.replace(",", '","').join('""') for line in lines(FRAMES)))
 for written, number in (
     ("1.234,5", 1234.5), ('"1,234.5"', 1234.5), ("1234,5", 1234.5), ("1.2345e3", 1234.5), ("12.345.678,5", 12345678.5),
 ):  # fmt: skip
@@ -222,22 +172,16 @@ for written, number in (
     expected = np.concatenate([FRAMES, FRAMES[:1]])
     expected[4, 0, 0] = number
     text = [*others, others[0].replace(others[0].split(";")[0], written, 1)]
-    TABLES[f"thousands as {written}"] = given(text, expected=expected)
+    taken(f"thousands as {written}", text, expected=expected)
 
 # One frame a line; single values.
 
 for sign, header, stamped in itertools.product((",", ";", "\t", " ", "   "), (False, True), (False, True)):
     head = sign.join([*["time"] * stamped, *names("r{r}c{c}").split(",")])
     rows = np.column_stack([[0, 0.5, 1.25, 2], WIDE]) if stamped else WIDE
-    TABLES[f"a frame a line by {sign!r}{' with times' * stamped}{' and a header' * header}"] = given(
-        [head] * header + lines(rows, sign),
-        "row by row",
-        *["header"] * header,
-        absent=None if header else "header",
-        times=[0, 0.5, 1.25, 2] if stamped else FOUR,
-        role=[0, 1, 1, 1],
-        baseline_frames=1,
-    )
+    text, times = [head] * header + lines(rows, sign), [0, 0.5, 1.25, 2] if stamped else FOUR
+    how = {"times": times, "role": [0, 1, 1, 1], "baseline_frames": 1, "absent": None if header else "header"}
+    taken(f"a frame a line: {sign!r}, {header}, {stamped}", text, "row by row", *["header"] * header, **how)
 
 
 def long_table(frames: np.ndarray, first: int = 0, swap: bool = False) -> np.ndarray:
@@ -249,23 +193,16 @@ def long_table(frames: np.ndarray, first: int = 0, swap: bool = False) -> np.nda
 
 for first, swap in itertools.product((0, 1), (False, True)):
     shuffled = np.random.default_rng(1).permutation(long_table(FRAMES, first, swap=swap))
-    TABLES[f"values from {first}{', transposed' * swap}"] = given(
-        lines(shuffled), f"indices count from {first}", transpose=swap
-    )
-    TABLES[f"values of a frame from {first}"] = given(
-        ["Resistance [ohm],Col,ROW", *lines(long_table(FRAMES[:1], first)[:, 2::-1])], expected=FRAMES[:1]
-    )
+    taken(f"values from {first}, {swap}", lines(shuffled), f"indices count from {first}", transpose=swap)
+    single = ["Resistance [ohm],Col,ROW", *lines(long_table(FRAMES[:1], first)[:, 2::-1])]
+    taken(f"values of a frame from {first}", single, expected=FRAMES[:1])
 NAMED = names("r{r}c{c}").split(",")
 SPARE = np.column_stack([WIDE[:, :7], np.zeros(4), WIDE[:, 7:]])
-TABLES["values in a layout of one's own"] = given(
-    lines(long_table(FRAMES)[:, [3, 2, 0, 1]]),
-    "one value a line as frame, value, row, column",
-    layout="frame, ohm, row, column",
-)
-TABLES["frames in a layout of one's own"] = given(lines(SPARE), layout=",".join([*NAMED[:7], "-", *NAMED[7:]]))
-REFUSED["a layout of other columns"] = given(
-    lines(long_table(FRAMES)), "4 columns, but `layout` names 3", layout="row,column,value"
-)
+OWN, SENTENCE = lines(long_table(FRAMES)[:, [3, 2, 0, 1]]), "one value a line as frame, value, row, column"
+taken("values in a layout of one's own", OWN, SENTENCE, layout="frame, ohm, row, column")
+taken("frames in a layout of one's own", lines(SPARE), layout=",".join([*NAMED[:7], "-", *NAMED[7:]]))
+SENTENCE = "4 columns, but `layout` names 3"
+refused("a layout of other columns", lines(long_table(FRAMES)), SENTENCE, layout="row,column,value")
 for header, line, times in (
     ("millis,row,col,R [ohm]", "{ms},{r},{c},{v}", FOUR / 10),
     ("value,column,row,time", "{v},{c1},{r1},{s}", FOUR / 10),
@@ -281,10 +218,10 @@ for header, line, times in (
         fields = {"f": f, "ms": 100 * f, "s": f / 10, "each": number / 10, "r": r, "c": c, "r1": r + 1, "c1": c + 1}
         text.append(line.format(v=FRAMES[f, r, c], index=5 * r + c + 1, **fields))
     start = "2025-01-31T12:00:00.0" if "2025" in line else None
-    TABLES[header] = given(text, times=times, start=start)
+    taken(header, text[:], times=times, start=start)
     del text[1 + 2 * 15 + 7]
-    TABLES[f"{header} without one"] = given(text, expected=with_nan(FRAMES, (2, 1, 2)), start=start)
-    REFUSED[f"{header} without one"] = given(text, "the reading of row 1, column 2 is missing", missing="refuse")
+    taken(f"{header} without one", text, expected=with_nan(FRAMES, (2, 1, 2)), start=start)
+    refused(f"{header} without one", text, "the reading of row 1, column 2 is missing", missing="refuse")
 
 # Times.
 
@@ -311,10 +248,9 @@ for name, stamps, times, start in (
     ("Uhrzeit", ("23:59:59.5", "0:00:00.5", "0:00:01.5", "0:00:02.5"), FOUR, None),
 ):
     text = stamped_table(name, stamps)
-    TABLES[f"{name} from {stamps[0]}"] = given(text, f"time: column '{name}' in ", times=times, start=start)
-    TABLES[f"{name} from {stamps[0]} with a period"] = given(
-        text, "those of the file are not used", times=FOUR / 10, period=0.1
-    )
+    taken(f"{name} from {stamps[0]}", text, f"time: column '{name}' in ", times=times, start=start)
+    unused = "those of the file are not used"
+    taken(f"{name} from {stamps[0]} with a period", text, unused, times=FOUR / 10, period=0.1)
 for stamps, message in (
     ((0, 2, 1, 3), "m.csv:4:1: times must be finite and grow; `period` sets them"),
     ((0, 1, 1, 3), "m.csv:4:1: times must be finite and grow"),
@@ -323,8 +259,8 @@ for stamps, message in (
     (("2025-01-01", "soon", "2025-01-03", "2025-01-04"), "m.csv:3:1: 'soon' is no time"),
     (("2025-02-29", "2025-03-01", "2025-03-02", "2025-03-03"), "is no time"),
 ):
-    REFUSED[f"times {stamps}"] = given(stamped_table("time", stamps), message)
-    TABLES[f"times {stamps} with a period"] = given(stamped_table("time", stamps), times=FOUR, period=1.0)
+    refused(f"times {stamps}", stamped_table("time", stamps), message)
+    taken(f"times {stamps} with a period", stamped_table("time", stamps), times=FOUR, period=1.0)
 for stamps, unit, scale, words in (
     ((0, 103, 207, 310), None, 1e-3, "ms (guessed: whole numbers that grow by 103; --time-unit says otherwise)"),
     ((5, 50_005, 100_006, 150_009), None, 1e-6, "us (guessed: whole numbers that grow by 50001;"),
@@ -334,72 +270,44 @@ for stamps, unit, scale, words in (
     ((0, 103, 207, 310), "s", 1, "s (as specified)"),
     ((0, 1, 2, 3), "ms", 1e-3, "ms (as specified)"),
 ):
-    TABLES[f"times {stamps} in {unit}"] = given(
-        stamped_table("time", stamps),
-        f"time: column 'time' in {words}",
-        times=np.multiply(scale, stamps),
-        time_unit=unit,
-    )
-DATES = [f"31.01.2025;12:00:0{n};{line}" for n, line in enumerate(lines(FRAMES, ";", ","))]
-TABLES["date and time of day in two columns"] = given(
-    [f"Datum;Uhrzeit;{names('r{r}c{c}', 0, ';')}", *DATES], times=FOUR, start="2025-01-31T12:00:00"
-)
-REFUSED["a unit of times that are none"] = given(
-    lines(FRAMES), "holds no times that could be in ms; `period` sets them", time_unit="ms"
-)
-REFUSED["a unit of dates"] = given(
-    stamped_table("time", [f"2025-01-0{n}" for n in range(1, 5)]),
-    "is no number, so that it has no time unit ms",
-    time_unit="ms",
-)
+    how = {"times": np.multiply(scale, stamps), "time_unit": unit}
+    taken(f"times {stamps} in {unit}", stamped_table("time", stamps), f"time: column 'time' in {words}", **how)
+DATES = [f"Datum;Uhrzeit;{names('r{r}c{c}', 0, ';')}"]
+DATES += [f"31.01.2025;12:00:0{n};{line}" for n, line in enumerate(lines(FRAMES, ";", ","))]
+taken("date and time of day in two columns", DATES, times=FOUR, start="2025-01-31T12:00:00")
+SENTENCE = "holds no times that could be in ms; `period` sets them"
+refused("a unit of times that are none", lines(FRAMES), SENTENCE, time_unit="ms")
+DAYS, SENTENCE = [f"2025-01-0{n}" for n in range(1, 5)], "is no number, so that it has no time unit ms"
+refused("a unit of dates", stamped_table("time", DAYS), SENTENCE, time_unit="ms")
 for stamp in ("1034510448", "3034510448", "7", "", "4x"):
     text = [f"{10_345 + 103 * n},{line}" for n, line in enumerate(lines(np.tile(FRAMES, (5, 1, 1))))]
     text[7] = stamp + text[7][5:30]
-    TABLES[f"a line with the cut stamp {stamp!r}"] = given(
-        [*text, ""],
+    sentences = (
         "m.csv:8:1 is missing or does not grow, and is interpolated",
         "in 1 of 20 frames: NaN in the recording",
-        expected=None,
-        times=10.345 + 0.103 * np.arange(20),
     )
-TABLES["lines of a sketch between frames"] = given(
-    [*[line for frame in lines(FRAMES) for line in (frame, "DEBUG heap ok")] * 5, ""],
-    f"left out: lines {', '.join(map(str, range(2, 22, 2)))} and 10 more (the first: 'DEBUG heap ok')",
-    expected=np.tile(FRAMES, (5, 1, 1)),
-)
+    times = 10.345 + 0.103 * np.arange(20)
+    taken(f"a line with the cut stamp {stamp!r}", [*text, ""], *sentences, expected=None, times=times)
+SKETCH = [*[line for frame in lines(FRAMES) for line in (frame, "DEBUG heap ok")] * 5, ""]
+SENTENCE = f"left out: lines {', '.join(map(str, range(2, 22, 2)))} and 10 more (the first: 'DEBUG heap ok')"
+taken("lines of a sketch between frames", SKETCH, SENTENCE, expected=np.tile(FRAMES, (5, 1, 1)))
 
 # Units.
 
 MEANS = np.random.default_rng(2).integers(4000, 18000, (4, ROWS, COLUMNS)) / 20  # of 20 codes
 VOLTS = (MEANS + 0.5) * 5 / 1024
 MIXED = [names("r{r}c{c} [ohm]").replace("r2c4 [ohm]", "r2c4 [kohm]"), *lines(FRAMES)]
-TABLES |= {
-    "a unit as specified": given(
-        lines(VOLTS.round(2)),
-        "unit volt, as specified",
-        expected=1000 * (5 / VOLTS.round(2) - 1),
-        scene=DIVIDER,
-        unit="volt",
-    ),
-    "units of a header that are overridden": given(MIXED, unit="ohm"),
-}
-REFUSED |= {
-    "ohm and kohm that both fit": given(
-        lines((FRAMES / 100).round(3)), "may be ohm or kohm; say which with `unit='ohm'` or `unit='kohm'`"
-    ),
-    "kohm and volt that both fit": given(lines(VOLTS.round(2)), "may be kohm or volt", scene=DIVIDER),
-    "a unit that is none": given(
-        [names("r{r}c{c} [MΩ]"), *lines(FRAMES)],
-        "the header's unit 'MΩ' is none of ohm, kohm, volt, mV and code; `unit` overrides",
-        absent="m.csv",
-    ),
-    "two units": given(MIXED, "name both ohm and kohm", absent="m.csv"),
-    "ohm of a readout in volt": given(
-        [names("r{r}c{c} [ohm]"), *lines(FRAMES)],
-        "the scene's readout gives volt; say unit volt, mV or code",
-        scene=LOADED,
-    ),
-}
+ROUND, FINE = lines(VOLTS.round(2)), lines((FRAMES / 100).round(3))
+APPARENT = {"expected": 1000 * (5 / VOLTS.round(2) - 1), "scene": DIVIDER}
+taken("a unit as specified", ROUND, "unit volt, as specified", unit="volt", **APPARENT)
+taken("units of a header that are overridden", MIXED, unit="ohm")
+refused("ohm and kohm", FINE, "may be ohm or kohm; say which with `unit='ohm'` or `unit='kohm'`")
+refused("kohm and volt", ROUND, "may be kohm or volt", scene=DIVIDER)
+MEGOHM, OHM = ([names(f"r{{r}}c{{c}} [{unit}]"), *lines(FRAMES)] for unit in ("MΩ", "ohm"))
+SENTENCE = "the header's unit 'MΩ' is none of ohm, kohm, volt, mV and code; `unit` overrides"
+refused("a unit that is none", MEGOHM, SENTENCE, absent="m.csv")
+refused("two units", MIXED, "name both ohm and kohm", absent="m.csv")
+refused("ohm of a readout in volt", OHM, "the scene's readout gives volt; say unit volt, mV or code", scene=LOADED)
 for header, factor, unit in (
     ("R{r}C{c} [kOhm]", 1e3, "kohm"), ("R{r}C{c} (Ω)", 1, "ohm"), ("R{r}C{c} [mV]", None, "mV"),
     ("adc_{r}_{c}", None, "code"),
@@ -407,14 +315,10 @@ for header, factor, unit in (
 ):  # fmt: skip
     text = [names(header), *lines(CODES / 400 if unit == "volt" else CODES)]
     volt = {"mV": CODES / 1000, "volt": CODES / 400, "code": VOLT_OF_CODES}
-    TABLES[f"the unit of {header}"] = given(
-        text,
-        f"unit {unit}, as the header says",
-        expected=CODES * factor if factor else volt[unit],
-        scene=None if factor else LOADED,
-    )
+    expected, scene = CODES * factor if factor else volt[unit], None if factor else LOADED
+    taken(f"the unit of {header}", text, f"unit {unit}, as the header says", expected=expected, scene=scene)
     if not factor:
-        REFUSED[f"the unit of {header}"] = given(text, f"{unit} values need a scene with a readout")
+        refused(f"the unit of {header}", text, f"{unit} values need a scene with a readout")
 
 # Missing readings.
 
@@ -425,32 +329,17 @@ for word, sign in itertools.product(
     rows[1][13] = rows[2][0] = word
     text = [sign.join(fields) for fields in rows]
     name = f"{word!r} between {sign!r}"
-    TABLES[name] = given(
-        text,
-        "2 readings missing, in 2 of 4 frames: NaN in the recording",
-        expected=with_nan(FRAMES, (1, 2, 3), (2, 0, 0)),
-        baseline_frames=2,
-    )
-    TABLES[f"{name} without the frames"] = given(
-        text,
-        "these frames are left out",
-        "2 frames of 3 × 5 cells, the first 1 unloaded",
-        expected=FRAMES[[0, 3]],
-        times=[0, 3],
-        role=[0, 1],
-        baseline_frames=2,
-        missing="skip-frame",
-    )
-    REFUSED[name] = given(text, "m.csv:2:14: the reading of row 2, column 3 is missing", missing="refuse")
+    marked = "2 readings missing, in 2 of 4 frames: NaN in the recording"
+    taken(name, text, marked, expected=with_nan(FRAMES, (1, 2, 3), (2, 0, 0)), baseline_frames=2)
+    how = {"expected": FRAMES[[0, 3]], "times": [0, 3], "role": [0, 1], "baseline_frames": 2, "missing": "skip-frame"}
+    sentences = ("these frames are left out", "2 frames of 3 × 5 cells, the first 1 unloaded")
+    taken(f"{name} without the frames", text, *sentences, **how)
+    refused(name, text, "m.csv:2:14: the reading of row 2, column 3 is missing", missing="refuse")
 INFINITE = FRAMES.copy()
 INFINITE[1, 0, 0] = np.inf
-TABLES["infinity in ohm"] = given(lines(INFINITE), "1 reading at or beyond a rail", expected=INFINITE, scene=DIVIDER)
-TABLES["infinity in codes"] = given(
-    [lines(CODES)[0], "inf," + ",".join(map(str, CODES[1].ravel()[1:])), *lines(CODES[2:])],
-    "1 reading missing",
-    scene=LOADED,
-    expected=with_nan(VOLT_OF_CODES, (1, 0, 0)),
-)
+taken("infinity in ohm", lines(INFINITE), "1 reading at or beyond a rail", expected=INFINITE, scene=DIVIDER)
+OPEN = [lines(CODES)[0], "inf," + ",".join(map(str, CODES[1].ravel()[1:])), *lines(CODES[2:])]
+codes("infinity in codes", OPEN, "1 reading missing", expected=with_nan(VOLT_OF_CODES, (1, 0, 0)))
 
 
 def lines_with(line: int, field: int, text: str) -> str:
@@ -486,30 +375,24 @@ REFUSED |= {
 }
 NEGATIVE = long_table(FRAMES, 1, swap=True)
 NEGATIVE[7, 2] = -1
-REFUSED |= {
-    "a negative transposed value": given(lines(NEGATIVE), "m.csv:8:3: -1 must be a positive", transpose=True),
-    "nothing but gaps": given(lines(np.full((2, 15), np.nan)), "all readings are missing"),
-    "no frame without a gap": given(
-        lines(with_nan(FRAMES, (slice(None), 0, 0))),
-        "no frame would be left; `missing='mark'` keeps them",
-        missing="skip-frame",
-    ),
-    "another word for missing": given(
-        lines(FRAMES), "'drop' is unknown; there are mark, skip-frame, refuse", missing="drop", absent="m.csv"
-    ),
-}
+refused("a negative transposed value", lines(NEGATIVE), "m.csv:8:3: -1 must be a positive", transpose=True)
+refused("nothing but gaps", lines(np.full((2, 15), np.nan)), "all readings are missing")
+GAPPY, SENTENCE = lines(with_nan(FRAMES, (slice(None), 0, 0))), "no frame would be left; `missing='mark'` keeps them"
+refused("no frame without a gap", GAPPY, SENTENCE, missing="skip-frame")
+SENTENCE = "'drop' is unknown; there are mark, skip-frame, refuse"
+refused("another word for missing", lines(FRAMES), SENTENCE, missing="drop", absent="m.csv")
 
 
 @pytest.mark.parametrize("file", TABLES.values(), ids=TABLES)
 def test_a_table_gives_its_frames_times_and_sentences(file: SimpleNamespace, tmp_path: Path) -> None:
-    check_taken(file, tmp_path)
+    imports.check_taken(file, tmp_path)
 
 
 @pytest.mark.parametrize("file", REFUSED.values(), ids=REFUSED)
 def test_a_table_that_cannot_be_read_is_refused_with_the_place_of_its_fault(
     file: SimpleNamespace, tmp_path: Path
 ) -> None:
-    check_refused(file, tmp_path)
+    imports.check_refused(file, tmp_path)
 
 
 @pytest.mark.parametrize(
