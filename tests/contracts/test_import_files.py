@@ -32,7 +32,6 @@ from lampest import (
     read_scene,
     reconstruct,
 )
-from lampest.recording.foreign import importing
 from tests.small_files import run_command
 
 T0 = datetime.datetime(2025, 1, 31, 12, 0, 0)
@@ -445,7 +444,7 @@ class Turned(FramesInBytes):
 
 def test_a_layout_of_ones_own_reads_what_it_knows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Given as an object, by its kind, or by the suffix of a file."""
-    monkeypatch.setattr(importing, "LAYOUTS", (FramesInBytes(),))
+    monkeypatch.setattr("lampest.recording.foreign.importing.LAYOUTS", (FramesInBytes(),))
     codes = np.arange(300, 300 + 2 * ROWS * COLUMNS).astype("<u2").reshape(2, ROWS, COLUMNS)
     for name, layout in (("M.BIN", None), ("m.dat", "frames_in_bytes"), ("m.dat", FramesInBytes())):
         (tmp_path / name).write_bytes(codes.tobytes())
