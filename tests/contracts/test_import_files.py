@@ -430,7 +430,6 @@ def test_an_array_that_does_not_fit_is_refused_in_words_of_its_arguments(
 @dataclass(frozen=True)
 class FramesInBytes(Layout):
     kind: ClassVar[str] = "frames_in_bytes"
-    suffixes: ClassVar[tuple[str, ...]] = (".bin",)
 
     def read(self, path: Path, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
         values = np.fromfile(path, dtype="<u2").reshape(-1, rows, columns)
@@ -442,16 +441,13 @@ class Turned(FramesInBytes):
         return super().read(path, columns, rows)
 
 
-def test_a_layout_of_ones_own_reads_what_it_knows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Given as an object, by its kind, or by the suffix of a file."""
-    monkeypatch.setattr("lampest.recording.foreign.importing.LAYOUTS", (FramesInBytes(),))
+def test_a_layout_of_ones_own_reads_what_it_knows(tmp_path: Path) -> None:
     codes = np.arange(300, 300 + 2 * ROWS * COLUMNS).astype("<u2").reshape(2, ROWS, COLUMNS)
-    for name, layout in (("M.BIN", None), ("m.dat", "frames_in_bytes"), ("m.dat", FramesInBytes())):
-        (tmp_path / name).write_bytes(codes.tobytes())
-        recording, notes = import_file(tmp_path / name, scene=DIVIDER, unit="code", layout=layout)
-        np.testing.assert_allclose(recording.recorded, Recording.from_array(codes, unit="code", scene=DIVIDER).recorded)
-        assert recording.time[-1] == 0.05 and notes[0] == "layout frames_in_bytes"
-        assert any(note.startswith("time: ms (guessed") for note in notes)
+    (tmp_path / "m.dat").write_bytes(codes.tobytes())
+    recording, notes = import_file(tmp_path / "m.dat", scene=DIVIDER, unit="code", layout=FramesInBytes())
+    np.testing.assert_allclose(recording.recorded, Recording.from_array(codes, unit="code", scene=DIVIDER).recorded)
+    assert recording.time[-1] == 0.05 and notes[0] == "layout frames_in_bytes"
+    assert any(note.startswith("time: ms (guessed") for note in notes)
     with pytest.raises(InputError, match=r"layout frames_in_bytes gives 2 × 5 × 3, not frames × 3 × 5"):
         import_file(tmp_path / "m.dat", scene=DIVIDER, unit="code", layout=Turned())
 

@@ -1,12 +1,14 @@
 """How files of others are understood: stamps, units of times and of values, the order of an array's frames."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+import pytest
 
-from lampest import LoadedColumnsReadout
+from lampest import Array, Layout, LoadedColumnsReadout, import_file
+from lampest.recording.foreign import importing
 from lampest.recording.foreign.arrays import frames_of_arrays
 from lampest.recording.foreign.unit import _fitting
 from lampest.recording.foreign.words import clock_of, clock_of_numbers
@@ -84,3 +86,22 @@ def test_frames_of_an_array_are_in_order_and_a_value_is_named_by_its_place(tmp_p
         assert note.startswith("array ") is False and ("(rows, columns, frames)" in note) == stacked
         place = np.argwhere(array == expected[-1, 1, 2])[0].tolist()
         assert frames.place(len(expected) - 1, 1, 2) == f"{tmp_path / 'm.npy'}[{', '.join(map(str, place))}]"
+
+
+@dataclass(frozen=True)
+class Numbers(Layout):
+    kind: ClassVar[str] = "numbers"
+    suffixes: ClassVar[tuple[str, ...]] = (".num",)
+
+    def read(self, path: Path, rows: int, columns: int) -> tuple[Array, None]:
+        return np.fromfile(path, dtype="<u2").reshape(-1, rows, columns) + 0.5, None
+
+
+def test_a_layout_is_named_or_known_by_the_suffix_of_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importing, "LAYOUTS", (Numbers(),))
+    for name, layout in (("M.NUM", None), ("m.dat", "numbers"), ("m.num", "numbers"), ("m.dat", Numbers())):
+        np.arange(500, 512, dtype="<u2").tofile(tmp_path / name)
+        recording, notes = import_file(tmp_path / name, 2, 3, layout=layout)
+        assert notes[0] == "layout numbers" and recording.recorded[1, 1, 2] == 511.5
+    (tmp_path / "m.num").write_text("1,2,3\n")
+    assert import_file(tmp_path / "m.num", 1, 3, unit="ohm", layout="r0c0,r0c2,r0c1")[0].recorded[0, 0, 1] == 3
