@@ -6,7 +6,7 @@ Source: Nocedal & Wright, Numerical Optimization, 2006, theorem 2.4; Boyd & Vand
 section 9.5 (the decrement).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -87,6 +87,21 @@ class Certificate:
         if self.definiteness is not Definiteness.POSITIVE:
             return False
         return float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH or self.deviations <= DEVIATION_SHARE
+
+    def after(self, at: Evaluation, gradient: Array) -> "Certificate":
+        """Return the certificate at a nearby point from its gradient and the factor of this one.
+
+        Second derivatives are taken as unchanged.
+        """
+        if self.factor is None or self.definiteness is not Definiteness.POSITIVE:
+            return self
+        slope = gradient.ravel()[self.factor.cells]
+        # s = −H⁻¹ g, δ² = −gᵀs = gᵀ H⁻¹ g
+        part = self.factor.solve(-slope)
+        decrement = float(np.sqrt(max(-float(slope @ part), 0.0)))
+        deviations = self.deviations * decrement / (self.decrement or 1.0)
+        step = within_bounds(at, self.factor.cells, part)
+        return replace(self, step=step, decrement=decrement, deviations=deviations)
 
     def converged(self, cost_scale: float) -> bool:
         """Return whether one more step moves no cell by a millionth and lowers the cost by at most its rounding.

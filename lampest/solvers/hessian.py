@@ -155,10 +155,8 @@ class Hessian:
         """Return ∇²φ·p, flat.
 
         A product costs eight products of (rows, columns) with (columns, lines) matrices and never forms a matrix over
-        the cells. If that is already computed, it is used instead.
+        the cells: sums of its large and small entries would lose digits where readings span decades.
         """
-        if "matrix" in self.__dict__:
-            return np.asarray(self.matrix @ step)
         cells = self.at.cell_resistance
         pairs = zip(self._second_orders, step.reshape(cells.shape), strict=True)
         changes, seconds = zip(*(order.products(frame) for order, frame in pairs), strict=True)
