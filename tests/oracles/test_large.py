@@ -116,7 +116,7 @@ def crowded(noise: float, seed: int, shape: tuple[int, int] = (6, 7)) -> Evaluat
 @pytest.mark.usefixtures("by_products")
 @pytest.mark.parametrize(
     ("seed", "noise", "shape", "iterations", "crowd"),
-    [(1, 0.3, (6, 7), (12, 13), 19), (0, 1.0, (6, 7), (21, 22), 39), (8, 0.3, (18, 20), (17, 17), 290)],
+    [(2, 0.3, (6, 7), (13, 13), 21), (0, 1.0, (6, 7), (21, 22), 39), (8, 0.3, (18, 20), (17, 17), 290)],
 )
 def test_the_interior_point_method_ends_where_stops_at_bounds_end(
     seed: int,
@@ -249,7 +249,7 @@ def test_a_change_reaches_a_share_of_the_way_to_the_nearest_end() -> None:
 
 @pytest.mark.usefixtures("by_products")
 def test_the_interior_point_method_begins_where_more_cells_than_lines_stand_at_a_bound() -> None:
-    start = crowded(0.3, 3)
+    start = crowded(0.3, 8)
     data, inside = start.data, start.data.uniform_start
     for count, crowds in ((13, False), (14, True)):
         cells = inside.copy()
@@ -258,7 +258,7 @@ def test_the_interior_point_method_begins_where_more_cells_than_lines_stand_at_a
     at = start.elsewhere(cells)
     assert by_interior_point(replace(at, data=replace(data, upper=np.full_like(data.upper, np.inf)))) == (ANY, 0)
     solved = solved_from(projected_newton.ProjectedNewton(start.cost, Settings()), start)
-    for share, crowds in ((0.001, False), (0.003, True)):  # of the way to the start: gradients of 7e-4 and of 2e-3
+    for share, crowds in ((0.001, False), (0.003, True)):  # of the way to the start: gradients of 5e-4 and of 1.3e-3
         nearer = solved.cell_resistance * (start.cell_resistance / solved.cell_resistance) ** share
         assert crowds_bounds(start.elsewhere(nearer)) is crowds
 
