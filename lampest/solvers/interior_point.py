@@ -97,7 +97,9 @@ def crowds_bounds(start: Evaluation) -> bool:
     cells = start.cell_resistance
     if start.projected_gradients(hessian.gradient.reshape(cells.shape)) <= METHOD.start_tolerance:
         return False
-    stopped = int(np.sum(((cells <= data.lower) | (cells >= data.upper)) & (data.lower < data.upper)))
+    # 1/(1/r) and exp(log r) of a bound differ from it in their last bits.
+    at_bound = np.isclose(cells, data.lower, rtol=1e-12, atol=0) | np.isclose(cells, data.upper, rtol=1e-12, atol=0)
+    stopped = int(np.sum(at_bound & (data.lower < data.upper)))
     return stopped > sum(cells.shape[1:]) and bool(np.all(np.isfinite([1 / data.lower, data.upper])))
 
 
