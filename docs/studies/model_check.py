@@ -16,9 +16,9 @@ import numpy as np
 
 import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
-from lampest.estimate.model_check import Explanation, ModelCheck
+from lampest.estimate.model_check import Explanation, ModelCheck, Question
 from lampest.estimate.prepared import Prepared
-from lampest.estimate.rivals import Question, Rival
+from lampest.estimate.rivals import Rival
 from lampest.files.levels import SIGNIFICANCE
 from lampest.recording.simulation.measure import measured
 
@@ -159,13 +159,13 @@ def evidence(exact: Recording) -> float:
     change = np.log(cells[measured[0]] / cells[0])
     moved = np.abs(change - np.median(change)) > 0.01
     named = np.arange(len(exact.role))
-    question = Question(Rival(exact.scene, exact.recorded, exact.sigma), unloaded, measured, 1.0, named)
+    question = Question(Rival(exact.scene, exact.recorded, exact.sigma), exact.role, unloaded, measured, 1.0, named)
     results = Explanation.of(question.specified, question, patient=True)
     if 2 * moved.sum() >= moved.size:
         return 0.0
-    if results is None or min(fit.tail for fit in results.fits) < SIGNIFICANCE:
+    if results is None or results.pair is None or min(fit.tail for fit in results.fits) < SIGNIFICANCE:
         return float("inf")
-    return min(results.joint(question, start).score for start in (results.moving, moved)) - A_CELL * int(moved.sum())
+    return results.pair.evidence.score - A_CELL * int(moved.sum())
 
 
 def named(what: str, check: ModelCheck) -> bool:

@@ -5,32 +5,33 @@ circuit's inequalities? Two frames: the evidence of a circuit decreases with the
 between the unloaded panel and a loaded frame. A rival is named if its evidence is larger by MIN_EVIDENCE_GAIN.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
-from lampest.estimate.cells_fit import CellsFit, JointFit, fitted
+from lampest.estimate.cells_fit import CellsFit, fitted
 from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
 from lampest.estimate.deciding import MAX_NEIGHBOURS, baseline_readings
+from lampest.estimate.noise import noted_excess
 from lampest.estimate.nuisances import (
     MAX_CANDIDATES,
     MIN_EVIDENCE_GAIN,
     BetterExplanation,
     CircuitEffects,
-    FittedFrame,
     FittedPair,
     find_effects,
 )
-from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rivals_of, standing_frames
-from lampest.estimate.scatter import noted_excess
+from lampest.estimate.rivals import Rival, changes_beyond_noise, rivals_of, standing_frames
 from lampest.files.errors import InputError
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, SIGNIFICANT
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.observation import patch_of
-from lampest.panel.panel import Modules
+from lampest.panel.panel import Array, Modules
 from lampest.posterior.interval import largest_of
 from lampest.recording.readings import Readings, mean_change, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -42,7 +43,11 @@ EXPLAINED = "the circuit explains its readings"
 MIN_AWAY = 0.15
 MAX_MISSING = 0.1  # share of missing readings or bounds: with a fifth, moved cells can no longer be identified
 MAX_SERIES_SHARE = 0.98  # of the largest resistance in series that readings allow: all of it would short the panel
-SERIES_POINTS = 5  # resistances in series that are tried; Gauss-Newton steps reach values between them
+# Median standard deviation of the log cells beyond which linear theory does not hold: 8 bits and one reading on 12 x 8
+# cells leave 1.4, and circuits that are told from each other 0.2 at most (docs/studies/model_check.py).
+MAX_CELL_SD = 0.5
+SERIES_POINTS = 5  # resistances in series that are tried, before a search about the best one
+SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
 
 
 @dataclass(frozen=True)
@@ -93,36 +98,34 @@ class ModelCheck:
 
 
 @dataclass(frozen=True, eq=False)
-class ExplainedRecording:
-    """A recording with its explanation by the scene's circuit.
+class Question:
+    """Frames that a circuit has to explain.
 
     Attributes
     ----------
-    recording : Recording
-        Its scene includes a saturated stage where the readings show one.
-    readings : Readings
-        Readings of all frames; outliers are missing.
-    question : Question
-        The unloaded frames, and the measured ones that differ most from them.
-    bounded, missing : float
-        Shares of bounds and of missing readings in these frames.
-    explanation : Explanation or None
-        Cells that explain these frames; None where no fit is found, or more than MAX_MISSING of the readings are
-        bounds.
+    specified : Rival
+        The scene's circuit, with a saturated stage where the readings show one; outliers are missing.
+    role : array, shape (frames,)
+    resting, standing : integer array
+        Numbers of the unloaded frames, and of measured frames that are equal within their noise.
+    widening : float
+        Factor on every σ.
+    named : integer array, shape (frames,)
+        Numbers of all frames as sentences state them.
     """
 
-    recording: Recording
-    readings: Readings
-    question: Question
-    bounded: float
-    missing: float
-    explanation: "Explanation | None"
+    specified: Rival
+    role: NDArray[np.uint8]
+    resting: NDArray[np.intp]
+    standing: NDArray[np.intp]
+    widening: float
+    named: NDArray[np.intp]
 
     @classmethod
-    def of(cls, recording: Recording, outliers: NDArray[np.bool_]) -> "ExplainedRecording":
-        """Return the explanation of a recording whose noise is known; without an unloaded frame the first is used."""
-        scene, role = recording.scene, recording.role
-        specified = Rival(scene, np.where(outliers, np.nan, recording.recorded), recording.sigma)
+    def of(cls, recording: Recording, outliers: NDArray[np.bool_]) -> "Question":
+        """Return the frames of a recording whose noise is known; without an unloaded frame the first is used."""
+        role = recording.role
+        specified = Rival(recording.scene, np.where(outliers, np.nan, recording.recorded), recording.sigma)
         readings, named = specified.readings(), np.arange(len(role)) if recording.number is None else recording.number
         resting = np.flatnonzero(role == UNLOADED) if np.any(role == UNLOADED) else np.array([0])
         standing = np.setdiff1d(np.flatnonzero(role == MEASURED), resting)
@@ -132,56 +135,79 @@ class ExplainedRecording:
         if len(standing):
             frame = strongest_frame(readings.plain_values, readings[resting].mean().value, standing)
             standing = standing_frames(used, frame, standing, noise)
-        question = Question(specified, resting, standing, noise, named)
-        compared = readings[np.concatenate([resting, standing])]
-        bounded = float(
-            (compared.bounds & scene.requested).sum() / max((compared.seen > 0)[:, scene.requested].sum(), 1)
-        )
-        explanation = Explanation.of(specified, question, patient=True) if bounded <= MAX_MISSING else None
-        return cls(recording, readings, question, bounded, float(compared.missing(scene).mean()), explanation)
+        return cls(specified, role, resting, standing, noise, named)
+
+    @property
+    def loaded(self) -> str:
+        """The loaded frames in words: 'frame 3', or 'frames 3 to 9'."""
+        first, last = self.named[self.standing[[0, -1]]]
+        return f"frame {first}" if first == last else f"frames {first} to {last}"
+
+    def readings(self, rival: Rival) -> tuple[Readings, ...]:
+        """Return the mean of the unloaded frames, and of the standing ones. Raises InputError as `Rival.readings`."""
+        chosen, count = np.concatenate([self.resting, self.standing]), len(self.resting)
+        read = rival.readings(chosen)
+        assert read.sigma is not None
+        read = replace(read, sigma=self.widening * read.sigma, seen=read.seen * self._usable[chosen])
+        resting = read[:count].mean()
+        return (resting,) if len(self.standing) == 0 else (resting, read[count:].mean())
+
+    @cached_property
+    def _usable(self) -> Array:
+        """Weights, 1 or 0, of the readings that every circuit has to explain, (frames, rows, columns)."""
+        return self.specified.nearly_gaussian(max(len(self.resting), len(self.standing)))
+
+    @cached_property
+    def _shares(self) -> tuple[float, float]:
+        """Shares of bounds and of missing readings in the frames to explain."""
+        scene, compared = self.specified.scene, self.specified.readings(np.concatenate([self.resting, self.standing]))
+        read = (compared.seen > 0)[:, scene.requested].sum()
+        bounded = (compared.bounds & scene.requested).sum() / max(read, 1)
+        return float(bounded), float(compared.missing(scene).mean())
+
+    @cached_property
+    def explanation(self) -> "Explanation | None":
+        """Cells that explain these frames; None without a fit, or with more than MAX_MISSING bounds."""
+        return Explanation.of(self.specified, self, patient=True) if self._shares[0] <= MAX_MISSING else None
 
     @cached_property
     def fault(self) -> str:
         """The reason why the circuit cannot have made the readings, in words; '' where there is none."""
-        unexplained = "" if self.explanation is None else _unexplained(self.explanation, self.question)
-        return unexplained or broken_law(self.question.specified, self.question) or self.below
+        unexplained = "" if self.explanation is None else _unexplained(self.explanation, self)
+        return unexplained or broken_law(self.specified, self) or self.below
 
     @cached_property
     def below(self) -> str:
         """The reading that lies significantly below its series resistance, in words; '' where there is none."""
-        scene, readings, question = self.recording.scene, self.readings, self.question
+        scene, readings = self.specified.scene, self.specified.readings()
         if scene.circuit.unit != "ohm" or readings.sigma is None:
             return ""
-        left = scene.circuit.from_recorded(question.specified.recorded, scene)
+        left = scene.circuit.from_recorded(self.specified.recorded, scene)
         excess = np.where((readings.seen > 0) & np.isfinite(left), -left / readings.sigma, -np.inf)
         if largest_of(excess.max(), excess.size) >= SIGNIFICANCE:
             return ""
         frame, row, column = place = np.unravel_index(np.argmax(excess), excess.shape)
         return (
-            f"the reading of row {row}, column {column} in frame {question.named[frame]} lies {-left[place]:.3g} ohm "
+            f"the reading of row {row}, column {column} in frame {self.named[frame]} lies {-left[place]:.3g} ohm "
             f"below its series resistance, {excess[place]:.3g} times its noise"
         )
 
     def check(self, besides: CircuitEffects) -> ModelCheck:
         """Return the check of the circuit against its rivals and against these effects."""
-        question, noise, fault, explanation = self.question, self.question.widening, self.fault, self.explanation
-        few_bounds, scene = self.bounded <= MAX_MISSING, self.recording.scene
+        (bounded, missing), noise, fault, explanation = self._shares, self.widening, self.fault, self.explanation
+        few_bounds = bounded <= MAX_MISSING
         # No fit and no contradiction: too many bounds, or the solver failed.
         if explanation is None and not fault:
             if not few_bounds:
-                lawful = f"no readings break a law of the circuit; {100 * self.bounded:.0f} % of them are bounds"
+                lawful = f"no readings break a law of the circuit; {100 * bounded:.0f} % of them are bounds"
                 return ModelCheck(explains=True, sentence=f"{lawful}, and no cells were fitted")
             return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
         # Rivals and effects compete by evidence if enough readings are values.
-        best, whole = BetterExplanation(), self.missing <= MAX_MISSING and (few_bounds or bool(self.below))
+        best, whole = BetterExplanation(), missing <= MAX_MISSING and (few_bounds or bool(self.below))
         if whole:
-            change = changes_beyond_noise(scene, self.readings, self.recording.role)
-            rivals = list(
-                rivals_of(question.specified, reversed_too=bool(change.max(initial=0.0) > -change.min(initial=0.0)))
-            )
-            best, effect = better_rival(rivals, question, None if fault else explanation), besides.best
-            if effect.name and (effect.fits_noise or not fault) and (not best.name or effect.count < best.count):
-                best = effect
+            best = better_rival(self, None if fault else explanation)
+            if besides.name and (besides.fits_noise or not fault) and (not best.name or besides.count < best.count):
+                best = besides
         # Verdict in words: the fault, the best alternative, or neither; then the noise.
         if not whole:
             sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing or bounds"
@@ -191,7 +217,7 @@ class ExplainedRecording:
             sentence = f"{best.name} explains the readings better: {best.reason}" if best.name else EXPLAINED
         if noise > 1:
             sentence += f"; the unloaded frames scatter by {noise:.2g} times the specified noise, which is allowed for"
-        named_best = bool(best.name) and best is besides.best
+        named_best = bool(best.name) and best is besides
         explains = not fault and not best.name
         return ModelCheck(
             explains, sentence, best.name, noise, besides.common_change, named_best, besides.loaded_at_rest
@@ -199,18 +225,18 @@ class ExplainedRecording:
 
     def effects(self) -> CircuitEffects:
         """Return the effects beside the circuit, from the frames that changed most and from the last frame."""
-        scene, role, explanation = self.recording.scene, self.recording.role, self.explanation
-        last = np.flatnonzero(role == MEASURED)[-1:]
-        if explanation is None or explanation.pair is None or scene.readout is None or not np.any(role == UNLOADED):
+        scene, explanation = self.specified.scene, self.explanation
+        last = np.flatnonzero(self.role == MEASURED)[-1:]
+        if explanation is None or explanation.pair is None or scene.readout is None or UNLOADED not in self.role:
             return CircuitEffects()
         resting, frame = explanation.pair.frames
-        pairs = [(self.question.loaded, explanation.pair)]
-        if last[0] not in self.question.standing:
-            question = replace(self.question, standing=last)
-            latest = frame.refitted(question.readings(question.specified)[1], ())
+        pairs = [(self.loaded, explanation.pair)]
+        if last[0] not in self.standing:
+            question = replace(self, standing=last)
+            latest = frame.refitted(question.readings(self.specified)[1], ())
             pairs += [] if latest is None else [(question.loaded, FittedPair.of(resting, latest))]
         search = Detector(patch_of(scene.panel)).search(scene.panel)
-        loaded = resting.fit.tail >= SIGNIFICANCE and search.lies_on(np.log(resting.fit.cells))
+        loaded = resting.tail >= SIGNIFICANCE and search.lies_on(np.log(resting.cells))
         return replace(find_effects(pairs), loaded_at_rest=loaded)
 
 
@@ -343,113 +369,107 @@ class Explanation:
                 if fit is None or (not patient and fit.tail < SIGNIFICANCE):
                     return None
                 fits.append(fit)
-            if len(fits) < 2 or not fits[0].small:
-                return cls(rival, tuple(fits), None)
-            resting, frame = (FittedFrame.of(rival.scene, fit) for fit in fits)
-            explanation = cls(rival, tuple(fits), FittedPair.of(resting, frame))
+            pair = FittedPair.of(*fits) if len(fits) == 2 and fits[0].small else None
+            explanation = cls(rival, tuple(fits), pair)
             return explanation if np.isfinite(explanation.score) else None
         except (InputError, *BROKEN):
             return None
 
     @cached_property
+    def _costs(self) -> float:
+        """PARAMETER_COST of each bound, so that no circuit gains by bounds."""
+        return PARAMETER_COST * sum(int(fit.readings.bounds.sum()) for fit in self.fits)
+
+    @cached_property
     def score(self) -> float:
-        """−2 ln density of the loaded frame, and PARAMETER_COST for each bound, so that no circuit gains by bounds."""
-        bounds = sum(int(fit.readings.bounds.sum()) for fit in self.fits)
-        return 0.0 if self.pair is None else self.pair.density + PARAMETER_COST * bounds
+        """−2 ln density of the loaded frame, and the costs of parameters."""
+        return 0.0 if self.pair is None else self.pair.density + self._costs
 
-    @property
-    def moving(self) -> NDArray[np.bool_]:
-        """The moved cells, boolean (rows, columns); none without a pair."""
-        shape = self.fits[0].cells.shape
-        return np.zeros(shape, dtype=bool) if self.pair is None else self.pair.without_effects.moved.reshape(shape)
+    @cached_property
+    def beyond_noise(self) -> float:
+        """−2 ln evidence of the changes beyond that of noise alone, and the costs of parameters."""
+        return 0.0 if self.pair is None else self.pair.beyond_noise + self._costs
 
-    def joint(self, question: Question, moving: NDArray[np.bool_]) -> JointFit:
-        """Return the joint fit of both frames by the exact network, with these cells as the first moved ones."""
-        return JointFit.of(self.rival, question, [fit.cells for fit in self.fits], moving)
+    def may_have_series(self, question: Question) -> bool:
+        """Return whether another resistance in series may explain the readings better, by linear theory."""
+        most = most_in_series(self.rival, question)
+        return bool(most) and self.pair is not None and self.pair.gain_in_series(most) > MIN_EVIDENCE_GAIN / 2
 
 
-def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> BetterExplanation:
+def better_rival(question: Question, specified: Explanation | None) -> BetterExplanation:
     """Return the rival that explains the readings where the scene's circuit does not, or better by MIN_EVIDENCE_GAIN.
 
     Rivals under which most cells have moved do not count, because the still cells cannot be identified then.
 
     Parameters
     ----------
-    rivals : list of Rival
-        The scene's circuit first.
     question : Question
     specified : Explanation or None
         The explanation by the scene's circuit; None where it does not explain the readings.
     """
-    if specified is None:
-        tried = (with_some_in_series(rivals[0], question), *(_explanation(rival, question) for rival in rivals[1:]))
-        known = (explanation for explanation in tried if explanation is not None and mostly_still(explanation.moving))
-        lawful = (explanation for explanation in known if not broken_law(explanation.rival, question))
-        return BetterExplanation(
-            min(((explanation.score, explanation.rival.name) for explanation in lawful), default=(0.0, ""))[1]
-        )
-    if specified.pair is None:
+    if specified is not None:
+        pair = specified.pair
+        if pair is None or pair.median_sd > MAX_CELL_SD or pair.beyond_noise < MIN_EVIDENCE_GAIN:
+            return BetterExplanation()
+    change = changes_beyond_noise(question.specified.scene, question.specified.readings(), question.role)
+    rivals = rivals_of(question.specified, reversed_too=bool(change.max(initial=0.0) > -change.min(initial=0.0)))
+    plain = [Explanation.of(rival, question) or some_in_series(rival, question) for rival in rivals]
+    plain += [some_in_series(question.specified, question)] if specified is None else []
+    enough = np.inf if specified is None else specified.score
+    likely = sorted((known for known in plain if known and known.score < enough), key=attrgetter("score"))
+    likely = likely[:MAX_CANDIDATES]
+    # By linear theory a right circuit gains nothing by another resistance in series, and is spared the search.
+    own = [specified] if specified and specified.may_have_series(question) else []
+    tried = (*likely, *(with_series(known, question) for known in (*likely, *own)))
+    still = (known for known in tried if known.pair is None or mostly_still(known.pair.moved))
+    lawful = (known for known in still if not broken_law(known.rival, question))
+    # Among rivals a resistance in series is one more parameter.
+    best = min(
+        lawful,
+        key=lambda known: known.beyond_noise + PARAMETER_COST * (known.rival.in_series is not None),
+        default=None,
+    )
+    if best is None:
         return BetterExplanation()
-    # Exact joint fits; the scene's circuit is compared only where it leaves more than noise.
-    given = specified.joint(question, specified.moving)
-    if given.beyond_noise < MIN_EVIDENCE_GAIN:
+    if specified is None or best.pair is None:
+        return BetterExplanation(best.rival.name)
+    gain = specified.beyond_noise - best.beyond_noise
+    if specified.pair is None or gain <= MIN_EVIDENCE_GAIN * best.pair.excess:
         return BetterExplanation()
-    best = min(_others(given, specified, rivals[1:], question), key=lambda fit: fit.beyond_noise, default=None)
-    if best is None or not _beaten(given, best):
-        return BetterExplanation()
-    # Cells that moved under the rival may have moved under the specified circuit.
-    again = specified.joint(question, best.moved)
-    count, plain = int(best.moved.sum()), int(min(given.moved.sum(), again.moved.sum()))
-    if not _beaten(again, best) or not _beyond_channels(specified, best.rival, question):
-        return BetterExplanation()
-    return BetterExplanation(best.rival.name, question.loaded, count, plain)
+    moved, as_specified = (int(known.moved.sum()) for known in (best.pair, specified.pair))
+    return BetterExplanation(best.rival.name, question.loaded, moved, as_specified)
 
 
-def _beaten(specified: JointFit, best: JointFit) -> bool:
-    """Return whether a rival explains better by MIN_EVIDENCE_GAIN times the excess of its own misfit over noise."""
-    return bool(specified.beyond_noise > best.beyond_noise + MIN_EVIDENCE_GAIN * best.excess)
-
-
-def _beyond_channels(specified: Explanation, rival: Rival, question: Question) -> bool:
-    """Return whether a rival's resistance in series explains better even if channels may differ from each other."""
-    explanation = None if rival.in_series is None else _explanation(rival, question)
-    if explanation is None or explanation.pair is None or specified.pair is None:
-        return True
-    return specified.pair.without_effects.score > explanation.pair.without_effects.score + MIN_EVIDENCE_GAIN
-
-
-def _others(given: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:
-    """Generate joint fits of the MAX_CANDIDATES best rivals of linear theory, and all with a resistance in series."""
-    plain = (_explanation(rival, question) for rival in rivals)
-    better = (explanation for explanation in plain if explanation is not None and explanation.score < specified.score)
-    likely = sorted(better, key=lambda explanation: explanation.score)[:MAX_CANDIDATES]
-    start = (with_some_in_series(explanation.rival, question) for explanation in likely)
-    for explanation in (specified, *likely, *(explanation for explanation in start if explanation is not None)):
-        try:
-            fit = given if explanation is specified else explanation.joint(question, explanation.moving)
-            most = most_in_series(fit.rival, question)
-            fits = [fit] * (explanation is not specified) + ([fit.with_series(most)] if most else [])
-        except (InputError, *BROKEN):
-            continue
-        yield from (fit for fit in fits if mostly_still(fit.moved) and np.isfinite(fit.score))
-
-
-def _explanation(rival: Rival, question: Question) -> Explanation | None:
-    """Return a rival's explanation; where there is none, that with the best one of a few resistances in series."""
-    return Explanation.of(rival, question) or with_some_in_series(rival, question)
-
-
-def with_some_in_series(rival: Rival, question: Question) -> Explanation | None:
-    """Return a rival's explanation with the best one of SERIES_POINTS resistances in series; None without any."""
-    most = 0.0 if rival.in_series is not None else most_in_series(rival, question)
+def some_in_series(rival: Rival, question: Question) -> Explanation | None:
+    """Return a circuit's explanation with the best one of SERIES_POINTS resistances in series; None without any."""
+    most = most_in_series(rival, question)
     # increasing resistances, each fit starting at the cells of the one before
-    explanations: list[Explanation] = []
-    for ohm in np.linspace(0, most, SERIES_POINTS)[int(rival.scene.specified_in_series == 0) :] if most else ():
-        explanation = Explanation.of(
-            rival.with_series(float(ohm)), question, explanations[-1] if explanations else None
-        )
-        explanations += [] if explanation is None else [explanation]
-    return min(explanations, key=lambda explanation: explanation.score, default=None)
+    known: list[Explanation] = []
+    for ohm in np.linspace(0.0, most, SERIES_POINTS) if most else ():
+        explanation = Explanation.of(rival.with_series(ohm), question, known[-1] if known else None)
+        known += [] if explanation is None else [explanation]
+    return min(known, key=attrgetter("score"), default=None)
+
+
+def with_series(given: Explanation, question: Question) -> Explanation:
+    """Return a circuit's explanation with the most probable resistance in series, or the given one."""
+    coarse = given if given.rival.in_series is not None else some_in_series(given.rival, question)
+    best = min(filter(None, (given, coarse)), key=attrgetter("score"))
+    spacing = most_in_series(given.rival, question) / (SERIES_POINTS - 1)
+    if not spacing:
+        return best
+
+    def score(ohm: float) -> float:
+        nonlocal best
+        explanation = Explanation.of(given.rival.with_series(ohm), question, best)
+        if explanation is None:
+            return np.inf
+        best = min(best, explanation, key=attrgetter("score"))
+        return explanation.score
+
+    ends = max(best.rival.ohm - spacing, 0.0), best.rival.ohm + spacing
+    minimize_scalar(score, bounds=ends, method="bounded", options={"xatol": SERIES_ACCURACY * spacing})
+    return best
 
 
 def most_in_series(rival: Rival, question: Question) -> float:

@@ -16,9 +16,8 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
 from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise import NoiseEstimate
+from lampest.estimate.noise import MIN_EXCESS, NoiseEstimate
 from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
-from lampest.estimate.scatter import MIN_EXCESS
 from lampest.files.levels import TWO_SIDED
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors

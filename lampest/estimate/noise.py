@@ -1,4 +1,12 @@
-"""Estimation of a recording's noise from its own frames, and of readings with the corresponding σ."""
+"""Estimation of a recording's noise from its own frames, and of readings with the corresponding σ.
+
+The deviation of a reading from its mean over frames is, in units of the specified σ,
+
+    deviation = gain of the frame · voltage + ripple common to all lines + ripple of the line + own noise.
+
+A component is kept where χ² of its deviations against the noise has a tail probability below SIGNIFICANCE. Its
+variance is that of its deviations less the noise's, times ν/(ν − 2), the variance of Student's t with ν degrees.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,9 +18,8 @@ from lampest.estimate.cells_fit import fitted
 from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.nuisances import MIN_REMAINING, CircuitEffects, remaining_errors, without_effects_of
 from lampest.estimate.outliers import MAX_SHARE, MIN_FRAMES
-from lampest.estimate.scatter import MIN_EXCESS, noted_excess, repeated_scatter, unloaded_scatter
 from lampest.estimate.still_cells import possible_errors
-from lampest.files.levels import SIGNIFICANCE
+from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import ENDLESS
@@ -29,6 +36,17 @@ MAX_NAMED = 3  # modules in one sentence
 
 SCAN_SHARES = (0.25, 0.5, 0.75, 1.0)  # shares of the period that a scan may take
 MIN_REDUCTION = 3.0  # factor by which χ² must fall; also the rms of Δ·τ in σ below which motion is imperceptible
+
+# Factor on σ: a smaller excess changes no verdict, and creeping films cause it too. The ratio of first to second
+# differences of noise alone is 1.00 ± 0.06 with 100 readings.
+MIN_EXCESS = 1.25
+EDGE_WIDTHS = 3.0  # widths of the Tracy-Widom law beyond the edge: noise alone exceeds it once in thousands
+# Samples for each channel, below which the smallest eigenvalues of noise come near zero, and rounding takes them below
+# (tests/oracles/test_every_readout.py).
+MIN_SAMPLES_PER_CHANNEL = 1.5
+MEDIAN_EFFICIENCY = 0.37  # of the median size as an estimate of σ, as a share of the readings (Hampel, 1974)
+PAIR_MEDIAN = 0.7960  # of the root mean square of two differences that share a frame, over √2 σ (by simulation)
+QUIET_SHARE = 0.25  # of the triples: loads that come and go make the others restless
 
 # Errors that the readings of a frame share: the texts of the summary and of warnings.
 SHARED = (
@@ -145,7 +163,7 @@ class NoiseEstimate:
         sigma = self.readings.sigma
         if not share or sigma is None:
             return self
-        moved = share * largest_change_within_scan(scene, self.readings, measured)
+        moved = share * np.abs(steps_within_scan(scene, self.readings, measured)).max(axis=0)
         count = int(np.sum(np.sqrt(np.mean((moved / sigma) ** 2, axis=(1, 2))) > 1))
         message = (
             f"motion within a scan: as if a scan took {share:.2g} of the time between frames, in {count} frames; "
@@ -210,10 +228,16 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
     unloaded = int(resting.sum())
     counted = outliers[resting] if unloaded >= MIN_FRAMES and cleaned.sigma is not None else outliers
     impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
-    plain = NoiseEstimate(outliers, float(counted.mean()), (), cleaned)
-    plain = plain.with_warnings(
-        _impossible_in_words(int(impossible.sum())), _outliers_in_words(plain, outliers & ~impossible)
-    )
+    rate, messages = float(counted.mean()), list[str]()
+    if count := int(impossible.sum()):
+        many = "reading is" if count == 1 else "readings are"
+        messages.append(f"{count} {many} larger than any cells allow beside the others, and left out")
+    if count := int((outliers & ~impossible).sum()):
+        # Beyond MAX_SHARE neighbours in time are outliers, too, and replace them badly.
+        unseen = f"; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not cover them"
+        message = f"{count} of {outliers.size} readings are outliers of one frame, replaced by their neighbours in time"
+        messages.append(message + unseen * (rate > MAX_SHARE))
+    plain = NoiseEstimate(outliers, rate, tuple(messages), cleaned)
     if cleaned.sigma is None:
         return plain
     parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 else None
@@ -227,7 +251,7 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
     # Only of a converter it is known how small the noise may be: its step.
     if readout is not None and recording.sigma is None and used == 1:
         less = parts.own <= 1 / MIN_EXCESS and 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
-        used = shown_factor(readout, parts.own) if (less if specified else unloaded >= few) else 1.0
+        used = shown_noise(readout, parts.own)[1] if (less if specified else unloaded >= few) else 1.0
     error = parts.own / np.sqrt(2 * parts.own_freedom)
     message = _noise_in_words(readout, parts.own, unloaded=unloaded > 1) if specified and used != 1 else ""
     frame = None
@@ -257,22 +281,24 @@ def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[Nois
     return whole.with_warnings(*messages[:MAX_NAMED], more)
 
 
-def shown_factor(readout: Readout, factor: float) -> float:
-    """Return the factor on the assumed σ that corresponds to a scatter of `factor` times the assumed σ.
+def shown_noise(readout: Readout, factor: float) -> tuple[float, float]:
+    """Return the noise that a scatter of `factor` times the assumed σ shows.
 
-    The two factors differ because a part of σ, the quantisation that averaging does not reduce, is constant and does
-    not scatter. Without any scatter σ is that of the converter's step.
+    Without any scatter σ is that of the converter's step.
+
+    Returns
+    -------
+    float
+        Noise of one reading, LSB.
+    float
+        Factor on the assumed σ. It differs from `factor` because a part of σ, the quantisation that averaging does not
+        reduce, is constant and does not scatter.
     """
-    assumed = np.mean(readout.sigma_code())
-    return float(np.mean(readout.sigma_code(_shown_noise(readout, factor))) / assumed)
-
-
-def _shown_noise(readout: Readout, factor: float) -> float:
-    """Return the noise of one reading in LSB that a scatter of `factor` times the assumed σ shows."""
-    assumed = np.mean(readout.sigma_code())
+    assumed = float(np.mean(readout.sigma_code()))
     # scatter² = factor² (σ² − σ_lasting²): σ_lasting remains in the mean of endlessly many samples
-    lasting = np.mean(readout.sigma_code(readout.assumed_noise, ENDLESS))
-    return readout.noise_of_variance(factor**2 * float(assumed**2 - lasting**2))
+    lasting = float(np.mean(readout.sigma_code(readout.assumed_noise, ENDLESS)))
+    noise = readout.noise_of_variance(factor**2 * (assumed**2 - lasting**2))
+    return noise, float(np.mean(readout.sigma_code(noise))) / assumed
 
 
 def _noise_in_words(readout: Readout | None, factor: float, *, unloaded: bool) -> str:
@@ -280,34 +306,17 @@ def _noise_in_words(readout: Readout | None, factor: float, *, unloaded: bool) -
     where = "unloaded frames" if unloaded else "readings at rest from frame to frame"
     if readout is None:
         return f"noise {factor:.2g} times the recording's sigma, measured in {where}"
-    specified = float(np.mean(readout.assumed_noise))
-    return (
-        f"noise {_shown_noise(readout, factor):.2g} LSB, measured in {where}; the scene specifies {specified:.3g} LSB"
-    )
+    noise, specified = shown_noise(readout, factor)[0], float(np.mean(readout.assumed_noise))
+    return f"noise {noise:.2g} LSB, measured in {where}; the scene specifies {specified:.3g} LSB"
 
 
-def change_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
-    """Return Δ·τ, the change of each reading between the middle of its frame and its own time, (frames, rows, columns).
+def steps_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
+    """Return the steps of each reading from the previous and to the next measured frame, times τ, (2, frames, …).
 
-    Δ is half the difference between the next and the previous measured frame; the first and the last have one
-    neighbour. τ is the reading's delay in periods. The unit is that of the readings; frames that are not measured
-    have 0.
-    """
-    return np.asarray(_steps_within_scan(scene, readings, measured).mean(axis=0))
-
-
-def largest_change_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
-    """Return |τ| times the larger of a reading's two steps, from the previous and to the next frame.
-
-    The central difference of `change_within_scan` would be zero for a load that is present in a single frame.
-    """
-    return np.asarray(np.abs(_steps_within_scan(scene, readings, measured)).max(axis=0))
-
-
-def _steps_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
-    """Return the steps from the previous and to the next frame, times τ, (2, frames, rows, columns).
-
-    τ is the delay of a reading from the middle of its frame, in periods, if a scan takes the whole period.
+    τ is the delay of a reading from the middle of its frame, in periods, if a scan takes the whole period. The first
+    and the last frame have one neighbour; frames that are not measured have 0. The mean of both steps is the change
+    between the middle of a frame and a reading's own time. It is zero for a load that is present in a single frame,
+    and the larger step is not.
     """
     steps, channels = np.zeros((2, *readings.value.shape)), readings.value[0].size
     if len(measured) > 1:
@@ -328,7 +337,7 @@ def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: ND
     inner = measured[1:-1]
     if not len(inner) or readings.sigma is None or resting.sigma is None:
         return 0.0
-    moved = change_within_scan(scene, readings, measured)
+    moved = steps_within_scan(scene, readings, measured).mean(axis=0)
     size = np.sqrt(np.mean((moved / readings.sigma) ** 2, axis=(1, 2)))
     moving = inner[np.argsort(-size[inner])][: 1 + MAX_NEIGHBOURS]
     if size[moving[0]] < MIN_REDUCTION:
@@ -354,23 +363,6 @@ def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: ND
     return float(np.median(tails) < SIGNIFICANCE)  # the whole period, or nothing
 
 
-def _impossible_in_words(count: int) -> str:
-    many = "reading is" if count == 1 else "readings are"
-    return f"{count} {many} larger than any cells allow beside the others, and left out" if count else ""
-
-
-def _outliers_in_words(seen: NoiseEstimate, outliers: NDArray[np.bool_]) -> str:
-    """Return the number of outliers and their treatment, in words; '' where there are none."""
-    count = int(outliers.sum())
-    if count == 0:
-        return ""
-    text = f"{count} of {outliers.size} readings are outliers of one frame, replaced by their neighbours in time"
-    if seen.outlier_rate <= MAX_SHARE:  # else neighbours in time are outliers, too, and replace them badly
-        return text
-    rate = f"{100 * seen.outlier_rate:.2g} %"
-    return f"{text}; at {rate} there are more that nobody sees, and error bars do not cover them"
-
-
 def _sizes_in_words(hidden: Possible) -> str:
     """Return the assumed sizes of hidden errors, in words."""
     sizes, parts, row = hidden.sizes, [], 0
@@ -383,3 +375,175 @@ def _sizes_in_words(hidden: Possible) -> str:
             parts.append(f"{error.name} {size * left:.2g} {error.unit}")
             row += error.count
     return f"{own}; left possible, as standard deviations: {', '.join(parts) or 'nothing else'}"
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """Variance components in units of the specified σ.
+
+    Attributes
+    ----------
+    own : float
+        Standard deviation of each reading's own noise.
+    own_freedom : int
+        Degrees of freedom of that estimate.
+    gain : float
+        Standard deviation of a frame's gain, as a fraction; 0 where it is not significant.
+    common_ripple, line_ripple : array, shape (channels of a line, n)
+        Roots of the covariances of the ripple that all lines of a frame share, in step with the scan, and of the
+        ripple that each line has independently.
+    """
+
+    own: float
+    own_freedom: int
+    gain: float
+    common_ripple: Array
+    line_ripple: Array
+
+
+def noted_excess(chi_square: float, degrees: float) -> float:
+    """Return √(χ²/degrees), the factor of the noise over the specified one; 1 where it is insignificant or small."""
+    factor = float(np.sqrt(chi_square / degrees)) if degrees else 1.0
+    return factor if factor >= MIN_EXCESS and chi_square_tail(chi_square, degrees) < SIGNIFICANCE else 1.0
+
+
+def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
+    """Return the variance components of the unloaded frames; None where no reading is a value in two of them.
+
+    Without a readout in the scene the voltages are unknown, and the gain multiplies the readings themselves.
+    """
+    assert resting.sigma is not None
+    circuit, scene, value = recording.scene.circuit, recording.scene, resting.plain_values
+    count = np.sum(~np.isnan(value), axis=0)
+    if not (count > 1).any():
+        return None
+    value = np.where(count > 1, value, np.nan)
+    middle = np.where(count > 1, np.nansum(value, axis=0) / np.maximum(count, 1), resting.value[0])
+    deviation = (value - middle) / resting.sigma
+    if scene.readout is None:
+        loud = middle / np.exp(np.log(resting.sigma).mean(axis=0))
+    else:
+        volt = circuit.volt_from_recorded(circuit.to_recorded(middle, scene))
+        loud = np.asarray(volt / np.broadcast_to(scene.readout.sigma_volt(), volt.shape))
+        # From readings to volts, so that an offset of the converter is one number for all channels.
+        step = 1e-3 * scene.readout.lsb_volt
+        ends = [circuit.from_recorded(circuit.recorded_from_volt(volt + sign * step), scene) for sign in (1, -1)]
+        deviation = deviation * np.sign(ends[0] - ends[1])
+    if circuit.by_columns:
+        deviation, loud = deviation.swapaxes(1, 2), loud.T
+    return scatter(deviation, loud, len(value) - 1)
+
+
+def repeated_scatter(measured: Readings) -> Scatter | None:
+    """Return the noise from second differences of successive frames; None without three frames or without rest.
+
+    Of three successive frames the second difference (y₀ − 2 y₁ + y₂)/(√6 σ) has unit variance, also during uniform
+    motion. Its median over the readings is that of the readings at rest, and only the quietest quarter of the triples
+    counts. Where first differences, divided by √2 σ, are larger by MIN_EXCESS, motion remains and the scatter is only
+    an upper bound: it is then not taken for noise above the specified one.
+    """
+    assert measured.sigma is not None
+    value, sigma = measured.plain_values, measured.sigma[1:-1]
+    if len(value) < 3:
+        return None
+    second = np.abs(value[2:] - 2 * value[1:-1] + value[:-2]) / (np.sqrt(6) * sigma)
+    first = np.sqrt(((value[2:] - value[1:-1]) ** 2 + (value[1:-1] - value[:-2]) ** 2) / 4) / sigma
+    enough = np.isfinite(second).sum(axis=(1, 2)) > 1
+    if not enough.any():
+        return None
+    of_second, of_first = (np.nanmedian(size[enough], axis=(1, 2)) for size in (second, first))
+    calmest = np.argsort(of_second)[: max(1, round(QUIET_SHARE * len(of_second)))]
+    quiet, moving = float(of_second[calmest].mean()) * MAD_TO_SIGMA, float(of_first[calmest].mean()) / PAIR_MEDIAN
+    if quiet > 1 and moving > MIN_EXCESS * quiet:
+        return None
+    nothing, count = np.zeros((1, 0)), int(np.isfinite(second[enough]).sum() / enough.sum() * MEDIAN_EFFICIENCY)
+    return Scatter(quiet, max(count, 1), 0.0, nothing, nothing)
+
+
+def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
+    """Return the variance components of deviations from the mean over frames.
+
+    Parameters
+    ----------
+    deviation : array, shape (frames, lines, channels)
+        In units of σ; NaN for missing readings.
+    loudness : array, shape (lines, channels)
+        Response to a gain of 1, in units of σ.
+    repeats : int
+        Degrees of freedom of each channel, frames − 1.
+    """
+    known = ~np.isnan(deviation)
+    lines, channels = deviation.shape[1:]
+    if not np.any(np.nan_to_num(deviation)):  # codes that all agree, or no noise at all
+        nothing = np.zeros((channels, 0))
+        return Scatter(0.0, max(int(known.sum() * repeats / len(known)), 1), 0.0, nothing, nothing)
+    size = np.maximum((known * loudness**2).sum(axis=(1, 2)), 1e-300)
+    # Gain of each frame by least squares, Σ deviation · loudness / Σ loudness², (frames,); then the mean over lines,
+    # (frames, channels).
+    slope = (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / size
+    remaining = np.where(known, deviation - slope[:, None, None] * loudness, 0.0)
+    common = remaining.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    # Missing readings reduce the degrees of freedom in proportion to their share.
+    share = float(known.mean())
+    inner = np.where(known, remaining - common[:, None, :], 0.0).reshape(-1, channels)
+    noise, apart = _patterns(inner, max(repeats * (lines - 1) * share, 1.0))
+    # Variance of one reading by own noise and line ripple, and of the mean over lines if no common ripple existed.
+    line = noise + float((apart**2).sum()) / channels
+    together, variance = np.zeros((channels, 0)), line / (lines * share)
+    few = max(repeats, 3) / (max(repeats, 3) - 2)
+    if chi_square_tail((common**2).sum() / max(variance, 1e-300), repeats * channels) < SIGNIFICANCE:
+        sizes, direction = np.linalg.eigh(common.T @ common / repeats)
+        sizes, freedom = _shrunk(np.maximum(sizes, 0.0), repeats)
+        strong = sizes > variance
+        together = np.asarray(direction[:, strong] * np.sqrt((sizes[strong] - variance) * freedom / (freedom - 2)))
+    # variance of the estimated gain without a true one: (noise + ripples)/Σ loudness²
+    own = (line + float((together**2).sum()) / channels * lines) / size
+    gain = 0.0
+    if chi_square_tail((slope**2 / np.maximum(own, 1e-300)).sum(), repeats) < SIGNIFICANCE:
+        gain = float(np.sqrt(max((slope**2).sum() / repeats - own.mean(), 0.0) * few))
+    degrees = repeats * (lines - 1) * (channels - apart.shape[1]) * share
+    return Scatter(float(np.sqrt(max(noise, 0.0))), max(int(degrees), 1), gain, together, apart)
+
+
+def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
+    """Return the eigenvalues (channels,) of a sample covariance shrunk to their mean, and its degrees of freedom.
+
+    Oracle-approximating shrinkage, (1 − ρ) S + ρ (tr S/p) 1, so that directions without a sample have a variance, too.
+    Source: Chen, Wiesel, Eldar and Hero, IEEE Trans. Signal Processing 58(10), 2010.
+    """
+    channels, total, squares = len(sizes), float(sizes.sum()), float((sizes**2).sum())
+    # ρ = ((1 − 2/p) tr S² + tr² S) / ((n + 1 − 2/p) (tr S² − tr² S/p)), at most 1
+    apart = (repeats + 1 - 2 / channels) * (squares - total**2 / channels)
+    share = min(((1 - 2 / channels) * squares + total**2) / max(apart, 1e-300), 1.0)
+    return (1 - share) * sizes + share * total / channels, max(repeats * (1 - share + share * channels), 3.0)
+
+
+def _patterns(rows: Array, freedom: float) -> tuple[float, Array]:
+    """Return the noise variance of samples, and a root (channels, k) of the covariance that exceeds it.
+
+    Eigenvalues are removed in descending order while they exceed the largest one that noise allows, given the mean of
+    the remaining eigenvalues: its edge (√n + √p)²/n and EDGE_WIDTHS times its width.
+    Source: Johnstone, Annals of Statistics 29(2), 2001.
+
+    Parameters
+    ----------
+    rows : array, shape (samples, channels)
+    freedom : float
+        Degrees of freedom n of the samples.
+    """
+    channels = rows.shape[1]
+    size, direction = np.linalg.eigh(rows.T @ rows / freedom)
+    first, second = np.sqrt(freedom), np.sqrt(channels)
+    # largest eigenvalue of a white Wishart matrix: n · edge = (√n + √p)² with the width (√n + √p)(1/√n + 1/√p)^⅓;
+    # `unsure` allows for the error of the mean of the others
+    width = (first + second) * (1 / first + 1 / second) ** (1 / 3)
+    unsure = 1 + TWO_SIDED * np.sqrt(2 / (freedom * max(channels - 1, 1)))
+    edge = unsure * ((first + second) ** 2 + EDGE_WIDTHS * width) / freedom
+    strong = 0
+    for strong in range(channels if freedom >= MIN_SAMPLES_PER_CHANNEL * channels else 0):
+        others = size[: channels - strong - 1]
+        if not len(others) or size[channels - strong - 1] <= edge * others.mean():
+            break
+    weak = channels - strong
+    noise = float(size[:weak].mean())
+    return noise, np.asarray(direction[:, weak:] * np.sqrt(np.maximum(size[weak:] - noise, 0.0)))

@@ -82,9 +82,9 @@ def detect_outliers(
 def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
     """Flag single readings that are larger than any cells allow, given the frame's other readings.
 
-    A contact that fails for one reading makes such an outlier, however long it lasts. If more than MAX_SHARE of a
-    frame's readings violate the circuit's inequalities, the circuit is another one, and none is flagged. After a pass
-    the flagged readings are ignored and the others are tested again.
+    A contact that fails for one reading makes such an outlier, however long it lasts. After a pass the flagged readings
+    are ignored and the others are tested again. If more than MAX_SHARE of a frame's readings violate the circuit's
+    inequalities, the circuit is another one, and none is flagged.
 
     Parameters
     ----------
@@ -96,51 +96,28 @@ def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool
     -------
     boolean array, same shape
     """
-    shape = readings.value.shape
-    outliers = np.zeros((int(np.prod(shape[:-2])), *shape[-2:]), dtype=bool)
-    if (sigma := readings.sigma_of_values) is None:
-        return outliers.reshape(shape)
-    value, deviation = readings.value.reshape(outliers.shape), sigma.reshape(outliers.shape)
-    while (more := _larger_than_cells_allow(circuit, value, deviation, len(readings.value))).any():
-        outliers, deviation = outliers | more, np.where(more, np.inf, deviation)
-    return outliers.reshape(shape)
-
-
-def _larger_than_cells_allow(circuit: Readout, value: Array, sigma: Array, beside: int) -> NDArray[np.bool_]:
-    """Return the readings that one pass of `impossible_readings` flags, (frames, rows, columns).
-
-    Parameters
-    ----------
-    circuit : Readout
-    value, sigma : array, shape (frames, rows, columns)
-    beside : int
-        Number of frames among which the largest excess is taken, for the significance.
-    """
+    shape, sigma = readings.value.shape, readings.sigma_of_values
+    if sigma is None:
+        return np.zeros(shape, dtype=bool)
+    value, sigma = (values.reshape(-1, *shape[-2:]) for values in (readings.value, sigma))
     outliers, frames = np.zeros(value.shape, dtype=bool), np.arange(len(value))
     for _ in range(int(MAX_SHARE * value[0].size) + 1):
         broken = np.zeros(len(frames), dtype=bool)
-        for test in circuit.free_tests(value[frames], sigma[frames]):
+        for test in circuit.free_tests(value[frames], np.where(outliers, np.inf, sigma)[frames]):
             if test.single is None:
                 continue
-            broken |= (significant := largest_of(test.excess, test.count * beside) < FALSE_ALARM_RATE)
+            # the largest excess of all frames decides on the significance
+            broken |= (significant := largest_of(test.excess, test.count * shape[0]) < FALSE_ALARM_RATE)
             place = test.single.reshape(len(frames), -1).argmax(axis=1)
             outliers.reshape(len(outliers), -1)[frames[significant], place[significant]] = True
         frames = frames[broken]
         if not len(frames):
             break
-        sigma = np.where(outliers, np.inf, sigma)
     outliers[frames] = False
-    return outliers
+    return outliers.reshape(shape)
 
 
 def without_outliers(
-    circuit: Readout, readings: Readings, unloaded: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], Readings]:
-    """Return the outliers and the readings without them, see `without_outliers_at`."""
-    return without_outliers_at(impossible_readings(circuit, readings), readings, unloaded)
-
-
-def without_outliers_at(
     impossible: NDArray[np.bool_], readings: Readings, unloaded: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], Readings]:
     """Return the outliers and the readings without them: unloaded outliers are omitted, measured ones replaced.
@@ -402,7 +379,5 @@ def _pair_scale(value: Array, sigma: Array) -> Array:
     over = (0, value.ndim - 2, value.ndim - 1)
     if not difference.size:
         return np.full((1, *value.shape[1:-2], 1, 1), np.nan)
-    if not np.isnan(difference).any():
-        return np.asarray(MAD_TO_SIGMA * np.median(difference, axis=over, keepdims=True))
     panels = np.moveaxis(difference, over, (0, 1, 2)).reshape(-1, *value.shape[1:-2])
     return np.asarray(MAD_TO_SIGMA * median(panels))[None, ..., None, None]

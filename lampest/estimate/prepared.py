@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check import ExplainedRecording, ModelCheck, check_of_modules
+from lampest.estimate.model_check import ModelCheck, Question, check_of_modules
 from lampest.estimate.model_error import scaled, with_model_error, with_reading_error
 from lampest.estimate.noise import (
     NoiseEstimate,
@@ -18,7 +18,7 @@ from lampest.estimate.noise import (
     without_effects,
 )
 from lampest.estimate.nuisances import CircuitEffects
-from lampest.estimate.outliers import impossible_readings, without_outliers_at
+from lampest.estimate.outliers import impossible_readings, without_outliers
 from lampest.estimate.saturation import with_saturated_stage
 from lampest.estimate.warnings import warnings_of
 from lampest.files.errors import InputError, in_words
@@ -110,10 +110,10 @@ class Prepared:
 
     @cached_property
     @ONE_BLAS_THREAD
-    def explained(self) -> ExplainedRecording | None:
-        """The readings of a single network as its circuit explains them; None where arithmetic breaks down."""
+    def question(self) -> Question | None:
+        """The frames of a single network that its circuit has to explain; None where arithmetic breaks down."""
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            return ExplainedRecording.of(self.cleaned.recording, self.cleaned.outliers)
+            return Question.of(self.cleaned.recording, self.cleaned.outliers)
         return None
 
     @cached_property
@@ -121,8 +121,8 @@ class Prepared:
     def effects(self) -> CircuitEffects:
         """Effects beside the circuit of a single network."""
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            if self.cleaned.readings.sigma is not None and self.explained is not None:
-                return self.explained.effects()
+            if self.cleaned.readings.sigma is not None and self.question is not None:
+                return self.question.effects()
         return CircuitEffects()
 
     @cached_property
@@ -140,8 +140,8 @@ class Prepared:
         if self.cleaned.readings.sigma is None:
             return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            if self.explained is not None:
-                return self.explained.check(self.effects).without(int(self.cleaned.outliers.sum()))
+            if self.question is not None:
+                return self.question.check(self.effects).without(int(self.cleaned.outliers.sum()))
         return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
 
     def _module(self, number: int) -> "Prepared":
@@ -193,5 +193,5 @@ def cleaned_together(recordings: Sequence[Recording]) -> list[Cleaned]:
     impossible = np.zeros(together.value.shape, dtype=bool)
     for circuit, places in similar.items():
         impossible[:, places] = impossible_readings(circuit, together[:, places])
-    outliers, readings = without_outliers_at(impossible, together, passed[0].role == UNLOADED)
+    outliers, readings = without_outliers(impossible, together, passed[0].role == UNLOADED)
     return [Cleaned(recording, outliers[:, place], readings[:, place]) for place, recording in enumerate(passed)]

@@ -7,7 +7,6 @@ computation is inverted.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from itertools import product
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -101,7 +100,7 @@ class Rival:
 
 
 def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival]:
-    """Generate the rivals: the specified circuit, for other resistances in series, then all variants of every kind.
+    """Generate the rivals: all variants of every kind but the specified circuit.
 
     Parameters
     ----------
@@ -110,7 +109,6 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
         Whether to include circuits under which the readings decrease with a load where those of the specified circuit
         increase.
     """
-    yield specified
     scene, readout = specified.scene, specified.scene.readout
     if readout is None:
         return
@@ -197,49 +195,6 @@ def changes_beyond_noise(scene: Scene, readings: Readings, role: NDArray[np.uint
     # a change counts if it exceeds six standard deviations of the reading and MIN_CHANGE
     beyond = (np.abs(values - resting) > OUTLIER_THRESHOLD * readings.sigma[measured]) & (np.abs(change) > MIN_CHANGE)
     return np.where(beyond, change, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Question:
-    """Frames that a circuit has to explain.
-
-    Attributes
-    ----------
-    specified : Rival
-        The scene's circuit.
-    resting, standing : integer array
-        Numbers of the unloaded frames, and of measured frames that are equal within their noise.
-    widening : float
-        Factor on every σ.
-    named : integer array, shape (frames,)
-        Numbers of all frames as sentences state them.
-    """
-
-    specified: Rival
-    resting: NDArray[np.intp]
-    standing: NDArray[np.intp]
-    widening: float
-    named: NDArray[np.intp]
-
-    @property
-    def loaded(self) -> str:
-        """The loaded frames in words: 'frame 3', or 'frames 3 to 9'."""
-        first, last = self.named[self.standing[[0, -1]]]
-        return f"frame {first}" if first == last else f"frames {first} to {last}"
-
-    def readings(self, rival: Rival) -> tuple[Readings, ...]:
-        """Return the mean of the unloaded frames, and of the standing ones. Raises InputError as `Rival.readings`."""
-        chosen, count = np.concatenate([self.resting, self.standing]), len(self.resting)
-        read = rival.readings(chosen)
-        assert read.sigma is not None
-        read = replace(read, sigma=self.widening * read.sigma, seen=read.seen * self._usable[chosen])
-        resting = read[:count].mean()
-        return (resting,) if len(self.standing) == 0 else (resting, read[count:].mean())
-
-    @cached_property
-    def _usable(self) -> Array:
-        """Weights, 1 or 0, of the readings that every circuit has to explain, (frames, rows, columns)."""
-        return self.specified.nearly_gaussian(max(len(self.resting), len(self.standing)))
 
 
 def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], noise: float) -> NDArray[np.intp]:

@@ -59,8 +59,6 @@ def saturated(recording: Recording) -> Saturated | None:
     readout = scene.readout
     if readout is None or readout.passes_volt is not None or scene.panel.modules is not None or not unloaded.any():
         return None
-    if min(scene.panel.shape) < 2:  # channels of a single line may all end at what it gives
-        return None
     width, every = NOISE_REACH * readout.sigma_volt(), scene.circuit.volt_from_recorded(recording.recorded)
     plain = Readings.of(scene, recording.recorded, recording.sigma).plain
     plain &= _differ(every, float(np.mean(width)))

@@ -30,7 +30,7 @@ from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 
-READING_ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # tried values of e, with a prior that is uniform in ln e
+READING_ERRORS = np.geomspace(2.5e-4, 0.2, 15)  # tried values of e, with a prior that is uniform in ln e
 # Weight of the evidence of cells adjacent to moved ones: a skirt of lightly pressed cells gains 40 by an error e.
 BESIDE_SHARE = 0.1
 # Gains in −2 ln evidence from which an error is named, and from which error bars include it. In 60 recordings without
@@ -113,11 +113,9 @@ def _of_frame(
     if noise is not None:
         drawn = at.gain @ noise.columns(at.readings.value[None], baseline=near is None)
         error = error + drawn @ drawn.T
-    measured, circuit = at.readings.value, scene.circuit
-    network = circuit.network(at.cells, circuit.ties_of_parts(measured, scene.parts), scene.wiring)
     unit = replace(sizes, reading_error=1.0)
     groups = (HIDDEN_ERRORS, (READING_ERROR,), KNOWN_ERRORS)
-    columns = (error_columns(errors, network, measured, scene, unit) for errors in groups)
+    columns = (error_columns(errors, at.network, at.readings.value, scene, unit) for errors in groups)
     return [error, *map(at.response, columns)]
 
 
@@ -223,17 +221,16 @@ def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
 def _error_costs(moves: CellChanges) -> tuple[Array, Chosen]:
     """Return −2 ln evidence of e = 0 and of READING_ERRORS, (1 + errors,), and the still cells of the most probable e.
 
-    Every second error is computed, and the others are interpolated; each search begins with the still cells of the
-    error before, because these change little. Beyond LINEAR_LIMIT the last value holds.
+    Each search begins with the still cells of the error before, because these change little. Beyond LINEAR_LIMIT the
+    last value holds.
     """
-    sizes = [0.0, *(size for size in READING_ERRORS[2::2] if size * moves.reach <= LINEAR_LIMIT)]
     costs, selections, start = list[float](), list[Chosen](), None
-    for size in sizes:
+    for size in (0.0, *READING_ERRORS[READING_ERRORS * moves.reach <= LINEAR_LIMIT]):
         cost, start = moves.still(size, start)
         costs.append(cost)
         selections.append(start)
-    between = np.interp(np.log(READING_ERRORS), np.log(sizes[1:]), costs[1:])
-    return np.concatenate([costs[:1], between]), selections[int(np.argmin(costs))]
+    costs += costs[-1:] * (1 + len(READING_ERRORS) - len(costs))
+    return np.array(costs), selections[int(np.argmin(costs[: len(selections)]))]
 
 
 def _mean_square(costs: Array) -> float:
@@ -284,8 +281,8 @@ def _steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFi
     middle = np.median(change)
     moved = np.abs(change - middle) > UNUSUAL * np.sqrt(2 * np.diag(error)).reshape(change.shape)
     data = cells_alone().data(fit.readings.alone(), Background(scene))
-    network = data.network(0, np.where(moved, fit.cells, near * np.exp(middle)))
-    return CellsFit.at(data, replace(fit.readings, value=network.reading()), network)
+    cells = np.where(moved, fit.cells, near * np.exp(middle))
+    return CellsFit.at(scene, data, replace(fit.readings, value=data.network(0, cells).reading()), cells)
 
 
 def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
@@ -304,7 +301,7 @@ def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
     data, plain = cells_alone().data(resting.alone(), Background(scene)), resting.plain.ravel()
     share, scatters = np.abs(recorded_share(resting.value, scene)), np.square(ASSUMED.scatters)[:, None]
     cells, costs = np.log(data.uniform_start[0]), np.zeros((1, len(ASSUMED.scatters)))
-    for errors, before in ((READING_ERRORS[1::4], READING_ERRORS[-1:]), (READING_ERRORS, READING_ERRORS[1::4])):
+    for errors, before in ((READING_ERRORS[::2], READING_ERRORS[-1:]), (READING_ERRORS, READING_ERRORS[::2])):
         row, column = np.unravel_index(np.argmin(costs), costs.shape)
         deviation = np.where(resting.plain, np.hypot(resting.sigma, before[row] * share), np.inf)
         cells, jacobian = _most_probable(data, resting.value, deviation, ASSUMED.scatters[column], cells)

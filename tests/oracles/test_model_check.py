@@ -13,7 +13,6 @@ from docs.studies.model_check import named, sound, wrong
 from lampest import Misfit, OralDisc, Readings, Recording, Results, Scene, Simulation, Systematic, Unmodelled, simulate
 from lampest.cli.results import compare as compare_command
 from lampest.estimate.cells_fit import fitted
-from lampest.estimate.outliers import without_outliers
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import standing_frames
 from lampest.files.typed import members_of
@@ -195,7 +194,7 @@ def test_a_load_that_comes_for_one_frame_is_no_wild_reading() -> None:
     once = recording.recorded[[0, 1, 2, 3, 2]]
     role = np.array([0, 0, 0, 1, 1], dtype=np.uint8)
     brief = replace(recording, recorded=once, time=np.arange(5.0), role=role)
-    assert not without_outliers(brief.scene.circuit, brief.readings(), role == 0)[0].any()
+    assert not Prepared(brief).cleaned.outliers.any()
 
 
 def test_dead_lines_and_missing_readings_are_no_other_circuit() -> None:

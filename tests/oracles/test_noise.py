@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
 from lampest import Estimator, Gradient, Misfit, Readings, Readout, TwoPointReadout, Unmodelled, two_point_resistance
-from lampest.estimate.noise import change_within_scan, largest_change_within_scan
-from lampest.estimate.outliers import detect_outliers, without_outliers
+from lampest.estimate.noise import scatter, steps_within_scan
+from lampest.estimate.outliers import detect_outliers
 from lampest.estimate.prepared import Prepared
-from lampest.estimate.scatter import scatter
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Systematic
@@ -42,7 +41,7 @@ def drawn(rng: np.random.Generator, frames: int, gain: float = 0.0, offset: floa
     return np.asarray(noise - noise.mean(axis=0))
 
 
-def parts(rng: np.random.Generator, frames: int, **sizes: float) -> lampest.estimate.scatter.Scatter:
+def parts(rng: np.random.Generator, frames: int, **sizes: float) -> lampest.estimate.noise.Scatter:
     return scatter(drawn(rng, frames, **sizes), np.full((LINES, CHANNELS), 3000.0), frames - 1)
 
 
@@ -80,7 +79,7 @@ def test_a_mouth_whose_contact_comes_before_its_suction_is_no_outlier() -> None:
     """Cells under it overshoot in the first frame: by 50 σ, after a step of 1,450."""
     audit = read_settings(AuditFile)(Path(__file__).parents[2] / "configs" / "audit.yaml")
     recording = AuditTask(audit, "as specified", 702).recording()
-    assert not without_outliers(recording.scene.circuit, recording.readings(), recording.role == UNLOADED)[0].any()
+    assert not Prepared(recording).cleaned.outliers.any()
 
 
 def test_a_lone_leap_is_one_and_a_touch_of_one_frame_is_none() -> None:
@@ -377,8 +376,9 @@ def test_a_reading_that_comes_and_goes_is_swept_by_its_steps() -> None:
     value[1] = 400.0
     readings = Readings.of(scene, value)
     late = np.array([[0.375, 0.125], [0.125, 0.375]])  # of a period, from the middle of the scan
-    assert_allclose(largest_change_within_scan(scene, readings, np.arange(3)), 400 * late * np.ones((3, 1, 1)))
-    assert not change_within_scan(scene, readings, np.arange(3))[1].any()
+    steps = steps_within_scan(scene, readings, np.arange(3))
+    assert_allclose(np.abs(steps).max(axis=0), 400 * late * np.ones((3, 1, 1)))
+    assert not steps.mean(axis=0)[1].any()
 
 
 @pytest.mark.slow

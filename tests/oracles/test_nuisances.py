@@ -92,7 +92,7 @@ def test_an_outlier_while_a_load_comes_is_no_contact(seed: int) -> None:
     recorded = recording.recorded[: UNLOADED + 1].copy()
     recorded[-1, 0, 9] = 0.7 * recorded[:-1, 0, 9].mean() + 0.3 * recording.recorded[-1, 0, 9] + 25
     alone = {"time": recording.time[: len(recorded)], "role": recording.role[: len(recorded)]}
-    assert Prepared(replace(recording, recorded=recorded, **alone)).effects.best.name == ""
+    assert Prepared(replace(recording, recorded=recorded, **alone)).effects.name == ""
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_noise_grows_by_what_a_leak_takes_of_the_signal() -> None:
 def test_a_contact_that_another_one_explains_as_well_is_named_but_not_taken_off() -> None:
     recording = panel(8, contact=(3, 200.0, 0))
     prepared = Prepared(recording).effects
-    assert prepared.best.name and prepared.pair is None and Prepared(recording).noise.corrected_effects is None
+    assert prepared.name and prepared.pair is None and Prepared(recording).noise.corrected_effects is None
 
 
 def test_readings_of_a_saturated_stage_are_bounds() -> None:
@@ -159,7 +159,7 @@ def test_the_size_of_a_leak_is_found() -> None:
 
 def test_the_curve_of_a_converter_is_no_leak() -> None:
     audit = read_settings(AuditFile)(Path(__file__).parents[2] / "configs" / "audit.yaml")
-    assert Prepared(AuditTask(audit, "INL 2 LSB", 403).recording()).effects.best.name == ""
+    assert Prepared(AuditTask(audit, "INL 2 LSB", 403).recording()).effects.name == ""
 
 
 def test_the_edge_of_a_load_on_half_the_panel_is_no_contact() -> None:
@@ -169,7 +169,7 @@ def test_the_edge_of_a_load_on_half_the_panel_is_no_contact() -> None:
     scene = Scene(lampest.Panel(9, 7), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
     cells = Cells(spread=0.085013)
     found = simulate(Simulation(1, 9125, scene, cells, frames=18, frame_period_s=0.1, loads=(block,), course=course))
-    assert Prepared(found).effects.best.name == ""
+    assert Prepared(found).effects.name == ""
 
 
 @pytest.mark.parametrize("mouth", ["lamprey_25mm", "lamprey_35mm"])

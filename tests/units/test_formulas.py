@@ -35,10 +35,10 @@ from lampest.estimate.calibration.loads import _answers
 from lampest.estimate.calibration.trials import known_resistors
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
 from lampest.estimate.estimates import barred_maps
-from lampest.estimate.model_check import most_in_series
-from lampest.estimate.noise import NoiseEstimate, largest_change_within_scan
+from lampest.estimate.model_check import Question, most_in_series
+from lampest.estimate.noise import NoiseEstimate, steps_within_scan
 from lampest.estimate.outliers import _by_line, _by_median
-from lampest.estimate.rivals import Question, Rival
+from lampest.estimate.rivals import Rival
 from lampest.files import levels
 from lampest.files.typed import members_of
 from lampest.loads.pressure import determined, total_force
@@ -47,8 +47,11 @@ from lampest.panel.panel import Array
 from lampest.posterior import profile_interval
 from lampest.posterior.covariance import DenseErrors, SampledErrors, swept
 from lampest.posterior.linear import LinearModel
+from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.solvers.bounds import bounds_matter, lower_along
 from lampest.solvers.smoothing import Smoothing
+
+ROLE = np.array([UNLOADED, UNLOADED, MEASURED, MEASURED], dtype=np.uint8)
 
 
 def drawn(cells: int, seed: int) -> tuple[Array, Array]:
@@ -105,7 +108,7 @@ def test_motion_widens_the_noise_of_swept_readings_and_counts_frames_that_it_exc
     readings = Readings(value, nothing + 4.0, nothing, nothing + 1)
     seen = NoiseEstimate(nothing.astype(bool), 0.0, (), readings)
     measured = np.arange(1, 4)
-    moved = 0.5 * largest_change_within_scan(scene, readings, measured)
+    moved = 0.5 * np.abs(steps_within_scan(scene, readings, measured)).max(axis=0)
     widened = seen.with_motion(scene, 0.5, measured)
     np.testing.assert_allclose(widened.readings.sigma, np.hypot(4.0, moved))
     exceeded = int(np.sum(np.sqrt(np.mean(moved**2, axis=(1, 2))) > 4.0))
@@ -147,7 +150,7 @@ def test_a_bound_matters_where_a_reading_is_missed_by_more_than_its_noise(deviat
 def test_a_resistance_in_series_is_smaller_than_every_reading_of_both_frames(levels: tuple[float, float]) -> None:
     recorded = np.repeat(levels, 2)[:, None, None] * np.ones((3, 3))
     rival = Rival(Scene(Panel(3, 3), TwoPointReadout(), 100.0), recorded, np.ones(recorded.shape))
-    question = Question(rival, np.array([0, 1]), np.array([2, 3]), 1.0, np.arange(4))
+    question = Question(rival, ROLE, np.array([0, 1]), np.array([2, 3]), 1.0, np.arange(4))
     assert 0.9 * min(levels) < most_in_series(rival, question) < min(levels)
     assert question.loaded == "frames 2 to 3"
     assert replace(question, standing=np.array([3]), named=np.arange(10, 14)).loaded == "frame 13"
@@ -157,14 +160,14 @@ def test_a_circuit_explains_means_of_widened_readings_that_noise_leaves_nearly_g
     recorded, sigma = np.repeat([900.0, 800.0], 2)[:, None, None] * np.ones((3, 3)), np.full((3, 3), 2.0)
     sigma[1, 2] = 600.0
     rival = Rival(Scene(Panel(3, 3), TwoPointReadout(), 100.0), recorded, sigma)
-    resting, loaded = Question(rival, np.array([0, 1]), np.array([2, 3]), 3.0, np.arange(4)).readings(rival)
+    resting, loaded = Question(rival, ROLE, np.array([0, 1]), np.array([2, 3]), 3.0, np.arange(4)).readings(rival)
     usable = np.ones((3, 3))
     usable[1, 2] = 0.0
     for readings, value in ((resting, 800.0), (loaded, 700.0)):
         np.testing.assert_array_equal(readings.seen, usable)
         np.testing.assert_allclose(readings.value[usable > 0], value)
         np.testing.assert_allclose(readings.sigma[usable > 0], 3.0 * 2.0 / np.sqrt(2))
-    assert len(Question(rival, np.arange(4), np.arange(0), 3.0, np.arange(4)).readings(rival)) == 1
+    assert len(Question(rival, ROLE, np.arange(4), np.arange(0), 3.0, np.arange(4)).readings(rival)) == 1
 
 
 def test_a_point_keeps_its_solved_networks_and_solves_them_where_it_has_none() -> None:

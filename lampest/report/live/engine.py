@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.outliers import without_outliers
+from lampest.estimate.outliers import impossible_readings, without_outliers
 from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
 from lampest.panel.scene import Scene
@@ -119,7 +119,11 @@ class Engine:
         except InputError as error:
             raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
         every = first.together(*following)
-        resting = without_outliers(source.scene.circuit, every, np.ones(len(every.value), dtype=bool))[1].mean()
+        impossible, every_frame = (
+            impossible_readings(source.scene.circuit, every),
+            np.ones(len(every.value), dtype=bool),
+        )
+        resting = without_outliers(impossible, every, every_frame)[1].mean()
         self.show(panel=source.scene.panel, state=source.state, frames=len(unloaded))
         self._watch(Unloaded(source.scene, tuple(unloaded)))
         self._solving = self._pool.submit(self._solve, source, resting, tuple(unloaded))
