@@ -411,6 +411,8 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
         pair = specified.pair
         if pair is None or pair.median_sd > MAX_CELL_SD or pair.beyond_noise < MIN_EVIDENCE_GAIN:
             return BetterExplanation()
+        if not pair.moved.any():  # circuits differ in the cells that a load moves
+            return BetterExplanation()
     change = changes_beyond_noise(question.specified.scene, question.specified.readings(), question.role)
     rivals = rivals_of(question.specified, reversed_too=bool(change.max(initial=0.0) > -change.min(initial=0.0)))
     plain = [Explanation.of(rival, question) or some_in_series(rival, question) for rival in rivals]

@@ -30,7 +30,7 @@ from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 
-READING_ERRORS = np.geomspace(2.5e-4, 0.2, 15)  # tried values of e, with a prior that is uniform in ln e
+READING_ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # tried values of e, with a prior that is uniform in ln e
 # Weight of the evidence of cells adjacent to moved ones: a skirt of lightly pressed cells gains 40 by an error e.
 BESIDE_SHARE = 0.1
 # Gains in −2 ln evidence from which an error is named, and from which error bars include it. In 60 recordings without
@@ -221,16 +221,17 @@ def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
 def _error_costs(moves: CellChanges) -> tuple[Array, Chosen]:
     """Return −2 ln evidence of e = 0 and of READING_ERRORS, (1 + errors,), and the still cells of the most probable e.
 
-    Each search begins with the still cells of the error before, because these change little. Beyond LINEAR_LIMIT the
-    last value holds.
+    Every second error is computed, and the others are interpolated; each search begins with the still cells of the
+    error before, because these change little. Beyond LINEAR_LIMIT the last value holds.
     """
+    sizes = [0.0, *(size for size in READING_ERRORS[2::2] if size * moves.reach <= LINEAR_LIMIT)]
     costs, selections, start = list[float](), list[Chosen](), None
-    for size in (0.0, *READING_ERRORS[READING_ERRORS * moves.reach <= LINEAR_LIMIT]):
+    for size in sizes:
         cost, start = moves.still(size, start)
         costs.append(cost)
         selections.append(start)
-    costs += costs[-1:] * (1 + len(READING_ERRORS) - len(costs))
-    return np.array(costs), selections[int(np.argmin(costs[: len(selections)]))]
+    between = np.interp(np.log(READING_ERRORS), np.log(sizes[1:]), costs[1:])
+    return np.concatenate([costs[:1], between]), selections[int(np.argmin(costs))]
 
 
 def _mean_square(costs: Array) -> float:
@@ -301,7 +302,7 @@ def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
     data, plain = cells_alone().data(resting.alone(), Background(scene)), resting.plain.ravel()
     share, scatters = np.abs(recorded_share(resting.value, scene)), np.square(ASSUMED.scatters)[:, None]
     cells, costs = np.log(data.uniform_start[0]), np.zeros((1, len(ASSUMED.scatters)))
-    for errors, before in ((READING_ERRORS[::2], READING_ERRORS[-1:]), (READING_ERRORS, READING_ERRORS[::2])):
+    for errors, before in ((READING_ERRORS[1::4], READING_ERRORS[-1:]), (READING_ERRORS, READING_ERRORS[1::4])):
         row, column = np.unravel_index(np.argmin(costs), costs.shape)
         deviation = np.where(resting.plain, np.hypot(resting.sigma, before[row] * share), np.inf)
         cells, jacobian = _most_probable(data, resting.value, deviation, ASSUMED.scatters[column], cells)
