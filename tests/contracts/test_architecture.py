@@ -45,6 +45,7 @@ DOORS = {
         "cost.problem",
         "recording.readings",
         "estimate.calibration",
+        "estimate.model_check",
         "solvers",
         "posterior",
         "report.export.formats",
