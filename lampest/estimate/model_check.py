@@ -11,8 +11,8 @@ from functools import cached_property
 from operator import attrgetter
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from lampest.estimate.cells_fit import CellsFit, fitted
 from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
@@ -470,7 +470,7 @@ def with_series(given: Explanation, question: Question) -> Explanation:
         return explanation.score
 
     ends = max(best.rival.ohm - spacing, 0.0), best.rival.ohm + spacing
-    minimize_scalar(score, bounds=ends, method="bounded", options={"xatol": SERIES_ACCURACY * spacing})
+    scipy.optimize.minimize_scalar(score, bounds=ends, method="bounded", options={"xatol": SERIES_ACCURACY * spacing})
     return best
 
 

@@ -21,6 +21,7 @@ import numpy as np
 import openpyxl
 import scipy.io
 from support import invented_case
+from unclosed import unclosed_recording
 
 from lampest import Panel, PublishedFigures, Recording, Scene, StepFigures, TwoPointReadout, write_results
 from lampest.files import hdf5
@@ -194,10 +195,9 @@ def good_recordings(folder: Any) -> tuple[bytes, bytes]:
     )
     recording.save(folder / "good.h5")
     whole = (folder / "good.h5").read_bytes()
-    with h5py.File(folder / "good.h5", "a") as file:
-        file.attrs["lampest_unfinished"] = 1
-        del file["entry/two_point/sigma"], file["entry/truth"]
-    killed = (folder / "good.h5").read_bytes()
+    killed = unclosed_recording(folder / "killed.h5", Scene(Panel(3, 4), readout, 140.0), 3, 1).read_bytes()
+    for name in ("killed.h5", "growing.h5"):
+        (folder / name).unlink()
     (folder / "good.h5").unlink()
     return whole, killed
 
