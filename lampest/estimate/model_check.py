@@ -377,8 +377,8 @@ class Explanation:
 
     @cached_property
     def _costs(self) -> float:
-        """PARAMETER_COST of each bound, so that no circuit gains by bounds."""
-        return PARAMETER_COST * sum(int(fit.readings.bounds.sum()) for fit in self.fits)
+        """Misfit χ² of each frame, and PARAMETER_COST of each bound, so that no circuit gains by bounds."""
+        return sum(fit.chi_square + PARAMETER_COST * int(fit.readings.bounds.sum()) for fit in self.fits)
 
     @cached_property
     def score(self) -> float:
