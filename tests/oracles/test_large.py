@@ -29,7 +29,7 @@ from lampest.cost.problem import Evaluation
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.readouts import TwoPointReadout, floating
-from lampest.panel.readouts.floating import square_by_lines
+from lampest.panel.readouts.floating import FloatingNetwork, Stencil, grounding, square_by_lines
 from lampest.solvers import certificate, hessian, interior_point, projected_newton
 from lampest.solvers.interior_point import METHOD, _Barrier, by_interior_point, crowds_bounds
 from lampest.solvers.multistart import convex, solved_from
@@ -79,8 +79,36 @@ def test_products_and_factors_agree(name: str, noise: float, request: pytest.Fix
         assert other.solution.objective == pytest.approx(one.solution.objective, rel=1e-6, abs=1e-6)
 
 
+def test_stencil_is_close_to_the_response_of_an_even_panel() -> None:
+    """On equal cells D∘D and its stencil differ by little more than 1/(rows + columns)."""
+    cells = np.full((30, 40), 1000.0)
+    resistance = two_point_resistance(cells)
+    network = FloatingNetwork.solve(1 / cells, grounding(resistance))
+    stencil = Stencil.of(1 / cells, resistance, np.ones(cells.shape, dtype=bool))
+    generator = np.random.default_rng(1)
+    values = generator.standard_normal(cells.shape)
+    back = stencil.solve(network.forward(values * cells))
+    assert np.linalg.norm(back - values) < 0.1 * np.linalg.norm(values)
+
+
+def test_stencil_inverts_what_it_stands_for() -> None:
+    generator = np.random.default_rng(2)
+    conductance = np.exp(generator.standard_normal((4, 5)))
+    resistance = two_point_resistance(1 / conductance)
+    free = generator.random((4, 5)) < 0.7
+    stencil = Stencil.of(conductance, resistance, free)
+    row, column = np.divmod(np.arange(20), 5)
+    matrix = np.diag(1 / np.where(free, stencil.diagonal, 1.0).ravel())
+    matrix += (row[:, None] == row) / conductance.sum(axis=1)[row] ** 2
+    matrix += (column[:, None] == column) / conductance.sum(axis=0)[column] ** 2
+    chosen = np.flatnonzero(free)
+    values = generator.standard_normal(20)
+    expected = np.linalg.solve(matrix[np.ix_(chosen, chosen)], values[chosen])
+    assert_allclose(stencil.solve(values.reshape(4, 5)).ravel()[chosen], expected, rtol=1e-10)
+
+
 def test_lines_stand_for_the_square_of_the_stencil() -> None:
-    """G S W S G, S the stencil of D∘D cell by cell, is the diagonal and the lines that a preconditioner takes."""
+    """G S W S G, S put together cell by cell, is the diagonal and the lines that a preconditioner takes."""
     generator = np.random.default_rng(3)
     conductance, weight = np.exp(generator.standard_normal((2, 4, 5)))
     resistance = two_point_resistance(1 / conductance)
@@ -116,7 +144,7 @@ def crowded(noise: float, seed: int, shape: tuple[int, int] = (6, 7)) -> Evaluat
 @pytest.mark.usefixtures("by_products")
 @pytest.mark.parametrize(
     ("seed", "noise", "shape", "iterations", "crowd"),
-    [(2, 0.3, (6, 7), (13, 13), 21), (0, 1.0, (6, 7), (21, 22), 39), (8, 0.3, (18, 20), (17, 17), 290)],
+    [(1, 0.3, (6, 7), (12, 13), 19), (0, 1.0, (6, 7), (21, 22), 39), (8, 0.3, (18, 20), (17, 17), 290)],
 )
 def test_the_interior_point_method_ends_where_stops_at_bounds_end(
     seed: int,
@@ -249,7 +277,7 @@ def test_a_change_reaches_a_share_of_the_way_to_the_nearest_end() -> None:
 
 @pytest.mark.usefixtures("by_products")
 def test_the_interior_point_method_begins_where_more_cells_than_lines_stand_at_a_bound() -> None:
-    start = crowded(0.3, 8)
+    start = crowded(0.3, 3)
     data, inside = start.data, start.data.uniform_start
     for count, crowds in ((13, False), (14, True)):
         cells = inside.copy()
@@ -258,7 +286,7 @@ def test_the_interior_point_method_begins_where_more_cells_than_lines_stand_at_a
     at = start.elsewhere(cells)
     assert by_interior_point(replace(at, data=replace(data, upper=np.full_like(data.upper, np.inf)))) == (ANY, 0)
     solved = solved_from(projected_newton.ProjectedNewton(start.cost, Settings()), start)
-    for share, crowds in ((0.001, False), (0.003, True)):  # of the way to the start: gradients of 5e-4 and of 1.3e-3
+    for share, crowds in ((0.001, False), (0.003, True)):  # of the way to the start: gradients of 7e-4 and of 2e-3
         nearer = solved.cell_resistance * (start.cell_resistance / solved.cell_resistance) ** share
         assert crowds_bounds(start.elsewhere(nearer)) is crowds
 

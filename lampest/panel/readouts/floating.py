@@ -4,6 +4,7 @@
 adjoint product.
 """
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -15,7 +16,7 @@ from lampest.files.typed import typed
 from lampest.panel.kirchhoff import bipartite_matrix, line_sums
 from lampest.panel.network import Entries, Loading, Network, NormalByLines, Numbers, across, inverse_of
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, restricted, steihaug
+from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, steihaug
 
 # Smallest diagonal of the stencil, relative to R², for cells whose own response is due to their lines alone.
 MIN_DIAGONAL_SHARE = 0.05
@@ -99,11 +100,44 @@ class FloatingNetwork(Network):
         return square_by_lines(self.conductance, self.reading(), weight)
 
 
-def square_by_lines(conductance: Array, two_point_resistance: Array, weight: Array) -> NormalByLines:
-    """Return JᵀWJ of two-point readings with a stencil in place of D∘D, J = (diag(d) + U K Uᵀ)·diag(g).
+@dataclass(frozen=True, eq=False)
+class Stencil:
+    """Preconditioner of D∘D, inverted through one matrix over the lines (Woodbury).
 
-    The stencil is 1/A_j² for cells of one row j, 1/B_k² for cells of one column k, and R_i² on the diagonal. A and B
-    are the total conductances of the lines, U is the incidence of cells and lines, and K contains 1/A² and 1/B².
+    (D∘D)_il ≈ 1/A_j² for cells i, l of one row j, 1/B_k² for cells of one column k, and R_l² for i = l. A and B are the
+    total conductances of the lines.
+
+    Attributes
+    ----------
+    diagonal : array, shape (rows, columns)
+        1/d; zero for excluded cells.
+    inner : array, shape (lines, lines)
+        (S⁻¹ + Uᵀ diag(1/d) U)⁻¹, U the incidence of cells and lines, S the diagonal matrix of 1/A² and 1/B².
+    """
+
+    diagonal: Array
+    inner: Array
+
+    @classmethod
+    def of(cls, conductance: Array, two_point_resistance: Array, free: NDArray[np.bool_]) -> "Stencil":
+        """Return the stencil over the free cells of a network; all (rows, columns), siemens and ohm."""
+        cells, lines = _parts(conductance, two_point_resistance)
+        diagonal = np.where(free, 1 / cells, 0.0)
+        return cls(diagonal, np.linalg.inv(np.diag(1 / lines) + bipartite_matrix(line_sums(diagonal), diagonal)))
+
+    def solve(self, values: Array) -> Array:
+        """Return the inverse of the stencil times x, (rows, columns), zero for excluded cells."""
+        first = self.diagonal * values
+        # (diag(d) + U S Uᵀ)⁻¹ x = x/d − (1/d)·U (S⁻¹ + Uᵀ diag(1/d) U)⁻¹ Uᵀ (x/d)
+        lines = self.inner @ np.concatenate([first.sum(axis=1), first.sum(axis=0)])
+        rows = len(first)
+        solved: Array = first - self.diagonal * (lines[:rows, None] + lines[None, rows:])
+        return solved
+
+
+def square_by_lines(conductance: Array, two_point_resistance: Array, weight: Array) -> NormalByLines:
+    """Return JᵀWJ of two-point readings with the stencil in place of D∘D, J = (diag(d) + U K Uᵀ)·diag(g).
+
     JᵀWJ = diag(g²d²w) + V M Vᵀ with V = [g·dwU, g·U], M = [[0, K], [K, K UᵀwU K]].
 
     Parameters
@@ -115,14 +149,20 @@ def square_by_lines(conductance: Array, two_point_resistance: Array, weight: Arr
     weight : array, shape (rows, columns)
         w ≥ 0.
     """
-    of_rows, of_columns = conductance.sum(axis=1) ** -2.0, conductance.sum(axis=0) ** -2.0
-    lines, square = np.concatenate([of_rows, of_columns]), two_point_resistance**2
-    # d = R² − 1/A_j² − 1/B_k², because a cell is in both its row and its column
-    cells = np.maximum(square - of_rows[:, None] - of_columns, MIN_DIAGONAL_SHARE * square)
+    cells, lines = _parts(conductance, two_point_resistance)
     heavy = conductance * cells * weight
     mixed = lines[:, None] * bipartite_matrix(line_sums(weight), weight) * lines
     inner = np.block([[np.zeros_like(mixed), np.diag(lines)], [np.diag(lines), mixed]])
     return NormalByLines(heavy * conductance * cells, np.stack([heavy, conductance]), inner)
+
+
+def _parts(conductance: Array, two_point_resistance: Array) -> tuple[Array, Array]:
+    """Return the diagonal d of the stencil, (rows, columns), and K, 1/A² and 1/B² of the lines, (lines,)."""
+    of_rows, of_columns = conductance.sum(axis=1) ** -2.0, conductance.sum(axis=0) ** -2.0
+    square = two_point_resistance**2
+    # d = R² − 1/A_j² − 1/B_k², because a cell is in both its row and its column
+    diagonal = np.maximum(square - of_rows[:, None] - of_columns, MIN_DIAGONAL_SHARE * square)
+    return diagonal, np.concatenate([of_rows, of_columns])
 
 
 def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Array:
@@ -179,15 +219,19 @@ def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_]) ->
         curvature = (transfer * transfer).T  # symmetric; the transpose has LAPACK's memory order
         step[free] = scipy.linalg.lapack.dposv(curvature, -gradient[free], lower=1, overwrite_a=1)[1]
         return step
-    # Large panels: conjugate gradients on (D∘D)·p, preconditioned by its diagonal D_ii² = R_i².
-    chosen, square = np.flatnonzero(free), network.reading()[free] ** 2
-    resistance = network.cell_resistance
+    # Large panels: conjugate gradients on (D∘D)·p with the stencil as preconditioner.
+    stencil = Stencil.of(network.conductance, network.reading(), free)
 
-    def product(search: Array) -> Array:
-        return network.forward(search.reshape(free.shape) * resistance).ravel()
+    def over_panel(linear: Callable[[Array], Array], values: Array) -> Array:
+        whole = np.zeros(gradient.shape)
+        whole[free] = values
+        return linear(whole)[free]
 
     step[free] = steihaug(
-        restricted(product, chosen, free.size), lambda residual: residual / square, gradient[free], 0.05
+        lambda search: over_panel(lambda whole: network.forward(whole * network.cell_resistance), search),
+        lambda residual: over_panel(stencil.solve, residual),
+        gradient[free],
+        0.05,
     ).step
     return step
 
