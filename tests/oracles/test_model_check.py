@@ -125,8 +125,9 @@ def test_laws_of_a_circuit_hold_for_its_readings_and_not_for_others(circuit: Rea
         assert broken.excess[0] > 10
 
 
+# 90079: cells that 8 bits leave uncertain; 90220: cells at their bounds.
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [*range(6), 90079, 90220])
 def test_a_right_circuit_is_not_called_wrong(seed: int) -> None:
     drawn = sound(seed)
     check = Prepared(drawn[1]).check
