@@ -17,7 +17,8 @@ from scipy.optimize import least_squares, minimize
 from docs.studies import script
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.estimate.methods.method import Method
+from lampest.estimate.methods.method import Method, OptimalMethod
+from lampest.estimate.objective import Objective
 from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -167,6 +168,10 @@ class ScipyMethod(Method):
     optimum: ClassVar[bool] = True
     kind: Literal["scipy_exact", "scipy_difference", "scipy_lbfgsb"]
     joint: bool = False
+
+    def joint_start(self, objective: Objective) -> bool:
+        """As of our optimal methods."""
+        return OptimalMethod(joint=self.joint).joint_start(objective)
 
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
         """Kept for costs that come again."""
