@@ -44,7 +44,7 @@ MIN_AWAY = 0.15
 MAX_MISSING = 0.1  # share of missing readings or bounds: with a fifth, moved cells can no longer be identified
 MAX_SERIES_SHARE = 0.98  # of the largest resistance in series that readings allow: all of it would short the panel
 # Median standard deviation of the log cells beyond which linear theory does not hold: 8 bits and one reading on 12 x 8
-# cells leave 1.4, and circuits that are told from each other 0.2 at most (docs/studies/model_check.py).
+# cells leave 1.4, and distinguishable circuits at most 0.2 (docs/studies/model_check.py).
 MAX_CELL_SD = 0.5
 SERIES_POINTS = 5  # resistances in series that are tried, before a search about the best one
 SERIES_ACCURACY = 0.05  # of that search, as a share of their distance

@@ -51,7 +51,7 @@ class Steps:
     refactor_distance : float
         Change of log r up to which a factor of ∇²φ still serves as certificate; second derivatives change by about the
         same share. If the next step is expected to be shorter than its square, ∇²φ is factored before it. Without this
-        a frame whose model is far off takes 248 iterations in place of 146 (test_random_problems).
+        a frame with a wrong model takes 248 iterations in place of 146 (test_random_problems).
     min_smoothed_cost : float
         Cost, relative to the cost's scale, below which the smoothing need not become finer.
     min_damping, next_damping, max_damping : float
