@@ -397,6 +397,20 @@ def test_a_board_is_waited_for_until_it_is_late() -> None:
     assert (other.moment, other.began) == (pytest.approx(0.9 * PERIOD), 0.0)
 
 
+@pytest.mark.parametrize("phase", (0.0, 0.1, 0.2, 0.4))
+def test_a_board_that_returns_is_shown_whatever_its_phase(phase: float) -> None:
+    """Its frames arrive after those of the leading board, which must wait for them again."""
+    image, frames = Alignment(2), list[tuple[int | None, ...]]()
+    for number in range(40):
+        for board in range(2):
+            if board == 0 or not 5 <= number < 25:
+                at = (number + phase * board) * PERIOD
+                image.take(board, sent(number, at))
+                frames += shown(image, at)
+    assert frames[6:26] == [(number, None) for number in range(6, 26)]
+    assert frames[26:] == [(number, number) for number in range(26, 40)]
+
+
 def test_the_image_begins_where_every_board_has_come() -> None:
     here = Alignment(2)
     for number in range(-1, 3):

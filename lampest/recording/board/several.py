@@ -104,7 +104,10 @@ class Alignment:
         late, parts = now > at + 1.5 * period + LATE_SECONDS, dict[int, Stamped]()
         for board in range(self.boards):
             known = self._known(board)
-            if not (late or board in self.missing) and (not known or known[-1][0] < at - period / 2):
+            newest = known[-1][0] if known else -np.inf
+            # A missing board is waited for as soon as it sends again: its next frame may be the nearer one.
+            silent = board in self.missing and newest < at - 1.5 * period
+            if not (late or silent) and newest < at - period / 2:
                 return None
             nearest = min(known, key=lambda stamped: abs(stamped[0] - at), default=None)
             # Half a period, plus the jitter of clocks.
