@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 FEW = 2  # variants of a test that `make test` runs where there are many
 THINNED = ("oracles", "units")  # laws and contracts keep all of theirs
+WHOLE = "test_table.py"  # the golden table keeps all of its rows with `--variants`, too
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -31,7 +32,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("soak")])
         items[:] = [item for item in items if not item.get_closest_marker("soak")]
     chosen = config.getoption("--variants")
-    for item in surplus([item for item in items if chosen or item.path.parent.name in THINNED], chosen or FEW):
+    thinned = [item for item in items if item.path.name != WHOLE and (chosen or item.path.parent.name in THINNED)]
+    for item in surplus(thinned, chosen or FEW):
         item.add_marker(pytest.mark.slow)
 
 

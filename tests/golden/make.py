@@ -1,7 +1,9 @@
-"""Results that later versions must give again: one small file for each estimator of run.yaml.
+"""Results that later versions must give again: one small file for each estimator of run.yaml, the table, defaults.
 
-python -m tests.golden.make            # results and defaults
-python -m tests.golden.make defaults   # the table of defaults alone
+python -m tests.golden.make                  # all of them
+python -m tests.golden.make table            # public results of every room, see table.py
+python -m tests.golden.make table report     # those of one room
+python -m tests.golden.make defaults         # defaults of the public classes
 
 Do so only where numbers are meant to change, and say in the commit why.
 """
@@ -25,6 +27,7 @@ from lampest.runs.results import read_results, write_results
 HERE = Path(__file__).parent
 RECORDING = "recording.h5"
 DEFAULTS = HERE / "defaults.json"
+DATA = HERE / "data"
 
 
 def defaults() -> dict[str, dict[str, str]]:
@@ -82,10 +85,28 @@ def keep(results: Path, target: Path) -> None:
         source.visititems(copy)
 
 
+def write_table(*rooms: str) -> None:
+    """Write the results of rooms, or of all, a line a row."""
+    sys.path.insert(0, str(HERE.parent))
+    from golden.content import content
+    from golden.table import table
+
+    for room, rows in table().items():
+        if room in rooms or not rooms:
+            lines = (
+                f"{json.dumps(name)}: {json.dumps(content(row()), ensure_ascii=False)}" for name, row in rows.items()
+            )
+            (DATA / f"{room}.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+
+
 def main() -> None:
     """Replace the files of this folder."""
-    DEFAULTS.write_text(json.dumps(defaults(), indent=1) + "\n")
-    if sys.argv[1:] == ["defaults"]:
+    what, *rooms = sys.argv[1:] or ["all"]
+    if what != "table":
+        DEFAULTS.write_text(json.dumps(defaults(), indent=1) + "\n")
+    if what != "defaults":
+        write_table(*rooms)
+    if what != "all":
         return
     with tempfile.TemporaryDirectory() as name:
         recording = simulated(HERE)

@@ -63,8 +63,7 @@ def recorded_tests(copy: Path) -> Tests:
     """Return the recorded fast tests; run them first where no record stands."""
     if not RECORD.exists():
         RECORD.parent.mkdir(parents=True, exist_ok=True)
-        spread = ("-p", "tests.mutation.record", "--numprocesses", "2", "--dist", "loadfile")
-        run_tests(copy, *spread, **{OUTPUT: str(RECORD)})
+        run_tests(copy, "-p", "tests.mutation.record", **{OUTPUT: str(RECORD)})
         parts = [*RECORD.parent.glob(RECORD.name + ".*")]
         RECORD.write_text(json.dumps({name: test for part in parts for name, test in read(part).items()}))
     return read(RECORD)

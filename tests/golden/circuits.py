@@ -1,0 +1,335 @@
+"""Rows of panels, readouts, films and loads."""
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+import lampest as lp
+from lampest.files.typed import members_of
+from lampest.loads.film import ERRORS, FilmKnown, FilmMemory
+from lampest.loads.pressure import pressure_of, response_sd, scatter_sd, total_force, water_pressure
+from lampest.loads.recognition import candidates
+from lampest.loads.shapes import shape_types
+from lampest.loads.shapes.disc import annulus_mm2, bearing_kpa, contact_of_weight
+from lampest.loads.shapes.kinds import RoundShape
+from lampest.loads.shapes.shape import Candidate
+from lampest.panel import effects, systematic
+from lampest.panel.panel import EachModule, Modules
+from lampest.panel.readouts import AnyReadout, readout, wiring
+from lampest.panel.response import BentSuction, ratio_from_pressure
+from lampest.panel.scene import OwnOfModule, scene_text
+from lampest.recording.readings import Readings
+
+Thunk = Callable[[], Any]
+Rows = dict[str, Thunk]
+PANEL, LISTED = lp.Panel(4, 5), lp.Panel(
+    4, 5, cells=tuple((j, k, 9.0 * k + j, 11.0 * j) for j, k in np.ndindex(4, 5) if j + k),
+)  # fmt: skip
+PER_LINE = lp.SeriesPerLine(rows=(60.0, 70.0, 80.0, 90.0), columns=65.0)
+CONTACTS = lp.Contacts.of(np.linspace(10, 90, 9), np.linspace(5, 25, 9), 4)
+MODULES = lp.Panel(modules=Modules(1, 2, EachModule(3, 4), seam_mm=4.0))
+
+
+# Panels and readouts
+
+
+def scenes() -> dict[str, lp.Scene]:
+    """One of every readout by default, and every other circuit that a scene may have."""
+    two = lp.TwoPointReadout(noise_lsb=0.7)
+    return {kind.__name__: lp.Scene(PANEL, kind()) for kind in members_of(AnyReadout)} | {
+        "noisy": lp.Scene(PANEL, two, 140.0),
+        "sensor": lp.Scene(
+            PANEL, lp.TwoPointReadout(measured_across="sensor", floor_code=3, adc_bits=12, noise_lsb=0.0), 20.0,
+        ),
+        "series of lines": lp.Scene(PANEL, replace(two, passes_volt=(0.2, 3.9)), PER_LINE, converter_memory=0.02),
+        "wire": lp.Scene(PANEL, two, lines=lp.Lines(30.0, 7.0, "right", "top")),
+        "contacts": lp.Scene(PANEL, two, contacts=CONTACTS, lines=lp.Lines(column_ohm_per_cell=9.0)),
+        "joined": lp.Scene(PANEL, two, faults=lp.Faults(joined_rows=((0, 2),), joined_columns=((1, 2),))),
+        "faults": lp.Scene(PANEL, two, 140.0, faults=lp.Faults(open=((1, 1),), shorted=((2, 3),), dead_rows=(0,))),
+        "holes": lp.Scene(LISTED, two, 140.0),
+        "floating": lp.Scene(
+            PANEL, lp.LoadedColumnsReadout(driven="columns", load_ohm=3e3, drive_ohm=90.0, input_ohm=1e5),
+        ),
+        "diodes": lp.Scene(PANEL, lp.LoadedColumnsReadout(polarity="down", diode=lp.Diode(), noise_lsb=1.0)),
+        "wired pull-ups": lp.Scene(PANEL, lp.LoadedColumnsReadout(drive_ohm=50.0), lines=lp.Lines(9.0, 3.0)),
+        "grounded one": lp.Scene(
+            PANEL, lp.GroundedReadout(sense="one", driven="columns", load_ohm=800.0, sense_ohm=40.0),
+        ),
+        "amplifiers": lp.Scene(
+            PANEL,
+            lp.VirtualGroundReadout(
+                driven="columns", drive_ohm=(50.0, 60, 70, 80, 90), sense_ohm=30.0, feedback_ohm=200.0,
+                drive_volt=1.1, converter_volt=3.3, noise_lsb=(0.5, 1, 0.4, 0, 2),
+            ),
+        ),
+        "modules": lp.Scene(MODULES, two, 140.0, modules=(OwnOfModule((0, 1), series_resistance_ohm=90.0),)),
+    }  # fmt: skip
+
+
+def cells_of(shape: tuple[int, ...], seed: int = 7, spread: float = 0.6) -> lp.Array:
+    """Resistances in ohm, with a pressed corner and a sucked cell."""
+    cells = 3000 * np.exp(spread * np.random.default_rng(seed).standard_normal(shape))
+    cells[..., :2, :2] *= 0.3
+    cells[..., 2, 1] *= 8.0
+    return np.asarray(cells)
+
+
+def network_of(scene: lp.Scene) -> Any:
+    cells = np.where(scene.open_cells, np.inf, np.where(scene.shorted_cells, 0.01, cells_of(scene.panel.shape)))
+    ties = scene.circuit.ties_of_parts(0.3 * cells_of(scene.panel.shape), scene.parts)
+    return scene.circuit.network(cells, ties, scene.wiring)
+
+
+def network_row(scene: lp.Scene) -> dict[str, Any]:
+    network, rng = network_of(scene), np.random.default_rng(1)
+    step, weights = rng.standard_normal((2, *scene.panel.shape))
+    second, few = network.second_order(weights), np.array([1, 6, 7])
+    row = {
+        "reading": network.reading(), "forward": network.forward(step), "adjoint": network.adjoint(weights),
+        "sensitivity": network.sensitivity(), "own": network.own_response(), "condition": network.condition(),
+        "products": second.products(step), "second adjoint": second.adjoint(), "second": second.matrix(),
+    }  # fmt: skip
+    if scene.panel.modules is None:
+        row |= {
+            "some": network.sensitivity(few, few[:2]), "some second": second.matrix(few),
+            "potentials": network.potentials(), "by lines": network.normal_by_lines(weights**2),
+            "wire": wiring.wire_responses(network, scene.lines or lp.Lines()),
+        }  # fmt: skip
+    if scene.wiring is not None:
+        row["contacts"] = wiring.contact_responses([network])
+    return row
+
+
+def readout_row(scene: lp.Scene) -> dict[str, Any]:
+    circuit, network = scene.circuit, network_of(scene)
+    reading = network.reading()
+    recorded = circuit.to_recorded(reading, scene)
+    readings = Readings.of(scene, recorded)
+    value, sigma, chosen = reading, np.abs(readings.sigma), np.indices(reading.shape).sum(axis=0) % 3 > 0
+    cells = np.where(np.isfinite(network.cell_resistance), network.cell_resistance, 1e7)
+    volt = circuit.volt_from_recorded(recorded)
+    rng = np.random.default_rng(2)
+    channels = rng.uniform(0, 9, reading.shape[0]), rng.uniform(0, 9, reading.shape[1])
+    row = {
+        "recorded": recorded, "back": circuit.from_recorded(recorded, scene), "sigma": readings.sigma,
+        "side": readings.side, "seen": readings.seen, "apparent": circuit.apparent_resistance(value),
+        "uniform": circuit.uniform_start(value), "start": circuit.start(value, np.full(value.shape, 1e6)),
+        "least": circuit.least_cells(value, sigma), "least without noise": circuit.least_cells(value, None),
+        "shorted": circuit.nearly_shorted(value), "resolution": circuit.resolution(value, sigma),
+        "step": circuit.common_step(value * 1.02, value, chosen), "rails": circuit.rails(),
+        "series": circuit.most_in_series(value[None], sigma[None]), "codes": circuit.code_from_volt(volt),
+        "volt": circuit.volt_from_code(np.array([0.0, 12.25, 900.0])),
+        "sums": circuit.recorded_from_sums(np.array([[4000, 9000]]), 20), "noise": circuit.noise_volt(),
+        "sigma of codes": circuit.sigma_code(), "averaged": circuit.averaged_variance(0.4),
+        "noise of variance": circuit.noise_of_variance(0.02),
+        "shared": circuit.shared_errors(cells, value, scene, 0.01, 2.0), "off": circuit.off_by(0.01),
+        "numbers": circuit.line_numbers(), "direction": circuit.direction,
+        "texts": [
+            circuit.description(), circuit.rails_reached(recorded), circuit.converter_description(),
+            scene_text(scene),
+        ],
+        "tests": [
+            (test.law, test.excess, test.count, test.single) for test in circuit.free_tests(value[None], sigma[None])
+        ],
+    }  # fmt: skip
+    if scene.panel.modules is None:
+        row |= {
+            "simulated": circuit.simulated(cells[None], scene, *channels),
+            "beyond": circuit.beyond(network, scene, *channels),
+            "memory": readout.with_memory(circuit, 0.1, volt[None]),
+            "forgotten": readout.without_memory(circuit, 0.1, recorded, sigma),
+        }  # fmt: skip
+    return row
+
+
+def scene_row(scene: lp.Scene) -> dict[str, Any]:
+    panel = scene.panel
+    names = "blind", "requested", "open_cells", "shorted_cells", "broken", "whole", "parts", "series_ohm", "series_text"
+    row = {name: getattr(scene, name) for name in names} | {"in series": scene.specified_in_series}
+    row |= {name: getattr(panel, name) for name in ("present", "extents_mm", "places_mm", "neighbours")}
+    return row | {
+        "alike": [numbers for _, numbers in scene.alike], "unobservable": systematic.unobservable_numbers(scene),
+        "dead": scene.dead_modules, "with series": scene_text(scene.with_series(33.0)), "centres": panel.centres_mm(),
+    }  # fmt: skip
+
+
+def errors_row(scene: lp.Scene) -> dict[str, Any]:
+    network = network_of(scene)
+    reading, sizes = network.reading(), systematic.systematic_of(scene)
+    shared, every = systematic.Shared.of(scene), replace(
+        sizes, series_ohm=9.0, inl_lsb=0.5, wire_ohm_per_cell=0.2, reading_error=0.02,
+    )  # fmt: skip
+    return {
+        "usual": sizes,
+        "columns": systematic.error_columns(systematic.SHARED_ERRORS, network, reading, scene, every),
+        "shared": shared.columns(network, reading),
+        "own": shared.own_error(reading),
+        "effects": [
+            (
+                kind.__name__,
+                kind(lines, size=kind.prior).sentence(panel_rows),
+                effects.effect_on_readings([kind(lines, size=kind.prior)], scene, network),
+            )
+            for kind in effects.EFFECTS
+            for panel_rows in [len(reading)]
+            for lines in list(kind.places(*reading.shape))[:2]
+        ],
+    }
+
+
+def of_panel() -> Rows:
+    rows = {}
+    for name, scene in scenes().items():
+        kinds = [network_row, readout_row, scene_row] + [errors_row] * (scene.panel.modules is None)
+        for kind in kinds:
+            rows[f"{kind.__name__.removesuffix('_row')} of {name}"] = partial(kind, scene)
+    return rows
+
+
+# Films and loads
+
+PRESSURES = np.array([-12.0, -8.0, -3.0, -0.5, 0.0, 0.2, 1.0, 4.0, 11.0, 26.0, 39.0, 60.0])
+COLD = lp.Temperature(-0.003, 20.0, 8.0, 0.001)
+FILM = lp.Film(hysteresis=0.24, creep_per_decade=0.05, deviation=0.1, cell_spread=0.1)
+RESPONSES = {
+    "published": lp.PublishedResponse(),
+    "table": lp.TableResponse(
+        pressure_kpa=(0.0, 2, 8, 30), resistance_ohm=(4000.0, 2500, 900, 300), sd=(0.1, 0.1, 0.2, 0.3),
+    ),
+    "power": lp.PowerResponse(
+        exponent=0.7, scale_kpa=3.0, sd=0.05, gain=((0.8, 1.0, 1.2),) * 2, gain_sd=((0.1, 0.2, 0.3),) * 2,
+    ),
+    "bent": BentSuction(exponent=2.0),
+}  # fmt: skip
+SHAPES = {
+    "rod": lp.Rod(centre_mm=(21.0, 14.0), diameter_mm=23.0, mass_g=300.0, tilt=0.3, tilt_direction_deg=70.0),
+    "ring": lp.Ring(centre_mm=(21.0, 14.0), inner_diameter_mm=15.0, outer_diameter_mm=26.0, mass_g=500.0),
+    "suction_cup": lp.SuctionCup(
+        centre_mm=(21.0, 14.0), inner_diameter_mm=18.0, outer_diameter_mm=26.0, pressure_kpa=-8.0,
+    ),
+    "oral_disc": lp.OralDisc(
+        centre_mm=(21.0, 14.0), diameter_mm=28.0, rim_width_mm=5.0, pressure_kpa=-10.0, rim_kpa=60.0, tilt=0.2,
+        elongation=1.3, elongation_deg=30.0, unevenness=0.3, lobes=3, unevenness_deg=50.0,
+    ),
+    "block": lp.Block(centre_mm=(18.0, 12.0), length_mm=25.0, width_mm=12.0, mass_g=400.0, angle_deg=25.0, tilt=0.2),
+}  # fmt: skip
+LOADED = {
+    "air": lp.Scene(lp.Panel(2, 3), response=lp.PublishedResponse()),
+    "cold water": lp.Scene(lp.Panel(2, 3), response=lp.PublishedResponse(), water=lp.Water(70.0), temperature=COLD),
+    "film": lp.Scene(
+        lp.Panel(2, 3), response=lp.PublishedResponse(), film=replace(FILM, curvature_per_m=4.0),
+        water=lp.Water(50.0),
+    ),
+    "creep": lp.Scene(
+        lp.Panel(2, 3), response=lp.PublishedResponse(), film=lp.Film(creep_per_decade="auto", hysteresis="auto"),
+    ),
+    "gains": lp.Scene(
+        lp.Panel(2, 3), response=RESPONSES["power"], systematic=lp.Systematic(response_sd=0.1),
+        faults=lp.Faults(open=((1, 1),)),
+    ),
+}  # fmt: skip
+
+
+def response_row(response: Any) -> dict[str, Any]:
+    logarithm = response.logarithm(PRESSURES)
+    ratio = ratio_from_pressure(PRESSURES, response)
+    row = {"logarithm": logarithm, "pressure": response.pressure(logarithm), "ratio": ratio}
+    return row | {"sd": response.curve_sd(PRESSURES), "told": response.told_kpa, "gains": response.gains}
+
+
+def film_row() -> dict[str, Any]:
+    scene, times, zero = LOADED["film"], np.arange(1.0, 7), np.zeros((2, 3))
+    pressure = np.array([0.0, 20, 8, -5, 12, 0])[:, None, None] + np.arange(6).reshape(2, 3) / 5
+    states, answers = (
+        [FilmMemory.at_rest(zero + 0.24, zero + 0.05, zero + 0.9, water_pressure(scene.panel, scene.water))],
+        [],
+    )
+    for part in pressure:
+        memory, answer = states[-1].answered(part, 30.0)
+        states.append(memory)
+        answers.append(answer)
+    last, known = states[-1], FilmKnown.specified(lp.Film(creep_per_decade="auto", hysteresis=0.2, deviation=0.1))
+    change = np.stack(answers)
+    estimated = known.estimated(change, np.full(change.shape, 0.01), 40.0 * times)
+    return {
+        "answers": change, "pressure": last.pressure(answers[1], 5.0), "effective": last.effective(answers[1], 5.0),
+        "observed": last.observed(answers[2], 5.0).fading(60.0), "at once": last.at_once(answers[3], 9.0),
+        "resting": ERRORS.resting_sd(3.0), "known": [each.sentence for each in (known, estimated)],
+        "estimated": estimated.creep, "hysteresis": known.hysteresis,
+        "known at once": estimated.at_once(change, 40.0 * times),
+        "bent": [scene.film.lowering, scene.film.answer, scene.film.answer_sd, scene.film.creep_strength],
+    }  # fmt: skip
+
+
+def pressure_row(scene: lp.Scene, tare: lp.Tare | None = None) -> Any:
+    """Pressures of frames with load, without, and out of range, with errors, and their force."""
+    frames, (rows, columns) = 12, scene.panel.shape
+    kpa = np.linspace(0, 1, rows * columns).reshape(rows, columns) * np.r_[0, 0, 5, 30, 70, -6, 12, np.zeros(5)][
+        :, None, None,
+    ]  # fmt: skip
+    ratio = np.exp(-0.1 * kpa + 0.002 * np.random.default_rng(3).standard_normal(kpa.shape))
+    time, known = 20.0 * np.arange(frames), None if scene.film is None else FilmKnown.specified(scene.film)
+    load = pressure_of(ratio, 0.9 * ratio, 1.2 * ratio, scene, time, known, tare, np.full(ratio.shape, 0.03))
+    forces = [
+        total_force(
+            scene,
+            replace(
+                load,
+                **{field.name: getattr(load, field.name)[frame] for field in fields(load) if field.name != "tared"},
+            ),
+        )
+        for frame in range(frames)
+    ]
+    return {
+        "pressure": load, "forces": forces, "sd": response_sd(scene, ratio),
+        "scatter": scatter_sd(scene, systematic.systematic_of(scene)),
+    }  # fmt: skip
+
+
+def shape_row(load: lp.Shape) -> dict[str, Any]:
+    row = {"maps": [load.mean_pressure(panel, 6.0) for panel in (PANEL, LISTED)], "reach": load.reach_mm}
+    if isinstance(load, RoundShape):
+        row["disc"] = load.disc()
+    return row
+
+
+def candidate_row(candidate: Candidate) -> dict[str, Any]:
+    mean, disc = candidate.mean(PANEL), SHAPES["oral_disc"].disc()
+    start = candidate.start(disc)
+    start = start if len(start) == len(mean) else mean
+    row = {"mean": mean, "sd": candidate.sd(PANEL), "start": start, "map": candidate.pressure(PANEL, 6.0, start)}
+    return row | {"report": candidate.report(start), "blind": candidate.blind(start), "disc": candidate.disc(start)}
+
+
+def of_loads() -> Rows:
+    search = candidates.DiscSearch.over(PANEL, 6.0, lp.OralDisc.candidate.templates + lp.Rod.candidate.templates)
+    normal, pull = np.diag(np.linspace(50, 90, 20)), np.linspace(-9, 40, 20)
+    assert {kind.kind for kind in shape_types()} == SHAPES.keys()
+    return (
+        {f"response {name}": partial(response_row, response) for name, response in RESPONSES.items()}
+        | {f"shape {name}": partial(shape_row, load) for name, load in SHAPES.items()}
+        | {
+            f"candidate {each.label}": partial(candidate_row, each)
+            for each in (*candidates.UNIFORM, *candidates.LOADS, candidates.FIELD)
+        }
+        | {f"pressure in {name}": partial(pressure_row, scene) for name, scene in LOADED.items()}
+        | {
+            "pressure tared": partial(pressure_row, LOADED["air"], lp.Tare(frames=5)),
+            "memory of a film": film_row,
+            "starts of discs": lambda: (
+                list(search.starts(normal, pull).values()),
+                search.faint,
+                search.changes,
+                search.matched(normal),
+                search.beside(pull.reshape(4, 5), [SHAPES["rod"].disc()]),
+                search.lies_on(pull.reshape(4, 5)),
+            ),
+            "outlines": lambda: [function(*numbers) for function, numbers in OUTLINES],
+        }
+    )
+
+
+OUTLINES = ((annulus_mm2, (10.0, 20.0)), (contact_of_weight, (300.0, 400.0)), (bearing_kpa, (-9.0, 15.0, 24.0)))

@@ -1,0 +1,434 @@
+"""Rows of recordings, imports, estimates, calibration and recognition."""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import fields, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from golden.circuits import COLD, FILM, PANEL, RESPONSES, SHAPES, Rows, scenes
+
+import lampest as lp
+from lampest.estimate.calibration import known_loads
+from lampest.estimate.calibration.channels import calibrate_channels
+from lampest.estimate.calibration.loads import calibrate_loads
+from lampest.estimate.calibration.resistors import calibrate_resistors
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.methods import MethodName
+from lampest.estimate.methods.method import OptimalMethod
+from lampest.estimate.prepared import Prepared
+from lampest.loads.recognition import breathing, observation
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.fit import Verdict
+from lampest.loads.recognition.pumping import Pumping
+from lampest.recording.readings import (
+    Readings,
+    mean_change,
+    stand_in,
+    stand_in_spread,
+    strongest_frame,
+    touching_columns,
+    touching_rows,
+)
+from lampest.report.detect import detection
+from lampest.report.detect.answer import Detected, alarming, event_table, load_table
+from lampest.report.info import understood_lines
+from lampest.report.reconstruction import Reconstruction
+
+# Recordings
+
+ROD = lp.Rod(centre_mm=(12.0, 13.0), diameter_mm=24.0, mass_g=500.0)
+MOUTH = lp.OralDisc(centre_mm=(24.0, 18.0), diameter_mm=30.0, rim_width_mm=6.0, pressure_kpa=-9.0, rim_kpa=50.0)
+COURSE = lp.Course(
+    approach_s=1.0, attachment_s=1.5, breathing_hz=0.31, breathing_depth=0.1, release_at_s=5.0, release_s=1.0,
+)  # fmt: skip
+PUMPS = replace(COURSE, release_at_s=None, pump_s=2.0, pump_loss=0.3)
+EFFECTS_OF = {
+    "series_resistance_ohm": {"series_resistance_ohm": 90.0}, "channel_spread_ohm": {"channel_spread_ohm": 4.0},
+    "reference_tolerance": {"reference_tolerance": 0.03}, "drift_per_minute": {"drift_per_minute": 0.2},
+    "common_drift_per_minute": {"common_drift_per_minute": 0.4}, "leak_ohm": {"leak_ohm": 2e3},
+    "contact_ohm": {"contact_ohm": 300.0, "begins_s": 4.0}, "begins_s": {"leak_ohm": 9e3, "begins_s": 3.0},
+    "saturation": {"saturation": 0.4}, "outlier_probability": {"outlier_probability": 0.002},
+    "noise_factor": {"noise_factor": 4.0}, "supply_ripple_lsb": {"supply_ripple_lsb": 3.0, "supply_ripple_hz": 7.0},
+    "supply_ripple_hz": {"supply_ripple_lsb": 3.0}, "gain_spread": {"gain_spread": 0.004},
+    "load_speed_mm_s": {"load_speed_mm_s": 9.0}, "inl_lsb": {"inl_lsb": 4.0},
+    "wire_ohm_per_cell": {"wire_ohm_per_cell": 9.0}, "reading_error": {"reading_error": 0.03},
+    "response_loss": {"response_loss": 0.3}, "response_spread": {"response_spread": 0.3},
+}  # fmt: skip
+
+
+@cache
+def simulated(effect: str = "", scene: lp.Scene | None = None, **known: Any) -> lp.Recording:
+    """A rod on a panel for a while, with one effect that the scene does not name."""
+    scene = scene or lp.Scene(
+        PANEL, lp.TwoPointReadout(noise_lsb=0.7, adc_bits=12), 140.0, response=lp.PublishedResponse(),
+    )  # fmt: skip
+    unmodelled = lp.Unmodelled(**EFFECTS_OF.get(effect, {}))
+    given = {"baseline_frames": 4, "frames": 7, "loads": (ROD,), "course": COURSE, "unmodelled": unmodelled} | known
+    return lp.simulate(lp.Simulation(schema=1, seed=5, scene=scene, **given), effect or "rod")
+
+
+def recording_row(recording: lp.Recording) -> dict[str, Any]:
+    row = {"recorded": recording.recorded, "cells": recording.truth_cell_resistance, "sums": recording.raw_sums}
+    return row | {"pressure": recording.truth_pressure, "role": recording.role, "time": recording.time}
+
+
+def prepared_row(recording: lp.Recording) -> dict[str, Any]:
+    prepared = Prepared(recording)
+    noise, check = prepared.noise, prepared.check
+    known = detection.known_of(prepared)
+    return {
+        "warnings": prepared.warnings, "noise": noise.summary, "shared": noise.shared_sizes,
+        "value": noise.readings.value, "sigma": noise.readings.sigma, "side": noise.readings.side,
+        "factors": [noise.sigma_factor, noise.model_factor, noise.scan_share],
+        "outliers": [noise.outliers, noise.outlier_rate], "corrections": noise.corrections,
+        "explains": check.explains,
+        "check": [check.sentence, check.mark, check.better, check.common_change, check.noise],
+        "known": known.sigma if isinstance(known, detection.Known) else known.why,
+    }  # fmt: skip
+
+
+def readings_row() -> dict[str, Any]:
+    scene = scenes()["noisy"]
+    recorded = simulated().recorded[:3].copy()
+    recorded[0, 1, 2], recorded[1, 0], recorded[2, 3, 4], recorded[:, 2, 2] = np.nan, 100.0, np.inf, recorded[:, 3, 2]
+    readings = Readings.of(scene, recorded)
+    known = readings.plain[0]
+    return {
+        "mean": readings.mean(), "missing": readings.missing(scene), "shown": readings.shown,
+        "enough": readings.enough(scene), "sigma": readings.sigma_of_values, "bounds": readings.bounds,
+        "stand in": stand_in(readings.value[0], known), "spread": stand_in_spread(readings.value[0], known),
+        "rows": touching_rows(readings), "columns": touching_columns(readings),
+        "change": mean_change(readings.value, readings.value[0]),
+        "strongest": strongest_frame(readings.value, readings.value[0], np.arange(3)),
+    }  # fmt: skip
+
+
+def ohms(separator: str, decimal: str = ".", count: int = 3) -> list[str]:
+    """Lines of 2 × 3 readings in ohm."""
+    values = np.random.default_rng(7).uniform(250, 600, (count, 6)).round(3)
+    return [separator.join(str(value).replace(".", decimal) for value in line) for line in values]
+
+
+FOREIGN = {  # name → (text, how); a panel of 2 × 3 cells
+    "commas": ("\n".join(ohms(",")), {}),
+    "decimal commas": ("3,050;3,100;2,900;3,000;3,250;3,125\n3,150;3,200;2,950;3,010;3,260;3,130\n", {"unit": "kohm"}),
+    "stamped": (
+        "\n".join(f"2025-01-31 12:00:0{n};{line}" for n, line in enumerate(ohms(";", ","))),
+        {"baseline_frames": 1},
+    ),
+    "titled": (
+        "\n".join(
+            f"Frame {n}, t = {250 * n} ms\n" + line.replace(" ", "\n", 3).replace("\n", ",", 2)
+            for n, line in enumerate(ohms(" "))
+        ),
+        {},
+    ),
+    "blocks": (
+        "boot...\n"
+        + "\n\n".join(line.replace(";", ",", 2).replace(";", "\n", 1).replace(";", ",") for line in ohms(";")),
+        {},
+    ),
+    "codes": (
+        "millis,"
+        + ",".join(f"adc_{j}_{k}" for j in (1, 2) for k in (1, 2, 3))
+        + "\n7,400,410,420,430,440,450\n107,401,411,,431,441,451\n",
+        {"scene": lp.Scene(lp.Panel(2, 3), lp.TwoPointReadout())},
+    ),
+    "values": (
+        "row,column,R [ohm],frame\n"
+        + "\n".join(f"{j},{k},{300 + 9 * j + k + f},{f}" for f in (0, 1) for j in (0, 1) for k in (0, 1, 2)),
+        {"transpose": False},
+    ),
+    "words": ("time,a,b,c,d,e,f\n0,1000,OL,3,4,5,6\n1,1000,-,3,4,5,6\n", {"unit": "ohm", "missing": "mark"}),
+    "skipped": ("0,1000,OL,3,4,5,6\n1,1000,2,3,4,5,6\n2,1001,2,3,4,5,6\n", {"unit": "ohm", "missing": "skip-frame"}),
+    "named": ("r1c2,r0c0,r0c1,r0c2,r1c0,r1c1\n" + "\n".join(ohms(",")), {"period": 0.5}),
+    "transposed": ("\n".join(ohms(" ")), {"transpose": True, "unit": "ohm"}),
+    "volt": (
+        "\n".join(",".join(f"{1 + 0.1 * (k + n):.3f}" for k in range(6)) for n in range(3)),
+        {"scene": lp.Scene(lp.Panel(2, 3), lp.LoadedColumnsReadout()), "unit": "volt"},
+    ),
+    "guessed": (
+        "\n".join(f"{103 * n + n % 2},{line}" for n, line in enumerate(ohms(",", count=8))),
+        {"time_unit": None},
+    ),
+}
+
+
+def import_row(text: str, how: dict[str, Any]) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "m.csv"
+        path.write_text(text, encoding="utf-8")
+        recording, notes = lp.import_file(path, 2, 3, **how)
+    understood = [line.replace(folder, "") for line in understood_lines(recording, notes)]
+    return {
+        "recorded": recording.recorded, "time": recording.time, "role": recording.role, "start": recording.start_time,
+        "lines": understood,
+    }  # fmt: skip
+
+
+def of_recording() -> Rows:
+    assert {field.name for field in fields(lp.Unmodelled)} == EFFECTS_OF.keys()
+    kinds = {f"of {name}": scene for name, scene in scenes().items() if scene.panel.modules is None}
+    film = lp.Scene(
+        PANEL, lp.TwoPointReadout(adc_bits=12), film=FILM, water=lp.Water(50.0), temperature=COLD,
+        response=RESPONSES["table"],
+    )  # fmt: skip
+    return (
+        {f"effect {effect}": lambda effect=effect: recording_row(simulated(effect)) for effect in EFFECTS_OF}
+        | {name: lambda scene=scene: recording_row(simulated(scene=scene)) for name, scene in kinds.items()}
+        | {f"import {name}": partial(import_row, *given) for name, given in FOREIGN.items()}
+        | {
+            "of a film": lambda: recording_row(
+                simulated(scene=film, film=replace(FILM, hysteresis=0.3), water=lp.Water(70.0))
+            ),
+            "of pumps": lambda: recording_row(simulated(scene=lp.Scene(PANEL), loads=(MOUTH,), course=PUMPS)),
+            "of modules": lambda: recording_row(simulated(scene=scenes()["modules"])),
+            "course": lambda: [course.contact_and_suction(np.linspace(-1, 8, 40)) for course in (COURSE, PUMPS)],
+            "readings": readings_row,
+        }
+    )
+
+
+# Estimates
+
+ASIDE = (
+    "case_id", "case_yaml", "versions", "iterations", "starts", "solve_time", "error_bar_time", "baseline_solve_time",
+    "kkt_residual", "scene",
+)  # fmt: skip
+AUTO = lp.LogGradient(weight="auto")
+ESTIMATORS: dict[str, Estimator] = {
+    **{
+        f"by {word}": Estimator((lp.Misfit(), lp.LogGradient(weight=0.05)), word) for word in get_args(
+            MethodName
+        ) if word != "smoother"
+    },
+    "bare": Estimator((lp.Misfit(),), "reduced"),
+    "joint": Estimator((lp.Misfit(), lp.RelativeChange(weight=10.0)), OptimalMethod("reduced", joint=True)),
+    "following": Estimator(
+        (lp.Misfit(weighting="noise"), lp.Arrival(), lp.LogRatio(weight=0.1, reference="previous"))
+    ),
+    "auto": Estimator((lp.Misfit(weighting="noise"), AUTO), "reduced"),
+    "auto per frame": Estimator(
+        (lp.Misfit(weighting="noise"), AUTO), "reduced", auto_weight=lp.AutoWeight(per="frame"),
+    ),
+    "evidence": Estimator(
+        (lp.Misfit(weighting="noise"), AUTO, lp.LogRatio()), "reduced", auto_weight=lp.AutoWeight(rule="evidence"),
+    ),
+    "several": Estimator((lp.Misfit(weighting="noise"), AUTO, lp.CellResistance()), "reduced"),
+    "bounds": Estimator((lp.Misfit(),), "reduced", bounds=lp.Bounds(lower=900.0, upper=4000.0)),
+    "smoother": Estimator((lp.Misfit(weighting="noise", loss=lp.Student(corner=4.0)),), lp.SmootherMethod(lag=3)),
+    "truncated": Estimator((lp.Misfit(), lp.LogGradient(weight=0.05)), lp.TruncatedMethod(steps=4)),
+    "tared": Estimator((lp.Misfit(),), "reduced", tare=lp.Tare(frames=5)),
+}  # fmt: skip
+MISSING_READINGS = "missing"
+
+
+def estimated(recording: lp.Recording, estimator: Estimator, name: str = "mine") -> lp.CaseResult:
+    return Reconstruction.of(recording, estimator).result(name)
+
+
+def case_row(case: lp.CaseResult) -> dict[str, Any]:
+    """All columns and texts of a case, but for times and versions."""
+    names = [field.name for field in fields(case) if field.name not in ASIDE]
+    return {name: getattr(case, name) for name in names}
+
+
+def estimate_row(recording: Callable[[], lp.Recording], estimator: Estimator) -> dict[str, Any]:
+    return case_row(estimated(recording(), estimator))
+
+
+def gapped() -> lp.Recording:
+    """Readings that are missing, and some at a rail."""
+    recorded = simulated().recorded.copy()
+    recorded[2, 0, 0], recorded[6, 1, 1:3], recorded[7, 2, 2], recorded[8, 3, 1] = np.nan, np.nan, 1.0, np.inf
+    return replace(simulated(), recorded=recorded)
+
+
+def in_scene(name: str) -> lp.Recording:
+    return simulated(scene=replace(scenes()[name], response=lp.PublishedResponse()))
+
+
+def calibration_row(calibration: Any) -> dict[str, Any]:
+    return {
+        "text": calibration.text(), "summary": calibration.summary, "remarks": calibration.remarks,
+        "warnings": calibration.warnings,
+    }  # fmt: skip
+
+
+def resistors_row(scene: lp.Scene) -> dict[str, Any]:
+    """Known resistors of several values on every cell, with other circuit numbers than the scene has."""
+    printed = np.random.default_rng(4).choice([220.0, 470, 1000, 2200, 4700], PANEL.shape)
+    rows, columns = np.linspace(-9, 9, 4), np.linspace(-4, 8, 5)
+    if scene.circuit.unit == "volt":
+        scene = replace(scene, readout=replace(scene.circuit, drive_ohm=90.0))
+    volt = scene.circuit.simulated(np.repeat(printed[None], 6, axis=0), scene, rows, columns)
+    noise = 1 + 1e-4 * np.random.default_rng(5).standard_normal(volt.shape)
+    recording = lp.Recording(scene, volt * noise, np.arange(6.0), np.zeros(6, dtype=np.uint8))
+    found = calibrate_resistors([recording], [printed], tolerance=1e-3)
+    return calibration_row(found) | {
+        "numbers": [(each.label, each.value, each.sigma, each.lines) for each in found.numbers]
+    }  # fmt: skip
+
+
+def channels_row() -> dict[str, Any]:
+    scene = lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0, systematic=lp.Systematic(0.01, 5.0))
+    found = calibrate_channels([simulated("channel_spread_ohm", scene)])
+    return calibration_row(found) | {
+        "errors": found.errors, "covariance": found.covariance, "apart": [found.apart, found.apart_before],
+    }  # fmt: skip
+
+
+def loads_row() -> dict[str, Any]:
+    """A rod on four places of the panel, one recording each."""
+    rods = [replace(ROD, centre_mm=place) for place in ((10.0, 10.0), (30.0, 10.0), (10.0, 22.0), (30.0, 22.0))]
+    scene = lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0)
+    recordings = [
+        replace(
+            simulated("response_spread", scene, loads=(rod,), course=lp.Course(), frames=3), name=f"r{number}",
+        ) for number,
+        rod in enumerate(rods)
+    ]  # fmt: skip
+    known = [
+        known_loads.KnownLoad(
+            frames=(4, 6), recording=f"r{n}", mass_g=500.0, x_mm=rod.centre_mm[0], y_mm=rod.centre_mm[1],
+            diameter_mm=24.0,
+        ) for n,
+        rod in enumerate(rods)
+    ]  # fmt: skip
+    found = calibrate_loads(recordings, known_loads.KnownLoads(schema=1, loads=tuple(known)), 0.01)
+    blocks = known_loads.KnownLoads(
+        schema=1,
+        loads=(
+            known_loads.KnownLoad(
+                frames=(0, 1), force_newton=5.0, x_mm=20.0, y_mm=10.0, length_mm=30.0, width_mm=12.0, angle_deg=20.0,
+            ),
+            known_loads.KnownLoad(frames=(2, 3), pressure_kpa=7.0),
+        ),
+    )  # fmt: skip
+    return calibration_row(found) | {"fitted": found.fitted, "pressures": blocks.pressures(PANEL)}
+
+
+def of_estimate() -> Rows:
+    recordings: dict[str, Callable[[], lp.Recording]] = {
+        "gaps": gapped,
+        "film": lambda: simulated(
+            scene=lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12), film=FILM, response=RESPONSES["published"])
+        ),
+        "outliers": lambda: simulated("outlier_probability"), "ripple": lambda: simulated("supply_ripple_lsb"),
+    }  # fmt: skip
+    recordings |= {f"scene {name}": partial(in_scene, name) for name in scenes() if name not in ("DrivenReadout",)}
+    resistors = {
+        name: scenes()[name] for name in ("noisy", "LoadedColumnsReadout", "GroundedReadout", "VirtualGroundReadout")
+    }  # fmt: skip
+    usual = Estimator((lp.Misfit(weighting="noise"), lp.LogGradient(weight=3.0)))
+    return (
+        {f"prepared {effect}": lambda effect=effect: prepared_row(simulated(effect)) for effect in ("", *EFFECTS_OF)}
+        | {f"estimate {name}": partial(estimate_row, simulated, estimator) for name, estimator in ESTIMATORS.items()}
+        | {f"estimate with {name}": partial(estimate_row, made, usual) for name, made in recordings.items()}
+        | {f"resistors {name}": partial(resistors_row, scene) for name, scene in resistors.items()}
+        | {
+            "channels": channels_row,
+            "known loads": loads_row,
+        }
+    )
+
+
+# Recognition
+
+WATCHED = lp.Scene(
+    lp.Panel(6, 7), lp.TwoPointReadout(noise_lsb=0.7, adc_bits=12), 140.0, response=lp.PublishedResponse(),
+)  # fmt: skip
+SWINGING = lp.Course(start_s=1.0, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.15)
+ON_FILM: dict[str, tuple[tuple[lp.Shape, ...], lp.Course, int, float]] = {
+    "nothing": ((), lp.Course(), 6, 1.0),
+    "rod": (
+        (replace(SHAPES["rod"], centre_mm=(28.0, 24.0), mass_g=700.0),), lp.Course(start_s=1.0, release_at_s=5.0), 8,
+        1.0,
+    ),
+    "ring": (
+        (replace(SHAPES["ring"], centre_mm=(28.0, 24.0), outer_diameter_mm=30.0),), lp.Course(start_s=1.0), 5, 1.0,
+    ),
+    "block": ((replace(SHAPES["block"], centre_mm=(28.0, 24.0)),), lp.Course(start_s=1.0), 5, 1.0),
+    "mouth": ((replace(SHAPES["oral_disc"], centre_mm=(28.0, 24.0), diameter_mm=33.0),), SWINGING, 40, 0.25),
+}  # fmt: skip
+
+
+@cache
+def detected(name: str, purpose: Any = None) -> Detected:
+    loads, course, frames, period = ON_FILM[name]
+    simulation = lp.Simulation(
+        1, 3, replace(WATCHED, purpose=purpose), loads=loads, course=course, frames=frames, frame_period_s=period,
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        lp.simulate(simulation, name).save(Path(folder) / f"{name}.h5")
+        return detection.detect_recording(Path(folder) / f"{name}.h5")
+
+
+def detected_row(name: str, purpose: Any = None) -> dict[str, Any]:
+    answer = detected(name, purpose)
+    return {
+        "answer": answer.content(), "sentence": answer.sentence, "events": answer.events, "notes": answer.notes,
+        "course": answer.course, "change": answer.change, "warnings": answer.warnings, "called": answer.called,
+        "tables": [event_table([answer]), load_table([answer])], "alarming": alarming(answer),
+        "loads": [[load.area_mm2, load.conductance_s, load.cells, load.lives] for load in answer.attachments],
+    }  # fmt: skip
+
+
+@cache
+def seen(name: str) -> Verdict:
+    """One frame under a load, against three without."""
+    loads, _, _, _ = ON_FILM[name]
+    readings = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=1, loads=loads)).readings()
+    resting = readings[[0, 1, 2]].mean()
+    baseline = observation.Baseline.of(
+        resting.value, resting.sigma, WATCHED, observation.ModelErrors(reading_error=0.01),
+    )  # fmt: skip
+    frame = observation.Observation(readings.value[3], readings.sigma[3], baseline, np.zeros((6, 7)), 30.0)
+    return Detector(6.0).verdict(frame)
+
+
+def verdict_row(name: str) -> dict[str, Any]:
+    verdict = seen(name)
+    best = verdict.best
+    return {
+        "fits": [(fit.candidate.label, fit.evidence, fit.chi2, fit.cost, fit.volume) for fit in verdict.fits],
+        "shares": verdict.shares, "goodness": verdict.goodness, "evidence": verdict.evidence,
+        "nothing": verdict.nothing, "parameters": best.parameters, "covariance": best.covariance,
+        "change": best.change, "discs": best.discs,
+    }  # fmt: skip
+
+
+def breathing_row() -> dict[str, Any]:
+    """Readings that swing with suction and rim, and the belief that they make over three windows."""
+    rng, times = np.random.default_rng(1), np.arange(32) / 4
+    rise = np.repeat([-2.0, 1.0], 12)
+    slopes, moves = np.where(rise < 0, -300.0, 90.0), 8 * rng.standard_normal((1, 24))
+    swing = 0.08 * np.outer(np.sin(2 * np.pi * 1.1 * times), slopes * (0.9 + 0.1 * rng.standard_normal(24)))
+    patterns = breathing.Patterns.of(
+        np.eye(24), rise, slopes[None], 0.2 * np.abs(slopes), moves, rng.standard_normal((24, 1)),
+    )  # fmt: skip
+    found = breathing.breath(times, breathing.settled(swing + rng.standard_normal(swing.shape)), patterns)
+    belief = [breathing.Breathing()]
+    for full in (False, True, True):
+        belief.append(belief[-1].after(found, full=full))
+    pumping = Pumping.begin(np.ones(4) / 4, np.zeros(4), 0.0, 3)
+    for number in range(30):
+        pumping = pumping.after(0.02 * rng.standard_normal(4) + 0.3 * (number % 10 > 6), 0.5 * number)
+    return {
+        "breath": found, "belief": belief, "probability": [each.probability for each in belief],
+        "slow": breathing.too_slow(1.5), "pumping": pumping.odds,
+    }  # fmt: skip
+
+
+def of_recognition() -> Rows:
+    return (
+        {f"detected {name}": partial(detected_row, name) for name in ON_FILM}
+        | {f"verdict on {name}": partial(verdict_row, name) for name in ON_FILM}
+        | {
+            "detected on a mat": partial(detected_row, "block", "mat"),
+            "breathing": breathing_row,
+        }
+    )

@@ -1,0 +1,346 @@
+"""Rows of costs, solvers and error bars."""
+
+from dataclasses import MISSING, fields
+from functools import cache, partial
+from itertools import product
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import numpy as np
+from casadi import DM, Function
+from golden.circuits import LISTED, PANEL, Rows, cells_of
+
+import lampest as lp
+from lampest.cost import losses, problem
+from lampest.cost.cost import Cost
+from lampest.cost.given import Background, Given
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.weights import residual_scale
+from lampest.files.typed import members_of
+from lampest.panel import least_squares
+from lampest.panel.trust_region import steihaug
+from lampest.posterior import certainty, covariance, fixed_point, interval
+from lampest.posterior.chain import Chain
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.profile_interval import beyond_tangents
+from lampest.posterior.reference import references
+from lampest.posterior.spectrum import Spectrum, best_weight
+from lampest.recording.readings import Readings
+from lampest.solvers import bounds, interior_point, ipopt, multistart, preconditioners
+from lampest.solvers.certificate import certificate
+from lampest.solvers.hessian import Hessian
+from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.smoothing import Smoothing
+from lampest.solvers.solution import Settings, check
+
+# Costs
+
+LOSSES = tuple(
+    loss(**{field.name: 40.0 for field in fields(loss) if field.default is MISSING}) for loss in members_of(
+        losses.AnyLoss
+    )
+)  # fmt: skip
+
+
+def example(frames: int) -> tuple[problem.Data, lp.Array]:
+    """Data of the panel, some of them bounds or missing, and cells near those that made them."""
+    rng = np.random.default_rng(0)
+    truth = cells_of((frames, *PANEL.shape))
+    measured = lp.two_point_resistance(truth) * np.exp(0.05 * rng.standard_normal(truth.shape))
+    sigma = 10.0 * np.exp(0.3 * rng.standard_normal(truth.shape))
+    side, seen = np.zeros(truth.shape), np.ones(truth.shape)
+    side[:, 0, 0], side[:, 3, 4], seen[:, 1, 2] = 1.0, -1.0, 0.0
+    known = {name: cells_of(PANEL.shape, seed) for name, seed in (("previous", 3), ("baseline", 4))}
+    known["previous_deviation"] = 0.1 * np.exp(0.3 * rng.standard_normal(PANEL.shape))
+    given = Given(measured=measured, sigma=sigma, side=side, seen=seen, **(known if frames == 1 else {}))
+    return problem.Data(given, measured / 10, measured * 1e3), truth * np.exp(0.2 * rng.standard_normal(truth.shape))
+
+
+def term_row(term: type[lp.Term], words: dict[str, str], loss: lp.Loss) -> list[Any]:
+    rows = []
+    for frames, panel in ((1, PANEL), (2, PANEL), (1, LISTED))[: 3 if loss.squared else 1]:
+        cost = Cost(
+            panel, (lp.Misfit(), term(weight=0.7, loss=loss, **words)), frames, () if panel is PANEL else (0,),
+            partial=True,
+        )  # fmt: skip
+        data, cells = example(frames)
+        at = problem.Evaluation.at(cost, data, cells)
+        dual = np.tanh(at.nonsmooth / 50)
+        smoothing = Smoothing(50.0, dual)
+        hessian, step = Hessian(at, smoothing), np.random.default_rng(5).standard_normal(cells.size)
+        rows.append(
+            {
+                "costs": at.costs, "scale": at.cost_scale, "gradient": at.log_gradient(dual),
+                "gap": at.dual_gap(dual), "nonsmooth": at.nonsmooth, "kkt": at.kkt_residual(dual),
+                "product": hessian.product(step), "normal": hessian.gauss_newton_product(step),
+                "diagonal": hessian.diagonal, "matrix": hessian.matrix, "smooth": smoothing.objective(at),
+                "terms": hessian.terms, "penalties": hessian.penalty_matrix,
+            }
+        )  # fmt: skip
+    return rows
+
+
+def loss_row(loss: lp.Loss) -> dict[str, Any]:
+    x = np.array([-90.0, -41, -39, -3, 0, 0.5, 20, 45, 300])
+    evidence = losses.PenaltyEvidence(x, 500.0, 7.0, lambda: 2.5)
+    return {
+        "cost": float(DM(loss.cost(DM(x)))), "curvature": loss.curvature(x), "stiffness": loss.stiffness(x),
+        "data": loss.data_curvature(x, np.full(9, 3.0)), "penalty": loss.penalty_curvature(x, 2.0, 3.0),
+        "pull": loss.steady_pull(x), "size": loss.size(evidence), "determined": loss.determined(evidence),
+    }  # fmt: skip
+
+
+def program_row(formulation: str, loss: lp.Loss) -> dict[str, Any]:
+    """A nonlinear program at some point: its objective, constraints and derivatives."""
+    cost = Cost(PANEL, (lp.Misfit(), lp.LogGradient(weight=0.7, loss=loss)), 1)
+    program = ipopt.Program.build(cost, lp.TwoPointReadout(), ipopt.FORMULATIONS[formulation])
+    rng = np.random.default_rng(2)
+    x, p = (np.exp(0.3 * rng.standard_normal(symbol.shape[0])) for symbol in (program.nlp["x"], program.nlp["p"]))
+    multipliers = rng.standard_normal(program.nlp["g"].shape[0])
+    values = Function("values", [program.nlp["x"], program.nlp["p"]], [program.nlp["f"], program.nlp["g"]])(x, p)
+    hessian = program.hessian()(x, p, 1.3, multipliers)
+    return {"values": [np.asarray(value) for value in values], "hessian": np.asarray(DM(hessian))}
+
+
+def of_cost() -> Rows:
+    variants = [(kind, term, words) for kind, term in lp.term_types().items() for words in options(term)]
+    return (
+        {f"loss {loss.kind}": partial(loss_row, loss) for loss in LOSSES}
+        | {
+            " ".join([kind, *words.values(), loss.kind]): partial(term_row, term, words, loss)
+            for kind, term, words in variants
+            for loss in LOSSES
+        }
+        | {
+            f"program {name} {loss.kind}": partial(
+                program_row,
+                name,
+                loss,
+            )
+            for name in ipopt.FORMULATIONS
+            for loss in LOSSES
+        }
+    )
+
+
+def options(term: type[lp.Term]) -> list[dict[str, str]]:
+    """Every combination of a term's choices of words, such as misfit's weighting."""
+    hints = {name: get_args(hint) for name, hint in get_type_hints(term).items() if get_origin(hint) is Literal}
+    choices = {name: words for name, words in hints.items() if name != "kind"}
+    return [dict(zip(choices, words, strict=True)) for words in product(*choices.values())]
+
+
+# Solvers and error bars
+
+COSTS: dict[str, tuple[lp.Term, ...]] = {
+    "plain": (lp.Misfit(),), "penalty": (lp.Misfit(weighting="noise"), lp.LogGradient(weight=2.0)),
+    "ohm": (lp.Misfit(), lp.Gradient(weight=1e-3), lp.CellResistance(weight=1e-4)),
+    "absolute": (lp.Misfit(), lp.TotalVariation(weight=3.0)),
+    "huber": (lp.Misfit(), lp.Gradient(weight=0.01, loss=lp.Huber(corner=150.0))),
+    "student": (lp.Misfit(loss=lp.Student(corner=30.0)), lp.LogGradient(weight=2.0)),
+    "change": (lp.Misfit(), lp.RelativeChange(weight=10.0), lp.LogRatio(weight=10.0, loss=lp.Student(corner=0.1))),
+}  # fmt: skip
+TINY = {
+    "whole": lp.Scene(PANEL, lp.TwoPointReadout(noise_lsb=0.7)),
+    "driven": lp.Scene(PANEL, lp.LoadedColumnsReadout(noise_lsb=1.0, drive_ohm=100.0)),
+    "wired": lp.Scene(PANEL, lp.TwoPointReadout(noise_lsb=0.7), lines=lp.Lines(20.0, 5.0)),
+}  # fmt: skip
+
+
+@cache
+def point(cost: str, circuit: str = "whole", frames: int = 1, decades: float = 0.0) -> problem.Evaluation:
+    """The cost near the cells that made noisy readings, some of them bounds."""
+    scene, terms, rng = TINY[circuit], COSTS[cost], np.random.default_rng(11)
+    cells = cells_of((frames, *PANEL.shape)) * 10 ** (decades * rng.uniform(-0.5, 0.5, PANEL.shape))
+    recorded = scene.circuit.to_recorded(scene.circuit.exact_reading(cells), scene)
+    recorded = recorded * (1 + 0.004 * rng.standard_normal(cells.shape))
+    if cost == "penalty":
+        recorded[:, 1, 3] = np.nan
+    readings, estimator = Readings.of(scene, recorded), Estimator(terms, "reduced")
+    before = {"previous": cells_of(PANEL.shape, 3), "baseline": cells_of(PANEL.shape, 4)} if frames == 1 else {}
+    data = estimator.data(readings, Background(scene, **before))
+    return multistart.evaluated(
+        estimator.cost(scene, frames, partial=data.partial), data,
+        cells * np.exp(0.1 * rng.standard_normal(cells.shape)),
+    )  # fmt: skip
+
+
+def solver_row(cost: str, circuit: str, solver: str) -> dict[str, Any]:
+    """The minimum from a start that is far away."""
+    begin = point(cost, circuit)
+    kinds = {"newton": ProjectedNewton(begin.cost, Settings())}
+    kinds |= {
+        name: ipopt.Ipopt(begin.cost, TINY[circuit].circuit, form, Settings()) for name,
+        form in ipopt.FORMULATIONS.items()
+    }  # fmt: skip
+    solution = multistart.best_solution(kinds[solver], begin.data, None)
+    return {
+        "cells": solution.cell_resistance, "reading": solution.reading, "costs": solution.costs,
+        "dual": solution.dual, "status": solution.status, "lower": solution.at_lower, "open": solution.open_cell,
+    }  # fmt: skip
+
+
+def certificate_row(cost: str, circuit: str, decades: float) -> dict[str, Any]:
+    at = point(cost, circuit, decades=decades)
+    smoothing = Smoothing.start(at)
+    hessian = Hessian(at, smoothing)
+    shown = certificate(hessian)
+    free = bounds.free_cells(at, hessian.gradient)
+    factors = [
+        preconditioners.preconditioner(hessian, free),
+        *([preconditioners.TwoLevel.of(hessian)] if circuit == "whole" else []),
+    ]  # fmt: skip
+    moved = ProjectedNewton(at.cost, Settings()).solve(at.data, at)
+    return {
+        "kind": shown.definiteness, "step": shown.step, "decrement": shown.decrement, "deviations": shown.deviations,
+        "settled": shown.settled, "converged": shown.converged(at.cost_scale), "free": free,
+        "smoothing": smoothing.width,
+        "preconditioned": [factor.over(free, at.cell_resistance)(hessian.gradient[free]) for factor in factors],
+        "certain": check(at, moved).kkt_residual < 1e-7,
+        "matter": bounds.bounds_matter(at, hessian.gradient.reshape(at.position.shape), np.zeros(len(at.nonsmooth))),
+        "minima": multistart.several_minima(at.cost, at.data),
+        "starts": list(multistart.starts(at.cost, at.data, at.cell_resistance)),
+        "scattered": next(multistart.scattered(at.data)),
+    }  # fmt: skip
+
+
+def search_row() -> dict[str, Any]:
+    """Steps within a radius, and the loop of Levenberg and Marquardt."""
+    matrix, slope = np.diag(np.r_[-1.0, np.linspace(0.5, 9, 7)]), np.linspace(1, 2, 8)
+    solved = [steihaug(lambda p: matrix @ p, lambda p: p / 2, slope, 1e-3, radius) for radius in (0.5, 30.0, np.inf)]
+    times = np.linspace(0, 2, 9)
+
+    def decay(x: lp.Array) -> least_squares.SumOfSquares:
+        falling = np.exp(-x[1] * times)
+        return least_squares.SumOfSquares(
+            x[0] * falling - 2 * np.exp(-1.5 * times) - 0.1 * times, np.stack([falling, -x[0] * times * falling], 1),
+            1e-3,
+        )  # fmt: skip
+
+    loop = least_squares.LevenbergMarquardt(60, 1e-16, longest=0.5).minimum(decay, np.array([1.0, 0.5]), (0.0, 1.4))
+    return {"steps": solved, "position": loop.position, "cost": loop.at.cost}
+
+
+def inner_row() -> dict[str, Any]:
+    begin = point("plain", decades=2.0)
+    inner, _ = interior_point.by_interior_point(begin)
+    return {"cells": inner.cell_resistance, "crowded": interior_point.crowds_bounds(begin)}
+
+
+def of_solvers() -> Rows:
+    places = [("plain", "whole", 0.0), ("plain", "whole", 4.0), ("plain", "driven", 0.0), ("absolute", "wired", 0.0)]
+    places += [(cost, "whole", 0.0) for cost in COSTS if cost != "plain"]
+    solves = [(cost, circuit, "newton") for cost in COSTS for circuit in TINY]
+    solves += [(cost, "whole", "nodal") for cost in COSTS] + [
+        ("ohm", "driven", "nodal"), ("huber", "whole", "per_pixel"),
+    ]  # fmt: skip
+    return (
+        {"solve " + " ".join(case): partial(solver_row, *case) for case in solves}
+        | {"point " + " ".join(map(str, case)): partial(certificate_row, *case) for case in places}
+        | {
+            "searches": search_row,
+            "interior point": inner_row,
+        }
+    )
+
+
+def model_row(cost: str, circuit: str, sampled: bool) -> dict[str, Any]:
+    """Errors of an estimate with all their parts: those of frames before, and of readings that a frame shares."""
+    at, rng = point(cost, circuit), np.random.default_rng(3)
+    size, terms = at.cell_resistance.size, at.cost.terms
+    model = LinearModel(at, np.tanh(at.nonsmooth), own_error=2.0, weight_sigma=(np.nan, *[0.7] * (len(terms) - 1)))
+    root, drawn = 0.3 * rng.standard_normal((2 * size, 2 * size)), np.asarray(
+        model.through @ rng.standard_normal((size, 2))
+    )  # fmt: skip
+    before, columns = root @ root.T, rng.standard_normal((3, len(model.noise), 2))
+    if sampled:
+        memory: Any = covariance.SampledMemory(*(0.1 * rng.standard_normal((2, 20, size))))
+        errors: covariance.DenseErrors = covariance.SampledErrors(model, memory, drawn, samples=20)
+    else:
+        memory = covariance.DenseMemory(before[:size, :size], before[size:, size:], before[:size, size:])
+        errors = covariance.DenseErrors(model, memory, drawn)
+    last, baseline = rng.standard_normal((2, size, 2))
+    later = errors.memory()
+    return {
+        "variance": errors.variance, "certainty": errors.certainty, "widening": errors.widening,
+        "share": errors.data_share, "resolution": errors.resolution, "reading": errors.reading_deviation(),
+        "shared": errors.shared_variance, "answer": errors.answer(columns[0], last, baseline),
+        "gained": errors.gained(columns[1]), "curvature": model.penalty_curvature,
+        "memory": [later.shared(), later.variance(), later.resting().shared()], "scale": model.scale,
+        "free": model.free, "determined": [errors.determined(int(term)) for term in np.unique(model.penalty_term)],
+        "noise": model.noise, "conductance": errors.certainty.by_conductance(),
+        "weights": fixed_point.next_weights(model, range(1, len(terms))),
+        "active": [] if sampled else covariance.active_bounds(errors, columns[2], last, baseline),
+    }  # fmt: skip
+
+
+def weights_row(cost: str) -> dict[str, Any]:
+    at = point(cost)
+    terms, data = range(1, len(at.cost.terms)), [at.data, point(cost).data]
+    scale, fits = references(data, at.cost)
+    model = LinearModel(at, np.tanh(at.nonsmooth), deviation=fits[0].deviation)
+    spectra = [Spectrum.of(model, number, fits[0].covariance) for number in terms]
+    return {
+        "scale": scale, "reference": fits[0],
+        "first": fixed_point.first_weights(model, [1.0] * (1 + len(terms)), terms),
+        "settled": fixed_point.settled_weights(model, terms),
+        "best": [best_weight([spectrum]) for spectrum in spectra],
+        "risk": [(each.risk(0.1), each.risk(10.0), each.information(1.0), each.extent) for each in spectra],
+        "residual scale": residual_scale(covariance.DenseErrors(model)),
+    }  # fmt: skip
+
+
+def chain_row() -> dict[str, Any]:
+    rng = np.random.default_rng(6)
+    root = rng.standard_normal((3, 4, 6))
+    own, border, corner = (
+        np.einsum("tij,tkj->tik", root, root) + 6 * np.eye(4),
+        rng.standard_normal((3, 4, 2)),
+        30 * np.eye(2),
+    )
+    chain = Chain(own, np.abs(rng.standard_normal((2, 4))), border, corner)
+    doubting = chain.doubting(0.4, np.ones(2)).with_border(np.diag([2.0, 5.0]))
+    return {
+        "learned": chain.learned(1), "solved": chain.solve(border, corner), "blocks": chain.blocks,
+        "shared": [each.shared_variance(1) for each in (chain, doubting)], "variance": doubting.variance,
+        "steps": chain.step_variance(np.ones((2, 2))), "covariance": chain.covariance(2), "since": chain.since(0),
+    }  # fmt: skip
+
+
+def profile_row(known: bool) -> Any:
+    """A cell without a reading, with a penalty; or solved again by a readout's start."""
+    at = point("penalty")
+    model, missing = LinearModel(at, np.zeros(0)), np.zeros(PANEL.shape, dtype=bool)
+    missing[1, 3] = True
+    readings = Readings(at.data.measured[0], at.data.sigma[0], np.zeros(PANEL.shape), (~missing).astype(float))
+    return beyond_tangents(
+        model, readings, missing, (lambda moved: np.log(moved.value / readings.value)) if known else None,
+    )  # fmt: skip
+
+
+def of_posterior() -> Rows:
+    slopes, wide = np.array([0.0, 0.3, 5.0, 49.0, 51.0, 1e4]), np.array([1.3, 0.2, 5.0, 1.0, 1.0, 3.0])
+    cases = [(cost, "whole", sampled) for cost in list(COSTS)[1:] for sampled in (False, True)]
+    return (
+        {
+            "errors " + " ".join(map(str, case)): partial(model_row, *case)
+            for case in [*cases, ("penalty", "driven", False)]
+        }
+        | {f"weights {cost}": partial(weights_row, cost) for cost in list(COSTS)[1:] if cost != "huber"}
+        | {f"profile {known}": partial(profile_row, known) for known in (False, True)}
+        | {
+            "chain": chain_row,
+            "intervals": lambda: (
+                interval.one_sided(slopes, wide),
+                interval.chi_square_tail(slopes, wide),
+                interval.binomial_tail(3, 20, 0.1),
+                interval.student_two_sided(4.0),
+                interval.largest_of(np.array([0.0, 2.0, 4.0]), 20),
+                interval.largest_normal(20, 0.01),
+                covariance.positive_inverse(np.diag([2.0, 4.0])),
+                covariance.inverse_and_volume(np.array([[2.0, 0.5], [0.5, 1.0]])),
+                covariance.swept(np.array([[2.0, 1.0, 3.0], [1.0, 4.0, 5.0]]), 0),
+                certainty.common_variance(np.arange(6.0).reshape(3, 2)),
+                certainty.own_part(np.array([3.0, 5.0]), np.array([1.0, 5.0])),
+            ),
+        }
+    )

@@ -1,0 +1,433 @@
+"""Rows of tables, pictures, messages, commands and studies."""
+
+import io
+import json
+import re
+import sys
+import tempfile
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from dataclasses import replace
+from functools import cache, partial
+from itertools import product
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from golden.circuits import PANEL, Rows, cells_of
+from golden.estimates import ESTIMATORS, case_row, detected, simulated
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from support import invented_case
+
+import lampest as lp
+from lampest.estimate.estimator import Estimator
+from lampest.loads.pressure import Force
+from lampest.loads.recognition import breathing
+from lampest.loads.recognition.attachment import Attachment
+from lampest.report import compare
+from lampest.report.detect import pressed
+from lampest.report.detect.answer import Detected
+from lampest.report.live.engine import with_picture
+from lampest.report.live.message import Message, Picture, Point, View, acknowledged, view_text, with_detected
+from lampest.report.live.state import PanelState, solved_picture
+from lampest.report.page import compared, page
+from lampest.report.plots import PLOTS, maps, style
+from lampest.report.plots.timeline import timeline
+from lampest.report.reconstruction import Reconstruction
+from lampest.report.strongest import strongest_index
+from lampest.report.words import digits
+from lampest.runs import config
+from lampest.studies import extremes, paper, tradeoff
+from lampest.studies.bench import (
+    Bench,
+    BenchFile,
+    BenchFrame,
+    BenchPart,
+    bench_remarks,
+    bench_rows,
+    growth,
+    loads,
+    tables,
+)
+from lampest.studies.common import SquaredMethod
+from lampest.studies.weights import Curves, WeightSubject, l_curve, morozov, solve_at, why_not
+
+# Results, tables, pictures and messages
+
+METHODS = ("LSM", "LSR-dCR", "LSR-gCR")
+
+
+@cache
+def invented() -> tuple[lp.CaseResult, ...]:
+    """Cases with times, failures and error bars that no solver made; two recordings."""
+    cases = [
+        invented_case(name, mouth, (4, 6, 5), failed=(1,) * (name == "LSR-gCR")) for mouth in (
+            "mouth", "second",
+        ) for name in METHODS
+    ]  # fmt: skip
+    rng, scene = np.random.default_rng(9), replace(cases[0].scene, response=lp.PublishedResponse())
+    filled = []
+    for case in cases:
+        errors, own = 0.05 * case.cell_resistance, np.abs(rng.normal(0.05, 0.01, case.cell_resistance.shape))
+        kpa = np.where(case.relative_change < 0, -0.2 * case.relative_change, 0.0)
+        known = {
+            "sigma": 0.01 * case.measured, "sigma_baseline": 0.01 * case.measured_baseline,
+            "cell_resistance_errors": errors, "cell_resistance_lower": case.cell_resistance - 2 * errors,
+            "cell_resistance_upper": case.cell_resistance + 2 * errors,
+            "relative_change_errors": np.full(errors.shape, 5.0), "relative_change_lower": case.relative_change - 9,
+            "relative_change_upper": case.relative_change + 12, "sigma_own": own, "sigma_common": own / 3,
+            "resolution": 1 - own, "data_share": 1 - own / 2, "pressure": kpa, "pressure_errors": 0.1 * kpa,
+            "pressure_own": 0.1 * kpa, "pressure_common": 0.02 * kpa, "pressure_lower": 0.7 * kpa,
+            "pressure_upper": 1.3 * kpa, "saturated": (kpa > 15).astype(np.uint8),
+            "pressing": (kpa > 1).astype(np.uint8), "scene": scene, "reading_sigma": 0.02 * case.measured,
+            "warnings": "a warning" * (case.estimator == "LSM"), "weight_sigma": {"gradient": np.full(4, 0.3)},
+            "missing_readings": np.array([0, 2, 0, 1]), "bound_readings": np.array([0, 0, 3, 0]), "model_mark": "yes",
+            "model_sentence": "the circuit explains the readings", "noise_learned": "scatter 1.1",
+        }  # fmt: skip
+        for name, values in known.items():
+            if (
+                isinstance(values, np.ndarray)
+                and values.shape == errors.shape
+                and name not in ("sigma", "reading_sigma")
+            ):
+                values[~case.solved] = np.nan if values.dtype.kind == "f" else 0
+        filled.append(replace(case, **known))
+    return tuple(filled)
+
+
+def swept_cases() -> tuple[lp.CaseResult, ...]:
+    return tuple(
+        replace(
+            invented_case(f"a{n}", shape=(2, 4, 5)),
+            swept_json=json.dumps({"estimators.a.terms.gradient.weight": 10.0**n}),
+        )
+        for n in range(3)
+    )
+
+
+def table_row() -> dict[str, Any]:
+    published = {"LSM": lp.PublishedFigures(all=lp.StepFigures(0.2, 0.1, 3.0, 1.0))}
+    rows = compare.compare(lp.Results(invented(), published), "a.h5") + compare.compare(
+        lp.Results(swept_cases()), "b.h5",
+    )  # fmt: skip
+    blocks = compare.screen_blocks(rows, published=True)
+    many = [row | {"recording": f"{row['recording']}{number}"} for number in range(4) for row in rows]
+    lines = compare.table_lines(rows)
+    return {
+        "rows": rows, "blocks": blocks, "legend": compare.legend(rows, blocks), "notes": compare.model_notes(rows),
+        "many": compare.screen_blocks(many),
+        "csv": compare.comma_separated([lines[0], *(line.values() for line in lines[:1])]),
+        "keys": compare.swept_keys(rows),
+        "pressed": [(each.values, each.errors, each.saturated) for each in pressed.pressed(lp.Results(invented()))],
+        "pressed table": pressed.pressed_table(pressed.pressed(lp.Results(invented()))),
+        "strongest": strongest_index(invented()[:3]),
+    }  # fmt: skip
+
+
+def page_row() -> dict[str, Any]:
+    batch = compared.Batch(
+        ("a.h5",) * 6,
+        compared.without_copies(
+            {name: {case.estimator: case for case in lp.Results(invented()).of(name)} for name in ("mouth", "second")}
+        )[0],
+    )
+    standing = compared.comparison_of(batch, np.random.default_rng(1))
+    advice = compared.advise(batch, standing)
+    by_estimator = {name: [case for case in invented() if case.estimator == name] for name in METHODS}
+    return {
+        "standings": standing.standings, "values": standing.values, "block": standing.block, "units": standing.units,
+        "milliseconds": standing.milliseconds, "advice": advice,
+        "tables": [page.standing_table(standing), page.unit_table(standing), page.case_table(by_estimator)],
+        "figures": page.figures(invented()[0]), "failed": page.failures(invented()),
+        "disagreements": page.disagreements(invented()[:3]),
+        "doubts": page.doubts("LSM", [page.figures(case) for case in invented()[::3]]),
+        "frames": page.frames_text([3, 5, 6, 7, 9]),
+    }  # fmt: skip
+
+
+def drawn_row(figure: Figure) -> dict[str, Any]:
+    """What a reader of a figure sees, and the numbers under it."""
+    axes = []
+    for each in figure.findobj(Axes):
+        images = [*each.images, *each.collections]
+        axes.append(
+            {
+                "labels": [
+                    each.get_xlabel(),
+                    each.get_ylabel(),
+                    each.get_title(),
+                    each.get_xscale(),
+                    each.get_yscale(),
+                ],
+                "limits": [*each.get_xlim(), *each.get_ylim()],
+                "ticks": [each.get_xticks(), each.get_yticks()],
+                "texts": [(text.get_text(), text.get_position()) for text in each.texts],
+                "lines": [np.asarray(line.get_xydata(), dtype=float) for line in each.lines],
+                "values": [
+                    np.ma.filled(np.ma.asarray(image.get_array(), dtype=float), np.nan)
+                    for image in images
+                    if image.get_array() is not None
+                ],
+                "range": [image.get_clim() for image in images if image.get_array() is not None],
+                "legend": [text.get_text() for text in each.get_legend().get_texts()] if each.get_legend() else [],
+            }
+        )
+    words = [text.get_text() for text in figure.findobj(Text)]
+    return {"axes": axes, "size": figure.get_size_inches(), "words": "|".join(word for word in words if word)}
+
+
+def scales_row() -> dict[str, Any]:
+    values = [np.array([0.02, 3.0, 45.0, -70.0, 900.0, np.nan])]
+    scales = [
+        maps.change_scale(values, "a"), maps.banded_scale(values, "b"), maps.signed_scale(values, "c", 1.0, 100.0),
+        maps.log_scale([np.abs(values[0])], "d"),
+    ]  # fmt: skip
+    return {
+        "scales": [
+            (
+                scale.label, scale.norm(np.array([0.1, 5.0, 50.0, 500.0])), scale.norm.vmin, scale.norm.vmax,
+                scale.ticks, scale.colours.name,
+            ) for scale in scales
+        ],
+        "numbers": [style.plain_number(x) for x in (0.0, 0.001, 12.5, 12345.0, -3.0)],
+        "round": [style.round_numbers(0.3, 70.0), style.round_numbers(250.0, 900.0)],
+        "texts": [
+            style.change_text(250.0, 100.0), style.change_text(-3.0, 100.0),
+            style.short_title("a very long name of an estimator"), digits(0.00123), digits(12345.6), digits(-1e9),
+        ],
+    }  # fmt: skip
+
+
+def message_row() -> dict[str, Any]:
+    rng, panel = np.random.default_rng(2), lp.Panel(2, 3)
+    change, kpa = rng.normal(0, 30, (2, 3)), np.array([[0, 10, 30], [-5, 2, 0]]) / 1.0
+    picture = Picture(
+        7, 7.5, 50.0, change, change / 2, change > 20, Force(1.25, 0.1, 1), "fine", 0.02, 2, 1000 + change, kpa,
+        (kpa > 20).astype(np.uint8), "pressing", 1,
+    )  # fmt: skip
+    answer = Detected.of(
+        "here",
+        (
+            Attachment(
+                0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9),
+                breath=breathing.Breathing(6.0, hertz=(1.1, 0.05)),
+            ),
+        ),
+        4.0,
+    )  # fmt: skip
+    view = View(
+        "here", "LSM", "receiving", panel, 9, 1, 2, history=tuple(Point(n, n / 2, float(n)) for n in range(9)),
+        deviation=0.25, deviation_of=6, model="w",
+    )  # fmt: skip
+    view = with_detected(with_picture(view, picture, "zero"), answer)
+    message = Message.of(view)
+    return {
+        "content": message.content(60.0), "row": message.row(), "channels": message.channels(),
+        "page": json.loads(view_text(view, 60.0, 3)), "signature": message.signature,
+        "alarm": [view.alarm, acknowledged(view).alarm],
+    }  # fmt: skip
+
+
+def live_row(estimator: str) -> dict[str, Any]:
+    """Pictures of frames as they come, with outliers, forces and second looks."""
+    recording = simulated("outlier_probability")
+    readings = recording.readings()
+    state = PanelState.begin(ESTIMATORS[estimator], recording.scene, 1.0, readings[[0, 1, 2, 3]].mean(), hasty=True)
+    shown, looks = [], []
+    for number, frame in enumerate(recording.measured_frames(), 1):
+        nothing = np.full(PANEL.shape, np.nan)
+        picture = Picture(number, float(number), 0.0, nothing, nothing, nothing > 0, Force(np.nan, np.nan), "", 0.0, 0)
+        state, picture = solved_picture(state, readings[frame], picture)
+        shown.append(
+            (
+                picture.relative_change, picture.pressure, picture.force, picture.verdict, picture.outliers,
+                picture.status,
+            )
+        )  # fmt: skip
+        if state.look is not None:
+            found = state.look.findings()
+            looks.append((found.weights, found.lower, found.force))
+    return {"pictures": shown, "looks": looks}
+
+
+def command(*words: str | Path) -> str:
+    """What a command prints."""
+    printed = io.StringIO()
+    with patch.object(sys, "argv", ["lampest", *map(str, words)]), redirect_stdout(printed), redirect_stderr(printed):
+        try:
+            lp.cli.main()
+        except SystemExit as end:
+            assert not end.code, printed.getvalue()
+    return printed.getvalue()
+
+
+def commands_row() -> dict[str, Any]:
+    """Files of the commands and their words, of a recording on the disk and of results."""
+    with tempfile.TemporaryDirectory() as name, chdir(name):
+        folder = Path(name)
+        simulated("outlier_probability").save(folder / "rod.h5")
+        run = "schema: 1\nrecordings: [rod.h5]\nestimators:\n"
+        run += "  mine: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 1.0}}}\n"
+        (folder / "run.yaml").write_text(
+            run + "sweep: {estimators.mine.terms.log_gradient.weight: [1, 10.0]}\nsolver: {max_iterations: 200}\n"
+        )  # fmt: skip
+        texts = {
+            word: command(*words)
+            for word, words in {
+                "run": ("run", "run.yaml", "--jobs", "1", "--out", "out"),
+                "tare": ("tare", "rod.h5", "--frames", "4:6", "--out", "tared.h5"),
+                "info": ("info", "rod.h5"),
+                "info of results": ("info", "out/results.h5"),
+                "terms": ("show", "terms"),
+                "init": ("init", "mine", "--rows", "4", "--columns", "5"),
+                "detect": ("detect", "rod.h5", "--json"),
+                "detect results": ("detect", "out/results.h5", "--all", "--out", "out"),
+                "check": ("check", "rod.h5"),
+            }.items()
+        }
+        lp.write_results(folder / "invented.h5", invented())
+        texts["compare"] = command("compare", "invented.h5", "--csv", "table.csv")
+        texts["export"] = command("export", "invented.h5", "--to", "csv", "--recording", "mouth")
+        texts["csv"] = (folder / "table.csv").read_text()
+        exported = next(folder.glob("invented*.csv")).read_text().splitlines()
+        texts["exported"] = "\n".join([*exported[:4], str(len(exported))])
+        texts["starter"] = "\n".join(path.read_text() for path in sorted((folder / "mine").glob("*.yaml")))
+        tared = lp.Recording.load(folder / "tared.h5")
+        read = lp.read_results(folder / "out" / "results.h5").cases
+    plain = re.compile(r"case [0-9a-f]+|\d+ bytes|\d+ datasets|in \d.* s\b|/tmp/\S*")
+    return {word: plain.sub("…", text).replace(name, "") for word, text in texts.items()} | {
+        "tared": tared.role, "read": [case_row(case) for case in read],
+    }  # fmt: skip
+
+
+def of_report() -> Rows:
+    plots = {
+        f"plot {plot.kind}": lambda plot=plot: drawn_row(
+            plot.draw(swept_cases() if plot.kind == "sweep" else invented()[:3])
+        ) for plot in PLOTS
+    }  # fmt: skip
+    return (
+        plots
+        | {
+            "timeline": lambda: drawn_row(timeline(detected("mouth"))),
+            "tables": table_row,
+            "page": page_row,
+            "scales": scales_row,
+            "message": message_row,
+            "commands": commands_row,
+            "long columns": lambda: {name: series.values for name, series in invented()[0].long_columns().items()},
+            "schema": lambda: sorted(config.json_schema()["$defs"]),
+            "report of a fit": lambda: re.sub(
+                r"solve time .*", "", Reconstruction.of(simulated(), ESTIMATORS["auto"]).fit_report()
+            ),
+        }
+        | {f"live {name}": partial(live_row, name) for name in ("auto", "by nodal", "tared")}
+    )
+
+
+# Studies
+
+
+def timed(made: type[Any], **known: Any) -> list[Any]:
+    """Frames that took some time, of two solvers, two methods and four panels."""
+    frames = []
+    for side, method, solver, frame in product((32, 48, 64, 8), ("LSM", "LSR-CR"), ("reduced", "nodal"), (0, 1, 2)):
+        seconds = 1e-3 * side**1.5 * (1 + frame / 10) * (3 if solver == "nodal" else 1) * (
+            1.2 if method == "LSM" else 1
+        )  # fmt: skip
+        about = {
+            "rows": side, "columns": side, "recording": "0", "method": method, "solver": solver, "frame": frame,
+            "seconds": seconds,
+        }  # fmt: skip
+        about |= {
+            "objective": 1.0, "gap": 1e-7 * frame * (solver == "nodal"), "iterations": 4 + frame,
+            "status": "optimum verified",
+        }  # fmt: skip
+        frames.append(
+            made(
+                **about, solved=frame < 2 or solver == "reduced",
+                **{name: value(side, frame) for name, value in known.items()},
+            )
+        )  # fmt: skip
+    return frames
+
+
+def bench_row() -> dict[str, Any]:
+    frames = timed(
+        BenchFrame, kind=lambda side, frame: "later" if frame else "first", inverse_s=lambda side,
+        frame: 1e-6 * side**2,
+    )  # fmt: skip
+    rows, settings = bench_rows(frames), BenchFile(schema=1, sizes=(8, 16), budget_s=9.0, frames=2)
+    bench = Bench(settings, tuple(frames), (((8, 8), "LSM", "recording 2"),))
+    return {
+        "rows": [vars(row) for row in rows], "growth": [vars(row) for row in growth(rows)], "tables": tables(bench),
+        "remarks": bench_remarks(bench), "solvers": settings.solvers((16, 16)),
+        "expected": BenchPart(0, (64, 64), "LSM").expected_s(settings, frames[:30]),
+        "recorded": settings.recording((4, 5)).recorded, "loads": [loads(number, (9, 9)) for number in range(4)],
+    }  # fmt: skip
+
+
+def tradeoff_row() -> dict[str, Any]:
+    frames = timed(
+        tradeoff.TradeoffFrame, baseline_s=lambda side, frame: 0.1, cell_error=lambda side, frame: side / 9 + frame,
+        changed_error=lambda side, frame: side / 5,
+    )  # fmt: skip
+    rows = tradeoff.ladder_rows(frames, "method")
+    return {
+        "rows": [vars(row) for row in rows], "front": tradeoff.on_front(rows),
+        "table": tradeoff.tradeoff_table(frames), "figure": drawn_row(tradeoff.tradeoff_figure(rows)),
+        "pareto": tradeoff.front([(1.0, 3.0), (2.0, 1.0), (3.0, 2.0), (0.5, 9.0)]),
+    }  # fmt: skip
+
+
+def extremes_row(case: str) -> dict[str, Any]:
+    shape = (extremes.CASES[case].shapes or ((3, 4),))[0]
+    sample = extremes.AtlasSample(case, *shape, 5.0 * extremes.CASES[case].contrasted, 0.01, 3)
+    recording, made = extremes.recording_of(sample)
+    if shape[0] * shape[1] > 20:
+        return {"recorded": recording.recorded, "cells": made.cells}
+    method = {"mine": SquaredMethod(config.Terms(misfit=lp.Misfit(), gradient=lp.Gradient(weight=1e-3)))}
+    solves = extremes.solves_of(
+        extremes.AtlasTask(
+            sample, extremes.AtlasFile(1, extremes.Grid((3,)), extremes.Grid(()), estimators=method), ("reduced",),
+        )
+    )  # fmt: skip
+    kept = [
+        (solve.part, solve.status, solve.verified, solve.forward_digits > 9, extremes.mild(solve)) for solve in solves
+    ]  # fmt: skip
+    return {
+        "recorded": recording.recorded, "sigma": recording.sigma, "cells": made.cells, "solves": kept,
+        "remarks": extremes.atlas_remarks(solves),
+    }  # fmt: skip
+
+
+def weights_study_row() -> dict[str, Any]:
+    case = SimpleNamespace(
+        recording="r", name="e",
+        estimator=Estimator((lp.Misfit(weighting="noise"), lp.LogGradient(weight=3.0)), "reduced"),
+    )  # fmt: skip
+    subject = WeightSubject.of(case, simulated())
+    points = [solve_at(subject, 10.0**n, None) for n in np.linspace(-4, 5, 10)]
+    return {
+        "points": points, "morozov": morozov(points, subject.count), "corner": l_curve(points),
+        "units": subject.units, "count": subject.count,
+        "finer": [point.weight for point in Curves(subject, tuple(points[2:6])).finer().points],
+        "why": why_not(case.estimator, 9),
+    }  # fmt: skip
+
+
+def paper_row() -> dict[str, Any]:
+    published = paper.read_published(paper.FILE)
+    return {
+        "response": drawn_row(paper.response_figure(published)),
+        "bending": drawn_row(paper.bending_figure(published)), "covered": paper.covered(cells_of((4, 5)) - 3000),
+    }  # fmt: skip
+
+
+def of_studies() -> Rows:
+    return {"bench": bench_row, "tradeoff": tradeoff_row, "weights": weights_study_row, "paper": paper_row} | {
+        f"extremes {case}": partial(extremes_row, case) for case in extremes.CASES
+    }  # fmt: skip

@@ -1,0 +1,29 @@
+"""The golden table: name → a function that computes numbers or texts from public functions of every room.
+
+Most rows come from a walk over a union, so that a new member has one at once. Panels are tiny and seeds are fixed.
+`python -m tests.golden.make table` stores the results anew, a file a room in data/.
+"""
+
+from golden.circuits import Rows, of_loads, of_panel
+from golden.estimates import of_estimate, of_recognition, of_recording
+from golden.numerics import of_cost, of_posterior, of_solvers
+from golden.outputs import of_report, of_studies
+
+ROOMS = (
+    of_panel,
+    of_loads,
+    of_cost,
+    of_solvers,
+    of_posterior,
+    of_recording,
+    of_estimate,
+    of_recognition,
+    of_report,
+    of_studies,
+)
+RELATIVE: dict[str, float] = {}  # name → tolerance, where an answer is iterative
+
+
+def table() -> dict[str, Rows]:
+    """Return room → name → function."""
+    return {room.__name__.removeprefix("of_"): room() for room in ROOMS}
