@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import growing
+from lampest.recording.acquisition import Rows
 from lampest.recording.board.record import Journal
 from lampest.recording.board.stream import Sample
 
@@ -26,7 +26,7 @@ def unclosed_recording(path: Path, scene: Scene, frames: int, unloaded: int) -> 
             journal.append((sample,), int(number < unloaded))
         journal.mark(0.3, "touch")
         journal.mark(0.5, "leave")
-        journal.file[f"entry/{growing(scene.circuit)[0][0]}"].resize(frames + 1, axis=0)
+        journal.file[f"entry/{Rows.of_frames(scene.circuit).datasets[0][0]}"].resize(frames + 1, axis=0)
         journal.file.flush()
         path.write_bytes(path.with_name("growing.h5").read_bytes())
     return path

@@ -1,14 +1,14 @@
 """Datasets of a recording, and acquisition data of a board: clocks, frame numbers, gaps, events, checksums.
 
-A recorder appends rows to the datasets and then the checksum of each row, until it closes the file.
+A recorder appends rows to the datasets and then the checksum of each row, until it closes the file (`Rows`).
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from math import prod
 from operator import itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import h5py
@@ -34,13 +34,8 @@ FRAME_FIELDS = (
     ("session", "u2", "1", "grows by one where the board was unplugged or restarted before the frame"),
 )
 
-FRAME_CHECKSUM, EVENT_CHECKSUM = "acquisition/crc32", "acquisition/event_crc32"
 LABEL = "S16"  # type of an event's label
 Dataset = tuple[str, str, str, str]  # path below /entry, type while it grows, units, long name
-EVENT_FIELDS: tuple[Dataset, ...] = (
-    ("acquisition/event_time", "f8", "s", "time of the event"),
-    ("acquisition/event_label", LABEL, "1", "label of the event"),
-)
 NO_SUM = np.iinfo(np.uint16).max  # a missing sum; 64 readings of 10 bits sum to at most 65,472
 
 
@@ -135,10 +130,76 @@ class Acquisition(Validated):
         return cls(**fields, event_time=times[:events], event_label=labels[:events])
 
 
-def growing(circuit: Readout) -> tuple[Dataset, ...]:
-    """Return the datasets with a row for every frame, in the order of its checksum."""
-    recorded = itemgetter("recorded", "time", "role", "raw_sums")(stored_fields(circuit))
-    return (*recorded, *((f"acquisition/{name}", *described) for name, *described in FRAME_FIELDS))
+class Rows(NamedTuple):
+    """Datasets of a growing file with a row for every frame, or for every event, and a checksum of each row.
+
+    Attributes
+    ----------
+    datasets : tuple of Dataset
+        In the order in which a row's bytes enter its checksum.
+    checksum : Dataset
+    """
+
+    datasets: tuple[Dataset, ...]
+    checksum: Dataset
+
+    @classmethod
+    def of_frames(cls, circuit: Readout) -> "Rows":
+        """Return the datasets with a row for every frame."""
+        recorded = itemgetter("recorded", "time", "role", "raw_sums")(stored_fields(circuit))
+        acquired = [(f"acquisition/{name}", kind, units, words) for name, kind, units, words in FRAME_FIELDS]
+        return cls((*recorded, *acquired), ("acquisition/crc32", "u4", "1", "CRC-32 of all that belongs to the frame"))
+
+    def append(self, file: h5py.File, values: Sequence[Sequence[Any] | NDArray[Any]]) -> None:
+        """Append rows to all datasets, and then their checksums, once the rows are in the file.
+
+        Raises InputError if the file cannot be written.
+        """
+        try:
+            paths = (f"entry/{path}" for path, *_ in self.datasets)
+            columns = [_extend(file[path], column) for path, column in zip(paths, values, strict=True)]
+            file.flush()
+            _extend(file[f"entry/{self.checksum[0]}"], checksums(columns))
+            file[f"entry/{self.checksum[0]}"].flush()
+        except (OSError, RuntimeError) as error:
+            raise InputError(f"{file.filename}: cannot be written ({' '.join(str(error).split())})") from error
+
+    def stored(self, file: h5py.File, part: slice) -> list[NDArray[Any]]:
+        """Return a range of rows of each dataset. Raises InputError if one cannot be read."""
+        return [
+            np.array([text.encode() for text in hdf5.read_texts(file, f"/entry/{path}", part=part)], dtype=kind)
+            if kind == LABEL
+            else hdf5.read_array(file, f"/entry/{path}", (1, 3), part=part)
+            for path, kind, *_ in self.datasets
+        ]
+
+    def undamaged(self, file: h5py.File) -> NDArray[np.bool_]:
+        """Return which rows of an unfinished file are complete and agree with their checksum."""
+        paths = [f"/entry/{path}" for path, *_ in (self.checksum, *self.datasets)]
+        count, *lengths = (hdf5.length_of(file, path) for path in paths)
+        right = np.zeros(count, dtype=np.bool_)
+        for part in blocks(min(count, *lengths), prod(hdf5.shape_of(file, paths[1])[1:])):
+            right[part] = checksums(self.stored(file, part)) == hdf5.read_array(file, paths[0], 1, part=part)
+        return right
+
+
+EVENTS = Rows(
+    (
+        ("acquisition/event_time", "f8", "s", "time of the event"),
+        ("acquisition/event_label", LABEL, "1", "label of the event"),
+    ),
+    ("acquisition/event_crc32", "u4", "1", "CRC-32 of all that belongs to the event"),
+)
+
+
+def _extend(dataset: h5py.Dataset, values: Sequence[Any] | NDArray[Any]) -> NDArray[Any]:
+    """Append values in the dataset's type, integers clipped to its maximum, and return them."""
+    if dataset.dtype.kind == "u":
+        values = np.minimum(np.asarray(values, np.uint64), np.iinfo(dataset.dtype).max)
+    column, length = np.asarray(values, dataset.dtype), dataset.shape[0]
+    dataset.resize(length + len(column), axis=0)
+    dataset[length:] = column
+    return column
 
 
 def checksums(columns: Sequence[NDArray[Any]]) -> NDArray[np.uint32]:
@@ -151,9 +212,9 @@ def undamaged_frames(file: h5py.File, scene: Scene) -> slice:
     """Return the frames of a finished file, or those written so far. Raises InputError if one is damaged."""
     if "lampest_unfinished" not in file.attrs:
         return hdf5.ALL
-    whole = undamaged_rows(file, growing(scene.circuit), FRAME_CHECKSUM)
+    whole = Rows.of_frames(scene.circuit).undamaged(file)
     damaged = np.flatnonzero(~whole)
-    if len(damaged) or not np.all(undamaged_rows(file, EVENT_FIELDS, EVENT_CHECKSUM)):
+    if len(damaged) or not np.all(EVENTS.undamaged(file)):
         fault = f"{len(damaged)} of {len(whole)} frames are damaged, first frame {damaged[0]}" if len(damaged) else ""
         raise InputError(
             f"{file.filename}: {fault or 'an event is damaged'}; lampest check --repair keeps the undamaged rest"
@@ -161,32 +222,10 @@ def undamaged_frames(file: h5py.File, scene: Scene) -> slice:
     return slice(len(whole))
 
 
-def undamaged_rows(file: h5py.File, datasets: Sequence[Dataset], checksum: str) -> NDArray[np.bool_]:
-    """Return which rows of an unfinished file are complete and agree with their checksum."""
-    paths = [checksum, *(path for path, *_ in datasets)]
-    count, *lengths = (hdf5.length_of(file, f"/entry/{path}") for path in paths)
-    right = np.zeros(count, dtype=np.bool_)
-    for part in blocks(min(count, *lengths), prod(hdf5.shape_of(file, f"/entry/{paths[1]}")[1:])):
-        sums, *columns = stored_rows(file, paths, part)
-        right[part] = checksums(columns) == sums
-    return right
-
-
 def blocks(frames: int, crossings: int) -> Iterator[slice]:
     """Yield ranges of frames that fit into memory at once."""
     length = max(1, hdf5.CHUNK // crossings)
     return (slice(begin, min(begin + length, frames)) for begin in range(0, frames, length))
-
-
-def stored_rows(file: h5py.File, paths: Iterable[str], part: slice) -> list[NDArray[Any]]:
-    """Return a range of rows of datasets below /entry. Raises InputError if one cannot be read."""
-
-    def rows(path: str) -> NDArray[Any]:
-        if not path.endswith("label"):
-            return np.asarray(hdf5.read_array(file, path, (1, 3), part=part))
-        return np.array([text.encode() for text in hdf5.read_texts(file, path, part=part)], dtype=LABEL)
-
-    return [rows(f"/entry/{path}") for path in paths]
 
 
 def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:

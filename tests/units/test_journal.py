@@ -12,7 +12,7 @@ from lampest import InputError, Recording
 from lampest.cli.results import _repaired
 from lampest.files import hdf5
 from lampest.files.checksums import is_left_open
-from lampest.recording.acquisition import EVENT_CHECKSUM, EVENT_FIELDS, undamaged_rows
+from lampest.recording.acquisition import EVENTS
 from lampest.recording.board.record import repair
 from lampest.recording.recording import StoredRecording
 
@@ -70,7 +70,7 @@ def test_events_are_as_many_as_all_their_datasets_hold(killed: Path) -> None:
         with h5py.File(killed.with_name("growing.h5")) as file, h5py.File(killed.with_name("c.h5"), "w") as copy:
             file.copy("entry", copy)
             copy[f"entry/acquisition/event_{name}"].resize(1, axis=0)
-            assert undamaged_rows(copy, EVENT_FIELDS, EVENT_CHECKSUM).tolist() == flags
+            assert EVENTS.undamaged(copy).tolist() == flags
 
 
 def test_all_damaged_is_refused_and_stays(killed: Path) -> None:

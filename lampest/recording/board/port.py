@@ -115,12 +115,7 @@ class Board:
 
     def order(self, kind: Kind, value: int = 0) -> None:
         """Send a command until it is answered. Raises InputError if it is refused, NoBoardError without an answer."""
-        tag = next(self._tags) % 256
-
-        def wanted(item: Message) -> bool:
-            return isinstance(item, Answer) and (item.command, item.tag) == (kind, tag)
-
-        answer = self._ask(command(kind, tag, value), wanted, kind.name)
+        answer = self._ask(kind, value)
         # A running board has carried out an earlier START whose answer was lost.
         runs = kind is Kind.START and answer.result is protocol.Result.REFUSED_RUNNING
         if answer.result is not protocol.Result.DONE and not runs:
@@ -128,21 +123,22 @@ class Board:
 
     def identify(self) -> Hello:
         """Request and return a HELLO. Raises NoBoardError without an answer."""
-        hello: Hello = self._ask(command(Kind.IDENTIFY), lambda item: isinstance(item, Hello), "IDENTIFY")
+        hello: Hello = self._ask(Kind.IDENTIFY)
         return hello
 
-    def _ask(self, wire: bytes, wanted: Callable[[Message], bool], name: str) -> Any:
-        """Send until the wanted message arrives, and return it; other messages except garbage remain to be read."""
+    def _ask(self, kind: Kind, value: int = 0) -> Any:
+        """Send a command until its answer arrives, and return it; other messages except garbage remain to be read."""
+        tag, expected = next(self._tags) % 256, Hello if kind is Kind.IDENTIFY else Answer
         for _ in range(4):  # a line may be disturbed
-            self._port.write(wire)
+            self._port.write(command(kind, tag, value))
             until = time.monotonic() + ANSWER_SECONDS
             while time.monotonic() < until:
                 arrived = [item for item in self._arrived() if not isinstance(item, Garbage)]
-                answers = [item for item in arrived if wanted(item)]
+                answers = [item for item in arrived if isinstance(item, expected) and getattr(item, "tag", tag) == tag]
                 self._waiting += [item for item in arrived if item not in answers[:1]]
                 if answers:
                     return answers[0]
-        raise NoBoardError(f"{self._url}: the board does not answer {name}")
+        raise NoBoardError(f"{self._url}: the board does not answer {kind.name}")
 
     def _arrived(self) -> tuple[Message, ...]:
         """Return the messages that new bytes complete. Raises InputError for another version, or an invalid HELLO."""

@@ -5,6 +5,7 @@ The same layouts and numbers are in firmware/lampest_board/protocol.h; tests com
 
 import struct
 from binascii import crc_hqx
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Any, Literal
@@ -223,9 +224,7 @@ def _read_piece(piece: bytes) -> Message:
     if body[0] != PROTOCOL_VERSION:
         return Foreign(body[0])
     try:
-        if body[1] == Kind.HELLO:
-            return _read_hello(body)
-        return _read_frame(body) if body[1] == Kind.FRAME else _read_answer(body)
+        return READERS[body[1]](body)
     except (struct.error, LookupError, ValueError):
         return Garbage(len(piece))
 
@@ -249,7 +248,12 @@ def _read_frame(body: bytes) -> Frame:
 
 
 def _read_answer(body: bytes) -> Answer:
-    _, message_kind, kind, tag, result, value = _ANSWER.unpack(body)
-    if message_kind != Kind.ANSWER:
-        raise ValueError("no message from a board")
+    _, _, kind, tag, result, value = _ANSWER.unpack(body)
     return Answer(kind, tag, RESULT_CODES[result], value)
+
+
+READERS: dict[int, Callable[[bytes], Message]] = {
+    Kind.HELLO: _read_hello,
+    Kind.FRAME: _read_frame,
+    Kind.ANSWER: _read_answer,
+}

@@ -7,6 +7,7 @@ readable after a crash.
 
 import contextlib
 import dataclasses
+import math
 import re
 import time
 from collections import Counter, deque
@@ -14,46 +15,22 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files import hdf5
 from lampest.files.document import to_yaml
 from lampest.files.errors import InputError
 from lampest.files.process import deaf, ending_signals
 from lampest.files.whole import check_output, folder_beside, is_locked, locked, own
-from lampest.panel.panel import Array
 from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import (
-    EVENT_CHECKSUM,
-    EVENT_FIELDS,
-    FRAME_CHECKSUM,
-    FRAME_FIELDS,
-    Dataset,
-    blocks,
-    checksums,
-    group_of,
-    growing,
-    stored_rows,
-    undamaged_rows,
-)
+from lampest.recording.acquisition import EVENTS, FRAME_FIELDS, Rows, blocks, group_of
 from lampest.recording.board.protocol import MAX_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples
-from lampest.recording.recording import (
-    FORMAT,
-    MEASURED,
-    UNLOADED,
-    Recording,
-    StoredRecording,
-    opened,
-    recording_file,
-    save_parts,
-)
+from lampest.recording.recording import FORMAT, MEASURED, UNLOADED, Recording, opened, recording_file, save_parts
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot or separator: a visible file within the folder
 
@@ -159,62 +136,36 @@ class Journal:
         names = ("recorded", "time", "sums", *(name for name, *_ in FRAME_FIELDS))
         recorded, time, sums, *acquired = ([field[name] for field in fields] for name in names)
         roles = [UNLOADED if number < unloaded else MEASURED for number in range(len(samples))]
-        self._push(growing(self.scene.circuit), (recorded, time, roles, sums, *acquired), FRAME_CHECKSUM)
+        Rows.of_frames(self.scene.circuit).append(self.file, (recorded, time, roles, sums, *acquired))
         for sample in samples:
             for event in (*sample.events, *keys()):
                 self.mark(sample.time, event)
 
     def mark(self, time: float, label: str) -> None:
         """Append an event; its label is cut to 16 characters."""
-        self._push(EVENT_FIELDS, ([time], [hdf5.ascii_array(label)]), EVENT_CHECKSUM)
+        EVENTS.append(self.file, ([time], [hdf5.ascii_array(label)]))
 
     def keep(self, source: h5py.File) -> None:
         """Append the undamaged frames and events of another journal; damaged frames count as lost before the next."""
-        for datasets, checksum in ((growing(self.scene.circuit), FRAME_CHECKSUM), (EVENT_FIELDS, EVENT_CHECKSUM)):
-            paths = [path for path, *_ in datasets]
-            whole = np.flatnonzero(undamaged_rows(source, datasets, checksum))
+        for rows in (Rows.of_frames(self.scene.circuit), EVENTS):
+            whole = np.flatnonzero(rows.undamaged(source))
             dropped = np.diff(whole, prepend=-1) - 1
             for part in blocks(len(whole), self.scene.panel.crossings):
                 first, last = whole[part][[0, -1]].tolist()
-                rows = dict(zip(paths, stored_rows(source, paths, slice(first, last + 1)), strict=True))
-                values = {path: column[whole[part] - first] for path, column in rows.items()}
-                if checksum == FRAME_CHECKSUM:
-                    values["acquisition/lost"] = values["acquisition/lost"] + dropped[part]
-                self._push(datasets, [*values.values()], checksum)
-
-    def _push(self, datasets: Sequence[Dataset], values: Sequence[Sequence[Any] | Array], checksum: str) -> None:
-        """Append rows, and then their checksums, once the rows are in the file."""
-        try:
-            columns = [self._extend(path, value) for (path, *_), value in zip(datasets, values, strict=True)]
-            self.file.flush()
-            self._extend(checksum, checksums(columns))
-            self.file[f"entry/{checksum}"].flush()
-        except (OSError, RuntimeError) as error:
-            raise InputError(f"{self.file.filename}: cannot be written ({' '.join(str(error).split())})") from error
-
-    def _extend(self, path: str, values: Sequence[Any] | NDArray[Any]) -> NDArray[Any]:
-        """Append values in the dataset's type, integers clipped to its maximum, and return them."""
-        dataset = self.file[f"entry/{path}"]
-        if dataset.dtype.kind == "u":
-            values = np.minimum(np.asarray(values, np.uint64), np.iinfo(dataset.dtype).max)
-        column, length = np.asarray(values, dataset.dtype), dataset.shape[0]
-        dataset.resize(length + len(column), axis=0)
-        dataset[length:] = column
-        return column
+                values = [column[whole[part] - first] for column in rows.stored(source, slice(first, last + 1))]
+                for number, (path, *_) in enumerate(rows.datasets):
+                    if path == "acquisition/lost":
+                        values[number] = values[number] + dropped[part]
+                rows.append(self.file, values)
 
 
 def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
     """Create the groups, datasets and attributes of a journal."""
     circuit, frames = scene.circuit, group_of(scene.circuit)
-    datasets = (
-        *growing(circuit),
-        *EVENT_FIELDS,
-        (FRAME_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the frame"),
-        (EVENT_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the event"),
-    )
     entry = file.create_group("entry")
     hdf5.write_text(entry, "scene", to_yaml(scene))
-    for path, kind, units, long_name in datasets:
+    series = (Rows.of_frames(circuit), EVENTS)
+    for path, kind, units, long_name in (dataset for rows in series for dataset in (*rows.datasets, rows.checksum)):
         cells = scene.panel.shape if path.endswith((f"/{circuit.signal}", "/sums")) else ()
         chunk = (16 if cells else 1024, *cells)  # a chunk is written anew with every frame
         dataset = entry.create_dataset(path, (0, *cells), kind, maxshape=(None, *cells), chunks=chunk)
@@ -428,22 +379,21 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
     The host's clock ends a timed recording 5 %, a period and 1 s later. Raises InputError if frames are counted and
     none has arrived for UNFIT_SECONDS and three periods.
     """
-    count, began, heard = 0, None, time.monotonic()
+    most, until = math.inf if frames is None else frames, math.inf if seconds is None else seconds
+    count, began, heard = 0, 0.0, time.monotonic()
     for batch in batches:
-        heard = time.monotonic() if batch else heard
-        if frames is not None and time.monotonic() - heard > UNFIT_SECONDS + 3 * period:
-            raise InputError(f"no frame came for {time.monotonic() - heard:.0f} s")
-        ended = frames is not None and count + len(batch) >= frames
-        batch = batch if frames is None else batch[: frames - count]
-        if seconds is not None:
-            began = began or time.monotonic()
-            late = (number for number, item in enumerate(batch, 1) if item.time + item.hello.period > seconds - 1e-3)
-            until = next(late, None)
-            batch = batch[:until]
-            ended |= until is not None or time.monotonic() - began > 1.05 * seconds + period + 1
+        now = time.monotonic()
+        began, heard = began or now, now if batch else heard
+        if frames is not None and now - heard > UNFIT_SECONDS + 3 * period:
+            raise InputError(f"no frame came for {now - heard:.0f} s")
+        last = [
+            number >= most or item.time + item.hello.period > until - 1e-3
+            for number, item in enumerate(batch, count + 1)
+        ]
+        batch = batch[: last.index(True) + 1] if any(last) else batch
         count += len(batch)
         yield batch
-        if ended:
+        if any(last) or now - began > 1.05 * until + period + 1:
             return
 
 
@@ -457,13 +407,12 @@ def repair(path: Path) -> tuple[int, int]:
     with hdf5.existing_file(path) as file:
         closed = "lampest_unfinished" not in file.attrs
     if closed:
-        recording = opened(path)
-        return recording.frames if isinstance(recording, StoredRecording) else len(recording.time), 0
+        return len(opened(path).role), 0
     if is_locked(path):
         raise InputError(f"{path}: still being recorded")
     with folder_beside(path) as folder:
         with recording_file(path) as (file, scene, _, _):
-            whole = undamaged_rows(file, growing(scene.circuit), FRAME_CHECKSUM)
+            whole = Rows.of_frames(scene.circuit).undamaged(file)
             if len(whole) and not whole.any():
                 raise InputError(f"{path}: every frame is damaged")
             readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
@@ -480,11 +429,11 @@ def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float
         if isinstance(recording, Recording):
             noise = noise_from_repeats([recording])
             _with_sigma(recording, noise).save(path)
-            return recording.scene, len(recording.time), noise
-        overlapping = (range(max(part.start - 1, 0), part.stop) for part in recording.blocks)
-        noise = noise_from_repeats(recording.part(part) for part in overlapping)
-        save_parts(path, (_with_sigma(recording.part(part), noise) for part in recording.blocks))
-        return recording.scene, recording.frames, noise
+        else:
+            overlapping = (range(max(part.start - 1, 0), part.stop) for part in recording.blocks)
+            noise = noise_from_repeats(recording.part(part) for part in overlapping)
+            save_parts(path, (_with_sigma(recording.part(part), noise) for part in recording.blocks))
+        return recording.scene, len(recording.role), noise
 
 
 def _with_sigma(recording: Recording, noise: float | None) -> Recording:
