@@ -6,10 +6,10 @@ import os
 import re
 import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
 import h5py
 import numpy as np
@@ -21,7 +21,6 @@ from contracts.imports import COLUMNS, DIVIDER, FRAMES, ROWS, check_refused, che
 from lampest import (
     Bounds,
     InputError,
-    Layout,
     Misfit,
     Panel,
     Recording,
@@ -311,9 +310,13 @@ def test_entries_of_a_scene_are_set_at_the_import(tmp_path: Path, lampest: Calla
     scene.write_text("panel: {rows: 3, columns: 5}\nseries_resistance_ohm: 140\n", encoding="utf-8")
     np.save(tmp_path / "m.npy", FRAMES)
     words = ("import", tmp_path / "m.npy", "--unit", "ohm", "--out", made)
-    done = lampest(*words, "--scene", scene, "--set", "series_resistance_ohm=70", "--set", "panel.pitch_mm=4")
+    assigned = ("--scene", scene, "--set", "series_resistance_ohm=70", "--set", "panel.pitch_mm=4")
+    done = lampest(*words, *assigned, "--period", "0.5", "--baseline", "1")
     assert done.code == 0, done.err
-    assert Recording.load(made).scene == Scene(Panel(3, 5, 4.0), None, 70.0)
+    assert "series resistance 70 ohm and pitch 4 mm, by the scene" in done.out
+    recording = Recording.load(made)
+    assert recording.scene == Scene(Panel(3, 5, 4.0), None, 70.0)
+    assert (recording.time[1], recording.role.tolist()) == (0.5, [0, 1, 1, 1])
     made.unlink()
     wrong = lampest(*words, "--scene", scene, "--set", "panel.pitsch_mm=4")
     assert (wrong.code, made.exists()) == (2, False) and "pitsch_mm" in wrong.err
@@ -427,55 +430,7 @@ def test_an_array_that_does_not_fit_is_refused_in_words_of_its_arguments(
     assert "--" not in str(caught.value)
 
 
-@dataclass(frozen=True)
-class FramesInBytes(Layout):
-    kind: ClassVar[str] = "frames_in_bytes"
-
-    def read(self, path: Path, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-        values = np.fromfile(path, dtype="<u2").reshape(-1, rows, columns)
-        return values, np.arange(len(values)) * 50
-
-
-class Turned(FramesInBytes):
-    def read(self, path: Path, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-        return super().read(path, columns, rows)
-
-
-def test_a_layout_of_ones_own_reads_what_it_knows(tmp_path: Path) -> None:
-    codes = np.arange(300, 300 + 2 * ROWS * COLUMNS).astype("<u2").reshape(2, ROWS, COLUMNS)
-    (tmp_path / "m.dat").write_bytes(codes.tobytes())
-    recording, notes = import_file(tmp_path / "m.dat", scene=DIVIDER, unit="code", layout=FramesInBytes())
-    np.testing.assert_allclose(recording.recorded, Recording.from_array(codes, unit="code", scene=DIVIDER).recorded)
-    assert recording.time[-1] == 0.05 and notes[0] == "layout frames_in_bytes"
-    assert any(note.startswith("time: ms (guessed") for note in notes)
-    with pytest.raises(InputError, match=r"layout frames_in_bytes gives 2 × 5 × 3, not frames × 3 × 5"):
-        import_file(tmp_path / "m.dat", scene=DIVIDER, unit="code", layout=Turned())
-
-
 # The command.
-
-
-def test_the_command_ends_with_a_map(tmp_path: Path) -> None:
-    (tmp_path / "scene.yaml").write_text("panel: {rows: 3, columns: 5, pitch_mm: 8}\n")
-    frames = np.full((2, ROWS, COLUMNS), 500.0)
-    frames[:, 0, 4], frames[1, 2, 0] = 251, np.nan
-    (tmp_path / "m.csv").write_text("\n".join(lines(frames)))
-    words = ("--scene", "scene.yaml", "--out", "m.h5", "--period", "0.5", "--baseline", "1")
-    ended = run_command("import", "m.csv", *words, cwd=tmp_path)
-    assert (ended.returncode, ended.stderr) == (0, "")
-    printed = ended.stdout.splitlines()
-    assert printed[-6:] == [
-        "mean reading in ohm:",
-        "column    0    1    2    3    4",
-        " row 0  500  500  500  500  251",
-        " row 1  500  500  500  500  500",
-        " row 2  500  500  500  500  500",
-        "m.h5",
-    ]
-    for sentence in ("series resistance 0 ohm and pitch 8 mm, by the scene", "time: a frame every 0.5 s, as specified"):
-        assert any(sentence in line for line in printed)
-    recording = Recording.load(tmp_path / "m.h5")
-    assert recording.scene.panel == Panel(3, 5, 8.0) and recording.time[1] == 0.5
 
 
 def test_the_page_says_what_the_command_says(tmp_path: Path) -> None:

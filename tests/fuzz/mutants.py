@@ -12,14 +12,14 @@ import struct
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import h5py
 import numpy as np
 import openpyxl
 import scipy.io
+from ruamel.yaml import YAML
 from support import invented_case
 from unclosed import unclosed_recording
 
@@ -27,58 +27,55 @@ from lampest import Panel, PublishedFigures, Recording, Scene, StepFigures, TwoP
 from lampest.files import hdf5
 from lampest.recording.acquisition import Acquisition
 
-SUFFIXES = {
-    "run": ".yaml",
-    "scene": ".yaml",
-    "simulation": ".yaml",
-    "setting": ".txt",
-    "recording": ".h5",
-    "results": ".h5",
-    "table": ".csv",
-    "numpy": ".npy",
-    "matlab": ".mat",
-    "excel": ".xlsx",
-    "arrays": ".npz",
-    "matlab_hdf5": ".mat",
+# Suffix and styles of change of each kind of file.
+KINDS = {
+    "run": (".yaml", ("text", "meaning", "meaning", "bytes")),
+    "scene": (".yaml", ("text", "meaning", "bytes")),
+    "simulation": (".yaml", ("text", "meaning", "meaning", "bytes")),
+    "setting": (".txt", ("text", "bytes")),
+    "recording": (".h5", ("bytes", "nodes", "nodes")),
+    "results": (".h5", ("bytes", "nodes", "nodes")),
+    "table": (".csv", ("text", "text", "bytes")),
+    "numpy": (".npy", ("bytes", "text")),
+    "matlab": (".mat", ("bytes",)),
+    "excel": (".xlsx", ("bytes", "parts", "parts")),
+    "arrays": (".npz", ("bytes", "parts")),
+    "matlab_hdf5": (".mat", ("bytes",)),
 }
-SCENE: dict[str, Any] = {
-    "panel": {"rows": 3, "columns": 4, "pitch_mm": 10},
-    "readout": {"kind": "two_point", "supply_volt": 5, "reference_ohm": 1000, "adc_bits": 10, "noise_lsb": 0.7},
-    "series_resistance_ohm": 140,
-}
-RUN: dict[str, Any] = {
-    "schema": 1,
-    "recordings": ["small.h5"],
-    "estimators": {
-        "LSM": {"terms": {"misfit": {}}, "bounds": {"lower": 1}},
-        "LSR-CR": {"terms": {"misfit": {"weighting": "noise"}, "cell_resistance": {"weight": 1e-3}}},
-        "LSR-gdCR": {
-            "terms": {
-                "misfit": {"loss": {"kind": "huber", "corner": 3}},
-                "gradient_of_relative_change": {"weight": 10},
-            },
-            "formulation": "reduced",
-        },
-    },
-    "formulation": "nodal",
-    "solver": {"tolerance": 1e-8, "max_iterations": 300},
-    "bounds": {"lower": "measured", "upper": "resolution"},
-    "sweep": {"estimators.LSR-CR.terms.cell_resistance.weight": [1e-4, 1e-3]},
-    "published": {"LSM": {"all": {"time_s": 0.3, "error_percent": 0.1}}},
-}
-SIMULATION: dict[str, Any] = {
-    "schema": 1,
-    "seed": 40,
-    "scene": SCENE,
-    "cells": {"resistance_ohm": 3050, "spread": 0.2, "patch_mm": 6},
-    "baseline_frames": 1,
-    "frames": 2,
-    "frame_period_s": 1.0,
-    "loads": [{"kind": "rod", "centre_mm": [15, 10], "diameter_mm": 20, "mass_g": {"uniform": [80, 120]}}],
-    "unmodelled": {"channel_spread_ohm": 3, "reference_tolerance": 0.01, "outlier_probability": 1e-4},
-    "output": "made_{case:03d}_{seed}.h5",
-    "sweep": {"seed": [1, 2]},
-}
+DOCUMENTS = """
+run:
+  schema: 1
+  recordings: [small.h5]
+  estimators:
+    LSM: {terms: {misfit: {}}, bounds: {lower: 1}}
+    LSR-CR: {terms: {misfit: {weighting: noise}, cell_resistance: {weight: 0.001}}}
+    LSR-gdCR:
+      terms: {misfit: {loss: {kind: huber, corner: 3}}, gradient_of_relative_change: {weight: 10}}
+      formulation: reduced
+  formulation: nodal
+  solver: {tolerance: 1.0e-8, max_iterations: 300}
+  bounds: {lower: measured, upper: resolution}
+  sweep: {estimators.LSR-CR.terms.cell_resistance.weight: [0.0001, 0.001]}
+  published: {LSM: {all: {time_s: 0.3, error_percent: 0.1}}}
+scene:
+  panel: {rows: 3, columns: 4, pitch_mm: 10}
+  readout: {kind: two_point, supply_volt: 5, reference_ohm: 1000, adc_bits: 10, noise_lsb: 0.7}
+  series_resistance_ohm: 140
+simulation:
+  schema: 1
+  seed: 40
+  cells: {resistance_ohm: 3050, spread: 0.2, patch_mm: 6}
+  baseline_frames: 1
+  frames: 2
+  frame_period_s: 1.0
+  loads: [{kind: rod, centre_mm: [15, 10], diameter_mm: 20, mass_g: {uniform: [80, 120]}}]
+  unmodelled: {channel_spread_ohm: 3, reference_tolerance: 0.01, outlier_probability: 0.0001}
+  output: 'made_{case:03d}_{seed}.h5'
+  sweep: {seed: [1, 2]}
+"""
+CONTENT: dict[str, Any] = YAML(typ="safe").load(DOCUMENTS)
+CONTENT["simulation"]["scene"] = CONTENT["scene"]
+RUN, SCENE = CONTENT["run"], CONTENT["scene"]
 SETTINGS = ("solver.tolerance=1e-6", "estimators.LSM.bounds.lower=none", "recordings=[small.h5]", "bounds={upper: 1e9}")
 
 NASTY_TEXTS = (
@@ -108,53 +105,69 @@ NASTY_VALUES: tuple[Any, ...] = (
 )  # fmt: skip
 MOST_READ = 100_000
 BYTES = (
-    b"\0",
-    b"\xff",
-    b"\xff" * 8,
-    b"\0" * 8,
-    b"\x7f\xff\xff\xff",
-    struct.pack("<Q", 10**9),
-    struct.pack("<I", 2**31),
-)
+    b"\0", b"\xff", b"\xff" * 8, b"\0" * 8, b"\x7f\xff\xff\xff", struct.pack("<Q", 10**9), struct.pack("<I", 2**31),
+)  # fmt: skip
+ATTRIBUTES: tuple[Any, ...] = (
+    None, 0, -1, 2**63, 1e308, np.nan, "text", "é", np.bytes_(b"\xff\xfe"), [1, 2], ["a", "b"],
+    np.zeros((2, 2)), h5py.Empty("f8"),
+    "{}", "[]", '{"LSM": 5}', '{"LSM": {"all": {"time_s": -1}}}', '{"LSM": {"none": {}}}',
+    "[" * 1000, True, 1 + 1j, "x" * 60_000,
+    np.array([b"a"], dtype=h5py.string_dtype()), np.zeros(2, [("a", "f8")]), "9" * 5000,
+)  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Mutant:
-    """One input: what kind of reader takes it, and its bytes."""
+class Mutant(NamedTuple):
+    """One input: the kind of its reader, and its bytes."""
 
     kind: str
     content: bytes
 
 
-@dataclass(frozen=True)
-class Corpus:
+class Corpus(NamedTuple):
     """Good files: kind → their bytes."""
 
     files: dict[str, tuple[bytes, ...]]
 
     def mutant(self, number: int, kind: str) -> Mutant:
-        """Input number `number` of a kind, the same one in every process."""
-        rng = np.random.default_rng([number, list(SUFFIXES).index(kind)])
-        return Mutant(kind, changed(kind, str(rng.choice(STYLES[kind])), self.files[kind], rng))
+        """Input number `number` of a kind, the same one in every process: one to four changes of one style."""
+        rng, seeds = np.random.default_rng([number, list(KINDS).index(kind)]), self.files[kind]
+        style, content, count = str(rng.choice(KINDS[kind][1])), one_of(seeds, rng), int(rng.integers(1, 5))
+        if style == "meaning":
+            return Mutant(kind, changed_tree(CONTENT[kind], count, rng))
+        if style in ("nodes", "parts"):
+            return Mutant(kind, (changed_nodes if style == "nodes" else changed_parts)(content, count, rng))
+        for _ in range(count):
+            content = (changed_text if style == "text" else changed_bytes)(content, seeds, rng)
+        return Mutant(kind, content)
 
 
 def corpus(folder: Any) -> Corpus:
-    """Writes small.h5, which runs name, into the folder."""
+    """Good files of all kinds; small.h5, which runs name, is written into the folder."""
     recording, unfinished = good_recordings(folder)
     (folder / "small.h5").write_bytes(recording)
+    values, stacked = frames(), frames().transpose(1, 2, 0)
+    series = {"resistance": values, "time_ms": np.arange(3) * 250, "noise": np.random.default_rng(5).random(2000)}
     return Corpus(
         {
             "run": (text(RUN), text({**RUN, "recordings": ["*.h5"], "sweep": {"bounds.lower": [1, "none"]}})),
             "scene": (text(SCENE), text({"scene": SCENE})),
-            "simulation": (text(SIMULATION),),
+            "simulation": (text(CONTENT["simulation"]),),
             "setting": tuple(setting.encode() for setting in SETTINGS),
             "recording": (recording, without_checksums(good_recordings, folder)[0], unfinished),
             "results": (good_results(folder), without_checksums(good_results, folder)),
             "table": good_tables(),
-            "numpy": (numpy_file(frames()), numpy_file(frames().reshape(3, 12).astype(">i4"))),
-            "matlab": (matlab_file(frames(), packed=False), matlab_file(frames(), packed=True)),
-            "excel": (excel_file(zipfile.ZIP_STORED), excel_file(zipfile.ZIP_DEFLATED)),
-            "arrays": (npz_file(np.savez), npz_file(np.savez_compressed)),
+            "numpy": tuple(
+                saved(lambda stream, array=array: np.save(stream, array))
+                for array in (values, values.reshape(3, 12).astype(">i4"))
+            ),
+            "matlab": tuple(
+                saved(lambda stream, packed=packed: scipy.io.savemat(stream, {"r": stacked}, do_compression=packed))
+                for packed in (False, True)
+            ),
+            "excel": tuple(map(excel_file, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))),
+            "arrays": tuple(
+                saved(lambda stream, save=save: save(stream, **series)) for save in (np.savez, np.savez_compressed)
+            ),
             "matlab_hdf5": (matlab_hdf5_file(),),
         }
     )
@@ -167,47 +180,46 @@ def frames() -> Any:
 
 def text(content: Any) -> bytes:
     """YAML as a person may write it."""
-    stream = io.StringIO()
-    for key, value in content.items():
-        stream.write(f"{key}: {json.dumps(value)}\n".replace('"', "'"))
-    return stream.getvalue().encode()
+    return "".join(f"{key}: {json.dumps(value)}\n".replace('"', "'") for key, value in content.items()).encode()
+
+
+def saved(save: Callable[[io.BytesIO], object]) -> bytes:
+    """The bytes that a function writes into a stream."""
+    stream = io.BytesIO()
+    save(stream)
+    return stream.getvalue()
 
 
 def good_recordings(folder: Any) -> tuple[bytes, bytes]:
     """One with everything a recording can hold, and one whose recorder was killed."""
-    rng, count = np.random.default_rng(2), np.arange(3)
-    codes = rng.integers(4000, 8000, (3, 3, 4))
-    readout = TwoPointReadout()
-    board = Acquisition(count * 1.0, count, count, 0 * count, 0 * count, 0 * count, np.array([0.5]), ("mark",))
-    recording = Recording(
-        Scene(Panel(3, 4), readout, 140.0),
+    rng, count, readout = np.random.default_rng(2), np.arange(3), TwoPointReadout()
+    codes, scene = rng.integers(4000, 8000, (3, 3, 4)), Scene(Panel(3, 4), readout, 140.0)
+    Recording(
+        scene,
         readout.recorded_from_sums(codes, 20),
         count * 1.0,
         (count > 0).astype(np.uint8),
-        np.full((3, 4), 5.0),
-        rng.uniform(1e3, 1e4, (3, 3, 4)),
-        rng.uniform(0, 9, (3, 3, 4)),
-        codes.astype(np.uint16),
-        20,
-        "small",
-        "seed: 1\n",
-        board,
-    )
-    recording.save(folder / "good.h5")
-    whole = (folder / "good.h5").read_bytes()
-    killed = unclosed_recording(folder / "killed.h5", Scene(Panel(3, 4), readout, 140.0), 3, 1).read_bytes()
-    for name in ("killed.h5", "growing.h5"):
+        sigma=np.full((3, 4), 5.0),
+        truth_cell_resistance=rng.uniform(1e3, 1e4, (3, 3, 4)),
+        truth_pressure=rng.uniform(0, 9, (3, 3, 4)),
+        raw_sums=codes.astype(np.uint16),
+        raw_readings=20,
+        name="small",
+        simulation="seed: 1\n",
+        acquisition=Acquisition(count * 1.0, count, count, *[0 * count] * 3, np.array([0.5]), ("mark",)),
+    ).save(folder / "good.h5")
+    unclosed_recording(folder / "killed.h5", scene, 3, 1)
+    contents = [(folder / name).read_bytes() for name in ("good.h5", "killed.h5")]
+    for name in ("good.h5", "killed.h5", "growing.h5"):
         (folder / name).unlink()
-    (folder / "good.h5").unlink()
-    return whole, killed
+    return contents[0], contents[1]
 
 
 def good_results(folder: Any) -> bytes:
     """Two estimators, one of them with a frame that failed, and published figures."""
     shape = (2, 3, 4)
     cases = [invented_case("LSM", "small", shape), invented_case("LSR-dCR", "small", shape, failed=(1,))]
-    figures = PublishedFigures(all=StepFigures(0.3, 0.1, 0.2, None))
-    write_results(folder / "good.h5", cases, {"LSM": figures})
+    write_results(folder / "good.h5", cases, {"LSM": PublishedFigures(all=StepFigures(0.3, 0.1, 0.2, None))})
     whole = bytes((folder / "good.h5").read_bytes())
     (folder / "good.h5").unlink()
     return whole
@@ -249,63 +261,26 @@ def good_tables() -> tuple[bytes, ...]:
 
 def excel_file(packing: int) -> bytes:
     """The bytes of an .xlsx file with times and a header."""
-    book = openpyxl.Workbook()
-    sheet = book.active
-    sheet.append(["time", *(f"r{row}c{column}" for row in range(3) for column in range(4))])
+    book, whole = openpyxl.Workbook(), io.BytesIO()
+    book.active.append(["time", *(f"r{row}c{column}" for row in range(3) for column in range(4))])
     for number, frame in enumerate(frames()):
-        sheet.append([datetime.datetime(2025, 1, 31, 12, 0, number), *map(float, frame.ravel())])
-    stream, whole = io.BytesIO(), io.BytesIO()
-    book.save(stream)
-    with zipfile.ZipFile(stream) as parts, zipfile.ZipFile(whole, "w", packing) as archive:
+        book.active.append([datetime.datetime(2025, 1, 31, 12, 0, number), *map(float, frame.ravel())])
+    with zipfile.ZipFile(io.BytesIO(saved(book.save))) as parts, zipfile.ZipFile(whole, "w", packing) as archive:
         for name in parts.namelist():
             archive.writestr(name, parts.read(name))
     return whole.getvalue()
 
 
-def npz_file(save: Callable[..., None]) -> bytes:
-    """The bytes of a .npz file with resistances, times, and much else."""
-    stream = io.BytesIO()
-    save(stream, resistance=frames(), time_ms=np.arange(3) * 250, noise=np.random.default_rng(5).random(2000))
-    return stream.getvalue()
-
-
 def matlab_hdf5_file() -> bytes:
     """The bytes of a .mat file of version 7.3 with resistances, times and a text."""
     stream = io.BytesIO()
+    letters = np.array([[65], [66]], dtype="u2")
     with h5py.File(stream, "w", userblock_size=512) as file:
-        for name, values in (("R", frames()), ("t", np.arange(3.0)[:, None])):
-            file.create_dataset(name, data=values if name == "t" else values.transpose(0, 2, 1))
-            file[name].attrs["MATLAB_class"] = np.bytes_("double")
-        file.create_dataset("text", data=np.array([[65], [66]], dtype="u2"))
-        file["text"].attrs["MATLAB_class"] = np.bytes_("char")
+        for name, values in (("R", frames().transpose(0, 2, 1)), ("t", np.arange(3.0)[:, None]), ("text", letters)):
+            file[name] = values
+            file[name].attrs["MATLAB_class"] = np.bytes_("char" if name == "text" else "double")
     header = b"MATLAB 7.3 MAT-file".ljust(124) + struct.pack("<H", 0x0200) + b"IM"
     return header + stream.getvalue()[len(header) :]
-
-
-def numpy_file(array: Any) -> bytes:
-    """The bytes of a .npy file."""
-    stream = io.BytesIO()
-    np.save(stream, array)
-    return stream.getvalue()
-
-
-def matlab_file(array: Any, packed: bool) -> bytes:
-    """The bytes of a .mat file of level 5 with one array `r` (rows, columns, frames)."""
-    stream = io.BytesIO()
-    scipy.io.savemat(stream, {"r": array.transpose(1, 2, 0)}, do_compression=packed)
-    return stream.getvalue()
-
-
-def changed(kind: str, style: str, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
-    """One to four changes of one style to one of the good files."""
-    content, count = one_of(seeds, rng), int(rng.integers(1, 5))
-    if style == "meaning":
-        return changed_tree({"run": RUN, "scene": SCENE, "simulation": SIMULATION}[kind], count, rng)
-    if style in ("nodes", "parts"):
-        return (changed_nodes if style == "nodes" else changed_parts)(content, count, rng)
-    for _ in range(count):
-        content = (changed_text if style == "text" else changed_bytes)(content, seeds, rng)
-    return content
 
 
 def one_of(things: Any, rng: np.random.Generator) -> Any:
@@ -404,16 +379,13 @@ def changed_nodes(content: bytes, count: int, rng: np.random.Generator) -> bytes
         for _ in range(count):
             names: list[str] = []
             file.visit(names.append)
-            with (
-                suppress(ValueError, TypeError, LookupError, OSError, RuntimeError, AttributeError),
-                np.errstate(all="ignore"),
-            ):
-                one_of(NODE_CHANGES, rng)(file, one_of(names, rng), rng)
+            impossible = (ValueError, TypeError, LookupError, OSError, RuntimeError, AttributeError)
+            with suppress(*impossible), np.errstate(all="ignore"):
+                changed_node(file, one_of(names, rng), rng)
         file.flush()
         stream = io.BytesIO()
         with h5py.File(stream, "w") as fresh:
-            for key, value in file.attrs.items():
-                fresh.attrs[key] = value
+            fresh.attrs.update(file.attrs)
             for key in file:
                 link = file.get(key, getlink=True)
                 if isinstance(link, h5py.HardLink):
@@ -437,113 +409,58 @@ def _values(file: Any, name: str) -> Any:
     return np.asarray(file[name][()])
 
 
-def other_type(file: Any, name: str, rng: np.random.Generator) -> None:
-    """The same numbers as another type, or as what is no number."""
-    values, kind = _values(file, name), one_of(("f2", "f4", "f8", "g", "i1", "u8", ">f8", "S8", "c16", "b1", "V8"), rng)
-    _replaced(file, name, values.astype(kind) if kind != "V8" else np.zeros(values.shape, kind))
-
-
-def other_shape(file: Any, name: str, rng: np.random.Generator) -> None:
-    """One axis more, less, longer or empty; a scalar; nothing at all."""
-    values = _values(file, name)
-    shapes = (values[None], values[:0], values.ravel()[:1].reshape(()), np.concatenate([values, values]), values.T)
-    _replaced(file, name, one_of((*shapes, values[..., 0], h5py.Empty("f8")), rng))
-
-
-def claimed(file: Any, name: str, rng: np.random.Generator) -> None:
-    """A thousand million frames that are not there."""
-    shape = (10 ** int(rng.integers(3, 13)), *file[name].shape[1:])
-    kind = one_of(("f8", "S16", "u1"), rng) if rng.random() < 0.3 else file[name].dtype
-    _replaced(file, name, shape=shape, dtype=kind, chunks=(1024, *shape[1:]), compression="gzip", fillvalue=1)
-
-
-def other_values(file: Any, name: str, rng: np.random.Generator) -> None:
-    """Not a number, infinite, zero, negative, huge or tiny, in one place or everywhere."""
-    value, dataset = one_of((np.nan, np.inf, -np.inf, 0, -1, 1e308, 5e-324, 2**63), rng), file[name]
-    if dataset.size <= MOST_READ:
-        where = ... if rng.random() < 0.3 else tuple(int(rng.integers(size)) for size in dataset.shape)
-        dataset[where] = np.asarray(value).astype(dataset.dtype)
-
-
-def texts(file: Any, name: str, rng: np.random.Generator) -> None:
-    """A text for what is there: variable length, long, not ASCII, nested YAML."""
-    options = ("text", "é" * 10, "x" * 100_000, "\n", "{" * 1000, "a: &a [*a]", json.dumps(SCENE))
-    chosen = one_of((*options, "!!python/object:os.system {}", one_of(NASTY_TEXTS, rng).replace("\0", "")), rng)
-    _replaced(file, name, chosen if rng.random() < 0.5 else np.bytes_(chosen.encode("utf-8", "replace")))
-
-
-def linked(file: Any, name: str, rng: np.random.Generator) -> None:
-    """A link to nowhere, to itself, to an ancestor, to another file or to the machine's files."""
-    shape = file[name].shape if isinstance(file[name], h5py.Dataset) else (3,)
-    layout = h5py.VirtualLayout(shape=shape, dtype="f8")
-    layout[...] = h5py.VirtualSource("small.h5", "/entry/two_point/resistance", shape=shape)
-    elsewhere = one_of(("/etc/passwd", "/dev/zero", "small.h5"), rng)
-    targets = (*map(h5py.SoftLink, ("/nowhere", f"/{name}", "/")), h5py.ExternalLink("small.h5", "/entry"))
-    target = one_of((*targets, h5py.ExternalLink(elsewhere, f"/{name}"), layout, None), rng)
-    if target is None:
-        _replaced(file, name, shape=shape, dtype="f8", external=[("/dev/zero", 0, 10**6)])
-        return
-    del file[name]
-    if target is layout:
-        file.create_virtual_dataset(name, layout)
-    else:
-        file[name] = target
-
-
-def group_for_dataset(file: Any, name: str, rng: np.random.Generator) -> None:
-    """A group where a dataset was, or a number where a group was."""
-    was_group = isinstance(file[name], h5py.Group)
-    del file[name]
-    if was_group:
-        file[name] = 5.0
-    else:
-        file.create_group(name)
-
-
-def gone(file: Any, name: str, rng: np.random.Generator) -> None:
-    """Deleted, or under another name."""
-    other = one_of(("..", ".", "a\nb", "x" * 300, "é", " ", "recording", "\x1b[31m"), rng)
-    if rng.random() < 0.5:
-        file.move(name, f"{name.rpartition('/')[0]}/{other}")
-    else:
+def changed_node(file: Any, name: str, rng: np.random.Generator) -> None:
+    """Change one group or dataset, or an attribute of it or of a group that holds it."""
+    node, kind = file[name], rng.integers(10)
+    shape = node.shape if isinstance(node, h5py.Dataset) else (3,)
+    if kind == 0:  # the same numbers as another type, or as something that is no number
+        values, types = _values(file, name), ("f2", "f4", "f8", "g", "i1", "u8", ">f8", "S8", "c16", "b1", "V8")
+        dtype = one_of(types, rng)
+        _replaced(file, name, values.astype(dtype) if dtype != "V8" else np.zeros(values.shape, dtype))
+    elif kind == 1:  # one axis more, less, longer or empty; a scalar; nothing at all
+        values = _values(file, name)
+        shapes = (values[None], values[:0], values.ravel()[:1].reshape(()), np.concatenate([values, values]), values.T)
+        _replaced(file, name, one_of((*shapes, values[..., 0], h5py.Empty("f8")), rng))
+    elif kind == 2:  # a thousand million frames that are not there
+        shape = (10 ** int(rng.integers(3, 13)), *shape[1:])
+        dtype = one_of(("f8", "S16", "u1"), rng) if rng.random() < 0.3 else node.dtype
+        _replaced(file, name, shape=shape, dtype=dtype, chunks=(1024, *shape[1:]), compression="gzip", fillvalue=1)
+    elif kind == 3 and node.size <= MOST_READ:  # no number, infinite, zero, negative, huge or tiny: once or everywhere
+        value = one_of((np.nan, np.inf, -np.inf, 0, -1, 1e308, 5e-324, 2**63), rng)
+        where = ... if rng.random() < 0.3 else tuple(int(rng.integers(size)) for size in shape)
+        node[where] = np.asarray(value).astype(node.dtype)
+    elif kind == 4:  # a text: of variable length, long, not ASCII, nested YAML
+        options = ("text", "é" * 10, "x" * 100_000, "\n", "{" * 1000, "a: &a [*a]", json.dumps(SCENE))
+        chosen = one_of((*options, "!!python/object:os.system {}", one_of(NASTY_TEXTS, rng).replace("\0", "")), rng)
+        _replaced(file, name, chosen if rng.random() < 0.5 else np.bytes_(chosen.encode("utf-8", "replace")))
+    elif kind == 5:  # a link to nowhere, to itself, to an ancestor, to another file or to the machine's files
+        layout = h5py.VirtualLayout(shape=shape, dtype="f8")
+        layout[...] = h5py.VirtualSource("small.h5", "/entry/two_point/resistance", shape=shape)
+        outside = h5py.ExternalLink(one_of(("/etc/passwd", "/dev/zero", "small.h5"), rng), f"/{name}")
+        soft = map(h5py.SoftLink, ("/nowhere", f"/{name}", "/"))
+        target = one_of((*soft, h5py.ExternalLink("small.h5", "/entry"), outside, layout, None), rng)
+        if target is None:
+            _replaced(file, name, shape=shape, dtype="f8", external=[("/dev/zero", 0, 10**6)])
+            return
         del file[name]
-
-
-def other_attribute(file: Any, name: str, rng: np.random.Generator) -> None:
-    """An attribute that is gone, or something else."""
-    parts = name.split("/")
-    node = one_of([file, *(file["/".join(parts[: depth + 1])] for depth in range(len(parts)))], rng)
-    further = ("readings", "order", "published", "lampest_unfinished", "lampest_format", "joint_start")
-    chosen, value = one_of([*node.attrs, *further], rng), one_of(ATTRIBUTES, rng)
-    if value is None:
-        del node.attrs[chosen]
-    else:
-        node.attrs[chosen] = value
-
-
-ATTRIBUTES: tuple[Any, ...] = (
-    None, 0, -1, 2**63, 1e308, np.nan, "text", "é", np.bytes_(b"\xff\xfe"), [1, 2], ["a", "b"],
-    np.zeros((2, 2)), h5py.Empty("f8"),
-    "{}", "[]", '{"LSM": 5}', '{"LSM": {"all": {"time_s": -1}}}', '{"LSM": {"none": {}}}',
-    "[" * 1000, True, 1 + 1j, "x" * 60_000,
-    np.array([b"a"], dtype=h5py.string_dtype()), np.zeros(2, [("a", "f8")]), "9" * 5000,
-)  # fmt: skip
-NodeChange = Callable[[Any, str, np.random.Generator], None]
-NODE_CHANGES: tuple[NodeChange, ...] = (
-    other_type, other_shape, claimed, other_values, texts, linked, group_for_dataset, gone, other_attribute,
-    other_attribute,
-)  # fmt: skip
-STYLES = {
-    "run": ("text", "meaning", "meaning", "bytes"),
-    "scene": ("text", "meaning", "bytes"),
-    "simulation": ("text", "meaning", "meaning", "bytes"),
-    "setting": ("text", "bytes"),
-    "recording": ("bytes", "nodes", "nodes"),
-    "results": ("bytes", "nodes", "nodes"),
-    "table": ("text", "text", "bytes"),
-    "numpy": ("bytes", "text"),
-    "matlab": ("bytes",),
-    "excel": ("bytes", "parts", "parts"),
-    "arrays": ("bytes", "parts"),
-    "matlab_hdf5": ("bytes",),
-}
+        if target is layout:
+            file.create_virtual_dataset(name, layout)
+        else:
+            file[name] = target
+    elif kind == 6:  # a group in place of a dataset, or a number in place of a group
+        del file[name]
+        file.create_group(name) if isinstance(node, h5py.Dataset) else file.create_dataset(name, data=5.0)
+    elif kind == 7 and rng.random() < 0.5:
+        del file[name]
+    elif kind == 7:
+        other = one_of(("..", ".", "a\nb", "x" * 300, "é", " ", "recording", "\x1b[31m"), rng)
+        file.move(name, f"{name.rpartition('/')[0]}/{other}")
+    else:  # an attribute that is gone, or something else
+        parts = name.split("/")
+        holder = one_of([file, *(file["/".join(parts[: depth + 1])] for depth in range(len(parts)))], rng)
+        further = ("readings", "order", "published", "lampest_unfinished", "lampest_format", "joint_start")
+        chosen, value = one_of([*holder.attrs, *further], rng), one_of(ATTRIBUTES, rng)
+        if value is None:
+            del holder.attrs[chosen]
+        else:
+            holder.attrs[chosen] = value

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from fuzz.mutants import RUN, SUFFIXES, Mutant, text
+from fuzz.mutants import KINDS, RUN, Mutant, text
 
 from lampest import InputError, Recording, cli, import_file, read_results, read_run, read_scene, read_simulations
 from lampest.recording.simulation import run as simulate
@@ -39,7 +39,7 @@ def receive(mutant: Mutant, folder: Path) -> str:
 
     A reader that hangs in C code ends the process, with its stack on stderr.
     """
-    path = folder / f"input{SUFFIXES[mutant.kind]}"
+    path = folder / f"input{KINDS[mutant.kind][0]}"
     path.write_bytes(mutant.content)
     before, begin = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
     faulthandler.dump_traceback_later(HUNG_SECONDS, exit=True)

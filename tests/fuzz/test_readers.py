@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 from attack.attack import SEED
-from fuzz.mutants import RUN, SUFFIXES, Corpus, Mutant, corpus
+from fuzz.mutants import KINDS, RUN, Corpus, Mutant, corpus
 from fuzz.readers import FINE, REFUSED, cleared, receive
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -58,7 +58,7 @@ def good(folder: Path) -> Corpus:
     return found
 
 
-@pytest.mark.parametrize("kind", SUFFIXES)
+@pytest.mark.parametrize("kind", KINDS)
 def test_good_files_are_taken(good: Corpus, folder: Path, kind: str) -> None:
     for content in good.files[kind]:
         assert receive(Mutant(kind, content), folder) == FINE
@@ -67,7 +67,7 @@ def test_good_files_are_taken(good: Corpus, folder: Path, kind: str) -> None:
 @pytest.mark.parametrize(
     "count", [pytest.param(40, marks=pytest.mark.slow), pytest.param(2500, marks=pytest.mark.soak)]
 )
-@pytest.mark.parametrize("kind", SUFFIXES)
+@pytest.mark.parametrize("kind", KINDS)
 def test_files_that_are_nearly_right_are_taken_or_refused(good: Corpus, folder: Path, kind: str, count: int) -> None:
     """The number of an input stands for the same one in every process."""
     again = corpus(folder)
@@ -91,7 +91,7 @@ def test_any_tree_as_a_run_is_taken_or_refused(good: Corpus, folder: Path, tree:
 @given(st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")))
 @FEW
 def test_any_bytes_as_any_file_are_taken_or_refused(good: Corpus, folder: Path, content: bytes) -> None:
-    assert {receive(Mutant(kind, content), folder) for kind in SUFFIXES} <= {FINE, REFUSED}
+    assert {receive(Mutant(kind, content), folder) for kind in KINDS} <= {FINE, REFUSED}
 
 
 FIELDS = (

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from lampest import Array, Layout, LoadedColumnsReadout, import_file
+from lampest import Array, InputError, Layout, LoadedColumnsReadout, import_file
 from lampest.recording.foreign import importing
 from lampest.recording.foreign.arrays import frames_of_arrays
 from lampest.recording.foreign.unit import _fitting
@@ -93,8 +93,14 @@ class Numbers(Layout):
     kind: ClassVar[str] = "numbers"
     suffixes: ClassVar[tuple[str, ...]] = (".num",)
 
-    def read(self, path: Path, rows: int, columns: int) -> tuple[Array, None]:
-        return np.fromfile(path, dtype="<u2").reshape(-1, rows, columns) + 0.5, None
+    def read(self, path: Path, rows: int, columns: int) -> tuple[Array, Array]:
+        values = np.fromfile(path, dtype="<u2").reshape(-1, rows, columns) + 0.5
+        return values, np.arange(len(values)) * 50
+
+
+class Turned(Numbers):
+    def read(self, path: Path, rows: int, columns: int) -> tuple[Array, Array]:
+        return super().read(path, columns, rows)
 
 
 def test_a_layout_is_named_or_known_by_the_suffix_of_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,6 +108,9 @@ def test_a_layout_is_named_or_known_by_the_suffix_of_its_files(tmp_path: Path, m
     for name, layout in (("M.NUM", None), ("m.dat", "numbers"), ("m.num", "numbers"), ("m.dat", Numbers())):
         np.arange(500, 512, dtype="<u2").tofile(tmp_path / name)
         recording, notes = import_file(tmp_path / name, 2, 3, layout=layout)
-        assert notes[0] == "layout numbers" and recording.recorded[1, 1, 2] == 511.5
+        assert notes[0] == "layout numbers" and recording.recorded[1, 1, 2] == 511.5 and recording.time[1] == 0.05
+        assert any(note.startswith("time: ms (guessed") for note in notes)
+    with pytest.raises(InputError, match="layout numbers gives 2 × 3 × 2, not frames × 2 × 3"):
+        import_file(tmp_path / "m.dat", 2, 3, layout=Turned())
     (tmp_path / "m.num").write_text("1,2,3\n")
     assert import_file(tmp_path / "m.num", 1, 3, unit="ohm", layout="r0c0,r0c2,r0c1")[0].recorded[0, 0, 1] == 3
