@@ -318,6 +318,7 @@ def of_loads() -> Rows:
         | {f"pressure in {name}": partial(pressure_row, scene) for name, scene in LOADED.items()}
         | {
             "pressure tared": partial(pressure_row, LOADED["air"], lp.Tare(frames=5)),
+            "pressure tared on a film": partial(pressure_row, LOADED["film"], lp.Tare(frames=5)),
             "memory of a film": film_row,
             "starts of discs": lambda: (
                 list(search.starts(normal, pull).values()),

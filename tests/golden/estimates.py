@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from golden.circuits import COLD, FILM, PANEL, RESPONSES, SHAPES, Rows, scenes
+from golden.circuits import COLD, FILM, PANEL, RESPONSES, Rows, scenes
 
 import lampest as lp
 from lampest.estimate.calibration import known_loads
@@ -18,11 +18,6 @@ from lampest.estimate.calibration.resistors import calibrate_resistors
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.method import OptimalMethod
-from lampest.estimate.prepared import Prepared
-from lampest.loads.recognition import breathing, observation
-from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import Verdict
-from lampest.loads.recognition.pumping import Pumping
 from lampest.recording.readings import (
     Readings,
     mean_change,
@@ -32,8 +27,6 @@ from lampest.recording.readings import (
     touching_columns,
     touching_rows,
 )
-from lampest.report.detect import detection
-from lampest.report.detect.answer import Detected, alarming, event_table, load_table
 from lampest.report.info import understood_lines
 from lampest.report.reconstruction import Reconstruction
 
@@ -73,21 +66,6 @@ def simulated(effect: str = "", scene: lp.Scene | None = None, **known: Any) -> 
 def recording_row(recording: lp.Recording) -> dict[str, Any]:
     row = {"recorded": recording.recorded, "cells": recording.truth_cell_resistance, "sums": recording.raw_sums}
     return row | {"pressure": recording.truth_pressure, "role": recording.role, "time": recording.time}
-
-
-def prepared_row(recording: lp.Recording) -> dict[str, Any]:
-    prepared = Prepared(recording)
-    noise, check = prepared.noise, prepared.check
-    known = detection.known_of(prepared)
-    return {
-        "warnings": prepared.warnings, "noise": noise.summary, "shared": noise.shared_sizes,
-        "value": noise.readings.value, "sigma": noise.readings.sigma, "side": noise.readings.side,
-        "factors": [noise.sigma_factor, noise.model_factor, noise.scan_share],
-        "outliers": [noise.outliers, noise.outlier_rate], "corrections": noise.corrections,
-        "explains": check.explains,
-        "check": [check.sentence, check.mark, check.better, check.common_change, check.noise],
-        "known": known.sigma if isinstance(known, detection.Known) else known.why,
-    }  # fmt: skip
 
 
 def readings_row() -> dict[str, Any]:
@@ -285,10 +263,9 @@ def loads_row() -> dict[str, Any]:
     """A rod on four places of the panel, one recording each."""
     rods = [replace(ROD, centre_mm=place) for place in ((10.0, 10.0), (30.0, 10.0), (10.0, 22.0), (30.0, 22.0))]
     scene = lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0)
+    lying: dict[str, Any] = {"course": lp.Course(), "frames": 3}
     recordings = [
-        replace(
-            simulated("response_spread", scene, loads=(rod,), course=lp.Course(), frames=3), name=f"r{number}",
-        ) for number,
+        replace(simulated("response_spread", scene, loads=(rod,), **lying), name=f"r{number}") for number,
         rod in enumerate(rods)
     ]  # fmt: skip
     known = [
@@ -308,7 +285,10 @@ def loads_row() -> dict[str, Any]:
             known_loads.KnownLoad(frames=(2, 3), pressure_kpa=7.0),
         ),
     )  # fmt: skip
-    return calibration_row(found) | {"fitted": found.fitted, "pressures": blocks.pressures(PANEL)}
+    return calibration_row(found) | {
+        "fitted": found.fitted, "pressures": blocks.pressures(PANEL),
+        "moved": known[0].pressure(PANEL, 6.0, 3.0, -2.0),
+    }  # fmt: skip
 
 
 def of_estimate() -> Rows:
@@ -325,110 +305,11 @@ def of_estimate() -> Rows:
     }  # fmt: skip
     usual = Estimator((lp.Misfit(weighting="noise"), lp.LogGradient(weight=3.0)))
     return (
-        {f"prepared {effect}": lambda effect=effect: prepared_row(simulated(effect)) for effect in ("", *EFFECTS_OF)}
-        | {f"estimate {name}": partial(estimate_row, simulated, estimator) for name, estimator in ESTIMATORS.items()}
+        {f"estimate {name}": partial(estimate_row, simulated, estimator) for name, estimator in ESTIMATORS.items()}
         | {f"estimate with {name}": partial(estimate_row, made, usual) for name, made in recordings.items()}
         | {f"resistors {name}": partial(resistors_row, scene) for name, scene in resistors.items()}
         | {
             "channels": channels_row,
             "known loads": loads_row,
-        }
-    )
-
-
-# Recognition
-
-WATCHED = lp.Scene(
-    lp.Panel(6, 7), lp.TwoPointReadout(noise_lsb=0.7, adc_bits=12), 140.0, response=lp.PublishedResponse(),
-)  # fmt: skip
-SWINGING = lp.Course(start_s=1.0, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.15)
-ON_FILM: dict[str, tuple[tuple[lp.Shape, ...], lp.Course, int, float]] = {
-    "nothing": ((), lp.Course(), 6, 1.0),
-    "rod": (
-        (replace(SHAPES["rod"], centre_mm=(28.0, 24.0), mass_g=700.0),), lp.Course(start_s=1.0, release_at_s=5.0), 8,
-        1.0,
-    ),
-    "ring": (
-        (replace(SHAPES["ring"], centre_mm=(28.0, 24.0), outer_diameter_mm=30.0),), lp.Course(start_s=1.0), 5, 1.0,
-    ),
-    "block": ((replace(SHAPES["block"], centre_mm=(28.0, 24.0)),), lp.Course(start_s=1.0), 5, 1.0),
-    "mouth": ((replace(SHAPES["oral_disc"], centre_mm=(28.0, 24.0), diameter_mm=33.0),), SWINGING, 40, 0.25),
-}  # fmt: skip
-
-
-@cache
-def detected(name: str, purpose: Any = None) -> Detected:
-    loads, course, frames, period = ON_FILM[name]
-    simulation = lp.Simulation(
-        1, 3, replace(WATCHED, purpose=purpose), loads=loads, course=course, frames=frames, frame_period_s=period,
-    )  # fmt: skip
-    with tempfile.TemporaryDirectory() as folder:
-        lp.simulate(simulation, name).save(Path(folder) / f"{name}.h5")
-        return detection.detect_recording(Path(folder) / f"{name}.h5")
-
-
-def detected_row(name: str, purpose: Any = None) -> dict[str, Any]:
-    answer = detected(name, purpose)
-    return {
-        "answer": answer.content(), "sentence": answer.sentence, "events": answer.events, "notes": answer.notes,
-        "course": answer.course, "change": answer.change, "warnings": answer.warnings, "called": answer.called,
-        "tables": [event_table([answer]), load_table([answer])], "alarming": alarming(answer),
-        "loads": [[load.area_mm2, load.conductance_s, load.cells, load.lives] for load in answer.attachments],
-    }  # fmt: skip
-
-
-@cache
-def seen(name: str) -> Verdict:
-    """One frame under a load, against three without."""
-    loads, _, _, _ = ON_FILM[name]
-    readings = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=1, loads=loads)).readings()
-    resting = readings[[0, 1, 2]].mean()
-    baseline = observation.Baseline.of(
-        resting.value, resting.sigma, WATCHED, observation.ModelErrors(reading_error=0.01),
-    )  # fmt: skip
-    frame = observation.Observation(readings.value[3], readings.sigma[3], baseline, np.zeros((6, 7)), 30.0)
-    return Detector(6.0).verdict(frame)
-
-
-def verdict_row(name: str) -> dict[str, Any]:
-    verdict = seen(name)
-    best = verdict.best
-    return {
-        "fits": [(fit.candidate.label, fit.evidence, fit.chi2, fit.cost, fit.volume) for fit in verdict.fits],
-        "shares": verdict.shares, "goodness": verdict.goodness, "evidence": verdict.evidence,
-        "nothing": verdict.nothing, "parameters": best.parameters, "covariance": best.covariance,
-        "change": best.change, "discs": best.discs,
-    }  # fmt: skip
-
-
-def breathing_row() -> dict[str, Any]:
-    """Readings that swing with suction and rim, and the belief that they make over three windows."""
-    rng, times = np.random.default_rng(1), np.arange(32) / 4
-    rise = np.repeat([-2.0, 1.0], 12)
-    slopes, moves = np.where(rise < 0, -300.0, 90.0), 8 * rng.standard_normal((1, 24))
-    swing = 0.08 * np.outer(np.sin(2 * np.pi * 1.1 * times), slopes * (0.9 + 0.1 * rng.standard_normal(24)))
-    patterns = breathing.Patterns.of(
-        np.eye(24), rise, slopes[None], 0.2 * np.abs(slopes), moves, rng.standard_normal((24, 1)),
-    )  # fmt: skip
-    found = breathing.breath(times, breathing.settled(swing + rng.standard_normal(swing.shape)), patterns)
-    belief = [breathing.Breathing()]
-    for full in (False, True, True):
-        belief.append(belief[-1].after(found, full=full))
-    pumping = Pumping.begin(np.ones(4) / 4, np.zeros(4), 0.0, 3)
-    for number in range(30):
-        pumping = pumping.after(0.02 * rng.standard_normal(4) + 0.3 * (number % 10 > 6), 0.5 * number)
-    return {
-        "breath": found, "belief": belief, "probability": [each.probability for each in belief],
-        "slow": breathing.too_slow(1.5), "pumping": pumping.odds,
-    }  # fmt: skip
-
-
-def of_recognition() -> Rows:
-    return (
-        {f"detected {name}": partial(detected_row, name) for name in ON_FILM}
-        | {f"verdict on {name}": partial(verdict_row, name) for name in ON_FILM}
-        | {
-            "detected on a mat": partial(detected_row, "block", "mat"),
-            "breathing": breathing_row,
         }
     )

@@ -25,7 +25,7 @@ from lampest.posterior.profile_interval import beyond_tangents
 from lampest.posterior.reference import references
 from lampest.posterior.spectrum import Spectrum, best_weight
 from lampest.recording.readings import Readings
-from lampest.solvers import bounds, interior_point, ipopt, multistart, preconditioners
+from lampest.solvers import bounds, ipopt, multistart, preconditioners
 from lampest.solvers.certificate import certificate
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -168,10 +168,8 @@ def solver_row(cost: str, circuit: str, solver: str) -> dict[str, Any]:
     """The minimum from a start that is far away."""
     begin = point(cost, circuit)
     kinds = {"newton": ProjectedNewton(begin.cost, Settings())}
-    kinds |= {
-        name: ipopt.Ipopt(begin.cost, TINY[circuit].circuit, form, Settings()) for name,
-        form in ipopt.FORMULATIONS.items()
-    }  # fmt: skip
+    known = begin.cost, TINY[circuit].circuit
+    kinds |= {name: ipopt.Ipopt(*known, form, Settings()) for name, form in ipopt.FORMULATIONS.items()}
     solution = multistart.best_solution(kinds[solver], begin.data, None)
     return {
         "cells": solution.cell_resistance, "reading": solution.reading, "costs": solution.costs,
@@ -220,12 +218,6 @@ def search_row() -> dict[str, Any]:
     return {"steps": solved, "position": loop.position, "cost": loop.at.cost}
 
 
-def inner_row() -> dict[str, Any]:
-    begin = point("plain", decades=2.0)
-    inner, _ = interior_point.by_interior_point(begin)
-    return {"cells": inner.cell_resistance, "crowded": interior_point.crowds_bounds(begin)}
-
-
 def of_solvers() -> Rows:
     places = [("plain", "whole", 0.0), ("plain", "whole", 4.0), ("plain", "driven", 0.0), ("absolute", "wired", 0.0)]
     places += [(cost, "whole", 0.0) for cost in COSTS if cost != "plain"]
@@ -238,7 +230,6 @@ def of_solvers() -> Rows:
         | {"point " + " ".join(map(str, case)): partial(certificate_row, *case) for case in places}
         | {
             "searches": search_row,
-            "interior point": inner_row,
         }
     )
 

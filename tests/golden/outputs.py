@@ -15,8 +15,9 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from golden.checks import detected
 from golden.circuits import PANEL, Rows, cells_of
-from golden.estimates import ESTIMATORS, case_row, detected, simulated
+from golden.estimates import ESTIMATORS, case_row, simulated
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text

@@ -4,8 +4,9 @@ Most rows come from a walk over a union, so that a new member has one at once. P
 `python -m tests.golden.make table` stores the results anew, a file a room in data/.
 """
 
+from golden.checks import of_checks, of_recognition
 from golden.circuits import Rows, of_loads, of_panel
-from golden.estimates import of_estimate, of_recognition, of_recording
+from golden.estimates import of_estimate, of_recording
 from golden.numerics import of_cost, of_posterior, of_solvers
 from golden.outputs import of_report, of_studies
 
@@ -17,6 +18,7 @@ ROOMS = (
     of_posterior,
     of_recording,
     of_estimate,
+    of_checks,
     of_recognition,
     of_report,
     of_studies,

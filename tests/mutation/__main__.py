@@ -5,22 +5,26 @@ python -m tests.mutation --count 20 --room lampest/posterior --seed 2
 python -m tests.mutation --guards                      # which test file guards which module, as a table
 
 It runs at low priority. The fast tests first run once, in a copy of the checkout, and record the functions that each
-of them calls. A mutant is then held against the tests that call its function, the shortest of every file first, until
-one fails. A mutant whose tests take more than three times their usual time counts as noticed.
+of them calls. A mutant is then held against the tests that call its function until one fails: first the rows of the
+golden table, in a fork that has only the package to import, then the other tests, the shortest of every file first. A
+mutant whose tests take more than three times their usual time counts as noticed.
 """
 
 import argparse
+import importlib
+import io
 import json
 import os
 import random
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +35,10 @@ ROOT = Path(__file__).parents[2]
 RECORD = ROOT / "results" / "mutation" / "tests.json"
 LEFT_OUT = (".git", ".venv", "results", "_build", ".hypothesis", "__pycache__", ".*_cache")
 GRACE = 60.0  # s beside three times the recorded duration
-LONGEST = 300.0  # s of recorded tests for one mutant; a survivor beyond this is counted as one
+LONGEST = 120.0  # s of recorded tests for one mutant; a survivor beyond this is counted as one
+GOLDEN = "tests/golden/test_table.py::test_a_row_has_its_stored_results["
+LIBRARIES = "numpy scipy.linalg scipy.sparse scipy.optimize scipy.stats scipy.special casadi h5py pydantic ruamel.yaml"
+LIBRARIES += " matplotlib.figure matplotlib.colors typer rich.table jinja2 mpmath pytest"
 
 Tests = dict[str, dict[str, Any]]
 
@@ -74,19 +81,21 @@ def read(path: Path) -> Tests:
     return dict(json.loads(path.read_text()))
 
 
-def guards_of(mutant: Mutant, tests: Tests) -> list[str]:
-    """Return the tests that call a mutant's function, or its module where it stands outside functions.
+def guards_of(mutant: Mutant, tests: Tests) -> tuple[list[str], list[str]]:
+    """Return golden rows and other tests that call a mutant's function, or its module where it is in no function.
 
-    The shortest test of every file comes first, then the second of every file, up to `LONGEST` seconds.
+    The shortest row comes first, then the shortest test of every file and the second of every file, up to `LONGEST`
+    seconds.
     """
     path = mutant.path.removeprefix("lampest/")
-    by_file: dict[str, list[str]] = {}
+    rows, by_file = list[str](), dict[str, list[str]]()
     for name in sorted(tests, key=lambda name: tests[name]["seconds"]):
         calls = tests[name]["functions"]
         if f"{path}:{mutant.function}" in calls or (
             not mutant.function and any(call.startswith(f"{path}:") for call in calls)
         ):
-            by_file.setdefault(name.partition("::")[0], []).append(name)
+            group = rows if name.startswith(GOLDEN) else by_file.setdefault(name.partition("::")[0], [])
+            group.append(name)
     rounds = max(map(len, by_file.values()), default=0)
     ordered = [names[number] for number in range(rounds) for names in by_file.values() if number < len(names)]
     total, chosen = 0.0, []
@@ -94,23 +103,51 @@ def guards_of(mutant: Mutant, tests: Tests) -> list[str]:
         total += tests[name]["seconds"]
         if total < LONGEST:
             chosen.append(name)
-    return chosen
+    return rows, chosen
 
 
 def noticed(mutant: Mutant, copy: Path, tests: Tests) -> bool:
     """Whether a guard fails while the copy has the mutant."""
-    guards = guards_of(mutant, tests)
-    if not guards:
-        return False
+    rows, others = guards_of(mutant, tests)
     module, chosen = copy / mutant.path, copy / "guards.txt"
     source = module.read_bytes()
-    chosen.write_text("\n".join(guards))
+    chosen.write_text("\n".join(others))
     module.write_bytes(mutant.apply_to(source))
+    seconds = [3 * sum(tests[name]["seconds"] for name in names) + GRACE for names in (rows, others)]
     try:
-        seconds = 3 * sum(tests[name]["seconds"] for name in guards) + GRACE
-        return run_tests(copy, "-x", f"@{chosen}", seconds=seconds) != 0
+        if rows and not rows_agree([row.removeprefix(GOLDEN)[:-1] for row in rows], copy, seconds[0]):
+            return True
+        return bool(others) and run_tests(copy, "-x", f"@{chosen}", seconds=seconds[1]) != 0
     finally:
         module.write_bytes(source)
+
+
+def rows_agree(names: list[str], copy: Path, seconds: float) -> bool:
+    """Whether rows of the golden table have their stored results in the copy, within a time.
+
+    A fork of this process computes them: libraries are imported once, the package anew.
+    """
+    for library in LIBRARIES.split():
+        importlib.import_module(library)
+    process = os.fork()
+    if not process:
+        sys.path[:0] = [str(copy), str(copy / "tests")]
+        for name in [name for name in sys.modules if name.partition(".")[0] in ("tests", "lampest")]:
+            del sys.modules[name]
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+            try:
+                os._exit(not importlib.import_module("golden.test_table").agree(names))
+            except BaseException:
+                os._exit(1)
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end:
+        ended, status = os.waitpid(process, os.WNOHANG)
+        if ended:
+            return status == 0
+        time.sleep(0.02)
+    os.kill(process, signal.SIGKILL)
+    os.waitpid(process, 0)
+    return False
 
 
 def sampled(room: str, count: int, seed: int) -> list[Mutant]:

@@ -13,7 +13,7 @@ from studies.equal import compare, equal, largest, relative_difference
 from support import METHODS, invented_case
 
 from lampest import write_results
-from tests.mutation.__main__ import guards_of
+from tests.mutation.__main__ import GOLDEN, guards_of
 from tests.mutation.operators import Mutant, mutants_of
 
 SOURCE = """LIMIT = 2.5
@@ -47,17 +47,19 @@ def test_a_module_has_a_mutant_of_every_operator_in_every_expression_that_is_com
     assert {mutant.function for mutant in made} == {"", "Panel.area"}
 
 
-def test_a_mutant_is_held_against_the_tests_that_call_its_function_the_shortest_of_each_file_first(
+def test_a_mutant_meets_the_golden_rows_that_call_its_function_and_then_the_shortest_test_of_each_file(
     tmp_path: Path,
 ) -> None:
     area = next(mutant for mutant in mutants(tmp_path) if mutant.function)
     tests = {
+        f"{GOLDEN}row]": {"seconds": 9.0, "functions": ["panel.py:Panel.area"]},
         "tests/a.py::long": {"seconds": 2.0, "functions": ["panel.py:Panel.area"]},
         "tests/a.py::short": {"seconds": 1.0, "functions": ["panel.py:Panel.area"]},
         "tests/b.py::medium": {"seconds": 1.5, "functions": ["panel.py:Panel.area", "panel.py:g"]},
         "tests/c.py::of_something_else": {"seconds": 0.1, "functions": ["panel.py:g"]},
     }
-    assert guards_of(area, tests) == ["tests/a.py::short", "tests/b.py::medium", "tests/a.py::long"]
+    rows, others = guards_of(area, tests)
+    assert rows == [f"{GOLDEN}row]"] and others == ["tests/a.py::short", "tests/b.py::medium", "tests/a.py::long"]
 
 
 BASE = "/entry/mouth/LSM"

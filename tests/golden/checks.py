@@ -1,0 +1,299 @@
+"""Rows of noise, outliers, checks of the circuit, and recognition."""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from golden.circuits import PANEL, SHAPES, Rows, cells_of
+from golden.estimates import simulated
+
+import lampest as lp
+from lampest.estimate import changed_cells, noise, outliers
+from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
+from lampest.estimate.nuisances import candidates as possible_effects
+from lampest.estimate.prepared import Prepared
+from lampest.loads.recognition import breathing, observation
+from lampest.loads.recognition.attachment import Attachment, continued_by
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.fit import Verdict
+from lampest.loads.recognition.pumping import Pumping
+from lampest.panel.panel import EachModule, Modules
+from lampest.panel.scene import OwnOfModule
+from lampest.report.detect import detection
+from lampest.report.detect.answer import Detected, alarming, event_table, load_table
+
+# Preparation
+
+WIDE = lp.Panel(7, 8)
+HAND = lp.Block(centre_mm=(33.0, 28.0), length_mm=30.0, width_mm=25.0, mass_g=1500.0)
+TWO, AT_COLUMNS = lp.TwoPointReadout(noise_lsb=0.7), lp.LoadedColumnsReadout(noise_lsb=0.7, drive_ohm=60.0)
+ON_GROUND = lp.GroundedReadout(noise_lsb=0.7)
+
+
+def recorded(readout: Any = TWO, told: Any = None, series: float = 140.0, **effects: float) -> lp.Recording:
+    """A hand on some cells, with effects that the scene does not name, or with another readout than the scene has."""
+    scene = lp.Scene(WIDE, readout, series if readout.unit == "ohm" else 0.0)
+    known: dict[str, Any] = {"baseline_frames": 4, "frames": 9 if "load_speed_mm_s" in effects else 5, "loads": (HAND,)}
+    unmodelled, cells = lp.Unmodelled(**effects), lp.Cells(spread=0.15)
+    made = lp.simulate(lp.Simulation(schema=1, seed=3, scene=scene, cells=cells, unmodelled=unmodelled, **known), "x")
+    return replace(made, scene=told or scene)
+
+
+def touched_at_rest() -> lp.Recording:
+    made = recorded()
+    return replace(made, recorded=np.concatenate([made.recorded[4:8], made.recorded[:5]]))
+
+
+@cache
+def tiled() -> lp.Recording:
+    """A rod over the seams of six modules, of which one is dead and one reads too much."""
+    tiles = Modules(2, 3, EachModule(4, 4), seam_mm=3.0)
+    own = (OwnOfModule((0, 1), series_resistance_ohm=150.0),)
+    scene = lp.Scene(lp.Panel(modules=tiles), TWO, 140.0, faults=lp.Faults(dead_modules=((1, 2),)), modules=own)
+    known: dict[str, Any] = {"loads": (lp.Rod(centre_mm=(36.0, 36.0), diameter_mm=40.0, mass_g=900.0),)}
+    known |= {"course": lp.Course(start_s=1.0, release_at_s=5.0), "baseline_frames": 4, "frames": 7}
+    made = lp.simulate(lp.Simulation(schema=1, seed=5, scene=scene, **known), "tiles")
+    factor = np.ones(scene.panel.shape)
+    factor[4:, :4] = 1.7
+    return replace(made, recorded=made.recorded * factor)
+
+
+RECORDED: dict[str, Callable[[], lp.Recording]] = {
+    "plain": recorded,
+    **{effect: partial(simulated, effect) for effect in ("begins_s", "drift_per_minute", "outlier_probability")},
+    **{effect: partial(simulated, effect) for effect in ("supply_ripple_lsb", "supply_ripple_hz", "gain_spread")},
+    "leak": partial(recorded, leak_ohm=2e3), "late leak": partial(recorded, leak_ohm=9e3, begins_s=4.0),
+    "contact": partial(recorded, contact_ohm=200.0, begins_s=6.0),
+    "creep": partial(recorded, common_drift_per_minute=0.5), "saturation": partial(recorded, saturation=0.62),
+    "saturation at rest": partial(recorded, saturation=0.55), "motion": partial(recorded, load_speed_mm_s=12.0),
+    "reading error": partial(recorded, reading_error=0.05),
+    "series": partial(recorded, TWO, lp.Scene(WIDE, TWO), series=240.0), "touched": touched_at_rest,
+    "kind": partial(recorded, AT_COLUMNS, lp.Scene(WIDE, ON_GROUND)),
+    "columns": partial(recorded, AT_COLUMNS, lp.Scene(WIDE, replace(AT_COLUMNS, driven="columns"))),
+    "polarity": partial(recorded, AT_COLUMNS, lp.Scene(WIDE, replace(AT_COLUMNS, polarity="down"))),
+    "amplifiers": partial(
+        recorded, lp.VirtualGroundReadout(noise_lsb=0.7, feedback_ohm=400.0), lp.Scene(WIDE, ON_GROUND),
+    ),
+    "estimated": partial(recorded, lp.TwoPointReadout(noise_lsb="estimated"), noise_factor=3.0), "modules": tiled,
+    "coarse": partial(recorded, lp.TwoPointReadout(adc_bits=8, readings=1)),
+}  # fmt: skip
+
+
+def prepared_row(recording: lp.Recording) -> dict[str, Any]:
+    prepared = Prepared(recording)
+    noise, check = prepared.noise, prepared.check
+    known = detection.known_of(prepared)
+    return {
+        "warnings": prepared.warnings, "noise": noise.summary, "shared": noise.shared_sizes,
+        "value": noise.readings.value, "sigma": noise.readings.sigma, "side": noise.readings.side,
+        "factors": [noise.sigma_factor, noise.model_factor, noise.scan_share],
+        "outliers": [noise.outliers, noise.outlier_rate], "corrections": noise.corrections,
+        "explains": check.explains,
+        "check": [check.sentence, check.mark, check.better, check.common_change, check.noise],
+        "known": known.sigma if isinstance(known, detection.Known) else known.why,
+    }  # fmt: skip
+
+
+def outliers_row() -> dict[str, Any]:
+    """Frames of which some have readings that stand alone, at rest and under a load that comes."""
+    rng = np.random.default_rng(8)
+    value = (
+        1000 + 9 * rng.standard_normal((16, 4, 5)) + 400 * (np.arange(16) > 8)[:, None, None] * cells_of(
+            (4, 5)
+        ) / 3000
+    )  # fmt: skip
+    value[3, 1, 2], value[12, 0, 4], value[15, 3, 0] = 1300.0, 600.0, 2000.0
+    scale = np.full(value.shape, 9.0)
+    scene, frames = lp.Scene(PANEL, TWO), outliers.FramesBefore()
+    resting, cells = lp.Readings.of(scene, value[:3]).mean(), cells_of(PANEL.shape, spread=0.1)
+    live = []
+    for frame in lp.two_point_resistance(np.repeat(cells[None], 7, axis=0)) * (
+        1 + 1e-3 * rng.standard_normal((7, 4, 5))
+    ):
+        frame[2, 3] *= 1.3 if len(live) == 5 else 1.0
+        readings = lp.Readings.of(scene, frame)
+        live.append(frames.without_outliers(readings, scene, resting, cells))
+        frames = frames.after(readings)
+    impossible = lp.Readings.of(scene, lp.two_point_resistance(cells)[None] * np.where(cells == cells.max(), 9.0, 1.0))
+    return {
+        "whole": outliers.detect_outliers(value, scale), "few": outliers.detect_outliers(value[:4], scale[:4], 0.1),
+        "live": live, "impossible": outliers.impossible_readings(scene.circuit, impossible),
+        "median": outliers.median(value),
+    }  # fmt: skip
+
+
+def scatter_row() -> dict[str, Any]:
+    """Variance components of deviations with a gain, ripples and noise; steps within a scan."""
+    rng, loud = np.random.default_rng(4), np.full((10, 8), 3000.0)
+    plain = rng.standard_normal((9, 10, 8))
+    parts = {
+        "plain": plain, "gain": plain + 0.003 * 3000 * rng.standard_normal((9, 1, 1)),
+        "common": plain + 3 * np.sin(np.arange(8) + 6 * rng.random((9, 1, 1))),
+        "lines": plain + 4 * rng.standard_normal((9, 10, 1)),
+    }  # fmt: skip
+    recording = recorded()
+    measured, readings = recording.measured_frames(), recording.readings()
+    resting = baseline_readings(recording, readings)
+    frame = deciding_frame(recording, readings, resting)
+    return {
+        "scatter": [noise.scatter(part - part.mean(axis=0), loud, 8) for part in parts.values()],
+        "steps": noise.steps_within_scan(recording.scene, readings, measured),
+        "repeated": noise.repeated_scatter(readings[measured]),
+        "excess": [noise.noted_excess(*pair) for pair in ((500.0, 300.0), (310.0, 300.0), (0.0, 0.0))],
+        "shown": [noise.shown_noise(recording.scene.circuit, factor) for factor in (0.0, 0.5, 3.0)], "frame": frame,
+        "beside": frames_beside(recording, readings, resting, frame),
+        "possible": [str(each) for each in possible_effects((3, 4))],
+    }  # fmt: skip
+
+
+def changed_row() -> dict[str, Any]:
+    """Cells that moved, found from their changes and a precision."""
+    rng = np.random.default_rng(7)
+    root = rng.standard_normal((20, 20))
+    precision, change = 30 * (root @ root.T / 20 + np.eye(20)), 0.1 * rng.standard_normal(20)
+    change[[3, 4, 9]] -= 1.5
+    moved = np.abs(change) > 1
+    return {
+        "starts": changed_cells.usual_starts(change), "touching": changed_cells.touching(moved.reshape(1, 4, 5)),
+        "away": [changed_cells.away_from_changed(~part, (4, 5)) for part in (moved, change > 0)],
+        "still": [changed_cells.mostly_still(part) for part in (moved, ~moved)],
+        "selected": [
+            changed_cells.select_changed(precision @ change, precision, changed_cells.usual_starts(change), loaded)
+            for loaded in (None, change > 0.15)
+        ],
+        "scores": changed_cells.scores_with_errors(change, precision, rng.standard_normal((20, 4))),
+    }  # fmt: skip
+
+
+def of_checks() -> Rows:
+    rows: Rows = {f"prepared {name}": lambda made=made: prepared_row(made()) for name, made in RECORDED.items()}
+    return rows | {"outliers": outliers_row, "scatter": scatter_row, "changed cells": changed_row}
+
+
+# Recognition
+
+WATCHED = lp.Scene(
+    lp.Panel(6, 7), lp.TwoPointReadout(noise_lsb=0.7, adc_bits=12), 140.0, response=lp.PublishedResponse(),
+)  # fmt: skip
+SWINGING = lp.Course(start_s=1.0, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.15)
+SMALL = lp.Rod(centre_mm=(10.0, 12.0), diameter_mm=20.0, mass_g=500.0)
+ON_FILM: dict[str, tuple[tuple[lp.Shape, ...], lp.Course, int, float]] = {
+    "nothing": ((), lp.Course(), 6, 1.0),
+    "rod": (
+        (replace(SHAPES["rod"], centre_mm=(28.0, 24.0), mass_g=700.0),), lp.Course(start_s=1.0, release_at_s=5.0), 8,
+        1.0,
+    ),
+    "ring": (
+        (replace(SHAPES["ring"], centre_mm=(28.0, 24.0), outer_diameter_mm=30.0),), lp.Course(start_s=1.0), 5, 1.0,
+    ),
+    "block": ((replace(SHAPES["block"], centre_mm=(28.0, 24.0)),), lp.Course(start_s=1.0), 5, 1.0),
+    "two": (
+        (
+            lp.Rod(centre_mm=(10.0, 12.0), diameter_mm=20.0, mass_g=500.0),
+            replace(SHAPES["oral_disc"], centre_mm=(44.0, 36.0)),
+        ),
+        lp.Course(start_s=1.0, release_at_s=6.0), 8, 1.0,
+    ),
+    "mouth": ((replace(SHAPES["oral_disc"], centre_mm=(28.0, 24.0), diameter_mm=33.0),), SWINGING, 40, 0.25),
+}  # fmt: skip
+
+
+@cache
+def detected(name: str, purpose: Any = None) -> Detected:
+    loads, course, frames, period = ON_FILM[name]
+    simulation = lp.Simulation(
+        1, 3, replace(WATCHED, purpose=purpose), loads=loads, course=course, frames=frames, frame_period_s=period,
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        lp.simulate(simulation, name).save(Path(folder) / f"{name}.h5")
+        return detection.detect_recording(Path(folder) / f"{name}.h5")
+
+
+def detected_row(name: str, purpose: Any = None) -> dict[str, Any]:
+    return answer_row(detected(name, purpose))
+
+
+def frames_of(recording: lp.Recording) -> detection.Frames:
+    """Values, σ and time of the measured frames."""
+    return detection.measured_frames(recording, detection.known_of(Prepared(recording)), recording.role == 1)
+
+
+def answer_row(answer: Detected) -> dict[str, Any]:
+    return {
+        "answer": answer.content(), "sentence": answer.sentence, "events": answer.events, "notes": answer.notes,
+        "course": answer.course, "change": answer.change, "warnings": answer.warnings, "called": answer.called,
+        "tables": [event_table([answer]), load_table([answer])], "alarming": alarming(answer),
+        "loads": [[load.area_mm2, load.conductance_s, load.cells, load.lives] for load in answer.attachments],
+    }  # fmt: skip
+
+
+@cache
+def seen(name: str) -> Verdict:
+    """One frame under a load, against three without."""
+    loads, _, _, _ = ON_FILM[name]
+    readings = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=1, loads=loads)).readings()
+    resting = readings[[0, 1, 2]].mean()
+    baseline = observation.Baseline.of(
+        resting.value, resting.sigma, WATCHED, observation.ModelErrors(reading_error=0.01),
+    )  # fmt: skip
+    frame = observation.Observation(readings.value[3], readings.sigma[3], baseline, np.zeros((6, 7)), 30.0)
+    return Detector(6.0).verdict(frame)
+
+
+def verdict_row(name: str) -> dict[str, Any]:
+    verdict = seen(name)
+    best = verdict.best
+    return {
+        "fits": [(fit.candidate.label, fit.evidence, fit.chi2, fit.cost, fit.volume) for fit in verdict.fits],
+        "shares": verdict.shares, "goodness": verdict.goodness, "evidence": verdict.evidence,
+        "nothing": verdict.nothing, "parameters": best.parameters, "covariance": best.covariance,
+        "change": best.change, "discs": best.discs,
+    }  # fmt: skip
+
+
+def breathing_row() -> dict[str, Any]:
+    """Readings that swing with suction and rim, and the belief that they make over three windows."""
+    rng, times = np.random.default_rng(1), np.arange(32) / 4
+    rise = np.repeat([-2.0, 1.0], 12)
+    slopes, moves = np.where(rise < 0, -300.0, 90.0), 8 * rng.standard_normal((1, 24))
+    swing = 0.08 * np.outer(np.sin(2 * np.pi * 1.1 * times), slopes * (0.9 + 0.1 * rng.standard_normal(24)))
+    patterns = breathing.Patterns.of(
+        np.eye(24), rise, slopes[None], 0.2 * np.abs(slopes), moves, rng.standard_normal((24, 1)),
+    )  # fmt: skip
+    found = breathing.breath(times, breathing.settled(swing + rng.standard_normal(swing.shape)), patterns)
+    belief = [breathing.Breathing()]
+    for full in (False, True, True):
+        belief.append(belief[-1].after(found, full=full))
+    pumping = Pumping.begin(np.ones(4) / 4, np.zeros(4), 0.0, 3)
+    for number in range(30):
+        pumping = pumping.after(0.02 * rng.standard_normal(4) + 0.3 * (number % 10 > 6), 0.5 * number)
+    return {
+        "breath": found, "belief": belief, "probability": [each.probability for each in belief],
+        "slow": breathing.too_slow(1.5), "pumping": pumping.odds,
+    }  # fmt: skip
+
+
+def attachments_row() -> Any:
+    """Loads of one recognition after another: one that stays, one that leaves, one that comes."""
+    loads = [Attachment(0.2, float(k), (20.0 * k, 0.6), (9.0 * k, 0.6), (15.0, 1.0), cells=5) for k in range(4)]
+    seen = continued_by((), loads[:2], 1.0)
+    seen = continued_by(seen, [replace(loads[1], x_mm=(24.0, 0.6), sucks=0.9, since_s=3.0), loads[3]], 3.0)
+    again = continued_by(seen, [replace(loads[3], y_mm=(30.0, 0.5), diameter_mm=(20.0, 2.0))], 3.0, again=True)
+    return {
+        "attachments": [seen, again, continued_by(again, [], 8.0)],
+        "sizes": [[load.size, load.width, load.lives] for load in seen],
+    }  # fmt: skip
+
+
+def of_recognition() -> Rows:
+    rows: Rows = {f"detected {name}": partial(detected_row, name) for name in ON_FILM}
+    rows |= {f"verdict on {name}": partial(verdict_row, name) for name in ON_FILM}
+    return rows | {
+        "detected on a mat": partial(detected_row, "block", "mat"), "breathing": breathing_row,
+        "attachments": attachments_row,
+        "detected on modules": lambda: answer_row(detection.known_of(Prepared(tiled())).answer(frames_of(tiled()))),
+    }  # fmt: skip
