@@ -25,6 +25,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.measure import Unmodelled, random_stream
 from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.report.compare import Columns, grouped
 from lampest.runs.executors import AnyExecutor, Processes, each_of
 from lampest.studies import study
 from lampest.studies.common import StudyMethod
@@ -217,7 +218,7 @@ def repeats_chi_square(recording: Recording) -> float:
 
 def _usual_sentence(own: Sequence[Audited]) -> str:
     """The most frequent one that results carry, whatever its numbers."""
-    kinds = study.grouped(own, lambda record: "".join(letter for letter in record.sentence if not letter.isdigit()))
+    kinds = grouped(own, lambda record: "".join(letter for letter in record.sentence if not letter.isdigit()))
     messages = [similar for kind, similar in kinds.items() if kind]
     return max(messages, key=len)[0].sentence if messages else ""
 
@@ -281,7 +282,7 @@ def _row(own: Sequence[Audited]) -> study.Row:
 
 
 audit_rows = study.rows_by(lambda record: (record.effect, record.estimator), _row)
-SCREEN: study.Screen = {
+SCREEN: Columns = {
     "effect": "{effect}",
     "estimator": "{estimator}",
     "cells [%]": "{cells:.1f} ± {cells_sd:.1f}",
@@ -320,7 +321,7 @@ STUDY: study.Study[AuditFile, Sequence[Audited]] = study.Study(
     study.read_settings(AuditFile),
     run_audit,
     rows=audit_rows,
-    screen=SCREEN,
+    sheets=lambda results: [("", audit_rows(results), SCREEN)],
     form="audit/1",
     records=lambda results: [study.RecordGroup("recordings", results, "cells_covered")],
     remarks=audit_remarks,

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from docs.studies import script
+from lampest.report.compare import grouped
 from lampest.report.plots.style import ORANGE, RAISED, SMALL_POINT, TEXT_POINT, new_figure
-from lampest.studies import study
 from lampest.studies.extremes import CASES, GRID, STUDY, Solve
 
 COLOURS = "YlGnBu"
@@ -36,13 +36,13 @@ def extremes_figure(solves: Sequence[Solve]) -> Figure:
     grid = figure.subplots(1, len(methods), squeeze=False, sharey=True)[0]
     for axes, method in zip(grid, methods, strict=True):
         own = [solve for solve in solves if solve.method == method]
-        cells = study.grouped(own, lambda solve: (_title(solve), *_column(solve)))
+        cells = grouped(own, lambda solve: (_title(solve), *_column(solve)))
         _fill(axes, [[cells.get((title, *column), []) for column in columns] for title in titles])
         axes.set_xticks(np.arange(len(columns)), [f"{100 * noise:g}" for _, noise in columns])
         axes.set_yticks(np.arange(len(titles)), titles)
         axes.set_xlabel("noise [%]", fontsize=TEXT_POINT)
         axes.set_title(f"{method}\n", fontsize=TEXT_POINT)
-        for formulation, places in study.grouped(range(len(columns)), lambda place: columns[place][0]).items():
+        for formulation, places in grouped(range(len(columns)), lambda place: columns[place][0]).items():
             axes.text(np.mean(places), -0.7, formulation, fontsize=SMALL_POINT, ha="center", va="bottom")
             axes.axvline(places[0] - 0.5, color="0.3", lw=0.8)
     colours = ScalarMappable(Normalize(0, 100), COLOURS)

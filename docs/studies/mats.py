@@ -27,9 +27,11 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.floating import FloatingNetwork, grounding
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
+from lampest.report.compare import grouped, screen_table
+from lampest.report.words import text_of
 from lampest.solvers.solution import Settings
 from lampest.studies.common import clocked, inverse_time
-from lampest.studies.study import grouped, markdown, screen_table, text_of
+from lampest.studies.study import markdown
 
 LEAST_S, MOST_S = 2e-5, 2e-2  # conductances of the published test
 OURS = ("reduced", "scipy_exact")

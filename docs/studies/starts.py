@@ -12,10 +12,11 @@ from docs.studies import script
 from lampest.estimate.methods import named_method
 from lampest.estimate.sequence import first_stream
 from lampest.recording.recording import Recording
+from lampest.report.compare import Columns
 from lampest.runs.config import Case, Run, read_run
 from lampest.solvers.multistart import evaluated, solved_from
 from lampest.solvers.solution import Status
-from lampest.studies.study import Cases, Screen, Study, of_cases
+from lampest.studies.study import Cases, Study, of_cases
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ def _objectives(case: Case, count: int, generator: np.random.Generator) -> Itera
         yield results, [end.objective for end in ends if end.solved], least.cost_scale - least.objective
 
 
-SCREEN: Screen = {
+SCREEN: Columns = {
     "recording": "{recording}",
     "estimator": "{estimator}",
     "frames at the best": "{best}/{frames}",
@@ -91,7 +92,7 @@ def starts_study(random: int, seed: int) -> Study[Run, Cases[Tally]]:
         read_run,
         lambda run, on_step: of_cases(lambda case: [tally(case, random, seed)], run, on_step),
         rows=lambda cases: cases.measured,
-        screen=SCREEN,
+        sheets=lambda cases: [("", cases.measured, SCREEN)],
     )
 
 

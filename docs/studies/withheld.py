@@ -21,6 +21,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
+from lampest.report.compare import Columns
 from lampest.runs.config import Case, Run, read_run
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -137,7 +138,7 @@ def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[R
         read_run,
         lambda run, on_step: study.of_cases(predicted, run, on_step, "predict"),
         rows=lambda cases: withheld_rows(cases.measured),
-        screen=SCREEN,
+        sheets=lambda cases: [("", withheld_rows(cases.measured), SCREEN)],
         left_out=lambda results: results.left_out,
     )
 
@@ -162,7 +163,7 @@ def _row(records: Sequence[Withheld]) -> study.Row:
 
 
 withheld_rows = study.rows_by(lambda record: (record.recording, record.estimator, record.factor), _row)
-SCREEN: study.Screen = {
+SCREEN: Columns = {
     "recording": "{recording}",
     "estimator": "{estimator}",
     "weight": "{weight}",

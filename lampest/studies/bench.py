@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from itertools import product
+from operator import attrgetter
 from time import perf_counter
 from typing import Any, Literal, NamedTuple
 
@@ -19,11 +20,11 @@ from lampest.panel.kirchhoff import laplacian
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.wiring import Lines
-from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Course, Simulation, simulate
-from lampest.report.compare import Table
+from lampest.report.compare import Columns, grouped
+from lampest.report.words import text_of
 from lampest.solvers.solution import Settings
 from lampest.studies import common, study
 from lampest.studies.common import MIN_GAP, TimedFrame, inverse_time, outcome, peak_memory, pushed
@@ -38,16 +39,17 @@ def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Cours
     """
     pitch = Panel(*shape).pitch_mm
     height, width = (pitch * (side - 1) for side in shape)
-    places = ((0.3, 0.3, 680.0), (0.7, 0.35, 300.0), (0.4, 0.75, 1200.0))  # shares of width and height, mass in g
     rods = tuple(
         Rod(kind="rod", centre_mm=(right * width, down * height), diameter_mm=40, mass_g=mass)
-        for right, down, mass in places
+        for right, down, mass in ((0.3, 0.3, 680.0), (0.7, 0.35, 300.0), (0.4, 0.75, 1200.0))
     )
-    third = common.lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * pitch * min(shape))
     breathing = common.shipped_lamprey().course
-    growing = replace(breathing, start_s=-0.4, approach_s=2)
-    beside = (common.lamprey_mouth((0.6 * width, 0.55 * height)), rods[0])
-    return (((third,), breathing), (rods, Course()), (beside, growing))[number % 3]
+    if number % 3 == 0:
+        return (common.lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * pitch * min(shape)),), breathing
+    if number % 3 == 1:
+        return rods, Course()
+    mouth = common.lamprey_mouth((0.6 * width, 0.55 * height))
+    return (mouth, rods[0]), replace(breathing, start_s=-0.4, approach_s=2)
 
 
 @dataclass(frozen=True)
@@ -137,8 +139,7 @@ class BenchFile(Configuration):
     def estimator(self, method: str, solver: str, shape: common.Shape) -> Estimator:
         """Return a method with a solver for a panel; the baseline of a large one is solved separately."""
         formulation = self.formulation(solver, joint=max(shape) <= self.limits.joint)
-        chosen = self.estimators[method]
-        return Estimator(chosen.parts, formulation, self.solver, chosen.bounds, error_bars=False)
+        return self.estimators[method].estimator(formulation, self.solver, error_bars=False)
 
     def formulation(self, solver: Any, *, joint: bool) -> Method:
         """Return the formulation of a solver."""
@@ -146,13 +147,10 @@ class BenchFile(Configuration):
 
     def recording(self, shape: common.Shape, number: int = 0) -> Recording:
         """Simulate a recording of a panel with 3 unloaded frames and the loads of `loads`."""
+        scene = common.simple_scene(shape, self.readout, self.lines)
         touching, course = loads(number, shape)
-        scene = Scene(
-            Panel(*shape), self.readout, common.shipped_lamprey().scene.series_resistance_ohm, lines=self.lines
-        )
-        known: dict[str, Any] = {"frames": self.frames + 1, "loads": touching, "unmodelled": self.unmodelled}
-        simulation = Simulation(1, self.seed + number, scene, course=course, **known)
-        return simulate(simulation, str(number))
+        known: dict[str, Any] = {"loads": touching, "course": course, "unmodelled": self.unmodelled}
+        return simulate(Simulation(1, self.seed + number, scene, frames=self.frames + 1, **known), str(number))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,6 +263,7 @@ def _frames(bench: BenchFile, recording: Recording, part: BenchPart, end: float)
 
 ALL = "all"  # methods together
 GROWTH_FROM = 32  # rows and columns of the smallest panel of which growth is measured
+PROBLEM = attrgetter("rows", "columns", "method", "frames")  # of rows that differ in their solvers
 
 
 def bench_rows(frames: Sequence[BenchFrame]) -> list[study.Row]:
@@ -274,19 +273,15 @@ def bench_rows(frames: Sequence[BenchFrame]) -> list[study.Row]:
     """
     methods = {frame.method for frame in frames}
     rows: list[study.Row] = []
-    for panel in study.grouped(frames, lambda frame: frame.shape).values():
-        for name, chosen in ((ALL, panel), *study.grouped(panel, lambda frame: frame.method).items()):
-            for several in study.grouped(chosen, lambda frame: frame.solver).values():
-                kinds = study.grouped(several, lambda frame: frame.frame > 0).values()
-                rows += [_row(name, own) for own in kinds if name != ALL or {frame.method for frame in own} == methods]
-    reduced = {_problem(row): row.ms for row in rows if row.solver == "reduced"}
+    for panel in grouped(frames, lambda frame: frame.shape).values():
+        for name, chosen in {ALL: panel, **grouped(panel, lambda frame: frame.method)}.items():
+            for own in grouped(chosen, lambda frame: (frame.solver, frame.frame > 0)).values():
+                if name != ALL or {frame.method for frame in own} == methods:
+                    rows.append(_row(name, own))
+    reduced = {PROBLEM(row): row.ms for row in rows if row.solver == "reduced"}
     for row in rows:
-        row.ratio = row.ms / reduced[_problem(row)] if _problem(row) in reduced else None
+        row.ratio = row.ms / reduced[PROBLEM(row)] if PROBLEM(row) in reduced else None
     return rows
-
-
-def _problem(row: study.Row) -> tuple[int, int, str, str]:
-    return row.rows, row.columns, row.method, row.frames
 
 
 def _row(method: str, own: Sequence[BenchFrame]) -> study.Row:
@@ -320,12 +315,12 @@ def growth(rows: Sequence[study.Row]) -> list[study.Row]:
     """
     large = [row for row in rows if min(row.rows, row.columns) >= GROWTH_FROM and row.method != ALL]
     exponents = []
-    for (solver, method, frames), own in study.grouped(large, lambda row: (row.solver, row.method, row.frames)).items():
+    for group, own in grouped(large, attrgetter(*GROWTH[:3])).items():
         sides = [(row.rows + row.columns) / 2 for row in own]
         if len(own) > 1:
             line = linregress(np.log(sides), np.log([row.ms for row in own]))
             error = float(line.stderr) if len(own) > 2 else None
-            figures = (solver, method, frames, float(line.slope), error, len(own), max(sides))
+            figures = (*group, float(line.slope), error, len(own), max(sides))
             exponents.append(study.Row(**dict(zip(GROWTH, figures, strict=True))))
     return exponents
 
@@ -338,41 +333,36 @@ GROWTH_SCREEN = {
     "exponent of the side": "{exponent:.2f} ± {standard_error:.2f}",
     "panels": f"{{panels}}, {GROWTH_FROM} to {{largest:.0f}}",
 }
-SCREEN: study.Screen = {
+SCREEN: Columns = {
     "panel": "{rows} × {columns}",
     "solver": "{solver}",
     "method": "{method}",
     "frames": "{frames}",
     "ms": "{ms:digits}",
-    "ratio": lambda row: "" if row.solver == "reduced" else study.text_of(row.ratio),
+    "ratio": lambda row: "" if row.solver == "reduced" else text_of(row.ratio),
     "quartiles": lambda row: (
-        study.text_of(row.ms_quartile_1) + "–" + study.text_of(row.ms_quartile_3)
-        if row.ms_quartile_1 < row.ms_quartile_3
-        else ""
+        f"{text_of(row.ms_quartile_1)}–{text_of(row.ms_quartile_3)}" if row.ms_quartile_1 < row.ms_quartile_3 else ""
     ),
     "inverses": "{inverses:digits}",
     "steps": "{iterations:g}",
-    "gap": lambda row: study.text_of(row.gap, ".0e") if row.gap is None or row.gap > MIN_GAP else f"< {MIN_GAP:.0e}",
+    "gap": lambda row: text_of(row.gap, ".0e") if row.gap is None or row.gap > MIN_GAP else f"< {MIN_GAP:.0e}",
     "verified": "{verified}/{count}",
     "MB": "{memory_mb:.0f}",
 }
 
 
-def tables(bench: Bench) -> list[tuple[str, Table]]:
-    """Return titled tables for the screen, without empty ones."""
+def sheets(bench: Bench) -> list[study.Sheet]:
+    """Return the tables that are not empty."""
     rows = bench_rows(bench.frames)
     together = [row for row in rows if row.method == ALL]
     ours = [row for row in rows if row.method != ALL and row.solver == "reduced"]
-    titled = (
-        ("solvers: all methods together", together, _without("method", "quartiles")),
-        ("methods: the reduced solver", ours, _without("solver")),
+    shared = {title: of for title, of in SCREEN.items() if title not in ("method", "quartiles")}
+    titled: list[study.Sheet] = [
+        ("solvers: all methods together", together, shared),
+        ("methods: the reduced solver", ours, {title: of for title, of in SCREEN.items() if title != "solver"}),
         ("growth: time ∝ side^exponent", growth(rows), GROWTH_SCREEN),
-    )
-    return [(title, study.screen_table(own, screen)) for title, own, screen in titled if own]
-
-
-def _without(*titles: str) -> study.Screen:
-    return {title: of for title, of in SCREEN.items() if title not in titles}
+    ]
+    return [sheet for sheet in titled if sheet[1]]
 
 
 def bench_remarks(bench: Bench) -> list[str]:
@@ -382,7 +372,7 @@ def bench_remarks(bench: Bench) -> list[str]:
     limited = [f"{name} {limit}" for name, limit in vars(settings.limits).items() if limit < largest]
     lines = [f"not run beyond these sides (limits): {', '.join(limited)}"] if limited else []
     panels: dict[tuple[str, str], list[str]] = {}  # of which the same was left out
-    for (shape, what), own in study.grouped(bench.left_out, lambda left_out: (left_out[0], left_out[2])).items():
+    for (shape, what), own in grouped(bench.left_out, lambda left_out: (left_out[0], left_out[2])).items():
         methods = [method for _, method, _ in own]
         named = "all methods" if methods == list(settings.estimators) else ", ".join(methods)
         panels.setdefault((what, named), []).append(f"{shape[0]} × {shape[1]}")
@@ -397,7 +387,7 @@ STUDY: study.Study[BenchFile, Bench] = study.Study(
     study.read_settings(BenchFile),
     run_bench,
     rows=lambda bench: bench_rows(bench.frames),
-    tables=tables,
+    sheets=sheets,
     form="bench/3",
     records=lambda bench: [study.RecordGroup("frames", bench.frames, "seconds")],
     texts=lambda bench: {"growth.csv": study.csv_of(growth(bench_rows(bench.frames)), GROWTH)},

@@ -11,6 +11,8 @@ import numpy as np
 
 from lampest.cost.terms import Term
 from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.methods import MethodName
+from lampest.estimate.methods.method import Method
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
@@ -18,14 +20,17 @@ from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
 from lampest.files.typed import Configuration, check_range
 from lampest.loads.shapes import AnyShape, OralDisc
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.wiring import Lines
+from lampest.panel.scene import Scene
 from lampest.recording.datasets import folder as shipped_folder
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording, only_frames
 from lampest.recording.simulation.simulation import Simulation, read_simulations
 from lampest.runs.config import Terms, terms_of
 from lampest.runs.executors import Processes
-from lampest.solvers.solution import STRICT
+from lampest.solvers.solution import STRICT, Settings
 from lampest.studies.study import column, named_values
 
 CONFIGS = shipped_folder() / "configs"
@@ -50,6 +55,10 @@ class StudyMethod(Configuration):
         """Terms in order."""
         return terms_of(self.terms)
 
+    def estimator(self, formulation: MethodName | Method, solver: Settings, **options: Any) -> Estimator:
+        """Return the method in a formulation, with further options of an estimator."""
+        return Estimator(self.parts, formulation, solver, self.bounds, **options)
+
 
 @dataclass(frozen=True)
 class SquaredMethod(StudyMethod):
@@ -61,10 +70,10 @@ class SquaredMethod(StudyMethod):
             raise ValueError("only squared losses can be compared with a least-squares solver")
 
 
-Method = TypeVar("Method", bound=StudyMethod)
+AnyStudyMethod = TypeVar("AnyStudyMethod", bound=StudyMethod)
 
 
-def paper_methods(kind: type[Method]) -> dict[str, Method]:
+def paper_methods(kind: type[AnyStudyMethod]) -> dict[str, AnyStudyMethod]:
     """Return the five methods of the paper with its weights, as the shipped run of its Table I has them."""
     run = read_document(CONFIGS / "table1.yaml")
     return {name: validated(replace(run, content=entry), kind) for name, entry in run.content["estimators"].items()}
@@ -96,6 +105,11 @@ def lamprey_mouth(centre_mm: tuple[float, float], diameter_mm: float = 35.0) -> 
     assert isinstance(mouth, OralDisc)
     rim_width_mm = diameter_mm * mouth.rim_width_mm / mouth.diameter_mm
     return replace(mouth, centre_mm=centre_mm, diameter_mm=diameter_mm, rim_width_mm=rim_width_mm)
+
+
+def simple_scene(shape: Shape, readout: TwoPointReadout, lines: Lines | None = None) -> Scene:
+    """Return a scene with the series resistance of the shipped lamprey and nothing beside the circuit."""
+    return Scene(Panel(*shape), readout, shipped_lamprey().scene.series_resistance_ohm, lines=lines)
 
 
 Result = TypeVar("Result")

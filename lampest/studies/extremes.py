@@ -6,17 +6,15 @@ Solves are verified by 50-digit arithmetic and a second test of optimality, whic
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain, product
 from math import nan
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.methods import MethodName
 from lampest.estimate.sequence import first_stream, frame_period
-from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.files.typed import Configuration, check_range
@@ -25,6 +23,7 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.floating import exact_two_point_resistance, two_point_resistance
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import Recording
+from lampest.report.compare import Columns, grouped
 from lampest.runs.executors import AnyExecutor, Processes, each_of
 from lampest.solvers.solution import VERIFIED, Settings
 from lampest.studies import study
@@ -35,7 +34,6 @@ from lampest.studies.study import OnStep, column
 GRID = "log-uniform"
 OPEN = 1e9  # factor of a broken cell that the scene does not state; its inverse is that of a short
 USUAL_OHM = 3000.0  # resistance of a cell before a case changes it
-Generator = np.random.Generator
 
 
 @dataclass(frozen=True)
@@ -54,27 +52,10 @@ class AtlasSample:
         """Rows and columns."""
         return self.rows, self.columns
 
-
-class Made(NamedTuple):
-    """Cells (2, rows, columns) ohm, unloaded and loaded, with statements of the scene about them.
-
-    Attributes
-    ----------
-    cells : array, shape (2, rows, columns)
-    faults, readout, series_ohm
-        Entries of the scene.
-    still : bool
-        Whether both frames are equal, including noise.
-    weight : float or None
-        Weight of all penalties, instead of their own.
-    """
-
-    cells: Array
-    faults: Faults | None = None
-    readout: TwoPointReadout | None = None
-    series_ohm: float = 0.0
-    still: bool = False
-    weight: float | None = None
+    @property
+    def cell(self) -> Shape:
+        """Row and column of the cell, row or column that breaks."""
+        return self.rows // 2, self.columns // 3
 
 
 class Extreme(NamedTuple):
@@ -82,134 +63,119 @@ class Extreme(NamedTuple):
 
     Attributes
     ----------
-    make : callable
-        Usual cells → scene.
+    factor : callable
+        (row, column, sample, generator) → factors (rows, columns) of the usual cells.
     single_fault : bool
         Whether one cell or line is broken.
     contrasted : bool
         Whether it has the contrast of the sample.
     shapes : tuple of Shape
         Its panels, instead of those of the atlas.
+    stated : str
+        Key of the fault in the scene; '' for none.
+    readout, series_ohm
+        Entries of the scene.
+    still : bool
+        Whether both frames are equal, including noise.
+    weight : float or None
+        Weight of all penalties, instead of their own.
     """
 
-    make: Callable[[Array, AtlasSample, Generator], Made]
+    factor: Callable[[Any, Any, AtlasSample, np.random.Generator], Any] = lambda row, column, sample, rng: 1.0
     single_fault: bool = False
     contrasted: bool = False
     shapes: tuple[Shape, ...] = ()
+    stated: str = ""
+    readout: TwoPointReadout | None = None
+    series_ohm: float = 0.0
+    still: bool = False
+    weight: float | None = None
+
+    def faults(self, cell: Shape) -> Faults | None:
+        """Return the faults that the scene states."""
+        places: dict[str, Any] = {"dead_rows": cell[:1], "dead_columns": cell[1:], "open": (cell,), "shorted": (cell,)}
+        return Faults(**{self.stated: places[self.stated]}) if self.stated else None
 
 
-def recording_of(sample: AtlasSample) -> tuple[Recording, Made]:
-    """Return a recording of a scene, and the scene.
+def recording_of(sample: AtlasSample) -> tuple[Recording, Array]:
+    """Return a recording of a scene, and its cells (2, rows, columns) ohm, unloaded and loaded.
 
     Cells are equal for every noise. Readings are exact ones times 1 + noise, digitised if there is a converter.
     """
-    rng = np.random.default_rng([sample.seed, sample.rows, sample.columns, 1])
+    case = CASES[sample.case]
+    rng = np.random.default_rng([sample.seed, *sample.shape, 1])
     # cells within a factor of 2 of each other; a fifth of them have half their resistance under load
     usual = USUAL_OHM * 10 ** rng.uniform(-0.15, 0.15, sample.shape)
     cells = np.stack([usual, np.where(rng.random(sample.shape) < 0.2, 0.5, 1.0) * usual])
-    scene = CASES[sample.case].make(cells, sample, rng)
-    rng = np.random.default_rng([sample.seed, sample.rows, sample.columns, 2])
-    exact, readout = two_point_resistance(scene.cells), scene.readout
+    if case.still:
+        cells[1] = cells[0]
+    row, column = np.indices(sample.shape)
+    cells *= case.factor(row, column, sample, rng)
+    rng = np.random.default_rng([sample.seed, *sample.shape, 2])
+    exact, readout = two_point_resistance(cells), case.readout
     noise = 1 + sample.noise * rng.standard_normal(exact.shape)
-    if scene.still:
+    if case.still:
         noise[1] = noise[0]
-    total = exact * np.maximum(noise, 0.01) + scene.series_ohm
-    if scene.series_ohm:
-        total = np.maximum(total + sample.noise * scene.series_ohm * rng.standard_normal(exact.shape), 1e-3)
+    total = exact * np.maximum(noise, 0.01) + case.series_ohm
+    if case.series_ohm:
+        total = np.maximum(total + sample.noise * case.series_ohm * rng.standard_normal(exact.shape), 1e-3)
     sigma: Array | None = max(sample.noise, 1e-9) * total
     if readout is not None:
         volt = readout.volt_from_recorded(total) + readout.noise_volt() * rng.standard_normal(total.shape)
         codes = readout.code_from_volt(volt).astype(float)
         total, sigma = readout.recorded_from_volt(readout.volt_from_code(codes)), None
     usable = np.isfinite(total) & (total > 0)  # readings that are no value hold any finite number
-    total = np.where(usable, total, USUAL_OHM)
     sigma = None if sigma is None else np.where(usable, sigma, USUAL_OHM)
-    place = Scene(Panel(*sample.shape), readout, scene.series_ohm, scene.faults)
-    role = np.array([0, 1], dtype=np.uint8)
-    return Recording(place, total, np.arange(2.0), role, sigma, name=sample.case), scene
+    scene = Scene(Panel(*sample.shape), readout, case.series_ohm, case.faults(sample.cell))
+    about = np.where(usable, total, USUAL_OHM), np.arange(2.0), np.array([0, 1], dtype=np.uint8), sigma
+    return Recording(scene, *about, name=sample.case), cells
 
 
-def _cell(sample: AtlasSample) -> tuple[int, int]:
-    return sample.rows // 2, sample.columns // 3
+def _broken(part: Literal["cell", "row", "column"], factor: float, stated: str = "") -> Extreme:
+    """Return a case with a cell, row or column times a factor, which the scene states under a key."""
 
+    def times(row: Array, column: Array, sample: AtlasSample, rng: np.random.Generator) -> Array:
+        in_row, in_column = row == sample.cell[0], column == sample.cell[1]
+        return np.where({"cell": in_row & in_column, "row": in_row, "column": in_column}[part], factor, 1.0)
 
-def _times(factor: float, part: str, *, known: bool = False) -> Extreme:
-    """Return a case with a cell, row or column times a factor; known : whether the scene states it."""
-
-    def make(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
-        row, column = _cell(sample)
-        place = {"cell": (row, column), "row": (row,), "column": (slice(None), column)}[part]
-        cells = cells.copy()
-        cells[(slice(None), *place)] *= factor
-        stated: dict[str, Any] = {"row": {"dead_rows": (row,)}, "column": {"dead_columns": (column,)}}
-        stated["cell"] = {"shorted" if factor == 0 else "open": ((row, column),)}
-        return Made(cells, Faults(**stated[part]) if known else None)
-
-    return Extreme(make, single_fault=True)
-
-
-def _contrasted(pattern: Callable[[Array, Array, AtlasSample, Generator], Array]) -> Extreme:
-    """Return a case with cells times 10^pattern(row, column) around the usual resistance."""
-
-    def make(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
-        row, column = np.indices(sample.shape, dtype=float)
-        factor = 10.0 ** pattern(row, column, sample, rng)
-        return Made(cells * factor / 10 ** (np.ptp(np.log10(factor)) / 2 if factor.min() == 1 else 0))
-
-    return Extreme(make, contrasted=True)
-
-
-def _milliohm_to_gigaohm(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
-    levels = np.logspace(-3, 9, cells[0].size)
-    return Made(cells / USUAL_OHM * rng.permutation(levels).reshape(sample.shape))
-
-
-def _usual(*shapes: Shape, scale: float = 1.0, **stated: Any) -> Extreme:
-    """Return a case with the usual cells, with its own shapes if given, and statements of the scene."""
-    return Extreme(lambda cells, sample, rng: Made(scale * cells, **stated), shapes=shapes)
-
-
-def _rails(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
-    """Make a row of readings beyond one end of the converter, and a cell beyond the other."""
-    cells = cells.copy()
-    cells[:, sample.rows // 2] *= 1e6
-    cells[:, 0, 0] *= 1e-6
-    return Made(cells, readout=TwoPointReadout(readings=1))
-
-
-def _at_series(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
-    """Make a cell that is negligible against the series resistance."""
-    cells = cells.copy()
-    cells[(slice(None), *_cell(sample))] = 1e-3
-    return Made(cells, series_ohm=140.0)
+    return Extreme(times, single_fault=True, stated=stated)
 
 
 CASES: dict[str, Extreme] = {
-    GRID: _contrasted(lambda _, __, at, rng: rng.uniform(-at.decades / 2, at.decades / 2, at.shape)),
+    GRID: Extreme(lambda _, __, at, rng: 10 ** rng.uniform(-at.decades / 2, at.decades / 2, at.shape), contrasted=True),
     # One block of good conductors beside three of bad ones.
-    "two clusters": _contrasted(lambda j, k, at, rng: at.decades * ((j < at.rows // 2) | (k < at.columns // 2))),
-    "checkerboard": _contrasted(lambda row, column, sample, rng: sample.decades * ((row + column) % 2)),
-    "open cell": _times(OPEN, "cell"),
-    "open row": _times(OPEN, "row"),
-    "open column": _times(OPEN, "column"),
-    "shorted cell": _times(1 / OPEN, "cell"),
-    "shorted row": _times(1 / OPEN, "row"),
-    "open cell, known": _times(np.inf, "cell", known=True),
-    "dead row, known": _times(np.inf, "row", known=True),
-    "dead column, known": _times(np.inf, "column", known=True),
-    "shorted cell, known": _times(0.0, "cell", known=True),
-    "1 mOhm to 1 GOhm": Extreme(_milliohm_to_gigaohm),
-    "1 x 1": _usual((1, 1)),
-    "1 x N": _usual((1, 9)),
-    "M x 1": _usual((9, 1)),
-    "2 x 64": _usual((2, 64)),
-    "identical frames": Extreme(lambda cells, sample, rng: Made(np.stack([cells[0]] * 2), still=True)),
-    "weight 0": _usual(weight=0.0),
-    "weight 1e-12": _usual(weight=1e-12),
-    "weight 1e12": _usual(weight=1e12),
-    "codes at both rails": Extreme(_rails),
-    "at the series resistance": Extreme(_at_series, single_fault=True),
-    "all times 1e6": _usual(scale=1e6),
+    "two clusters": Extreme(
+        lambda j, k, at, _: 10 ** (at.decades * (((j < at.rows // 2) | (k < at.columns // 2)) - 0.5)), contrasted=True
+    ),
+    "checkerboard": Extreme(lambda j, k, at, _: 10 ** (at.decades * ((j + k) % 2 - 0.5)), contrasted=True),
+    "open cell": _broken("cell", OPEN),
+    "open row": _broken("row", OPEN),
+    "open column": _broken("column", OPEN),
+    "shorted cell": _broken("cell", 1 / OPEN),
+    "shorted row": _broken("row", 1 / OPEN),
+    "open cell, known": _broken("cell", np.inf, "open"),
+    "dead row, known": _broken("row", np.inf, "dead_rows"),
+    "dead column, known": _broken("column", np.inf, "dead_columns"),
+    "shorted cell, known": _broken("cell", 0.0, "shorted"),
+    "1 mOhm to 1 GOhm": Extreme(
+        lambda j, _, at, rng: rng.permutation(np.logspace(-3, 9, j.size)).reshape(at.shape) / USUAL_OHM
+    ),
+    "1 x 1": Extreme(shapes=((1, 1),)),
+    "1 x N": Extreme(shapes=((1, 9),)),
+    "M x 1": Extreme(shapes=((9, 1),)),
+    "2 x 64": Extreme(shapes=((2, 64),)),
+    "identical frames": Extreme(still=True),
+    "weight 0": Extreme(weight=0.0),
+    "weight 1e-12": Extreme(weight=1e-12),
+    "weight 1e12": Extreme(weight=1e12),
+    # A row of readings beyond one end of the converter, and a cell beyond the other.
+    "codes at both rails": Extreme(
+        lambda j, k, at, _: np.where(j == at.cell[0], 1e6, 1.0) * np.where(j + k == 0, 1e-6, 1.0),
+        readout=TwoPointReadout(readings=1),
+    ),
+    # A cell of about 1 mΩ, which is negligible against the series resistance.
+    "at the series resistance": _broken("cell", 1e-3 / USUAL_OHM)._replace(series_ohm=140.0),
+    "all times 1e6": Extreme(lambda *_: 1e6),
 }
 
 
@@ -288,29 +254,21 @@ class AtlasFile(Configuration):
     def __post_init__(self) -> None:
         if not self.estimators:
             raise ValueError("estimators must hold at least one")
-        if not self.tasks:
+        if not self.samples:
             raise ValueError("grid and structured hold no scene")
 
     @property
-    def tasks(self) -> list["AtlasTask"]:
-        """Every scene with the formulations that solve it, in the order of the atlas."""
-        named = [(self.grid, GRID), *((self.structured, name) for name in CASES if name != GRID)]
-        samples = (sample for grid, name in named for sample in grid.samples(name))
-        return [AtlasTask(sample, self, self._formulations(sample)) for sample in samples]
+    def samples(self) -> list[AtlasSample]:
+        """Every scene in the order of the atlas."""
+        structured = chain.from_iterable(self.structured.samples(name) for name in CASES if name != GRID)
+        return [*self.grid.samples(GRID), *structured]
 
-    def _formulations(self, sample: AtlasSample) -> tuple[MethodName, ...]:
+    def formulations(self, sample: AtlasSample) -> tuple[Literal["reduced", "nodal"], ...]:
+        """Return the formulations in which every method solves a scene."""
         part, own = self.nodal, bool(CASES[sample.case].shapes) and sample.rows * sample.columns < 100
         known = 100 * sample.noise in part.noise and sample.decades in (*part.decades, 0.0)
         chosen = known and sample.seed < part.seeds and (own or sample.shape in part.shapes)
         return ("reduced", "nodal") if chosen else ("reduced",)
-
-
-class AtlasTask(NamedTuple):
-    """One scene, and the formulations in which every method solves it."""
-
-    sample: AtlasSample
-    atlas: AtlasFile
-    formulations: tuple[MethodName, ...]
 
 
 CRASHED, REFUSED = "crashed: ", "refused: "
@@ -355,93 +313,73 @@ def run_atlas(atlas: AtlasFile, on_step: OnStep = lambda done, total: None) -> t
     """
     fifty_digits(np.ones((1, 1)))
 
-    def lost(task: AtlasTask, error: BaseException) -> tuple[Solve]:
-        return (_failed(task.sample, "", "", "", f"{CRASHED}{type(error).__name__}: {error}"),)
+    def lost(sample: AtlasSample, error: BaseException) -> tuple[Solve]:
+        return (_failed(sample, "", "", "", error),)
 
-    solves = each_of(solves_of, atlas.tasks, on_step, atlas.executor or Processes(), lost)
+    solves = each_of(partial(solves_of, atlas), atlas.samples, on_step, atlas.executor or Processes(), lost)
     return tuple(chain.from_iterable(solves))
 
 
-def solves_of(task: AtlasTask) -> tuple[Solve, ...]:
-    """Return all solves of a scene."""
-    sample, atlas = task.sample, task.atlas
-    recording, scene = recording_of(sample)
-    forward = min(correct_digits(two_point_resistance(cells), fifty_digits(cells)) for cells in scene.cells)
-    solves: list[Solve] = []
-    for formulation in task.formulations:
-        for name, method in atlas.estimators.items():
-            terms = method.parts
-            if scene.weight is not None:
-                terms = tuple(term if term.reads_measurement else replace(term, weight=scene.weight) for term in terms)
-            try:
-                parts = _parts(Estimator(terms, formulation, atlas.solver, method.bounds), recording)
-                solves += [_judged(task, name, part, recording, scene.cells) for part in parts]
-            except InputError as error:
-                solves.append(_failed(sample, name, formulation, "frame", f"{REFUSED}{error}"))
-            except Exception as error:  # whatever it is, the atlas shows it
-                solves.append(_failed(sample, name, formulation, "frame", f"{CRASHED}{type(error).__name__}: {error}"))
-    return tuple(replace(solve, forward_digits=forward) for solve in solves)
-
-
-def _failed(sample: AtlasSample, method: str, formulation: str, part: str, status: str) -> Solve:
+def _failed(sample: AtlasSample, method: str, formulation: str, part: str, error: BaseException) -> Solve:
+    """Return a solve that ended with an exception."""
+    status = f"{REFUSED}{error}" if isinstance(error, InputError) else f"{CRASHED}{type(error).__name__}: {error}"
     return Solve(**vars(sample), method=method, formulation=formulation, part=part, solved=False, status=status)
 
 
-class _Part(NamedTuple):
-    """Solve of a sequence with its data.
+def solves_of(atlas: AtlasFile, sample: AtlasSample) -> tuple[Solve, ...]:
+    """Return all solves of a scene."""
+    recording, cells = recording_of(sample)
+    forward = min(correct_digits(two_point_resistance(frame), fifty_digits(frame)) for frame in cells)
+    weight, solves = CASES[sample.case].weight, list[Solve]()
+    for formulation, (name, method) in product(atlas.formulations(sample), atlas.estimators.items()):
+        try:
+            estimator = method.estimator(formulation, atlas.solver)
+            if weight is not None:
+                weights = [float(term.weight) if term.reads_measurement else weight for term in estimator.terms]
+                estimator = estimator.with_weights(weights)
+            solves += judged(sample, name, estimator, recording, cells, atlas.audit_cells)
+        except Exception as error:  # whatever it is, the atlas shows it
+            solves.append(_failed(sample, name, formulation, "frame", error))
+    return tuple(replace(solve, forward_digits=forward) for solve in solves)
 
-    Attributes
+
+def judged(
+    sample: AtlasSample, name: str, estimator: Estimator, recording: Recording, truth: Array, audit_cells: int
+) -> list[Solve]:
+    """Return the solves of baseline and frame, or of the pair, judged by the cells of the scene.
+
+    Parameters
     ----------
-    frames : slice
-        Slice of the scene's.
-    estimator : Estimator
-        That of its cost.
+    sample, name, estimator, recording
+        The scene, and the method with its name.
+    truth : array, shape (2, rows, columns)
+        Ohm.
+    audit_cells : int
+        Largest panel with a second test of optimality.
     """
-
-    name: str
-    frames: slice
-    estimator: Estimator
-    data: Data
-    step: Step
-
-
-def _parts(estimator: Estimator, recording: Recording) -> Iterator[_Part]:
-    """Yield the solves of baseline and frame, or of the pair."""
     readings = recording.readings()
     stream = first_stream(recording, readings, estimator)
+    data, _ = stream.given(readings[1])
+    joint = len(data.measured) == 2
+    parts = [("pair" if joint else "frame", truth[0 if joint else 1 :], estimator, data, stream.push(readings[1])[1])]
     if stream.baseline is not None:
         alone = replace(estimator, terms=estimator.absolute_terms)
         blank = Stream(alone, recording.scene, frame_period(recording), readings[0])
-        yield _Part("baseline", slice(0, 1), alone, blank.given(blank.resting)[0], stream.baseline)
-    data, _ = stream.given(readings[1])
-    _, step = stream.push(readings[1])
-    joint = len(data.measured) == 2
-    yield _Part("pair" if joint else "frame", slice(0 if joint else 1, 2), estimator, data, step)
-
-
-def _judged(task: AtlasTask, method: str, part: _Part, recording: Recording, cells: Array) -> Solve:
-    """Judge a solve by the cells of the scene, (2, rows, columns) ohm."""
-    solution, data, estimator = part.step.solution, part.data, part.estimator
-    cost = estimator.cost(recording.scene, len(data.measured), partial=data.partial)
-    solve = Solve(
-        **vars(task.sample),
-        method=method,
-        formulation=estimator.method.kind,
-        part=part.name,
-        solved=solution.solved,
-        status=solution.status.value,
-        iterations=solution.iterations,
-        residual=solution.kkt_residual,
-    )
-    if not solution.solved:
-        return solve
-    cells, truth = solution.cell_resistance, np.clip(cells[part.frames], data.lower, data.upper)
-    return replace(
-        solve,
-        audited=exact_residual(cost, data, cells) if cells[0].size <= task.atlas.audit_cells else nan,
-        excess=(exact_cost(cost, data, cells) - exact_cost(cost, data, truth)) / exact_scale(cost, data, cells),
-        model_digits=correct_digits(solution.reading, exact_two_point_resistance(cells)),
-    )
+        parts.insert(0, ("baseline", truth[:1], alone, blank.given(blank.resting)[0], stream.baseline))
+    solves = []
+    for part, cells, own, data, step in parts:
+        solution, cost = step.solution, own.cost(recording.scene, len(data.measured), partial=data.partial)
+        about: dict[str, Any] = {**vars(sample), "method": name, "formulation": own.method.kind, "part": part}
+        about |= study.named_values(solution, "solved", "iterations")
+        about |= {"status": solution.status.value, "residual": solution.kkt_residual}
+        if solution.solved:
+            estimate = solution.cell_resistance
+            costs = [exact_cost(cost, data, each) for each in (estimate, np.clip(cells, data.lower, data.upper))]
+            about["audited"] = exact_residual(cost, data, estimate) if estimate[0].size <= audit_cells else nan
+            about["excess"] = (costs[0] - costs[1]) / exact_scale(cost, data, estimate)
+            about["model_digits"] = correct_digits(solution.reading, exact_two_point_resistance(estimate))
+        solves.append(Solve(**about))
+    return solves
 
 
 def _row(own: Sequence[Solve]) -> study.Row:
@@ -452,6 +390,7 @@ def _row(own: Sequence[Solve]) -> study.Row:
     """
     solved = [solve for solve in own if solve.solved]
     statuses = Counter(solve.status for solve in own).most_common()
+    iterations = [solve.iterations for solve in own]
     return study.Row(
         **study.named_values(own[0], "case", "decades", "rows", "columns", "noise", "method", "formulation"),
         solves=len(own),
@@ -460,27 +399,21 @@ def _row(own: Sequence[Solve]) -> study.Row:
         doubtful=sum(solve.doubtful for solve in own),
         crashed=sum(solve.crashed for solve in own),
         worse=sum(solve.excess > VERIFIED for solve in solved),
-        forward_digits=_of(min, own, "forward_digits"),
-        model_digits=_of(min, solved, "model_digits"),
-        residual=_of(max, solved, "residual"),
-        audited=_of(max, solved, "audited"),
-        iterations=float(np.median([solve.iterations for solve in own])),
-        most_iterations=max(solve.iterations for solve in own),
+        forward_digits=float(np.fmin.reduce([solve.forward_digits for solve in own], initial=nan)),
+        model_digits=float(np.fmin.reduce([solve.model_digits for solve in solved], initial=nan)),
+        residual=float(np.fmax.reduce([solve.residual for solve in solved], initial=nan)),
+        audited=float(np.fmax.reduce([solve.audited for solve in solved], initial=nan)),
+        iterations=float(np.median(iterations)),
+        most_iterations=max(iterations),
         statuses="; ".join(f"{count} × {status}" for status, count in statuses),
     )
-
-
-def _of(reduce: Callable[[Any], float], solves: Sequence[Solve], what: str) -> float:
-    """Return a reduction of all numbers, or NaN."""
-    known = [value for solve in solves if np.isfinite(value := getattr(solve, what))]
-    return float(reduce(known)) if known else float("nan")
 
 
 atlas_rows = study.rows_by(  # for each cell of the atlas
     lambda solve: (solve.case, solve.decades, solve.shape, solve.noise, solve.method, solve.formulation), _row
 )
 case_rows = study.rows_by(lambda solve: (solve.case, solve.decades), _row)  # all methods, sizes and noises together
-SCREEN: study.Screen = {
+SCREEN: Columns = {
     "case": "{case}",
     "decades": lambda row: f"{row.decades:g}" if CASES[row.case].contrasted else "",
     "verified": "{verified}/{solves}",
@@ -510,7 +443,7 @@ def atlas_remarks(solves: Sequence[Solve]) -> list[str]:
     for title, chosen in (
         ("all", solves),
         ("contrast up to 10⁶ or a single fault, noise up to 1 %", tame),
-        *((f"  {case}", own) for case, own in study.grouped(tame, lambda solve: solve.case).items()),
+        *((f"  {case}", own) for case, own in grouped(tame, lambda solve: solve.case).items()),
     ):
         lines.append(f"{title}: {_share(sum(solve.verified for solve in chosen), len(chosen), 'verified')}")
     # A refusal without the numbers of its scene.
@@ -530,7 +463,7 @@ STUDY: study.Study[AtlasFile, Sequence[Solve]] = study.Study(
     study.read_settings(AtlasFile),
     run_atlas,
     rows=atlas_rows,
-    tables=lambda solves: [("", study.screen_table(case_rows(solves), SCREEN))],
+    sheets=lambda solves: [("", case_rows(solves), SCREEN)],
     form="extremes/2",
     records=lambda solves: [study.RecordGroup("solves", solves, "solved", attributes={"verified_below": VERIFIED})],
     remarks=atlas_remarks,

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -13,11 +13,8 @@ from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
 from lampest.files.whole import refuse_inputs, write_whole
 from lampest.recording.datasets import folder as shipped_folder
-from lampest.report.compare import Columns, Table, comma_separated
-from lampest.report.compare import grouped as grouped
-from lampest.report.compare import screen_table as screen_table
+from lampest.report.compare import Columns, Table, comma_separated, grouped, screen_table
 from lampest.report.plots.style import save
-from lampest.report.words import text_of as text_of
 from lampest.runs.config import Case, Run
 from lampest.runs.executors import Serial, each_of
 from lampest.runs.filling import library_versions
@@ -29,8 +26,8 @@ Settings = TypeVar("Settings")
 Measured = TypeVar("Measured")
 Kind = TypeVar("Kind")
 OnStep = Callable[..., None]
-Screen = Columns  # of the rows
 Row = SimpleNamespace  # one line of a study's CSV file
+Sheet = tuple[str, Sequence[Row], Columns]  # a table: title, rows, and its columns on the screen
 
 
 def column(unit: str, meaning: str, default: Any = MISSING) -> Any:
@@ -71,18 +68,16 @@ class RecordGroup:
         columns = [column for column in fields(self.records[0]) if column.metadata]
         for column in sorted(columns, key=lambda column: column.name != axis):  # the scale comes first
             values = np.array([getattr(record, column.name) for record in self.records])
-            if values.dtype.kind in "bO":
-                values = values.astype(np.uint8 if values.dtype.kind == "b" else float)
+            values = values.astype({"b": np.uint8, "O": float}.get(values.dtype.kind, values.dtype))
             data = hdf5.ascii_array(values) if values.dtype.kind == "U" else values
-            unit, meaning = self.units.get(column.name, column.metadata["unit"]), column.metadata["meaning"]
+            about = self.units.get(column.name, column.metadata["unit"]), column.metadata["meaning"]
             if column.name == axis:
-                hdf5.write_scale(group, axis, data, unit, meaning)
+                hdf5.write_scale(group, axis, data, *about)
             else:
-                hdf5.write_dataset(group, column.name, data, unit, meaning, (axis,))
+                hdf5.write_dataset(group, column.name, data, *about, (axis,))
 
 
-@dataclass(frozen=True)
-class Reported:
+class Reported(NamedTuple):
     """Report of a study: titled tables, files, and sentences of remarks and omissions."""
 
     tables: Sequence[tuple[str, Table]]
@@ -109,10 +104,8 @@ class Study(Generic[Settings, Measured]):
         (settings, on_step) → measurements, the argument of all following functions.
     rows : callable
         Rows of the CSV file, at least one.
-    screen : mapping
-        Columns of the table of the rows.
-    tables : callable
-        Further titled tables.
+    sheets : callable
+        Tables for the screen and for Markdown.
     form, records : str, callable
         Format and groups of the HDF5 file; '' for none.
     figures, texts : callable
@@ -127,8 +120,7 @@ class Study(Generic[Settings, Measured]):
     read: Callable[[Path, tuple[str, ...]], Settings]
     measure: Callable[[Settings, OnStep], Measured]
     rows: Callable[[Measured], Sequence[Any]]
-    screen: Screen = field(default_factory=dict)
-    tables: Callable[[Measured], Sequence[tuple[str, Table]]] = lambda measured: ()
+    sheets: Callable[[Measured], Sequence[Sheet]] = lambda measured: ()
     form: str = ""
     records: Callable[[Measured], Iterable[RecordGroup]] = lambda measured: ()
     figures: "Callable[[Measured], Mapping[str, Figure]]" = lambda measured: {}
@@ -143,14 +135,10 @@ class Study(Generic[Settings, Measured]):
         """
         file = config or shipped_folder() / "configs" / self.config
         measured = self.measure(self.read(file, assigned), on_step)
-        rows, remarks, folder = self.rows(measured), self.remarks(measured), out or Path("results") / file.stem
-        tables = [("", screen_table(rows, self.screen))] if self.screen else []
-        tables += self.tables(measured)
-        texts = {f"{self.name}.csv": csv_of(rows), **self.texts(measured)}
+        remarks, folder = self.remarks(measured), out or Path("results") / file.stem
+        tables = [(title, screen_table(rows, columns)) for title, rows, columns in self.sheets(measured)]
+        texts = {f"{self.name}.csv": csv_of(self.rows(measured)), **self.texts(measured)}
         texts |= {f"{self.name}.md": page(self.name, tables, remarks)} if tables else {}
-        return Reported(tables, self._write(measured, folder, texts), remarks, self.left_out(measured))
-
-    def _write(self, measured: Measured, folder: Path, texts: Mapping[str, str]) -> list[Path]:
         figures = {folder / f"{name}.png": figure for name, figure in self.figures(measured).items()}
         data = [folder / f"{self.name}.h5"] if self.form else []
         files = [*(folder / name for name in texts), *data, *figures]
@@ -158,18 +146,19 @@ class Study(Generic[Settings, Measured]):
         for name, text in texts.items():
             write_whole(folder / name, text)
         for path in data:
-            with hdf5.new_file(path) as file:
-                hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=self.form)
-                entry = file.create_group("entry")
-                groups = list(self.records(measured))
-                hdf5.set_attributes(entry, NX_class="NXentry", default=groups[0].path)
-                versions = library_versions("scipy")
-                hdf5.set_attributes(entry, **{f"{library}_version": text for library, text in versions.items()})
-                for group in groups:
-                    group.write(entry)
+            self._write_records(path, list(self.records(measured)))
         for path, figure in figures.items():
             save(figure, path)
-        return files
+        return Reported(tables, files, remarks, self.left_out(measured))
+
+    def _write_records(self, path: Path, groups: Sequence[RecordGroup]) -> None:
+        with hdf5.new_file(path) as file:
+            hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=self.form)
+            entry = file.create_group("entry")
+            versions = {f"{library}_version": text for library, text in library_versions("scipy").items()}
+            hdf5.set_attributes(entry, NX_class="NXentry", default=groups[0].path, **versions)
+            for group in groups:
+                group.write(entry)
 
 
 def page(name: str, tables: Sequence[tuple[str, Table]], remarks: Sequence[str]) -> str:
@@ -181,22 +170,16 @@ def page(name: str, tables: Sequence[tuple[str, Table]], remarks: Sequence[str])
 
 def markdown(table: Table) -> str:
     """Return a table as GitHub's Markdown."""
-    lines = (table.headers, tuple("---" for _ in table.headers), *table.cells)
+    lines = (table.headers, ["---"] * len(table.headers), *table.cells)
     return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
 
 def read_settings(kind: type[Kind]) -> Callable[..., Kind]:
     """Return a reader of YAML files for a dataclass; it raises InputError with line and column."""
-
-    def read(path: Path, assigned: tuple[str, ...] = ()) -> Kind:
-        settings: Kind = validated(read_document(path, assigned), kind)
-        return settings
-
-    return read
+    return lambda path, assigned=(): validated(read_document(path, assigned), kind)
 
 
-@dataclass(frozen=True, eq=False)
-class Cases(Generic[Measured]):
+class Cases(NamedTuple, Generic[Measured]):
     """Measurements of the cases of a run; left_out : sentences on omitted cases."""
 
     measured: Sequence[Measured]
@@ -211,8 +194,8 @@ def of_cases(
     on_step : receives the numbers of finished and of all cases. Raises InputError if all cases are omitted.
     """
     results = each_of(function, run.cases, on_step, Serial())
-    measured = [record for result in results if not isinstance(result, str) for record in result]
     names = [f"{case.recording}/{case.name}" for case in run.cases]
+    measured = [record for result in results if not isinstance(result, str) for record in result]
     left_out = {name: why for name, why in zip(names, results, strict=True) if isinstance(why, str)}
     if not measured:
         raise InputError(f"nothing to {purpose}: {'; '.join(f'{name}: {why}' for name, why in left_out.items())}")

@@ -9,6 +9,7 @@ reference's baseline.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count, product
+from operator import attrgetter
 from pathlib import Path
 from string import ascii_lowercase
 from time import perf_counter, process_time
@@ -28,14 +29,13 @@ from lampest.estimate.methods.method import Method
 from lampest.estimate.sequence import first_stream, reconstruct
 from lampest.files.errors import InputError
 from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_ranges
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.report.compare import Table, relative_error
-from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure
+from lampest.report.compare import Columns, grouped, relative_error
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure, shared_legend
 from lampest.runs.case import check_name
 from lampest.runs.config import recording_paths
 from lampest.solvers.solution import Settings
@@ -96,12 +96,12 @@ class Simulated(Configuration):
 
     def simulations(self, frames: int) -> Iterator[tuple[str, Simulation]]:
         """Yield name, <panel>_<scene>_<noise>, and simulation in order of size, with 3 unloaded frames and `frames`."""
-        lamprey = common.shipped_lamprey()
+        course = common.shipped_lamprey().course
         for rows, columns in common.shapes_of(self.sizes):
             mouth = common.lamprey_mouth((10 * (columns // 2) - 6, 10 * (rows // 2) - 4), self.diameter_mm)
-            known: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": lamprey.course}
+            known: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": course}
             for (noise, readout), (effect, unmodelled) in product(self.noise.items(), self.scenes.items()):
-                scene = Scene(Panel(rows, columns), readout, lamprey.scene.series_resistance_ohm)
+                scene = common.simple_scene((rows, columns), readout)
                 simulation = Simulation(1, self.seed, scene, unmodelled=unmodelled, **known)
                 yield f"{rows}x{columns}_{effect}_{noise}", simulation
 
@@ -159,10 +159,9 @@ class TradeoffFile(Configuration):
             raise ValueError("estimators must hold at least one")
         for name in self.estimators:
             check_name(name, "estimator")
-        labels = [label(formulation) for formulation in self.ladder]
-        if REFERENCE not in labels:
+        if REFERENCE not in self.ladder:
             raise ValueError(f"formulations must hold {REFERENCE}, which the others are compared with")
-        if len(set(labels)) < len(labels):
+        if len(self.ladder) < len(self.formulations):
             raise ValueError("formulations names a rung twice")
         check_ranges(self, 2, 1000, "frames")
         check_ranges(self, 1, 1000, "repeats")
@@ -171,14 +170,15 @@ class TradeoffFile(Configuration):
             raise ValueError(f"memory: {self.memory} is none of the estimators")
 
     @property
-    def ladder(self) -> tuple[Method, ...]:
-        """Formulations as methods."""
-        return tuple(named_method(formulation) for formulation in self.formulations)
+    def ladder(self) -> dict[str, Method]:
+        """Formulations by their names in tables and figures: the kind, with its number of steps if it has one."""
+        rungs = [named_method(formulation) for formulation in self.formulations]
+        return {f"{rung.kind} {getattr(rung, 'steps', '')}".strip(): rung for rung in rungs}
 
     def rungs(self, shape: common.Shape) -> dict[str, Method]:
-        """Return the formulations that are measured on a panel, by label."""
-        allowed = (rung for rung in self.ladder if max(shape) <= getattr(self.limits, rung.kind, common.MAX_SIDE))
-        return {label(rung): rung for rung in allowed}
+        """Return the formulations that are measured on a panel, by name."""
+        limits = {name: getattr(self.limits, rung.kind, common.MAX_SIDE) for name, rung in self.ladder.items()}
+        return {name: rung for name, rung in self.ladder.items() if max(shape) <= limits[name]}
 
     def methods(self, shape: common.Shape) -> list[str]:
         """Return the methods that are measured on a panel."""
@@ -186,22 +186,12 @@ class TradeoffFile(Configuration):
         methods = self.estimators.items()
         return [name for name, method in methods if small or not any(term.needs_previous for term in method.parts)]
 
-    def estimator(self, method: str, formulation: Method) -> Estimator:
-        """Return a method in a formulation."""
-        chosen = self.estimators[method]
-        return Estimator(chosen.parts, formulation, self.solver, chosen.bounds)
-
 
 class Plan(NamedTuple):
     """Settings of a trade-off with its recordings, cut to their first frames."""
 
     settings: TradeoffFile
     recordings: list[Recording]
-
-
-def label(formulation: Method) -> str:
-    """Return the name of a formulation in tables and figures, with its number of steps if it has one."""
-    return f"{formulation.kind} {formulation.steps}" if isinstance(formulation, TruncatedMethod) else formulation.kind
 
 
 def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
@@ -237,20 +227,18 @@ class TradeoffFrame(TimedFrame):
 
 def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list[TradeoffFrame]:
     """Measure everything; on_step : receives the numbers of finished and of all parts."""
-    settings, done = plan.settings, count(1)
+    settings, done, measured = plan.settings, count(1), list[TradeoffFrame]()
     first = {recording.scene.panel.shape: recording for recording in reversed(plan.recordings)}
+    pairs = [(each, method) for each in plan.recordings for method in settings.methods(each.scene.panel.shape)]
     fresh = [(shape, name) for shape in first if settings.memory for name in settings.rungs(shape)]
-    methods = {shape: settings.methods(shape) for shape in first}
-    chosen = [(record, method) for record in plan.recordings for method in methods[record.scene.panel.shape]]
-    measured: list[TradeoffFrame] = []
-    for recording, method in chosen:
+    for recording, method in pairs:
         measured += _measure(settings, recording, method)
-        on_step(next(done), len(chosen) + len(fresh))
+        on_step(next(done), len(pairs) + len(fresh))
     memory = {}
     for shape, name in fresh:
-        estimator = settings.estimator(str(settings.memory), settings.rungs(shape)[name])
+        estimator = settings.estimators[str(settings.memory)].estimator(settings.ladder[name], settings.solver)
         memory[shape, name] = peak_memory(first[shape], estimator)
-        on_step(next(done), len(chosen) + len(fresh))
+        on_step(next(done), len(pairs) + len(fresh))
     return [replace(frame, memory_mb=memory.get((frame.shape, frame.solver))) for frame in measured]
 
 
@@ -269,28 +257,31 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
         if turn and perf_counter() - begin > settings.patience_s:
             break
         for name, formulation in rungs.items():
-            runs[name].append(_passage(recording, settings.estimator(method, formulation)))
+            estimator = settings.estimators[method].estimator(formulation, settings.solver)
+            runs[name].append(_passage(recording, estimator))
     costs = list(_costs(runs[REFERENCE][0][0]))
-    objective = {
-        name: [_objective(*cost, cells) for cost, cells in zip(costs, run[0][0].cell_resistance, strict=True)]
-        for name, run in runs.items()
-    }
-    least = np.nanmin(list(objective.values()), axis=0)
+    objective = np.array(
+        [
+            [_objective(*cost, cells) for cost, cells in zip(costs, run[0][0].cell_resistance, strict=True)]
+            for run in runs.values()
+        ]
+    )
     # (φ − φ_best)/(φ_best + φ_noise)
-    gaps = {name: (own - least) / (least + [_noise_cost(*cost) for cost in costs]) for name, own in objective.items()}
-    for name, run in runs.items():
+    least = np.nanmin(objective, axis=0)
+    gaps = (objective - least) / (least + [_noise_cost(*cost) for cost in costs])
+    for (name, run), values, gap in zip(runs.items(), objective.tolist(), gaps.tolist(), strict=True):
         first = run[0][0]
         turns = [np.minimum([step.seconds for step in estimates.steps], cpu) for estimates, cpu in run]
-        seconds = np.min(turns, axis=0)
+        seconds = np.min(turns, axis=0).tolist()
         for number, (step, cell, changed) in enumerate(zip(first.steps, *errors(first), strict=True)):
             yield TradeoffFrame(
                 **outcome(recording, step),
                 method=method,
                 solver=name,
                 frame=number,
-                seconds=float(seconds[number]),
-                objective=objective[name][number],
-                gap=float(gaps[name][number]),
+                seconds=seconds[number],
+                objective=values[number],
+                gap=gap[number],
                 baseline_s=0.0 if first.joint_start else min(estimates.baseline.seconds for estimates, _ in run),
                 cell_error=float(cell),
                 changed_error=float(changed),
@@ -336,8 +327,9 @@ def _noise_cost(cost: Cost, data: Data) -> float:
     return float(sum(value for term, value in zip(cost.terms, costs, strict=True) if term.reads_measurement))
 
 
+FIGURES = {"changed_error": "median error of changed cells [%]", "gap": "objective gap"}  # column → label
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
-SCREEN: study.Screen = {
+SCREEN: Columns = {
     "panel": "{rows} × {columns}",
     "method": "{method}",
     "formulation": "{formulation}",
@@ -355,30 +347,22 @@ SCREEN: study.Screen = {
 
 def ladder_rows(frames: Sequence[TradeoffFrame], *names: str) -> list[study.Row]:
     """Return a row for each panel size, formulation and further named fields."""
-    by = ("shape", "solver", *names)
-    return study.rows_by(lambda frame: tuple(getattr(frame, name) for name in by), _row)(frames)
+    return study.rows_by(attrgetter("shape", "solver", *names), _row)(frames)
 
 
 def _row(own: Sequence[TradeoffFrame]) -> study.Row:
     """Return medians over frames. first_ms : with the baseline. reached : share of frames with a gap up to 1e-6."""
-
-    def common(name: str) -> str:
-        different = list(dict.fromkeys(getattr(frame, name) for frame in own))
-        return different[0] if len(different) == 1 else "all"
-
-    def median(name: str) -> float | None:
-        known = [value for frame in own if np.isfinite(value := getattr(frame, name))]
-        return float(np.median(known)) if known else None
-
+    names = {name: {getattr(frame, name) for frame in own} for name in ("recording", "method")}
+    errors = {name: [getattr(frame, name) for frame in own] for name in ("cell_error", "changed_error")}
+    known = {name: [value for value in values if np.isfinite(value)] for name, values in errors.items()}
     gaps = [frame.gap if np.isfinite(frame.gap) else np.inf for frame in own]
     return study.Row(
         **study.named_values(own[0], "rows", "columns"),
-        **{name: common(name) for name in ("recording", "method")},
+        **{name: values.pop() if len(values) == 1 else "all" for name, values in names.items()},
         formulation=own[0].solver,
         first_ms=1e3 * float(np.median([frame.baseline_s + frame.seconds for frame in own if not frame.frame])),
         frame_ms=1e3 * float(np.median([frame.seconds for frame in own if frame.frame])),
-        cell_error=median("cell_error"),
-        changed_error=median("changed_error"),
+        **{name: float(np.median(values)) if values else None for name, values in known.items()},
         gap=float(np.median(gaps)),
         worst_gap=max(gaps),
         reached=float(np.mean(np.array(gaps) <= 1e-6)),
@@ -398,25 +382,15 @@ def front(points: Sequence[tuple[float, float]]) -> list[int]:
     return indices
 
 
-def on_front(rows: Sequence[study.Row]) -> list[str]:
-    """Return the formulations on the front of time and cell error, or of time and gap."""
-    fastest = set(front([(row.frame_ms, row.gap) for row in rows]))
-    errors = [(row.frame_ms, float("inf") if row.changed_error is None else row.changed_error) for row in rows]
-    return [rows[index].formulation for index in sorted(fastest | set(front(errors)))]
-
-
-def tradeoff_table(frames: Sequence[TradeoffFrame]) -> Table:
-    """Return the rows of the first method, with marks on those on a front."""
+def table_rows(frames: Sequence[TradeoffFrame]) -> list[study.Row]:
+    """Return the rows of the first method; `front` marks those on the front of time and cell error, or time and gap."""
     rows = ladder_rows([frame for frame in frames if frame.method == frames[0].method])
-    for own in study.grouped(rows, _shape).values():
-        best = on_front(own)
-        for row in own:
-            row.front = "*" * (row.formulation in best)
-    return study.screen_table(rows, SCREEN)
-
-
-def _shape(row: study.Row) -> tuple[int, int]:
-    return row.rows, row.columns
+    for own in grouped(rows, attrgetter("rows", "columns")).values():
+        errors = [(row.frame_ms, np.inf if row.changed_error is None else row.changed_error) for row in own]
+        best = {*front(errors), *front([(row.frame_ms, row.gap) for row in own])}
+        for number, row in enumerate(own):
+            row.front = "*" * (number in best)
+    return rows
 
 
 def tradeoff_figure(rows: Sequence[study.Row]) -> Figure:
@@ -425,45 +399,46 @@ def tradeoff_figure(rows: Sequence[study.Row]) -> Figure:
     Numbers are the formulations of the first method, the line is their Pareto front, small dots are further methods.
     Gaps below 1e-12 are drawn there. rows : of all methods, recordings of a size together.
     """
-    sizes = study.grouped(rows, _shape)
+    sizes = grouped(rows, attrgetter("rows", "columns"))
     methods, rungs = (list(dict.fromkeys(getattr(row, name) for row in rows)) for name in ("method", "formulation"))
     figure = new_figure(2.2 * len(sizes) + 0.8)
     grid = figure.subplots(len(sizes), 2, squeeze=False, sharex="row")
-    letters = iter(ascii_lowercase)
-    for (shape, own), pair in zip(sizes.items(), grid, strict=True):
-        for axes, what in zip(pair, ("changed_error", "gap"), strict=True):
-            _draw(axes, own, methods, rungs, what)
-            axes.set_title(f"({next(letters)}) {shape[0]} × {shape[1]} cells", fontsize=TEXT_POINT, loc="left")
+    panels = product(sizes, FIGURES.items())
+    for axes, letter, (shape, quantity) in zip(grid.flat, ascii_lowercase, panels, strict=False):
+        _draw(axes, sizes[shape], methods, rungs, *quantity)
+        axes.set_title(f"({letter}) {shape[0]} × {shape[1]} cells", fontsize=TEXT_POINT, loc="left")
     for axes in grid[-1]:
         axes.set_xlabel("time per frame [ms]", fontsize=TEXT_POINT)
-    handles, labels = grid[0, 1].get_legend_handles_labels()
-    look: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": len(handles)}
     named = "    ".join(f"{number} {name.replace('_', ' ')}" for number, name in enumerate(rungs, 1))
-    figure.legend(handles, labels, title=named, title_fontsize=SMALL_POINT, loc="outside lower center", **look)
+    shared_legend(figure, grid[:1, 1:], "lower center", title=named, title_fontsize=SMALL_POINT)
     return figure
 
 
-def _draw(axes: Axes, rows: Sequence[study.Row], methods: list[str], rungs: list[str], what: str) -> None:
-    dressed(axes, "", {"gap": "objective gap", "changed_error": "median error of changed cells [%]"}[what])
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    known = [row for row in rows if getattr(row, what) is not None and np.isfinite(getattr(row, what))]
-    places = {(row.method, row.formulation): (row.frame_ms, max(getattr(row, what), MIN_GAP)) for row in known}
-    for method, colour in zip(methods[1:], COLOURS, strict=False):
-        if points := [place for (own, _), place in places.items() if own == method]:
-            axes.plot(*zip(*points, strict=True), "o", label=method, color=colour, ms=2.8, mew=0, alpha=0.75)
-    points = [place for (own, _), place in places.items() if own == methods[0]]
+def _draw(axes: Axes, rows: Sequence[study.Row], methods: list[str], rungs: list[str], name: str, label: str) -> None:
+    """Draw a figure of the rows of a panel size over time."""
+    dressed(axes, "", label)
+    axes.set(xscale="log", yscale="log")
+    places: dict[str, dict[str, tuple[float, float]]] = {method: {} for method in methods}
+    for row in rows:
+        value = getattr(row, name)
+        if value is not None and np.isfinite(value):
+            places[row.method][row.formulation] = row.frame_ms, max(value, MIN_GAP)
+    first, *further = methods
+    points = list(places[first].values())
+    for method, colour in zip(further, COLOURS, strict=False):
+        if places[method]:
+            look: dict[str, Any] = {"label": method, "color": colour, "ms": 2.8, "mew": 0, "alpha": 0.75}
+            axes.plot(*zip(*places[method].values(), strict=True), "o", **look)
     if not points:
         axes.text(0.5, 0.5, "no truth", transform=axes.transAxes, ha="center", fontsize=TEXT_POINT)
         return
     best = [points[index] for index in front(points)]
-    axes.step(*zip(*best, strict=True), where="post", color="0.3", lw=0.9, label=f"{methods[0]}: Pareto front")
-    for (own, rung), point in places.items():
-        if own == methods[0]:
-            fill, ink = ("black", "white") if point in best else ("white", "black")
-            axes.plot(*point, "o", ms=8, mfc=fill, mec="black", mew=0.8, zorder=3)
-            look: dict[str, Any] = {"color": ink, "ha": "center", "va": "center_baseline", "zorder": 4}
-            axes.annotate(str(rungs.index(rung) + 1), point, fontsize=SMALL_POINT - 1, **look)
+    axes.step(*zip(*best, strict=True), where="post", color="0.3", lw=0.9, label=f"{first}: Pareto front")
+    for rung, point in places[first].items():
+        fill, ink = ("black", "white") if point in best else ("white", "black")
+        axes.plot(*point, "o", ms=8, mfc=fill, mec="black", mew=0.8, zorder=3)
+        look = {"color": ink, "ha": "center", "va": "center_baseline", "zorder": 4, "fontsize": SMALL_POINT - 1}
+        axes.annotate(str(rungs.index(rung) + 1), point, **look)
     if min(value for _, value in points) <= MIN_GAP:
         axes.axhline(MIN_GAP, color="0.5", lw=0.6, ls=":")
         axes.set_ylim(bottom=MIN_GAP / 30)
@@ -477,11 +452,9 @@ STUDY: study.Study[Plan, list[TradeoffFrame]] = study.Study(
     read_plan,
     run_tradeoff,
     rows=lambda frames: [
-        *ladder_rows(frames),
-        *ladder_rows(frames, "method"),
-        *ladder_rows(frames, "method", "recording"),
+        row for names in ((), ("method",), ("method", "recording")) for row in ladder_rows(frames, *names)
     ],
-    tables=lambda frames: [("", tradeoff_table(frames))],
+    sheets=lambda frames: [("", table_rows(frames), SCREEN)],
     form="tradeoff/2",
     records=lambda frames: [study.RecordGroup("frames", frames, "seconds")],
     figures=lambda frames: {"tradeoff": tradeoff_figure(ladder_rows(frames, "method"))},

@@ -21,10 +21,10 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import named_method
 from lampest.estimate.objective import Rule
 from lampest.estimate.sequence import deciding_data
+from lampest.estimate.state import NO_DUAL
 from lampest.estimate.weights import WeightSearch, with_chosen_weights
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel, rank
@@ -41,66 +41,41 @@ class WeightSubject:
 
     Attributes
     ----------
-    recording, name : str
-        Names of recording and estimator.
-    estimator : Estimator
-    scene : Scene
+    case : Case
+    recording : Recording
     frame : int
         Index into the recording.
-    noisy : bool
-        Whether σ is known.
-    cost, data : Cost, Data
-        Of the solves; the last of their frames is the measured one.
-    truth : array, shape (rows, columns), or None
-        True log r of that frame, NaN in cells that are known to be broken.
-    further : tuple of Data
-        Data of further frames for which the weight is chosen.
+    search : WeightSearch
+        Cost and data of the solves; the first one has the frame, as the last of its frames.
     """
 
-    recording: str
-    name: str
-    estimator: Estimator
-    scene: Scene
+    case: Case
+    recording: Recording
     frame: int
-    noisy: bool
-    cost: Cost
-    data: Data
-    truth: Array | None
-    further: tuple[Data, ...]
+    search: WeightSearch
 
     @classmethod
     def of(cls, case: Case, recording: Recording) -> "WeightSubject | None":
         """Return the deciding frame of a recording, with the baseline if terms need it; None without usable frames."""
-        readings, scene = recording.readings(), recording.scene
+        readings, scene, estimator = recording.readings(), recording.scene, case.estimator
         resting = baseline_readings(recording, readings)
         frame = deciding_frame(recording, readings, resting)
         if frame is None:
             return None
-        beside = [frame, *frames_beside(recording, readings, resting, frame)]
-        data, *further = (deciding_data(case.estimator, scene, resting, readings[number]) for number in beside)
-        truth = None
-        if recording.truth_cell_resistance is not None:
-            truth = np.log(recording.truth_cell_resistance[frame])
-            truth[scene.broken] = np.nan
-        cost, noisy = case.estimator.cost(scene, len(data.measured), partial=data.partial), readings.sigma is not None
-        names = case.recording, case.name
-        return cls(*names, case.estimator, scene, frame, noisy, cost, data, truth, tuple(further))
+        frames = [frame, *frames_beside(recording, readings, resting, frame)]
+        solves = tuple(deciding_data(estimator, scene, resting, readings[number]) for number in frames)
+        cost = estimator.cost(scene, len(solves[0].measured), partial=solves[0].partial)
+        return cls(case, recording, frame, WeightSearch(cost, solves, estimator.solver))
+
+    @property
+    def data(self) -> Data:
+        """Data of the solve."""
+        return self.search.solves[0]
 
     @cached_property
     def penalty(self) -> int:
         """Index of the penalty among the terms."""
-        return next(number for number, term in enumerate(self.cost.terms) if not term.reads_measurement)
-
-    @property
-    def given(self) -> float | None:
-        """Weight of the penalty, or None for `auto`."""
-        weight = self.cost.terms[self.penalty].weight
-        return None if weight == "auto" else float(weight)
-
-    @property
-    def search(self) -> WeightSearch:
-        """Search for weights with these data."""
-        return WeightSearch(self.cost, (self.data, *self.further), self.estimator.solver)
+        return next(number for number, term in enumerate(self.search.cost.terms) if not term.reads_measurement)
 
     @cached_property
     def spectra(self) -> list[Spectrum]:
@@ -111,9 +86,8 @@ class WeightSubject:
 
     def with_weight(self, weight: float) -> Cost:
         """Return the cost with a weight of the penalty."""
-        return self.search.weighted(
-            [float(term.weight) if term.reads_measurement else weight for term in self.cost.terms]
-        )
+        terms = self.search.cost.terms
+        return self.search.weighted([float(term.weight) if term.reads_measurement else weight for term in terms])
 
     @property
     def count(self) -> int:
@@ -123,11 +97,12 @@ class WeightSubject:
     @property
     def units(self) -> dict[str, str]:
         """Units of squared misfit and penalty, and of λ, their ratio, in ASCII."""
-        data_term, term = self.cost.terms[1 - self.penalty], self.cost.terms[self.penalty]
+        terms = self.search.cost.terms
+        data_term, term = terms[1 - self.penalty], terms[self.penalty]
         units = "1" if getattr(data_term, "weighting", "plain") == "noise" else data_term.unit, term.unit
         misfit, penalty = ("1" if unit == "1" else f"({unit})^2" if " " in unit else f"{unit}^2" for unit in units)
         ratio = "1" if misfit == penalty else f"{misfit}/{penalty}"
-        return {"misfit": "1" if self.noisy else misfit, "penalty": penalty, "weight": ratio}
+        return {"misfit": "1" if self.data.noise_known else misfit, "penalty": penalty, "weight": ratio}
 
 
 def why_not(estimator: Estimator, readings: int) -> str | None:
@@ -179,25 +154,26 @@ def solve_at(subject: WeightSubject, weight: float, start: Array | None) -> Curv
     start : array, shape (frames, rows, columns), or None
         Estimate at a weight near by, ohm; None: the solve begins at all starts.
     """
-    solver = named_method("reduced").solver(subject.with_weight(weight), subject.scene, subject.estimator.solver, 1.0)
+    scene, settings, noisy = subject.recording.scene, subject.search.settings, subject.data.noise_known
+    solver = named_method("reduced").solver(subject.with_weight(weight), scene, settings, 1.0)
     solution = best_solution(solver, subject.data, start)
     if solution.at is None or solution.dual is None:
         return CurvePoint(weight)
     model = LinearModel(solution.at, solution.dual)
     evidence = error = np.nan
-    risk = sum(spectrum.risk(weight) for spectrum in subject.spectra) if subject.spectra else np.nan
     with suppress(*BROKEN):  # where bounds decide every cell, the evidence is unknown
-        if subject.noisy:
-            evidence = free_evidence(model, weight) + bound_evidence(model)
-    if subject.truth is not None:
-        error = float(np.sqrt(np.nanmean((np.log(solution.cell_resistance[-1]) - subject.truth) ** 2)))
+        evidence = free_evidence(model, weight) + bound_evidence(model) if noisy else np.nan
+    if subject.recording.truth_cell_resistance is not None:
+        truth = subject.recording.truth_cell_resistance[subject.frame]
+        errors = np.log(solution.cell_resistance[-1] / truth)[~scene.broken]
+        error = float(np.sqrt(np.nanmean(errors**2)))
     return CurvePoint(
         weight,
         1,
-        float(model.data_curvature @ model.residual**2) / (model.scale if subject.noisy else 1.0),
+        float(model.data_curvature @ model.residual**2) / (model.scale if noisy else 1.0),
         float(model.penalty @ model.penalty),
         evidence,
-        risk,
+        sum(spectrum.risk(weight) for spectrum in subject.spectra) if subject.spectra else np.nan,
         error,
         float(solution.open_cell[-1].sum()),
         float(np.sum(model.at_lower | model.at_upper)),
@@ -236,11 +212,23 @@ def bound_evidence(model: LinearModel) -> float:
 
 
 @dataclass(frozen=True, eq=False)
+class Choice:
+    """Choice of a rule."""
+
+    rule: str = column("1", "rule")
+    in_use: bool = column("1", "1: a run uses it")
+    weight: float | None = column("1", "the rule's weight, NaN where it has none")
+    error: float | None = column("1", "true root-mean-square error of log resistance", None)
+    excess: float | None = column("1", "error over that of the best weight in hindsight", None)
+
+
+@dataclass(frozen=True, eq=False)
 class Curves:
-    """Curves of a subject over the weight; `points` are in the order of their weights."""
+    """Curves of a subject over the weight, in the order of the weights, and the choice of every rule."""
 
     subject: WeightSubject
     points: tuple[CurvePoint, ...]
+    choices: tuple[Choice, ...] = ()
 
     def values(self, name: str) -> Array:
         """Return a figure at all points."""
@@ -251,13 +239,14 @@ class Curves:
         return next(point for point in self.points if point.weight == weight)
 
     def extended(self, weights: Iterable[float]) -> "Curves":
-        """Return the curves with further weights, each solved from its nearest neighbour."""
+        """Return the curves with further weights, solved in this order, each from its nearest neighbour."""
         points = {point.weight: point for point in self.points}
-        solved = [point for point in self.points if point.solved]
-        for weight in sorted(set(weights) - set(points)):
+        for weight in weights:
+            solved = [point for point in points.values() if point.solved]
             near = min(solved, key=lambda point: abs(np.log(point.weight / weight)), default=None)
-            points[weight] = solve_at(self.subject, weight, None if near is None else near.cells)
-        return Curves(self.subject, tuple(points[weight] for weight in sorted(points)))
+            if weight not in points:
+                points[weight] = solve_at(self.subject, weight, None if near is None else near.cells)
+        return replace(self, points=tuple(points[weight] for weight in sorted(points)))
 
     def best(self) -> CurvePoint | None:
         """Return the point of least true error."""
@@ -268,12 +257,12 @@ class Curves:
         """Return the curves with half the spacing in log λ around the least true error."""
         if (best := self.best()) is None:
             return self
-        weights = [point.weight for point in self.points]
-        near = weights[max(weights.index(best.weight) - 1, 0) :][:3]
-        return self.extended(np.sqrt(np.multiply(near[1:], near[:-1])).tolist())
+        index = self.points.index(best)
+        near = self.values("weight")[max(index - 1, 0) :][:3]
+        return self.extended(np.sqrt(near[1:] * near[:-1]).tolist())
 
 
-def trace(subject: WeightSubject, marks: list[float], first: Array) -> Curves:
+def trace(subject: WeightSubject, marks: list[float]) -> Curves:
     """Return curves over 33 weights, equally spaced in log λ, solved from the first mark outwards.
 
     They cover the weights for which the penalty matters, at most four decades beyond the marks.
@@ -283,80 +272,50 @@ def trace(subject: WeightSubject, marks: list[float], first: Array) -> Curves:
     subject : WeightSubject
     marks : list of float
         Chosen weights.
-    first : array, shape (frames, rows, columns)
-        Cells at which the extent is determined, ohm.
     """
     low, high = min(marks) / 1e4, max(marks) * 1e4
     with suppress(*BROKEN):  # without free cells the extent is unknown
-        model = LinearModel(evaluated(subject.with_weight(marks[0]), subject.data, first), np.zeros(0))
-        least, largest = np.exp(Spectrum.of(model).extent)
+        first = evaluated(subject.with_weight(marks[0]), subject.data, convex(subject.data, None))
+        least, largest = np.exp(Spectrum.of(LinearModel(first, NO_DUAL)).extent)
         low, high = max(least, low), min(largest, high)
     weights = np.geomspace(min(low, *marks), max(high, *marks), 33).tolist()
-    middle = int(np.argmin([abs(np.log(weight / marks[0])) for weight in weights]))
-    curves = Curves(subject, ())
-    for weight in (*weights[middle:], *reversed(weights[:middle])):
-        curves = curves.extended([weight])
-    return curves
-
-
-@dataclass(frozen=True)
-class Choice:
-    """Weight of a rule, or None; errors are None without the truth."""
-
-    rule: str = column("1", "rule")
-    in_use: bool = column("1", "1: the estimator's")
-    weight: float | None = column("1", "the rule's weight, NaN where it has none")
-    error: float | None = column("1", "true root-mean-square error of log resistance", None)
-    excess: float | None = column("1", "error over that of the best weight in hindsight", None)
-
-
-@dataclass(frozen=True, eq=False)
-class Tuned:
-    """A subject with its curves and the choice of every rule."""
-
-    subject: WeightSubject
-    curves: Curves
-    choices: tuple[Choice, ...]
+    return Curves(subject, ()).extended(sorted(weights, key=lambda weight: abs(np.log(weight / marks[0]))))
 
 
 @np.errstate(all="ignore")
-def tune(subject: WeightSubject) -> Tuned:
-    """Return the choice of every rule for a subject, and the true curves.
+def tune(subject: WeightSubject) -> Curves:
+    """Return the true curves of a subject with the choice of every rule.
 
     Raises InputError if the rule of the estimator requires an unknown noise.
     """
-    if subject.estimator.auto_weight.rule == "evidence" and not subject.noisy:
+    rule, noisy = subject.case.estimator.auto_weight.rule or "risk", subject.data.noise_known
+    if rule == "evidence" and not noisy:
         raise InputError("auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the recording")
-    first, given = convex(subject.data, None), subject.given
-    rules = [rule for rule in get_args(Rule) if subject.noisy or rule != "evidence"]
-    weights: dict[str, float | None] = {rule: _weight_of(subject, rule) for rule in rules}
-    in_use = "given" if given is not None else subject.estimator.auto_weight.rule or "risk"
-    marks = [weight for weight in weights.values() if weight is not None]
-    curves = trace(subject, marks + ([given] if given else []), first)
+    own = subject.search.cost.terms[subject.penalty].weight
+    given = {} if own == "auto" else {"given": float(own)}
+    chosen = {name: _weight_of(subject, name) for name in get_args(Rule) if noisy or name != "evidence"}
+    curves = trace(subject, [*chosen.values(), *given.values()])
     solved = [point for point in curves.points if point.solved]
-    weights["Morozov"] = morozov(solved, subject.count) if subject.noisy else None
-    weights["L-curve"] = l_curve(solved)
-    if given:
-        weights["given"] = given
+    weights: dict[str, float | None] = {**chosen, "Morozov": morozov(solved, subject.count) if noisy else None}
+    weights |= {"L-curve": l_curve(solved), **given}
     curves = curves.extended(weight for weight in weights.values() if weight is not None).finer().finer()
     best = curves.best()
-    if best is not None:
-        weights["best"] = best.weight
+    weights |= {} if best is None else {"best": best.weight}
     choices = []
-    for rule, weight in weights.items():
-        error = None if best is None or weight is None else curves.at(weight).error
-        known = (error, error / best.error) if best is not None and error is not None and np.isfinite(error) else ()
-        choices.append(Choice(rule, rule == in_use, weight, *known))
-    return Tuned(subject, curves, tuple(choices))
+    for name, weight in weights.items():
+        error = np.nan if best is None or weight is None else curves.at(weight).error
+        known = (error, error / best.error) if best is not None and np.isfinite(error) else ()
+        choices.append(Choice(name, name == (*given, rule)[0], weight, *known))
+    return replace(curves, choices=tuple(choices))
 
 
 def _weight_of(subject: WeightSubject, rule: Rule) -> float:
     """Return the weight of the penalty by a rule."""
-    terms = list(subject.estimator.terms)
-    terms[subject.penalty] = replace(terms[subject.penalty], weight="auto")
-    settings = replace(subject.estimator.auto_weight, rule=rule)
-    estimator = replace(subject.estimator, terms=tuple(terms), auto_weight=settings)
-    estimator = with_chosen_weights(estimator, subject.scene, subject.data, None, subject.further)
+    estimator = subject.case.estimator
+    terms = tuple(term if term.reads_measurement else replace(term, weight="auto") for term in estimator.terms)
+    estimator = replace(estimator, terms=terms, auto_weight=replace(estimator.auto_weight, rule=rule))
+    further = subject.search.solves[1:]
+    estimator = with_chosen_weights(estimator, subject.recording.scene, subject.data, None, further)
     return float(estimator.terms[subject.penalty].weight)
 
 

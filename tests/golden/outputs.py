@@ -29,6 +29,7 @@ from lampest.loads.pressure import Force
 from lampest.loads.recognition import breathing
 from lampest.loads.recognition.attachment import Attachment
 from lampest.report import compare
+from lampest.report.compare import screen_table
 from lampest.report.detect import pressed
 from lampest.report.detect.answer import Detected
 from lampest.report.live.engine import with_picture
@@ -51,7 +52,7 @@ from lampest.studies.bench import (
     bench_rows,
     growth,
     loads,
-    tables,
+    sheets,
 )
 from lampest.studies.common import SquaredMethod
 from lampest.studies.weights import Curves, WeightSubject, l_curve, morozov, solve_at, why_not
@@ -356,6 +357,10 @@ def timed(made: type[Any], **known: Any) -> list[Any]:
     return frames
 
 
+def shown(tables: Any) -> list[Any]:
+    return [(title, screen_table(rows, columns)) for title, rows, columns in tables]
+
+
 def bench_row() -> dict[str, Any]:
     frames = timed(
         BenchFrame, kind=lambda side, frame: "later" if frame else "first", inverse_s=lambda side,
@@ -364,8 +369,8 @@ def bench_row() -> dict[str, Any]:
     rows, settings = bench_rows(frames), BenchFile(schema=1, sizes=(8, 16), budget_s=9.0, frames=2)
     bench = Bench(settings, tuple(frames), (((8, 8), "LSM", "recording 2"),))
     return {
-        "rows": [vars(row) for row in rows], "growth": [vars(row) for row in growth(rows)], "tables": tables(bench),
-        "remarks": bench_remarks(bench), "solvers": settings.solvers((16, 16)),
+        "rows": [vars(row) for row in rows], "growth": [vars(row) for row in growth(rows)],
+        "tables": shown(sheets(bench)), "remarks": bench_remarks(bench), "solvers": settings.solvers((16, 16)),
         "expected": BenchPart(0, (64, 64), "LSM").expected_s(settings, frames[:30]),
         "recorded": settings.recording((4, 5)).recorded, "loads": [loads(number, (9, 9)) for number in range(4)],
     }  # fmt: skip
@@ -378,8 +383,9 @@ def tradeoff_row() -> dict[str, Any]:
     )  # fmt: skip
     rows = tradeoff.ladder_rows(frames, "method")
     return {
-        "rows": [vars(row) for row in rows], "front": tradeoff.on_front(rows),
-        "table": tradeoff.tradeoff_table(frames), "figure": drawn_row(tradeoff.tradeoff_figure(rows)),
+        "rows": [vars(row) for row in rows],
+        "table": screen_table(tradeoff.table_rows(frames), tradeoff.SCREEN),
+        "figure": drawn_row(tradeoff.tradeoff_figure(rows)),
         "pareto": tradeoff.front([(1.0, 3.0), (2.0, 1.0), (3.0, 2.0), (0.5, 9.0)]),
     }  # fmt: skip
 
@@ -387,20 +393,17 @@ def tradeoff_row() -> dict[str, Any]:
 def extremes_row(case: str) -> dict[str, Any]:
     shape = (extremes.CASES[case].shapes or ((3, 4),))[0]
     sample = extremes.AtlasSample(case, *shape, 5.0 * extremes.CASES[case].contrasted, 0.01, 3)
-    recording, made = extremes.recording_of(sample)
+    recording, cells = extremes.recording_of(sample)
     if shape[0] * shape[1] > 20:
-        return {"recorded": recording.recorded, "cells": made.cells}
+        return {"recorded": recording.recorded, "cells": cells}
     method = {"mine": SquaredMethod(config.Terms(misfit=lp.Misfit(), gradient=lp.Gradient(weight=1e-3)))}
-    solves = extremes.solves_of(
-        extremes.AtlasTask(
-            sample, extremes.AtlasFile(1, extremes.Grid((3,)), extremes.Grid(()), estimators=method), ("reduced",),
-        )
-    )  # fmt: skip
+    atlas = extremes.AtlasFile(1, extremes.Grid((3,)), extremes.Grid(()), estimators=method)
+    solves = extremes.solves_of(atlas, sample)
     kept = [
         (solve.part, solve.status, solve.verified, solve.forward_digits > 9, extremes.mild(solve)) for solve in solves
     ]  # fmt: skip
     return {
-        "recorded": recording.recorded, "sigma": recording.sigma, "cells": made.cells, "solves": kept,
+        "recorded": recording.recorded, "sigma": recording.sigma, "cells": cells, "solves": kept,
         "remarks": extremes.atlas_remarks(solves),
     }  # fmt: skip
 

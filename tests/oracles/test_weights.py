@@ -33,7 +33,7 @@ from lampest.posterior.spectrum import Spectrum, best_weight
 from lampest.runs.config import Case
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings
-from lampest.studies.weights import CurvePoint, Tuned, WeightSubject, bound_evidence, l_curve, solve_at, tune
+from lampest.studies.weights import CurvePoint, Curves, WeightSubject, bound_evidence, l_curve, solve_at, tune
 from tests.estimates import recording_of, rms
 from tests.oracles import paper
 
@@ -425,7 +425,7 @@ def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> Wei
 
 
 @pytest.fixture(scope="module")
-def tuned() -> Tuned:
+def tuned() -> Curves:
     return tune(subject(Gradient(weight="auto"), bump()))
 
 
@@ -489,9 +489,9 @@ def test_what_a_held_cell_leaves_is_the_integral_of_its_density() -> None:
     assert_allclose(bound_evidence(model), expected, rtol=1e-5)
 
 
-def test_morozovs_weight_misses_the_readings_by_their_noise(tuned: Tuned) -> None:
+def test_morozovs_weight_misses_the_readings_by_their_noise(tuned: Curves) -> None:
     (weight,) = (choice.weight for choice in tuned.choices if choice.rule == "Morozov")
-    assert_allclose(tuned.curves.at(weight).misfit, 20, rtol=0.05)
+    assert_allclose(tuned.at(weight).misfit, 20, rtol=0.05)
 
 
 def test_l_curve_finds_the_corner_of_a_hyperbola() -> None:
@@ -515,18 +515,18 @@ def test_rule_in_use_is_what_a_run_goes_by(penalty: Term) -> None:
     tuned_curves = tune(subject(penalty, made))
     (used,) = (choice for choice in tuned_curves.choices if choice.in_use)
     assert used.rule == "risk"
-    run = reconstruct(made, tuned_curves.subject.estimator)
+    run = reconstruct(made, tuned_curves.subject.case.estimator)
     assert_allclose(run.steps[0].weights[1], used.weight)
     error = np.log(run.cell_resistance[0] / made.truth_cell_resistance[2])
     assert_allclose(used.error, np.sqrt(np.mean(error**2)), rtol=1e-4)
 
 
-def test_no_choice_beats_hindsight_and_the_curves_are_in_order(tuned: Tuned) -> None:
-    weights = tuned.curves.values("weight")
+def test_no_choice_beats_hindsight_and_the_curves_are_in_order(tuned: Curves) -> None:
+    weights = tuned.values("weight")
     assert np.all(np.diff(weights) > 0)
-    assert np.all(tuned.curves.values("solved") == 1)
-    assert np.all(np.diff(tuned.curves.values("misfit")) > -1e-6)
-    assert np.all(np.diff(tuned.curves.values("penalty")) < 1e-6 * tuned.curves.values("penalty")[1:])
+    assert np.all(tuned.values("solved") == 1)
+    assert np.all(np.diff(tuned.values("misfit")) > -1e-6)
+    assert np.all(np.diff(tuned.values("penalty")) < 1e-6 * tuned.values("penalty")[1:])
     assert {choice.rule for choice in tuned.choices} >= {"risk", "evidence", "Morozov", "L-curve", "best"}
     for choice in tuned.choices:
         if choice.excess is not None:

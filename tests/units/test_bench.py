@@ -16,6 +16,7 @@ from docs.studies.mats import LEAST_S, MOST_S, PUBLISHED, MatAnswer, Mats, solve
 from lampest import Course, Huber, InputError, Misfit, Panel, Settings
 from lampest.cost.cost import Cost
 from lampest.estimate.sequence import first_stream
+from lampest.report.compare import screen_table
 from lampest.runs.config import Terms
 from lampest.solvers.multistart import evaluated
 from lampest.studies import bench as bench_module
@@ -31,7 +32,7 @@ from lampest.studies.bench import (
     growth,
     loads,
     run_bench,
-    tables,
+    sheets,
 )
 from lampest.studies.common import SquaredMethod, paper_methods
 from lampest.studies.study import page, read_settings
@@ -50,6 +51,10 @@ frames: 2
 repeats: 2
 limits: {nodal: 3, scipy_exact: 4, scipy_difference: 3, scipy_lbfgsb: 3, joint: 3}
 """
+
+
+def tables(bench: Bench) -> list[tuple[str, Any]]:
+    return [(title, screen_table(rows, columns)) for title, rows, columns in sheets(bench)]
 
 
 def quiet(*step: object) -> None:

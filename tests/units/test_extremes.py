@@ -1,6 +1,7 @@
 """The atlas of extremes: what it measures is measured right, and nothing is passed over."""
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,6 +11,7 @@ import pytest
 
 from docs.studies.extremes import extremes_figure
 from lampest import (
+    Array,
     Data,
     Estimator,
     Faults,
@@ -34,9 +36,9 @@ from lampest.studies.extremes import (
     AtlasSample,
     Grid,
     Solve,
-    _parts,
     atlas_remarks,
     atlas_rows,
+    judged,
     mild,
     recording_of,
     run_atlas,
@@ -103,19 +105,20 @@ def test_digits() -> None:
 @pytest.mark.parametrize("case", CASES)
 def test_forward_map_of_every_case_against_fifty_digits(case: str) -> None:
     shape = (CASES[case].shapes or ((4, 3),))[0]
-    recording, scene = recording_of(AtlasSample(case, *shape, 9.0, 0.01, 3))
+    recording, cells = recording_of(AtlasSample(case, *shape, 9.0, 0.01, 3))
     assert np.all(np.isfinite(recording.resistance))
-    certified = fifty_digits(scene.cells[1])
-    assert correct_digits(two_point_resistance(scene.cells[1]), certified) > 9.9
-    broken = ~np.isfinite(certified)
-    assert not np.any(broken) or scene.faults is not None
+    certified = fifty_digits(cells[1])
+    assert correct_digits(two_point_resistance(cells[1]), certified) > 9.9
+    assert np.all(np.isfinite(certified)) or recording.scene.faults is not None
 
 
-def made(case: str, decades: float = 0.0, noise: float = 0.0, shape: tuple[int, int] = (4, 7)) -> tuple[Any, ...]:
-    """A recording of a case, its scene, and its cells over the usual ones (rows, columns) ohm of seed 3."""
-    recording, scene = recording_of(AtlasSample(case, *shape, decades, noise, 3))
+def made(
+    case: str, decades: float = 0.0, noise: float = 0.0, shape: tuple[int, int] = (4, 7)
+) -> tuple[Recording, Array, Array]:
+    """A recording of a case of seed 3, its cells in ohm, and these over the usual ones (2, rows, columns)."""
+    recording, cells = recording_of(AtlasSample(case, *shape, decades, noise, 3))
     usual = 3000 * 10 ** np.random.default_rng([3, *shape, 1]).uniform(-0.15, 0.15, shape)
-    return recording, scene, scene.cells / usual
+    return recording, cells, cells / usual
 
 
 def test_cases_differ_from_usual_cells_as_their_names_say() -> None:
@@ -134,27 +137,24 @@ def test_cases_differ_from_usual_cells_as_their_names_say() -> None:
         ("shorted cell, known", cell, 0.0, replace(nothing, shorted=((2, 2),))),
         ("dead row, known", row == 2, inf, replace(nothing, dead_rows=(2,))),
         ("dead column, known", column == 2, inf, replace(nothing, dead_columns=(2,))),
+        ("at the series resistance", cell, 1e-3 / 3000, None),
         ("weight 0", cell, 1.0, None),
     ):
-        _, scene, factors = made(case)
+        recording, _, factors = made(case)
         np.testing.assert_allclose(factors, np.where(places, factor, 1.0) * [whole, halved], rtol=1e-9)
-        assert scene.faults == faults and CASES[case].single_fault == (case != "weight 0")
+        assert recording.scene.faults == faults and CASES[case].single_fault == (case != "weight 0")
     for case, high in (("two clusters", (row < 2) | (column < 3)), ("checkerboard", (row + column) % 2 == 1)):
         np.testing.assert_allclose(made(case, 6.0)[2][0], np.where(high, 1e3, 1e-3))
         assert CASES[case].contrasted
     random = np.log10(made("log-uniform", 6.0)[2][0])
     assert -3 < random.min() < -2 and 2 < random.max() < 3
     np.testing.assert_allclose(np.sort(made("1 mOhm to 1 GOhm")[2][0].ravel()) * 3000, np.logspace(-3, 9, 28))
-    rails, series = made("codes at both rails"), made("at the series resistance")
+    rails, still = made("codes at both rails"), made("identical frames", noise=0.1)[0].recorded
     np.testing.assert_allclose(rails[2][0], np.where(row == 2, 1e6, 1) * np.where(row + column == 0, 1e-6, 1))
-    assert rails[1].readout == TwoPointReadout(readings=1) and rails[0].sigma is None
-    assert (
-        np.all(series[1].cells[:, 2, 2] == 1e-3)
-        and series[1].series_ohm == series[0].scene.series_resistance_ohm == 140
-    )
-    still = made("identical frames", noise=0.1)
-    np.testing.assert_array_equal(still[0].recorded[0], still[0].recorded[1])
-    assert [made(f"weight {word}")[1].weight for word in ("0", "1e-12", "1e12")] == [0, 1e-12, 1e12]
+    assert rails[0].scene.readout == TwoPointReadout(readings=1) and rails[0].sigma is None
+    assert made("at the series resistance")[0].scene.series_resistance_ohm == 140
+    np.testing.assert_array_equal(still[0], still[1])
+    assert [CASES[f"weight {word}"].weight for word in ("0", "1e-12", "1e12")] == [0, 1e-12, 1e12]
 
 
 def test_readings_of_a_case_are_exact_but_for_their_noise() -> None:
@@ -162,22 +162,22 @@ def test_readings_of_a_case_are_exact_but_for_their_noise() -> None:
     rng = np.random.default_rng([3, 4, 7, 2])
     noise, own = rng.standard_normal((2, 4, 7)), rng.standard_normal((2, 4, 7))
     for relative in (0.0, 0.01, 0.8):
-        recording, scene, _ = made("weight 0", noise=relative)
-        exact = two_point_resistance(scene.cells) * np.maximum(1 + relative * noise, 0.01)
+        recording, cells, _ = made("weight 0", noise=relative)
+        exact = two_point_resistance(cells) * np.maximum(1 + relative * noise, 0.01)
         np.testing.assert_allclose(recording.recorded, exact)
         np.testing.assert_allclose(recording.sigma, max(relative, 1e-9) * exact)
-        recording, scene, _ = made("at the series resistance", noise=relative)
-        exact = two_point_resistance(scene.cells) * np.maximum(1 + relative * noise, 0.01) + 140
+        recording, cells, _ = made("at the series resistance", noise=relative)
+        exact = two_point_resistance(cells) * np.maximum(1 + relative * noise, 0.01) + 140
         np.testing.assert_allclose(recording.recorded, np.maximum(exact + 140 * relative * own, 1e-3))
-    recording, scene, _ = made("dead row, known")
+    recording, _, _ = made("dead row, known")
     assert np.all(recording.recorded[:, 2] == 3000) and np.all(recording.sigma[:, 2] == 3000)
-    recording, scene, _ = made("codes at both rails")
+    recording, cells, _ = made("codes at both rails")
     readout = TwoPointReadout(readings=1)
     assert recording.recorded[0, 0, 0] == recording.recorded.min() > 0
-    away = readout.volt_from_recorded(recording.recorded) - readout.volt_from_recorded(
-        two_point_resistance(scene.cells)
+    away = np.diff(
+        [readout.volt_from_recorded(each) for each in (recording.recorded, two_point_resistance(cells))], axis=0
     )
-    assert 0.25 * readout.lsb_volt < np.abs(away[:, 1]).max() < 5 * readout.lsb_volt
+    assert 0.25 * readout.lsb_volt < np.abs(away[0, :, 1]).max() < 5 * readout.lsb_volt
 
 
 def test_scenes_of_an_atlas_are_solved_by_both_formulations_where_its_file_says_so() -> None:
@@ -187,20 +187,15 @@ def test_scenes_of_an_atlas_are_solved_by_both_formulations_where_its_file_says_
         Grid((3,), (6.0,), (1.0,)),
         nodal=Grid((2, 3), (1.0,), (0.0, 1.0)),
     )
-    random = [task for task in atlas.tasks if task.sample.case == "log-uniform"]
-    assert [(task.sample.shape, task.sample.decades, task.sample.noise, task.sample.seed) for task in random] == [
-        (shape, decades, noise, seed)
-        for shape in ((2, 2), (3, 4))
-        for decades in (1, 9)
-        for noise in (0, 0.1)
-        for seed in (0, 1)
-    ]
-    assert [len(task.formulations) for task in random] == [2, *15 * [1]]
-    both = {task.sample.case for task in atlas.tasks if task.formulations == ("reduced", "nodal")}
+    random = [sample for sample in atlas.samples if sample.case == "log-uniform"]
+    known = [(sample.shape, sample.decades, sample.noise, sample.seed) for sample in random]
+    assert known == [*product(((2, 2), (3, 4)), (1, 9), (0, 0.1), (0, 1))]
+    assert [len(atlas.formulations(sample)) for sample in random] == [2, *15 * [1]]
+    both = {sample.case for sample in atlas.samples if atlas.formulations(sample) == ("reduced", "nodal")}
     contrasted = {"two clusters", "checkerboard"}
     assert both == set(CASES) - contrasted - {"2 x 64"}, "of six decades, and of more than 99 cells, there are none"
-    assert {task.sample.decades for task in atlas.tasks if task.sample.case in contrasted} == {6}
-    assert {task.sample.shape for task in atlas.tasks if task.sample.case == "M x 1"} == {(9, 1)}
+    assert {sample.decades for sample in atlas.samples if sample.case in contrasted} == {6}
+    assert {sample.shape for sample in atlas.samples if sample.case == "M x 1"} == {(9, 1)}
     assert atlas.audit_cells == 64 and not [*Grid(()).samples("1 x 1")]
     for wrong in (
         {"sizes": (0,)},
@@ -215,8 +210,8 @@ def test_scenes_of_an_atlas_are_solved_by_both_formulations_where_its_file_says_
     assert Grid((1, 64), (0.0, 15.0), (0.0, 100.0), 1000).shapes == ((1, 1), (64, 64)) and Grid((1,), seeds=0)
     shipped = read_atlas(ROOT / "configs" / "extremes.yaml")
     assert list(shipped.estimators) == ["LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR"]
-    assert {task.sample.case for task in shipped.tasks} == set(CASES)
-    scenes = sum(len(task.formulations) for task in shipped.tasks)
+    assert {sample.case for sample in shipped.samples} == set(CASES)
+    scenes = sum(len(shipped.formulations(sample)) for sample in shipped.samples)
     assert scenes * 8 >= 2000, "solves: of a scene three of two parts, two of a pair"
     for wrong, sentence in (
         ({"estimators": {}}, "at least one"),
@@ -273,15 +268,15 @@ def test_rows_and_remarks_of_an_atlas_count_solves() -> None:
 
 
 def test_parts_of_a_solve_are_judged_by_their_own_frames() -> None:
-    recording, _ = recording_of(AtlasSample("two clusters", 2, 3, 1.0, 0.01, 3))
-    change = RelativeChange(weight=10.0)
-    for terms, parts in (
-        ((Misfit(),), [("baseline", slice(0, 1)), ("frame", slice(1, 2))]),
-        ((Misfit(), change), [("pair", slice(0, 2))]),
-    ):
-        found = [*_parts(Estimator(terms, OptimalMethod("reduced", joint=True)), recording)]
-        assert [(part.name, part.frames) for part in found] == parts
-        assert [len(part.data.measured) for part in found] == [len(range(*frames.indices(2))) for _, frames in parts]
+    """Of cells that are true in one frame alone, the excess of the other one's estimate is far from nothing."""
+    sample = AtlasSample("two clusters", 2, 3, 1.0, 0.0, 3)
+    recording, cells = recording_of(sample)
+    misfit = Misfit(weighting="noise")
+    for terms, parts in (((misfit,), ["baseline", "frame"]), ((misfit, RelativeChange(weight=10.0)), ["pair"])):
+        estimator = Estimator(terms, OptimalMethod("reduced", joint=True))
+        right, wrong = (judged(sample, "mine", estimator, recording, truth, 64) for truth in (cells, cells[::-1]))
+        assert [solve.part for solve in right] == parts
+        assert all(abs(a.excess) < abs(b.excess) for a, b in zip(right, wrong, strict=True)), (right, wrong)
 
 
 def test_audit_is_the_kkt_residual() -> None:
@@ -331,7 +326,7 @@ def test_heat_map_has_a_square_for_every_scene_and_counts_failures(disk: SimpleN
     text = "schema: 1\ngrid: {sizes: [2], decades: [1, 2], noise: [0]}\nstructured: {sizes: []}\n"
     text += "estimators: {mine: {terms: {misfit: {}}}}\n"
     atlas = read_settings(AtlasFile)(disk.run(text, "edge.yaml"))
-    solves = [solve for task in atlas.tasks for solve in solves_of(task)]
+    solves = [solve for sample in atlas.samples for solve in solves_of(atlas, sample)]
     failed = [replace(solve, solved=False, status="crashed: no") if solve.decades == 2 else solve for solve in solves]
     map_axes, bar = extremes_figure(failed).axes
     assert [label.get_text() for label in map_axes.get_yticklabels()] == ["2 × 2, 10¹", "2 × 2, 10²"]

@@ -14,9 +14,11 @@ from support import invented_case
 from docs.studies.audit import Audited, audit_remarks, audit_rows
 from docs.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
 from lampest import Array, InputError, Panel, Recording, Scene
+from lampest.report.compare import screen_table
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
 from lampest.runs.results import Results
+from lampest.solvers.solution import Settings
 from lampest.studies import common, tradeoff, weights
 from lampest.studies import paper as page
 from lampest.studies.paper import (
@@ -33,19 +35,18 @@ from lampest.studies.paper import (
     read_published,
 )
 from lampest.studies.tradeoff import (
+    SCREEN,
     STUDY,
     Plan,
     Simulated,
     TradeoffFile,
     TradeoffFrame,
     front,
-    label,
     ladder_rows,
-    on_front,
     read_plan,
     run_tradeoff,
+    table_rows,
     tradeoff_figure,
-    tradeoff_table,
 )
 from lampest.studies.weights import CurvePoint, why_not
 from tests.small_files import TRADEOFF, exact, write_recording
@@ -258,16 +259,15 @@ def test_a_row_has_medians_of_its_frames() -> None:
 
 def test_the_table_of_a_tradeoff_marks_its_fronts() -> None:
     """A formulation is on the front of time and error, or on that of time and gap; of the first method alone."""
-    assert tradeoff_table(MEASURED).cells == (
+    assert screen_table(table_rows(MEASURED), SCREEN).cells == (
         ("3 × 4", "LSM", "reduced", "30", "5", "2", "2", "1e-06 / inf", "67", "1/3", "*"),
         ("3 × 4", "LSM", "naive", "11", "1", "60", "2", "5e+03 / 5e+03", "0", "0/2", "*"),
         ("3 × 4", "LSM", "slow", "910", "900", "1", "9", "1e+00 / 1e+00", "0", "0/2", ""),
     )
-    rows = ladder_rows(MEASURED[:7])
-    rows[0].changed_error = None
-    assert on_front(rows) == ["reduced", "naive"]
-    rows[2].gap = 1e-9
-    assert on_front(rows) == ["reduced", "naive", "slow"]
+    frames = [replace(one, changed_error=NAN) for one in MEASURED[:3]] + MEASURED[3:5]
+    for gap, mark in ((1.0, ""), (1e-9, "*")):
+        slow = [replace(one, gap=gap) for one in MEASURED[5:7]]
+        assert [row.front for row in table_rows(frames + slow)] == ["*", "*", mark]
     assert front([(3, 1), (1, 5), (2, 5), (2, 2), (4, 1), (5, 0)]) == [1, 3, 0, 5] and front([]) == []
 
 
@@ -312,7 +312,7 @@ def test_peak_memory_is_that_of_two_frames_and_unknown_if_the_process_died(
             raise MemoryError
         solved.append(len(recording.measured_frames()))
 
-    (recording,), estimator = tiny.recordings, tiny.settings.estimator("LSM", tiny.settings.ladder[0])
+    (recording,), estimator = tiny.recordings, tiny.settings.estimators["LSM"].estimator("naive", Settings())
     longer = replace(recording, role=np.array([1, 1, 1], dtype=np.uint8))
     (tmp_path / "status").write_text("Name: x\nVmHWM:\t 2500 kB\nVmRSS: 1 kB\n")
     for name, value in (("reconstruct", reconstructed), ("Processes", lambda count: Serial())):
@@ -331,8 +331,8 @@ def test_curves_are_refined_about_the_least_error(monkeypatch: pytest.MonkeyPatc
         return CurvePoint(weight, 1, error=abs(np.log10(weight) - 1.6), cells=round(weight))
 
     monkeypatch.setattr(weights, "solve_at", solved)
-    curves = weights.Curves(None, ()).extended([100.0, 1.0, 10.0, 1e3])
-    assert starts == [(1, None), (10, None), (100, None), (1000, None)]
+    curves = weights.Curves(None, ()).extended([10.0, 1.0, 100.0, 1e3])
+    assert starts == [(10, None), (1, 10), (100, 10), (1000, 100)]
     assert curves.extended([40.0]).at(40.0).solved and starts[-1] == (40, 100)
     finer = curves.finer()
     assert finer.best().weight == pytest.approx(31.623, rel=1e-4)
@@ -346,7 +346,7 @@ def test_curves_are_refined_about_the_least_error(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.slow
 def test_shipped_file_is_valid() -> None:
     plan = read_plan(Path(__file__).parents[2] / "configs" / "tradeoff.yaml")
-    assert {label(formulation) for formulation in plan.settings.ladder} >= set(RUNGS)
+    assert set(plan.settings.ladder) >= set(RUNGS)
     assert {recording.scene.panel.shape for recording in plan.recordings} == {(10, 10), (16, 16), (32, 32), (100, 100)}
 
 
