@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
 from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import fill, wrap
@@ -153,6 +154,7 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
 
 
 TOGETHER = re.compile(r" (?=[±/…] )|(?<= [±/…]) ")  # blanks within a figure: '2.3 ± 1.4'
+MIN_NAME = 12  # characters to which names in the first column are cut
 
 
 def print_table(table: "Table") -> None:
@@ -168,64 +170,43 @@ def print_table(table: "Table") -> None:
     texts = [["\n".join(map(printable, cells[number].split("\n"))) for number in filled] for cells in table.cells]
     rows = [[TOGETHER.sub("\N{NO-BREAK SPACE}", text) for text in cells] for cells in texts]
     room = max(get_terminal_size().columns if sys.stdout.isatty() else 0, WIDTH)
-    widths, gap = _layout(headers, rows, room)
-    if _whole(widths, gap) <= room or len(headers) < 2:
-        _draw(headers, rows, widths, gap)
+    if _draw(headers, rows, room, last=len(headers) < 2):
         return
     for name, block in groupby(rows, key=lambda cells: cells[0]):
         say(f"{name}:")
-        remaining = [cells[1:] for cells in block]
-        _draw(headers[1:], remaining, *_layout(headers[1:], remaining, room))
+        _draw(headers[1:], [cells[1:] for cells in block], room, last=True)
 
 
-def _whole(widths: Sequence[int], gap: int) -> int:
-    """Return the width of a table, including one blank at each end."""
-    return sum(widths) + gap * (len(widths) - 1) + 2
+def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int, *, last: bool) -> bool:
+    """Print a table and return True; return False if it does not fit, unless this is the last attempt.
 
-
-def _layout(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int) -> tuple[list[int], int]:
-    """Return the widths of the columns and the number of blanks between them.
-
-    The widest column is narrowed until the table fits. Headers are folded first, then texts, then the blanks between
-    columns shrink, then names in the first column are cut. All other columns keep the width of their longest word.
+    The widest column is narrowed until the table fits, down to the longest word of each column. If that is
+    insufficient, the blanks between columns shrink and names in the first column are cut.
     """
-    columns = list(zip(*rows, strict=True))
-    words = [_longest_word(header) for header in headers]
-    lines = [[line for text in held for line in text.split("\n")] for held in columns]
-    whole = [max(word, *map(len, held)) for word, held in zip(words, lines, strict=True)]
-    least = [max(word, *map(_longest_word, held)) for word, held in zip(words, columns, strict=True)]
-    names = [min(least[0], max(words[0], 12)), *least[1:]]  # names are cut, but not below 12 characters
-    full = [max(len(header), width) for header, width in zip(headers, whole, strict=True)]
-    for gap, steps in ((2, (whole, least)), (1, (whole, least, names))):
-        widths = list(full)
-        for floors in steps:
-            spare = list(range(len(widths)))
-            while _whole(widths, gap) > room and (spare := [at for at in spare if widths[at] > floors[at]]):
-                widths[max(spare, key=lambda at: widths[at])] -= 1
-        if _whole(widths, gap) <= room:
-            break
-    return widths, gap
-
-
-def _longest_word(text: str) -> int:
-    return max(map(len, re.split("[ \n]", text)))
-
-
-def _folded(text: str, width: int) -> Iterator[str]:
-    for line in text.split("\n"):
-        yield from wrap(line, width, break_on_hyphens=False) or [""]
-
-
-def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[int], gap: int) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table as RichTable
 
-    padding = (0, gap - 1, 0, 0)  # the box adds one blank between columns
-    drawn = RichTable(box=box.SIMPLE_HEAD, padding=padding, pad_edge=False)
-    for header, width in zip(headers, widths, strict=True):
-        drawn.add_column("\n".join(_folded(header, width)), no_wrap=True, width=width)
-    for cells in rows:
-        parts = ("\n".join(_folded(cell, width)) for cell, width in zip(cells, widths, strict=True))
-        drawn.add_row(*(part.replace("\N{NO-BREAK SPACE}", " ") for part in parts))
-    Console(width=_whole(widths, gap), highlight=False, markup=False).print(drawn)
+    columns = [[text.split("\n") for text in column] for column in zip(headers, *rows, strict=True)]
+    full = [max(len(line) for lines in column for line in lines) for column in columns]
+    least = [max(len(word) for lines in column for line in lines for word in line.split(" ")) for column in columns]
+    for gap, floors in ((2, least), (1, [min(least[0], max(MIN_NAME, len(headers[0]))), *least[1:]])):
+        widths, beyond = list(full), sum(full) + gap * (len(full) - 1) + 2 - room
+        while beyond > 0 and (spare := [(width, at) for at, width in enumerate(widths) if width > floors[at]]):
+            widths[max(spare, key=itemgetter(0))[1]] -= 1
+            beyond -= 1
+        if beyond <= 0:
+            break
+    if beyond > 0 and not last:
+        return False
+    drawn = RichTable(box=box.SIMPLE_HEAD, padding=(0, gap - 1, 0, 0), pad_edge=False)  # the box adds one blank
+    folded = [
+        ["\n".join("\n".join(wrap(line, width, break_on_hyphens=False)) for line in lines) for lines in column]
+        for column, width in zip(columns, widths, strict=True)
+    ]
+    for (header, *_), width in zip(folded, widths, strict=True):
+        drawn.add_column(header, no_wrap=True, width=width)
+    for cells in list(zip(*folded, strict=True))[1:]:
+        drawn.add_row(*(cell.replace("\N{NO-BREAK SPACE}", " ") for cell in cells))
+    Console(width=max(room, room + beyond), highlight=False, markup=False).print(drawn)
+    return True

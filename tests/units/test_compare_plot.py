@@ -207,6 +207,9 @@ def test_a_wide_table_folds_its_texts_and_keeps_its_figures(sources: int, capsys
     assert text.count("lamprey") == sources and "or lamprey or cup" not in text
     titles = [line for line in text.splitlines() if line.endswith(":")]
     assert titles == ([f"panel_{source}:" for source in range(sources)] if sources > 1 else [])
+    print_table(Table(("", "figure", "a"), (("x", "1 ± 2", ""), ("two words", "3", ""))))
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert lines == ["", "figure", "─" * 17, "x          1 ± 2", "two words  3", ""]
 
 
 def swept(name: str, **values: float) -> CaseResult:

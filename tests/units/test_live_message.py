@@ -47,9 +47,7 @@ from lampest.report.live.message import (
     view_text,
     with_detected,
 )
-from lampest.report.live.publish import publish_at
-from lampest.report.live.publish.lsl import LslPublish
-from lampest.report.live.publish.publish import waited
+from lampest.report.live.publish import LslPublish, publish_at, waited
 from lampest.report.live.run import METHODS, scan_of
 from lampest.report.live.state import read_load, verdict_of
 from lampest.report.live.watcher import Unloaded, Watched, in_one_batch, watcher

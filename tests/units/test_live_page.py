@@ -269,7 +269,7 @@ def test_tokens_are_compared_in_constant_time(open_page: SimpleNamespace, monkey
     access = open_page.server.access
     assert open_page.status(f"/?token={TOKEN}") == open_page.status(Authorization=f"Bearer {TOKEN}") == 403
     assert open_page.status(Cookie=f"{access.name}={access.secret}") == 403
-    assert len(compared) == 3
+    assert len([text for text in compared if text]) == 3
 
 
 @pytest.mark.parametrize(

@@ -17,9 +17,9 @@ from websockets.sync.client import connect
 
 from lampest.loads.pressure import Force
 from lampest.panel.panel import Panel
+from lampest.report.live import publish as publish_module
 from lampest.report.live.message import Message, Picture, View
-from lampest.report.live.publish import publish_at, websocket
-from lampest.report.live.publish.publish import Send
+from lampest.report.live.publish import Send, publish_at
 
 FRAMES = 120  # of 107 kB: more than the two ends of a connection hold by themselves
 PATIENCE_SECONDS = 30.0
@@ -111,8 +111,8 @@ def test_a_websocket_that_never_reads_holds_up_neither_frames_nor_others_nor_the
 
 @pytest.mark.slow
 def test_a_websocket_that_never_reads_loses_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(websocket, "MAX_STREAMS", 1)
-    monkeypatch.setattr(websocket, "TURN_SECONDS", 0.2)
+    monkeypatch.setattr(publish_module, "MAX_STREAMS", 1)
+    monkeypatch.setattr(publish_module, "TURN_SECONDS", 0.2)
     with publish_at("websocket://127.0.0.1:0").opened(print) as (where, send), sleeper(where):
         send_all(send)
 

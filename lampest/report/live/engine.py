@@ -19,13 +19,11 @@ from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.report.detect.answer import Detected
 from lampest.report.live.handover import Beside, Errand, Newest
-from lampest.report.live.message import HISTORY_FRAMES, UNKNOWN, Picture, Point, View, with_detected
-from lampest.report.live.state import NOTICED_PERCENT, Findings, PanelState, SecondLook, solved_picture
-from lampest.report.live.watcher import News, Scan, Unloaded, as_recording, watcher
-from lampest.report.strongest import as_recorded, percent_change
+from lampest.report.live.message import HISTORY_FRAMES, Picture, Point, View, with_detected
+from lampest.report.live.state import NOTICED_PERCENT, Findings, PanelState, SecondLook, solved_scan
+from lampest.report.live.watcher import News, Scan, Unloaded, watcher
 
 BARS_SECONDS = 0.2  # between second looks for error bars alone, which only the eye reads
 LOADED_FRAMES = 3  # for the check of the circuit: a single one may have a wrong reading
@@ -114,19 +112,16 @@ class Engine:
 
     def begin(self, source: FrameSource, unloaded: Sequence[Scan]) -> None:
         """Solve against the mean of unloaded frames without outliers. Raises InputError where one has no readings."""
+        panel = Unloaded(source.scene, tuple(unloaded))
         try:
-            first, *following = (Readings.of(source.scene, scan.recorded, scan.sigma) for scan in unloaded)
+            every = panel.recording().readings()
         except InputError as error:
             raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
-        every = first.together(*following)
-        impossible, every_frame = (
-            impossible_readings(source.scene.circuit, every),
-            np.ones(len(every.value), dtype=bool),
-        )
-        resting = without_outliers(impossible, every, every_frame)[1].mean()
+        impossible = impossible_readings(source.scene.circuit, every)
+        resting = without_outliers(impossible, every, np.ones(len(unloaded), dtype=bool))[1].mean()
         self.show(panel=source.scene.panel, state=source.state, frames=len(unloaded))
-        self._watch(Unloaded(source.scene, tuple(unloaded)))
-        self._solving = self._pool.submit(self._solve, source, resting, tuple(unloaded))
+        self._watch(panel)
+        self._solving = self._pool.submit(self._solve, panel, source.period, resting)
 
     def take(self, source: FrameSource, scan: Scan) -> None:
         """Accept a frame without waiting for the solver. Raises the error that stopped the solver."""
@@ -144,10 +139,10 @@ class Engine:
         if len(self._unloaded) == self._baseline:
             self.begin(source, self._unloaded)
 
-    def _solve(self, source: FrameSource, resting: Readings, unloaded: tuple[Scan, ...]) -> None:
+    def _solve(self, unloaded: Unloaded, period: float, resting: Readings) -> None:
         """Solve the newest frame until no more come; check the circuit before and with the first loaded frames."""
-        state = PanelState.begin(self._estimator, source.scene, source.period, resting, hasty=self._beside is not None)
-        self._check(source.scene, unloaded, ())
+        state = PanelState.begin(self._estimator, unloaded.scene, period, resting, hasty=self._beside is not None)
+        self._check(unloaded)
         seen, loaded = 0, tuple[Scan, ...]()
         while (news := self._arrivals.after(seen)) is not None:
             assert news.item is not None
@@ -156,15 +151,15 @@ class Engine:
             if self._zero_asked.is_set():
                 self._zero_asked.clear()
                 state = replace(state, recent=(), missing=self._baseline)
-            state, picture = solved_scan(state, news.item, len(unloaded) + seen, skipped)
+            state, picture = solved_scan(state, news.item, len(unloaded.scans) + seen, skipped)
             self.shown.change(partial(with_picture, picture=picture, zeroed=state.zeroed))
             self._look_again(state.look)
             if len(loaded) < LOADED_FRAMES and float(np.nanmean(np.abs(picture.measured_change))) > NOTICED_PERCENT:
                 loaded = (*loaded, news.item)
                 if len(loaded) == LOADED_FRAMES:
-                    self._check(source.scene, unloaded, loaded)
+                    self._check(unloaded, loaded)
         if 0 < len(loaded) < LOADED_FRAMES:
-            self._check(source.scene, unloaded, loaded)
+            self._check(unloaded, loaded)
 
     def _with_findings(self, state: PanelState) -> PanelState:
         """Return the state with the findings of second looks, or without second looks if their process died."""
@@ -185,9 +180,9 @@ class Engine:
             self._looked = now
             self._beside.ask(Errand("look", look.findings, look.due))
 
-    def _check(self, scene: Scene, unloaded: tuple[Scan, ...], loaded: tuple[Scan, ...]) -> None:
+    def _check(self, unloaded: Unloaded, loaded: tuple[Scan, ...] = ()) -> None:
         """Show warnings about the frames."""
-        check = Errand("check", partial(_warnings, scene, unloaded, loaded))
+        check = Errand("check", partial(_warnings, unloaded, loaded))
         if self._beside is None or self._beside.gone:
             self._take_answer(check, check.run())
         else:
@@ -202,26 +197,12 @@ class Engine:
             self.show(deviation=answer.force.deviation, deviation_of=answer.number)
 
 
-def _warnings(scene: Scene, unloaded: tuple[Scan, ...], loaded: tuple[Scan, ...]) -> tuple[str, ...]:
+def _warnings(unloaded: Unloaded, loaded: tuple[Scan, ...]) -> tuple[str, ...]:
     """Return warnings about frames, or the reason why they cannot be read."""
-    role = [UNLOADED] * len(unloaded) + [MEASURED] * len(loaded)
     try:
-        return Prepared(as_recording(scene, unloaded + loaded, np.arange(float(len(role))), role)).warnings
+        return Prepared(unloaded.recording(loaded)).warnings
     except InputError as error:
         return (str(error),)
-
-
-def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tuple[PanelState, Picture]:
-    """Solve one frame; the picture of an unreadable one holds NaN and the reason."""
-    state, scene = replace(state, look=None), state.stream.scene
-    nothing, flags = np.full(scene.panel.shape, np.nan), np.zeros(scene.panel.shape, dtype=bool)
-    picture = Picture(number, scan.time, scan.arrived, nothing, nothing, flags, UNKNOWN, "", 0.0, skipped)
-    try:
-        readings = Readings.of(scene, scan.recorded, scan.sigma)
-    except InputError as error:
-        return state, replace(picture, status=str(error))
-    change = percent_change(*(as_recorded(frame.shown, scene) for frame in (readings, state.stream.resting)))
-    return solved_picture(state, readings, replace(picture, measured_change=change))
 
 
 def with_picture(view: View, picture: Picture, zeroed: str = "") -> View:

@@ -25,8 +25,7 @@ from lampest.recording.board.stream import Sample
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.live.engine import Engine, FrameSource
 from lampest.report.live.message import acknowledged
-from lampest.report.live.publish import publish_at
-from lampest.report.live.publish.publish import publishing
+from lampest.report.live.publish import publish_at, publishing
 from lampest.report.live.server import PageActions, address, serving
 from lampest.report.live.watcher import Scan
 from lampest.runs.config import RunFile, resolve

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from hmac import compare_digest
 from http import HTTPStatus
-from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from ipaddress import IPv4Address, IPv6Address, ip_address
@@ -26,9 +25,8 @@ HEARTBEAT_SECONDS = 2.0  # between messages without content
 TURN_SECONDS = 60.0  # after which a page, or a listener that takes nothing, is replaced by a waiting one
 MIN_TOKEN_LENGTH = 16  # characters, 10²⁸ possible tokens
 HINT = ": open the address that lampest printed when it began, with its token if it has one"
-REQUEST_HEADER = (
-    "X-Lampest"  # required header: a browser lets a foreign page send it only after a preflight, which is refused
-)
+# Required header: a browser lets a foreign page send it only after a preflight, which is refused.
+REQUEST_HEADER = "X-Lampest"
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; connect-src 'self'; script-src 'unsafe-inline'; "
@@ -60,8 +58,9 @@ class Access:
 
     def __post_init__(self) -> None:
         if self.token and not re.fullmatch(rf"[A-Za-z0-9._~-]{{{MIN_TOKEN_LENGTH},}}", self.token):
-            signs = f"at least {MIN_TOKEN_LENGTH} letters, digits or any of - _ . ~"
-            raise InputError(f"--token: give {signs} (or none: one is made up)")
+            raise InputError(
+                f"--token: give at least {MIN_TOKEN_LENGTH} letters, digits or any of - _ . ~ (or none: one is made up)"
+            )
 
     @classmethod
     def of(cls, token: str | None, port: int, *, local: bool) -> "Access":
@@ -81,11 +80,7 @@ class Access:
 
     def remembered_by(self, cookie: str) -> bool:
         """Return whether the header Cookie has the secret."""
-        try:
-            morsel = SimpleCookie(cookie).get(self.name)
-        except CookieError:
-            return False
-        return morsel is not None and _same(morsel.value, self.secret)
+        return any(_same(crumb.strip(), f"{self.name}={self.secret}") for crumb in cookie.split(";"))
 
 
 def _same(first: str, second: str) -> bool:

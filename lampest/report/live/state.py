@@ -17,7 +17,9 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
-from lampest.report.live.message import BOTH, NOTHING, PRESSING, SUCKING, Picture
+from lampest.report.live.message import BOTH, NOTHING, PRESSING, SUCKING, UNKNOWN, Picture
+from lampest.report.live.watcher import Scan
+from lampest.report.strongest import as_recorded, percent_change
 from lampest.solvers.multistart import SAME_MINIMUM
 
 ASKED = "it was asked for"
@@ -189,23 +191,36 @@ class PanelState:
         return start.in_haste() if stream.keeps_weights else start
 
 
-def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> tuple[PanelState, Picture]:
-    """Solve a frame without its outliers; return the next state and the picture, with NaN if the solve failed."""
-    stream, before, outliers = state.stream, state.previous, 0
-    if not stream.modules:
-        state = replace(state, previous=before.after(readings))
-        known = stream.scene, stream.resting, stream.baseline_resistance
-        readings, outliers = before.without_outliers(readings, *known)
-    picture = replace(picture, outliers=outliers)
+def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tuple[PanelState, Picture]:
+    """Solve a frame without its outliers; return the next state and the picture, with NaN and the reason of a failure.
+
+    Parameters
+    ----------
+    number : int
+        Number of the frame.
+    skipped : int
+        Frames skipped before this one.
+    """
+    state, stream, time = replace(state, look=None), state.stream, scan.time
+    scene, before = stream.scene, state.previous
+    unknown, flags = np.full(scene.panel.shape, np.nan), np.zeros(scene.panel.shape, dtype=bool)
+    picture = Picture(number, time, scan.arrived, unknown, unknown, flags, UNKNOWN, "", 0.0, skipped)
     try:
-        stream, step = state.stream.push(readings)
+        readings = Readings.of(scene, scan.recorded, scan.sigma)
+        change = percent_change(*(as_recorded(frame.shown, scene) for frame in (readings, stream.resting)))
+        picture = replace(picture, measured_change=change)
+        if not stream.modules:
+            state = replace(state, previous=before.after(readings))
+            readings, outliers = before.without_outliers(readings, scene, stream.resting, stream.baseline_resistance)
+            picture = replace(picture, outliers=outliers)
+        stream, step = stream.push(readings)
     except InputError as error:
         return state, replace(picture, status=str(error))
-    look = state.second_look(picture.number, picture.time, readings, step)
-    solved, solution = replace(state, stream=stream, look=look), step.solution
-    picture, ratio = replace(picture, status=step.status, seconds=step.seconds), solved.ratio(step)
+    look, solution = state.second_look(number, time, readings, step), step.solution
+    state = replace(state, stream=stream, look=look)
+    picture, ratio = replace(picture, status=step.status, seconds=step.seconds), state.ratio(step)
     if ratio is not None:
-        pressed, force = read_load(solved.load, ratio, step.bars, picture.time)
+        pressed, force = read_load(state.load, ratio, step.bars, time)
         verdict = verdict_of(readings, stream.resting, ratio, np.asarray(solution.open_cell[-1], dtype=bool))
         if step.bars is None and pressed is not None and "pressing" not in verdict:
             force = Force(0.0, np.nan)
@@ -222,7 +237,7 @@ def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> t
     elif solution.solved:
         assert stream.baseline is not None
         picture = replace(picture, status=f"no baseline: {stream.baseline.solution.status.value}")
-    return solved.after(readings, ratio, picture.time), picture
+    return state.after(readings, ratio, time), picture
 
 
 def read_load(load: PressureTrack, ratio: Array, bars: Bars | None, time: float) -> tuple[Pressure | None, Force]:

@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 
 from lampest.estimate.prepared import Prepared
-from lampest.files.errors import InputError
 from lampest.files.process import logged_reason
 from lampest.loads.recognition.image import ImageWatch
 from lampest.loads.recognition.watch import Watch
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.report.detect.answer import Detected
 from lampest.report.detect.detection import HEAD_FRAMES, Known, frame_rate, known_of
 from lampest.report.live.handover import Beside
@@ -48,20 +47,21 @@ class Scan:
     lost: int = 0
 
 
-def as_recording(scene: Scene, scans: tuple[Scan, ...], times: Array, role: list[int], name: str = "") -> Recording:
-    """Return frames as a recording at these times in s; σ is None unless all frames have it."""
-    known = [scan.sigma for scan in scans if scan.sigma is not None]
-    sigma = np.stack(known) if len(known) == len(scans) else None
-    recorded = np.stack([scan.recorded for scan in scans])
-    return Recording(scene, recorded, times, np.array(role, dtype=np.uint8), sigma, name=name)
-
-
 @dataclass(frozen=True, eq=False)
 class Unloaded:
     """Frames of the unloaded panel, from which recognition starts again."""
 
     scene: Scene
     scans: tuple[Scan, ...]
+
+    def recording(self, loaded: tuple[Scan, ...] = (), name: str = "") -> Recording:
+        """Return these frames, and loaded ones after them, as a recording; σ is None unless all frames have it."""
+        scans = self.scans + loaded
+        known = [scan.sigma for scan in scans if scan.sigma is not None]
+        sigma = np.stack(known) if len(known) == len(scans) else None
+        role = np.repeat([UNLOADED, MEASURED], [len(self.scans), len(loaded)]).astype(np.uint8)
+        times = np.arange(float(len(scans))) if loaded else np.array([scan.time for scan in scans])
+        return Recording(self.scene, np.stack([scan.recorded for scan in scans]), times, role, sigma, name=name)
 
 
 News = Unloaded | Scan | int  # a number requests that so many of the next frames become the new zero
@@ -100,14 +100,19 @@ class Watched:
 
     def after(self, news: News) -> "Watched":
         """Return the state after unloaded frames, a frame, or a request for a zero."""
+        if isinstance(news, int):
+            return replace(self, missing=news, zero=())
+        start = self
         try:
-            if isinstance(news, int):
-                return replace(self, missing=news, zero=())
             if isinstance(news, Unloaded):
-                return self._begun(news)
-            return self._zeroed(news) if self.missing else self._seen(news)
-        except (InputError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
-            return replace(self, why=logged_reason(error, self.name))
+                start = Watched(self.name, "", news.scene, times=self.times)
+                return self._begun(start, news)
+            if not self.missing:
+                return self._seen(news)
+        except (ArithmeticError, ValueError) as error:
+            return replace(start, why=logged_reason(error, self.name))
+        zeroed = replace(self, missing=self.missing - 1, zero=(*self.zero, news))
+        return zeroed if zeroed.missing or self.scene is None else zeroed.after(Unloaded(self.scene, zeroed.zero))
 
     @property
     def detected(self) -> Detected:
@@ -116,24 +121,15 @@ class Watched:
             return Detected.unknown(self.name, self.why)
         return self.known.detected(self.watch, frame_rate(self.times))
 
-    def _begun(self, news: Unloaded) -> "Watched":
-        """Return the state for new unloaded frames; previous attachments have ended."""
-        times = np.array([scan.time for scan in news.scans])
-        known = known_of(Prepared(as_recording(news.scene, news.scans, times, [UNLOADED] * len(times), self.name)))
-        start = Watched(self.name, "", news.scene, times=self.times)
+    def _begun(self, start: "Watched", news: Unloaded) -> "Watched":
+        """Return the state `start` with the watch of new unloaded frames; previous attachments have ended."""
+        known = known_of(Prepared(news.recording(name=self.name)))
         if isinstance(known, Detected):
             return replace(start, why=known.why)
-        try:
-            watch = known.watch()
-        except (ArithmeticError, ValueError) as error:
-            return replace(start, why=logged_reason(error, self.name))
+        watch = known.watch()
         before, end = () if self.watch is None else self.watch.attachments, news.scans[0].time
         closed = tuple(replace(attachment, until_s=end) if attachment.present else attachment for attachment in before)
         return replace(start, known=known, watch=replace(watch, attachments=closed))
-
-    def _zeroed(self, scan: Scan) -> "Watched":
-        zeroed = replace(self, missing=self.missing - 1, zero=(*self.zero, scan))
-        return zeroed if zeroed.missing or self.scene is None else zeroed._begun(Unloaded(self.scene, zeroed.zero))
 
     def _seen(self, scan: Scan) -> "Watched":
         if self.known is None or self.watch is None:
