@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from importlib.resources import files
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, FunctionLoader, StrictUndefined
@@ -140,18 +140,16 @@ class Illustration:
 def wide(plot: Plot, cases: Sequence[CaseResult], words: str) -> list[Illustration]:
     """Draw a plot over the whole page; empty if no case has its columns."""
     drawable = plot.drawable(cases)
-    return [Illustration(plot.kind, data_uri(plot.draw(drawable), "png"), words)] if drawable else []
+    return [Illustration(plot.kind, data_uri(plot.draw(drawable)), words)] if drawable else []
 
 
 def differences(cases: Sequence[CaseResult], place: int, pairs: Sequence[Disagreement]) -> list[Illustration]:
-    """Draw maps of the pairs that differ most, of half the width: as SVG, or as PNG if there are many cells."""
+    """Draw maps of the pairs that differ most, of half the width."""
     tiles = [Tile(pair.title, pair.significant[place], f"{digits(pair.share, 2)} %") for pair in pairs[:9]]
     if not tiles:
         return []
     scale = signed_scale(values_of(tiles), "difference of relative change [percentage points]", 1.0, 100.0)
-    panel = cases[0].scene.panel
-    kind: Literal["svg", "png"] = "svg" if panel.crossings * len(tiles) <= 1500 else "png"
-    uri = data_uri(maps_figure(tiles, panel, scale, width=WIDTH_INCH / 2), kind)
+    uri = data_uri(maps_figure(tiles, cases[0].scene.panel, scale, width=WIDTH_INCH / 2))
     return [Illustration("differences", uri, "Maps of significant differences", len(pairs))]
 
 

@@ -23,6 +23,7 @@ from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 
 CHANGED = 10.0  # percent: cells within the line about the load
+MAX_ACROSS = 7  # estimators in a row of maps, an inch each
 
 
 @dataclass(frozen=True)
@@ -77,11 +78,11 @@ class Plot(Validated):
 
 @dataclass(frozen=True)
 class MapsPlot(Plot):
-    """Maps of one frame: the measurement, each estimator, the truth."""
+    """Maps of one frame: the measurement, each estimator, the truth; or rows of quantities of each estimator."""
 
     @abstractmethod
     def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale | list[maps.Scale], list[maps.Tile]]:
-        """Return the maps of the cases' frame at that index, and their scale or scales."""
+        """Return the maps of the cases' frame at that index, and one scale, one a row, or one a map."""
 
     contoured: ClassVar[bool] = False
     about: ClassVar[str] = ""
@@ -90,9 +91,6 @@ class MapsPlot(Plot):
         """Draw all estimators. Raises InputError if the frame has no results."""
         index, title = self.shown(cases)
         scale, tiles = self.maps(cases, index)
-        tiles = [
-            replace(tile, title=tile.title.replace("paper's lambda", "paper's\N{NO-BREAK SPACE}λ")) for tile in tiles
-        ]
         panel = cases[0].scene.panel
         return maps.maps_figure(tiles, panel, scale, title, contoured=self.contoured, about=self.about)
 
@@ -220,46 +218,14 @@ class ResidualPlot(MapsPlot):
         tiles = []
         for case, residual in zip(cases, residuals, strict=True):
             shown = None if residual is None or not case.solved[index] else residual[index]
-            rms = None if shown is None else float(np.sqrt(np.nanmean(shown**2)))
-            note = (
-                ""
-                if rms is None
-                else f"rms {digits(rms, 2) if rms >= MIN_DIFFERENCE else f'< {MIN_DIFFERENCE}'} {unit}"
-            )
-            tiles.append(maps.Tile(case.estimator, shown, note))
+            rms = np.nan if shown is None else float(np.sqrt(np.nanmean(shown**2)))
+            size = f"< {MIN_DIFFERENCE}" if rms < MIN_DIFFERENCE else digits(rms, 2)
+            tiles.append(maps.Tile(case.estimator, shown, "" if shown is None else f"rms {size} {unit}"))
         return maps.signed_scale(maps.values_of(tiles), label, least), tiles
 
 
 @dataclass(frozen=True)
-class RowsPlot(Plot):
-    """Maps of one frame: a column for each of the first seven estimators with the columns, a row for each quantity."""
-
-    about: ClassVar[str]
-
-    @abstractmethod
-    def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[maps.Scale, list[maps.Tile]]]:
-        """Return scale and maps of every row."""
-
-    def draw(self, cases: Sequence[CaseResult]) -> Figure:
-        """Draw all estimators. Raises InputError if the frame has no results."""
-        cases = cases[: int(style.WIDTH_INCH)]
-        index, title = self.shown(cases)
-        rows, panel = self.rows(cases, index), cases[0].scene.panel
-        tall = (style.WIDTH_INCH - 1.2) / max(len(cases), 2) * maps.proportion(panel)
-        figure = style.new_figure(min(len(rows) * (tall + 0.25) + 0.8, style.MAX_HEIGHT_INCH))
-        grid = figure.subplots(len(rows), len(cases), squeeze=False, sharex=True, sharey=True)
-        for number, (scale, tiles) in enumerate(rows):
-            painter = maps.MapPainter(panel, scale)
-            maps.draw_all(grid[number : number + 1], tiles, [painter] * len(tiles))
-            painter.bar(figure, grid[number], "right")
-        for axes, case in zip(grid[0], cases, strict=True):
-            axes.set_title(style.short_title(case.estimator), fontsize=style.SMALL_POINT + 0.5)
-        style.shared_legend(figure, grid, "lower right")
-        return style.labelled(figure, f"{maps.ACROSS_LABEL}; {self.about}", maps.DOWN_LABEL, title)
-
-
-@dataclass(frozen=True)
-class CertaintyPlot(RowsPlot):
+class CertaintyPlot(MapsPlot):
     """Maps of standard deviation [%] and resolution of every estimator with error bars.
 
     If the truth is known, the error in units of the standard deviation is drawn, too.
@@ -272,27 +238,28 @@ class CertaintyPlot(RowsPlot):
     needs: ClassVar[tuple[str, ...]] = ("cell_resistance_errors", "resolution")
     about: ClassVar[str] = "grey: no number (failed frame or open cell); 95 % intervals reach 1.96 sd"
 
-    def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[maps.Scale, list[maps.Tile]]]:
+    def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[list[maps.Scale], list[maps.Tile]]:
         """Return rows of standard deviations, resolutions, and errors."""
+        cases = cases[:MAX_ACROSS]
         cells = [case.cell_resistance[index] for case in cases]
         errors, resolutions = ([case.column(name)[index] for case in cases] for name in self.needs)
         deviations = [100 * error / own for error, own in zip(errors, cells, strict=True)]
-        rows = [(maps.log_scale(deviations, "standard deviation [%]"), deviations)]
-        rows.append((maps.Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution"), resolutions))
-        truth = cases[0].truth
+        scales = [maps.log_scale(deviations, "standard deviation [%]")]
+        scales.append(maps.Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution"))
+        values, truth = [*deviations, *resolutions], cases[0].truth
         if truth is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
                 logs = [100 * np.log(own / truth[index]) for own in cells]
                 ratios = [error / deviation for error, deviation in zip(logs, deviations, strict=True)]
-            rows.append((maps.signed_scale(ratios, "error / standard deviation", least=3.0, most=5.0), ratios))
-        return [
-            (scale, [maps.Tile("", np.where(np.isfinite(own), own, np.nan)) for own in values])
-            for scale, values in rows
-        ]
+            scales.append(maps.signed_scale(ratios, "error / standard deviation", least=3.0, most=5.0))
+            values += ratios
+        titles = [case.estimator for case in cases] + [""] * (len(values) - len(cases))
+        known = [np.where(np.isfinite(each), each, np.nan) for each in values]
+        return scales, [maps.Tile(title, each) for title, each in zip(titles, known, strict=True)]
 
 
 @dataclass(frozen=True)
-class PressurePlot(RowsPlot):
+class PressurePlot(MapsPlot):
     """Maps of pressure and of half its 95 % interval of every estimator.
 
     Crosses mark cells whose pressure the response cannot determine. The scales are the same for all recordings.
@@ -306,19 +273,19 @@ class PressurePlot(RowsPlot):
     hint: ClassVar[str] = "add the film's response to the scene, such as response: {kind: published}, and run again"
     about: ClassVar[str] = "grey: no number"
 
-    def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[maps.Scale, list[maps.Tile]]]:
+    def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[list[maps.Scale], list[maps.Tile]]:
         """Return rows of pressures and half widths of their intervals."""
         steps, ticks = (0.5, 1, 2, 5, 10, 20, 40), (-40, -10, -2, -0.5, 1, 5, 20)
         signed = maps.stepped_scale(steps, "pressure [kPa]: suction − contact +", ticks, maps.PRESSING)
-        norm, label = LogNorm(0.1, 100), "half the 95 % interval [kPa]"
-        widths = maps.Scale(norm, colormaps["YlGnBu"], label, (0.1, 1.0, 10.0, 100.0))
+        label, decades = "half the 95 % interval [kPa]", (0.1, 1.0, 10.0, 100.0)
+        widths = maps.Scale(LogNorm(0.1, 100), colormaps["YlGnBu"], label, decades)
         pressures, halves = [], []
-        for case in cases:
+        for case in cases[:MAX_ACROSS]:
             pressure, lower, upper, saturated = (case.column(name)[index] for name in self.needs)
             half = np.clip((upper - lower) / 2, 0.05, 200)  # none and infinite: beyond the scale, not missing
-            pressures.append(maps.Tile("", pressure, "", saturated != 0, "saturated"))
-            halves.append(maps.Tile("", half, "", saturated != 0, "saturated"))
-        return [(signed, pressures), (widths, halves)]
+            pressures.append(maps.Tile(case.estimator, pressure, "", saturated != 0, "saturated"))
+            halves.append(replace(pressures[-1], title="", values=half))
+        return [signed, widths], pressures + halves
 
 
 QUANTITIES = {  # figure of a case → label of its axis

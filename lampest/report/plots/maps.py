@@ -232,25 +232,9 @@ class MapPainter:
         return np.clip(values, -beyond, beyond)
 
 
-def draw_all(grid: Any, tiles: Sequence[Tile], painters: Sequence[MapPainter]) -> None:
-    """Draw maps row by row into a grid of axes, each by its painter, and hide the axes that remain."""
-    for axes in grid.flat[len(tiles) :]:
-        axes.set_visible(False)
-    for axes in grid.flat[max(len(tiles) - grid.shape[1], 0) : len(tiles)]:
-        axes.tick_params(labelbottom=True)
-    for axes, tile, painter in zip(grid.flat, tiles, painters, strict=False):
-        painter.draw(axes, tile)
-
-
 def values_of(tiles: Sequence[Tile]) -> list[Array]:
     """Return the values of tiles."""
     return [tile.values for tile in tiles if tile.values is not None]
-
-
-def proportion(panel: Panel) -> float:
-    """Return height over width of all cells."""
-    wide, tall = (most - least + panel.pitch_mm for least, most in panel.extents_mm)
-    return tall / wide
 
 
 def _squares(panel: Panel, places: Array) -> Array:
@@ -297,33 +281,42 @@ def maps_figure(
     Parameters
     ----------
     scale : Scale or sequence of Scale
-        One for all maps, or one for each.
+        One for all maps, one for each, or one for each row of maps.
     about : str
         A remark on the maps, behind the label of x.
     """
-    common = isinstance(scale, Scale)
-    scales = [scale] * len(tiles) if isinstance(scale, Scale) else scale
-    bars = 1.0 if common else 0.4
+    scales = [scale] if isinstance(scale, Scale) else scale
+    each, in_rows = len(scales) == len(tiles) > 1, 1 < len(scales) < len(tiles)
+    broad, tall = (most - least + panel.pitch_mm for least, most in panel.extents_mm)
+    beside, gap = (0.4, 0.9) if each else (1.0, 0.2)  # inches for the colour bars, and between maps
 
     def wide(across: int) -> float:
-        return (width - bars) / across - (0.2 if common else 0.9)
+        return (width - beside) / across - gap
 
     def height(across: int) -> float:
-        return ceil(len(tiles) / across) * (wide(across) * proportion(panel) + 0.4) + 0.8
+        return ceil(len(tiles) / across) * (wide(across) * tall / broad + 0.4) + 0.8
 
     def unfit(across: int) -> float:
         # deviation from 3 : 2, with a cost for empty places
         return abs(height(across) - width / 1.5) + 0.3 * (-len(tiles) % across)
 
-    across = min(range(1, min(len(tiles), int((width - 1.0) / 0.88)) + 1), key=unfit)
+    most = min(len(tiles), int((width - 1.0) / 0.88))
+    across = len(tiles) // len(scales) if in_rows else min(range(1, most + 1), key=unfit)
     down = ceil(len(tiles) / across)
-    beyond = max(height(across) - MAX_ASPECT * width, 0.0) / proportion(panel)  # of a tall panel: the maps get narrower
+    beyond = max(height(across) - MAX_ASPECT * width, 0.0) * broad / tall  # of a tall panel: the maps get narrower
     figure = style.new_figure(min(height(across), MAX_ASPECT * width), width - beyond * across / down)
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    for axes in grid.flat[len(tiles) :]:
+        axes.set_visible(False)
+    for axes in grid.flat[max(len(tiles) - across, 0) : len(tiles)]:
+        axes.tick_params(labelbottom=True)
     signs = max(10, int(17 * wide(across)))  # that fit over a map
-    painters = [MapPainter(panel, scale, contoured) for scale in scales]
-    draw_all(grid, [replace(tile, title=fill(style.short_title(tile.title, 60), signs)) for tile in tiles], painters)
-    for painter, axes in [(painters[0], grid)] if common else zip(painters, grid.flat, strict=False):
+    painters = [MapPainter(panel, own, contoured) for own in scales for _ in range(len(tiles) // len(scales))]
+    for axes, tile, painter in zip(grid.flat, tiles, painters, strict=False):
+        name = tile.title.replace("paper's lambda", "paper's\N{NO-BREAK SPACE}λ")
+        painter.draw(axes, replace(tile, title=fill(style.short_title(name, 60), signs)))
+    spans = grid.flat if each else grid if in_rows else [grid]
+    for painter, axes in zip(painters[:: len(tiles) // len(scales)], spans, strict=False):
         painter.bar(figure, axes, "right", aspect=figure.get_figheight() / 0.16)
     style.shared_legend(figure, grid, "lower right", least=2 if contoured else 1, ncols=2)
     return style.labelled(figure, "; ".join(filter(None, (ACROSS_LABEL, about))), DOWN_LABEL, title)

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from io import BytesIO
 from math import ceil, floor, log10
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -17,7 +17,7 @@ from lampest.files.errors import InputError
 from lampest.files.whole import whole_file
 from lampest.runs.executors import Serial, each_of
 
-WIDTH_INCH, MAX_HEIGHT_INCH = 7.2, 9.0  # of a page of a journal
+WIDTH_INCH = 7.2  # of a page of a journal
 TEXT_POINT, SMALL_POINT = 8, 6.5
 BLUE, ORANGE = "#0072B2", "#D55E00"
 SUFFIXES = (".png", ".svg", ".pdf")
@@ -96,10 +96,9 @@ def _image(task: tuple[Callable[[], Figure], Path]) -> bytes:
         return _drawn(draw(), file.suffix[1:])
 
 
-def data_uri(figure: Figure, kind: Literal["png", "svg"] = "svg") -> str:
+def data_uri(figure: Figure) -> str:
     """Return a figure as a data URI, reproducibly."""
-    form = "png" if kind == "png" else "svg+xml"
-    return f"data:image/{form};base64,{b64encode(_drawn(figure, kind)).decode('ascii')}"
+    return f"data:image/png;base64,{b64encode(_drawn(figure, 'png')).decode('ascii')}"
 
 
 def _drawn(figure: Figure, kind: str) -> bytes:

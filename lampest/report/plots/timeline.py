@@ -13,7 +13,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
 from lampest.report.detect.answer import CUP, LAMPREY, PRESSES, SUCKS, Detected
-from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, stepped_scale
+from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, change_scale
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure, plain_number, write_all
 
 # Those of Okabe and Ito, apart for the colour-blind.
@@ -69,9 +69,9 @@ def _map(axes: Axes, answer: Detected) -> None:
         axes.set_axis_off()
         axes.text(0.5, 0.5, "nothing was there", ha="center", va="center", fontsize=SMALL_POINT)
         return
-    label, ticks = "relative change of resistance [%]", (-100, -60, -20, 20, 60, 100)
-    painter = MapPainter(answer.panel, stepped_scale((5, 20, 40, 60, 80, 100), label, ticks))
-    painter.draw(axes, Tile("what was recognised last", 100 * np.expm1(answer.change)))
+    change = 100 * np.expm1(answer.change)
+    painter = MapPainter(answer.panel, change_scale([change], "relative change of resistance [%]"))
+    painter.draw(axes, Tile("what was recognised last", change))
     painter.bar(axes.figure, axes, "bottom")
     axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
     axes.set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)

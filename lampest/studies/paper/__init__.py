@@ -297,7 +297,7 @@ def page_of(paper: Paper) -> str:
         "lampest.studies.paper",
         names=names,
         places=paper.published.places,
-        uris={word: style.data_uri(figure, "png") for word, figure in paper.figures.items()},
+        uris={word: style.data_uri(figure) for word, figure in paper.figures.items()},
         sheets=sheets | {"times": sheet(of("Table I", times=True), names)},
         counts={figure: counts(of(figure), names) for figure in set_beside} | {"all": counts(checked, names)},
     )

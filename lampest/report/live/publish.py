@@ -1,0 +1,370 @@
+"""Publication of live frames for other programs by one protocol each; see docs/reference/stream.md.
+
+To add a protocol, write its `Publish` here and add it to WAYS.
+"""
+
+import json
+import math
+import re
+import socket
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from http import HTTPStatus
+from threading import Thread
+from typing import Any, ClassVar, Self
+from urllib.parse import SplitResult, unquote, urlsplit
+
+import numpy as np
+
+from lampest.files.errors import InputError, extra
+from lampest.report.detect.answer import ANSWERS
+from lampest.report.live.handover import FAREWELL_SECONDS, Newest
+from lampest.report.live.message import COMPACT, FORMAT, VERDICTS, Message, View
+from lampest.report.live.server import MAX_STREAMS, TURN_SECONDS, Access, ip_named
+
+LATEST_SECONDS = 0.2  # longest confirmation time of a broker before following messages are left out
+LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+Send = Callable[[Message], None]
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Publish(ABC):
+    """A protocol with its address `KIND://USER:PASSWORD@HOST:PORT/PATH`; token : required of listeners.
+
+    Subclasses have their own defaults for missing parts of the address.
+    """
+
+    kind: ClassVar[str]
+    host: str = "127.0.0.1"
+    port: int = 0
+    path: str = "lampest"
+    user: str | None = None
+    password: str | None = None
+    token: str | None = None
+
+    @classmethod
+    def at(cls, where: SplitResult, token: str | None) -> Self:
+        """Return the protocol with the parts of an address. Raises InputError for an invalid one."""
+        user, password = (part and unquote(part) for part in (where.username, where.password))
+        port = cls.port if where.port is None else where.port
+        return cls(where.hostname or cls.host, port, where.path.strip("/") or cls.path, user, password, token)
+
+    @property
+    def where(self) -> str:
+        """Address as text."""
+        return f"{self.kind}://{self.host}:{self.port}/{self.path}"
+
+    @abstractmethod
+    def opened(self, say: Say) -> AbstractContextManager[tuple[str, Send]]:
+        """Yield the public address and a function that sends a message.
+
+        Sending never waits for listeners: slow ones miss messages. say : receives sentences about the connection.
+        Raises InputError for a missing library and an unreachable peer.
+        """
+
+
+def _detection(message: Message) -> Any:
+    """Return the content of the answer, or None before the first one."""
+    return message.view.detected and message.view.detected.content()
+
+
+class LslPublish(Publish):
+    """`lsl://NAME`: the numbers of each frame with the arrival time of its last byte.
+
+    Announced by name in the local network at the first frame, when its size is known. `NAME-answer` has a line of JSON
+    whenever the answer or the alarm changes.
+    """
+
+    kind: ClassVar[str] = "lsl"
+
+    @classmethod
+    def at(cls, where: SplitResult, token: str | None) -> Self:
+        """Return the target, as `Publish.at`."""
+        return cls(path=where.netloc or cls.path)
+
+    @contextmanager
+    def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
+        """Open the stream, as `Publish.opened`."""
+        with extra("streams"):
+            try:
+                import pylsl
+            except RuntimeError as error:
+                raise InputError(f"--publish: lsl: {' '.join(str(error).split())}") from error
+        pylsl.set_config_content("[log]\nlevel = -1\n")  # of liblsl's own: errors alone
+        outlets, sent = list[Any](), [(0, "", "")]
+
+        def stream(name: str, kind: str, channels: int, form: str) -> Any:
+            return pylsl.StreamInfo(name, kind, channels, pylsl.IRREGULAR_RATE, form, name)
+
+        def send(message: Message) -> None:
+            row, (frame, *before) = message.row().astype(np.float32), sent.pop()
+            if not outlets:
+                numbers = stream(self.path, "Pressure", len(row), "float32")
+                _describe(numbers.desc(), _description(message))
+                answers = stream(f"{self.path}-answer", "Markers", 1, "string")
+                outlets.extend(map(pylsl.StreamOutlet, (numbers, answers)))
+            sent.append(message.signature)
+            if message.picture.number != frame:
+                outlets[0].push_sample(row, pylsl.local_clock() - (time.time() - message.picture.arrived))
+            if [*message.signature[1:]] != before:
+                content = {"detection": _detection(message), "alarm": message.view.alarm}
+                outlets[1].push_sample([json.dumps(content, **COMPACT)])
+
+        yield f"lsl://{self.path}", send
+        outlets.clear()
+
+
+def _description(message: Message) -> dict[str, Any]:
+    """Return names, units and places in metre of the channels, as the XDF format nests them."""
+    channels = []
+    for label, unit, place in message.channels():
+        location = {} if place is None else {"location": dict(zip("XY", place, strict=True))}
+        channels.append({"label": label, "unit": unit} | location)
+    lists = {"format": FORMAT, "verdicts": ",".join(VERDICTS), "answers": ",".join(ANSWERS)}
+    panel = {name: getattr(message.panel, name) for name in ("rows", "columns", "pitch_mm")}
+    return lists | panel | {"channels": [{"channel": channel} for channel in channels]}
+
+
+def _describe(element: Any, content: dict[str, Any]) -> None:
+    """Append values to an XML element of liblsl; mappings and lists of them become children."""
+    for name, value in content.items():
+        if isinstance(value, dict | list):
+            child = element.append_child(name)
+            for part in value if isinstance(value, list) else [value]:
+                _describe(child, part)
+        else:
+            element.append_child_value(name, str(value))
+
+
+@dataclass(frozen=True)
+class OscPublish(Publish):
+    """`osc://HOST:PORT/PREFIX`: a bundle of messages for each frame over UDP, without confirmation."""
+
+    kind: ClassVar[str] = "osc"
+    port: int = 9000
+
+    @contextmanager
+    def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
+        """Open the stream, as `Publish.opened`."""
+        with extra("streams"):
+            from pythonosc.udp_client import UDPClient
+        try:
+            client = UDPClient(self.host, self.port)
+        except OSError as error:
+            raise InputError(f"--publish: {self.where}: {error.strerror or error}") from error
+        with client:
+            yield self.where, lambda message: client.send(self._bundle(message))
+
+    def _bundle(self, message: Message) -> Any:
+        """Return the bundle: whole numbers i, time d, other numbers f, texts s, solved T or F."""
+        from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
+        from pythonosc.osc_message_builder import OscMessageBuilder
+
+        picture, view, bundle = message.picture, message.view, OscBundleBuilder(IMMEDIATELY)
+        parts: dict[str, Any] = {"sequence": picture.number, "time": picture.time, "size": message.panel.shape}
+        parts |= {name: values.ravel().tolist() for name, values in message.maps.items()}
+        parts |= {"force": picture.force.newton, "force_sd": view.deviation, "verdict": picture.verdict}
+        parts |= {"solved": message.solved, "status": picture.status, "alarm": view.alarm}
+        if (detected := view.detected) is not None:
+            parts |= {name: getattr(detected, name) for name in ("answer", "probability", "sentence")}
+            parts["detection"] = json.dumps(_detection(message), **COMPACT)
+        for name, values in parts.items():
+            built = OscMessageBuilder(f"/{self.path}/{name}")
+            for value in values if isinstance(values, list | tuple) else [values]:
+                built.add_arg(value, "d" if name == "time" else None)
+            bundle.add_content(built.build())
+        return bundle.build()
+
+
+@dataclass(frozen=True)
+class MqttPublish(Publish):
+    """`mqtt://USER:PASSWORD@HOST:PORT/TOPIC`: the message as JSON to a topic of a broker, quality of service 1.
+
+    A message is lost rather than late: none is sent while another has not been confirmed for 0.2 s.
+    """
+
+    kind: ClassVar[str] = "mqtt"
+    host: str = "localhost"
+    port: int = 1883
+
+    @contextmanager
+    def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
+        """Open the stream, as `Publish.opened`."""
+        with extra("streams"):
+            from paho.mqtt.client import Client
+            from paho.mqtt.enums import CallbackAPIVersion
+        if set(self.path) & set("+#"):
+            raise InputError(f"--publish: mqtt: '{self.path}' is no topic to publish to: + and # stand for others")
+        client: Any = Client(CallbackAPIVersion.VERSION2)
+        # A short segment does not wait until the one before is confirmed (RFC 896), up to 0.5 s later (RFC 1122).
+        client.on_socket_open = lambda *event: event[2].setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client.reconnect_delay_set(1, 10)  # s
+        client.username_pw_set(self.user, self.password)
+        waiting, answers = deque[tuple[Any, float]](), list[Any]()  # not confirmed, and when sent
+
+        def send(message: Message) -> None:
+            while waiting and waiting[0][0].is_published():
+                waiting.popleft()
+            now = time.monotonic()
+            if client.is_connected() and (not waiting or now - waiting[0][1] < LATEST_SECONDS):
+                waiting.append((client.publish(self.path, message.text(), qos=1), now))
+
+        try:
+            client.on_connect = client.on_disconnect = lambda *event: answers.append(event[3])
+            try:
+                client.connect(self.host, self.port)
+                client.loop_start()
+            except (OSError, ValueError) as error:
+                raise InputError(f"--publish: {self.where}: no broker answers ({error})") from error
+            if not waited(lambda: bool(answers), client.connect_timeout):
+                raise InputError(f"--publish: {self.where}: no broker answers (it says nothing)")
+            if answers[0].is_failure:
+                raise InputError(f"--publish: {self.where}: the broker refuses ({answers[0]})")
+            client.on_disconnect = lambda *event: say(
+                f"{self.where}: the broker is gone ({event[3]}); it is called again"
+            )
+            client.on_connect = lambda *event: say(f"{self.where}: the broker is back")
+            yield self.where, send
+        finally:
+            client.on_disconnect = None
+            client.disconnect()
+            waited(lambda: client.socket() is None, FAREWELL_SECONDS)  # the library would wait for ever
+            with suppress(OSError, AttributeError):  # the connection may be closed meanwhile
+                client.socket().shutdown(socket.SHUT_RDWR)
+            client.loop_stop()
+
+
+@dataclass(frozen=True)
+class WebsocketPublish(Publish):
+    """`websocket://ADDRESS:PORT`: a server that sends each message as a line of JSON to all listeners.
+
+    Pages of this computer and programs may listen; from elsewhere a token is needed. port : 0 is any that is free.
+    """
+
+    kind: ClassVar[str] = "websocket"
+    port: int = 8138
+
+    @contextmanager
+    def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
+        """Open the stream, as `Publish.opened`."""
+        with extra("streams"):
+            from websockets.exceptions import ConnectionClosed
+            from websockets.sync.server import serve
+        host = ip_named(self.host)
+        if host is None:
+            raise InputError(f"--publish: websocket: '{self.host}' is no address such as 127.0.0.1 or 0.0.0.0")
+        newest, access = Newest(""), Access.of(self.token, self.port, local=host.is_loopback)
+        listeners = dict[Any, float]()  # send time of the oldest message that each has not taken; else infinite
+
+        def cut_off(before: float) -> None:
+            for connection in [listener for listener, sent in tuple(listeners.items()) if sent <= before]:
+                with suppress(OSError):
+                    connection.socket.shutdown(socket.SHUT_RDWR)
+
+        def admitted(connection: Any, request: Any) -> Any:
+            if access.token and not access.shown_by(request.path, request.headers.get("Authorization", "")):
+                return connection.respond(HTTPStatus.FORBIDDEN, "the token is missing or wrong\n")
+            cut_off(time.monotonic() - TURN_SECONDS)
+            full = len(listeners) >= MAX_STREAMS
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many listen\n") if full else None
+
+        def listening(connection: Any) -> None:
+            seen, listeners[connection] = 0, math.inf
+            with suppress(ConnectionClosed, OSError):
+                while (news := newest.after(seen)) is not None:
+                    (seen, text), listeners[connection] = news, time.monotonic()
+                    connection.send(text)
+                    listeners[connection] = math.inf
+            del listeners[connection]
+
+        settings: dict[str, Any] = {"max_size": 1024, "compression": None, "process_request": admitted}
+        settings |= dict.fromkeys(("open_timeout", "close_timeout"), FAREWELL_SECONDS)
+        settings |= {"origins": [None, LOCAL_PAGES] if host.is_loopback else None}
+        settings |= {"family": socket.AF_INET6 if host.version == 6 else socket.AF_INET}
+        try:
+            server = serve(listening, str(host), self.port, **settings)
+        except OSError as error:
+            sentence = error.strerror or error
+            raise InputError(f"--publish: websocket: cannot listen at {host}:{self.port} ({sentence})") from error
+        thread = Thread(target=server.serve_forever, name="lampest-websocket", daemon=True)
+        thread.start()
+        where = f"{f'[{host}]' if host.version == 6 else host}:{server.socket.getsockname()[1]}"
+        try:
+            yield f"ws://{where}/{access.query}", lambda message: newest.put(message.text())
+        finally:
+            newest.close()
+            waited(lambda: not listeners, FAREWELL_SECONDS)
+            cut_off(time.monotonic())
+            server.shutdown()
+            thread.join()
+
+
+WAYS: tuple[type[Publish], ...] = (LslPublish, OscPublish, MqttPublish, WebsocketPublish)
+
+
+def publish_at(where: str, token: str | None = None) -> Publish:
+    """Parse an address such as `mqtt://localhost:1883/lampest` or `mqtt`. token : required of listeners.
+
+    Raises InputError for an unknown protocol and an invalid address.
+    """
+    kind, _, address = where.partition("://")
+    ways = {way.kind: way for way in WAYS}
+    if kind not in ways:
+        raise InputError(f"--publish: '{where}' begins with none of {', '.join(ways)}")
+    try:
+        parts = urlsplit(f"//{address}", allow_fragments=False)
+        if parts.query or parts.port == -1:  # `port` raises for an invalid one
+            raise ValueError("what follows a question mark means nothing there")
+    except ValueError as error:
+        raise InputError(f"--publish: '{where}' is no address ({error})") from error
+    return ways[kind].at(parts, token)
+
+
+def waited(done: Callable[[], bool], seconds: float) -> bool:
+    """Wait until a condition holds, at most for some seconds; return whether it holds."""
+    until = time.monotonic() + seconds
+    while not done() and time.monotonic() < until:
+        time.sleep(0.01)
+    return done()
+
+
+@contextmanager
+def publishing(ways: Sequence[Publish], shown: Newest[View], say: Say) -> Iterator[tuple[str, ...]]:
+    """Send new pictures, answers and alarms by each protocol, in a thread of its own, until the series ends.
+
+    Yields the public addresses. say : receives a sentence at the first failure of a protocol. Raises InputError if one
+    cannot be opened.
+    """
+    with ExitStack() as opened:
+        outlets = [opened.enter_context(way.opened(say)) for way in ways]
+        threads = [Thread(target=_forward, args=(shown, send, where, say), daemon=True) for where, send in outlets]
+        for thread in threads:
+            thread.start()
+        try:
+            yield tuple(where for where, _ in outlets)
+        finally:
+            shown.close()
+            for thread in threads:
+                thread.join()
+
+
+def _forward(shown: Newest[View], send: Send, where: str, say: Say) -> None:
+    """Send the newest picture, skipping older ones; report a failure once until sending works again."""
+    seen, sent, failed = 0, (0, "", ""), False
+    while (news := shown.after(seen)) is not None:
+        seen, message = news.number, Message.of(news.item)
+        if message is None or message.signature == sent:
+            continue
+        sent = message.signature
+        try:
+            send(message)
+            failed = False
+        except OSError as error:
+            if not failed:
+                say(f"{where}: frames do not get through ({error.strerror or error}); it is tried again with each")
+            failed = True
