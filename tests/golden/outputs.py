@@ -16,7 +16,7 @@ from unittest.mock import patch
 
 import numpy as np
 from golden.checks import detected
-from golden.circuits import PANEL, Rows, cells_of
+from golden.circuits import Rows, cells_of
 from golden.estimates import ESTIMATORS, case_row, simulated
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -34,7 +34,8 @@ from lampest.report.detect import pressed
 from lampest.report.detect.answer import Detected
 from lampest.report.live.engine import with_picture
 from lampest.report.live.message import Message, Picture, Point, View, acknowledged, view_text, with_detected
-from lampest.report.live.state import PanelState, solved_picture
+from lampest.report.live.state import PanelState, solved_scan
+from lampest.report.live.watcher import Scan
 from lampest.report.page import compared, page
 from lampest.report.plots import PLOTS, maps, style
 from lampest.report.plots.timeline import timeline
@@ -240,9 +241,9 @@ def live_row(estimator: str) -> dict[str, Any]:
     state = PanelState.begin(ESTIMATORS[estimator], recording.scene, 1.0, readings[[0, 1, 2, 3]].mean(), hasty=True)
     shown, looks = [], []
     for number, frame in enumerate(recording.measured_frames(), 1):
-        nothing = np.full(PANEL.shape, np.nan)
-        picture = Picture(number, float(number), 0.0, nothing, nothing, nothing > 0, Force(np.nan, np.nan), "", 0.0, 0)
-        state, picture = solved_picture(state, readings[frame], picture)
+        sigma = recording.sigma if recording.sigma is None or recording.sigma.ndim == 2 else recording.sigma[frame]
+        scan = Scan(recording.recorded[frame], sigma, float(number), 0.0)
+        state, picture = solved_scan(state, scan, number, 0)
         shown.append(
             (
                 picture.relative_change, picture.pressure, picture.force, picture.verdict, picture.outliers,
