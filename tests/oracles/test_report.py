@@ -22,7 +22,7 @@ from lampest.report.page.compared import (
     picks,
     predicted,
 )
-from lampest.report.page.page import COVERED, SPREAD, disagreements, doubts, failures, figures
+from lampest.report.page.page import disagreements
 from lampest.runs.results import CaseResult
 
 SHAPE = (4, 3, 3)
@@ -219,28 +219,3 @@ def test_copies_of_a_recording_are_no_further_recordings() -> None:
     half = [np.where(np.arange(4)[:, None, None] < 2, case.measured, 1.0) for case in cases[:2]]
     others = [dataclasses.replace(case, recording="half", measured=own) for case, own in zip(cases, half, strict=False)]
     assert [*matched(batch(*cases, *others).recordings).recordings] == ["r0", "r1", "half"]
-
-
-def test_figures_of_a_case_are_what_they_are_called() -> None:
-    case = invented_case(shape=(10, 4, 5), failed=(3, 4))
-    good = case.solved
-    ends = {
-        "cell_resistance_lower": np.where(good[:, None, None], case.truth * 0.9, np.nan),
-        "cell_resistance_upper": np.where(good[:, None, None], case.truth * 1.1, np.nan),
-    }
-    ends["cell_resistance_upper"][0, 0, 0] = np.inf
-    ends["cell_resistance_lower"][1, :2] = case.truth[1, :2] * 1.05
-    sigma = 0.01 * case.measured
-    found = figures(dataclasses.replace(case, sigma=sigma, **ends))
-    residual = ((case.reading_model - case.measured) / sigma)[good]
-    assert (found["frames"], found["frames solved"]) == (10, 8)
-    assert failures([case]) == ["LSM, frames 8, 9: stopped: too many iterations"]
-    assert found["residuals: mean of ((model − measured)/σ)²"] == pytest.approx(np.mean(residual**2))
-    assert found[SPREAD] == pytest.approx(1.0, abs=0.2)
-    assert found["95 % intervals with an open end"] == 1 and found[COVERED] == pytest.approx(93.75)
-    error = 100 * np.abs(case.cell_resistance / case.truth - 1)[good]
-    assert found["cell error median [%]"] == pytest.approx(np.median(error))
-    assert found["solve time mean [s]"] == pytest.approx(np.mean(case.solve_time[good]))
-    assert found["saturated cells"] is None
-    assert len(doubts("A", [found])) == 0
-    assert len(doubts("A", [{SPREAD: 3.0}])) == 1

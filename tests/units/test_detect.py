@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from support import invented_case
 
-from lampest import Block, Faults, InputError, OralDisc, Panel, Recording, Ring, Rod, Scene, Systematic
+from lampest import Block, Faults, InputError, OralDisc, Panel, Recording, Ring, Rod, Scene
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.breathing import Breath, Breathing
 from lampest.loads.recognition.candidates import FIELD, FLAT, NOTHING, Several
-from lampest.loads.recognition.detector import Detector, coarse_errors
-from lampest.loads.recognition.fit import Fit, Fitting, Verdict, paid, prior, prior_cost, states
-from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, Whitening, counting
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.fit import Fit, Verdict, prior_cost
+from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
 from lampest.loads.recognition.pumping import Pumping
 from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.loads.shapes.disc import Disc
@@ -95,66 +95,6 @@ def at_rest(sigma: float = 1.0, errors: ModelErrors | None = None, scene: Scene 
     return Observation(measured, np.full(measured.shape, sigma), baseline, 0 * measured, 540.0, **known)
 
 
-def test_assumed_errors_are_those_of_channels_reference_readings_and_wandering_cells() -> None:
-    """Of 2 rows and 3 columns 3 ohm each; of the reference 0.6 %, of readings 2 % of all that is in series.
-
-    Cells at rest wander by 1 % a decade of minutes by themselves, by 2 % with all others, and by 0.2 % at once.
-    """
-    found = ModelErrors(reading_error=0.02).offsets(np.full((2, 3), 1000.0), SMALL)
-    rows, columns = np.indices((2, 3)).reshape(2, 6)
-    lines = [*(rows == 0, rows == 1), *(columns == number for number in range(3))]
-    expected = np.column_stack([*(3.0 * line for line in lines), np.full(6, 0.006 * 1140), 0.02 * 1140 * np.eye(6)])
-    np.testing.assert_allclose(found, expected)
-    for seconds, common, own in ((540.0, 0.02, 0.01), (0.0, 0.0, 0.0)):
-        expected = common**2 + (own**2 + 0.002**2) * np.eye(3)
-        np.testing.assert_allclose(ModelErrors().resting_covariance(seconds, 3), expected)
-    scene = replace(SMALL, systematic=Systematic(0.03, 5.0))
-    errors = ModelErrors().of_scene(scene, 0.03)
-    assert (errors.channel_ohm, errors.reference, errors.reading_error) == (5.0, pytest.approx(0.03 / 3**0.5), 0.03)
-    counted = counting(np.array([1.0, 0.0, -1.0, np.inf, np.nan]), np.array([2.0, 3, 4, 5, 6]))
-    np.testing.assert_array_equal(counted, [1, 3e3, 4e3, 5e3, 6e3])
-
-
-def test_readings_without_worth_leave_what_was_assumed() -> None:
-    """Of unloaded cells a mean within e^±3 of the readings and 40 % about it; of ln r/r0 a half, and three of them."""
-    frame = at_rest(1e9)
-    covariance = frame.baseline.covariance
-    np.testing.assert_allclose(covariance[:6, :6], 9.0 + 0.16 * np.eye(6), rtol=1e-6)
-    np.testing.assert_allclose(covariance[6:, 6:], np.eye(6), atol=1e-6)
-    np.testing.assert_allclose(frame.baseline.logarithm, np.log(3000), rtol=1e-6)
-    np.testing.assert_allclose([frame.map, frame.highest], [np.zeros((2, 3)), np.full((2, 3), 1.5)], atol=1e-6)
-
-
-def test_the_errors_of_a_frame_add_up() -> None:
-    """σ² + V Vᵀ + (J E) C (J E)ᵀ + J (T + t) Jᵀ, and the root of it."""
-    frame = at_rest(2.0, common=np.arange(12.0).reshape(6, 2))
-    slope = frame.slope(np.zeros((2, 3)))
-    both, resting = np.hstack([slope, frame.offsets]), frame.baseline.model_errors.resting_covariance(540.0, 6)
-    expected = 4.0 * np.eye(6) + frame.common @ frame.common.T + both @ frame.baseline.covariance @ both.T
-    expected += slope @ resting @ slope.T
-    np.testing.assert_allclose(frame.covariance(slope), expected)
-    np.testing.assert_allclose(frame.covariance(slope, 0.3 * np.eye(6)), expected + 0.3 * slope @ slope.T)
-    rest, coarse = Whitening.about(frame), coarse_errors(frame, np.zeros((2, 3)))[0]
-    np.testing.assert_allclose(rest.root @ rest.root.T, expected)
-    np.testing.assert_allclose(coarse.root @ coarse.root.T, expected + 0.04 * slope @ slope.T)
-    assert rest.volume == pytest.approx(np.linalg.slogdet(expected)[1] / 2)
-    np.testing.assert_allclose(rest.root @ (rest @ np.ones(6)), np.ones(6))
-    dropped = frame.without(np.array([1, 5])).sigma.ravel()
-    assert list(dropped) == [2, 2000, 2, 2, 2, 2000]
-
-
-def test_a_film_departs_by_shares_of_what_it_answers() -> None:
-    """s² (x K xᵀ + w²) + b bᵀ of two cells a pitch apart, K of a fifth for all and a fifth for neighbours."""
-    baseline = at_rest(scene=replace(SMALL, panel=Panel(1, 2))).baseline
-    change, edges, patches = np.array([[-1.0, 0.5]]), np.array([[0.1, 0.2]]), np.array([[2.0, 1.0]])
-    near = np.exp(-1 / (2 * 1.5**2))
-    np.testing.assert_allclose(baseline.near, [[1, near], [near, 1]])
-    uneven = np.array([[1.0, -0.5 * (0.2 + 0.2 * near)], [-0.5 * (0.2 + 0.2 * near), 0.25]])
-    shared = 0.15**2 * np.outer(change, change) + 0.13**2 * np.outer(patches, patches)
-    expected = 0.3**2 * (uneven + np.diag([0.3**2, 0.6**2])) + shared
-    np.testing.assert_allclose(baseline.film(np.stack([change, edges, patches]), 0.3), expected)
-
-
 def test_a_change_is_that_of_the_response_under_water_and_ends_where_a_cell_is_open() -> None:
     frame = replace(at_rest(), water=np.full((2, 3), 2.0))
     pressure = np.array([[0.0, 5.0, 20.0], [-3.0, -8.0, 500.0]])
@@ -218,43 +158,6 @@ def test_a_fit_of_another_kind_begins_with_the_same_disc() -> None:
     )
     assert report["diameter_mm"][1][2] == pytest.approx(30) and report["suction_kpa"][1][4] == pytest.approx(-6)
     assert mouth.blind(begin)[2] == pytest.approx(1.1 / 30) and rod.blind(rod.start(disc))[2] == pytest.approx(0.7 / 30)
-
-
-def test_a_fit_is_as_wide_as_its_prior_where_nothing_was_read_and_else_as_its_curvature() -> None:
-    """One pressure of 5 ± 5 kPa on all cells, at 5 kPa; its evidence is a Gaussian's over that of the prior."""
-    for sigma in (1e9, 1.0):
-        frame = at_rest(sigma)
-        fitting, whitening, parameters = (Fitting(FLAT, frame, 6.0), Whitening.about(frame), np.array([5.0]))
-        likelihood = fitting.about(parameters, whitening)
-        point, fit = fitting.at(parameters, likelihood), fitting.stays(parameters, whitening)
-        variance = 1 / float(point.normal[0, 0])
-        assert fit.covariance[0, 0] == pytest.approx(variance) and (variance == pytest.approx(25)) == (sigma == 1e9)
-        assert fit.evidence == pytest.approx(np.log(variance / 25) / 2 - point.cost - whitening.volume)
-        errors = whitening @ frame.residual(fit.change)
-        assert fit.chi2 == pytest.approx(errors @ errors) and point.cost == pytest.approx(errors @ errors / 2 + 0.5)
-        assert fit.score == pytest.approx(point.cost + whitening.volume) and fit.scatter == 0
-        step = 1e-4
-        ends = [fitting.at(parameters + sign * step, likelihood).cost for sign in (1, -1)]
-        assert point.gradient[0] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-3)
-
-
-def test_a_field_is_quiet_or_changed_and_pays_for_unlike_neighbours() -> None:
-    """By 0.6 of a cell's square and 0.1 of each neighbour's; beside a border a cell stands for those it has not."""
-    panel, change = Panel(3, 3), np.zeros((3, 3))
-    for place, size, expected in (
-        ((1, 1), 0.5, [[0, 1, 0], [1, 2, 1], [0, 1, 0]]),
-        ((1, 1), 0.215, [[0, 1, 0], [1, 1, 1], [0, 1, 0]]),
-        ((0, 0), 0.215, [[2, 1, 0], [1, 0, 0], [0, 0, 0]]),
-        ((0, 0), -3.0, [[3, 3, 0], [3, 0, 0], [0, 0, 0]]),
-    ):
-        one = change.copy()
-        one[place] = size
-        np.testing.assert_array_equal(states(panel, one), expected)
-    unlike = paid(panel, np.array([[0, 1, 0], [0, 0, 0], [0, 0, 3]]))
-    assert unlike == pytest.approx(5 + 9 * np.log1p(3 * np.exp(-4)))
-    frame = at_rest(scene=replace(SMALL, panel=Panel(1, 2)))
-    both = 2.0 * 0.4 * frame.baseline.near[0, 1]
-    np.testing.assert_allclose(prior(frame, np.array([1.0, 2.0])), [[1, both], [both, 4]])
 
 
 def fit_of(candidate: Any, disc: Disc, evidence: float = 0.0, change: float = 3.0, chi2: float = 80.0) -> Fit:

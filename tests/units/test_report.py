@@ -15,7 +15,6 @@ from support import METHODS, invented_case
 
 from lampest import CaseResult, InputError, Results, write_results
 from lampest.files.process import ALLOWED, in_bytes, libraries_to_the_log, memory_limit
-from lampest.report.compare import figures_of
 from lampest.report.detect.pressed import figure, pressed, pressed_of, pressed_table, write_pressed
 from lampest.report.page import page as page_module
 from lampest.report.page.compared import Batch, comparison_of, read_batch
@@ -81,45 +80,26 @@ class Page(HTMLParser):
         return [str(given[attribute]) for _, given in self.tags if attribute in given]
 
 
-WORDS: tuple[tuple[Any, str], ...] = (
-    (digits(0.0012345), "0.00123"),
-    (digits(1e-4), "0.000100"),
-    (digits(9.9e-5), "9.90e−5"),
-    (digits(-3050.4, 2), "−3,050"),
-    (digits(999999.0), "999,999"),
-    (digits(1e6), "1.00e6"),
-    (digits(0.0), "0"),
-    (digits(12.3456, 3, 0.0123), "12.3456"),
-    (digits(np.nan), "not a number"),
-    (digits(np.inf), "∞"),
-    (digits(-np.inf), "−∞"),
-    (text_of(None), ""),
-    (text_of(np.nan), ""),
-    (text_of(0.5), "0.500"),
-    (text_of(0.5, ".1f"), "0.5"),
-    (median_text(np.array([3.0, np.nan, 1.0, 8.0])), "3.00 (1.00 to 8.00)"),
-    (median_text(np.array([2.0, 2.0])), "2.00"),
-    (median_text(np.array([np.nan])), ""),
-    (spanned(np.array([672.91, np.nan, 219.5]), "ohm"), "219.5 to 672.9 ohm"),
-    (spanned(np.array([np.nan]), "ohm"), "unknown"),
-    (figure(12.345, 0.0), "12.3"),
-    (figure(-12.345, 0.56), "−12.35 ± 0.56"),
-    (figure(12.345, 56.0), "12 ± 56"),
-    (figure(1.23456, 0.00012), "1.235 ± 0.000"),
-    (in_bytes(999), "999 bytes"),
-    (in_bytes(1000), "0.977 KiB"),
-    (in_bytes(3 * 2**20), "3 MiB"),
-    (in_bytes(26.8 * 2**30), "26.8 GiB"),
-)
+WORDS: tuple[tuple[Any, dict[Any, str]], ...] = (
+    (digits, {9.9e-5: "9.90e−5", 1e-4: "0.000100", 999999.0: "999,999", 1e6: "1.00e6", 0.0: "0"}),
+    (digits, {np.nan: "not a number", np.inf: "∞", -np.inf: "−∞", (-3050.4, 2): "−3,050"}),
+    (digits, {(12.3456, 3, 0.0123): "12.3456"}),
+    (text_of, {None: "", np.nan: "", 0.5: "0.500", (0.5, ".1f"): "0.5"}),
+    (figure, {(12.345, 0.0): "12.3", (-12.345, 0.56): "−12.35 ± 0.56", (12.345, 56.0): "12 ± 56"}),
+    (figure, {(1.23456, 1e-4): "1.235 ± 0.000"}),
+    (in_bytes, {999: "999 bytes", 1000: "0.977 KiB", 3 * 2**20: "3 MiB", 26.8 * 2**30: "26.8 GiB"}),
+    (no_formula, {**{text: f"'{text}" for text in ("=1", "+1", "-1", "@a", "\ta", "\ra")}, "a=1": "a=1", -1: -1}),
+)  # fmt: skip
 
 
 def test_numbers_in_words() -> None:
-    for said, expected in WORDS:
-        assert said == expected
-    assert [no_formula(text) for text in ("=1", "+1", "-1", "@a", "\ta", "\ra", "a=1", -1)] == [
-        *("'=1", "'+1", "'-1", "'@a", "'\ta", "'\ra"),
-        *("a=1", -1),
-    ]
+    for words, texts in WORDS:
+        for value, text in texts.items():
+            assert words(*value if isinstance(value, tuple) else (value,)) == text
+    assert median_text(np.array([3.0, np.nan, 1.0, 8.0])) == "3.00 (1.00 to 8.00)"
+    assert (median_text(np.array([2.0, 2.0])), median_text(np.array([np.nan]))) == ("2.00", "")
+    assert spanned(np.array([672.91, np.nan, 219.5]), "ohm") == "219.5 to 672.9 ohm"
+    assert spanned(np.array([np.nan]), "ohm") == "unknown"
 
 
 def test_memory_that_may_be_taken(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -287,29 +267,6 @@ def maps() -> tuple[np.ndarray, np.ndarray]:
     pressure[1, 4:6, 6:9] = 10.0, 12.0, 10.0
     pressure[2, 0, 0] = 8.0
     return pressure, errors
-
-
-def test_centre_area_peak_and_force_of_any_load() -> None:
-    pressure, errors = maps()
-    found = pressed_of(pressing(pressure=pressure, pressure_own=errors))
-    assert found is not None and np.isnan(found.values[0]).all()
-    x, y, area, peak, force = found.values[1]
-    assert (x, y, area, peak) == pytest.approx((70, 45, 600, 12))
-    assert force == pytest.approx(64 * 100 * 1e-3)  # kPa · mm² = mN
-    assert found.errors[1, -1] == pytest.approx(np.sqrt(6) * 0.2 * 0.1)
-    assert found.errors[1, 2] == pytest.approx(100 * np.sqrt(6 / 12))
-    assert found.values[2, :2] == pytest.approx((0, 0))
-    assert np.all(found.errors[2, :2] == pytest.approx(10 / np.sqrt(12)))  # a spot in a corner is somewhere in its cell
-    # A film whose curve is known to 30 %: so is the force, and the centre is not moved.
-    common = pressed_of(pressing(pressure=pressure, pressure_own=errors, pressure_common=0.3 * pressure))
-    assert common.errors[1, -1] == pytest.approx(np.hypot(found.errors[1, -1], 0.3 * 6.4))
-    np.testing.assert_allclose(common.errors[1, :3], found.errors[1, :3])
-    sigma = np.full(SHAPE, 0.01)
-    both = dataclasses.replace(common.case, sigma_own=sigma, sigma_common=2 * sigma)
-    figures = figures_of(both, np.ones(SHAPE[0], bool))
-    assert figures["own standard deviation of pressed cells median [kPa]"] == pytest.approx(0.2)
-    assert figures["common standard deviation of pressed cells median [kPa]"] == pytest.approx(3.0)
-    assert both.error_words.endswith("of pressures: own 0.2 kPa, common 3 kPa")
 
 
 def test_forces_of_noisy_maps_scatter_as_they_say() -> None:
