@@ -85,7 +85,7 @@ class SolvedContacts:
         cells, rows = model.at.cell_resistance, model.through @ self._response
         errors = errors_of(model, None)
         # F = −∂u/∂c: the response of the free cells to contacts; `left` is E − J F
-        follow = errors.answer(rows, *np.zeros((2, cells[0].size, len(self.ohm))))
+        follow = errors.answer(rows)
         whole = np.zeros((cells.size, len(self.ohm)))
         whole[model.free] = follow
         left = rows - errors.forward(whole)

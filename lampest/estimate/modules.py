@@ -6,7 +6,7 @@ terms across the seams (`coupled`), the image is one problem whose network is bl
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +23,12 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.two_point import ModulesReadout
 from lampest.panel.scene import Faults, Scene
 from lampest.posterior.certainty import Certainty
-from lampest.posterior.track import Bars, Change, Track
+from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
 from lampest.solvers.projected_lbfgs import InverseHessians
 from lampest.solvers.solution import OPTIMA, Status
 
 WORST = (*OPTIMA, Status.APPROXIMATE)  # statuses that count as estimates; the last is the weakest
-C = TypeVar("C", Certainty, Change)
 Network = tuple[Estimator, Scene, Readings]
 
 
@@ -195,7 +194,7 @@ class ModulesStream(Stream):
         if all(step is None for step in steps):
             return self
         known = [None if step is None or step.track is None else step.track.baseline for step in self.modules]
-        baseline = _joined(self._layout, Certainty, known)
+        baseline = _joined(self._layout, known)
         track = None if baseline is None else Track(baseline=baseline)
         return replace(self, baseline=image_step(self._layout, steps), track=track)
 
@@ -224,14 +223,21 @@ def _joined_maps(layout: Modules, parts: Sequence[NDArray[Any] | None], missing:
     return np.asarray(layout.joined(np.stack([blank if part is None else part for part in parts], axis=-3)))
 
 
-def _joined(layout: Modules, kind: type[C], parts: Sequence[C | None]) -> C | None:
+def _joined(layout: Modules, parts: Sequence[Certainty | None]) -> Certainty | None:
     """Return the joined error bars of all modules, infinite for modules without; None where no module has any."""
     if all(part is None for part in parts):
         return None
     unknown = ("deviation", "below", "above")
-    names = [field.name for field in fields(kind)]
-    maps = {name: [None if part is None else getattr(part, name) for part in parts] for name in names}
-    return kind(**{n: _joined_maps(layout, values, np.inf if n in unknown else 0.0) for n, values in maps.items()})
+    return Certainty(
+        *(
+            _joined_maps(
+                layout,
+                [None if part is None else getattr(part, field.name) for part in parts],
+                np.inf if field.name in unknown else 0.0,
+            )
+            for field in fields(Certainty)
+        )
+    )
 
 
 def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
@@ -261,8 +267,8 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     objective = float(sum(step.solution.objective for step in counted))
     solution = replace(first, costs=costs, objective=objective, status=status, **parts)
     bars = [None if step is None else step.bars for step in steps]
-    frame = _joined(layout, Certainty, [None if bar is None else bar.frame for bar in bars])
-    change = _joined(layout, Change, [None if bar is None else bar.change for bar in bars])
+    frame = _joined(layout, [None if bar is None else bar.frame for bar in bars])
+    change = _joined(layout, [None if bar is None else bar.change for bar in bars])
     reading = _joined_maps(layout, [None if bar is None else bar.reading for bar in bars], np.nan)
     return Step(
         solution,

@@ -97,8 +97,6 @@ class SequenceState:
         Solve of the baseline; None before it is solved.
     previous : array, shape (rows, columns), or None
         Last estimate, ohm.
-    previous_deviation : array, shape (rows, columns), or None
-        Standard deviation of its logarithm; None where it has no error bars.
     prepared : object
         Data that the method keeps between frames, or None.
     track : Track or None
@@ -115,7 +113,6 @@ class SequenceState:
     resting: Readings
     baseline: Step | None = None
     previous: Array | None = None
-    previous_deviation: Array | None = None
     prepared: Any = None
     track: Track | None = None
     first: bool = True

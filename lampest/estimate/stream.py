@@ -15,7 +15,7 @@ from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
-from lampest.posterior.covariance import DenseMemory, SampledMemory
+from lampest.posterior.covariance import DenseMemory, Memory, SampledMemory
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings, mean_change
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -23,6 +23,7 @@ from lampest.solvers.solution import Status
 
 # Ratio to the change at which weights were last chosen: a load that settles does not trigger another choice.
 MIN_INCREASE = 1.1
+MODULE = "module_{:04d}_"  # before the names of a module's arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,9 +126,7 @@ class Stream(SequenceState):
         """Return the stream with these unloaded readings, before its baseline is solved."""
         _check_frame(resting, self.scene)
         track = None if self.track is None else Track(self.track.shared, noise=self.track.noise)
-        return replace(
-            self, resting=resting, track=track, baseline=None, previous=None, previous_deviation=None, prepared=None
-        )
+        return replace(self, resting=resting, track=track, baseline=None, previous=None, prepared=None)
 
     def with_rest(self, solved: Step | None = None) -> Self:
         """Return the stream with its baseline, unless the baseline is solved together with the first frame.
@@ -238,38 +237,30 @@ class CarriedOver:
     @classmethod
     def of(cls, stream: Stream) -> "CarriedOver":
         """Return the memory of a stream."""
-        every = [(number, cls.of(module)) for number, module in enumerate(stream.modules) if module is not None]
+        arrays: dict[str, Any] = {"previous": stream.previous}
+        if stream.track is not None:
+            arrays |= {"deviation": stream.track.deviation, "answers": stream.track.answers}
+            arrays |= vars(stream.track.memory) if stream.track.memory is not None else {}
         if stream.modules:
-            return cls({_of_module(n) + name: values for n, own in every for name, values in own.arrays.items()})
-        track, memory = stream.track or Track(), stream.track and stream.track.memory
-        arrays: dict[str, Any] = {"previous": stream.previous, "previous_deviation": stream.previous_deviation}
-        arrays |= {"deviation": track.deviation}
-        for name in ("answers", "beyond"):  # of the last frame, then of the baseline
-            arrays[name] = None if getattr(track, name) is None else np.concatenate(getattr(track, name))
-        kind = "dense" if isinstance(memory, DenseMemory) else "sampled"
-        arrays |= {} if memory is None else {f"{kind}_{name}": value for name, value in vars(memory).items()}
+            parts = {MODULE.format(number): cls.of(part) for number, part in enumerate(stream.modules) if part}
+            arrays = {own + name: value for own, part in parts.items() for name, value in part.arrays.items()}
         known = {name: value for name, value in arrays.items() if value is not None}
         return cls({name: np.atleast_1d(np.asarray(value, float)) for name, value in known.items()})
 
     def onto(self, begun: Stream) -> Stream:
         """Return the stream after those frames, given the stream with its baseline before them."""
         if begun.modules:
-            every = ((module, self._under(_of_module(number))) for number, module in enumerate(begun.modules))
-            modules = tuple(module and CarriedOver(own).onto(module) for module, own in every)
+            parts = [
+                {name.removeprefix(own): array for name, array in self.arrays.items() if name.startswith(own)}
+                for own in map(MODULE.format, range(len(begun.modules)))
+            ]
+            pairs = zip(begun.modules, parts, strict=True)
+            modules = tuple(module and CarriedOver(arrays).onto(module) for module, arrays in pairs)
             return replace(begun, modules=modules, first=False)
-        arrays, dense, sampled = dict(self.arrays), self._under("dense_"), self._under("sampled_")
-        memory: DenseMemory | SampledMemory | None = DenseMemory(**dense) if dense else None
-        if sampled:
-            memory = SampledMemory(sampled["last"], sampled["baseline"], int(sampled["frames"][0]))
-        pairs: Any = {name: tuple(np.split(arrays[name], 2)) for name in ("answers", "beyond") if name in arrays}
-        track = begun.track and replace(begun.track, deviation=arrays.get("deviation"), memory=memory, **pairs)
-        previous, deviation = arrays.get("previous"), arrays.get("previous_deviation")
-        return replace(begun, previous=previous, previous_deviation=deviation, track=track, first=False)
-
-    def _under(self, prefix: str) -> dict[str, Array]:
-        return {name[len(prefix) :]: values for name, values in self.arrays.items() if name.startswith(prefix)}
-
-
-def _of_module(number: int) -> str:
-    """Return the prefix of the names of a module's arrays."""
-    return f"module_{number:04d}_"
+        known = dict(self.arrays)
+        memory: Memory | None = DenseMemory(known["blocks"]) if "blocks" in known else None
+        if "samples" in known:
+            memory = SampledMemory(known["samples"], int(known["frames"][0]))
+        answers, deviation = known.get("answers"), known.get("deviation")
+        track = begun.track and replace(begun.track, deviation=deviation, memory=memory, answers=answers)
+        return replace(begun, previous=known.get("previous"), track=track, first=False)

@@ -235,7 +235,7 @@ def length_of(file: h5py.File, path: str) -> int:
 def read_array(
     file: h5py.File,
     path: str,
-    dimensions: int | tuple[int, int],
+    dimensions: int | tuple[int, ...],
     shape: tuple[int, ...] = (),
     part: slice = ALL,
     kind: Any = None,
@@ -246,7 +246,7 @@ def read_array(
     ----------
     file : h5py.File
     path : str
-    dimensions : int or pair of int
+    dimensions : int or tuple of int
         Permitted numbers of dimensions.
     shape : tuple of int
         Required shape of the whole dataset; () for any.

@@ -2,12 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.cost.problem import Data
 from lampest.files.levels import TWO_SIDED
 from lampest.panel.panel import Array
 from lampest.posterior.interval import one_sided
@@ -15,38 +13,24 @@ from lampest.posterior.linear import LinearModel
 
 
 @dataclass(frozen=True, eq=False)
-class LogInterval:
-    """Standard deviation and 95 % interval of log r.
+class Certainty:
+    """Certainty of log r, or of a change of it, all arrays of one shape such as (frames, rows, columns).
 
     Attributes
     ----------
-    deviation : array, any shape
-        Standard deviation.
-    below, above : array, same shape
-        Extent of the 95 % interval below and above the estimate.
-    """
-
-    deviation: Array
-    below: Array
-    above: Array
-
-    def reaching_farther(self, below: Array, above: Array) -> Self:
-        """Return intervals with `below` and `above`, squares of extents in log r, added in quadrature."""
-        return replace(self, below=np.sqrt(self.below**2 + below), above=np.sqrt(self.above**2 + above))
-
-
-@dataclass(frozen=True, eq=False)
-class Certainty(LogInterval):
-    """Certainty of log r, all arrays (frames, rows, columns); deviation and above are infinite for an open cell.
-
-    Attributes
-    ----------
+    deviation : array
+        Standard deviation; infinite for an open cell.
+    below, above : array
+        Extent of the 95 % interval below and above the estimate; `above` is infinite for an open cell.
     resolution, data_share : array
         Diagonal and row sums of the averaging kernel; 0 for cells at an active bound.
     common : array
         Part of the standard deviation that all cells of a frame share.
     """
 
+    deviation: Array
+    below: Array
+    above: Array
     resolution: Array
     data_share: Array
     common: Array
@@ -54,33 +38,7 @@ class Certainty(LogInterval):
     @property
     def own(self) -> Array:
         """Each cell's own part of the standard deviation, √(deviation² − common²)."""
-        return own_part(self.deviation, self.common)
-
-    @classmethod
-    def inside(cls, cells: Array, data: Data, variances: tuple[Array, Array], shares: tuple[Array, Array]) -> Self:
-        """Return the two-sided certainty of cells that no bound holds.
-
-        Intervals end at most the noise of the reading below the lower bound. They are open above if they reach the
-        upper bound.
-
-        Parameters
-        ----------
-        cells : array, any shape
-            Estimate in ohm.
-        data : Data
-        variances : tuple of array
-            Variance of log r, and its part that moves all cells of a frame alike.
-        shares : tuple of array
-            Diagonal and row sums of the averaging kernel.
-        """
-        shape, (lower, upper) = cells.shape, data.log_bounds
-        deviation, common = (np.sqrt(variance).reshape(shape) for variance in variances)
-        position, reach = np.log(cells), TWO_SIDED * deviation
-        noise = TWO_SIDED * np.minimum(data.sigma / data.measured, 0.5)
-        above = np.where((position + reach >= upper) & (lower < upper), np.inf, reach)
-        below = np.minimum(reach, position - lower + noise)
-        resolution, data_share = (share.reshape(shape) for share in shares)
-        return cls(deviation, below, above, resolution, data_share, common)
+        return np.asarray(np.sqrt(np.maximum(self.deviation**2 - self.common**2, 0.0)))
 
     @classmethod
     def of(
@@ -89,30 +47,70 @@ class Certainty(LogInterval):
         variances: tuple[Array, Array],
         shares: tuple[Array, Array],
         released: Callable[[NDArray[np.intp]], Array],
-    ) -> Self:
+    ) -> "Certainty":
         """Return the certainty of an estimate: two-sided for free cells, one-sided at active bounds.
+
+        Two-sided intervals end at most the noise of the reading below the lower bound. They are open above if they
+        reach the upper bound.
 
         Parameters
         ----------
         model : LinearModel
-        variances, shares : tuple of array, shape (free,)
-            See `inside`.
+        variances : tuple of array, shape (free,)
+            Variance of log r, and its part that moves all cells of a frame alike.
+        shares : tuple of array, shape (free,)
+            Diagonal and row sums of the averaging kernel.
         released : callable
             Variance of log r of cells (numbers) at a bound, each released alone.
         """
-        at, whole = model.at, np.zeros((4, model.at.cell_resistance.size))
+        at, (lower, upper) = model.at, model.at.data.log_bounds
+        whole = np.zeros((4, at.cell_resistance.size))
         whole[:, model.free] = *variances, *shares
-        certainty = cls.inside(at.cell_resistance, at.data, (whole[0], whole[1]), (whole[2], whole[3]))
+        variance, shared, resolution, data_share = whole.reshape(4, *at.cell_resistance.shape)
+        deviation, noise = np.sqrt(variance), TWO_SIDED * np.minimum(at.data.sigma / at.data.measured, 0.5)
+        reach = TWO_SIDED * deviation
+        above = np.where((at.position + reach >= upper) & (lower < upper), np.inf, reach)
+        below = np.minimum(reach, at.position - lower + noise)
         pressed = np.flatnonzero(model.at_lower | model.at_upper)
         if len(pressed):
             # −log density of log r at the bound has the slope |∂φ/∂u|/(2 s²).
             slope, low = np.abs(model.gradient[pressed]) / (2 * model.scale), model.at_lower[pressed]
-            deviation, reach = one_sided(slope, released(pressed))
-            noise = TWO_SIDED * np.minimum(at.data.sigma / at.data.measured, 0.5).ravel()[pressed]
-            certainty.deviation.flat[pressed] = np.where(low, deviation, np.inf)
-            certainty.above.flat[pressed] = np.where(low, reach, np.inf)
-            certainty.below.flat[pressed] = np.where(low, noise, reach)
-        return certainty
+            size, quantile = one_sided(slope, released(pressed))
+            deviation.flat[pressed] = np.where(low, size, np.inf)
+            above.flat[pressed] = np.where(low, quantile, np.inf)
+            below.flat[pressed] = np.where(low, noise.flat[pressed], quantile)
+        return cls(deviation, below, above, resolution, data_share, np.sqrt(shared))
+
+    def less(self, baseline: "Certainty", shared: Array, common: Array | None = None) -> "Certainty":
+        """Return the certainty of the change from a baseline, √(a² + b² − 2·shared) of deviations and of ends.
+
+        Parameters
+        ----------
+        baseline : Certainty
+        shared : array
+            Covariance of the two errors.
+        common : array or None
+            Covariance of their common parts; None if it is not known: then the whole deviation counts as each cell's
+            own.
+        """
+
+        def joined(of_frame: Array, of_baseline: Array, shared: Array) -> Array:
+            with np.errstate(invalid="ignore"):
+                return np.asarray(np.sqrt(np.maximum(of_frame**2 + of_baseline**2 - 2 * shared, 0)))
+
+        ends = TWO_SIDED**2 * shared
+        return replace(
+            self,
+            deviation=joined(self.deviation, baseline.deviation, shared),
+            # The lower end of the difference combines the frame's lower with the baseline's upper end.
+            below=joined(self.below, baseline.above, ends),
+            above=joined(self.above, baseline.below, ends),
+            common=np.zeros(self.common.shape) if common is None else joined(self.common, baseline.common, common),
+        )
+
+    def reaching_farther(self, below: Array, above: Array) -> "Certainty":
+        """Return intervals with `below` and `above`, squares of extents in log r, added in quadrature."""
+        return replace(self, below=np.sqrt(self.below**2 + below), above=np.sqrt(self.above**2 + above))
 
     def widened(self, answer: Array) -> "Certainty":
         """Return the certainty with further independent errors of unit variance.
@@ -120,11 +118,9 @@ class Certainty(LogInterval):
         `answer` is their effect on log r, (frames · cells, n). The part that moves all cells of a frame alike is added
         to `common`.
         """
-        rows, columns = self.deviation.shape[-2:]
-        answers = answer.reshape(*self.deviation.shape[:-2], rows * columns, -1)
-        variance, common = (
-            part.reshape(self.deviation.shape) for part in ((answers**2).sum(axis=-1), common_variance(answers))
-        )
+        shape = self.deviation.shape
+        answers = answer.reshape(*shape[:-2], shape[-2] * shape[-1], -1)
+        variance, common = (part.reshape(shape) for part in ((answers**2).sum(axis=-1), common_variance(answers)))
         wider = self.reaching_farther(TWO_SIDED**2 * variance, TWO_SIDED**2 * variance)
         deviation, common = np.sqrt(self.deviation**2 + variance), np.sqrt(self.common**2 + common)
         return replace(wider, deviation=deviation, common=common)
@@ -156,8 +152,3 @@ def common_variance(answer: Array) -> Array:
     count = ordered.shape[-1]
     apart = answer - (ordered[..., None, :, (count - 1) // 2] + ordered[..., None, :, count // 2]) / 2
     return np.asarray(np.maximum(answer**2 - apart**2, 0.0).sum(axis=-1))
-
-
-def own_part(deviation: Array, common: Array) -> Array:
-    """Return √(deviation² − common²), infinite where `deviation` is; any shape."""
-    return np.asarray(np.sqrt(np.maximum(deviation**2 - common**2, 0.0)))

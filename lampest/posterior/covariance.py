@@ -31,7 +31,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,60 +56,51 @@ class DenseMemory:
 
     Attributes
     ----------
-    last, baseline : array, shape (cells, cells)
-        Covariance of the last estimate, and of the baseline.
-    with_baseline : array, shape (cells, cells)
-        Covariance between the last estimate (rows) and the baseline (columns).
+    blocks : array, shape (2, 2, cells, cells)
+        S₀, the joint covariance of the last estimate (0) and the baseline (1).
     """
 
-    last: Array
-    baseline: Array
-    with_baseline: Array
+    blocks: Array
 
-    def resting(self) -> Self:
+    def resting(self) -> "DenseMemory":
         """Return the memory with the last estimate as the baseline."""
-        return replace(self, baseline=self.last, with_baseline=self.last)
+        return DenseMemory(np.broadcast_to(self.blocks[0, 0], self.blocks.shape))
 
     def shared(self) -> Array:
         """Return the covariance of the last estimate and the baseline, cell by cell, (cells,)."""
-        return np.asarray(np.diag(self.with_baseline))
+        return np.asarray(np.diag(self.blocks[0, 1]))
 
     def variance(self) -> Array:
         """Return the variance of the last estimate, (cells,)."""
-        return np.asarray(np.diag(self.last))
-
-    def both(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Return the joint covariance S₀ of (last estimate, baseline) as 2 × 2 blocks."""
-        return (self.last, self.with_baseline), (self.with_baseline.T, self.baseline)
+        return np.asarray(np.diag(self.blocks[0, 0]))
 
 
 @dataclass(frozen=True, eq=False)
 class SampledMemory:
-    """The same as samples, (samples, cells) each.
+    """The same as samples.
 
     Attributes
     ----------
-    last, baseline : array, shape (samples, cells)
-        Errors of the last estimate, and of the baseline.
+    samples : array, shape (2, samples, cells)
+        Errors of the last estimate (0) and of the baseline (1).
     frames : int
         Number of frames so far, the seed of the next frame's noise.
     """
 
-    last: Array
-    baseline: Array
+    samples: Array
     frames: int = 1
 
-    def resting(self) -> Self:
+    def resting(self) -> "SampledMemory":
         """Return the memory with the last estimate as the baseline."""
-        return replace(self, baseline=self.last)
+        return replace(self, samples=self.samples[[0, 0]])
 
     def shared(self) -> Array:
         """Return the covariance of the last estimate and the baseline, cell by cell, (cells,)."""
-        return np.asarray(np.mean(self.last * self.baseline, axis=0))
+        return np.asarray(np.mean(self.samples[0] * self.samples[1], axis=0))
 
     def variance(self) -> Array:
         """Return the variance of the last estimate, (cells,)."""
-        return np.asarray(np.mean(self.last**2, axis=0))
+        return np.asarray(np.mean(self.samples[0] ** 2, axis=0))
 
 
 Memory = DenseMemory | SampledMemory
@@ -145,11 +136,7 @@ class DenseErrors:
     @cached_property
     def jacobian(self) -> Array:
         """J, the sensitivity over the free cells, (data rows, free)."""
-        return np.asarray(self._of_free(self.sensitivity))
-
-    def _of_free(self, columns: Any) -> Any:
-        free = self.model.free
-        return columns if len(free) == columns.shape[1] else columns[:, free]
+        return self.sensitivity[:, self.model.free]
 
     def forward(self, change: Array) -> Array:
         """Return the change of the data, (data rows, n), for changes of log r of all cells, (cells, n)."""
@@ -176,7 +163,7 @@ class DenseErrors:
     @cached_property
     def _penalties(self) -> Array:
         """√Ω Z over the free cells, (penalty rows, free)."""
-        return np.asarray(self._of_free(self._rows).toarray())
+        return np.asarray(self._rows[:, self.model.free].toarray())
 
     @cached_property
     def inverse(self) -> Array:
@@ -185,7 +172,7 @@ class DenseErrors:
         if not len(self.model.free):
             return np.zeros((0, 0))
         matrix = blas.dsyrk(1.0, (self.jacobian * np.sqrt(self.model.data_curvature)[:, None]).T)
-        matrix += self._of_free(self._rows).T @ self._penalties
+        matrix += self._rows[:, self.model.free].T @ self._penalties
         matrix[np.diag_indices(len(matrix))] += self.model.ignorance * self.model.scale
         return positive_inverse(matrix)
 
@@ -197,7 +184,7 @@ class DenseErrors:
     @cached_property
     def _pulls(self) -> Array:
         """A⁻¹ Zᵀ √Ω, (free, penalty rows)."""
-        return np.asarray((self._of_free(self._rows) @ self.inverse).T)
+        return np.asarray((self._rows[:, self.model.free] @ self.inverse).T)
 
     def determined(self, term: int) -> float:
         """Return the number of residuals of a term (number) that the data determine.
@@ -222,7 +209,7 @@ class DenseErrors:
     def _carried(self) -> list[tuple[int, Array]]:
         """Pairs of a number and −A⁻¹ M, (free, cells): effect of errors of the previous frame (0), the baseline (1)."""
         size = np.sqrt(self.model.penalty_curvature)[:, None]
-        known = enumerate((self.model.previous_jacobian, self.model.baseline_jacobian))
+        known = enumerate(self.model.known_jacobians)
         return [(which, np.asarray(-self._pulls @ (rows.toarray() * size))) for which, rows in known if rows.nnz]
 
     @cached_property
@@ -243,8 +230,8 @@ class DenseErrors:
         """The same of (A⁻¹ M) S₀ (A⁻¹ M)ᵀ, block by block of S₀."""
         if self.before is None:
             return []
-        pairs, both = product(self._carried, repeat=2), self.before.both()
-        return [(first @ both[row][column], second) for (row, first), (column, second) in pairs]
+        pairs, blocks = product(self._carried, repeat=2), self.before.blocks
+        return [(first @ blocks[row, column], second) for (row, first), (column, second) in pairs]
 
     @cached_property
     def variance(self) -> Array:
@@ -265,14 +252,15 @@ class DenseErrors:
         """
         size = self.model.at.cell_resistance[0].size
         if len(self.model.at.cell_resistance) == 2:
-            whole = self.covariance
-            return DenseMemory(whole[size:, size:], whole[:size, :size], whole[size:, :size])
-        with_baseline, baseline = np.zeros((2, size, size))
+            return DenseMemory(self.covariance.reshape(2, size, 2, size).swapaxes(1, 2)[::-1, ::-1])
+        blocks = np.zeros((2, 2, size, size))
+        blocks[0, 0] = self.covariance
         if self.before is not None:
-            baseline = self.before.baseline
+            blocks[1, 1] = self.before.blocks[1, 1]
             for which, carried in self._carried:
-                with_baseline[self.model.free] += carried @ self.before.both()[which][1]
-        return DenseMemory(self.covariance, baseline, with_baseline)
+                blocks[0, 1, self.model.free] += carried @ self.before.blocks[which, 1]
+            blocks[1, 0] = blocks[0, 1].T
+        return DenseMemory(blocks)
 
     @cached_property
     def resolution(self) -> Array:
@@ -311,7 +299,7 @@ class DenseErrors:
         for missing ones it is computed.
         """
         model = self.model
-        slopes = self._of_free(self._readings_by_cells)
+        slopes = self._readings_by_cells[:, model.free]
         variance = model.scale * np.sum((slopes @ self.inverse) * slopes, axis=1)
         if model.at.data.partial:
             missing = np.flatnonzero(np.ravel(model.at.data.given.seen) == 0)
@@ -321,32 +309,31 @@ class DenseErrors:
     @property
     def shared_variance(self) -> Array:
         """Part of the variance due to shared random errors V that moves all cells of a frame alike, (free,)."""
-        size, free = self.model.at.cell_resistance[0].size, self.model.free
-        common = np.zeros(len(free))
+        frames = self.model.free // self.model.at.cell_resistance[0].size
+        common = np.zeros(len(frames))
         if self.drawn is None:
             return common
-        answer = self.answer(self.drawn, *np.zeros((2, size, self.drawn.shape[1])))
-        for frame in np.unique(free // size):
-            common[free // size == frame] = common_variance(answer[free // size == frame])
+        answer = self.answer(self.drawn)
+        for frame in np.unique(frames):
+            common[frames == frame] = common_variance(answer[frames == frame])
         return np.asarray(np.minimum(common, self.variance))
 
-    def answer(self, rows: Array, last: Array, baseline: Array) -> Array:
+    def answer(self, rows: Array, known: Array | None = None) -> Array:
         """Return the effect on log r, (free, n), of errors that the data share with earlier estimates.
 
         Parameters
         ----------
         rows : array, shape (data rows, n)
             Errors of the data.
-        last, baseline : array, shape (cells, n)
-            Effect of the same errors on log r of the last estimate and of the baseline.
+        known : array, shape (2, cells, n), or None
+            Effect a of the same errors on log r of the last estimate and of the baseline; None for no effect.
         """
-        model = self.model
-        # K x − A⁻¹ Zᵀ Ω Z₀ a, a the effect on the earlier estimates
-        known = model.previous_jacobian @ last + model.baseline_jacobian @ baseline
-        if not known.any():
+        # K x − A⁻¹ Zᵀ Ω Z₀ a
+        carried = np.zeros(0) if known is None else self.model.carried(known)
+        if not carried.any():
             return self.gained(rows)
-        back = model.penalty_jacobian.T @ (model.penalty_curvature[:, None] * known)
-        return self.gained(rows) - self.solved(back[model.free])
+        back = self.model.penalty_jacobian.T @ (self.model.penalty_curvature[:, None] * carried)
+        return self.gained(rows) - self.solved(back[self.model.free])
 
     @cached_property
     def data_share(self) -> Array:
@@ -441,19 +428,12 @@ class SampledErrors(DenseErrors):
             total += float(right @ self.solved(right[:, None])[:, 0])
         return total / self.probes
 
-    @property
-    def _frames(self) -> int:
-        return 0 if self.before is None else self.before.frames
-
     @cached_property
     def _samples(self) -> tuple[Array, Array]:
         """Samples of ε, (samples, free), and an estimate of the diagonal of A⁻¹ Zᵀ Ω Z, (free,)."""
-        model, random = self.model, np.random.default_rng(self._frames)
+        model, random = self.model, np.random.default_rng(self.before.frames if self.before else 0)
         pulled, samples = np.zeros(len(model.free)), np.empty((self.samples, len(model.free)))
         size = np.sqrt(self.widening * model.scale)
-        curvature = sparse.diags_array(model.penalty_curvature)
-        # Ω Z₀, for M ε₀ = Zᵀ Ω Z₀ ε₀
-        previous, baseline = curvature @ model.previous_jacobian, curvature @ model.baseline_jacobian
         for number in range(self.samples):
             noise = random.standard_normal(len(model.noise)) * model.noise
             pull = random.standard_normal(len(size))
@@ -463,8 +443,9 @@ class SampledErrors(DenseErrors):
             right = self._adjoint(noise) + self._rows.T @ (size * pull)
             right += model.pulls @ random.standard_normal(model.pulls.shape[1])
             if self.before is not None:
-                known = previous @ self.before.last[number] + baseline @ self.before.baseline[number]
-                right -= model.penalty_jacobian.T @ known
+                # M ε₀ = Zᵀ Ω Z₀ ε₀
+                known = model.carried(self.before.samples[:, number])
+                right -= model.penalty_jacobian.T @ (model.penalty_curvature * known)
             samples[number] = self.solved(right[model.free, None])[:, 0]
             # E[ε·(Zᵀ √Ω z₂)/√(s²(C − B))] = diag(A⁻¹ Zᵀ Ω Z) over the samples
             pulled += samples[number] * (self._rows.T @ (pull / size))[model.free] / self.samples
@@ -488,13 +469,13 @@ class SampledErrors(DenseErrors):
         return np.sqrt(squares / self.samples)
 
     def memory(self) -> Memory:
-        size = self.model.at.cell_resistance[0].size
         samples = np.zeros((self.samples, self.model.at.cell_resistance.size))
         samples[:, self.model.free] = self._samples[0]
         if len(self.model.at.cell_resistance) == 2:
-            return SampledMemory(samples[:, size:], samples[:, :size])
-        baseline = np.zeros_like(samples) if self.before is None else self.before.baseline
-        return SampledMemory(samples, baseline, self._frames + 1)
+            return SampledMemory(samples.reshape(self.samples, 2, -1).swapaxes(0, 1)[::-1])
+        if self.before is None:
+            return SampledMemory(np.stack([samples, np.zeros_like(samples)]))
+        return SampledMemory(np.stack([samples, self.before.samples[1]]), self.before.frames + 1)
 
 
 def _by_columns(function: Callable[[Array], Array], columns: Array, size: int) -> Array:
@@ -518,9 +499,7 @@ def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = N
     return DenseErrors(model, memory, drawn)
 
 
-def active_bounds(
-    errors: DenseErrors, rows: Array, last: Array, baseline: Array
-) -> tuple[Array, NDArray[np.intp], Array, Array]:
+def active_bounds(errors: DenseErrors, rows: Array, known: Array) -> tuple[Array, NDArray[np.intp], Array, Array]:
     """Return the effect of shared errors z on the free cells, and intervals of the cells at a bound.
 
     The distance t_c of a cell from its bound is distributed as N(−slope·v, v + |a|²) truncated to t_c ≥ 0, with v its
@@ -532,7 +511,7 @@ def active_bounds(
     errors : DenseErrors
     rows : array, shape (data rows, n)
         Effect of z on the data.
-    last, baseline : array, shape (cells, n)
+    known : array, shape (2, cells, n)
         Effect of z on log r of the last estimate and of the baseline.
 
     Returns
@@ -554,8 +533,7 @@ def active_bounds(
     # Whitened rows: A = Xᵀ X with X = (√Ω J; √Ω Z), and their change Y with z; the effect of z is (Xᵀ X)⁻¹ Xᵀ Y.
     data, penalties = np.sqrt(model.data_curvature)[:, None], np.sqrt(model.penalty_curvature)[:, None]
     stacked = np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties]) * stretch
-    carried = model.previous_jacobian @ last + model.baseline_jacobian @ baseline
-    moved = np.vstack([rows * data, -carried * penalties])
+    moved = np.vstack([rows * data, -model.carried(known) * penalties])
     # Each cell at a bound alone: Schur complement, variance v, slope of −log density, and effect a of z.
     own, others = stacked[:, cells], stacked[:, free]
     across = errors.inverse @ (others.T @ own)

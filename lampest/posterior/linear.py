@@ -200,14 +200,23 @@ class LinearModel:
         return with_entries(jacobian, jacobian.data * cells)
 
     @cached_property
-    def previous_jacobian(self) -> sparse.csc_array:
-        """Derivative ∂x/∂u₀ of the penalties, u₀ = log r of the previous frame, sparse (penalty rows, cells)."""
-        return self._known_jacobian("by_previous", self.at.data.given.previous)
+    def known_jacobians(self) -> tuple[sparse.csc_array, ...]:
+        """Z₀, derivatives ∂x/∂u₀ of the penalties, sparse (penalty rows, cells).
 
-    @cached_property
-    def baseline_jacobian(self) -> sparse.csc_array:
-        """Derivative ∂x/∂u₀ of the penalties, u₀ = log r of the baseline, sparse (penalty rows, cells)."""
-        return self._known_jacobian("by_baseline", self.at.data.given.baseline)
+        u₀ = log r of the previous frame (0) and of the baseline (1).
+        """
+        given, jacobians = self.at.data.given, list[sparse.csc_array]()
+        for name, cells in (("by_previous", given.previous), ("by_baseline", given.baseline)):
+            jacobian = self._residuals.penalties.jacobian(name, self.at)
+            if cells is not None and jacobian.nnz:
+                jacobian = sparse.csc_array(jacobian @ sparse.diags_array(cells.ravel()))
+            jacobians.append(jacobian)
+        return tuple(jacobians)
+
+    def carried(self, known: Array) -> Array:
+        """Return Z₀ a, (penalty rows, …), for changes a (2, cells, …) of log r of the previous frame and baseline."""
+        previous, baseline = self.known_jacobians
+        return np.asarray(previous @ known[0] + baseline @ known[1])
 
     def known_share(self, variance: Array | None) -> Array:
         """Return B, the previous frame's share of every penalty row's variance, (penalty rows,).
@@ -218,14 +227,8 @@ class LinearModel:
         weighing = [number for number, term in enumerate(self.at.cost.terms) if term.weighs_previous]
         if variance is None or not weighing:
             return np.zeros(len(self.penalty_term))
-        share = np.minimum(_squares(self.previous_jacobian) @ variance, 1.0)
+        share = np.minimum(_squares(self.known_jacobians[0]) @ variance, 1.0)
         return np.where(np.isin(self.penalty_term, weighing), share, 0.0)
-
-    def _known_jacobian(self, name: str, cells: Array | None) -> sparse.csc_array:
-        jacobian = self._residuals.penalties.jacobian(name, self.at)
-        if cells is None or not jacobian.nnz:
-            return jacobian
-        return sparse.csc_array(jacobian @ sparse.diags_array(cells.ravel()))
 
 
 def curved_rows(cost: Cost, term: NDArray[np.intp]) -> Iterator[tuple[int, Loss, NDArray[np.bool_]]]:

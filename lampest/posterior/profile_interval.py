@@ -104,7 +104,7 @@ def _stood_in(
     model, unit = errors.model, np.zeros(readings.value.shape)
     unit.flat[place] = TWO_SIDED * stand_in_spread(readings.value, readings.plain).flat[place]
     rows = np.asarray(model.through @ (readings.value * unit).reshape(-1, 1))
-    nothing, along = np.zeros((unit.size, 1)), np.zeros(model.at.cell_resistance.size)
-    along[model.free] = errors.answer(rows, nothing, nothing)[:, 0]
+    along = np.zeros(model.at.cell_resistance.size)
+    along[model.free] = errors.answer(rows)[:, 0]
     low, high = (moved(replace(readings, value=readings.value * np.exp(side * unit))) for side in (-1, 1))
     return along, low, high

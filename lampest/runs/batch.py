@@ -34,7 +34,7 @@ from lampest.runs.results import join_case, read_results, stored_cases, write_re
 
 RESULTS = "results.h5"
 CASES = "cases"
-CARRIED = "carried/2"
+CARRIED = "carried/3"
 EVERY_SECONDS = 1.0  # between two counts of finished frames; least time between two files of these frames
 KEPT_SHARE = 0.05  # largest share of a case's time for these files
 
@@ -337,7 +337,7 @@ def read_carried(path: Path) -> CarriedOver:
         if hdf5.read_attribute(file, "/", "lampest_format") != CARRIED:
             raise InputError(f"{path}: is not the remainder of a part of a case")
         names = hdf5.children(file, "/carried")
-        return CarriedOver({name: hdf5.read_array(file, f"/carried/{name}", (1, 2)) for name in names})
+        return CarriedOver({name: hdf5.read_array(file, f"/carried/{name}", (1, 2, 3, 4)) for name in names})
 
 
 def _kept_frames(task: Task) -> Callable[[int, int, Callable[[], Estimates] | None], None]:

@@ -126,15 +126,6 @@ class BatchOutcome:
     solved: Mask
     iterations: NDArray[np.int64]
 
-    def where(self, chosen: Mask, otherwise: "BatchOutcome") -> "BatchOutcome":
-        """Return this outcome for the chosen panels, and `otherwise` for all others."""
-        if chosen.all():
-            return self
-        position = np.where(chosen[:, None], self.points.position, otherwise.points.position)
-        solved = np.where(chosen, self.solved, otherwise.solved)
-        iterations = np.where(chosen, self.iterations, otherwise.iterations)
-        return BatchOutcome(self.points.elsewhere(position), solved, iterations)
-
 
 def serves(cost: Cost, data: Data) -> bool:
     """Return whether a batch can minimise a cost.

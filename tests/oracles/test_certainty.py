@@ -167,12 +167,12 @@ def test_samples_of_unit_draws_add_up_to_the_covariance(unit_draws: Callable[[in
     """Each column of the errors before is a sample more, so that the sum over all is exact, but for `IGNORANCE`."""
     model, root, drawn = compared()
     covariance = root @ root.T
-    known = DenseMemory(covariance[:12, :12], covariance[12:, 12:], covariance[:12, 12:])
+    known = DenseMemory(covariance.reshape(2, 12, 2, 12).swapaxes(1, 2))
     matrices = DenseErrors(model, known, drawn)
     each = len(model.noise) + len(model.penalty_term) + 2 + model.pulls.shape[1]
     count = each + 24
-    last, baseline = np.vstack([np.zeros((each, 24)), root.T]).reshape(count, 2, 12).swapaxes(0, 1)
-    samples = SampledErrors(model, SampledMemory(last, baseline, 5), drawn, samples=count, accuracy=1e-12)
+    before = SampledMemory(np.vstack([np.zeros((each, 24)), root.T]).reshape(count, 2, 12).swapaxes(0, 1), 5)
+    samples = SampledErrors(model, before, drawn, samples=count, accuracy=1e-12)
     samples.__dict__["widening"] = matrices.widening
     seeds = unit_draws(each)
     assert_allclose(count * samples.variance, matrices.variance, rtol=1e-5)
@@ -187,7 +187,7 @@ def test_samples_of_unit_draws_add_up_to_the_covariance(unit_draws: Callable[[in
     assert_allclose(count * later.variance(), exact.variance(), rtol=1e-5)
     resting, exact = later.resting(), exact.resting()
     assert_allclose(count * resting.shared(), exact.shared(), rtol=1e-5)
-    assert np.array_equal(resting.baseline, later.last)
+    assert np.array_equal(resting.samples, later.samples[[0, 0]])
 
 
 def test_products_of_samples_are_those_of_matrices(unit_draws: Callable[[int], list[int]]) -> None:
@@ -221,7 +221,7 @@ def test_samples_of_a_pair_are_those_of_its_baseline_and_of_its_frame() -> None:
     at = evaluated(estimator.cost(scene, 2, partial=data.partial), data, cells)
     samples = SampledErrors(LinearModel(at, np.zeros(0)), samples=3)
     memory = samples.memory()
-    assert np.array_equal(np.hstack([memory.baseline, memory.last]), samples._samples[0]) and memory.frames == 1
+    assert np.array_equal(np.hstack(memory.samples[::-1]), samples._samples[0]) and memory.frames == 1
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.3, 5.0, 49.0, 51.0, 1e4])

@@ -225,15 +225,15 @@ def test_a_sequence_goes_on_from_the_arrays_that_are_kept_of_it(panel: str) -> N
     assert_allclose(step.cell_resistance, expected.cell_resistance, rtol=1e-12)
     assert_allclose(step.bars.change.deviation, expected.bars.change.deviation, rtol=1e-10)
     part = stream.modules[0] if stream.modules else stream
-    pairs = np.random.default_rng(1).standard_normal((3, 2, 4, 5))
-    track = replace(part.track, memory=SampledMemory(*pairs[0], 3), answers=tuple(pairs[1]), beyond=tuple(pairs[2]))
+    pairs = np.random.default_rng(1).standard_normal((2, 2, 4, 5))
+    track = replace(part.track, memory=SampledMemory(pairs[0], 3), answers=pairs[1])
     whole = replace(part, track=track)
     track = CarriedOver.of(replace(stream, modules=(whole, *stream.modules[1:])) if stream.modules else whole).onto(
         stream
     )
     track = (track.modules[0] if stream.modules else track).track
     assert isinstance(track.memory, SampledMemory) and track.memory.frames == 3
-    assert_allclose([(track.memory.last, track.memory.baseline), track.answers, track.beyond], pairs)
+    assert_allclose([track.memory.samples, track.answers], pairs)
 
 
 @pytest.mark.slow
@@ -574,7 +574,7 @@ def test_error_bars_of_a_panel_of_a_batch_are_those_of_the_panel_alone(penalty: 
 
 def test_inputs_that_nobody_gives_stand_as_absent_for_every_panel() -> None:
     estimator, readings = Estimator((Misfit(),), "reduced"), frames_of_panels(0.0)
-    data = estimator.data(readings, Background(ALIKE, 1.0, None, None, None))
+    data = estimator.data(readings, Background(ALIKE, 1.0))
     named = data.of_panels(0).flat
     sources, given = dict(data.given.sources()), dict(data.given.named())
     missing = sources.keys() - given.keys()

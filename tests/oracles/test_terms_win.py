@@ -191,7 +191,7 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
     carried = np.array([moved(step) - moved(-step) for step in 1e-3 * np.eye(2 * cells)]).T / 2e-3
     root = 0.1 * rng.standard_normal((2 * cells, 2 * cells))
     joint = root @ root.T
-    memory = DenseMemory(joint[:cells, :cells], joint[cells:, cells:], joint[:cells, cells:])
+    memory = DenseMemory(joint.reshape(2, cells, 2, cells).swapaxes(1, 2))
     solution = best_solution(solver, data, known[:1])
     model = LinearModel(solution.at, np.zeros(0))
     dense = DenseErrors(model, memory)
@@ -199,11 +199,11 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
     expected = carried @ joint @ carried.T
     assert_allclose(added, expected, atol=0.03 * np.max(expected))
     assert_allclose(dense.variance, np.diag(dense.covariance), rtol=1e-10)
-    shared = dense.memory().with_baseline
+    shared = dense.memory().blocks[0, 1]
     expected = carried @ joint[:, cells:]
     assert_allclose(shared, expected, atol=0.03 * np.max(np.abs(expected)))
     samples = (root @ rng.standard_normal((2 * cells, SampledErrors.samples))).T
-    sampled = SampledErrors(model, SampledMemory(samples[:, :cells], samples[:, cells:]))
+    sampled = SampledErrors(model, SampledMemory(samples.reshape(-1, 2, cells).swapaxes(0, 1)))
     assert_allclose(sampled.variance, dense.variance, rtol=0.6)
 
 
@@ -319,7 +319,7 @@ def test_covariance_counts_the_previous_frame_once() -> None:
     data = Data(given, measured / 9, measured * 1e3)
     cost = Cost(Panel(*shape), (Misfit(weighting="noise"), Arrival(walk_percent=walk_percent)))
     model = LinearModel(Evaluation.at(cost, data, previous[None]), np.zeros(0))
-    errors_ = DenseErrors(model, DenseMemory(before, before, before))
+    errors_ = DenseErrors(model, DenseMemory(np.broadcast_to(before, (2, 2, cells, cells))))
     walk_ = (walk_percent / 100) ** 2
     sensitivity = errors_.jacobian  # of residuals in units of the noise, so that R = 1
     precision = np.diag(1 / (np.diag(before) + walk_))

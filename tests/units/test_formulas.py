@@ -388,7 +388,7 @@ def test_penalties_are_as_wide_as_their_residuals_say_without_the_share_of_the_f
     at = SimpleNamespace(cost=SimpleNamespace(terms=terms))
     unread = np.zeros(5, dtype=bool)
     model: Any = SimpleNamespace(
-        penalty_term=term, penalty_squares=squares, previous_jacobian=jacobian, at=at, unread_rows=unread
+        penalty_term=term, penalty_squares=squares, known_jacobians=[jacobian], at=at, unread_rows=unread
     )
     model.known_share = lambda variance: LinearModel.known_share(model, variance)
     determined = {0: 7.0, 1: 0.2}

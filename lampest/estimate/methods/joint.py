@@ -28,7 +28,7 @@ from lampest.posterior.chain import Chain
 from lampest.posterior.covariance import positive_inverse
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import IGNORANCE, LinearModel
-from lampest.posterior.track import Bars, Change
+from lampest.posterior.track import Bars
 
 ROUNDING = 1e-11  # relative error of Φ, a sum of some thousand terms
 # Share of the frames' information on z that is used, because cells that move little and are taken for still bias z.
@@ -439,7 +439,7 @@ def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tupl
     together = chain.since(resting - 1)[1:, : joint.cells] + np.sum(answer[resting:] * answer[resting - 1], axis=2)
     together = together.reshape(-1, *baseline.deviation.shape)
     pairs = zip(certainty, together, strict=True)
-    return baseline, tuple(Bars(frame, Change.between(frame, baseline, shared)) for frame, shared in pairs)
+    return baseline, tuple(Bars(frame, frame.less(baseline, shared)) for frame, shared in pairs)
 
 
 def _shared(at: Sequence[Evaluation], errors: Shared | None) -> Array:

@@ -108,25 +108,25 @@ class Method(Configuration):
         readings : Readings
             (rows, columns).
         """
-        objective, behind = state.estimator, state.background
+        objective, behind, previous = state.estimator, state.background, state.previous
         if self.joint_start(objective) and not state.rested:
             return objective.data(state.resting.together(readings), behind), None
-        known = resting = deviation = None
         if objective.relative:
-            known = state.scene.circuit.uniform_start(readings.value) if state.previous is None else state.previous
-            resting = None if state.baseline is None else state.baseline.estimate(0)
-        if objective.weighs_previous:  # open cells and those without error bars have the standard deviation UNKNOWN_SD
-            known_deviation = None if state.previous is None else state.previous_deviation
-            deviation = np.fmin(
-                np.full(state.scene.panel.shape, np.nan) if known_deviation is None else known_deviation, UNKNOWN_SD
-            )
-        behind = replace(behind, previous=known, baseline=resting, previous_deviation=deviation)
-        data = objective.data(readings.alone(), behind)
-        if objective.weighs_previous and known is not None:
-            # remove the step that all cells have in common, so that the previous cells predict the frame's level
-            step = data.readout.common_step(data.measured[0], data.network(0, known).reading(), data.plain[0])
-            data = objective.data(readings.alone(), replace(behind, previous=known * step))
-        return replace(data, first=state.first), None if state.previous is None else state.previous[None]
+            known = state.scene.circuit.uniform_start(readings.value) if previous is None else previous
+            baseline = None if state.baseline is None else state.baseline.estimate(0)
+            behind = replace(behind, previous=known, baseline=baseline)
+            if objective.weighs_previous:
+                # Open cells and those without error bars have the standard deviation UNKNOWN_SD.
+                deviation = np.full(known.shape, UNKNOWN_SD)
+                if state.track is not None and state.track.deviation is not None:
+                    deviation = np.fmin(state.track.deviation, deviation)
+                behind = replace(behind, previous_deviation=deviation)
+                # remove the step that all cells have in common, so that the previous cells predict the frame's level
+                data = objective.data(readings.alone(), behind)
+                step = data.readout.common_step(data.measured[0], data.network(0, known).reading(), data.plain[0])
+                behind = replace(behind, previous=known * step)
+        data = replace(objective.data(readings.alone(), behind), first=state.first)
+        return data, None if previous is None else previous[None]
 
     def solve(self, state: SequenceState, data: Data, previous: Array | None) -> Step:
         """Return one solve, choosing the weights that are left to the data.
@@ -167,15 +167,14 @@ class Method(Configuration):
         alone = state.without_comparisons() if state.estimator.relative else state
         first = solved or self.solve(alone, *self.given(alone, state.resting))
         settled, baseline = with_contacts(alone, state.resting, first, self._elsewhere)
-        state = replace(state, scene=settled.scene, track=settled.track)
-        with suppress(*BROKEN):
-            model = baseline.surroundings()
-            if state.track is not None and model is not None:
+        state, model = replace(state, scene=settled.scene, track=settled.track), baseline.surroundings()
+        if state.track is not None and model is not None:
+            with suppress(*BROKEN):
                 track = state.track.resting(model, remembered=state.estimator.relative)
                 if track.baseline is not None and state.resting.partial:
                     beyond = self._beyond(alone, state.resting, baseline, model)
                     track = replace(track, baseline=track.baseline.reaching_farther(*beyond))
-                state = replace(state, track=track, previous_deviation=track.deviation)
+                state = replace(state, track=track)
         return state.with_baseline(baseline)
 
     def push(self, state: S, readings: Readings) -> tuple[S, Step]:
@@ -189,24 +188,19 @@ class Method(Configuration):
     def after(self, state: S, step: Step, readings: Readings) -> tuple[S, Step]:
         """Return the state after a solved frame, and its step with error bars where the state requests them."""
         track, model, begin = state.track, step.surroundings(), perf_counter()
-        pair = len(step.solution.cell_resistance) == 2
         if track is not None and model is not None:
             with suppress(*BROKEN):
                 advanced, bars = track.advanced(model)
                 if readings.partial:
-                    below, above = self._beyond(state, readings, step, model)
-                    if advanced.beyond is not None:
-                        # missing unloaded readings of a joint pair widen the intervals of all later frames, too
-                        below, above = np.maximum(below, advanced.beyond[0]), np.maximum(above, advanced.beyond[1])
-                    elif pair and state.resting.missing(state.scene).any():
-                        advanced = replace(advanced, beyond=(below, above))
-                    bars = bars.reaching_farther(below, above)
+                    bars = bars.reaching_farther(*self._beyond(state, readings, step, model))
                 track, step = advanced, replace(step, bars=bars, bars_seconds=perf_counter() - begin)
         prepared, step, estimate = self.prepared_by(step.solution, state.prepared), step.bare(), step.estimate(-1)
-        state = replace(state, baseline=step if pair else state.baseline, prepared=prepared, track=track)
+        baseline = step if len(step.solution.cell_resistance) == 2 else state.baseline
+        state = replace(state, baseline=baseline, prepared=prepared, track=track)
         if estimate is not None:
-            deviation = None if track is None or step.bars is None else track.deviation
-            state = replace(state, previous=estimate, previous_deviation=deviation, first=False)
+            if track is not None and step.bars is None:
+                track = replace(track, deviation=None)  # that of an earlier frame
+            state = replace(state, previous=estimate, track=track, first=False)
         return state, step
 
     def sequence(
