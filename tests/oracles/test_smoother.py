@@ -25,7 +25,7 @@ from lampest import (
 )
 from lampest.cost.given import Background
 from lampest.estimate.assumptions import ASSUMED
-from lampest.estimate.methods.joint import Joint, JointData
+from lampest.estimate.methods.joint import Joint
 from lampest.estimate.methods.smoother import Walk, smoothed
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
@@ -119,20 +119,20 @@ def ended(made: Recording) -> tuple[Joint, Array]:
     data = [estimator.data(readings[frame].alone(), Background(made.scene)) for frame in range(2, 8)]
     cost = [estimator.cost(made.scene, 1)] * len(data)
     start = np.log(made.truth_cell_resistance[2:8]).reshape(len(data), -1)
-    frames = JointData.alone(cost, data, Shared.of(made.scene), start)
-    return smoothed(frames, start, Walk(0.2, 3.0), Settings(tolerance=1e-10))[0], start
+    begun = Joint.of(cost, data, Shared.of(made.scene), start)
+    return smoothed(begun, Walk(0.2, 3.0), Settings(tolerance=1e-10))[0], start
 
 
 def test_errors_that_the_cost_knows_nothing_of_move_its_end_as_told() -> None:
     """Readings moved by a hundredth of σ, and Φ minimised anew with the same ties."""
     joint, _ = ended(panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
-    sigma = np.stack([one.given.sigma.reshape(-1, 1) for one in joint.frames.data])
+    sigma = np.stack([one.given.sigma.reshape(-1, 1) for one in joint.data])
     columns = 0.01 * sigma * np.random.default_rng(0).standard_normal((6, 9, 1))
     moved = []
-    for one, column in zip(joint.frames.data, columns, strict=True):
+    for one, column in zip(joint.data, columns, strict=True):
         measured = one.given.measured + column.reshape(one.given.measured.shape)
         moved.append(replace(one, given=replace(one.given, measured=measured)))
-    there = replace(joint, frames=replace(joint.frames, data=tuple(moved)))
+    there = replace(joint, data=tuple(moved))
     for _ in range(20):
         there = there.stepped()
     answer = joint.answer(columns)[:, :, 0]
@@ -146,24 +146,24 @@ def beside_its_end(chance: int) -> Joint:
     data = [estimator.data(readings[frame].alone(), Background(made.scene)) for frame in range(3)]
     cells = np.log(made.truth_cell_resistance[:3]).reshape(3, -1)
     anchor = cells + 1e4 * rng.standard_normal(cells.shape)
-    frames = JointData.alone([estimator.cost(made.scene, 1)] * 3, data, Shared.of(made.scene), anchor)
+    begun = Joint.of([estimator.cost(made.scene, 1)] * 3, data, Shared.of(made.scene), cells)
     sigma = np.stack([one.given.sigma.reshape(-1, 1) for one in data])
-    frames = replace(frames, drawn=sigma * rng.standard_normal((3, 4, chance)))
+    drawn = sigma * rng.standard_normal((3, 4, chance))
     position = np.hstack([cells + 1e-3 * rng.standard_normal(cells.shape), rng.standard_normal((3, chance))])
-    joint = Joint(frames, position, np.zeros(2), rng.uniform(10, 1e4, (2, 4)))
-    joint = replace(joint, frames=frames.sharing(joint.at))
-    return replace(joint, shift=0.1 * rng.standard_normal(joint.frames.shared.shape[2] + 2))
+    stiffness = rng.uniform(10, 1e4, (2, 4))
+    joint = replace(begun, anchor=anchor, drawn=drawn, position=position, stiffness=stiffness).sharing()
+    return replace(joint, shift=0.1 * rng.standard_normal(len(joint.shift)))
 
 
 @pytest.mark.parametrize("chance", [0, 2])
 def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(chance: int) -> None:
     """The residuals of which Φ is the sum of squares, and their derivatives by differences."""
     joint = beside_its_end(chance)
-    size, sharing = joint.position.size, joint.frames.shared.shape[2]
+    size, sharing = joint.position.size, joint.shared.shape[2]
 
     def residuals(point: Array) -> Array:
         there = replace(joint, position=point[:size].reshape(joint.position.shape), shift=point[size:])
-        strayed, common = there.log_cells - joint.frames.anchor, there.shift[sharing:]
+        strayed, common = there.log_cells - joint.anchor, there.shift[sharing:]
         steps = np.diff(there.log_cells, axis=0) - common[:, None]
         misfit = [(at.reading - at.data.measured).ravel() / at.data.sigma.ravel() for at in there.at]
         parts = *misfit, there.chance, there.shift[:sharing], common / 0.1, 1e-2 * strayed, joint.stiffness**0.5 * steps
@@ -190,8 +190,8 @@ def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(cha
 def test_the_end_is_the_least_of_the_stated_cost() -> None:
     """Φ written out once more, from Kirchhoff's laws, minimised by BFGS from the estimate and from beside it."""
     joint, start = ended(panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
-    data = joint.frames.data
-    shared, shift, free = joint.frames.shared, joint.shift, start.size
+    data = joint.data
+    shared, shift, free = joint.shared, joint.shift, start.size
     sharing = shared.shape[2]
 
     def stated(point: Array) -> float:
@@ -318,8 +318,7 @@ def test_frames_as_they_come_are_estimated_with_those_before() -> None:
 def test_far_readings_count_by_their_slope_where_their_loss_bends_away() -> None:
     """Student's loss x: ρ' = 2x/(1 + x²/c²), ½ρ'' < 0 beyond the corner, where ρ'/2x is taken instead."""
     joint = beside_its_end(0)
-    cost = [replace(one, terms=ROBUST) for one in joint.frames.cost]
-    joint = replace(joint, frames=replace(joint.frames, cost=tuple(cost)))
+    joint = replace(joint, cost=tuple(replace(one, terms=ROBUST) for one in joint.cost))
     residual = np.array([0.0, 3.0, 4.0 + 1e-6, -9.0])
     joint.__dict__["models"] = [SimpleNamespace(residual=residual[:3]), SimpleNamespace(residual=residual[3:])]
     near, share = 1 - (residual / CORNER) ** 2, 1 / (1 + (residual / CORNER) ** 2)
@@ -337,11 +336,10 @@ def test_a_walk_begins_with_the_variance_that_each_frame_alone_leaves_its_cells(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of cells of which nothing is known, and of errors by chance of variance one."""
-    frames, alone = beside_its_end(2).frames, np.tile(np.linspace(7.0, 8.0, 4), (3, 1))
-    frames = replace(frames, shared=frames.shared[..., :0])
-    start = np.hstack([np.clip(alone, frames.bounds[0][:, :4], frames.bounds[1][:, :4]), np.zeros((3, 2))])
-    rows = Joint(frames, start, np.zeros(2), np.zeros((2, 4))).sensitivities
-    inverses = [np.linalg.inv(each.T @ each + np.diag([1e-4] * 4 + [1.0] * 2)) for each in rows]
+    joint, alone = beside_its_end(2), np.tile(np.linspace(7.0, 8.0, 4), (3, 1))
+    start = np.hstack([np.clip(alone, *(bound[:, :4] for bound in joint.bounds)), np.zeros((3, 2))])
+    joint = replace(joint, position=start, shift=np.zeros(len(joint.shift)))
+    inverses = [np.linalg.inv(each.T @ each + np.diag([1e-4] * 4 + [1.0] * 2)) for each in joint.sensitivities]
     variance = np.minimum([np.diag(inverse)[:4] for inverse in inverses], ASSUMED.jump**2)
     walks = list[tuple[Walk, Array]]()
 
@@ -351,7 +349,7 @@ def test_a_walk_begins_with_the_variance_that_each_frame_alone_leaves_its_cells(
 
     monkeypatch.setattr(Walk, "stiffness", begun)
     with pytest.raises(np.linalg.LinAlgError):
-        smoothed(frames, alone, Walk(0.1, 0.9), Settings())
+        smoothed(joint, Walk(0.1, 0.9), Settings())
     ((walk, squares),) = walks
     assert_allclose(squares, np.diff(start[:, :4], axis=0) ** 2 + variance[1:] + variance[:-1], rtol=1e-6)
     assert walk.deviation == pytest.approx(3.0 * np.sqrt(np.median(variance)))

@@ -170,7 +170,7 @@ def _likelihoods(recording: Recording) -> list[tuple[Array, Array, int]]:
         if len(block) < 2:
             continue
         try:
-            shared = SmootherMethod().least_cost(stream, [noise.readings[frame] for frame in block]).shared
+            shared = SmootherMethod().least_cost(stream, [noise.readings[frame] for frame in block]).shared_estimate
         except BROKEN:
             continue
         parts.append((*shared, len(block)))

@@ -37,8 +37,8 @@ HELD_PRECISION = 1e8  # precision of fixed z, in units of its prior
 
 
 @dataclass(frozen=True, eq=False)
-class JointData:
-    """Data of all frames.
+class Joint:
+    """Φ at a point.
 
     Attributes
     ----------
@@ -52,71 +52,6 @@ class JointData:
         V: response of the readings to w.
     shared : array, shape (frames, readings, n)
         U: response of the readings to z.
-    """
-
-    cost: tuple[Cost, ...]
-    data: tuple[Data, ...]
-    errors: Shared | None
-    anchor: Array
-    drawn: Array
-    shared: Array
-
-    @classmethod
-    def alone(
-        cls,
-        cost: Sequence[Cost],
-        data: Sequence[Data],
-        errors: Shared | None,
-        anchor: Array,
-        noise: FrameNoise | None = None,
-        resting: int = 0,
-    ) -> "JointData":
-        """Return the data of frames without shared errors, U without columns.
-
-        Parameters
-        ----------
-        cost : sequence of Cost
-        data : sequence of Data
-        errors : Shared or None
-            Errors that all readings share, for `sharing`.
-        anchor : array, shape (frames, cells)
-        noise : FrameNoise or None
-            Errors that the readings of a frame share.
-        resting : int
-            Number of the first frames that are means of parts of the unloaded ones.
-        """
-        count, size = len(data), data[0].measured.size
-        drawn = np.zeros((count, size, 0))
-        if noise is not None:
-            drawn = np.stack([noise.columns(frame.measured, baseline=False) for frame in data])
-            # each part is a mean of unloaded/resting frames
-            drawn[:resting] *= np.sqrt(resting / noise.unloaded)
-        return cls(tuple(cost), tuple(data), errors, anchor, drawn, np.zeros((count, size, 0)))
-
-    def sharing(self, at: Sequence[Evaluation]) -> "JointData":
-        """Return the data with U evaluated at the model's readings.
-
-        Evaluated at the measured readings, U would correlate with the noise, and a reference that reduces the noise
-        would seem to fit.
-        """
-        return replace(self, shared=_shared(at, self.errors))
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Bounds of u and w, (frames, cells + n)."""
-        limits = zip(*(data.log_bounds for data in self.data), strict=True)
-        lower, upper = (np.stack(limit).reshape(len(self.data), -1) for limit in limits)
-        more = ((0, 0), (0, self.drawn.shape[2]))
-        return np.pad(lower, more, constant_values=-np.inf), np.pad(upper, more, constant_values=np.inf)
-
-
-@dataclass(frozen=True, eq=False)
-class Joint:
-    """Φ at a point.
-
-    Attributes
-    ----------
-    frames : JointData
     position : array, shape (frames, cells + n)
         (u, w).
     shift : array, shape (n + frames − 1,)
@@ -127,18 +62,86 @@ class Joint:
         Estimate ẑ and its precision, to which Φ fixes z; None: z is free.
     """
 
-    frames: JointData
+    cost: tuple[Cost, ...]
+    data: tuple[Data, ...]
+    errors: Shared | None
+    anchor: Array
+    drawn: Array
+    shared: Array
     position: Array
     shift: Array
     stiffness: Array
     held: tuple[Array, Array] | None = None
 
+    @classmethod
+    def of(
+        cls,
+        cost: Sequence[Cost],
+        data: Sequence[Data],
+        errors: Shared | None,
+        alone: Array,
+        noise: FrameNoise | None = None,
+        resting: int = 0,
+    ) -> "Joint":
+        """Return Φ without ties, at the median of log r with the previous and the next frame.
+
+        A single wrong reading therefore starts no jump.
+
+        Parameters
+        ----------
+        cost : sequence of Cost
+        data : sequence of Data
+        errors : Shared or None
+            Errors that all readings share.
+        alone : array, shape (frames, cells)
+            log r of every frame alone, the anchor.
+        noise : FrameNoise or None
+            Errors that the readings of a frame share.
+        resting : int
+            Number of the first frames that are means of parts of the unloaded ones.
+        """
+        count, size = alone.shape
+        drawn = np.zeros((count, size, 0))
+        if noise is not None:
+            drawn = np.stack([noise.columns(frame.measured, baseline=False) for frame in data])
+            # each part is a mean of unloaded/resting frames
+            drawn[:resting] *= np.sqrt(resting / noise.unloaded)
+        lasting = np.median(np.stack([alone[:-2], alone[1:-1], alone[2:]]), axis=0)
+        start = np.pad(np.concatenate([alone[:1], lasting, alone[-1:]]), ((0, 0), (0, drawn.shape[2])))
+        nothing, steps = np.zeros((count, size, 0)), np.zeros(count - 1)
+        joint = cls(tuple(cost), tuple(data), errors, alone, drawn, nothing, start, steps, np.zeros((count - 1, size)))
+        return replace(joint, position=np.clip(start, *joint.bounds)).sharing()
+
+    def sharing(self) -> "Joint":
+        """Return Φ with U evaluated at the model's readings.
+
+        Evaluated at the measured readings, U would correlate with the noise, and a reference that reduces the noise
+        would seem to fit.
+        """
+        shared, known = self.responses(self.errors), self._sharing
+        shift = np.append(self.shift[:known] if known else np.zeros(shared.shape[2]), self.shift[known:])
+        return replace(self, shared=shared, shift=shift)
+
+    def responses(self, errors: Shared | None) -> Array:
+        """Return the response of the readings to shared errors, (frames, readings, n); n is 0 without errors."""
+        if errors is None:
+            return np.zeros((*self.anchor.shape, 0))
+        return np.stack([errors.columns(at.networks[0], at.reading[0]) for at in self.at])
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Bounds of u and w, (frames, cells + n)."""
+        limits = zip(*(data.log_bounds for data in self.data), strict=True)
+        lower, upper = (np.stack(limit).reshape(self.anchor.shape) for limit in limits)
+        more = ((0, 0), (0, self.drawn.shape[2]))
+        return np.pad(lower, more, constant_values=-np.inf), np.pad(upper, more, constant_values=np.inf)
+
     @cached_property
     def at(self) -> tuple[Evaluation, ...]:
         """Misfit of every frame, with the shared errors U z + V w subtracted from its readings."""
-        frames, evaluations = self.frames, []
-        offsets = frames.shared @ self.shift[: self._sharing] + np.einsum("tri,ti->tr", frames.drawn, self.chance)
-        for cost, data, position, offset in zip(frames.cost, frames.data, self.log_cells, offsets, strict=True):
+        evaluations = []
+        offsets = self.shared @ self.shift[: self._sharing] + np.einsum("tri,ti->tr", self.drawn, self.chance)
+        for cost, data, position, offset in zip(self.cost, self.data, self.log_cells, offsets, strict=True):
             measured = data.measured - offset.reshape(data.measured.shape)
             shifted = replace(data, given=replace(data.given, measured=measured))
             evaluations.append(Evaluation.at(cost, shifted, np.exp(position).reshape(measured.shape)))
@@ -147,7 +150,7 @@ class Joint:
     @property
     def cells(self) -> int:
         """The number of cells."""
-        return int(self.frames.anchor.shape[1])
+        return int(self.anchor.shape[1])
 
     @property
     def log_cells(self) -> Array:
@@ -161,7 +164,7 @@ class Joint:
 
     @property
     def _sharing(self) -> int:
-        return int(self.frames.shared.shape[2])
+        return int(self.shared.shape[2])
 
     @property
     def steps(self) -> Array:
@@ -171,7 +174,7 @@ class Joint:
     @cached_property
     def value(self) -> float:
         """Φ."""
-        strayed = IGNORANCE * np.sum((self.log_cells - self.frames.anchor) ** 2)
+        strayed = IGNORANCE * np.sum((self.log_cells - self.anchor) ** 2)
         ties = np.sum(self.stiffness * self.steps**2)
         priors = np.sum(self._shifted**2 * self.certainty) + np.sum(self.chance**2) + strayed + ties
         return sum(at.objective for at in self.at) + float(priors)
@@ -200,8 +203,8 @@ class Joint:
         pulls = np.pad(self.stiffness * self.steps, ((1, 1), (0, 0)))
         misfit = np.stack([at.log_gradient(NO_DUAL).ravel() / 2 for at in self.at])
         # ½ ∂Φ/∂u_t = ½ ∂misfit/∂u_t + λ_{t−1} x_{t−1} − λ_t x_t + ε (u_t − a_t);  ½ ∂Φ/∂w_t = V_tᵀ ½ ∂misfit/∂f + w_t
-        cells = misfit + pulls[:-1] - pulls[1:] + IGNORANCE * (self.log_cells - self.frames.anchor)
-        chance = np.einsum("tri,tr->ti", self.frames.drawn, self._through) + self.chance
+        cells = misfit + pulls[:-1] - pulls[1:] + IGNORANCE * (self.log_cells - self.anchor)
+        chance = np.einsum("tri,tr->ti", self.drawn, self._through) + self.chance
         return np.concatenate([cells, chance], axis=1)
 
     @cached_property
@@ -212,7 +215,7 @@ class Joint:
     @cached_property
     def pressed(self) -> NDArray[np.bool_]:
         """Whether an unknown is at a bound with the gradient pointing outside, (frames, cells + n)."""
-        lower, upper = self.frames.bounds
+        lower, upper = self.bounds
         return ((self.position <= lower) & (self.gradient > 0)) | ((self.position >= upper) & (self.gradient < 0))
 
     @property
@@ -230,7 +233,7 @@ class Joint:
     def sensitivities(self) -> list[Array]:
         """√ω ∂x/∂(u, w) of every frame's data residuals x, (rows, cells + n)."""
         slopes = [model.at.networks[0].sensitivity() for model in self.models]
-        return self._weighted([np.concatenate(pair, axis=1) for pair in zip(slopes, self.frames.drawn, strict=True)])
+        return self._weighted([np.concatenate(pair, axis=1) for pair in zip(slopes, self.drawn, strict=True)])
 
     def _weighted(self, columns: Iterable[Array]) -> list[Array]:
         """Return √ω ∂x/∂f U of every frame (rows, n), for changes U of its readings (readings, n)."""
@@ -240,7 +243,7 @@ class Joint:
     @cached_property
     def _sizes(self) -> list[Array]:
         """√ω of every frame's residuals: ω is the loss's curvature, or where that is not positive, its IRLS weight."""
-        loss, x = self.frames.cost[0].terms[0].loss, [model.residual for model in self.models]
+        loss, x = self.cost[0].terms[0].loss, [model.residual for model in self.models]
         every = np.concatenate(x)
         curvature = loss.curvature(every)
         size = np.sqrt(np.where(curvature > 0, curvature, loss.stiffness(every)))
@@ -250,7 +253,7 @@ class Joint:
     def chain(self) -> Chain:
         """Half of the Gauss-Newton Hessian of Φ; unknowns at a bound are fixed."""
         free, count, sharing, cells = ~self.pressed, len(self.position), self._sharing, self.cells
-        prior = np.pad(self.ties + IGNORANCE, ((0, 0), (0, self.frames.drawn.shape[2])), constant_values=1.0)
+        prior = np.pad(self.ties + IGNORANCE, ((0, 0), (0, self.drawn.shape[2])), constant_values=1.0)
         # Diagonal blocks A_t = J̃ᵀ J̃ + ties + ε over the free unknowns, 1 for the fixed ones.
         own = np.stack([rows.T @ rows for rows in self.sensitivities])
         own *= free[:, :, None] & free[:, None, :]
@@ -258,7 +261,7 @@ class Joint:
         own[:, across, across] = np.where(free, own[:, across, across] + prior, 1.0)
         # Border: ∂²Φ/∂u∂z = J̃ᵀ Ũ and ∂²Φ/∂u∂c = ±λ; corner: prior of z and c, Ũᵀ Ũ and Σ λ.
         border, corner = np.zeros((*self.position.shape, len(self.shift))), np.diag(self.certainty)
-        border[:, :, :sharing], corner[:sharing, :sharing] = self._bordered(self.frames.shared)
+        border[:, :, :sharing], corner[:sharing, :sharing] = self._bordered(self.shared)
         corner[:sharing, :sharing] += np.diag(self.certainty[:sharing])
         step = np.arange(count - 1)
         border[step, :cells, sharing + step] = self.stiffness
@@ -280,7 +283,7 @@ class Joint:
         moved = self._weighted(columns)
         border, corner = (
             np.stack([rows.T @ own for rows, own in zip(unknowns, moved, strict=True)])
-            for unknowns in (self.sensitivities, self._weighted(self.frames.shared))
+            for unknowns in (self.sensitivities, self._weighted(self.shared))
         )
         return border, corner.sum(axis=0)
 
@@ -296,7 +299,7 @@ class Joint:
         return self.chain.solve(right * ~self.pressed[:, :, None], np.concatenate([corner, steps]))[0][:, : self.cells]
 
     @property
-    def shared(self) -> tuple[Array, Array]:
+    def shared_estimate(self) -> tuple[Array, Array]:
         """z (n,), and the precision (n, n) with which the frames alone, without its prior, determine it."""
         learned = self.chain.learned(self._sharing) if self.held is None else self.held[1] - np.eye(self._sharing)
         return self.shift[: self._sharing], learned
@@ -310,7 +313,7 @@ class Joint:
 
     def newton(self) -> tuple[Array, Array]:
         """Return the Gauss-Newton step of (u, w), (frames, cells + n), and of (z, c)."""
-        shared = np.einsum("tri,tr->i", self.frames.shared, self._through)
+        shared = np.einsum("tri,tr->i", self.shared, self._through)
         # ½ ∂Φ/∂z = Σ_t Uᵀ ½ ∂misfit/∂f + z (or its deviation from ẑ), ½ ∂Φ/∂c_t = −Σ_i λ_ti x_ti + c_t/τ²
         slope = np.concatenate([shared, -np.sum(self.stiffness * self.steps, axis=1)]) + self._shifted * self.certainty
         cells, shift = self.chain.solve(-np.where(self.pressed, 0.0, self.gradient)[..., None], -slope[:, None])
@@ -350,14 +353,18 @@ class Joint:
         """The chain for error bars, with the share BELIEVED of the frames' information on z and c."""
         free = replace(self, held=None)
         chain = free.chain.doubting(BELIEVED, free.certainty)
-        return chain if self.held is None else chain.with_border(np.eye(self._sharing) + BELIEVED * self.shared[1])
+        return (
+            chain
+            if self.held is None
+            else chain.with_border(np.eye(self._sharing) + BELIEVED * self.shared_estimate[1])
+        )
 
     def stepped(self) -> "Joint":
         """Return the point after a step, halved until Φ does not increase; this point where no step achieves that."""
         step, shift = self.newton()
         size = 1.0
         while size > np.sqrt(np.finfo(float).eps):
-            position = np.clip(self.position + size * np.where(self.pressed, 0.0, step), *self.frames.bounds)
+            position = np.clip(self.position + size * np.where(self.pressed, 0.0, step), *self.bounds)
             trial = replace(self, position=position, shift=self.shift + size * shift)
             if trial.value <= self.value + ROUNDING * abs(self.value):
                 return trial
@@ -430,7 +437,7 @@ def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tupl
     beyond : Shared, optional
         Errors that all readings share and Φ does not contain.
     """
-    answer = joint.answer(_shared(joint.at, beyond))
+    answer = joint.answer(joint.responses(beyond))
     chain = joint.uncertain
     numbers = range(resting - 1, len(joint.position))
     certainties = (_certainty(joint, chain, t).widened(answer[t]).of_frame(0) for t in numbers)
@@ -440,10 +447,3 @@ def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tupl
     together = together.reshape(-1, *baseline.deviation.shape)
     pairs = zip(certainty, together, strict=True)
     return baseline, tuple(Bars(frame, frame.less(baseline, shared)) for frame, shared in pairs)
-
-
-def _shared(at: Sequence[Evaluation], errors: Shared | None) -> Array:
-    """Return the response of the readings to shared errors, (frames, readings, n); n is 0 without errors."""
-    if errors is None:
-        return np.zeros((len(at), at[0].reading.size, 0))
-    return np.stack([errors.columns(evaluation.networks[0], evaluation.reading[0]) for evaluation in at])

@@ -28,7 +28,7 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit, Term
 from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.changed_cells import touching
-from lampest.estimate.methods.joint import Joint, JointData, error_bars
+from lampest.estimate.methods.joint import Joint, error_bars
 from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.state import NO_DUAL, S, SequenceState, Step
 from lampest.files.errors import InputError
@@ -168,7 +168,7 @@ class SmootherMethod(Method):
             seconds, track = (perf_counter() - begin) / len(data), state.track
             baseline, *steps = (Step(solution, seconds, (1.0,)).bare() for solution in solutions)
             if track is not None and baseline.solution.solved:
-                begin, shared = perf_counter(), track.shared and track.shared.beyond(joint.frames.errors)
+                begin, shared = perf_counter(), track.shared and track.shared.beyond(joint.errors)
                 certainty, bars = error_bars(joint, len(resting), shared)
                 seconds, track = (perf_counter() - begin) / len(solutions), replace(track, baseline=certainty)
                 pairs = zip(steps, bars, strict=True)
@@ -193,8 +193,8 @@ class SmootherMethod(Method):
         costs = [state.estimator.cost(state.scene, 1, partial=frame.partial) for frame in data]
         # Only errors that the scene specifies are unknowns: few frames do not determine the usual errors of a circuit.
         scene = state.scene if state.scene.specified_systematic else replace(state.scene, systematic="none")
-        frames = JointData.alone(costs, data, Shared.of(scene), start, state.frame_noise, resting)
-        return smoothed(frames, start, Walk(self.walk, self.jump), state.estimator.solver, until)
+        begun = Joint.of(costs, data, Shared.of(scene), start, state.frame_noise, resting)
+        return smoothed(begun, Walk(self.walk, self.jump), state.estimator.solver, until)
 
 
 def _begun(
@@ -339,17 +339,15 @@ def averaged(steps: Array) -> Array:
     return np.asarray(around[:-2] / 4 + around[1:-1] / 2 + around[2:] / 4)
 
 
-def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, until: float = inf) -> tuple[Joint, int]:
+def smoothed(joint: Joint, walk: Walk, settings: Settings, until: float = inf) -> tuple[Joint, int]:
     """Return Φ at its minimum, and the number of rounds.
 
     Raises numpy.linalg.LinAlgError where arithmetic breaks down.
 
     Parameters
     ----------
-    frames : JointData
-        Data of all frames.
-    alone : array, shape (frames, cells)
-        log r of every frame alone.
+    joint : Joint
+        Φ without ties.
     walk : Walk
         Its deviation is the least q as a fraction of the noise of frames alone.
     settings : Settings
@@ -357,35 +355,27 @@ def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, un
     until : float
         End of the rounds, in s of `time.monotonic`.
     """
-    # Start: the median with the previous and the next frame, so that a single wrong reading starts no jump.
-    lasting = np.median(np.stack([alone[:-2], alone[1:-1], alone[2:]]), axis=0)
-    start = np.pad(np.concatenate([alone[:1], lasting, alone[-1:]]), ((0, 0), (0, frames.drawn.shape[2])))
-    start = np.clip(start, *frames.bounds)
-    joint = Joint(frames, start, np.zeros(len(start) - 1), np.zeros((len(start) - 1, alone.shape[1])))
     # Noise of frames alone, from diag (J̃ᵀ J̃ + prior)⁻¹: the walk begins at three times its median.
-    own = np.pad(np.full(alone.shape[1], IGNORANCE), (0, frames.drawn.shape[2]), constant_values=1.0)
-    inverses = [positive_inverse(rows.T @ rows + np.diag(own)) for rows in joint.sensitivities]
-    variance = np.minimum([np.diag(inverse)[: alone.shape[1]] for inverse in inverses], ASSUMED.jump**2)
+    cells = slice(joint.cells)
+    prior = np.pad(np.full(joint.cells, IGNORANCE), (0, joint.drawn.shape[2]), constant_values=1.0)
+    inverses = [positive_inverse(rows.T @ rows + np.diag(prior)) for rows in joint.sensitivities]
+    variance = np.minimum([np.diag(inverse)[cells] for inverse in inverses], ASSUMED.jump**2)
     noise = float(np.sqrt(np.median(variance)))
     walk, least = replace(walk, deviation=NOISE_REACH * noise), walk.deviation * noise
-    frames = frames.sharing(joint.at)
-    shift = np.zeros(frames.shared.shape[2] + len(start) - 1)
-    joint = Joint(frames, start, shift, walk.stiffness(joint.steps**2 + variance[1:] + variance[:-1]))
+    joint = replace(joint, stiffness=walk.stiffness(joint.steps**2 + variance[1:] + variance[:-1]))
     # Rounds: Newton step, E x² under P, smaller q, new λ.
     rounds, moving = 0, True
     while rounds < MAX_ROUNDS and moving and monotonic() < until:
         before, joint = joint, joint.stepped()
-        moved = np.abs(joint.log_cells - before.log_cells).max(initial=0.0, where=~joint.pressed[:, : joint.cells])
+        moved = np.abs(joint.log_cells - before.log_cells).max(initial=0.0, where=~joint.pressed[:, cells])
         squares = joint.expected_squares()
         walk, on = walk.drawn_down(squares, joint.stiffness, least)
         # U is evaluated at the model's readings, and again with the last q: with a large q these follow the noise,
         # which an error of the reference would seem to explain.
-        if not on:
-            joint = replace(joint, frames=joint.frames.sharing(joint.at))
-        joint, rounds = replace(joint, stiffness=walk.stiffness(squares)), rounds + 1
+        joint, rounds = replace(joint if on else joint.sharing(), stiffness=walk.stiffness(squares)), rounds + 1
         moving = on or moved > MAX_ROUND_CHANGE * noise
     # Fixed λ: hold z as far as cells away from loads agree, then minimise Φ to the tolerance.
-    near = walk.near_loads(joint.expected_squares(), frames.data[0].measured.shape[-2:])
+    near = walk.near_loads(joint.expected_squares(), joint.data[0].measured.shape[-2:])
     joint = joint.agreeing(np.where(near, ASSUMED.jump**-2, joint.stiffness)).stepped()
     for _ in range(settings.max_iterations):
         if joint.kkt_residual.max() <= settings.tolerance or monotonic() > until:
