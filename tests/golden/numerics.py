@@ -244,23 +244,23 @@ def model_row(cost: str, circuit: str, sampled: bool) -> dict[str, Any]:
     )  # fmt: skip
     before, columns = root @ root.T, rng.standard_normal((3, len(model.noise), 2))
     if sampled:
-        memory: Any = covariance.SampledMemory(*(0.1 * rng.standard_normal((2, 20, size))))
+        memory: Any = covariance.SampledMemory(0.1 * rng.standard_normal((2, 20, size)))
         errors: covariance.DenseErrors = covariance.SampledErrors(model, memory, drawn, samples=20)
     else:
-        memory = covariance.DenseMemory(before[:size, :size], before[size:, size:], before[:size, size:])
+        memory = covariance.DenseMemory(before.reshape(2, size, 2, size).swapaxes(1, 2))
         errors = covariance.DenseErrors(model, memory, drawn)
-    last, baseline = rng.standard_normal((2, size, 2))
+    known = rng.standard_normal((2, size, 2))
     later = errors.memory()
     return {
         "variance": errors.variance, "certainty": errors.certainty, "widening": errors.widening,
         "share": errors.data_share, "resolution": errors.resolution, "reading": errors.reading_deviation(),
-        "shared": errors.shared_variance, "answer": errors.answer(columns[0], last, baseline),
+        "shared": errors.shared_variance, "answer": errors.answer(columns[0], known),
         "gained": errors.gained(columns[1]), "curvature": model.penalty_curvature,
         "memory": [later.shared(), later.variance(), later.resting().shared()], "scale": model.scale,
         "free": model.free, "determined": [errors.determined(int(term)) for term in np.unique(model.penalty_term)],
         "noise": model.noise, "conductance": errors.certainty.by_conductance(),
         "weights": fixed_point.next_weights(model, range(1, len(terms))),
-        "active": [] if sampled else covariance.active_bounds(errors, columns[2], last, baseline),
+        "active": [] if sampled else covariance.active_bounds(errors, columns[2], known),
     }  # fmt: skip
 
 
@@ -331,7 +331,7 @@ def of_posterior() -> Rows:
                 covariance.inverse_and_volume(np.array([[2.0, 0.5], [0.5, 1.0]])),
                 covariance.swept(np.array([[2.0, 1.0, 3.0], [1.0, 4.0, 5.0]]), 0),
                 certainty.common_variance(np.arange(6.0).reshape(3, 2)),
-                certainty.own_part(np.array([3.0, 5.0]), np.array([1.0, 5.0])),
+                certainty.Certainty(np.array([3.0, 5.0]), *np.zeros((4, 2)), np.array([1.0, 5.0])).own,
             ),
         }
     )
