@@ -31,7 +31,7 @@ from lampest.estimate.sequence import reconstruct
 from lampest.panel.readouts import TwoPointReadout, floating
 from lampest.panel.readouts.floating import FloatingNetwork, Stencil, grounding, square_by_lines
 from lampest.solvers import certificate, hessian, interior_point, projected_newton
-from lampest.solvers.interior_point import METHOD, _Barrier, by_interior_point, crowds_bounds
+from lampest.solvers.interior_point import METHOD, SIDES, Barrier, by_interior_point, crowds_bounds, over, reach
 from lampest.solvers.multistart import convex, solved_from
 from lampest.solvers.preconditioners import TwoLevel, sparse_inverse
 from lampest.solvers.smoothing import Smoothing
@@ -168,11 +168,11 @@ def test_the_interior_point_method_ends_where_stops_at_bounds_end(
 
 
 @pytest.fixture
-def barrier(by_products: None, monkeypatch: pytest.MonkeyPatch) -> _Barrier:
+def barrier(by_products: None, monkeypatch: pytest.MonkeyPatch) -> Barrier:
     """An interior point whose next step is exact, however little room bounds leave it."""
     monkeypatch.setattr(interior_point, "METHOD", replace(METHOD, min_step=0.0))
     monkeypatch.setattr(interior_point, "ACCURACY", 1e-12)
-    return _Barrier.of(crowded(0.3, 3))
+    return Barrier.of(crowded(0.3, 3))
 
 
 @pytest.mark.usefixtures("by_products")
@@ -183,23 +183,23 @@ def test_the_barrier_begins_inside_with_equal_products_of_force_and_room() -> No
     upper[0, 1, 1:3] = start.data.lower[0, 1, 1:3] * [1, 1.001]
     cells[0, 0, 0] = start.data.lower[0, 0, 0]
     at = Evaluation.at(start.cost, replace(start.data, upper=upper), np.minimum(cells, upper))
-    barrier = _Barrier.of(at)
+    barrier = Barrier.of(at)
     low, high, conductance = 1 / upper[0], 1 / start.data.lower[0], 1 / at.cell_resistance[0]
     margin = np.minimum(0.05 * np.median(conductance), (high - low) / 50)
     assert conductance[0, 0] == high[0, 0] and np.sum(margin < margin.max()) == 2
     assert_allclose(barrier.conductance, np.clip(conductance, low + margin, high - margin))
-    assert_allclose(barrier.rooms, (barrier.conductance - low, high - barrier.conductance))
+    assert_allclose(barrier.distances, (barrier.conductance - low, high - barrier.conductance))
     moving = np.arange(42).reshape(6, 7) != 8
-    least = (np.abs(barrier.gradient) * np.minimum(*barrier.rooms))[moving]
-    assert_allclose((barrier.below * barrier.rooms[0], barrier.above * barrier.rooms[1]), [barrier.mean * moving] * 2)
+    least = (np.abs(barrier.gradient) * np.minimum(*barrier.distances))[moving]
+    assert_allclose(barrier.multipliers * barrier.distances, [barrier.mean * moving] * 2)
     assert_allclose(barrier.mean, 0.1 * np.mean(least))
     assert_allclose(barrier.added, 2 * 41 * barrier.mean)
     with np.errstate(divide="ignore"):
-        stiffness = barrier.mean * (1 / barrier.rooms[0] ** 2 + 1 / barrier.rooms[1] ** 2)
+        stiffness = barrier.mean * (1 / barrier.distances**2).sum(axis=0)
     assert_allclose(barrier.stiffness, np.where(moving, stiffness, 0))
 
 
-def by_differences(barrier: _Barrier, function: Callable[[_Barrier], Any]) -> Array:
+def by_differences(barrier: Barrier, function: Callable[[Barrier], Any]) -> Array:
     """Central differences of a function of the point over each conductance, one row for each."""
     rows = []
     for cell, conductance in np.ndenumerate(barrier.conductance):
@@ -212,18 +212,18 @@ def by_differences(barrier: _Barrier, function: Callable[[_Barrier], Any]) -> Ar
     return np.stack(rows)
 
 
-def test_the_push_of_the_barrier_is_the_slope_of_its_merit(barrier: _Barrier) -> None:
-    slope = by_differences(barrier, lambda point: point._merit(point.at, 7e3)).reshape(barrier.conductance.shape)
-    own = barrier.gradient - 7e3 / barrier.rooms[0] + 7e3 / barrier.rooms[1]
+def test_the_push_of_the_barrier_is_the_slope_of_its_merit(barrier: Barrier) -> None:
+    slope = by_differences(barrier, lambda point: point.merit(7e3)).reshape(barrier.conductance.shape)
+    own = barrier.gradient - (SIDES * over(7e3, barrier.distances)).sum(axis=0)
     assert_allclose(own, slope, atol=1e-6 * np.abs(slope).max())
     beyond = barrier.at.elsewhere(barrier.at.cell_resistance * 1e3)
-    assert barrier._merit(beyond, 1.0) == np.inf
+    assert replace(barrier, at=beyond).merit(1.0) == np.inf
 
 
-def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: _Barrier) -> None:
+def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: Barrier) -> None:
     """With JᵀWJ at the start, where second derivatives are indefinite, and with these after one step."""
     push = np.random.default_rng(1).standard_normal(barrier.conductance.shape) / barrier.conductance
-    later = barrier.moved()
+    later = barrier.advanced()
     assert later is not None
     size = np.outer(barrier.conductance, barrier.conductance)
     matrices = [
@@ -232,38 +232,37 @@ def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: _Barrier) ->
     ]
     for point, matrix in zip((barrier, later), matrices, strict=True):
         expected = np.linalg.solve(matrix + np.diag(point.stiffness.ravel()), push.ravel())
-        assert_allclose(point._step(push).ravel() / expected, 1, atol=1e-5)
+        assert_allclose(point.newton_step(push).ravel() / expected, 1, atol=1e-5)
 
 
-def test_forces_of_the_barrier_follow_its_steps(barrier: _Barrier) -> None:
+def test_forces_of_the_barrier_follow_its_steps(barrier: Barrier) -> None:
     """z + α (μ/s − z δ/s − z), and μ falls to a fifth after a step of which bounds left at least half."""
     lengths, point = [], barrier
     for factor in (0.2, 1.0, 1.0, 0.2, 1.0):
-        later = point.moved()
+        later = point.advanced()
         assert later is not None and later.mean == pytest.approx(factor * point.mean)
-        mean, (under, over) = later.mean, point.rooms
-        step = point._step(-point.gradient + mean / under - mean / over)
+        mean, room = later.mean, point.distances
+        step = point.newton_step((SIDES * mean / room).sum(axis=0) - point.gradient)
         taken = (later.conductance - point.conductance) / step
         assert_allclose(taken, taken[0, 0], rtol=1e-6)
-        changes = (mean - point.below * step) / under - point.below, (mean + point.above * step) / over - point.above
-        forces = [(later.below - point.below) / changes[0], (later.above - point.above) / changes[1]]
-        assert_allclose(forces, forces[0][0, 0], rtol=1e-6)
-        ahead = min(METHOD.reach(under, step), METHOD.reach(over, -step))
-        halvings = np.log2(ahead / taken[0, 0])
+        changes = (mean - SIDES * point.multipliers * step) / room - point.multipliers
+        shares = (later.multipliers - point.multipliers) / changes
+        assert_allclose(shares, shares[0, 0, 0], rtol=1e-6)
+        halvings = np.log2(reach(room, SIDES * step) / taken[0, 0])
         assert halvings == pytest.approx(round(halvings), abs=1e-6), "until the merit falls"
-        assert later.length == pytest.approx(min(forces[0][0, 0], taken[0, 0]))
-        assert point._merit(later.at, mean) < point._merit(point.at, mean)
-        assert min(later.below.min(), later.above.min()) > 0
+        assert later.length == pytest.approx(min(shares[0, 0, 0], taken[0, 0]))
+        assert later.merit(mean) < point.merit(mean)
+        assert later.multipliers.min() > 0
         point = later
         lengths.append(later.length)
     assert_allclose(lengths, [0.39, 0.0553, 0.717, 0.2145, 0.902], rtol=1e-2)
 
 
-def test_cells_go_to_the_bound_whose_barrier_outweighs_their_own_reading(barrier: _Barrier) -> None:
+def test_cells_go_to_the_bound_whose_barrier_outweighs_their_own_reading(barrier: Barrier) -> None:
     own = barrier.hessian.own.reshape(6, 7) / barrier.conductance**2
     shares = np.full((2, 6, 7), 0.99)
     shares[0, 2, 3] = shares[1, 4, 5] = 1.01
-    ended = replace(barrier, below=shares[0] * own * barrier.rooms[0], above=shares[1] * own * barrier.rooms[1])
+    ended = replace(barrier, multipliers=shares * own * barrier.distances)
     cells = barrier.at.cell_resistance[0].copy()
     cells[2, 3], cells[4, 5] = barrier.at.data.upper[0, 2, 3], barrier.at.data.lower[0, 4, 5]
     assert_array_equal(ended.put_at_bounds().cell_resistance[0], cells)
@@ -271,8 +270,8 @@ def test_cells_go_to_the_bound_whose_barrier_outweighs_their_own_reading(barrier
 
 def test_a_change_reaches_a_share_of_the_way_to_the_nearest_end() -> None:
     room = np.array([1.0, 2.0, 0.0, 3.0])
-    assert METHOD.reach(room, np.array([-2.0, -8.0, -9.0, 5.0])) == pytest.approx(0.99 / 4)
-    assert METHOD.reach(room, np.array([-0.5, 0.0, -9.0, 5.0])) == METHOD.reach(room, np.zeros(4)) == 1
+    assert reach(room, np.array([-2.0, -8.0, -9.0, 5.0])) == pytest.approx(0.99 / 4)
+    assert reach(room, np.array([-0.5, 0.0, -9.0, 5.0])) == reach(room, np.zeros(4)) == 1
 
 
 @pytest.mark.usefixtures("by_products")
