@@ -125,23 +125,21 @@ class Network(ABC):
         differences = self._impedance[..., : self.rows, None] - self._impedance[..., None, self.rows :]
         return differences.reshape(*self._impedance.shape[:-1], -1)
 
-    def entry_responses(self, cells: Numbers | None = None) -> Entries:
+    def entry_responses(self) -> Entries:
         """Return g_c·(D_jc², D_kc², D_jc·D_kc): (rows, cells), (columns, cells), (rows, columns, cells)."""
-        chosen = slice(None) if cells is None else cells
-        row, column = np.split(self.potential_differences[:, chosen], [self.rows])
-        conductance = self.flat_conductance[chosen]
+        row, column = np.split(self.potential_differences, [self.rows])
+        conductance = self.conductance.ravel()
         return row**2 * conductance, column**2 * conductance, row[:, None] * (column * conductance)
 
-    def sensitivity(self, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
-        """Return J (readings, cells), restricted to the numbered cells and readings if given."""
+    def sensitivity(self) -> Array:
+        """Return J, (readings, cells)."""
         # ∂y_jk/∂u_c = h_p·g_c D_jc² + h_q·g_c D_kc² + h_t·g_c D_jc D_kc
-        row, column, mutual = self.entry_responses(cells)
+        row, column, mutual = self.entry_responses()
         of_row, of_column, of_mutual = (slope[:, :, None] for slope in self.slopes)
-        response = of_mutual * mutual
+        response: Array = of_mutual * mutual
         response += of_row * row[:, None]
         response += of_column * column[None]
-        whole: Array = response.reshape(self.conductance.size, row.shape[1])
-        return whole if readings is None else whole[readings]
+        return response.reshape(-1, response.shape[-1])
 
     def own_response(self) -> Array:
         """Return the diagonal of J, (rows, columns): the response of each cell's own reading."""
@@ -194,23 +192,15 @@ class Network(ABC):
 
     @cached_property
     def transfer(self) -> Array:
-        """BᵀZB (…, cells, cells) ohm."""
+        """X = BᵀZB (…, cells, cells) ohm: ∂D_ac/∂g_d = −D_ad X_dc."""
         return self.between(self._impedance)
 
-    def transfer_between(self, cells: Numbers | None) -> Array:
-        """Return X = BᵀZB over the numbered cells (None: all), (cells, cells) ohm: ∂D_ac/∂g_d = −D_ad X_dc."""
-        return self.transfer if cells is None else self.between(self._impedance, cells)
-
-    def between(self, matrix: Array, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
-        """Return b_iᵀ K b_c for readings i (None: the cells) and cells c (None: all), K (…, lines, lines)."""
+    def between(self, matrix: Array) -> Array:
+        """Return BᵀKB (…, cells, cells) for K (…, lines, lines)."""
         *leading, rows, columns = self.conductance.shape
-        if cells is None:
-            at_cells = matrix[..., :rows, None] - matrix[..., None, rows:]
-            every = at_cells[..., :rows, None, :, :] - at_cells[..., None, rows:, :, :]
-            return every.reshape(*leading, rows * columns, rows * columns)
-        lines = matrix[:, cells // columns] - matrix[:, rows + cells % columns]
-        read = cells if readings is None else readings
-        return np.asarray(lines[read // columns] - lines[rows + read % columns])
+        at_cells = matrix[..., :rows, None] - matrix[..., None, rows:]
+        every = at_cells[..., :rows, None, :, :] - at_cells[..., None, rows:, :, :]
+        return every.reshape(*leading, rows * columns, rows * columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,24 +256,24 @@ class SecondOrder:
                 changes[of] += weighted * change[by]
         return changes
 
-    def matrix(self, cells: Numbers | None = None) -> Array:
-        """Return H = 2 g (X ∘ BᵀKB) g plus the curvature of h, (cells, cells), over the numbered cells (None: all)."""
+    def matrix(self) -> Array:
+        """Return H = 2 g (X ∘ BᵀKB) g plus the curvature of h, (…, cells, cells)."""
         conductance = self.network.flat_conductance
-        conductance = conductance if cells is None else conductance[cells]
-        matrix: Array = self.network.transfer_between(cells) * (2 * conductance[..., None])
-        matrix *= self._twice_between(cells)
+        matrix: Array = self.network.transfer * (2 * conductance[..., None])
+        matrix *= self._between
         matrix *= conductance[..., None, :]
         if self.network.curvatures:
             # Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i
-            row, column, mutual = self.network.entry_responses(cells)
+            row, column, mutual = self.network.entry_responses()
             by_row, by_column, by_mutual = self.change_of_slopes((row[:, None], column[None], mutual))
             matrix += row.T @ by_row.sum(axis=1) + column.T @ by_column.sum(axis=0)
             matrix += mutual.reshape(-1, len(matrix)).T @ by_mutual.reshape(-1, len(matrix))
         return matrix
 
-    def _twice_between(self, cells: Numbers | None) -> Array:
-        """Return BᵀKB over the numbered cells (None: all), (cells, cells)."""
-        return self.network.between(self._twice, cells)
+    @property
+    def _between(self) -> Array:
+        """BᵀKB (…, cells, cells)."""
+        return self.network.between(self._twice)
 
 
 def across(entries: Entries) -> Array:

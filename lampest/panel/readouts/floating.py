@@ -80,16 +80,11 @@ class FloatingNetwork(Network):
         """Return W = L_w, the Laplacian with the weights as conductances."""
         return line_sums(weights), -weights
 
-    def sensitivity(self, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
-        """Return J = (D∘D)·diag(g); see `Network.sensitivity`."""
-        if cells is None:
-            transfer = self.transfer if readings is None else self.transfer[readings]
-            response: Array = transfer * transfer
-            response *= self.flat_conductance[..., None, :]
-            return response
-        every = np.arange(self.conductance.size) if readings is None else readings
-        chosen: Array = self.between(self._impedance, cells, every) ** 2 * self.conductance.ravel()[cells]
-        return chosen
+    def sensitivity(self) -> Array:
+        """Return J = (D∘D)·diag(g), (…, readings, cells)."""
+        response: Array = self.transfer**2
+        response *= self.flat_conductance[..., None, :]
+        return response
 
     def own_response(self) -> Array:
         """Return the diagonal R²·g of J, as D_ii = R_i."""
@@ -214,8 +209,8 @@ def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_]) ->
     """Return the Newton step −(D∘D)⁻¹ ∇ over the free cells, (rows, columns) siemens; (D∘D)·p = −(∂R/∂g)·p."""
     step = np.zeros(gradient.shape)
     if gradient.size <= DENSE_CELLS:
-        chosen = np.flatnonzero(free)
-        transfer = network.transfer if len(chosen) == free.size else network.transfer[np.ix_(chosen, chosen)]
+        chosen, transfer = np.flatnonzero(free), network.transfer
+        transfer = transfer if len(chosen) == free.size else transfer[np.ix_(chosen, chosen)]
         curvature = (transfer * transfer).T  # symmetric; the transpose has LAPACK's memory order
         step[free] = scipy.linalg.lapack.dposv(curvature, -gradient[free], lower=1, overwrite_a=1)[1]
         return step

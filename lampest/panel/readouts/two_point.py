@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import Network, NormalByLines, Numbers, SecondOrder, inverse_of
+from lampest.panel.network import Network, NormalByLines, SecondOrder, inverse_of
 from lampest.panel.panel import Array, EachModule, Modules
 from lampest.panel.readouts.floating import (
     FloatingNetwork,
@@ -304,10 +304,8 @@ class BlockNetwork(FloatingNetwork):
         """Return Jᵀ·w, module by module."""
         return np.asarray(self.layout.joined(self.inner.adjoint(self.layout.split(weights))))
 
-    def sensitivity(self, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
-        whole = self.scattered(self.inner.sensitivity())
-        whole = whole if readings is None else whole[readings]
-        return whole if cells is None else whole[:, cells]
+    def sensitivity(self) -> Array:
+        return self.scattered(self.inner.sensitivity())
 
     def second_order(self, weights: Array) -> SecondOrder:
         return BlockSecondOrder(self, weights)
@@ -349,6 +347,5 @@ class BlockSecondOrder(SecondOrder):
         """Return Jᵀ·w for the weights, module by module."""
         return np.asarray(self.network.layout.joined(self._inner.adjoint()))
 
-    def matrix(self, cells: Numbers | None = None) -> Array:
-        whole = self.network.scattered(self._inner.matrix())
-        return whole if cells is None else whole[np.ix_(cells, cells)]
+    def matrix(self) -> Array:
+        return self.network.scattered(self._inner.matrix())

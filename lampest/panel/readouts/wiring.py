@@ -15,7 +15,7 @@ import numpy as np
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration
 from lampest.panel.kirchhoff import bipartite
-from lampest.panel.network import Entries, Loading, Network, Numbers, ReadCircuit, SecondOrder, TiedNetwork, loading_of
+from lampest.panel.network import Entries, Loading, Network, ReadCircuit, SecondOrder, TiedNetwork, loading_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, check_lines, per_line
 
@@ -298,10 +298,10 @@ class WiredNetwork(TiedNetwork):
         drawn = self.ladder.solve(pushed.reshape(*self.conductance.shape, -1)).reshape(pushed.shape)
         return np.asarray(pushed - resistance * drawn + self.potential_differences.T @ (self.currents.T @ pushed))
 
-    def transfer_between(self, cells: Numbers | None) -> Array:
-        """Return X over the numbered cells (None: all), (cells, cells) ohm; with wiring it differs from BᵀZB."""
-        whole = self.driven_through(np.eye(self.conductance.size))
-        return whole if cells is None else whole[np.ix_(cells, cells)]
+    @cached_property
+    def transfer(self) -> Array:
+        """X (cells, cells) ohm; with wiring it differs from BᵀZB."""
+        return self.driven_through(np.eye(self.conductance.size))
 
     def contact_response(self) -> Array:
         """Return ∂y/∂c for the lines' contacts c, (rows, columns, lines) per ohm.
@@ -339,10 +339,11 @@ class WiredSecondOrder(SecondOrder):
             twice + network.drawn(loading_of(*self.change_of_slopes(change)))
         )
 
-    def _twice_between(self, cells: Numbers | None) -> Array:
-        """Return Dᵀ W D over the numbered cells (None: all), (cells, cells)."""
-        chosen = self.network.potential_differences[:, slice(None) if cells is None else cells]
-        return np.asarray(chosen.T @ bipartite(*self.loading, chosen))
+    @property
+    def _between(self) -> Array:
+        """Dᵀ W D, (cells, cells)."""
+        differences = self.network.potential_differences
+        return np.asarray(differences.T @ bipartite(*self.loading, differences))
 
 
 def contact_responses(networks: Sequence[Network]) -> Array:
