@@ -101,7 +101,7 @@ class _Point:
         at = self._at(position)
         cells, function = at.cell_resistance, self.solver._functions[1]
         size, count = cells[0].size, cells.size
-        partial = sparse.csc_array((self.scale * at.call(function), function.pattern), shape=function.shape)
+        partial = sparse.csc_array((self.scale * at.call(function), function.pattern), shape=function.structure.shape)
         blocks = [
             partial[:, count + frame * size : count + (frame + 1) * size] @ network.sensitivity()
             for frame, network in enumerate(at.networks)

@@ -194,7 +194,7 @@ class CostFunctions:
     @cached_property
     def entries(self) -> "Entries":
         """Places of the nonzero second derivatives of the smooth losses."""
-        return Entries.of(*self.hessian.pattern, self.hessian.shape[0] // 2)
+        return Entries.of(*self.hessian.pattern, self.hessian.structure.shape[0] // 2)
 
     @classmethod
     def build(cls, cost: Cost) -> "CostFunctions":

@@ -207,7 +207,7 @@ def fitted(
             # panels are not iterated.
             loop = FIT if start.size <= MAX_CELLS else replace(FIT, evaluations=1)
             bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
-            fit = loop.minimum(model, np.log(start).ravel(), bounds, lambda at, _: at.chi_square <= EXACT_CHI_SQUARE).at
+            _, fit = loop.minimum(model, np.log(start).ravel(), bounds, lambda at, _: at.chi_square <= EXACT_CHI_SQUARE)
             if fit.chi_square <= EXACT_CHI_SQUARE or effects:
                 return fit
             if not patient and fit.chi_square > MAX_CHI_SQUARE * readings.value.size:

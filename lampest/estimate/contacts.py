@@ -129,7 +129,7 @@ def with_contacts(
         seconds.append(trial.seconds)
         return SolvedContacts(trial, ohm, scale, mean, precision)
 
-    fit = FIT.minimum(at, mean, (np.where(sought, 0.0, mean), np.where(sought, np.inf, mean))).at
+    _, fit = FIT.minimum(at, mean, (np.where(sought, 0.0, mean), np.where(sought, np.inf, mean)))
     covariance = np.zeros(fit.normal.shape)
     covariance[np.ix_(sought, sought)] = np.linalg.inv(fit.normal[np.ix_(sought, sought)])
     scene = replace(state.scene, contacts=Contacts.of(fit.ohm, np.sqrt(np.diag(covariance)), shape[0]))

@@ -358,6 +358,6 @@ def _most_probable(data: Data, value: Array, deviation: Array, spread: float, st
         jacobian = network.sensitivity() / deviation.reshape(-1, 1) * free.ravel()
         return SumOfSquares(np.concatenate([missed, unlike @ cells]), np.vstack([jacobian, unlike]))
 
-    position = replace(FIT, evaluations=25, share=0.0).minimum(model, start.ravel(), (lower, upper)).position
+    position, _ = replace(FIT, evaluations=25, share=0.0).minimum(model, start.ravel(), (lower, upper))
     cells = position.reshape(value.shape)
     return cells, data.network(0, np.exp(cells)).sensitivity() * free.ravel()

@@ -106,7 +106,7 @@ class Stream(SequenceState):
         estimator.check(scene)
         _check_frame(resting, scene)
         hidden, frame = (None, None) if noise is None else (noise.possible_errors, noise.frame)
-        track = Track(Shared.of(scene, None, hidden), noise=frame) if estimator.has_error_bars(resting) else None
+        track = Track(Shared.of(scene, hidden), noise=frame) if estimator.has_error_bars(resting) else None
         return cls(estimator, scene, period, resting, track=track, frame_noise=frame)
 
     @ONE_BLAS_THREAD

@@ -118,25 +118,17 @@ class Compiled(CasadiOwner):
 
     @cached_property
     @guarded
-    def shape(self) -> tuple[int, int]:
-        """(rows, columns) of the output."""
-        rows, columns = self.function.size_out(0)
-        return int(rows), int(columns)
-
-    @cached_property
-    @guarded
-    def pattern(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """(rows, columns) of the nonzeros, column by column."""
-        rows, columns = self.function.sparsity_out(0).get_triplet()
-        return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
-
-    @cached_property
-    @guarded
     def structure(self) -> "scipy.sparse.csc_array":
         """Sparse matrix with the output's pattern and entries of one."""
         sparsity = self.function.sparsity_out(0)
         rows, first = (np.array(numbers, dtype=np.int32) for numbers in (sparsity.row(), sparsity.colind()))
         return scipy.sparse.csc_array((np.ones(len(rows)), rows, first), shape=self.function.size_out(0))
+
+    @cached_property
+    def pattern(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """(rows, columns) of the nonzeros, column by column."""
+        places = self.structure.tocoo()
+        return places.row.astype(np.intp), places.col.astype(np.intp)
 
 
 def with_entries(structure: "scipy.sparse.csc_array", entries: Array) -> "scipy.sparse.csc_array":

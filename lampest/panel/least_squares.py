@@ -8,10 +8,9 @@ Source: Moré, The Levenberg-Marquardt algorithm, Lecture Notes in Mathematics 6
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Generic, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 
@@ -69,24 +68,6 @@ P = TypeVar("P", bound=Linearised)
 
 
 @dataclass(frozen=True, eq=False)
-class Minimum(Generic[P]):
-    """Minimum of a sum of squares, or the last point of the iteration.
-
-    Attributes
-    ----------
-    position : array, shape (unknowns)
-    at : P
-        Linearised sum of squares at the position.
-    evaluations : int
-        Number of evaluations of the model, including the first.
-    """
-
-    position: Array
-    at: P
-    evaluations: int
-
-
-@dataclass(frozen=True, eq=False)
 class LevenbergMarquardt:
     """Levenberg–Marquardt method with its settings.
 
@@ -120,8 +101,8 @@ class LevenbergMarquardt:
         start: Array,
         bounds: tuple[Array | float, Array | float] = (-np.inf, np.inf),
         ended: Callable[[P, int], bool] = lambda at, evaluations: False,
-    ) -> Minimum[P]:
-        """Return the minimum that is reached from `start`.
+    ) -> tuple[Array, P]:
+        """Return the minimum that is reached from `start`, and the model there.
 
         Raises numpy.linalg.LinAlgError if JᵀJ is singular without damping.
 
@@ -143,9 +124,13 @@ class LevenbergMarquardt:
             free = ~(((position <= low) & (gradient > 0)) | ((position >= high) & (gradient < 0)))
             if not free.any():
                 break
-            moved = np.clip(position + self._step(point, free, damping), low, high)
-            step = moved - position
-            trial, count = model(moved), count + 1
+            # Damped step −(JᵀJ + μ diag(JᵀJ))⁻¹ Jᵀ f of the free unknowns, shortened to `longest`
+            damped, step = point.normal[free][:, free], np.zeros(len(free))
+            own = damped.diagonal()
+            step[free] = -np.linalg.solve(damped + damping * np.diag(np.where(own > 0, own, 1.0)), gradient[free])
+            step *= min(1.0, float(np.min(self.longest / np.maximum(np.abs(step), 1e-300))))
+            moved = np.clip(position + step, low, high)
+            step, trial, count = moved - position, model(moved), count + 1
             # Actual gain, and the linear model's: −gᵀδ − ½ δᵀJᵀJ δ
             gain, predicted = point.cost - trial.cost, -float(gradient @ step + step @ point.normal @ step / 2)
             if gain > 0:
@@ -156,13 +141,4 @@ class LevenbergMarquardt:
             least = self.settled + self.share * point.cost
             if (predicted < least and not gain >= least) or damping > self.most_damping:
                 break
-        return Minimum(position, point, count)
-
-    def _step(self, point: Linearised, free: NDArray[np.bool_], damping: float) -> Array:
-        """Return the damped step −(JᵀJ + μ diag(JᵀJ))⁻¹ Jᵀ f of the free unknowns, shortened to `longest`."""
-        damped = point.normal[free][:, free]
-        own = damped.diagonal().copy()
-        damped[np.diag_indices(len(own))] += damping * np.where(own > 0, own, 1.0)
-        step = np.zeros(len(free))
-        step[free] = -np.linalg.solve(damped, point.gradient[free])
-        return np.asarray(step * min(1.0, float(np.min(self.longest / np.maximum(np.abs(step), 1e-300)))))
+        return position, point

@@ -88,9 +88,7 @@ def recorded_share(measured: Array, scene: Scene) -> Array:
 
 def own_errors(measured: Array, scene: Scene, size: float) -> Array:
     """Return the readings' standard deviations, (frames, rows, columns), for a deviation `size` of log(recorded)."""
-    if not size:
-        return np.zeros(measured.shape)
-    return np.asarray(size * np.abs(recorded_share(measured, scene)))
+    return size * np.abs(recorded_share(measured, scene)) if size else np.zeros(measured.shape)
 
 
 def _reference(network: Network, measured: Array, scene: Scene, size: float) -> Array:
@@ -216,17 +214,15 @@ class Shared:
     in_sigma: bool = False
 
     @classmethod
-    def of(cls, scene: Scene, contact_root: Array | None = None, hidden: Possible | None = None) -> "Shared | None":
+    def of(cls, scene: Scene, hidden: Possible | None = None) -> "Shared | None":
         """Return the shared errors of a scene; None without any.
 
-        Contacts have the prior of the scene unless `contact_root` is given. Hidden errors have the sizes of
-        `systematic_of` unless `hidden` contains those that a recording determined.
+        Contacts have the prior of the scene. Hidden errors have the sizes of `systematic_of` unless `hidden` is given.
         """
-        if contact_root is None and scene.contacts is not None:
-            contact_root = np.diag(scene.contacts.deviation(scene.panel.shape))
-        sizes = systematic_of(scene) if hidden is None else hidden.sizes
-        if sizes is None and contact_root is None:
+        contacts, sizes = scene.contacts, systematic_of(scene) if hidden is None else hidden.sizes
+        if sizes is None and contacts is None:
             return None
+        contact_root = None if contacts is None else np.diag(contacts.deviation(scene.panel.shape))
         return cls(sizes, scene, contact_root, None if hidden is None else hidden.root, hidden is not None)
 
     def beyond(self, known: "Shared | None") -> "Shared | None":
@@ -243,27 +239,17 @@ class Shared:
 
         `measured` are the readings of the network, (rows, columns).
         """
-        columns = self.unrelated(network, measured)
-        if self.contact_root is None:
-            return self.related(columns)
-        contacts = contact_responses([network]) @ self.contact_root
-        return np.concatenate([contacts, self.related(columns)], axis=1)
-
-    def unrelated(self, network: Network, measured: Array) -> Array:
-        """Return the columns without contacts, as if hidden errors were independent, (…, cells, n).
-
-        `measured` are the readings of the network, (…, rows, columns).
-        """
-        if self.systematic is None:
-            return np.zeros((measured.size, 0))
-        errors = error_columns(SHARED_ERRORS, network, measured, self.scene, self.systematic)
-        return np.moveaxis(errors.reshape(*errors.shape[:-2], -1), 0, -1)
-
-    def related(self, columns: Array) -> Array:
-        """Return the columns of `unrelated` with the covariance of the hidden errors, which are the last ones."""
-        root = np.zeros((0, 0)) if self.hidden_root is None else self.hidden_root
-        first = columns.shape[-1] - len(root)
-        return np.concatenate([columns[..., :first], columns[..., first:] @ root], axis=-1)
+        parts = list[Array]()
+        if self.contact_root is not None:
+            parts.append(contact_responses([network]) @ self.contact_root)
+        if self.systematic is not None:
+            errors = error_columns(SHARED_ERRORS, network, measured, self.scene, self.systematic)
+            columns = errors.reshape(len(errors), -1).T
+            # The hidden errors are the last columns; their root is that of their covariance.
+            root = np.zeros((0, 0)) if self.hidden_root is None else self.hidden_root
+            known, hidden = np.split(columns, [columns.shape[1] - len(root)], axis=1)
+            parts += [known, hidden @ root]
+        return np.concatenate(parts, axis=1) if parts else np.zeros((measured.size, 0))
 
     def own_error(self, measured: Array) -> Array:
         """Return the standard deviation of each reading's own error, in the readings' unit, (frames, rows, columns)."""

@@ -253,9 +253,10 @@ def rank(cost: Cost) -> int:
     For large panels full rank is returned, which penalties nearly have.
     """
     function = residuals(cost).penalties.by_cells
-    if function.shape[1] > MAX_DENSE:
-        return min(function.shape)
+    count, cells = function.structure.shape
+    if cells > MAX_DENSE:
+        return int(min(count, cells))
     anywhere = np.random.default_rng(0)
     values = function(*(anywhere.uniform(0.5, 2.0, size) for size in function.sizes))
-    jacobian = sparse.csr_array((values, function.pattern), shape=function.shape)
+    jacobian = with_entries(function.structure, values)
     return int(np.linalg.matrix_rank((jacobian.T @ jacobian).toarray(), hermitian=True))

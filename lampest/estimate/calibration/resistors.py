@@ -415,8 +415,8 @@ def _fit(problem: Problem) -> CircuitFit:
     for settled in (1.0, 1e-4):  # change of ½ χ²: the second one leaves an error of a hundredth of σ
         root = np.linalg.cholesky(problem.covariance(unknowns))
         # Good calibrations take some 5 evaluations from the scene's numbers, and 10 from numbers ten times too large.
-        minimum = LevenbergMarquardt(25, settled).minimum(partial(problem.squares, root), unknowns, (least, np.inf))
-        unknowns = minimum.position
+        method = LevenbergMarquardt(25, settled)
+        unknowns, squares = method.minimum(partial(problem.squares, root), unknowns, (least, np.inf))
     # The converter's own error: integral nonlinearity of 0.5 LSB, by the data sheet of the ATmega2560.
     residual, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, 0.5)
     weighted = solve_triangular(np.linalg.cholesky(whole), residual, lower=True)
@@ -425,7 +425,7 @@ def _fit(problem: Problem) -> CircuitFit:
     values = int(np.sum(inside[0] | inside[1]))
     chi_square = float(weighted @ weighted + unknowns[commons:] @ unknowns[commons:])
     # (JᵀJ)⁻¹ = V S⁻² Vᵀ of J = U S Vᵀ, with a very large variance in the null space of J.
-    _, singular, right = np.linalg.svd(minimum.at.jacobian, full_matrices=False)
+    _, singular, right = np.linalg.svd(squares.jacobian, full_matrices=False)
     inverse = right / np.maximum(singular, np.sqrt(np.finfo(float).eps) * singular[0])[:, None]
     sigma = np.sqrt(np.diag(whole))
     return CircuitFit(problem, unknowns, inverse.T @ inverse, chi_square, values - commons, residual, sigma, values)

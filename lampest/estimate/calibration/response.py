@@ -172,8 +172,8 @@ def with_least_squares(loaded: Loaded, fitted: FittedResponse) -> FittedResponse
         residual, slopes = loaded.rows(replace(fitted, state=state), weight)
         return SumOfSquares(np.concatenate([residual, prior @ state]), np.vstack([slopes, prior]))
 
-    minimum = LevenbergMarquardt(evaluations=100, settled=1e-9).minimum(model, fitted.state)
-    return replace(fitted, state=minimum.position, covariance=np.linalg.inv(minimum.at.normal))
+    state, squares = LevenbergMarquardt(evaluations=100, settled=1e-9).minimum(model, fitted.state)
+    return replace(fitted, state=state, covariance=np.linalg.inv(squares.normal))
 
 
 def with_evidence(loaded: Loaded, fitted: FittedResponse) -> FittedResponse:

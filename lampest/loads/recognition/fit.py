@@ -215,12 +215,13 @@ class Fitting:
         if held is not None:
             low[held] = high[held] = start[held]
         loop = replace(SEARCH, evaluations=steps, longest=longest)
-        return loop.minimum(
+        _, minimum = loop.minimum(
             lambda parameters: self.at(parameters, likelihood),
             start,
             (low, high),
             lambda point, count: count > 4 and point.cost > most,
-        ).at
+        )
+        return minimum
 
     def best(self, start: Array, whitening: Whitening, most: float = np.inf) -> Fit:
         """Return the fit at the most probable φ.
