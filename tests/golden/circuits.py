@@ -94,7 +94,7 @@ def network_row(scene: lp.Scene) -> dict[str, Any]:
     }  # fmt: skip
     if scene.panel.modules is None:
         row |= {
-            "some": network.sensitivity(few, few[:2]), "some second": second.matrix(few),
+            "some": network.sensitivity()[np.ix_(few[:2], few)], "some second": second.matrix()[np.ix_(few, few)],
             "potentials": network.potentials(), "by lines": network.normal_by_lines(weights**2),
             "wire": wiring.wire_responses(network, scene.lines or lp.Lines()),
         }  # fmt: skip

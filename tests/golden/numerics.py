@@ -214,8 +214,9 @@ def search_row() -> dict[str, Any]:
             1e-3,
         )  # fmt: skip
 
-    loop = least_squares.LevenbergMarquardt(60, 1e-16, longest=0.5).minimum(decay, np.array([1.0, 0.5]), (0.0, 1.4))
-    return {"steps": solved, "position": loop.position, "cost": loop.at.cost}
+    loop = least_squares.LevenbergMarquardt(60, 1e-16, longest=0.5)
+    position, squares = loop.minimum(decay, np.array([1.0, 0.5]), (0.0, 1.4))
+    return {"steps": solved, "position": position, "cost": squares.cost}
 
 
 def of_solvers() -> Rows:
