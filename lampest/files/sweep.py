@@ -37,10 +37,7 @@ class Combination(Generic[Kind]):
 
 
 def combinations(
-    document: Document,
-    validate: Callable[[Document], Kind],
-    apart: str = "",
-    fixed: Mapping[str, str] | None = None,
+    document: Document, validate: Callable[[Document], Kind], apart: str = "", fixed: Mapping[str, str] | None = None
 ) -> list[Combination[Kind]]:
     """Return every combination of a document's sweep, the last path fastest.
 

@@ -4,20 +4,21 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+import psutil
 
 from lampest import Panel, Recording, Scene, TwoPointReadout, two_point_resistance
+from tests.small_files import COMMAND
 
-COMMAND = Path(sys.executable).with_name("lampest")
 WHOM = ("command", "all", "worker")
 TIMES = ("solve_time", "error_bar_time", "baseline_solve_time_s")
 RUN = """\
@@ -83,16 +84,12 @@ def write_recording(path: Path, frames: int, seed: int) -> None:
 
 def session(leader: int) -> list[int]:
     """The living processes of a session."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                fields = (entry / "stat").read_text().rpartition(")")[2].split()
-            except OSError:
-                continue
-            if int(fields[3]) == leader and fields[0] not in "ZX":
-                found.append(int(entry.name))
-    return found
+    living = []
+    for process in psutil.process_iter(["status"]):
+        with suppress(ProcessLookupError):
+            if os.getsid(process.pid) == leader and process.info["status"] not in ("zombie", "dead"):
+                living.append(process.pid)
+    return living
 
 
 def until(true: Callable[[], Any], seconds: float = 60.0) -> None:
@@ -142,17 +139,10 @@ def finished(out: Path) -> int:
 def kill(process: subprocess.Popen[str], whom: str, rng: np.random.Generator) -> None:
     """SIGKILL to the command alone, to all its processes, or to one of its workers."""
     workers = [number for number in session(process.pid) if number != process.pid]
-    if whom == "all":
-        targets = [process.pid, *workers]
-    elif whom == "worker" and workers:
-        targets = [int(rng.choice(workers))]
-    else:
-        targets = [process.pid]
-    for target in targets:
-        try:
+    single = [int(rng.choice(workers))] if whom == "worker" and workers else [process.pid]
+    for target in [process.pid, *workers] if whom == "all" else single:
+        with suppress(ProcessLookupError):
             os.kill(target, signal.SIGKILL)
-        except ProcessLookupError:
-            continue
 
 
 def killed_again_and_again(tmp_path: Path, made: Batch, kills: int, seed: int) -> Counter[str]:

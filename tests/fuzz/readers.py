@@ -69,18 +69,19 @@ def cleared(folder: Path) -> set[str]:
 
 
 def _received(mutant: Mutant, path: Path) -> str:
+    reader, command = READERS[mutant.kind]
+    arguments = [word.format(path if word == "{}" else path.parent) for word in command.split()]
     try:
-        READERS[mutant.kind](path)
+        reader(path)
     except InputError as error:
         _check_sentence(str(error))
-        arguments = COMMANDS[mutant.kind]
         if arguments:
-            _check_command(arguments(path), 2)
+            _check_command(arguments, 2)
         return REFUSED
     except Exception as error:
         raise ReceptionError("".join(traceback.format_exception(error)[-4:])) from error
     if mutant.kind in ("recording", "results"):
-        _check_command(COMMANDS[mutant.kind](path), 0)
+        _check_command(arguments, 0)
     return FINE
 
 
@@ -117,7 +118,7 @@ def _check_command(arguments: list[str], code: int) -> None:
 
 
 def _setting(path: Path) -> None:
-    """The input is what follows --set, of a run that is in order."""
+    """The input is the word behind --set, of a run that is in order."""
     setting = path.read_bytes().decode("utf-8", "replace")
     path.write_bytes(text(RUN))
     read_run(path, (setting,))
@@ -136,34 +137,14 @@ def _simulations(path: Path) -> None:
             shutil.rmtree(out, ignore_errors=True)
 
 
-def _imported(path: Path) -> None:
-    import_file(path, 3, 4)
-
-
-READERS: dict[str, Callable[[Path], Any]] = {
-    "run": read_run,
-    "scene": read_scene,
-    "simulation": _simulations,
-    "setting": _setting,
-    "recording": Recording.load,
-    "results": read_results,
+# How a file of each kind is read in Python, and the words of a command, without those that name the file.
+READERS: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "run": (read_run, "run {} --out {}/never"),
+    "scene": (read_scene, ""),
+    "simulation": (_simulations, "simulate {} --out {}/never.h5"),
+    "setting": (_setting, ""),
+    "recording": (Recording.load, "info {}"),
+    "results": (read_results, "compare {}"),
 }
-
-
-IMPORTED = ("table", "numpy", "matlab", "excel", "arrays", "matlab_hdf5")
-READERS |= dict.fromkeys(IMPORTED, _imported)
-
-
-def _import(path: Path) -> list[str]:
-    return ["import", str(path), "--rows", "3", "--columns", "4", "--out", str(path.with_name("never.h5"))]
-
-
-COMMANDS: dict[str, Any] = {
-    "run": lambda path: ["run", str(path), "--out", str(path.with_name("never"))],
-    "scene": None,
-    "simulation": lambda path: ["simulate", str(path), "--out", str(path.with_name("never.h5"))],
-    "setting": None,
-    "recording": lambda path: ["info", str(path)],
-    "results": lambda path: ["compare", str(path)],
-}
-COMMANDS |= dict.fromkeys(IMPORTED, _import)
+for _kind in ("table", "numpy", "matlab", "excel", "arrays", "matlab_hdf5"):
+    READERS[_kind] = (lambda path: import_file(path, 3, 4)), "import {} --rows 3 --columns 4 --out {}/never.h5"

@@ -20,16 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lampest import Estimator, Huber, InputError, Panel, Reconstruction, Recording, Scene, import_file, read_run
-from lampest.cost.terms import (
-    Arrival,
-    CellResistance,
-    Gradient,
-    LogRatio,
-    Misfit,
-    RelativeChange,
-    Term,
-    TotalVariation,
-)
+from lampest.cost.terms import Arrival, CellResistance, Gradient, LogRatio, Misfit, RelativeChange, Term, TotalVariation
 from lampest.estimate.methods import MethodName
 from lampest.files.document import MAX_SIZE, parse_document
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
@@ -256,15 +247,7 @@ TERMS: dict[str, tuple[Term, ...]] = {
     "log_ratio": (Misfit(), LogRatio(weight=1e-2)),
     "arrival": (Misfit(weighting="noise"), Arrival()),
 }
-FORMULATIONS: list[MethodName] = [
-    "nodal",
-    "reduced",
-    "per_pixel",
-    "naive",
-    "scaled",
-    "linearised",
-    "truncated",
-]
+FORMULATIONS: list[MethodName] = ["nodal", "reduced", "per_pixel", "naive", "scaled", "linearised", "truncated"]
 
 
 @pytest.mark.slow

@@ -23,14 +23,7 @@ from lampest.recording.board.port import NoBoardError
 from lampest.recording.board.protocol import Frame, Garbage, Hello, message
 from lampest.recording.board.record import Recorded, Recorder, _wanted, noise_from_repeats, record
 from lampest.recording.board.several import LATE_SECONDS, Alignment, samples_of
-from lampest.recording.board.stream import (
-    CLOCK_JUMPED,
-    CLOCK_STOPPED,
-    Sample,
-    Samples,
-    Scanning,
-    scene_of,
-)
+from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, Sample, Samples, Scanning, scene_of
 from lampest.recording.recording import MEASURED, UNLOADED
 from tests.bodies import hello_body
 
