@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from board.bench import bench, lampest, loaded_scene, scene, scene_file, some_cells
+from board.bench import bench, lampest, loaded_scene, scene, some_cells
 
 from lampest import UNLOADED, Recording, Scene, read_results
 from lampest.files.document import read_document, to_yaml, validated
@@ -58,22 +58,6 @@ def test_shorted_lines_calibrate_the_scene_that_records_next(tmp_path: Path) -> 
         words = ("--port", board.port, "--out", tmp_path / "r.h5", "--scene", scene, "--count", 1)
         assert lampest("record", *words)[1] == ""
     assert Recording.load(tmp_path / "r.h5").scene == found
-
-
-@pytest.mark.slow
-def test_known_resistors_calibrate_too(tmp_path: Path) -> None:
-    rng = np.random.default_rng(2)
-    known = np.exp(rng.normal(np.log(1000), 0.3, (3, 4)))
-    table = tmp_path / "known.csv"
-    np.savetxt(table, known, delimiter=",")
-    with bench(tmp_path, known[None]) as board:
-        words = ("--port", board.port, "--scene", scene_file(tmp_path, 3, 4, series_resistance_ohm=0))
-        lampest("record", *words, "--out", tmp_path / "r.h5", "--count", 10)
-    said, _ = lampest("calibrate", tmp_path / "r.h5", "--known", table, "--out", tmp_path / "s.yaml")
-    assert float(said.split()[2]) == pytest.approx(140, abs=1)
-    np.save(tmp_path / "known.npy", known)
-    words = ("--known", tmp_path / "known.npy", "--out", tmp_path / "s.yaml")
-    assert lampest("calibrate", tmp_path / "r.h5", *words)[0] == said
 
 
 RECORD = ("record", "--out", "{}", "--port")

@@ -2,7 +2,9 @@
 
 import copy
 import itertools
+import os
 import re
+import signal
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -21,7 +23,7 @@ from lampest.recording.acquisition import Acquisition
 from lampest.recording.board import several, stream
 from lampest.recording.board.port import NoBoardError
 from lampest.recording.board.protocol import Frame, Garbage, Hello, message
-from lampest.recording.board.record import Recorded, Recorder, _wanted, noise_from_repeats, record
+from lampest.recording.board.record import Progress, Recorded, Recorder, _wanted, noise_from_repeats, record
 from lampest.recording.board.several import LATE_SECONDS, Alignment, samples_of
 from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, Sample, Samples, Scanning, scene_of
 from lampest.recording.recording import MEASURED, UNLOADED
@@ -252,6 +254,25 @@ def test_a_board_that_says_what_no_board_can_be_is_refused_in_a_sentence(tmp_pat
     ):
         record(board.port, tmp_path / "r.h5", frames=3)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_recording_is_a_clean_file(tmp_path: Path, number: signal.Signals) -> None:
+    def interrupt(progress: Progress) -> None:
+        if progress.frames == 6:
+            os.kill(os.getpid(), number)
+
+    with wild_board(hundred_a_second) as board:
+        done = record(board.port, tmp_path / "r.h5", period=0.01, on_progress=interrupt)
+    assert done.ended_by == number.name and done.frames >= 6
+    assert len(Recording.load(tmp_path / "r.h5").time) == done.frames
+    assert [path.name for path in tmp_path.iterdir()] == ["r.h5"]
+
+
+def test_a_port_without_a_board_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lampest.recording.board.port.HELLO_SECONDS", 0.5)
+    with pytest.raises(InputError, match="no lampest board answered"):
+        record("loop://", tmp_path / "r.h5", frames=1)
 
 
 @pytest.mark.parametrize("frames", [0, 5])
