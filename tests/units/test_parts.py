@@ -1,7 +1,6 @@
 """Recordings too long for memory: their parts make one result, killed or not, in memory that does not grow."""
 
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -40,24 +39,15 @@ estimators:
   relative: {terms: {misfit: {weighting: noise}, gradient_of_relative_change: {weight: 1e-3}}}
   scaled:   {formulation: scaled, terms: {misfit: {weighting: noise}, gradient: {weight: 1e-4}}}
 """
-# What a killed run needs of this test: small parts, and an end after so many of them.
+# A run of small parts, which prints its peak of memory in kB.
 SCRIPT = """
-import os, re, signal, sys
+import re, sys
 from pathlib import Path
 from lampest.recording import recording as stored
-from lampest.runs import batch
-stored.MAX_READINGS, stored.PART_READINGS, left = int(sys.argv[3]), int(sys.argv[3]), int(sys.argv[4])
-write = batch.write_carried
-def counted(path, carried):
-    global left
-    left -= 1
-    if left < 0:
-        os.kill(os.getpid(), signal.SIGKILL)
-    write(path, carried)
-batch.write_carried = counted
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
+stored.MAX_READINGS = stored.PART_READINGS = 20_000
 run_batch(read_run(Path(sys.argv[1])), Path(sys.argv[2]), Serial())
 print(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
 """
@@ -78,11 +68,6 @@ def save(folder: Path, values: Array, scene: lampest.Scene = SCENE, role: Any = 
     count = len(values)
     kinds = np.arange(count) >= UNLOADED if role is None else role
     lampest.Recording(scene, values, 0.1 * np.arange(count), kinds.astype(np.uint8)).save(folder / "long.h5")
-
-
-def started(folder: Path, out: str, readings: int, parts: int = 10**6) -> "subprocess.CompletedProcess[str]":
-    command = [sys.executable, "-c", SCRIPT, folder / "run.yaml", folder / out, str(readings), str(parts)]
-    return subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False)
 
 
 @pytest.fixture
@@ -135,19 +120,6 @@ def test_the_frame_period_of_a_long_recording_is_that_of_its_first_part(tmp_path
     assert len(recording.blocks) == 2
     parts = Parts.of(recording, lampest.Estimator((lampest.Misfit(),), "reduced"), asked_frames(recording))
     assert parts.stream.period == pytest.approx(0.1) and parts.independent
-
-
-@pytest.mark.slow
-def test_a_run_that_was_killed_goes_on_and_finds_the_same(tmp_path: Path) -> None:
-    save(tmp_path, frames(90))
-    (tmp_path / "run.yaml").write_text(RUN)
-    assert started(tmp_path, "undisturbed", 400).returncode == 0
-    for parts in (2, 4):
-        assert started(tmp_path, "killed", 400, parts).returncode == -signal.SIGKILL
-        assert list((tmp_path / "killed" / "cases").rglob("*_carried.h5"))
-    assert started(tmp_path, "killed", 400).returncode == 0
-    same(*(content(tmp_path / name / "results.h5") for name in ("undisturbed", "killed")))
-    assert not list(tmp_path.rglob("*.part")) and not list(tmp_path.rglob("*.parts"))
 
 
 @pytest.mark.parametrize("apart", [True, False])
@@ -215,12 +187,14 @@ def test_a_folder_of_parts_that_is_a_link_out_is_left_alone(tmp_path: Path, smal
 
 
 @pytest.mark.slow
-def test_parts_differ_from_the_whole_by_the_solvers_tolerance(tmp_path: Path) -> None:
+def test_parts_differ_from_the_whole_by_the_solvers_tolerance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where noise and circuit are asked of all frames alike: parts have 32, the load is largest in the middle."""
     save(tmp_path, frames(60))
     (tmp_path / "run.yaml").write_text(RUN)
     for name, readings in (("parts", 640), ("whole", 10**6)):
-        assert started(tmp_path, name, readings).returncode == 0
+        for limit in ("MAX_READINGS", "PART_READINGS"):
+            monkeypatch.setattr(stored, limit, readings)
+        run_batch(read_run(tmp_path / "run.yaml"), tmp_path / name, Serial())
     parts, whole = (content(tmp_path / name / "results.h5") for name in ("parts", "whole"))
     same(parts, whole, 1e-5)
     sentences = [value for name, value in parts.items() if name.endswith("@model_check")]
@@ -238,8 +212,8 @@ def test_memory_does_not_grow_with_the_frames(tmp_path: Path) -> None:
         (folder := tmp_path / str(count)).mkdir()
         save(folder, frames(count, scene), scene)
         (folder / "run.yaml").write_text(run)
-        ended = started(folder, "out", 20_000)  # readings, which are 200 frames
-        assert ended.returncode == 0, ended.stderr
+        words = [sys.executable, "-c", SCRIPT, str(folder / "run.yaml"), str(folder / "out")]  # parts of 200 frames
+        ended = subprocess.run(words, capture_output=True, text=True, check=True)
         peaks.append(int(ended.stdout))
     assert peaks[1] < 1.02 * peaks[0]
 
