@@ -31,9 +31,8 @@ from lampest.recording.recording import (
     Recording,
     StoredRecording,
     first_unloaded,
+    joined,
     measured_part,
-    of_parts,
-    only_frames,
 )
 from lampest.solvers.solution import Status
 
@@ -308,7 +307,7 @@ class Parts:
         part = measured_part(self.stored, frames, WINDOW)
         if part is None:
             return None
-        recording = of_parts((self.lead, part))
+        recording = joined((self.lead, part))
         readings = Prepared(recording, self.sample.noise).noise.readings
         return MeasuredPart(recording, _own_frames(recording, frames), readings, self.sample)
 
@@ -344,14 +343,14 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
     """
     lead = first_unloaded(stored, min(LEAD_FRAMES, stored.length))
     if lead is None:
-        lead = only_frames(opening := stored.part(range(min(OPENING_FRAMES, stored.frames))), opening.role == MEASURED)
+        lead = joined((opening := stored.part(range(min(OPENING_FRAMES, stored.frames))),), opening.role == MEASURED)
     resting = baseline_readings(lead, lead.readings())
     best: tuple[float, int] = (-1.0, -1)
     for frames in stored.blocks:
         part = measured_part(stored, frames, WINDOW)
         if part is None:
             continue
-        recording = of_parts((lead, part))
+        recording = joined((lead, part))
         taken, own = Prepared(recording).frame_noise.readings, _own_frames(recording, frames)
         # the strongest frame of the part, by the change of its cleaned readings
         size: Array = np.where(
@@ -363,7 +362,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
     if best[1] < 0:
         raise InputError(f"{stored.path}: no frame is measured (role 1)")
     around = stored.part(range(best[1], best[1] + 1), min(LEAD_FRAMES // 2, stored.length))
-    return lead, Prepared(of_parts((lead, only_frames(around, around.role == MEASURED))))
+    return lead, Prepared(joined((lead, joined((around,), around.role == MEASURED))))
 
 
 def _own_frames(recording: Recording, frames: range) -> NDArray[np.intp]:

@@ -467,33 +467,27 @@ class StoredRecording:
         return replace(Recording.load(self.path, within), start_time=self.start_time)
 
 
-def only_frames(recording: Recording, frames: NDArray[np.bool_]) -> Recording:
-    """Return chosen frames of a part, boolean (frames,), without acquisition data and raw sums."""
-    return _each_frame((recording,), frames)
+def joined(parts: Sequence[Recording], chosen: NDArray[Any] | None = None) -> Recording:
+    """Return the frames of concatenated parts, without acquisition data and raw sums.
 
-
-def of_parts(parts: Sequence[Recording]) -> Recording:
-    """Return overlapping parts of a recording as one, each frame once, without acquisition data and raw sums."""
-    numbers = np.concatenate([part.number for part in parts if part.number is not None])
-    return _each_frame(parts, np.unique(numbers, return_index=True)[1])
-
-
-def _each_frame(parts: Sequence[Recording], chosen: NDArray[Any]) -> Recording:
-    """Return the chosen frames (indices or mask) of concatenated parts, without acquisition data and raw sums."""
+    `chosen` are their indices or a mask; None: each numbered frame of overlapping parts once.
+    """
     first = parts[0]
     names = ["recorded", "time", "role", "number", "truth_cell_resistance", "truth_pressure"]
     names += ["sigma"] if first.sigma is not None and first.sigma.ndim == 3 else []
     present = [name for name in names if getattr(first, name) is not None]
-    each: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts])[chosen] for name in present}
-    return replace(first, **each, raw_sums=None, raw_readings=None, acquisition=None)
+    each: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in present}
+    frames = np.unique(each["number"], return_index=True)[1] if chosen is None else chosen
+    chosen_of_each = {name: values[frames] for name, values in each.items()}
+    return replace(first, **chosen_of_each, raw_sums=None, raw_readings=None, acquisition=None)
 
 
 def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
     """Return at most `most` unloaded frames from the beginning of a recording; None if there is none."""
     numbers = np.flatnonzero(stored.role == UNLOADED)[:most]
     parts = (stored.part(frames) for frames in stored.blocks if np.isin(numbers, frames).any())
-    chosen = [only_frames(part, np.isin(part.number, numbers)) for part in parts if part.number is not None]
-    return of_parts(chosen) if chosen else None
+    chosen = [joined((part,), np.isin(part.number, numbers)) for part in parts if part.number is not None]
+    return joined(chosen) if chosen else None
 
 
 def measured_part(stored: StoredRecording, frames: range, beside: int) -> Recording | None:
@@ -502,7 +496,7 @@ def measured_part(stored: StoredRecording, frames: range, beside: int) -> Record
     assert part.number is not None
     measured = part.role == MEASURED
     inside = (part.number >= frames.start) & (part.number < frames.stop)
-    return only_frames(part, measured) if np.any(measured & inside) else None
+    return joined((part,), measured) if np.any(measured & inside) else None
 
 
 def save_parts(path: Path, parts: Iterable[Recording]) -> None:

@@ -26,7 +26,7 @@ from lampest.panel.readouts.wiring import Lines
 from lampest.panel.scene import Scene
 from lampest.recording.datasets import folder as shipped_folder
 from lampest.recording.readings import Readings
-from lampest.recording.recording import UNLOADED, Recording, only_frames
+from lampest.recording.recording import UNLOADED, Recording, joined
 from lampest.recording.simulation.simulation import Simulation, read_simulations
 from lampest.runs.config import Terms, terms_of
 from lampest.runs.executors import Processes
@@ -199,7 +199,7 @@ def first_frames(recording: Recording, count: int) -> Recording:
         raise InputError(f"{recording.name}: a trade-off needs at least two measured frames")
     chosen = recording.role == UNLOADED
     chosen[measured] = True
-    return replace(only_frames(replace(recording, number=np.arange(len(chosen))), chosen), number=None)
+    return joined((recording,), chosen)
 
 
 def peak_memory(recording: Recording, estimator: Estimator) -> float:

@@ -11,18 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lampest.recording.board import protocol
-from lampest.recording.board.protocol import (
-    Answer,
-    Frame,
-    Hello,
-    Kind,
-    Receiver,
-    Result,
-    command,
-    crc16,
-    message,
-    unstuffed,
-)
+from lampest.recording.board.protocol import Answer, Frame, Hello, Kind, Receiver, Result, command, message
 from tests.bodies import frame_body, hello_body
 
 EMIT = ctypes.CFUNCTYPE(None, ctypes.c_uint8)
@@ -32,10 +21,7 @@ class Settings(ctypes.Structure):
     """lampest_settings_t"""
 
     _fields_ = [
-        ("rows", ctypes.c_uint8),
-        ("columns", ctypes.c_uint8),
-        ("readings", ctypes.c_uint8),
-        ("running", ctypes.c_uint8),
+        *((name, ctypes.c_uint8) for name in ("rows", "columns", "readings", "running")),
         ("settle_us", ctypes.c_uint16),
         ("period_us", ctypes.c_uint32),
     ]
@@ -50,14 +36,14 @@ class Inbox(ctypes.Structure):
 @cache
 def c(wiring: str = "two_point") -> ctypes.CDLL:
     library = ctypes.CDLL(str(built(wiring) / "libprotocol.so"))
-    library.lampest_crc16.restype = ctypes.c_uint16
     library.lampest_start_settings.restype = Settings
-    for name in ("lampest_receive", "lampest_command", "lampest_hello"):
-        getattr(library, name).restype = ctypes.c_uint8
-    for name in ("lampest_slices", "lampest_frame_bytes"):
-        getattr(library, name).restype = ctypes.c_uint16
-    for name in ("lampest_slice_ticks", "lampest_shortest_period_us"):
-        getattr(library, name).restype = ctypes.c_uint32
+    for kind, names in (
+        (ctypes.c_uint8, ("receive", "command", "hello")),
+        (ctypes.c_uint16, ("crc16", "slices", "frame_bytes")),
+        (ctypes.c_uint32, ("slice_ticks", "shortest_period_us")),
+    ):
+        for name in names:
+            getattr(library, f"lampest_{name}").restype = kind
     return library
 
 
@@ -89,17 +75,13 @@ def answered_by_c(settings: Settings, wire: bytes) -> tuple[protocol.Message, ..
 
 def test_the_numbers_are_the_same() -> None:
     header = constants()
-    assert header["PROTOCOL_VERSION"] == protocol.PROTOCOL_VERSION
-    assert header["BAUD"] == protocol.BAUD
-    assert header["MOST_ROWS"] == protocol.MAX_ROWS
-    assert header["MOST_COLUMNS"] == protocol.MAX_COLUMNS
-    assert header["MOST_READINGS"] == protocol.MAX_READINGS
+    names = ("PROTOCOL_VERSION", "BAUD", "MAX_ROWS", "MAX_COLUMNS", "MAX_READINGS")
+    assert [header[name.replace("MAX", "MOST")] for name in names] == [getattr(protocol, name) for name in names]
     assert 2 ** header["ADC_BITS"] - 1 == protocol.MAX_CODE
     assert {kind.name: header[kind.name] for kind in Kind} == {kind.name: kind.value for kind in Kind}
     assert [header[result.name] for result in protocol.RESULT_CODES] == list(range(len(Result)))
-    for place, across in enumerate(protocol.ACROSS):
-        assert header[f"ACROSS_{across.upper()}"] == place
-    assert [header[wiring.upper()] for wiring in protocol.WIRINGS] == list(range(len(protocol.WIRINGS)))
+    assert [header[f"ACROSS_{across.upper()}"] for across in protocol.ACROSS] == [0, 1]
+    assert [header[wiring.upper()] for wiring in protocol.WIRINGS] == [0, 1]
     sizes = (protocol._HELLO, protocol._HELLO_WIRING, protocol._FRAME, protocol._ANSWER, protocol._COMMAND)
     names = ("HELLO_BYTES", "HELLO_WIRING_BYTES", "FRAME_HEADER_BYTES", "ANSWER_BYTES", "COMMAND_BYTES")
     assert [header[name] for name in names] == [layout.size for layout in sizes]
@@ -120,8 +102,8 @@ def test_crc_and_framing_are_the_same(body: bytes) -> None:
     crc = 0xFFFF
     for byte in body:
         crc = c().lampest_crc16(ctypes.c_uint16(crc), ctypes.c_uint8(byte))
-    assert crc == crc16(body) and sent_by_c(body) == message(body)
-    assert unstuffed(sent_by_c(body)[1:-1]) == body + crc16(body).to_bytes(2, "big")
+    assert crc == protocol.crc16(body) and sent_by_c(body) == message(body)
+    assert protocol.unstuffed(sent_by_c(body)[1:-1]) == body + protocol.crc16(body).to_bytes(2, "big")
 
 
 def test_hello_is_the_same() -> None:

@@ -10,26 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lampest import InputError
-from lampest.recording.board import port
-from lampest.recording.board.protocol import (
-    MAX_CODE,
-    MAX_STUFFED,
-    PROTOCOL_VERSION,
-    Answer,
-    Foreign,
-    Frame,
-    Garbage,
-    Hello,
-    Kind,
-    Message,
-    Receiver,
-    Result,
-    command,
-    crc16,
-    message,
-    stuffed,
-    unstuffed,
-)
+from lampest.recording.board import port, protocol
+from lampest.recording.board.protocol import Answer, Frame, Garbage, Hello, Kind, Receiver, Result, command, message
 from tests.bodies import answer_body, frame_body, hello_body
 
 HELLO = Hello(10, 10, 20, 16, 16, 64, (1, 0), 1_000_000, 230_100, 40, 5000, 1_000_000, 10, "reference", False)
@@ -44,7 +26,7 @@ def frames() -> st.SearchStrategy[Frame]:
         rows, columns = draw(st.integers(1, 16)), draw(st.integers(1, 16))
         readings = draw(st.integers(1, 64))
         seed = draw(st.integers(0, 2**32 - 1))
-        most = readings * MAX_CODE if draw(st.booleans()) else 3
+        most = readings * protocol.MAX_CODE if draw(st.booleans()) else 3
         sums = np.random.default_rng(seed).integers(0, most + 1, (rows, columns)).astype(np.uint16)
         counts = [draw(st.integers(0, 2**bits - 1)) for bits in (32, 32, 16)]
         return Frame(readings, *counts, sums)
@@ -52,13 +34,13 @@ def frames() -> st.SearchStrategy[Frame]:
     return draw_frame()
 
 
-def same(left: Message, right: Message) -> bool:
+def same(left: protocol.Message, right: protocol.Message) -> bool:
     if isinstance(left, Frame) and isinstance(right, Frame):
         return frame_body(left) == frame_body(right)
     return left == right
 
 
-def received(data: bytes) -> tuple[Message, ...]:
+def received(data: bytes) -> tuple[protocol.Message, ...]:
     return Receiver().feed(data)[1]
 
 
@@ -78,21 +60,21 @@ COBS = (
 
 
 def test_crc_and_cobs_are_those_of_their_catalogues() -> None:
-    assert crc16(b"123456789") == 0x29B1
+    assert protocol.crc16(b"123456789") == 0x29B1
     for body, wire in COBS:
-        assert stuffed(body).hex() == wire and unstuffed(bytes.fromhex(wire)) == body
+        assert protocol.stuffed(body).hex() == wire and protocol.unstuffed(bytes.fromhex(wire)) == body
 
 
 @given(st.binary(min_size=1, max_size=900))
 def test_cobs_takes_all_zeros_away_and_gives_them_back(body: bytes) -> None:
-    wire = stuffed(body)
-    assert 0 not in wire and len(wire) <= len(body) + len(body) // 254 + 1 and unstuffed(wire) == body
+    wire = protocol.stuffed(body)
+    assert 0 not in wire and len(wire) <= len(body) + len(body) // 254 + 1 and protocol.unstuffed(wire) == body
 
 
 @given(frames())
 def test_a_frame_comes_back(frame: Frame) -> None:
     wire = message(frame_body(frame))
-    assert len(wire) - 2 <= MAX_STUFFED
+    assert len(wire) - 2 <= protocol.MAX_STUFFED
     (back,) = received(wire)
     assert same(back, frame)
 
@@ -135,7 +117,7 @@ def test_byte_by_byte_a_frame_is_complete_at_its_last_byte_and_not_before() -> N
 def test_noise_is_never_a_frame_and_never_an_error(noise: bytes) -> None:
     receiver, found = Receiver().feed(noise)
     assert not any(isinstance(item, Frame) for item in found)
-    assert len(receiver.pending) <= MAX_STUFFED + 1
+    assert len(receiver.pending) <= protocol.MAX_STUFFED + 1
 
 
 @given(frames(), st.data())
@@ -156,15 +138,15 @@ def test_a_torn_frame_costs_only_itself(torn: Frame, whole: Frame, data: st.Data
     assert same(found[-1], whole)
 
 
-@given(st.integers(0, 255).filter(lambda version: version != PROTOCOL_VERSION), frames())
+@given(st.integers(0, 255).filter(lambda version: version != protocol.PROTOCOL_VERSION), frames())
 def test_another_version_is_named_and_not_read(version: int, frame: Frame) -> None:
-    assert received(message(bytes([version]) + frame_body(frame)[1:])) == (Foreign(version),)
+    assert received(message(bytes([version]) + frame_body(frame)[1:])) == (protocol.Foreign(version),)
 
 
 def test_impossible_content_with_a_right_crc_is_garbage() -> None:
-    frame = Frame(2, 0, 0, 0, np.full((2, 2), 2 * MAX_CODE, dtype=np.uint16))
+    frame = Frame(2, 0, 0, 0, np.full((2, 2), 2 * protocol.MAX_CODE, dtype=np.uint16))
     body = frame_body(frame)
-    too_high = body[:-2] + (2 * MAX_CODE + 1).to_bytes(2, "little")
+    too_high = body[:-2] + (2 * protocol.MAX_CODE + 1).to_bytes(2, "little")
     for wrong in (too_high, body + b"\0", body[:-1], body[:2] + b"\3" + body[3:], body[:1] + b"\x0e" + body[2:]):
         assert received(message(wrong)) == (Garbage(len(message(wrong)) - 2),)
 
@@ -174,7 +156,7 @@ def test_an_endless_message_fills_no_memory() -> None:
     for _ in range(50):
         receiver, items = receiver.feed(b"\x07" * 1000)
         assert items == ()
-    assert len(receiver.pending) == MAX_STUFFED + 1
+    assert len(receiver.pending) == protocol.MAX_STUFFED + 1
     _, items = receiver.feed(message(frame_body(Frame(1, 0, 0, 0, np.zeros((1, 1), dtype=np.uint16)))))
     assert isinstance(items[0], Garbage) and isinstance(items[1], Frame)
 
@@ -185,10 +167,10 @@ KINDS |= {"SET_ROWS": 19, "SET_COLUMNS": 20, "SET_READINGS": 21, "SET_PERIOD": 2
 
 def test_commands_are_nine_bytes_with_the_numbers_of_their_kinds() -> None:
     """Those that boards with this version of the protocol were flashed with."""
-    assert {kind.name: kind.value for kind in Kind} == KINDS and PROTOCOL_VERSION == 1
+    assert {kind.name: kind.value for kind in Kind} == KINDS and protocol.PROTOCOL_VERSION == 1
     wire = command(Kind.SET_PERIOD, 7, 0x01020304)
     body = b"\x01\x16\x07\x04\x03\x02\x01"
-    assert unstuffed(wire.strip(b"\0")) == body + crc16(body).to_bytes(2, "big")
+    assert protocol.unstuffed(wire.strip(b"\0")) == body + protocol.crc16(body).to_bytes(2, "big")
 
 
 class ObedientPort:
@@ -206,7 +188,7 @@ class ObedientPort:
         return data
 
     def write(self, wire: bytes) -> None:
-        body = unstuffed(wire.strip(b"\0")) or b""
+        body = protocol.unstuffed(wire.strip(b"\0")) or b""
         kind, tag, value = Kind(body[1]), body[2], int.from_bytes(body[3:7], "little")
         self.commands.append((kind.name, value))
         self.data += self.answers(kind, tag, value)
