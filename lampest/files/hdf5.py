@@ -16,16 +16,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.checksums import (
-    DIGEST,
-    Closed,
-    bytes_beyond,
-    check_digest,
-    digest_of,
-    is_left_open,
-    located,
-    read_through,
-)
+from lampest.files import checksums
 from lampest.files.errors import InputError
 from lampest.files.whole import check_room, is_locked, note_read, whole_file
 
@@ -93,11 +84,11 @@ def _opened(path: Path) -> Iterator[h5py.File]:
             file = h5py.File(path, "r")
         except OSError as error:
             suspected = "already open for" in str(error) or "truncated file" in str(error)
-            if not suspected or not is_left_open(path):
+            if not suspected or not checksums.is_left_open(path):
                 raise
             # While the recorder is alive, HDF5 waits (SWMR) until it has corrected a wrong checksum.
             alive = is_locked(path)
-            file = h5py.File(path if alive else stack.enter_context(Closed(path)), "r", swmr=alive)
+            file = h5py.File(path if alive else stack.enter_context(checksums.Closed(path)), "r", swmr=alive)
         yield stack.enter_context(file)
 
 
@@ -107,8 +98,8 @@ def checked(path: Path) -> tuple[int, int]:
     Raises InputError with the path of a damaged dataset.
     """
     with existing_file(path) as file:
-        datasets, vouched = read_through(file)
-    if vouched and (beyond := bytes_beyond(path)):
+        datasets, vouched = checksums.read_through(file)
+    if vouched and (beyond := checksums.bytes_beyond(path)):
         raise InputError(f"{path}: {beyond} bytes stand behind the end of the file as it was written")
     return (path.stat().st_size, datasets) if vouched else (0, 0)
 
@@ -128,7 +119,7 @@ def set_attributes(node: Any, **attributes: Any) -> None:
     for name, value in attributes.items():
         data = np.asarray(ascii_array(value) if isinstance(value, str | list) else value)
         if data.nbytes > 4_000:  # HDF5 may store larger ones without a checksum
-            set_attributes(node, **{f"{name}_{DIGEST}": digest_of(data)})
+            set_attributes(node, **{f"{name}_{checksums.DIGEST}": checksums.digest_of(data)})
         node.attrs.create(name, data)
 
 
@@ -183,7 +174,7 @@ def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Datase
     if data.size:
         dataset[...] = data
     if not compact:
-        set_attributes(dataset, **{DIGEST: digest_of(data)})
+        set_attributes(dataset, **{checksums.DIGEST: checksums.digest_of(data)})
     return dataset
 
 
@@ -203,7 +194,7 @@ def _located(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
-        with located(cast(h5py.File, args[0]), str(args[1])):
+        with checksums.located(cast(h5py.File, args[0]), str(args[1])):
             return function(*args, **kwargs)
 
     return called
@@ -277,7 +268,7 @@ def read_array(
         raise InputError(f"{file.filename}: {path} claims {claimed} bytes, but holds only {stored}")
     values = dataset[part]
     if part == ALL and dataset.chunks is None:
-        check_digest(dataset.attrs, values)
+        checksums.check_digest(dataset.attrs, values)
     if kind is None:
         return values
     if values.dtype.kind == "f" or not np.array_equal(values.astype(kind), values):
@@ -294,7 +285,7 @@ def read_text(file: h5py.File, path: str) -> str:
     if dataset.dtype.itemsize > MAX_TEXT_BYTES:
         raise InputError(f"{file.filename}: {path} claims a text of {dataset.dtype.itemsize} bytes")
     value = dataset[()]
-    check_digest(dataset.attrs, value)
+    checksums.check_digest(dataset.attrs, value)
     return _text(value)
 
 
@@ -316,7 +307,7 @@ def read_texts(file: h5py.File, path: str, length: int | None = None, part: slic
 
 def read_attribute(file: h5py.File, path: str, name: str) -> Any:
     """Return an attribute, text as str; None if it is absent. Raises InputError if it cannot be read."""
-    with located(file, f"{path}@{name}"):
+    with checksums.located(file, f"{path}@{name}"):
         attributes = _node(file, path).attrs
         held = attributes.get_id(name) if name in attributes else None
         if held is None or held.shape is None:
@@ -326,7 +317,7 @@ def read_attribute(file: h5py.File, path: str, name: str) -> Any:
         if held.dtype.kind == "O" and held.shape:
             raise InputError(f"{file.filename}: {path}@{name} is a list of texts without a fixed length")
         value = attributes[name]
-        check_digest(attributes, value, name)
+        checksums.check_digest(attributes, value, name)
         return _text(value) if isinstance(value, bytes | str) else value
 
 

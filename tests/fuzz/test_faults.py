@@ -6,18 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz.batches import (
-    COMMAND,
-    Batch,
-    batch,
-    finished,
-    killed_again_and_again,
-    until,
-    without_progress,
-    write_recording,
-)
+from fuzz import batches
+from fuzz.batches import Batch, batch, finished, until, without_progress, write_recording
 
 from lampest import Recording, read_results
+from tests.small_files import COMMAND
 
 LONG = pytest.mark.soak
 HERE = ["unshare", "--map-root-user", "--mount", "sh", "-c"]
@@ -107,12 +100,12 @@ def test_recording_that_is_replaced_under_way(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_killed_runs_resume(tmp_path: Path) -> None:
-    assert killed_again_and_again(tmp_path, batch(tmp_path, 2, (1e-4,)), 2, 1)["kills"] == 2
+    assert batches.killed_again_and_again(tmp_path, batch(tmp_path, 2, (1e-4,)), 2, 1)["kills"] == 2
 
 
 @pytest.mark.soak
 def test_fifty_kills_lose_and_alter_no_result(tmp_path: Path) -> None:
     made = batch(tmp_path, 8, (1e-4, 1e-3, 1e-2))
-    counts = killed_again_and_again(tmp_path, made, 50, 2)
+    counts = batches.killed_again_and_again(tmp_path, made, 50, 2)
     print(f"\n{made.cases} cases; {dict(counts)}; no result lost, none altered")
     assert counts["kills"] == 50
