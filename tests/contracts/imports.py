@@ -40,13 +40,17 @@ def given(
     return SimpleNamespace(content=plain, notes=notes, name=name, expected=expected, how=how, **parts)
 
 
-def imported(folder: Path, file: SimpleNamespace) -> tuple[Recording, tuple[str, ...]]:
+def written(folder: Path, file: SimpleNamespace) -> Path:
     path, content = folder / file.name, file.content
     if callable(content):
         content(path)
     else:
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    return import_file(path, **({"rows": ROWS, "columns": COLUMNS} | file.how))
+    return path
+
+
+def imported(folder: Path, file: SimpleNamespace) -> tuple[Recording, tuple[str, ...]]:
+    return import_file(written(folder, file), **({"rows": ROWS, "columns": COLUMNS} | file.how))
 
 
 def check_taken(file: SimpleNamespace, folder: Path) -> None:

@@ -4,7 +4,6 @@ A mutant is a good file after one to four changes: to its bytes, to its lines, o
 """
 
 import copy
-import datetime
 import io
 import json
 import re
@@ -12,13 +11,15 @@ import struct
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import h5py
 import numpy as np
-import openpyxl
-import scipy.io
+from contracts.imports import written
+from contracts.test_import import TABLES
+from contracts.test_import_files import FILES
 from ruamel.yaml import YAML
 from support import invented_case
 from unclosed import unclosed_recording
@@ -42,6 +43,7 @@ KINDS = {
     "arrays": (".npz", ("bytes", "parts")),
     "matlab_hdf5": (".mat", ("bytes",)),
 }
+IMPORTED = ("table", "numpy", "matlab", "excel", "arrays", "matlab_hdf5")
 DOCUMENTS = """
 run:
   schema: 1
@@ -141,41 +143,21 @@ class Corpus(NamedTuple):
         return Mutant(kind, content)
 
 
-def corpus(folder: Any) -> Corpus:
+def corpus(folder: Path) -> Corpus:
     """Good files of all kinds; small.h5, which runs name, is written into the folder."""
     recording, unfinished = good_recordings(folder)
     (folder / "small.h5").write_bytes(recording)
-    values, stacked = frames(), frames().transpose(1, 2, 0)
-    series = {"resistance": values, "time_ms": np.arange(3) * 250, "noise": np.random.default_rng(5).random(2000)}
     return Corpus(
-        {
+        {kind: good_imports(folder, kind) for kind in IMPORTED}
+        | {
             "run": (text(RUN), text({**RUN, "recordings": ["*.h5"], "sweep": {"bounds.lower": [1, "none"]}})),
             "scene": (text(SCENE), text({"scene": SCENE})),
             "simulation": (text(CONTENT["simulation"]),),
             "setting": tuple(setting.encode() for setting in SETTINGS),
             "recording": (recording, without_checksums(good_recordings, folder)[0], unfinished),
             "results": (good_results(folder), without_checksums(good_results, folder)),
-            "table": good_tables(),
-            "numpy": tuple(
-                saved(lambda stream, array=array: np.save(stream, array))
-                for array in (values, values.reshape(3, 12).astype(">i4"))
-            ),
-            "matlab": tuple(
-                saved(lambda stream, packed=packed: scipy.io.savemat(stream, {"r": stacked}, do_compression=packed))
-                for packed in (False, True)
-            ),
-            "excel": tuple(map(excel_file, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))),
-            "arrays": tuple(
-                saved(lambda stream, save=save: save(stream, **series)) for save in (np.savez, np.savez_compressed)
-            ),
-            "matlab_hdf5": (matlab_hdf5_file(),),
         }
     )
-
-
-def frames() -> Any:
-    """Three frames of twelve resistances."""
-    return np.random.default_rng(1).uniform(500, 5000, (3, 3, 4)).round(2)
 
 
 def text(content: Any) -> bytes:
@@ -183,14 +165,7 @@ def text(content: Any) -> bytes:
     return "".join(f"{key}: {json.dumps(value)}\n".replace('"', "'") for key, value in content.items()).encode()
 
 
-def saved(save: Callable[[io.BytesIO], object]) -> bytes:
-    """The bytes that a function writes into a stream."""
-    stream = io.BytesIO()
-    save(stream)
-    return stream.getvalue()
-
-
-def good_recordings(folder: Any) -> tuple[bytes, bytes]:
+def good_recordings(folder: Path) -> tuple[bytes, bytes]:
     """One with everything a recording can hold, and one whose recorder was killed."""
     rng, count, readout = np.random.default_rng(2), np.arange(3), TwoPointReadout()
     codes, scene = rng.integers(4000, 8000, (3, 3, 4)), Scene(Panel(3, 4), readout, 140.0)
@@ -215,7 +190,7 @@ def good_recordings(folder: Any) -> tuple[bytes, bytes]:
     return contents[0], contents[1]
 
 
-def good_results(folder: Any) -> bytes:
+def good_results(folder: Path) -> bytes:
     """Two estimators, one of them with a frame that failed, and published figures."""
     shape = (2, 3, 4)
     cases = [invented_case("LSM", "small", shape), invented_case("LSR-dCR", "small", shape, failed=(1,))]
@@ -225,62 +200,21 @@ def good_results(folder: Any) -> bytes:
     return whole
 
 
-def without_checksums(make: Callable[[Any], Any], folder: Any) -> Any:
+def without_checksums(make: Callable[[Path], Any], folder: Path) -> Any:
     """What `make` writes in a folder, in the format of older versions or as other programs have it."""
     with patch.object(hdf5, "FORMAT", ("earliest", "v110")):
         return make(folder)
 
 
-def good_tables() -> tuple[bytes, ...]:
-    """One frame a line with times and header; one value a line; decimal commas."""
-    values = frames()
-    wide = "time," + ",".join(f"r{number}" for number in range(12)) + "\n"
-    wide += "".join(f"{time}," + ",".join(map(str, frame.ravel())) + "\n" for time, frame in enumerate(values))
-    long = "row;column;value;frame\n" + "".join(
-        f"{row};{column};{str(value).replace('.', ',')};{frame}\n"
-        for (frame, row, column), value in np.ndenumerate(values)
-    )
-    plain = "\r\n".join(" ".join(map(str, frame.ravel())) for frame in values)
-    stamped = "time,row,column,R [ohm]\n" + "".join(
-        f"2025-01-31T12:00:0{frame}.5+01:00,R{row + 1},C{column + 1},{value}\n"
-        for (frame, row, column), value in np.ndenumerate(values)
-    )
-    blocks = "\n\n".join("\n".join("\t".join(map(str, row)) for row in frame) for frame in values)
-    labelled = "\n".join(
-        ",c0,c1,c2,c3\n" + "\n".join(f"r{number}," + ",".join(map(str, row)) for number, row in enumerate(frame))
-        for frame in values
-    )
-    log = "".join(
-        f"12:34:5{number}.250 -> Frame {number}, t = {250 * number} ms\n"
-        + "".join(f"12:34:5{number}.250 -> {','.join(map(str, row))},\n" for row in frame)
-        for number, frame in enumerate(values)
-    )
-    texts = (wide, long, plain, stamped, blocks, labelled, "boot v1.2\r\n,12\r\n" + log)
-    return *(text.encode() for text in texts), log.encode("utf-16")
-
-
-def excel_file(packing: int) -> bytes:
-    """The bytes of an .xlsx file with times and a header."""
-    book, whole = openpyxl.Workbook(), io.BytesIO()
-    book.active.append(["time", *(f"r{row}c{column}" for row in range(3) for column in range(4))])
-    for number, frame in enumerate(frames()):
-        book.active.append([datetime.datetime(2025, 1, 31, 12, 0, number), *map(float, frame.ravel())])
-    with zipfile.ZipFile(io.BytesIO(saved(book.save))) as parts, zipfile.ZipFile(whole, "w", packing) as archive:
-        for name in parts.namelist():
-            archive.writestr(name, parts.read(name))
-    return whole.getvalue()
-
-
-def matlab_hdf5_file() -> bytes:
-    """The bytes of a .mat file of version 7.3 with resistances, times and a text."""
-    stream = io.BytesIO()
-    letters = np.array([[65], [66]], dtype="u2")
-    with h5py.File(stream, "w", userblock_size=512) as file:
-        for name, values in (("R", frames().transpose(0, 2, 1)), ("t", np.arange(3.0)[:, None]), ("text", letters)):
-            file[name] = values
-            file[name].attrs["MATLAB_class"] = np.bytes_("char" if name == "text" else "double")
-    header = b"MATLAB 7.3 MAT-file".ljust(124) + struct.pack("<H", 0x0200) + b"IM"
-    return header + stream.getvalue()[len(header) :]
+def good_imports(folder: Path, kind: str) -> tuple[bytes, ...]:
+    """The files of the import's tests that need no option, of one kind."""
+    files = [file for file in (*TABLES.values(), *FILES.values()) if not file.how and file.name == f"m{KINDS[kind][0]}"]
+    contents = []
+    for path in (written(folder, file) for file in files):
+        if kind not in ("matlab", "matlab_hdf5") or h5py.is_hdf5(path) == (kind == "matlab_hdf5"):
+            contents.append(path.read_bytes())
+        path.unlink()
+    return tuple(contents)
 
 
 def one_of(things: Any, rng: np.random.Generator) -> Any:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from fuzz.mutants import KINDS, RUN, Mutant, text
+from fuzz.mutants import IMPORTED, KINDS, RUN, Mutant, text
 
 from lampest import InputError, Recording, cli, import_file, read_results, read_run, read_scene, read_simulations
 from lampest.recording.simulation import run as simulate
@@ -146,5 +146,5 @@ READERS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "recording": (Recording.load, "info {}"),
     "results": (read_results, "compare {}"),
 }
-for _kind in ("table", "numpy", "matlab", "excel", "arrays", "matlab_hdf5"):
-    READERS[_kind] = (lambda path: import_file(path, 3, 4)), "import {} --rows 3 --columns 4 --out {}/never.h5"
+for _kind in IMPORTED:
+    READERS[_kind] = (lambda path: import_file(path, 3, 5)), "import {} --rows 3 --columns 5 --out {}/never.h5"
