@@ -64,7 +64,7 @@ def write_recording(path: Path, scene: str = SCENE, shape: tuple[int, int, int] 
     return path
 
 
-def run_command(*arguments: str | Path, **options: Any) -> subprocess.CompletedProcess[str]:
+def run_command(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
     """The installed command in its own process."""
     return subprocess.run([COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=120, **options)
 

@@ -17,6 +17,7 @@ import pytest
 
 from lampest import Array, LoadedColumnsReadout, Panel, PublishedResponse, Scene, TwoPointReadout
 from lampest.files.document import to_yaml
+from tests.small_files import run_command
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 MULTIPLEXER_OHM = 70.0
@@ -89,8 +90,7 @@ def scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any)
 
 def loaded_scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any) -> Scene:
     """The same board wired with loaded columns: a multiplexer of 70 ohm before the rows, 10 kΩ at every column."""
-    known: dict[str, Any] = {"load_ohm": 10_000.0, "drive_ohm": MULTIPLEXER_OHM, "supply_volt": 5.0, "adc_bits": 10}
-    known["noise_lsb"] = 0.7
+    known = {"load_ohm": 10_000.0, "drive_ohm": MULTIPLEXER_OHM, "supply_volt": 5.0, "adc_bits": 10, "noise_lsb": 0.7}
     return Scene(Panel(rows, columns), LoadedColumnsReadout(readings=readings, **(known | changes)))
 
 
@@ -99,20 +99,12 @@ def some_cells(rng: np.random.Generator, frames: int, rows: int = 10, columns: i
     return np.exp(rng.normal(np.log(3050), 0.4, (frames, rows, columns)))
 
 
-COMMAND = Path(sys.executable).with_name("lampest")
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def lampest(*words: object, code: int = 0) -> tuple[str, str]:
     """Standard output and error of a command that ends with `code`."""
-    done = subprocess.run(
-        [str(COMMAND), *(str(word) for word in words)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        env=os.environ | ONE_THREAD,
-        stdin=subprocess.DEVNULL,
-    )
+    done = run_command(*words, stdin=subprocess.DEVNULL, env=os.environ | ONE_THREAD)
     assert done.returncode == code, f"{done.returncode}: {done.stdout}{done.stderr}"
     return done.stdout, done.stderr
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from board.bench import COMMAND, ONE_THREAD, bench, scene_file
+from board.bench import ONE_THREAD, bench, scene_file
 from board.browser import Browser, browser
 from matplotlib.image import imread
 
@@ -19,6 +19,7 @@ from docs.studies.attachments import cells as mouth_cells
 from docs.studies.attachments import courses
 from docs.studies.mouth_scenes import MAKERS, film
 from lampest import UNLOADED, Array, Panel, Recording
+from tests.small_files import COMMAND
 
 ROOT = Path(__file__).parents[2]
 RING, LAMPREY = ROOT / "data" / "ring.h5", ROOT / "data" / "lamprey_35mm.h5"
