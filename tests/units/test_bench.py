@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
-from math import log
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import pytest
 from docs.studies.bench import SolverLimits, SolversFile, Trf, _Point
 from docs.studies.bench_pages import MARKED, PAGES, sections, with_tables
 from docs.studies.mats import LEAST_S, MOST_S, PUBLISHED, MatAnswer, Mats, solved_mats, table
-from lampest import Course, Huber, InputError, Misfit, Panel, Settings
+from lampest import Huber, InputError, Misfit, Panel, Settings
 from lampest.cost.cost import Cost
 from lampest.estimate.sequence import first_stream
 from lampest.report.compare import screen_table
@@ -29,8 +28,6 @@ from lampest.studies.bench import (
     BenchPart,
     bench_remarks,
     bench_rows,
-    growth,
-    loads,
     run_bench,
     sheets,
 )
@@ -129,53 +126,11 @@ def test_a_row_has_the_largest_gap_and_memory_and_the_median_time() -> None:
     assert (later.count, later.solved, later.inverses) == (4, 3, pytest.approx(2.5e6))
 
 
-def test_growth_is_the_slope_of_the_logarithms() -> None:
-    sides = (16, 32, 64, 100, 200)
-    scatter = dict(zip(sides, (9.0, 1.1, 0.9, 1.0, 1.05), strict=True))
-
-    def seconds(side: int, exponent: float) -> list[float]:
-        return [1e-6 * side**2.0, scatter[side] * 1e-6 * side**exponent]
-
-    frames = [frame for side in sides for frame in timed(side, seconds(side, 3.3))]
-    frames += [frame for side in sides[:3] for frame in timed(side, seconds(side, 1.3), "LSR-CR")]
-    found = {(one.method, one.frames): one for one in growth(bench_rows(frames))}
-    assert found["LSM", "first"].exponent == pytest.approx(2.0)
-    assert found["LSM", "first"].standard_error == pytest.approx(0, abs=1e-6)
-    logarithms = [log(seconds(side, 3.3)[1]) for side in sides[1:]]
-    design = np.column_stack([np.log(sides[1:]), np.ones(4)])
-    expected, (rest,), *_ = np.linalg.lstsq(design, np.array(logarithms), rcond=None)
-    covariance = rest / 2 * np.linalg.inv(design.T @ design)
-    assert found["LSM", "later"].exponent == pytest.approx(expected[0])
-    assert found["LSM", "later"].standard_error == pytest.approx(np.sqrt(covariance[0, 0]))
-    assert (found["LSM", "later"].panels, found["LSM", "later"].largest) == (4, 200)
-    assert found["LSR-CR", "later"].standard_error is None
-    assert found["LSR-CR", "later"].exponent == pytest.approx(1.3 + log(0.9 / 1.1) / log(2))
-
-
 def test_all_methods_are_told_together_only_where_none_was_left_out() -> None:
     frames = [*timed(8, [1, 1]), *timed(8, [1], "LSR-CR"), *timed(16, [1, 1]), *timed(32, [1, 1], "LSR-CR")]
     found = [(row.rows, row.method, row.frames) for row in bench_rows(frames)]
     assert [about for about in found if about[1] == "all"] == [(8, "all", "first")]
     assert len(found) == 1 + 3 + 2 + 2
-
-
-def test_tables_of_a_bench_show_medians_and_what_others_take_over_ours() -> None:
-    ours, theirs = timed(8, [0.05, 0.002, 0.003, 0.006]), timed(8, [0.4, 0.03, 0.03, 0.03], solver="nodal")
-    ours[1:] = [replace(frame, iterations=2 + number, gap=1e-13) for number, frame in enumerate(ours[1:])]
-    theirs[2:] = [replace(theirs[2], gap=2e-3, status="no"), replace(theirs[3], gap=np.inf, solved=False, status="no")]
-    frames = [replace(frame, memory_mb=70.0 + frame.frame) for frame in ours] + theirs
-    row = bench_rows(frames)[1]
-    assert (row.ms, row.ms_quartile_1, row.ms_quartile_3) == pytest.approx((3, 2.5, 4.5))
-    assert (row.inverses, row.iterations, row.count, row.verified, row.solved) == (pytest.approx(3000), 3, 3, 3, 3)
-    found = dict(tables(Bench(BenchFile(1, (8,)), tuple(frames))))
-    assert found["solvers: all methods together"].cells == (
-        ("8 × 8", "reduced", "first", "50.0", "", "50,000", "1", "< 1e-12", "1/1", "70"),
-        ("8 × 8", "reduced", "later", "3.00", "", "3,000", "3", "< 1e-12", "3/3", "73"),
-        ("8 × 8", "nodal", "first", "400", "8.00", "400,000", "1", "< 1e-12", "1/1", ""),
-        ("8 × 8", "nodal", "later", "30.0", "10.0", "30,000", "1", "inf", "1/3", ""),
-    )
-    assert found["methods: the reduced solver"].cells[1][:6] == ("8 × 8", "LSM", "later", "3.00", "2.50–4.50", "3,000")
-    assert "growth: time ∝ side^exponent" not in found
 
 
 def test_frames_after_the_first_are_solved_in_turns_until_they_take_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -193,24 +148,6 @@ def test_memory_is_measured_of_each_solver_on_square_panels_alone(monkeypatch: p
     monkeypatch.setattr(bench_module, "peak_memory", lambda recording, estimator: peaks[estimator.method.kind])
     measured = {(frame.shape, frame.solver, frame.memory_mb) for frame in run_bench(few, quiet).frames}
     assert measured == {((3, 3), "reduced", 7.0), ((3, 3), "nodal", 9.0), ((3, 4), "reduced", None)}
-
-
-def test_loads_of_a_bench_stand_at_shares_of_the_panel_and_recordings_follow_from_the_seed() -> None:
-    """Of 9 × 11 cells, 80 by 100 mm: a mouth of 35 % of 90 mm, three rods, a mouth beside the first."""
-    (third,), breathing = loads(0, (9, 11))
-    assert third.centre_mm == pytest.approx((49.0, 40.8)) and third.diameter_mm == pytest.approx(31.5)
-    rods, still = loads(1, (9, 11))
-    places = [(*rod.centre_mm, rod.diameter_mm, rod.mass_g) for rod in rods]
-    assert np.allclose(places, [(30, 24, 40, 680), (70, 28, 40, 300), (40, 60, 40, 1200)]) and still == Course()
-    (mouth, beside), growing = loads(2, (9, 11))
-    assert mouth.centre_mm == pytest.approx((60, 44)) and mouth.diameter_mm == 35 and beside == rods[0]
-    assert growing == replace(breathing, start_s=-0.4, approach_s=2) and loads(3, (9, 11)) == ((third,), breathing)
-    bench = BenchFile(1, (12,))
-    first, _, last, again = (bench.recording((12, 12), number) for number in range(4))
-    np.testing.assert_array_equal(first.recorded, bench.recording((12, 12)).recorded)
-    np.testing.assert_array_equal(first.truth_pressure, again.truth_pressure)
-    assert not np.array_equal(first.recorded, again.recorded)
-    assert np.all(np.diff(np.abs(last.truth_pressure).sum(axis=(1, 2))[3:]) > 0)
 
 
 def test_what_there_is_no_time_for_is_left_out_and_named() -> None:

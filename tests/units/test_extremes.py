@@ -11,10 +11,8 @@ import pytest
 
 from docs.studies.extremes import extremes_figure
 from lampest import (
-    Array,
     Data,
     Estimator,
-    Faults,
     Panel,
     Recording,
     Scene,
@@ -110,74 +108,6 @@ def test_forward_map_of_every_case_against_fifty_digits(case: str) -> None:
     certified = fifty_digits(cells[1])
     assert correct_digits(two_point_resistance(cells[1]), certified) > 9.9
     assert np.all(np.isfinite(certified)) or recording.scene.faults is not None
-
-
-def made(
-    case: str, decades: float = 0.0, noise: float = 0.0, shape: tuple[int, int] = (4, 7)
-) -> tuple[Recording, Array, Array]:
-    """A recording of a case of seed 3, its cells in ohm, and these over the usual ones (2, rows, columns)."""
-    recording, cells = recording_of(AtlasSample(case, *shape, decades, noise, 3))
-    usual = 3000 * 10 ** np.random.default_rng([3, *shape, 1]).uniform(-0.15, 0.15, shape)
-    return recording, cells, cells / usual
-
-
-def test_cases_differ_from_usual_cells_as_their_names_say() -> None:
-    """Of 4 × 7 cells the one that breaks is (2, 2); the second frame halves a fifth of them."""
-    _, _, usual = made("all times 1e6")
-    assert np.allclose(usual[0], 1e6) and set(np.round(usual[1] / 1e6, 9).flat) == {0.5, 1.0}
-    halved, whole, (row, column) = usual[1] / 1e6, np.ones((4, 7)), np.indices((4, 7))
-    cell, inf, nothing = (row == 2) & (column == 2), np.inf, Faults()
-    for case, places, factor, faults in (
-        ("open cell", cell, 1e9, None),
-        ("open row", row == 2, 1e9, None),
-        ("open column", column == 2, 1e9, None),
-        ("shorted cell", cell, 1e-9, None),
-        ("shorted row", row == 2, 1e-9, None),
-        ("open cell, known", cell, inf, replace(nothing, open=((2, 2),))),
-        ("shorted cell, known", cell, 0.0, replace(nothing, shorted=((2, 2),))),
-        ("dead row, known", row == 2, inf, replace(nothing, dead_rows=(2,))),
-        ("dead column, known", column == 2, inf, replace(nothing, dead_columns=(2,))),
-        ("at the series resistance", cell, 1e-3 / 3000, None),
-        ("weight 0", cell, 1.0, None),
-    ):
-        recording, _, factors = made(case)
-        np.testing.assert_allclose(factors, np.where(places, factor, 1.0) * [whole, halved], rtol=1e-9)
-        assert recording.scene.faults == faults and CASES[case].single_fault == (case != "weight 0")
-    for case, high in (("two clusters", (row < 2) | (column < 3)), ("checkerboard", (row + column) % 2 == 1)):
-        np.testing.assert_allclose(made(case, 6.0)[2][0], np.where(high, 1e3, 1e-3))
-        assert CASES[case].contrasted
-    random = np.log10(made("log-uniform", 6.0)[2][0])
-    assert -3 < random.min() < -2 and 2 < random.max() < 3
-    np.testing.assert_allclose(np.sort(made("1 mOhm to 1 GOhm")[2][0].ravel()) * 3000, np.logspace(-3, 9, 28))
-    rails, still = made("codes at both rails"), made("identical frames", noise=0.1)[0].recorded
-    np.testing.assert_allclose(rails[2][0], np.where(row == 2, 1e6, 1) * np.where(row + column == 0, 1e-6, 1))
-    assert rails[0].scene.readout == TwoPointReadout(readings=1) and rails[0].sigma is None
-    assert made("at the series resistance")[0].scene.series_resistance_ohm == 140
-    np.testing.assert_array_equal(still[0], still[1])
-    assert [CASES[f"weight {word}"].weight for word in ("0", "1e-12", "1e12")] == [0, 1e-12, 1e12]
-
-
-def test_readings_of_a_case_are_exact_but_for_their_noise() -> None:
-    """A reading is at least a hundredth of the exact one; a series resistance has noise of its own."""
-    rng = np.random.default_rng([3, 4, 7, 2])
-    noise, own = rng.standard_normal((2, 4, 7)), rng.standard_normal((2, 4, 7))
-    for relative in (0.0, 0.01, 0.8):
-        recording, cells, _ = made("weight 0", noise=relative)
-        exact = two_point_resistance(cells) * np.maximum(1 + relative * noise, 0.01)
-        np.testing.assert_allclose(recording.recorded, exact)
-        np.testing.assert_allclose(recording.sigma, max(relative, 1e-9) * exact)
-        recording, cells, _ = made("at the series resistance", noise=relative)
-        exact = two_point_resistance(cells) * np.maximum(1 + relative * noise, 0.01) + 140
-        np.testing.assert_allclose(recording.recorded, np.maximum(exact + 140 * relative * own, 1e-3))
-    recording, _, _ = made("dead row, known")
-    assert np.all(recording.recorded[:, 2] == 3000) and np.all(recording.sigma[:, 2] == 3000)
-    recording, cells, _ = made("codes at both rails")
-    readout = TwoPointReadout(readings=1)
-    assert recording.recorded[0, 0, 0] == recording.recorded.min() > 0
-    away = np.diff(
-        [readout.volt_from_recorded(each) for each in (recording.recorded, two_point_resistance(cells))], axis=0
-    )
-    assert 0.25 * readout.lsb_volt < np.abs(away[0, :, 1]).max() < 5 * readout.lsb_volt
 
 
 def test_scenes_of_an_atlas_are_solved_by_both_formulations_where_its_file_says_so() -> None:
