@@ -32,7 +32,7 @@ STUDIES = {
         "Solve scenes at the limits of measurement and report how each ended; table and HDF5.",
     ),
     "weights": (
-        "lampest.studies.weights_report",
+        "lampest.studies.weights",
         "Plot weight selection: evidence, misfit, penalty and true error over λ, with every rule's choice.",
     ),
 }

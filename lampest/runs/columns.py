@@ -291,6 +291,16 @@ def _of_terms(done: Estimates, values: Sequence[Array] | Sequence[tuple[float, .
     return {name: np.array([step[number] for step in values]) for number, name in enumerate(names)}
 
 
+def _costs(done: Estimates) -> dict[str, Array]:
+    """Map terms to their costs in every frame."""
+    return _of_terms(done, [step.solution.costs for step in done.steps])
+
+
+def _weights(done: Estimates) -> dict[str, Array]:
+    """Map terms to their weights in every frame."""
+    return _of_terms(done, [step.weights for step in done.steps])
+
+
 def _chosen(done: Estimates) -> dict[str, Array]:
     """Map terms with weights chosen by the data to the standard deviation of ln λ in every frame."""
     size = len(done.estimator.terms)
@@ -339,10 +349,10 @@ class Figures:
     units: str = "1"
     name: str = ""
 
-    @property
-    def field(self) -> Any:
-        """Field of a dataclass that holds them."""
-        return field(default_factory=dict, metadata={"figures": self})
+
+def _figures(*about: Any) -> Any:
+    """Return a dataclass field that holds figures."""
+    return field(default_factory=dict, metadata={"figures": Figures(*about)})
 
 
 MISFIT = {
@@ -490,17 +500,11 @@ class Content(Validated):
     tared: tuple[str, ...] | None = _frames(
         "1", "why the zero of pressures was taken anew after the frame; empty: it was not", dtype=str, default=None
     )
-    contacts: dict[str, Array] = Figures("contact", _contacts, _of_contact, "ohm").field
-    costs: dict[str, Array] = Figures(
-        "cost", lambda done: _of_terms(done, [step.solution.costs for step in done.steps]), "cost of the term {}".format
-    ).field
-    weights: dict[str, Array] = Figures(
-        "weight", lambda done: _of_terms(done, [step.weights for step in done.steps]), "weight of the term {}".format
-    ).field
-    weight_sigma: dict[str, Array] = Figures(
+    contacts: dict[str, Array] = _figures("contact", _contacts, _of_contact, "ohm")
+    costs: dict[str, Array] = _figures("cost", _costs, "cost of the term {}".format)
+    weights: dict[str, Array] = _figures("weight", _weights, "weight of the term {}".format)
+    weight_sigma: dict[str, Array] = _figures(
         "weight_sigma", _chosen, "standard deviation of ln of the chosen weight of the term {}".format
-    ).field
-    misfit: dict[str, Array] = Figures(
-        "model_check", lambda done: done.misfit, lambda name: MISFIT.get(name, name)
-    ).field
+    )
+    misfit: dict[str, Array] = _figures("model_check", attrgetter("misfit"), lambda name: MISFIT.get(name, name))
     extra: Mapping[str, Array] = field(default_factory=dict)

@@ -20,8 +20,8 @@ from lampest.runs.columns import Column, Content
 from lampest.runs.config import Case, hash_of
 
 LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
-NUMBERS = ("gain", "unloaded")  # attributes of `FrameNoise` that are numbers
-PATTERNS = {"together": "common_ripple", "apart": "line_ripple"}  # in volt: stored name → attribute
+# Stored name → attribute of `FrameNoise`: two numbers, and two patterns in volt.
+NOISE = {"gain": "gain", "unloaded": "unloaded", "together": "common_ripple", "apart": "line_ripple"}
 
 
 def case_result(case: Case, estimates: Estimates) -> CaseResult:
@@ -30,8 +30,7 @@ def case_result(case: Case, estimates: Estimates) -> CaseResult:
     Raises InputError where the values of a column have a wrong shape or are impossible.
     """
     names = {"recording": case.recording, "estimator": case.name, "case_id": case.case_id, "case_yaml": case.resolved}
-    names |= {"swept_json": json.dumps(case.swept)} if case.swept else {}
-    return _filled(estimates, (), names)
+    return _filled(estimates, (), names | ({"swept_json": json.dumps(case.swept)} if case.swept else {}))
 
 
 def named_result(estimates: Estimates, name: str | None, columns: Sequence[Column] = ()) -> CaseResult:
@@ -80,25 +79,22 @@ def library_versions(*further: str) -> dict[str, str]:
 
 def _arrays_of(noise: FrameNoise | None) -> dict[str, Array]:
     """Return the numbers and the patterns in volt of a frame's noise by name; empty without noise."""
-    if noise is None:
-        return {}
-    attributes = {**{name: name for name in NUMBERS}, **PATTERNS}
-    arrays = {name: np.array(getattr(noise, part), dtype=float, order="C") for name, part in attributes.items()}
-    return {name: value for name, value in arrays.items() if value.size}
+    parts = {} if noise is None else {name: getattr(noise, part) for name, part in NOISE.items()}
+    return {name: np.array(part, dtype=float, order="C") for name, part in parts.items() if np.size(part)}
 
 
 def frame_noise_of(arrays: Mapping[str, Array], scene: Scene) -> FrameNoise | None:
     """Return the frame noise of stored arrays, the inverse of `_arrays_of`. Raises ValueError for invalid arrays."""
     if scene.readout is None or not arrays:
         return None
-    rows, columns = scene.panel.shape
-    channels = rows if scene.circuit.by_columns else columns
-    numbers = [np.asarray(arrays.get(name, np.nan)) for name in NUMBERS]
-    roots = [np.asarray(arrays.get(name, np.zeros((channels, 0)))) for name in PATTERNS]
-    if any(array.dtype.kind not in "iuf" or not np.isfinite(array).all() for array in (*numbers, *roots)):
+    channels = scene.panel.shape[0 if scene.circuit.by_columns else 1]
+    none = np.zeros((channels, 0))
+    held = {"gain": np.nan, "unloaded": np.nan, "together": none, "apart": none, **arrays}
+    gain, unloaded, *roots = parts = [np.asarray(held[name]) for name in NOISE]
+    if any(array.dtype.kind not in "iuf" or not np.isfinite(array).all() for array in parts):
         raise ValueError("frame_gain and what belongs to it must be finite numbers")
-    if any(number.shape for number in numbers) or numbers[0] < 0 or numbers[1] < 1:
+    if gain.shape or unloaded.shape or gain < 0 or unloaded < 1:
         raise ValueError("frame_gain must not be negative, frame_unloaded at least 1")
     if any(root.ndim != 2 or len(root) != channels for root in roots):
         raise ValueError(f"frame_together and frame_apart must have {channels} rows, one for each channel of a line")
-    return FrameNoise(scene, int(numbers[1]), float(numbers[0]), *(root.astype(float) for root in roots))
+    return FrameNoise(scene, int(unloaded), float(gain), *(root.astype(float) for root in roots))

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from time import perf_counter, process_time
+from timeit import Timer
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -181,15 +182,9 @@ def clocked(call: Callable[[], Result]) -> tuple[Result, float]:
 
 
 def inverse_time(matrix: Array) -> float:
-    """Return the seconds of one dense inverse, the least of three measurements of 2 ms or more."""
-
-    def inverses(count: int) -> float:
-        return clocked(lambda: [np.linalg.inv(matrix) for _ in range(count)])[1]
-
-    count = 1
-    while (spent := inverses(count)) < 2e-3:
-        count *= 2
-    return min(spent, inverses(count), inverses(count)) / count
+    """Return the processor's seconds of one dense inverse, the least of three measurements of 1 ms or more."""
+    count = max(1, 50_000 // matrix.size)
+    return min(Timer(lambda: np.linalg.inv(matrix), timer=process_time).repeat(3, count)) / count
 
 
 def first_frames(recording: Recording, count: int) -> Recording:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lampest.files.errors import InputError
@@ -380,24 +381,25 @@ def counts(rows: Sequence[PublishedNumber], names: Sequence[str]) -> str:
     return f"within a quarter of the published number: {', '.join(parts)}."
 
 
+def _through(axes: Axes, x: Array, y: Array, points: Sequence[tuple[float, float]]) -> None:
+    """Draw lampest's curve and published points."""
+    axes.plot(x, y, color=style.BLUE, lw=1.2, label="lampest")
+    axes.plot(*zip(*points, strict=True), "o", color=style.ORANGE, ms=4.5, label="published")
+
+
 def response_figure(published: Published) -> Figure:
     """Draw figure 1-e with its inset: the response curve of lampest through the published numbers."""
     figure = style.new_figure(3.2)
     axes = figure.subplots()
-    pressures = np.linspace(-10.0, 235.0, 981)
-    axes.plot(pressures, 100 * relative_change_from_pressure(pressures), color=style.BLUE, lw=1.2, label="lampest")
-    points = [(point.kpa, point.percent) for point in published.changes]
-    axes.plot(*zip(*points, strict=True), "o", color=style.ORANGE, ms=4.5, label="published")
+    pressures, fine = np.linspace(-10.0, 235.0, 981), np.linspace(0, 60, 601)
+    _through(axes, pressures, 100 * relative_change_from_pressure(pressures), published.changes)
     style.dressed(axes, "pressure [kPa]", "relative change of resistance ΔR/R₀ [%]")
     axes.legend(fontsize=style.SMALL_POINT, frameon=False, loc="upper left", bbox_to_anchor=(0.12, 1.0))
     inset = axes.inset_axes((0.42, 0.38, 0.55, 0.52))
-    fine = np.linspace(0, 60, 601)
-    slope = np.gradient(relative_change_from_pressure(fine), fine)
-    inset.plot(fine, slope, color=style.BLUE, lw=1.1)
+    inset.plot(fine, np.gradient(relative_change_from_pressure(fine), fine), color=style.BLUE, lw=1.1)
+    look: dict[str, Any] = {"color": style.ORANGE, "lw": 3, "alpha": 0.6, "solid_capstyle": "butt"}
     for part in published.slopes:
-        inset.plot(
-            [part.from_kpa, part.to_kpa], [part.per_kpa] * 2, color=style.ORANGE, lw=3, alpha=0.6, solid_capstyle="butt"
-        )
+        inset.plot([part.from_kpa, part.to_kpa], [part.per_kpa] * 2, **look)
     style.dressed(inset, "pressure [kPa]", "sensitivity S [1/kPa]")
     return figure
 
@@ -407,11 +409,9 @@ def bending_figure(published: Published) -> Figure:
     figure = style.new_figure(2.9)
     left, right = figure.subplots(1, 2)
     curvature = np.linspace(0, published.bent_cells[-1].curvature_per_m, 120)
-    lowering = [Film(curvature_per_m=float(value)).lowering for value in curvature]
-    unloaded = published.bent_cells[0].ohm * np.array(lowering)
-    left.plot(curvature, unloaded, color=style.BLUE, lw=1.2, label="lampest")
+    lowering = np.array([Film(curvature_per_m=float(value)).lowering for value in curvature])
     points = [(cell.curvature_per_m, cell.ohm) for cell in published.bent_cells]
-    left.plot(*zip(*points, strict=True), "o", color=style.ORANGE, ms=4.5, label="published")
+    _through(left, curvature, published.bent_cells[0].ohm * lowering, points)
     left.set_yscale("log")
     left.set_yticks([300, 500, 1000, 2000, 3000], ["300", "500", "1000", "2000", "3000"])
     left.minorticks_off()
@@ -419,8 +419,7 @@ def bending_figure(published: Published) -> Figure:
     style.dressed(left, "curvature [1/m]", "unloaded resistance R₀ [ohm]")
     pressures = np.linspace(0.0, 40.0, 161)
     for cell, colour in zip(published.bent_cells, COLOURS, strict=True):
-        answer = Film(curvature_per_m=cell.curvature_per_m).answer
-        change = 100 * (ratio_from_pressure(pressures) ** answer - 1)
+        change = 100 * (ratio_from_pressure(pressures) ** Film(curvature_per_m=cell.curvature_per_m).answer - 1)
         name = "flat" if cell.radius_mm is None else f"radius {cell.radius_mm:g} mm"
         right.plot(pressures, change, color=colour, lw=1.1, label=name)
         right.plot(40, cell.percent, "o", color=colour, ms=4.5, clip_on=False)
