@@ -425,10 +425,27 @@ def weights_study_row() -> dict[str, Any]:
 
 
 def paper_row() -> dict[str, Any]:
+    """The paper beside one side: two mouths of a rod's frames, with estimates that no solver made."""
     published = paper.read_published(paper.FILE)
+    mouths = [replace(simulated(), name=name) for name in ("large", "small")]
+    shape, methods = mouths[0].recorded[4:].shape, {row.method for row in published.ranges} - {paper.MEASURED}
+    cases = [
+        invented_case(method, mouth.name, shape, joint_start="d" in method)
+        for method in sorted(methods) for mouth in mouths
+    ]  # fmt: skip
+    loads = {load.letter: paper.load_of(mouths[0]) for load in published.loads}
+    optima = paper.optima(lp.Results(tuple(cases)), mouths)
+    sides = [paper.shown(paper.Side(f"{word} scenes", word, mouths, loads, *optima)) for word in ("clean", "panel")]
+    numbers = [*paper.published_beside(sides, published)]
+    names = tuple(side.name for side in sides)
+    known = paper.Paper(published, names, numbers, {})
+    page = paper.page_of(known)
     return {
         "response": drawn_row(paper.response_figure(published)),
         "bending": drawn_row(paper.bending_figure(published)), "covered": paper.covered(cells_of((4, 5)) - 3000),
+        "numbers": [vars(row) for row in paper.rows(known)], "counts": paper.counts(numbers, names),
+        "sheet": paper.sheet(numbers[:30], names), "tiles": paper.tiles_of(sides[0], published),
+        "page": re.findall(r"<p>(?:Of|Numbers)[^<]*|<caption>[^<]*|<td>[^<]*time", page),
     }  # fmt: skip
 
 

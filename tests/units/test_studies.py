@@ -8,29 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
-from support import invented_case
 
 from docs.studies.audit import Audited, audit_remarks, audit_rows
 from docs.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
 from lampest import Array, InputError, Panel, Recording, Scene
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
-from lampest.runs.results import Results
 from lampest.solvers.solution import Settings
 from lampest.studies import common, tradeoff, weights
-from lampest.studies import paper as page
 from lampest.studies.paper import (
-    ERROR,
-    ERROR_SD,
     FILE,
-    TIME,
-    Paper,
-    Published,
-    PublishedNumber,
     Side,
-    counts,
-    covered,
     read_published,
 )
 from lampest.studies.tradeoff import (
@@ -326,148 +314,9 @@ def test_table_one_is_the_same_in_the_shipped_run() -> None:
         assert (figures.error_percent, figures.error_sd_percent) == (row.error_percent, row.error_sd_percent)
 
 
-def test_a_quarter_is_of_the_published_number() -> None:
-    row = PublishedNumber("Fig. 8-a", "measured", "%", -80.0, (-60.0, -59.9, -100.1, float("nan")))
-    assert [row.reproduced(number) for number in range(4)] == [True, False, False, False]
-    assert counts([row], ["one"]) == "within a quarter of the published number: 1 of 1 (one)."
-    assert counts([row, row], ["one", "two"]).endswith("number: 2 of 2 (one), 0 of 2 (two).")
-    table = page.sheet([row, row._replace(ours=(12345.6, -80.0, 1.0, 2.0))], ("clean", "real", "far", "none"))
-    assert table.headers == ("", "place", "published", "clean", "real", "far", "none") and table.best == {
-        (0, 3),
-        (1, 4),
-    }
-    assert table.cells[0] == ("measured [%]", "Fig. 8-a", "−80.0", "−60.0", "−59.9", "−100", "–")
-    assert table.cells[1][3:] == ("12,346", "−80.0", "1.00", "2.00")
-    change = np.full((8, 9), -5.0)
-    change[2:6, 3:8] = -80.0
-    change[3:5, 4:7], change[0, 0] = 300.0, -39.0
-    assert covered(change) == (4, 5), "a mouth covers its rim"
-
-
-@pytest.fixture(scope="module")
-def published() -> Published:
-    return read_published(FILE)
-
-
-def compared_side(word: str, factor: float, published: Published) -> Side:
-    """Maps of 2 × 3 cells that have the published ranges times a factor; mouths that cover 1 × 2 cells."""
-    changes = {}
-    for row in published.ranges:
-        for number in (0, 1):
-            changes[row.method, number] = factor * np.array([[row.low, row.low, row.high], [row.high] * 2 + [NAN]])
-    steps = {
-        (row.method, row.steps): {ERROR[3]: factor * row.error_percent, ERROR_SD[3]: 1.0, TIME[3]: 2.0}
-        for row in published.errors[1:]
-    }
-    loads = {load.letter: (changes["LSM", 0], np.array([-20.0, 31.25])) for load in published.loads}
-    mouth = Recording(Scene(Panel(2, 3)), np.ones((1, 2, 3)), np.zeros(1), np.zeros(1, dtype=np.uint8))
-    return Side(f"{word} scenes", word, [mouth, mouth], loads, changes, steps)
-
-
-@pytest.fixture(scope="module")
-def beside(published: Published) -> dict[tuple[str, str], PublishedNumber]:
-    both = [compared_side("clean", 1.0, published), compared_side("real", 0.5, published)]
-    return {(row.figure, row.quantity): row for row in page.published_beside(both, published)}
-
-
-def test_every_published_number_stands_beside_that_of_every_side(
-    beside: dict[tuple[str, str], PublishedNumber], published: Published
-) -> None:
-    """Of 2 × 6 ranges, 2 × 2 counts, 3 × 7 figures, 3 changes, 2 slopes and 2 × 4 values of bent cells."""
-    assert len(beside) == 50
-    told = {
-        ("Fig. 8-b", "LSM, smallest change"): ("%", -99.5, (-99.5, -49.75)),
-        ("Fig. 8-b", "LSM, largest change"): ("%", 11873.9, (11873.9, 5936.95)),
-        ("Fig. 9-d", "mouth of 25 mm, rows covered"): ("cells", 3, (1, 1)),
-        ("Fig. 9-d", "mouth of 25 mm, columns covered"): ("cells", 3, (2, 2)),
-        ("Table I", "LSR-CR, all steps: data error"): ("%", 7.36, (7.36, 3.68)),
-        ("Table I", "LSR-CR, all steps: its standard deviation"): ("%", 7.85, (1, 1)),
-        ("Table I", "LSR-CR, all steps: time"): ("s", 10.2, (2, 2)),
-        ("Table I", "LSM, all steps: data error"): ("%", 1.33, (NAN, NAN)),
-        ("Fig. 1-e", "ΔR/R₀ at −10 kPa"): ("%", 654, (654, 654)),
-        ("Fig. 1-e, inset", "sensitivity from 2.5 to 28 kPa"): ("1/kPa", -0.016, (-0.016, -0.016)),
-        ("Fig. 2-a", "unloaded resistance at 20 1/m"): ("ohm", 1030, (1030, 1030)),
-        ("Fig. 2-d", "ΔR/R₀ at 40 kPa, at 58.8 1/m"): ("%", -81, (-81, -81)),
-    }
-    for key, (unit, number, ours) in told.items():
-        row = beside[key]
-        assert (row.unit, row.published) == (unit, number)
-        assert row.ours == pytest.approx(ours, nan_ok=True)
-    paper = Paper(published, ("clean", "real"), [*beside.values()], {})
-    first = vars(page.rows(paper)[0])
-    assert first == {
-        "figure": "Fig. 8-a",
-        "quantity": "measured, smallest change",
-        "unit": "%",
-        "published": -82.6,
-        "clean": -82.6,
-        "real": pytest.approx(-41.3),
-    }
-
-
-def test_the_page_counts_ranges_and_mean_errors_and_sets_times_apart(
-    beside: dict[tuple[str, str], PublishedNumber], published: Published
-) -> None:
-    written = page.page_of(Paper(published, ("clean scenes", "real scenes"), [*beside.values()], {"fig1e": Figure()}))
-    assert "18 of 19 (clean scenes), 0 of 19 (real scenes)" in written, "one method has no results"
-    assert "Of rows and columns, within a quarter of the published number: 0 of 4 (clean scenes)" in written
-    assert written.count("data:image/png;base64,") == 1 and written.index("all steps: time") > written.index(
-        '<h2 id="errors'
-    )
-    assert written.count("all steps: time") == 3 and written.count("all steps: data error") == 3
-
-
-def test_maps_of_a_side_say_its_range_and_the_papers(published: Published) -> None:
-    side = compared_side("clean", 0.5, published)
-    tiles = page.tiles_of(side, published)
-    assert {name: len(of) for name, of in tiles.items()} == {"fig6": 6, "fig8": 6, "fig9": 2}
-    assert tiles["fig6"][0].title == "(a) aluminium rod of 40 mm and 680 g"
-    assert tiles["fig6"][0].note == "measured −49.8 … +5937 %\nfilm feels −20.0 … +31.2 kPa"
-    assert tiles["fig8"][0].title == "(a) measured two-point"
-    assert tiles["fig8"][1].note == "ours −49.8 … +5937 %\npaper −99.5 … +11874 %"
-    assert tiles["fig9"][1].title == "(d) mouth of 25 mm, LSR-gCR" and tiles["fig9"][1].values is side.change(
-        "LSR-gCR", 1
-    )
-    assert tiles["fig9"][1].note == "ours 1 × 2 cells, paper 3 × 3"
-    with pytest.raises(InputError, match="no results of mine"):
-        side.change("mine")
-
-
-def mouth_of(values: list[float], name: str) -> Recording:
-    """Two unloaded frames of 100 and 102 ohm, then some that have these in one of 2 × 3 cells."""
-    recorded = np.full((2 + len(values), 2, 3), 101.0)
-    recorded[:2] = np.array([100.0, 102.0])[:, None, None]
-    recorded[2:, 0, 1] = values
-    role = (np.arange(len(recorded)) > 1).astype(np.uint8)
-    pressure = np.arange(float(recorded.size)).reshape(recorded.shape)
-    return Recording(Scene(Panel(2, 3)), recorded, np.arange(len(recorded)), role, truth_pressure=pressure, name=name)
-
-
-def test_a_side_shows_the_strongest_frame_of_clean_scenes_and_else_the_first() -> None:
-    mouths = [mouth_of([90.0, 50.5, 99.0], "large"), mouth_of([202.0, 101.0], "small")]
-    assert [page.shown_change(mouth)[0] for mouth in mouths] == [3, 2]
-    np.testing.assert_allclose(page.unloaded(mouths[0]), 101)
-    changes = {("LSM", number): np.arange(3.0)[:, None, None] * np.ones((2, 3)) for number in (0, 1)}
-    for word, frame, measured in (("clean", 1, -50.0), ("panel", 0, 100 * (90 / 101 - 1))):
-        side = page.shown(Side("some", word, mouths, {}, changes, {}))
-        assert side.change("LSM")[0, 0] == frame and side.change("LSM", 1)[0, 0] == 0
-        assert side.change("measured")[0, 1] == pytest.approx(measured) and side.change("measured")[1, 1] == 0
-        assert side.change("measured", 1)[0, 1] == pytest.approx(100)
-    change, felt = page.load_of(mouths[0])
-    assert (felt.min(), felt.max()) == (18, 23) and change[0, 1] == pytest.approx(-50)
-
-
-def test_steps_of_a_side_are_those_of_its_large_mouth() -> None:
-    """Means of |f(r) − R|/R in percent, of the frames but the first for what follows it."""
-    cases = [invented_case(method, mouth) for method in ("LSM", "LSR-dCR") for mouth in ("large", "small")]
-    cases = [replace(case, measured=case.reading_model / 1.05, solve_time=np.array([9.0, 1.0, 3.0])) for case in cases]
-    changes, steps = page.optima(Results(tuple(cases)), [mouth_of([1.0], name) for name in ("large", "small")])
-    assert changes.keys() == {(method, number) for method in ("LSM", "LSR-dCR") for number in (0, 1)}
-    np.testing.assert_array_equal(changes["LSR-dCR", 1], cases[3].relative_change)
-    error, error_sd, time = (header for *_, header in (ERROR, ERROR_SD, TIME))
-    alone, first, later = steps["LSM", "all"], steps["LSR-dCR", "initial"], steps["LSR-dCR", "following"]
-    assert (alone[error], alone[error_sd]) == (pytest.approx(5), pytest.approx(0))
-    assert (alone[time], first[time], later[time]) == (pytest.approx(13 / 3), pytest.approx(9), 2)
+def test_a_published_method_without_results_is_one_sentence() -> None:
+    with pytest.raises(InputError, match="clean scenes: there are no results of mine"):
+        Side("clean scenes", "clean", [], {}, {}, {}).change("mine")
 
 
 def test_an_audit_in_which_every_estimator_fails_keeps_no_promise() -> None:
