@@ -126,67 +126,49 @@ def test_two_runs_into_one_folder_at_once(disk: SimpleNamespace) -> None:
     assert [case.estimator for case in cases(disk.folder / "out")] == ["LSM", "LSR-CR", "LSR-dCR"]
 
 
-def test_sweep_varies_an_estimator_over_its_own_keys_and_all_over_the_others(disk: SimpleNamespace) -> None:
+def test_a_sweep_varies_an_estimator_over_its_own_keys_and_all_over_the_others(disk: SimpleNamespace) -> None:
     sweep = "sweep: {estimators.LSR-CR.terms.cell_resistance.weight: [1e-4, 1e-2], bounds.lower: [measured, 1]}\n"
     run = read_run(disk.run(disk.text + sweep))
     lower = [{"bounds.lower": bound} for bound in ("measured", 1)]
     weights = [{"cell_resistance.weight": weight} for weight in (1e-4, 1e-2)]
-    assert [case.swept for case in run.cases] == [
-        *lower,
-        *(weight | bound for weight in weights for bound in lower),
-        *lower,
-    ]
-    assert [case.name for case in run.cases][1:4] == [
+    varied = [weight | bound for weight in weights for bound in lower]
+    assert [case.swept for case in run.cases] == [*lower, *varied, *lower]
+    assert [case.name for case in run.cases][1:3] == [
         "LSM@bounds.lower=1",
         "LSR-CR@cell_resistance.weight=0.0001,bounds.lower=measured",
-        "LSR-CR@cell_resistance.weight=0.0001,bounds.lower=1",
     ]
-    varied = run.cases[2:6]
-    found = [(case.estimator.terms[1].weight, case.estimator.bounds.lower) for case in varied]
-    assert found == [(1e-4, "measured"), (1e-4, 1), (1e-2, "measured"), (1e-2, 1)]
-    assert len({case.case_id for case in run.cases}) == 8
+    found = [(case.estimator.terms[1].weight, case.estimator.bounds.lower) for case in run.cases[2:6]]
+    assert found == [tuple(values.values()) for values in varied] and len({case.case_id for case in run.cases}) == 8
+    keys = {"LSR-CR.terms.cell_resistance": [1e-4, 1e-3, 1e-2], "LSR-dCR.terms.relative_change": [1, 10]}
+    own = {f"estimators.{key}.weight": values for key, values in keys.items()}
+    run = read_run(disk.run(disk.text + f"sweep: {json.dumps(own)}\n"))
+    swept = [(key.partition(".")[0], [value]) for key, values in keys.items() for value in values]
+    assert [(case.name.partition("@")[0], [*case.swept.values()]) for case in run.cases] == [("LSM", []), *swept]
+    for key, sentence in (
+        ("estimators: [{LSM: {terms: {misfit: {}}}}]", "a sweep varies keys below, or beside, this one"),
+        ("estimators.LSR-XX.terms.misfit.weight: [1, 2]", "LSR-XX"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            read_run(disk.run(disk.text + f"sweep: {{{key}}}\n"))
 
 
-def test_sweep_of_single_estimators_keeps_the_others_once(disk: SimpleNamespace) -> None:
-    weights, changes = [1e-4, 1e-3, 1e-2], [1, 10]
-    keys = {
-        "estimators.LSR-CR.terms.cell_resistance.weight": weights,
-        "estimators.LSR-dCR.terms.relative_change.weight": changes,
-    }
-    run = read_run(disk.run(disk.text + f"sweep: {json.dumps(keys)}\n"))
-    assert [(case.name.partition("@")[0], list(case.swept.values())) for case in run.cases] == [
-        ("LSM", []),
-        *(("LSR-CR", [weight]) for weight in weights),
-        *(("LSR-dCR", [weight]) for weight in changes),
-    ]
-    with pytest.raises(InputError, match="a sweep varies keys below, or beside, this one"):
-        read_run(disk.run(disk.text + "sweep: {estimators: [{LSM: {terms: {misfit: {}}}}]}\n"))
-    with pytest.raises(InputError, match="LSR-XX"):
-        read_run(disk.run(disk.text + "sweep: {estimators.LSR-XX.terms.misfit.weight: [1, 2]}\n"))
-
-
-def test_estimators_override_the_run_key_by_key(disk: SimpleNamespace) -> None:
+def test_estimators_override_the_run_and_settings_the_file_key_by_key(disk: SimpleNamespace, lampest: Command) -> None:
     shared = "formulation: per_pixel\nsolver: {tolerance: 1e-9, max_iterations: 77}\nbounds: {upper: none}\n"
     own = "  LSM: {formulation: nodal, solver: {max_iterations: 5}, bounds: {lower: 2}, "
-    run = read_run(disk.run(disk.text.replace("  LSM: {", own) + shared))
-    first, second, _ = (case.estimator for case in run.cases)
+    path = disk.run(disk.text.replace("  LSM: {", own) + shared)
+    first, second, _ = (case.estimator for case in read_run(path).cases)
     assert (first.formulation, second.formulation) == ("nodal", "per_pixel")
     assert (first.solver.tolerance, first.solver.max_iterations) == (1e-9, 5)
     assert (second.solver.tolerance, second.solver.max_iterations) == (1e-9, 77)
     assert (first.bounds.lower, first.bounds.upper) == (2, "none")
     assert (second.bounds.lower, second.bounds.upper) == ("measured", "none")
-
-
-def test_settings_override_the_file(disk: SimpleNamespace, lampest: Command) -> None:
-    path = disk.folder / "run.yaml"
-    run = read_run(path, ("solver.max_iterations=9", "estimators.LSR-CR.terms.cell_resistance.weight=5e-2"))
-    assert {case.estimator.solver.max_iterations for case in run.cases} == {9}
-    assert run.cases[1].estimator.terms[1].weight == 0.05
-    out = disk.folder / "out"
+    settings = ("solver.max_iterations=9", "estimators.LSR-CR.terms.cell_resistance.weight=5e-2")
+    _, second, _ = read_run(path, settings).cases
+    assert (second.estimator.solver.max_iterations, second.estimator.terms[1].weight) == (9, 0.05)
     arguments = ("--set", "formulation=per_pixel", "--set", "estimators.LSM.terms.misfit.weight=3")
-    assert lampest("run", path, "--out", out, "--jobs", "1", *arguments).code == 0
-    assert "formulation: per_pixel" in cases(out)[1].case_yaml
-    assert "weight: 3" in cases(out)[0].case_yaml
+    assert lampest("run", disk.run(disk.text), "--out", disk.folder / "out", "--jobs", "1", *arguments).code == 0
+    first, second, _ = cases(disk.folder / "out")
+    assert "formulation: per_pixel" in second.case_yaml and "weight: 3" in first.case_yaml
 
 
 def test_recordings_are_found_relative_to_the_file_and_published_figures_travel_along(
@@ -205,23 +187,16 @@ def test_recordings_are_found_relative_to_the_file_and_published_figures_travel_
     assert given.initial.time_s == 58.63 and given.following is None
 
 
-def test_terms_lists_all(lampest: Command) -> None:
-    ended = lampest("show", "terms")
-    assert (ended.code, ended.err) == (0, "")
+def test_terms_and_the_shipped_schema_are_shown(lampest: Command) -> None:
+    terms, schema = lampest("show", "terms"), lampest("show", "schema")
+    assert (terms.code, terms.err, schema.code, schema.err) == (0, "", 0, "")
     for kind, term in term_types().items():
-        (line,) = (line for line in ended.out.splitlines() if line.strip().startswith(f"{kind} "))
-        assert term.unit in line
-        assert f"weight: {term().weight}" in line
-
-
-def test_schema_is_the_shipped_one(lampest: Command) -> None:
-    ended = lampest("show", "schema")
-    assert (ended.code, ended.err) == (0, "")
+        (line,) = (line for line in terms.out.splitlines() if line.strip().startswith(f"{kind} "))
+        assert term.unit in line and f"weight: {term().weight}" in line
     shipped = (ROOT / "configs" / "lampest.schema.json").read_text(encoding="utf-8")
-    assert ended.out == shipped, "lampest show schema > configs/lampest.schema.json"
-    text = json.dumps(json.loads(shipped))
-    for word in (*term_types(), "huber", "per_pixel", "resolution", "sweep", "published"):
-        assert f'"{word}"' in text
+    assert schema.out == shipped, "lampest show schema > configs/lampest.schema.json"
+    words = (*term_types(), "huber", "per_pixel", "resolution", "sweep", "published")
+    assert all(f'"{word}"' in shipped for word in words)
 
 
 @pytest.mark.parametrize("name", ["table1", "all_scenes"])
