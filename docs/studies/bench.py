@@ -205,6 +205,11 @@ class SolversFile(BenchFile):
 
     limits: SolverLimits = SolverLimits()
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not all(term.loss.squared for method in self.estimators.values() for term in method.parts):
+            raise ValueError("only squared losses can be compared with a least-squares solver")
+
     def formulation(self, solver: Any, *, joint: bool) -> Method:
         """Return the formulation of a solver's name, SciPy's included."""
         return ScipyMethod(kind=solver, joint=joint) if solver in SOLVERS else super().formulation(solver, joint=joint)

@@ -99,9 +99,7 @@ class BenchFile(Configuration):
 
     schema: Literal[1]
     sizes: common.Sizes
-    estimators: dict[str, common.SquaredMethod] = field(
-        default_factory=lambda: common.paper_methods(common.SquaredMethod)
-    )
+    estimators: dict[str, common.StudyMethod] = field(default_factory=common.paper_methods)
     recordings: int = 1
     frames: int = 4
     repeats: int = 3

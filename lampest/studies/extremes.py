@@ -28,7 +28,7 @@ from lampest.runs.executors import AnyExecutor, Processes, each_of
 from lampest.solvers.solution import VERIFIED, Settings
 from lampest.studies import study
 from lampest.studies.certified import correct_digits, exact_cost, exact_residual, exact_scale, fifty_digits
-from lampest.studies.common import Shape, Sizes, SquaredMethod, paper_methods, shapes_of
+from lampest.studies.common import Shape, Sizes, StudyMethod, paper_methods, shapes_of
 from lampest.studies.study import OnStep, column
 
 GRID = "log-uniform"
@@ -246,7 +246,7 @@ class AtlasFile(Configuration):
     grid: Grid
     structured: Grid
     nodal: Grid = Grid(())
-    estimators: dict[str, SquaredMethod] = field(default_factory=lambda: paper_methods(SquaredMethod))
+    estimators: dict[str, StudyMethod] = field(default_factory=paper_methods)
     solver: Settings = Settings()
     audit_cells: int = 64
     executor: AnyExecutor | None = None
@@ -254,6 +254,8 @@ class AtlasFile(Configuration):
     def __post_init__(self) -> None:
         if not self.estimators:
             raise ValueError("estimators must hold at least one")
+        if not all(term.loss.squared for method in self.estimators.values() for term in method.parts):
+            raise ValueError("only squared losses can be tested by differences of the cost")
         if not self.samples:
             raise ValueError("grid and structured hold no scene")
 

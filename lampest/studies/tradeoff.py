@@ -135,7 +135,7 @@ class TradeoffFile(Configuration):
     schema: Literal[1]
     recordings: tuple[str, ...] = ()
     simulated: Simulated | None = None
-    estimators: dict[str, common.StudyMethod] = field(default_factory=lambda: common.paper_methods(common.StudyMethod))
+    estimators: dict[str, common.StudyMethod] = field(default_factory=common.paper_methods)
     formulations: tuple[MethodName | AnyMethod, ...] = (
         "naive",
         "scaled",
@@ -374,12 +374,9 @@ def _row(own: Sequence[TradeoffFrame]) -> study.Row:
 
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
     """Return the indices of the Pareto front, smaller being better, ordered by the first coordinate."""
-    best, indices = float("inf"), []
-    for index in sorted(range(len(points)), key=lambda index: points[index]):
-        if points[index][1] < best:
-            best = points[index][1]
-            indices.append(index)
-    return indices
+    order = sorted(range(len(points)), key=lambda index: points[index])
+    least = np.minimum.accumulate([np.inf, *(points[index][1] for index in order)])  # of all points before
+    return [index for index, before in zip(order, least, strict=False) if points[index][1] < before]
 
 
 def table_rows(frames: Sequence[TradeoffFrame]) -> list[study.Row]:

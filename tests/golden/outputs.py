@@ -55,7 +55,7 @@ from lampest.studies.bench import (
     loads,
     sheets,
 )
-from lampest.studies.common import SquaredMethod
+from lampest.studies.common import StudyMethod
 from lampest.studies.weights import Curves, WeightSubject, l_curve, morozov, solve_at, why_not
 
 # Results, tables, pictures and messages
@@ -397,7 +397,7 @@ def extremes_row(case: str) -> dict[str, Any]:
     recording, cells = extremes.recording_of(sample)
     if shape[0] * shape[1] > 20:
         return {"recorded": recording.recorded, "cells": cells}
-    method = {"mine": SquaredMethod(config.Terms(misfit=lp.Misfit(), gradient=lp.Gradient(weight=1e-3)))}
+    method = {"mine": StudyMethod(config.Terms(misfit=lp.Misfit(), gradient=lp.Gradient(weight=1e-3)))}
     atlas = extremes.AtlasFile(1, extremes.Grid((3,)), extremes.Grid(()), estimators=method)
     solves = extremes.solves_of(atlas, sample)
     kept = [

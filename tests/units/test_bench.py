@@ -31,7 +31,7 @@ from lampest.studies.bench import (
     run_bench,
     sheets,
 )
-from lampest.studies.common import SquaredMethod, paper_methods
+from lampest.studies.common import StudyMethod, paper_methods
 from lampest.studies.study import page, read_settings
 
 ROOT = Path(__file__).parents[2]
@@ -39,7 +39,7 @@ read_bench = read_settings(SolversFile)
 SOLVERS = SolverLimits().solvers
 Frames = list[BenchFrame]
 ALONE = BenchLimits(nodal=0)  # the reduced solver
-LSM = {"LSM": paper_methods(SquaredMethod)["LSM"]}
+LSM = {"LSM": paper_methods()["LSM"]}
 TINY = """\
 schema: 1
 sizes: [3, [2, 4]]
@@ -110,7 +110,7 @@ def test_the_gap_is_above_the_least_objective_of_all_solvers_and_unknown_of_a_si
     with pytest.raises(InputError):
         read_bench(tmp_path / "missing.yaml")
     with pytest.raises(ValueError, match="only squared losses"):
-        SquaredMethod(Terms(misfit=Misfit(loss=Huber(corner=1.0))))
+        SolversFile(1, (3,), {"robust": StudyMethod(Terms(misfit=Misfit(loss=Huber(corner=1.0))))})
 
 
 def test_a_row_has_the_largest_gap_and_memory_and_the_median_time() -> None:
