@@ -185,16 +185,15 @@ class ModulesStream(Stream):
     @property
     def baseline_resistance(self) -> Array:
         """Cells of the baseline, (rows, columns) ohm; NaN in dead modules and those without a solved baseline."""
-        parts = [None if stream is None else stream.baseline_resistance for stream in self.modules]
-        return np.asarray(_joined_maps(self._layout, parts, np.nan))
+        return np.asarray(_joined(self._layout, self.modules, "baseline_resistance", np.nan))
 
     def rested_whole(self) -> "ModulesStream":
         """Return the stream with the joined baselines of the modules; unchanged where no module has one."""
-        steps = [None if stream is None else stream.baseline for stream in self.modules]
-        if all(step is None for step in steps):
+        steps = [None if module is None else module.baseline for module in self.modules]
+        if not any(steps):
             return self
-        known = [None if step is None or step.track is None else step.track.baseline for step in self.modules]
-        baseline = _joined(self._layout, known)
+        tracks = [None if module is None else module.track for module in self.modules]
+        baseline = _joined_certainty(self._layout, [None if track is None else track.baseline for track in tracks])
         track = None if baseline is None else Track(baseline=baseline)
         return replace(self, baseline=image_step(self._layout, steps), track=track)
 
@@ -205,39 +204,33 @@ class ModulesStream(Stream):
         return layout
 
 
-def _joined_maps(layout: Modules, parts: Sequence[NDArray[Any] | None], missing: float) -> Any:
-    """Return the maps (…, rows, columns) of all modules joined to one map of the image; None without any map.
+def _joined(layout: Modules, parts: Sequence[Any], name: str, missing: float, last: slice = slice(None)) -> Any:
+    """Return the attribute `name` of the parts of all modules joined to one map of the image; None without any.
 
     Parameters
     ----------
     layout : Modules
-    parts : sequence of array or None
-        Map of each module.
+    parts : sequence of object or None
+        A part of each module, whose attribute is a map (…, rows, columns) or None.
+    name : str
     missing : float
         Value of modules without a map.
+    last : slice
+        Slice of the first axis of each map.
     """
-    first = next((part for part in parts if part is not None), None)
-    if first is None:
+    maps = [getattr(part, name, None) for part in parts]
+    known = [values[last] for values in maps if values is not None]
+    if not known:
         return None
-    blank = np.full(first.shape, missing, dtype=first.dtype)
-    return np.asarray(layout.joined(np.stack([blank if part is None else part for part in parts], axis=-3)))
+    blank, every = np.full(known[0].shape, missing, dtype=known[0].dtype), iter(known)
+    return np.asarray(layout.joined(np.stack([blank if part is None else next(every) for part in maps], axis=-3)))
 
 
-def _joined(layout: Modules, parts: Sequence[Certainty | None]) -> Certainty | None:
+def _joined_certainty(layout: Modules, parts: Sequence[Certainty | None]) -> Certainty | None:
     """Return the joined error bars of all modules, infinite for modules without; None where no module has any."""
-    if all(part is None for part in parts):
-        return None
-    unknown = ("deviation", "below", "above")
-    return Certainty(
-        *(
-            _joined_maps(
-                layout,
-                [None if part is None else getattr(part, field.name) for part in parts],
-                np.inf if field.name in unknown else 0.0,
-            )
-            for field in fields(Certainty)
-        )
-    )
+    unknown = {"deviation": np.inf, "below": np.inf, "above": np.inf}
+    maps = [_joined(layout, parts, field.name, unknown.get(field.name, 0.0)) for field in fields(Certainty)]
+    return None if all(part is None for part in parts) else Certainty(*maps)
 
 
 def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
@@ -256,20 +249,17 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     counted, first = solved or present[:1], present[0].solution
     status = max((step.solution.status for step in solved), key=WORST.index, default=first.status)
     missing = {"cell_resistance": np.nan, "reading": np.nan, "open_cell": False, "at_lower": False}
+    solutions, bars = ([getattr(step, name, None) for step in steps] for name in ("solution", "bars"))
     parts: dict[str, Any] = {"at": None, "dual": None, "preconditioner": None}
-    parts |= {
-        name: _joined_maps(layout, [None if s is None else getattr(s.solution, name)[-1:] for s in steps], nothing)
-        for name, nothing in missing.items()
-    }
+    parts |= {name: _joined(layout, solutions, name, nothing, slice(-1, None)) for name, nothing in missing.items()}
     for name in ("kkt_residual", "iterations", "starts"):
         parts[name] = max(getattr(step.solution, name) for step in counted)
     costs = np.sum([step.solution.costs for step in counted], axis=0)
     objective = float(sum(step.solution.objective for step in counted))
     solution = replace(first, costs=costs, objective=objective, status=status, **parts)
-    bars = [None if step is None else step.bars for step in steps]
-    frame = _joined(layout, [None if bar is None else bar.frame for bar in bars])
-    change = _joined(layout, [None if bar is None else bar.change for bar in bars])
-    reading = _joined_maps(layout, [None if bar is None else bar.reading for bar in bars], np.nan)
+    frame = _joined_certainty(layout, [getattr(bar, "frame", None) for bar in bars])
+    change = _joined_certainty(layout, [getattr(bar, "change", None) for bar in bars])
+    reading = _joined(layout, bars, "reading", np.nan)
     return Step(
         solution,
         sum(step.seconds for step in present),

@@ -128,17 +128,11 @@ class Stream(SequenceState):
         track = None if self.track is None else Track(self.track.shared, noise=self.track.noise)
         return replace(self, resting=resting, track=track, baseline=None, previous=None, prepared=None)
 
-    def with_rest(self, solved: Step | None = None) -> Self:
-        """Return the stream with its baseline, unless the baseline is solved together with the first frame.
-
-        Parameters
-        ----------
-        solved : Step, optional
-            The baseline, where it is solved already.
-        """
+    def with_rest(self) -> Self:
+        """Return the stream with its baseline, unless the baseline is solved together with the first frame."""
         if not self.resting.enough(self.scene):
             return replace(self, baseline=self.unsolved(Status.UNRESTED))
-        return self if self.estimator.joint_start else self.estimator.method.begin(self, solved)
+        return self if self.estimator.joint_start else self.estimator.method.begin(self)
 
     def restarted(self, first: "Stream") -> Self:
         """Return the stream with the solver's caches of `first`, so that results do not depend on earlier frames."""

@@ -26,10 +26,9 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.covariance import DenseErrors, SampledErrors
-from lampest.posterior.fixed_point import first_weights, next_weights, settled_weights
 from lampest.posterior.linear import LinearModel, rank
 from lampest.posterior.reference import MAX_CELLS, Reference, references
-from lampest.posterior.spectrum import Spectrum, best_weight
+from lampest.posterior.spectrum import Spectrum, best_weight, first_weights, next_weights, settled_weights
 from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings

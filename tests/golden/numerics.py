@@ -18,12 +18,11 @@ from lampest.estimate.weights import residual_scale
 from lampest.files.typed import members_of
 from lampest.panel import least_squares
 from lampest.panel.trust_region import steihaug
-from lampest.posterior import certainty, covariance, fixed_point, interval
+from lampest.posterior import certainty, covariance, interval, spectrum
 from lampest.posterior.chain import Chain
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.profile_interval import beyond_tangents
 from lampest.posterior.reference import references
-from lampest.posterior.spectrum import Spectrum, best_weight
 from lampest.recording.readings import Readings
 from lampest.solvers import bounds, ipopt, multistart, preconditioners
 from lampest.solvers.certificate import certificate
@@ -260,7 +259,7 @@ def model_row(cost: str, circuit: str, sampled: bool) -> dict[str, Any]:
         "memory": [later.shared(), later.variance(), later.resting().shared()], "scale": model.scale,
         "free": model.free, "determined": [errors.determined(int(term)) for term in np.unique(model.penalty_term)],
         "noise": model.noise, "conductance": errors.certainty.by_conductance(),
-        "weights": fixed_point.next_weights(model, range(1, len(terms))),
+        "weights": spectrum.next_weights(model, range(1, len(terms))),
         "active": [] if sampled else covariance.active_bounds(errors, columns[2], known),
     }  # fmt: skip
 
@@ -270,12 +269,12 @@ def weights_row(cost: str) -> dict[str, Any]:
     terms, data = range(1, len(at.cost.terms)), [at.data, point(cost).data]
     scale, fits = references(data, at.cost)
     model = LinearModel(at, np.tanh(at.nonsmooth), deviation=fits[0].deviation)
-    spectra = [Spectrum.of(model, number, fits[0].covariance) for number in terms]
+    spectra = [spectrum.Spectrum.of(model, number, fits[0].covariance) for number in terms]
     return {
         "scale": scale, "reference": fits[0],
-        "first": fixed_point.first_weights(model, [1.0] * (1 + len(terms)), terms),
-        "settled": fixed_point.settled_weights(model, terms),
-        "best": [best_weight([spectrum]) for spectrum in spectra],
+        "first": spectrum.first_weights(model, [1.0] * (1 + len(terms)), terms),
+        "settled": spectrum.settled_weights(model, terms),
+        "best": [spectrum.best_weight([each]) for each in spectra],
         "risk": [(each.risk(0.1), each.risk(10.0), each.information(1.0), each.extent) for each in spectra],
         "residual scale": residual_scale(covariance.DenseErrors(model)),
     }  # fmt: skip

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.testing import assert_allclose
 
-from lampest.posterior.certainty import Certainty, common_variance
+from lampest.posterior.certainty import Certainty
 
 
 def test_an_interval_ends_at_the_bounds_but_for_the_noise_of_the_reading() -> None:
@@ -42,19 +42,3 @@ def test_independent_errors_widen_intervals_by_their_squares() -> None:
     assert_allclose(widened.deviation, np.sqrt([[[0.34, 0.34]]]))
     assert_allclose(widened.common, [[[0.5, 0.5]]])
     assert_allclose((widened.below, widened.above), np.hypot(0.3, 1.959964 * 0.5), rtol=1e-6)
-
-
-def test_intervals_by_conductance_end_where_the_conductance_may_fall_to() -> None:
-    """A conductance of 10 µS ± 3 µS, and one that may be none: from above, log r is bounded by the least of it."""
-    deviation = np.array([[[0.3, 0.01, 0.6]]])
-    reach = 1.96 * deviation
-    zero = np.zeros_like(reach)
-    found = Certainty(deviation, reach, reach, zero, zero, zero).by_conductance()
-    assert_allclose(found.above[0, 0, :2], [np.log(10 / (10 - 1.96 * 3)), np.log(10 / (10 - 1.96 * 0.1))])
-    assert np.isinf(found.above[0, 0, 2]) and np.array_equal(found.below, reach)
-
-
-def test_errors_move_cells_alike_by_their_median_and_never_by_less_than_nothing() -> None:
-    """Two errors on three cells: a² − (a − ā)², ā the median, where positive; their sum."""
-    answer = np.array([[1.0, 1.0], [1.0, -1.0], [3.0, 1.0]])
-    assert_allclose(common_variance(answer), [1 + 1, 1 + 0, 5 + 1])

@@ -1,34 +1,29 @@
 """Error bars against definitions, numerical integration, and what errors do when the noise is drawn again and again."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.integrate import quad
 
 from lampest import (
     Estimates,
     Estimator,
-    Huber,
     Readings,
     Recording,
     Scene,
     Solution,
-    Student,
     two_point_resistance,
 )
 from lampest.cost.given import Background
-from lampest.cost.terms import CellResistance, Gradient, LogRatio, Misfit, RelativeChange, Term
+from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
 from lampest.panel.scene import Systematic
 from lampest.posterior.certainty import Certainty
-from lampest.posterior.covariance import DenseErrors, DenseMemory, SampledErrors, SampledMemory
-from lampest.posterior.interval import one_sided
+from lampest.posterior.covariance import DenseErrors, SampledErrors
 from lampest.posterior.linear import LinearModel
 from lampest.solvers.multistart import best_solution, evaluated
 from tests.estimates import in_intervals, recording_of, rms
@@ -121,97 +116,6 @@ def test_a_penalty_that_does_not_suit_leaves_wider_bars() -> None:
     assert np.median(np.concatenate(blind)) < 0.9
 
 
-def compared() -> tuple[LinearModel, Array, Array]:
-    """A frame whose errors have every part, off its optimum; a root of the covariance of the errors before; V."""
-    rng, scene = np.random.default_rng(3), Scene(Panel(3, 4))
-    before = 3000 * np.exp(0.1 * rng.standard_normal((3, 4)))
-    cells = before * np.exp(0.1 * rng.standard_normal((1, 3, 4)))
-    exact = two_point_resistance(cells)
-    readings = Readings.of(scene, exact * (1 + 0.15 * rng.standard_normal((1, 3, 4))), 0.15 * exact)
-    changes = RelativeChange(weight=10.0), LogRatio(weight=10.0, loss=Student(corner=0.1))
-    estimator = Estimator((Misfit(), *changes, Gradient(weight=0.1, loss=Huber(corner=150.0))), "reduced")
-    data = estimator.data(readings, Background(scene, previous=before, baseline=1.05 * before))
-    at = evaluated(estimator.cost(scene, 1, partial=data.partial), data, cells)
-    model = LinearModel(at, np.zeros(0), weight_sigma=(np.nan, 0.7, np.nan, 0.7))
-    return model, 0.5 * rng.standard_normal((24, 24)), 100.0 * rng.standard_normal((12, 2))
-
-
-class UnitDraws:
-    """In place of a generator: of the vectors one after the other the first, second, … entry of all draws is one."""
-
-    def __init__(self, each: int) -> None:
-        self.stream = iter(np.eye(each).ravel())
-
-    def standard_normal(self, count: int) -> Array:
-        return np.array([next(self.stream, 0.0) for _ in range(count)])
-
-    def choice(self, values: list[float], count: int) -> Array:
-        assert values == [-1.0, 1.0]
-        return self.standard_normal(count)
-
-
-@pytest.fixture
-def unit_draws(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], list[int]]:
-    """Has samples draw unit vectors of so many entries; returns the seeds that they are asked for."""
-
-    def draw(each: int) -> list[int]:
-        seeds: list[int] = []
-        random = SimpleNamespace(default_rng=lambda seed: (seeds.append(seed), UnitDraws(each))[1])
-        monkeypatch.setattr("lampest.posterior.covariance.np", SimpleNamespace(**(vars(np) | {"random": random})))
-        return seeds
-
-    return draw
-
-
-def test_samples_of_unit_draws_add_up_to_the_covariance(unit_draws: Callable[[int], list[int]]) -> None:
-    """Each column of the errors before is a sample more, so that the sum over all is exact, but for `IGNORANCE`."""
-    model, root, drawn = compared()
-    covariance = root @ root.T
-    known = DenseMemory(covariance.reshape(2, 12, 2, 12).swapaxes(1, 2))
-    matrices = DenseErrors(model, known, drawn)
-    each = len(model.noise) + len(model.penalty_term) + 2 + model.pulls.shape[1]
-    count = each + 24
-    before = SampledMemory(np.vstack([np.zeros((each, 24)), root.T]).reshape(count, 2, 12).swapaxes(0, 1), 5)
-    samples = SampledErrors(model, before, drawn, samples=count, accuracy=1e-12)
-    samples.__dict__["widening"] = matrices.widening
-    seeds = unit_draws(each)
-    assert_allclose(count * samples.variance, matrices.variance, rtol=1e-5)
-    assert seeds == [5], "every frame draws anew"
-    assert_allclose(1 - count * samples._samples[1], matrices.resolution, atol=1e-4)
-    assert_allclose(count * (1 - samples.resolution), 1 - matrices.resolution, atol=1e-4)
-    spread = np.einsum("ij,jk,ik->i", matrices.sensitivity, matrices.covariance, matrices.sensitivity)
-    assert_allclose(np.sqrt(count) * samples.reading_deviation().ravel(), np.sqrt(spread), rtol=1e-5)
-    later, exact = samples.memory(), matrices.memory()
-    assert isinstance(later, SampledMemory) and later.frames == 6
-    assert_allclose(count * later.shared(), exact.shared(), rtol=1e-5)
-    assert_allclose(count * later.variance(), exact.variance(), rtol=1e-5)
-    resting, exact = later.resting(), exact.resting()
-    assert_allclose(count * resting.shared(), exact.shared(), rtol=1e-5)
-    assert np.array_equal(resting.samples, later.samples[[0, 0]])
-
-
-def test_products_of_samples_are_those_of_matrices(unit_draws: Callable[[int], list[int]]) -> None:
-    model, _, _ = compared()
-    matrices, samples = DenseErrors(model), SampledErrors(model, accuracy=1e-12, probes=24)
-    change, data = np.random.default_rng(1).standard_normal((2, 12, 3))
-    for ours, exact in (
-        (samples.forward(change), matrices.forward(change)),
-        (samples.weighed(data), matrices.weighed(data)),
-        (samples.solved(change), matrices.solved(change)),
-        (samples.gained(data), matrices.gained(data)),
-        (samples.gained(data, fine=True), matrices.gained(data)),
-        (samples.data_share, matrices.data_share),
-    ):
-        assert_allclose(ours, exact, rtol=1e-5, atol=1e-6 * np.abs(exact).max())
-    for term, rows in ((1, 12), (2, 12), (3, 24)):
-        seeds, own = unit_draws(rows), matrices._penalties[model.penalty_term == term]
-        used = np.trace(matrices.inverse @ own.T @ own)
-        assert len(own) == rows and 24 * samples.used(term) == pytest.approx(used) and seeds == [1]
-        assert samples.determined(term) == pytest.approx(12 / 3 - used / 24)
-    assert samples.forward(np.zeros((12, 0))).shape == (len(model.noise), 0)
-    assert SampledErrors(model, samples=1).memory().frames == 1
-
-
 def test_samples_of_a_pair_are_those_of_its_baseline_and_of_its_frame() -> None:
     rng, scene = np.random.default_rng(3), Scene(Panel(3, 4))
     cells = 3000 * np.exp(0.1 * rng.standard_normal((2, 3, 4)))
@@ -222,22 +126,6 @@ def test_samples_of_a_pair_are_those_of_its_baseline_and_of_its_frame() -> None:
     samples = SampledErrors(LinearModel(at, np.zeros(0)), samples=3)
     memory = samples.memory()
     assert np.array_equal(np.hstack(memory.samples[::-1]), samples._samples[0]) and memory.frames == 1
-
-
-@pytest.mark.parametrize("slope", [0.0, 0.3, 5.0, 49.0, 51.0, 1e4])
-def test_one_sided_interval_by_integration(slope: float) -> None:
-    variance = 1.3
-
-    def density(t: float) -> float:
-        return float(np.exp(-slope * t - t * t / (2 * variance)))
-
-    reach = min(12.0, 60 / max(slope, 1e-9))
-    whole = quad(density, 0, reach)[0]
-    mean = quad(lambda t: t * density(t), 0, reach)[0] / whole
-    spread = quad(lambda t: (t - mean) ** 2 * density(t), 0, reach)[0] / whole
-    deviation, quantile = one_sided(slope, variance)
-    assert_allclose(deviation, np.sqrt(spread), rtol=2e-3)
-    assert_allclose(quad(density, 0, float(quantile))[0] / whole, 0.95, rtol=1e-3)
 
 
 def recorded(scene: Scene, cells: Array, resistance: Array, noise: float) -> Recording:

@@ -33,7 +33,6 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.scene import Scene, Systematic
 from lampest.panel.systematic import Shared
-from lampest.posterior.chain import Chain
 from tests.estimates import in_intervals, log_errors, recording_of
 from tests.netlist import two_point_resistances
 
@@ -58,42 +57,6 @@ def panel(
 
 def found_of(recording: Recording, terms: tuple[Term, ...] = ROBUST) -> Estimates:
     return reconstruct(recording, Estimator(terms, "smoother" if terms is ROBUST else "reduced"))
-
-
-def test_a_chain_is_the_inverse_of_its_matrix() -> None:
-    rng, frames, cells, shared = np.random.default_rng(0), 4, 3, 2
-    tie, border = rng.uniform(0.1, 5, (frames - 1, cells)), 0.2 * rng.standard_normal((frames, cells, shared))
-    corner, size = 4 * np.eye(shared), frames * cells
-    tied = np.zeros((size + shared, size + shared))
-    for frame in range(frames):
-        root, block = rng.standard_normal((cells, cells)), slice(frame * cells, (frame + 1) * cells)
-        tied[block, block] = root @ root.T + np.eye(cells)
-    for row, value in enumerate(tie.ravel()):
-        pair = np.ix_([row, row + cells], [row, row + cells])
-        tied[pair] += value * np.array([[1, -1], [-1, 1]])
-    own = np.stack([tied[k : k + cells, k : k + cells] for k in range(0, size, cells)])
-    tied[:size, size:], tied[size:, size:] = border.reshape(size, shared), corner
-    tied[size:, :size] = tied[:size, size:].T
-    chain, inverse, right = Chain(own, tie, border, corner), np.linalg.inv(tied), rng.standard_normal(size + shared)
-    parts = chain.solve(right[:size].reshape(frames, cells, 1), right[size:, None])
-    assert_allclose(np.concatenate([part.ravel() for part in parts]), inverse @ right, rtol=1e-10)
-    assert_allclose(chain.variance.ravel(), np.diag(inverse)[:size], rtol=1e-10)
-    assert_allclose(chain.covariance(2), inverse[6:9, 6:9], rtol=1e-10)
-    assert_allclose(chain.since(1)[2], np.diag(inverse[3:6, 9:12]), rtol=1e-10)
-    less = rng.standard_normal((frames - 1, shared))
-    steps = np.hstack([np.eye(size)[cells:] - np.eye(size)[:-cells], -np.repeat(less, cells, axis=0)])
-    assert_allclose(chain.step_variance(less).ravel(), np.diag(steps @ inverse @ steps.T), rtol=1e-10)
-    prior = np.full(shared, 0.5)
-    schur = np.linalg.inv(inverse[size:, size:])
-    doubted = np.linalg.inv(0.25 * (schur - np.diag(prior)) + np.diag(prior))
-    assert_allclose(chain.doubting(0.25, prior).border_covariance, doubted, rtol=1e-10)
-
-
-def test_a_border_gets_the_precision_that_it_is_given() -> None:
-    rng = np.random.default_rng(0)
-    border, precision = 0.1 * rng.standard_normal((3, 4, 3)), np.diag([5.0, 7.0])
-    chain = Chain(np.tile(4 * np.eye(4), (3, 1, 1)), np.ones((2, 4)), border, 2 * np.eye(3)).with_border(precision)
-    assert_allclose(np.linalg.inv(chain.border_covariance[:2, :2]), precision, atol=1e-10)
 
 
 def test_stiffness_is_the_slope_of_what_the_walk_costs() -> None:

@@ -26,10 +26,9 @@ from lampest.estimate.objective import Rule
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.weights import WeightSearch, converter_and_faults, residual_scale, strongest, with_chosen_weights
 from lampest.panel.readouts import TwoPointReadout
-from lampest.posterior.covariance import DenseErrors, SampledErrors
-from lampest.posterior.fixed_point import first_weights, next_weights, settled_weights
+from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.spectrum import Spectrum, best_weight
+from lampest.posterior.spectrum import Spectrum, best_weight, settled_weights
 from lampest.runs.config import Case
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings
@@ -94,21 +93,6 @@ def test_risk_is_the_mean_squared_error_where_the_point_is_the_truth(number: int
     assert_allclose(doubted - exact, np.trace(lost @ covariance[np.ix_(model.free, model.free)] @ lost.T), rtol=1e-6)
 
 
-def test_information_is_fishers_on_log_weight() -> None:
-    """½ Σ (∂ log v/∂ log λ)² of the data's independent directions, v = s² + s²/(λκ) their variances."""
-    spectrum, model = spectrum_and_model(Gradient(weight=1e-5))
-    jacobian, rows = DenseErrors(model).jacobian, model.penalty_jacobian.toarray()[:, model.free]
-    stiffness = np.linalg.eigvals(np.linalg.solve(jacobian.T @ jacobian, rows.T @ rows)).real
-    stiffness = stiffness[stiffness > 1e-9 * stiffness.max()]
-    weight, step = 2e-5, 1e-4
-
-    def logarithm(factor: float) -> Array:
-        return np.log(1 + 1 / (weight * factor * stiffness))
-
-    slope = (logarithm(1 + step) - logarithm(1 - step)) / (2 * step)
-    assert_allclose(spectrum.information(weight), 0.5 * np.sum(slope**2), rtol=1e-3)
-
-
 def evidence_step(model: LinearModel, weight: float) -> float:
     """One step of the evidence's fixed point at the linear estimate of a weight, from its definition."""
     loss = model.at.cost.terms[1].loss
@@ -139,33 +123,6 @@ def test_weights_settle_at_the_fixed_point_of_the_evidence(term: Term, noise: fl
     _, weight = settled_weights(model, [1])
     assert evidence_step(model, weight) == pytest.approx(weight, rel=0.01)
     assert settled_weights(model, []) == [1.0, term.weight]
-
-
-def test_first_and_next_weights_are_determined_residuals_over_their_squares() -> None:
-    model = model_with(Gradient(weight=1e-5), CellResistance(weight=1e-7))
-    errors = SampledErrors(model)
-    for number in (1, 2):
-        residual = model.penalty[model.penalty_term == number]
-        squares = np.sum(residual**2)
-        first, later = first_weights(model, [0.3, 0.7, 0.2], [number]), next_weights(model, [number])
-        assert first[number] == pytest.approx(model.scale * len(residual) / squares) and first[0] == 0.3
-        assert later[number] == pytest.approx(model.scale * errors.determined(number) / squares) and later[0] == 1.0
-    at = model.at.elsewhere(np.full_like(model.at.cell_resistance, 2e4))
-    even = LinearModel(at, model.dual)
-    assert first_weights(even, [1.0, 1.0, 1.0], [1])[1] == pytest.approx(even.scale), "as if each residual were one"
-    model = model_with(Gradient(weight=1e-3, loss=Absolute()))
-    magnitude = np.sum(np.abs(model.penalty))
-    assert first_weights(model, [1.0, 1.0], [1])[1] == pytest.approx(2 * model.scale * len(model.penalty) / magnitude)
-
-
-def test_the_scale_of_residuals_is_their_median_over_the_noise_that_cells_leave() -> None:
-    model = model_with(Gradient(weight=1e-5))
-    errors = DenseErrors(model)
-    freedom = 1 - (len(model.free) - 55 + errors.determined(1)) / 56
-    assert freedom > 0.05
-    median = np.median(np.abs(model.residual) / model.noise)
-    assert residual_scale(errors) == pytest.approx(1.482602 * median / np.sqrt(freedom), rel=1e-5)
-    assert residual_scale(DenseErrors(model_with(CellResistance(weight=1e-5)))) == 1, "less than a twentieth"
 
 
 @pytest.mark.parametrize("most_cells", [1000, 10], ids=["matrices", "samples"])

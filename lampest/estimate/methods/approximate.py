@@ -5,15 +5,13 @@ Source: Kelley, Iterative Methods for Linear and Nonlinear Equations, 1995, sect
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
-from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.methods.method import Method, OptimalMethod
-from lampest.estimate.state import S, Step
+from lampest.estimate.state import S
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, steihaug
 from lampest.solvers.hessian import Hessian
@@ -84,54 +82,41 @@ class LinearisedMethod(Method):
 
     kind: Literal["linearised"] = "linearised"
 
-    def begin(self, state: S, solved: Step | None = None) -> S:
+    def begin(self, state: S) -> S:
         """Return the state with its baseline and the factor of H_b; without a factor where the baseline failed."""
         alone, reduced = state.without_comparisons(), OptimalMethod("reduced")
-        start = state.with_baseline(solved or reduced.solve(alone, *reduced.given(alone, state.resting)))
+        start = state.with_baseline(reduced.solve(alone, *reduced.given(alone, state.resting)))
         if start.previous is None:
             return start
         objective = state.estimator
         background = replace(state.background, previous=start.previous if objective.relative else None)
         data = objective.data(state.resting.alone(), background)
         cost = objective.cost(state.scene, 1, partial=data.partial)
-        return replace(start, prepared=FactoredBaseline(evaluated(cost, data, start.previous[None])))
+        with suppress(*BROKEN):
+            at = evaluated(cost, data, start.previous[None])
+            return replace(start, prepared=(at, inverse_hessian(at)))
+        return start
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """Return the point after the step; the optimum where there is no factor."""
+        """Return the point after the step, of which |log r| is at most `MAX_STEP`; the optimum without a factor."""
         if prepared is not None:
             with suppress(*BROKEN):
-                solution: Solution = prepared.solve(solver.cost, data)
-                return solution
+                baseline, inverse = prepared
+                at = replace(baseline, cost=solver.cost, data=data)
+                smoothing = Smoothing.start(at)
+                # −H_b⁻¹ ∇φ(r_b), with the gradient of the frame's cost at the baseline's cells
+                step = np.clip(-inverse(Hessian(at, smoothing).gradient), -MAX_STEP, MAX_STEP)
+                cells = at.cell_resistance * np.exp(step).reshape(at.cell_resistance.shape)
+                return approximation(solver.cost, data, Outcome(cells, smoothing.dual, Status.APPROXIMATE, 1))
         return OptimalMethod("reduced").solution(solver, data, previous, None)
 
 
-@dataclass(frozen=True, eq=False)
-class FactoredBaseline:
-    """Factor of the Hessian H_b at the baseline.
-
-    Attributes
-    ----------
-    baseline : Evaluation
-        The cost of the unloaded readings at the baseline's cells.
-    """
-
-    baseline: Evaluation
-
-    def solve(self, cost: Cost, data: Data) -> Solution:
-        """Return the point after the step for a frame's readings, within the bounds; |step| is at most `MAX_STEP`."""
-        at = replace(self.baseline, cost=cost, data=data)
-        smoothing = Smoothing.start(at)
-        # −H_b⁻¹ ∇φ(r_b), with the gradient of the frame's cost at the baseline's cells
-        step = np.clip(-self._inverse(Hessian(at, smoothing).gradient), -MAX_STEP, MAX_STEP)
-        cells = at.cell_resistance * np.exp(step).reshape(at.cell_resistance.shape)
-        return approximation(cost, data, Outcome(cells, smoothing.dual, Status.APPROXIMATE, 1))
-
-    @cached_property
-    def _inverse(self) -> Linear:
-        hessian = Hessian(self.baseline, Smoothing.start(self.baseline))
-        free = np.ones(len(hessian.gradient), dtype=bool)
-        factor = preconditioner(hessian, free)
-        precondition = factor.over(free, self.baseline.cell_resistance)
-        if isinstance(factor, Cholesky):
-            return precondition
-        return lambda slope: -steihaug(hessian.product, precondition, slope, ACCURACY).step
+def inverse_hessian(at: Evaluation) -> Linear:
+    """Return the product with H⁻¹ at a point: by its Cholesky factor, or by conjugate gradients on large panels."""
+    hessian = Hessian(at, Smoothing.start(at))
+    free = np.ones(len(hessian.gradient), dtype=bool)
+    factor = preconditioner(hessian, free)
+    precondition = factor.over(free, at.cell_resistance)
+    if isinstance(factor, Cholesky):
+        return precondition
+    return lambda slope: -steihaug(hessian.product, precondition, slope, ACCURACY).step

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from time import perf_counter
@@ -42,8 +42,6 @@ class Method(Configuration):
     ----------
     optimum : bool
         Whether it ends at a verified optimum over the cells, the condition for error bars.
-    delays : bool
-        Whether it delays Ctrl-C itself.
     needs_all_frames : bool
         Whether it needs all frames of a recording at once.
 
@@ -52,7 +50,6 @@ class Method(Configuration):
     """
 
     optimum: ClassVar[bool] = False
-    delays: ClassVar[bool] = False
     needs_all_frames: ClassVar[bool] = False
 
     if TYPE_CHECKING:
@@ -139,7 +136,7 @@ class Method(Configuration):
             Cells to start from, ohm.
         """
         objective = state.estimator
-        with nullcontext() if self.delays and not objective.automatic else delayed_interrupt():
+        with delayed_interrupt():
             begin = perf_counter()
             limit = objective.solver.time_limit_s
             if objective.automatic:
@@ -154,18 +151,10 @@ class Method(Configuration):
             weights = tuple(float(weight) for weight in solver.cost.weights)
             return Step(solution, choice + perf_counter() - begin, weights, weight_sigma=objective.weight_sigma)
 
-    def begin(self, state: S, solved: Step | None = None) -> S:
-        """Return the state with its baseline, which is solved alone.
-
-        Parameters
-        ----------
-        state : SequenceState
-            State before the baseline.
-        solved : Step, optional
-            The baseline, where it is solved already.
-        """
+    def begin(self, state: S) -> S:
+        """Return the state with its baseline, which is solved alone."""
         alone = state.without_comparisons() if state.estimator.relative else state
-        first = solved or self.solve(alone, *self.given(alone, state.resting))
+        first = self.solve(alone, *self.given(alone, state.resting))
         settled, baseline = with_contacts(alone, state.resting, first, self._elsewhere)
         state, model = replace(state, scene=settled.scene, track=settled.track), baseline.surroundings()
         if state.track is not None and model is not None:
@@ -252,7 +241,6 @@ class OptimalMethod(Method):
     """
 
     optimum: ClassVar[bool] = True
-    delays: ClassVar[bool] = True
     kind: Literal["per_pixel", "nodal", "reduced", "auto"] = "nodal"
     joint: bool = False
 
