@@ -208,21 +208,19 @@ def _solved_batch(
     cost = estimator.cost(streams[0].scene, 1, partial=data.partial)
     if not serves(cost, data):
         return {}
-    data, objectives = data.of_panels(place), [stream.weighted for stream in streams]
-    weights = np.array([[float(term.weight) for term in objective.terms] for objective in objectives])
+    data = data.of_panels(place)
+    weights = np.array([[float(term.weight) for term in stream.weighted.terms] for stream in streams])
     start = Evaluation.at(cost, data, np.clip(previous[:, None], data.lower, data.upper), weights)
     ended = solve(start, inverses, numbers, estimator.solver)
     seconds, points = (perf_counter() - begin) / len(numbers), ended.points
-    # a panel is `held` if bounds that matter keep a cell
-    held = np.any(~points.free & (data.lower < data.upper).reshape(points.free.shape), axis=1)
     after = {}
     for row in np.flatnonzero(ended.solved & (points.residual <= VERIFIED)).tolist():
         at, stream, own = points.at.some(row), streams[row], tuple(weights[row].tolist())
         gradient = points.gradient[row].reshape(at.cell_resistance.shape)
-        status = Status.HELD if held[row] and bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
+        status = Status.HELD if bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
         iterations = int(ended.iterations[row])
         outcome = Outcome(at.cell_resistance, NO_DUAL, status, iterations, preconditioner=stream.prepared)
         solution = solution_at(at, float(points.residual[row]), outcome, status)
-        step = Step(solution, seconds, own, weight_sigma=objectives[row].weight_sigma)
+        step = Step(solution, seconds, own, weight_sigma=stream.weighted.weight_sigma)
         after[int(numbers[row])] = stream.estimator.method.after(stream, step, frames[row])
     return after

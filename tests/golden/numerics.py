@@ -21,8 +21,8 @@ from lampest.panel.trust_region import steihaug
 from lampest.posterior import certainty, covariance, interval, spectrum
 from lampest.posterior.chain import Chain
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.profile_interval import beyond_tangents
 from lampest.posterior.reference import references
+from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
 from lampest.solvers import bounds, ipopt, multistart, preconditioners
 from lampest.solvers.certificate import certificate

@@ -11,7 +11,7 @@ from lampest import Array, Bounds, Estimator, Faults, Panel, Recording, Scene, T
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
 from lampest.estimate.sequence import reconstruct
 from lampest.posterior.covariance import DenseErrors
-from lampest.posterior.profile_interval import profile_end, tangent
+from lampest.posterior.track import profile_end, tangent
 from lampest.recording.readings import AT_LEAST, AT_MOST, stand_in, stand_in_spread
 from tests.estimates import in_intervals, log_errors, recording_of
 

@@ -28,11 +28,7 @@ from lampest.panel.network import inverse_of
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts.floating import grounding, two_point_resistance
 from lampest.panel.scene import Scene
-from lampest.panel.systematic import Shared
 from lampest.posterior.covariance import SampledMemory
-from lampest.posterior.frame_noise import FrameNoise
-from lampest.posterior.linear import LinearModel
-from lampest.posterior.track import Track
 from lampest.recording.simulation import Simulation, simulate
 from lampest.runs.batch import Task, run_batch, solve_long
 from lampest.runs.config import read_run
@@ -109,6 +105,7 @@ def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | 
     image = lampest.reconstruct(recording, terms, formulation="reduced")
     assert np.isnan(image.cell_resistance[:, 3:, 8:]).all()
     assert all("module [1, 2]: dead" in status for status in image.status)
+    assert "module [1, 2]: dead, as the scene says" in image.checks
     total = np.zeros(3)
     for number in range(5):
         cells = (..., *LAYOUT.cells(number))
@@ -335,38 +332,27 @@ def disturbed(change: str) -> Recording:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "said", "factor"),
     [
-        ("stuck", "module [0, 1]: every reading is at a rail of the converter, or beyond: is it connected?"),
-        ("missing", "module [0, 1]: no reading is a value: is it connected?"),
-        ("scaled", "module [0, 1]: readings at rest are 1.18 times those of the other modules"),
-        ("reference", "module [0, 1]: readings at rest are 0.772 times those of the other modules"),
-        ("nothing", ""),
+        ("stuck", "every reading is at a rail of the converter, or beyond: is it connected?", np.nan),
+        ("missing", "no reading is a value: is it connected?", np.nan),
+        ("scaled", "readings at rest are 1.18 times those of the other modules", 1.17655),
+        ("reference", "readings at rest are 0.772 times those of the other modules", 0.77224),
+        ("nothing", "", None),
     ],
 )
-def test_a_module_that_is_stuck_or_miscalibrated_is_named_and_the_others_are_estimated(change: str, said: str) -> None:
+def test_a_module_that_is_stuck_or_miscalibrated_is_named_and_the_others_are_estimated(
+    change: str, said: str, factor: float | None
+) -> None:
     recording = disturbed(change)
-    prepared = Prepared(recording)
-    assert [line for line in prepared.warnings if "module [0, 1]" in line] == [
-        line for line in prepared.warnings if said and line.startswith(said)
-    ]
-    assert not said or any(line.startswith(said) for line in prepared.warnings)
+    named = [line for line in Prepared(recording).warnings if "module [0, 1]" in line]
+    assert len(named) == bool(said) and all(line.startswith(f"module [0, 1]: {said}") for line in named)
+    assert recording.scene.panel.modules is not None
+    factors = {} if factor is None else {1: pytest.approx(factor, nan_ok=True, rel=1e-4)}
+    assert module_factors(recording, recording.scene.panel.modules) == factors
     estimate = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
-    missing = np.isnan(estimate.cell_resistance[:, :6, 6:]).all()
-    assert missing == (change in ("stuck", "missing"))
+    assert np.isnan(estimate.cell_resistance[:, :6, 6:]).all() == (change in ("stuck", "missing"))
     assert np.isfinite(np.delete(estimate.cell_resistance, np.s_[6:12], axis=2)).all()
-
-
-@pytest.mark.parametrize(
-    ("change", "factor"),
-    [("stuck", np.nan), ("missing", np.nan), ("scaled", 1.17655), ("reference", 0.77224), ("nothing", None)],
-)
-def test_modules_are_compared_with_the_median_of_the_others_at_rest(change: str, factor: float | None) -> None:
-    recording = disturbed(change)
-    layout = recording.scene.panel.modules
-    assert layout is not None
-    named = {} if factor is None else {1: pytest.approx(factor, nan_ok=True, rel=1e-4)}
-    assert module_factors(recording, layout) == named
 
 
 @pytest.mark.parametrize(("modules", "named"), [(2, {}), (3, {1: pytest.approx(4.0)})])
@@ -382,11 +368,6 @@ def test_a_recording_of_few_modules_in_kohm_is_still_refused() -> None:
     made = disturbed("nothing")
     with pytest.raises(InputError, match="are these kohm"):
         replace(made, recorded=made.recorded / 1000)
-
-
-def test_dead_modules_are_named_among_the_warnings() -> None:
-    lines = Prepared(simulated(scene_of(SCENE + FAULTS))).warnings
-    assert "module [1, 2]: dead, as the scene says" in lines
 
 
 COUPLED = Modules(2, 2, EachModule(3, 4), 4.0, coupled=True)
@@ -551,25 +532,6 @@ def test_a_panel_that_readings_leave_open_is_handed_back_and_costs_no_other() ->
     batch.data.given.seen[2, :, 1] = 0.0
     found = solved_together(batch)
     assert not found.solved[2] and found.solved.sum() >= PANELS - 2
-
-
-@pytest.mark.parametrize("penalty", [(), (CellResistance(weight=1e-4),), (Gradient(weight=1e-7),)])
-def test_error_bars_of_a_panel_of_a_batch_are_those_of_the_panel_alone(penalty: tuple[Term, ...]) -> None:
-    batch, random = batch_of((Misfit(), *penalty), frames_of_panels(1e-3)), np.random.default_rng(4)
-    weights = batch.weights * random.uniform(0.5, 2.0, (PANELS, 1))
-    ended = solved_together(replace(batch, own_weights=weights)).points.at
-    sigma = (np.nan, *(0.3 for _ in penalty))
-    track = Track(Shared.of(ALIKE), noise=FrameNoise(ALIKE, 4, 1e-3, np.full((5, 1), 1e-3), np.full((5, 2), 1e-3)))
-    for number in range(PANELS):
-        terms = tuple(replace(term, weight=size) for term, size in zip(batch.cost.terms, weights[number], strict=True))
-        data, cells = batch.data.some(number), ended.cell_resistance[number]
-        alone = Evaluation.at(replace(batch.cost, terms=terms), data, cells)
-        bars, expected = (
-            track.advanced(LinearModel(at, np.zeros(0), weight_sigma=sigma))[1] for at in (ended.some(number), alone)
-        )
-        for name, values in vars(expected.frame).items():
-            assert_allclose(getattr(bars.frame, name), values, rtol=1e-8, atol=1e-12)
-        assert_allclose(bars.reading, expected.reading, rtol=1e-8)
 
 
 def test_inputs_that_nobody_gives_stand_as_absent_for_every_panel() -> None:

@@ -4,12 +4,11 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
-import casadi
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest import Arrival, Course, LogRatio, Recording, Settings, State, Term, TotalVariation, TotalVariationOfChange
+from lampest import Arrival, Course, LogRatio, Recording, Settings, Term, TotalVariation, TotalVariationOfChange
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, Squared
@@ -207,14 +206,6 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
     assert_allclose(sampled.variance, dense.variance, rtol=0.6)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (3, 1), (3, 4)])
-def test_steps_are_those_between_neighbours(shape: tuple[int, int]) -> None:
-    cells = np.exp(np.random.default_rng(7).standard_normal(shape))
-    steps = State(panel=Panel(*shape), cell_resistance=None, reading=None).log_steps(casadi.DM(cells.ravel()))
-    down, right = (np.diff(np.log(cells), axis=axis).ravel() for axis in (0, 1))
-    assert_allclose(np.asarray(steps).ravel(), np.concatenate([down, right]), rtol=1e-12, atol=1e-12)
-
-
 WIDE, NOISY, WEIGHTS = Panel(10, 10), 0.01, 10.0 ** np.arange(-2.5, -0.9, 0.5)
 WIDE_ROD = Rod(kind="rod", centre_mm=(48, 43), diameter_mm=35, mass_g=500)
 DISC = OralDisc(kind="oral_disc", centre_mm=(48, 43), diameter_mm=40, rim_width_mm=7, pressure_kpa=-5)
@@ -342,16 +333,6 @@ def test_term_reads_the_error_bars_of_the_frame_before() -> None:
 
 def common_step(measured: Array, expected: Array) -> float:
     return TwoPointReadout().common_step(measured, expected, np.ones(measured.shape, dtype=bool))
-
-
-def test_common_step_is_that_of_most_readings() -> None:
-    rng = np.random.default_rng(2)
-    expected = 500 * np.exp(0.2 * rng.standard_normal((10, 10)))
-    measured = 0.93 * expected * np.exp(0.003 * rng.standard_normal((10, 10)))
-    measured[2:5] *= np.exp(-rng.uniform(0.02, 0.3, (3, 10)))
-    assert common_step(measured, expected) == pytest.approx(0.93, abs=0.002)
-    assert common_step(2 * expected[:1, :1], expected[:1, :1]) == pytest.approx(2.0)
-    assert common_step(expected[:0], expected[:0]) == 1.0
 
 
 def test_samples_agree_with_matrices_along_a_sequence(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,7 +44,7 @@ from lampest.files.typed import members_of
 from lampest.loads.pressure import determined, total_force
 from lampest.panel import compiled
 from lampest.panel.panel import Array
-from lampest.posterior import profile_interval
+from lampest.posterior import track
 from lampest.posterior.covariance import DenseErrors, SampledErrors, swept
 from lampest.posterior.linear import LinearModel
 from lampest.recording.recording import MEASURED, UNLOADED
@@ -273,15 +273,15 @@ def test_profiles_are_of_three_missing_cells_that_are_free_where_matrices_are_at
     model: Any = SimpleNamespace(free=np.array([6, 8, 10, 11]), at=SimpleNamespace(cell_resistance=np.zeros((2, 2, 3))))
     errors: Any = SimpleNamespace(model=model)
     missing = np.array([[False, True, True], [False, True, True]])
-    monkeypatch.setattr(profile_interval, "errors_of", lambda model, memory: errors)
-    monkeypatch.setattr(profile_interval, "tangent", lambda errors, cell: np.eye(12)[cell])
+    monkeypatch.setattr(track, "errors_of", lambda model, memory: errors)
+    monkeypatch.setattr(track, "tangent", lambda errors, cell: np.eye(12)[cell])
     ends = {-1: -3.0, 1: 2.0}
-    monkeypatch.setattr(profile_interval, "profile_end", lambda errors, cell, side: ends[side] * np.eye(12)[cell])
-    below, above = profile_interval.beyond_tangents(model, readings, missing, None)
+    monkeypatch.setattr(track, "profile_end", lambda errors, cell, side: ends[side] * np.eye(12)[cell])
+    below, above = track.beyond_tangents(model, readings, missing, None)
     np.testing.assert_allclose(below, 8.0 * np.array([[0, 0, 1], [0, 1, 0]]))
     np.testing.assert_allclose(above, 3.0 * np.array([[0, 0, 1], [0, 1, 0]]))
     errors = object.__new__(SampledErrors)
-    assert not np.any(profile_interval.beyond_tangents(model, readings, missing, None))
+    assert not np.any(track.beyond_tangents(model, readings, missing, None))
 
 
 def test_readings_that_are_all_values_are_told_to_a_cost_without_sides() -> None:

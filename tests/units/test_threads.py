@@ -17,7 +17,6 @@ from threadpoolctl import ThreadpoolController, threadpool_limits
 import lampest
 from lampest.cost.problem import Data
 from lampest.estimate.modules import begin_stream
-from lampest.estimate.stream import Stream
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import EachModule, Modules
 
@@ -199,27 +198,21 @@ def blas_threads() -> set[int]:
     return {library["num_threads"] for library in ThreadpoolController().info() if library["user_api"] == "blas"}
 
 
-def test_an_estimate_from_python_uses_one_thread_of_blas(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
-    recording = lampest.Recording(scene, np.full((3, 3, 4), 640.0), np.arange(3.0), np.array([0, 0, 1], dtype=np.uint8))
-    during, push = list[set[int]](), Stream.push
-    monkeypatch.setattr(Stream, "push", lambda *given: (during.append(blas_threads()), push(*given))[1])
-    with threadpool_limits(2, "blas"):
-        lampest.reconstruct(recording, [lampest.Misfit()])
-        assert during == [{1}]
-        assert blas_threads() == {2}
-
-
 @pytest.mark.parametrize("panel", [lampest.Panel(3, 4), lampest.Panel(modules=Modules(1, 2, EachModule(3, 4)))])
-def test_a_stream_uses_one_thread_of_blas(panel: lampest.Panel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stream_and_an_estimate_from_python_use_one_thread_of_blas(
+    panel: lampest.Panel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene = lampest.Scene(panel, lampest.TwoPointReadout(), series_resistance_ohm=140.0)
-    readings, during, networks = lampest.Readings.of(scene, np.full(panel.shape, 640.0)), set[int](), Data.networks
-    monkeypatch.setattr(Data, "networks", lambda *given: (during.update(blas_threads()), networks(*given))[1])
+    recorded, role = np.full((3, *panel.shape), 640.0), np.array([0, 0, 1], dtype=np.uint8)
+    readings, during, networks = lampest.Readings.of(scene, recorded[0]), list[set[int]](), Data.networks
+    monkeypatch.setattr(Data, "networks", lambda *given: (during.append(blas_threads()), networks(*given))[1])
     estimator = lampest.Estimator((lampest.Misfit(),), "reduced")
     with threadpool_limits(2, "blas"):
         stream = begin_stream(estimator, scene, 0.1, readings)
         stream.tared(readings).push(readings)
-        assert during == {1} and blas_threads() == {2}
+        alone = len(during)
+        lampest.reconstruct(lampest.Recording(scene, recorded, np.arange(3.0), role), estimator.terms)
+        assert 0 < alone < len(during) and all(threads == {1} for threads in during) and blas_threads() == {2}
 
 
 def test_the_last_thread_that_leaves_restores_the_threads_of_blas() -> None:

@@ -24,7 +24,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.profile_interval import beyond_tangents
+from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
 from lampest.solvers.ipopt import FORMULATIONS, Ipopt
 from lampest.solvers.multistart import BROKEN, best_solution
