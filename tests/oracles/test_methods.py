@@ -16,7 +16,7 @@ from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.methods.approximate import LinearisedMethod, TruncatedMethod, UncorrectedMethod
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
-from lampest.runs.config import read_run
+from lampest.runs.config import Run, read_run
 from lampest.solvers.solution import Status
 from tests.estimates import recording_of
 
@@ -53,31 +53,22 @@ def found_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **o
     return estimate
 
 
-@pytest.mark.parametrize("terms", [LSM, SMOOTH, (Misfit(), RelativeChange(weight=10))])
-def test_no_reconstruction_is_what_it_says(terms: tuple[Term, ...]) -> None:
+@pytest.mark.parametrize("terms", [LSM, SMOOTH, (Misfit(), RelativeChange(weight=10)), (Misfit(loss=Absolute()),)])
+@pytest.mark.parametrize(("kind", "factor"), [("naive", 1.0), ("scaled", np.prod(SHAPE) / (sum(SHAPE) - 1))])
+def test_no_reconstruction_is_the_readings_times_a_factor(kind: Any, factor: float, terms: tuple[Term, ...]) -> None:
+    """Their cost is that of any loss, also of absolute values, whose slopes nothing optimised."""
     data = recording(resting(), pressed(resting()), noise=1e-3)
-    rows, columns = SHAPE
-    measured = data.resistance[1]
-    assert_allclose(found_by(UncorrectedMethod("naive"), data, terms).cell_resistance[0], measured)
-    scaled = found_by(UncorrectedMethod("scaled"), data, terms)
-    assert_allclose(scaled.cell_resistance[0], measured * rows * columns / (rows + columns - 1))
+    estimate = found_by(UncorrectedMethod(kind), data, terms)
+    assert_allclose(estimate.cell_resistance[0], data.resistance[1] * factor)
+    assert np.isfinite(estimate.steps[0].solution.objective)
 
 
 @pytest.mark.parametrize(
-    "method",
-    [
-        UncorrectedMethod("naive"),
-        UncorrectedMethod("scaled"),
-        LinearisedMethod(),
-        TruncatedMethod(steps=1),
-    ],
+    "method", [UncorrectedMethod("naive"), UncorrectedMethod("scaled"), LinearisedMethod(), TruncatedMethod(steps=1)]
 )
 def test_what_is_no_optimum_says_so(method: Method) -> None:
-    estimate = found_by(method, recording(resting(), pressed(resting()), noise=1e-4), SMOOTH)
-    solution = estimate.steps[-1].solution
-    assert solution.status is Status.APPROXIMATE
-    assert solution.kkt_residual > 1e-6
-    assert np.isfinite(solution.objective)
+    solution = found_by(method, recording(resting(), pressed(resting()), noise=1e-4), SMOOTH).steps[-1].solution
+    assert solution.status is Status.APPROXIMATE and solution.kkt_residual > 1e-6
     assert solution.reading[0] == pytest.approx(two_point_resistance(solution.cell_resistance[0]))
 
 
@@ -116,44 +107,31 @@ def test_one_step_sees_a_single_cell_on_a_panel_that_is_not_factored() -> None:
     assert np.median(np.abs(estimate / single - 1)) < 0.01
 
 
+def run_of(folder: Path, formulation: str, estimators: str = "{LSM: {terms: {misfit: {}}}}") -> Run:
+    """A run of a small recording with this formulation."""
+    recording(resting((3, 3)), resting((3, 3))).save(folder / "small.h5")
+    text = f"schema: 1\nrecordings: [small.h5]\nestimators: {estimators}\nformulation: {formulation}\n"
+    (folder / "run.yaml").write_text(text)
+    return read_run(folder / "run.yaml")
+
+
 @pytest.mark.parametrize(
-    ("text", "place"),
-    [
-        ("formulation: redcued", "4:1"),
-        ("formulation: region", "4:1"),
-        ("formulation: {kind: truncated, stepps: 3}", "4:"),
-        ("formulation: {kind: far}", "4:"),
-    ],
+    ("formulation", "place"),
+    [("redcued", "4:1"), ("region", "4:1"), ("{kind: truncated, stepps: 3}", "4:"), ("{kind: far}", "4:")],
 )
-def test_unknown_formulation_is_one_sentence_with_its_place(tmp_path: Path, text: str, place: str) -> None:
-    recording(resting((3, 3)), resting((3, 3))).save(tmp_path / "small.h5")
-    config = tmp_path / "run.yaml"
-    config.write_text(f"schema: 1\nrecordings: [small.h5]\nestimators: {{LSM: {{terms: {{misfit: {{}}}}}}}}\n{text}\n")
+def test_unknown_formulation_is_one_sentence_with_its_place(tmp_path: Path, formulation: str, place: str) -> None:
     with pytest.raises(InputError) as caught:
-        read_run(config)
-    assert f"run.yaml:{place}" in str(caught.value)
-    assert "\n" not in str(caught.value)
+        run_of(tmp_path, formulation)
+    assert f"run.yaml:{place}" in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_words_stand_for_methods(tmp_path: Path) -> None:
-    recording(resting((3, 3)), resting((3, 3))).save(tmp_path / "small.h5")
-    config = tmp_path / "run.yaml"
-    config.write_text(
-        "schema: 1\nrecordings: [small.h5]\nformulation: linearised\nestimators:\n"
-        "  A: {terms: {misfit: {}}}\n"
-        "  B: {terms: {misfit: {}}, formulation: {kind: truncated, steps: 3}}\n"
-        "  C: {terms: {misfit: {}}, formulation: nodal}\n"
+    words = "", ", formulation: {kind: truncated, steps: 3}", ", formulation: nodal"
+    estimators = ", ".join(
+        f"{name}: {{terms: {{misfit: {{}}}}{word}}}" for name, word in zip("ABC", words, strict=True)
     )
-    methods = [case.estimator.method for case in read_run(config).cases]
+    methods = [case.estimator.method for case in run_of(tmp_path, "linearised", f"{{{estimators}}}").cases]
     assert methods == [LinearisedMethod(), TruncatedMethod(steps=3), OptimalMethod("nodal")]
-
-
-@pytest.mark.parametrize("formulation", ["naive", "scaled"])
-def test_readings_as_they_are_have_a_cost_of_any_loss(formulation: str) -> None:
-    """Absolute values have slopes of their own, which nothing optimised."""
-    recording = Recording.load(Path("data/lamprey_35mm.h5"))
-    done = reconstruct(recording, Estimator((Misfit(loss=Absolute()),), formulation, error_bars=False))
-    assert np.all(np.isfinite(done.cell_resistance))
 
 
 PANEL = Panel(4, 5)

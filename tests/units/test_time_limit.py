@@ -82,30 +82,28 @@ def test_starts_takes_the_weights_that_were_chosen(disk: SimpleNamespace) -> Non
     assert [row.split(",")[:2] for row in rows] == [["small", "one"], ["small", "pair"]]
 
 
-RUN = "{schema: 1, recordings: [r.h5], estimators: {E: {terms: {misfit: {}%s}}}}"
+RUN = "{schema: 1, recordings: [r.h5], estimators: {E: {terms: {misfit: {}, gradient: {weight: 1}}}}}"
 
 
-def large(folder: Path, size: int, more: str = ", gradient: {weight: 1}") -> Path:
+def large(folder: Path, size: int) -> Path:
     """A run of one frame of that many rows and columns."""
     scene = Scene(Panel(size, size), readout=TwoPointReadout(noise_lsb=0.7))
     values, role = np.full((2, size, size), 1500.0), np.array([0, 1], dtype=np.uint8)
     Recording(scene, values, np.arange(2.0), role).save(folder / "r.h5")
-    (folder / "run.yaml").write_text(RUN % more)
+    (folder / "run.yaml").write_text(RUN)
     return folder / "run.yaml"
 
 
-@pytest.mark.parametrize("size", [400, 1000])
-def test_a_panel_beyond_patience_is_refused_before_anything_is_written(
-    tmp_path: Path, lampest: Command, size: int
+@pytest.mark.parametrize(
+    ("size", "memory", "messages"), [(400, "", ("min and", "--yes")), (150, "150MB", ("MiB of memory",))]
+)
+def test_a_panel_beyond_patience_or_memory_is_refused_before_anything_is_written(
+    size: int, memory: str, messages: tuple[str, ...], tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if memory:
+        monkeypatch.setenv("LAMPEST_MEMORY", memory)
     done = lampest("run", large(tmp_path, size), "--out", tmp_path / "out")
-    assert done.code == 2 and "min and" in done.err and "--yes" in done.err and not (tmp_path / "out").exists()
-
-
-def test_a_panel_beyond_memory_is_refused(tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LAMPEST_MEMORY", "150MB")
-    done = lampest("run", large(tmp_path, 150), "--out", tmp_path / "out")
-    assert done.code == 2 and "MiB of memory" in done.err
+    assert done.code == 2 and all(message in done.err for message in messages) and not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(("size", "words"), [(400, ("--yes",)), (100, ())])
