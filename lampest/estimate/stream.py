@@ -152,7 +152,7 @@ class Stream(SequenceState):
         method = self.estimator.method
         if not readings.enough(self.scene):
             return self, self.unsolved(Status.UNREAD)
-        if method.compares(self.estimator.terms) and not self.resting.enough(self.scene):
+        if (self.estimator.relative or method.needs_all_frames) and not self.resting.enough(self.scene):
             return self, self.unsolved(Status.UNRESTED)
         if self.chooses_weights and not self.choosing(readings):
             stream, step = method.push(replace(self, estimator=self.weighted), readings)

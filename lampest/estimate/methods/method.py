@@ -43,7 +43,7 @@ class Method(Configuration):
     optimum : bool
         Whether it ends at a verified optimum over the cells, the condition for error bars.
     needs_all_frames : bool
-        Whether it needs all frames of a recording at once.
+        Whether it needs all frames of a recording at once, the unloaded ones included.
 
     >>> issubclass(lampest.TruncatedMethod, lampest.Method)
     True
@@ -63,10 +63,6 @@ class Method(Configuration):
 
     def check_scene(self, scene: Scene) -> None:
         """Raise InputError where the method does not support an entry of the scene, or its readout."""
-
-    def compares(self, terms: tuple[Term, ...]) -> bool:
-        """Return whether an estimate with these terms needs the unloaded panel."""
-        return any(term.needs_previous for term in terms)
 
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
         """Return the solver of a cost on frames `period` seconds apart; it is built once per process."""

@@ -16,7 +16,7 @@ Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008 (sums in a logarithm).
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from math import inf, isfinite
+from math import inf
 from time import monotonic, perf_counter
 from typing import Any, ClassVar, Literal
 
@@ -34,6 +34,7 @@ from lampest.estimate.state import NO_DUAL, S, SequenceState, Step
 from lampest.files.errors import InputError
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import delayed_interrupt
+from lampest.files.typed import check_positive_fields
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.covariance import positive_inverse
@@ -84,9 +85,7 @@ class SmootherMethod(Method):
     lag: int = 8
 
     def __post_init__(self) -> None:
-        for name in ("walk", "jump"):
-            if not (isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise ValueError(f"{name} must be positive and finite")
+        check_positive_fields(self, "walk", "jump")
         if self.lag < 1:
             raise ValueError("lag must be at least 1")
 
@@ -100,10 +99,6 @@ class SmootherMethod(Method):
                 "weight 1; its loss may be huber or a smooth one of your own, but not squared, with which one wrong "
                 "reading pulls at all frames, nor absolute, which is not smooth"
             )
-
-    def compares(self, terms: tuple[Term, ...]) -> bool:
-        """Return True: the unloaded panel is the first frame."""
-        return True
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """Return the estimate of a frame alone, as a start."""
