@@ -82,12 +82,10 @@ class SolvedContacts:
     def normal(self) -> Array:
         """S/s²."""
         model = self._model
-        cells, rows = model.at.cell_resistance, model.through @ self._response
-        errors = errors_of(model, None)
+        rows, errors = model.through @ self._response, errors_of(model, None)
         # F = −∂u/∂c: the response of the free cells to contacts; `left` is E − J F
         follow = errors.answer(rows)
-        whole = np.zeros((cells.size, len(self.ohm)))
-        whole[model.free] = follow
+        whole = model.over_all(follow)
         left = rows - errors.forward(whole)
         charged = model.penalty_jacobian @ whole
         # S = (E − J F)ᵀ Ω (E − J F) + ε s² FᵀF + (L F)ᵀ Λ (L F), equal to Eᵀ Ω (E − J F) but without cancellation

@@ -338,8 +338,7 @@ class DenseErrors:
     @cached_property
     def data_share(self) -> Array:
         """Row sums of the averaging kernel K J, (free,)."""
-        everywhere = np.zeros((self.model.at.cell_resistance.size, 1))
-        everywhere[self.model.free] = 1.0
+        everywhere = self.model.over_all(np.ones((len(self.model.free), 1)))
         return self.gained(self.forward(everywhere), fine=True)[:, 0]
 
     def released(self, cells: NDArray[np.intp]) -> Array:
@@ -462,15 +461,13 @@ class SampledErrors(DenseErrors):
 
     def reading_deviation(self) -> Array:
         """Return the standard deviation of the modelled readings over the samples, (frames, rows, columns)."""
-        whole, squares = np.zeros(self.model.at.cell_resistance.size), np.zeros(self.model.at.cell_resistance.shape)
+        squares = np.zeros(self.model.at.cell_resistance.shape)
         for sample in self._samples[0]:
-            whole[self.model.free] = sample
-            squares += np.reshape(self._curvature.forward(whole), squares.shape) ** 2
+            squares += np.reshape(self._curvature.forward(self.model.over_all(sample)), squares.shape) ** 2
         return np.sqrt(squares / self.samples)
 
     def memory(self) -> Memory:
-        samples = np.zeros((self.samples, self.model.at.cell_resistance.size))
-        samples[:, self.model.free] = self._samples[0]
+        samples = self.model.over_all(self._samples[0].T).T
         if len(self.model.at.cell_resistance) == 2:
             return SampledMemory(samples.reshape(self.samples, 2, -1).swapaxes(0, 1)[::-1])
         if self.before is None:

@@ -73,6 +73,12 @@ class LinearModel:
         """Numbers of the cells that no bound holds."""
         return np.flatnonzero(~(self.at_lower | self.at_upper | self.fixed))
 
+    def over_all(self, values: Array) -> Array:
+        """Return values (free, …) of the free cells over all cells, (cells, …), with zeros elsewhere."""
+        whole = np.zeros((self.at.cell_resistance.size, *values.shape[1:]))
+        whole[self.free] = values
+        return whole
+
     @cached_property
     def _rooms(self) -> tuple[Array, Array]:
         """Distances of log r from the lower and the upper bound, (cells,)."""

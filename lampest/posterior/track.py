@@ -206,9 +206,8 @@ def tangent(errors: DenseErrors, cell: int) -> Array:
     """Return the change of log r of all cells, in linear approximation, if a free cell moves to its upper end."""
     place = int(np.searchsorted(errors.model.free, cell))
     # A⁻¹ e_c/(A⁻¹)_cc·1.96·σ_c
-    column, change = errors.inverse[:, place], np.zeros(errors.model.at.cell_resistance.size)
-    change[errors.model.free] = column / column[place] * (TWO_SIDED * np.sqrt(errors.variance[place]))
-    return change
+    column = errors.inverse[:, place]
+    return errors.model.over_all(column / column[place] * (TWO_SIDED * np.sqrt(errors.variance[place])))
 
 
 def profile_end(errors: DenseErrors, cell: int, side: int) -> Array:
@@ -226,8 +225,7 @@ def profile_end(errors: DenseErrors, cell: int, side: int) -> Array:
         # δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c with λ such that δ_c = step
         newton, column = -errors.inverse @ model.gradient[model.free] / 2, errors.inverse[:, place]
         force = float((step - newton[place]) / column[place])
-        change = np.zeros(position.size)
-        change[model.free] = newton + force * column
+        change = model.over_all(newton + force * column)
         change *= min(1.0, 2 * MAX_STEP / float(np.abs(change).max()))
         position = np.clip(position + change.reshape(position.shape), *begin.data.log_bounds)
         # Rise of φ along the path by the trapezoidal rule, with the force λ = ½ dφ/du_c.
@@ -245,7 +243,6 @@ def _stood_in(
     model, unit = errors.model, np.zeros(readings.value.shape)
     unit.flat[place] = TWO_SIDED * stand_in_spread(readings.value, readings.plain).flat[place]
     rows = np.asarray(model.through @ (readings.value * unit).reshape(-1, 1))
-    along = np.zeros(model.at.cell_resistance.size)
-    along[model.free] = errors.answer(rows)[:, 0]
+    along = model.over_all(errors.answer(rows)[:, 0])
     low, high = (moved(replace(readings, value=readings.value * np.exp(side * unit))) for side in (-1, 1))
     return along, low, high
