@@ -470,16 +470,6 @@ def batch_of(terms: tuple[Term, ...], readings: Readings) -> Evaluation:
     return Evaluation.at(cost, data, cells, np.tile(cost.weights, (len(rest), 1)))
 
 
-def test_a_panel_of_a_batch_has_the_scale_of_its_cost_alone() -> None:
-    batch = batch_of((Misfit(), RelativeChange(weight=0.1)), frames_of_panels(1e-2))
-    for number, scale in enumerate(batch.cost_scales):
-        one = batch.data.some(number)
-        alone = Evaluation.at(batch.cost, one, batch.cell_resistance[number])
-        blank = Evaluation(alone.cost, one, alone.cell_resistance, np.zeros(one.measured.shape), None)
-        assert scale == pytest.approx(alone.objective + blank.objective / 20, rel=1e-12)
-        assert alone.cost_scale == pytest.approx(scale, rel=1e-12)
-
-
 def solved_together(batch: Evaluation) -> BatchOutcome:
     """From equal cells."""
     return solve(batch, InverseHessians.nothing(PANELS, 20), np.arange(PANELS), Settings())

@@ -1,7 +1,6 @@
 """The smoother against dense matrices, a minimiser that knows its stated cost alone, and simulated truth."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Literal
 
 import numpy as np
@@ -24,7 +23,6 @@ from lampest import (
     Term,
 )
 from lampest.cost.given import Background
-from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.methods.joint import Joint
 from lampest.estimate.methods.smoother import Walk, smoothed
 from lampest.estimate.sequence import reconstruct
@@ -278,44 +276,9 @@ def test_frames_as_they_come_are_estimated_with_those_before() -> None:
     assert np.median(np.abs(live)) < 0.8 * np.median(np.abs(log_errors(found_of(made, (Misfit(),)))))
 
 
-def test_far_readings_count_by_their_slope_where_their_loss_bends_away() -> None:
-    """Student's loss x: ρ' = 2x/(1 + x²/c²), ½ρ'' < 0 beyond the corner, where ρ'/2x is taken instead."""
-    joint = beside_its_end(0)
-    joint = replace(joint, cost=tuple(replace(one, terms=ROBUST) for one in joint.cost))
-    residual = np.array([0.0, 3.0, 4.0 + 1e-6, -9.0])
-    joint.__dict__["models"] = [SimpleNamespace(residual=residual[:3]), SimpleNamespace(residual=residual[3:])]
-    near, share = 1 - (residual / CORNER) ** 2, 1 / (1 + (residual / CORNER) ** 2)
-    sizes = np.sqrt(np.where(near > 0, near * share**2, share))
-    for own, expected in zip(joint._sizes, (sizes[:3], sizes[3:]), strict=True):
-        assert_allclose(own, expected, rtol=1e-6)
-
-
 def blind_at_rest(recording: Recording) -> Readings:
     """The mean of unloaded frames without any value."""
     return replace(recording, recorded=np.full(recording.recorded.shape, np.nan)).readings()[:RESTING].mean()
-
-
-def test_a_walk_begins_with_the_variance_that_each_frame_alone_leaves_its_cells(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Of cells of which nothing is known, and of errors by chance of variance one."""
-    joint, alone = beside_its_end(2), np.tile(np.linspace(7.0, 8.0, 4), (3, 1))
-    start = np.hstack([np.clip(alone, *(bound[:, :4] for bound in joint.bounds)), np.zeros((3, 2))])
-    joint = replace(joint, position=start, shift=np.zeros(len(joint.shift)))
-    inverses = [np.linalg.inv(each.T @ each + np.diag([1e-4] * 4 + [1.0] * 2)) for each in joint.sensitivities]
-    variance = np.minimum([np.diag(inverse)[:4] for inverse in inverses], ASSUMED.jump**2)
-    walks = list[tuple[Walk, Array]]()
-
-    def begun(walk: Walk, squares: Array) -> Array:
-        walks.append((walk, squares))
-        raise np.linalg.LinAlgError
-
-    monkeypatch.setattr(Walk, "stiffness", begun)
-    with pytest.raises(np.linalg.LinAlgError):
-        smoothed(joint, Walk(0.1, 0.9), Settings())
-    ((walk, squares),) = walks
-    assert_allclose(squares, np.diff(start[:, :4], axis=0) ** 2 + variance[1:] + variance[:-1], rtol=1e-6)
-    assert walk.deviation == pytest.approx(3.0 * np.sqrt(np.median(variance)))
 
 
 def test_a_frame_of_which_too_little_was_read_is_left_out() -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
-from scipy.stats import foldnorm
 
 import lampest
 from docs.studies import real
@@ -91,38 +90,6 @@ def test_risk_is_the_mean_squared_error_where_the_point_is_the_truth(number: int
     covariance = np.diag(np.linspace(1.0, 2.0, model.at.cell_resistance.size))
     doubted = Spectrum.of(model, number, covariance).risk(weights[number])
     assert_allclose(doubted - exact, np.trace(lost @ covariance[np.ix_(model.free, model.free)] @ lost.T), rtol=1e-6)
-
-
-def evidence_step(model: LinearModel, weight: float) -> float:
-    """One step of the evidence's fixed point at the linear estimate of a weight, from its definition."""
-    loss = model.at.cost.terms[1].loss
-    absolute, scale = isinstance(loss, Absolute), model.scale
-    jacobian, rows = DenseErrors(model).jacobian, model.penalty_jacobian.toarray()[:, model.free]
-    curvature = weight**2 / (8 * scale) if absolute else weight
-    inverse = np.linalg.inv(jacobian.T @ jacobian + curvature * rows.T @ rows)
-    residual = model.penalty - rows @ inverse @ (jacobian.T @ model.residual + curvature * rows.T @ model.penalty)
-    determined = np.linalg.matrix_rank(rows)
-    if absolute:
-        size = np.sqrt(scale * np.sum(rows @ inverse * rows, axis=1))
-        return float(scale * determined / (0.5 * np.sum(foldnorm.mean(np.abs(residual) / size, scale=size))))
-    used = curvature * np.trace(inverse @ rows.T @ rows)
-    return float(scale * (determined - used) / np.sum(residual**2))
-
-
-@pytest.mark.parametrize(
-    ("term", "noise"),
-    [
-        (Gradient(weight=1.0, loss=Absolute()), 0.05),
-        (Gradient(weight=1e-5), 0.003),
-        (CellResistance(weight=1e-5), 0.003),
-    ],
-    ids=["absolute", "gradient", "cells"],
-)
-def test_weights_settle_at_the_fixed_point_of_the_evidence(term: Term, noise: float) -> None:
-    model = model_with(term, noise=noise)
-    _, weight = settled_weights(model, [1])
-    assert evidence_step(model, weight) == pytest.approx(weight, rel=0.01)
-    assert settled_weights(model, []) == [1.0, term.weight]
 
 
 @pytest.mark.parametrize("most_cells", [1000, 10], ids=["matrices", "samples"])
