@@ -69,7 +69,7 @@ def _script(rng: Rng) -> Script:
 
 
 @attack(3, 100)
-def test_floods_replays_wraps_and_garbage_on_a_serial_line(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_line_that_floods_or_lies_ends_in_time_with_counted_losses(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A line of random sayings: recording ends in time, with a sentence or with frames whose losses are counted."""
     for number in range(count):
         out = folder / f"{number}.h5"
@@ -96,7 +96,7 @@ def _ended(port: str, out: Path, wanted: dict[str, float]) -> str:
 
 
 @attack(1, 20)
-def test_noise_in_which_answers_are_lost_jumps_of_the_clock(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_noise_on_the_line_and_jumps_of_the_clock_lose_no_frame(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Good frames among bursts of garbage in which answers are lost, and jumps of the clock by up to 10 s."""
     for number in range(count):
         jumps: list[int] = []
@@ -128,7 +128,7 @@ def _noisy(rng: Rng, board: WildBoard, hello: Hello, jumps: list[int]) -> Iterat
 
 
 @attack(1, 100)
-def test_recorders_killed_at_any_moment(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_recorder_killed_at_any_moment_leaves_every_counted_frame(rng: Rng, folder: Path, count: int) -> Outcomes:
     """SIGKILL to a recorder at any moment: every frame that it counted is read, in order, before and after repair."""
     for number in range(count):
         yield _killed(rng, folder / f"{number}.h5")
@@ -175,7 +175,7 @@ def _running(*words: object) -> Iterator["subprocess.Popen[str]"]:
 
 
 @attack(0, 8)
-def test_thousands_of_frames_of_a_day_at_10_a_second(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_day_of_frames_at_10_a_second_is_recorded_in_constant_memory(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Parts of a day at 10 frames a second, over the wrap of the board's clock, as fast as the line takes them."""
     sizes = {}
     for frames in (PART, (count + 1) * PART):
@@ -201,7 +201,7 @@ def _hurried(hello: Hello) -> Iterator[tuple[float, bytes]]:
 
 
 @attack(0, 5)
-def test_a_flood_tenths_of_a_minute(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_flood_is_recorded_in_constant_memory(rng: Rng, folder: Path, count: int) -> Outcomes:
     """As many bytes of garbage as the line takes for so many tenths of a minute, good frames among them."""
     junk = [rng.bytes(4000) for _ in range(20)]
 
@@ -223,7 +223,7 @@ def test_a_flood_tenths_of_a_minute(rng: Rng, folder: Path, count: int) -> Outco
 
 
 @attack(20, 500)
-def test_guests_without_the_token_before_a_board_at_every_address(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_guests_without_the_token_see_and_record_nothing_at_any_address(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A live page at all addresses before a board: nobody sees, tares or records without the token, by any address."""
     with wild_board(hundred_a_second) as board, _page(folder, board.port) as where:
         addresses = sorted({"127.0.0.1", *_addresses()})
@@ -278,7 +278,7 @@ def _asked(host: str, where: int, method: str, path: str, headers: dict[str, str
 
 
 @attack(1, 10)
-def test_pauses_of_a_broker(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_broker_that_pauses_receives_no_late_messages(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A broker pauses for one to three seconds: what was sent meanwhile is lost, but for the first 0.2 s."""
     from paho.mqtt.client import Client
     from paho.mqtt.enums import CallbackAPIVersion

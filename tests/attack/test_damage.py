@@ -96,7 +96,7 @@ def _unsealed(folder: Path) -> bytes:
 
 
 @attack()
-def test_files_without_checksums(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_files_without_checksums_are_read_and_named_so(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = small_folder(folder / "work")
     for name in ("small.h5", "results.h5"):
         ended = called("check", name, folder=made)
@@ -109,7 +109,7 @@ def test_files_without_checksums(rng: Rng, folder: Path, count: int) -> Outcomes
 
 
 @attack()
-def test_a_bit_in_each_dataset(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_flipped_bit_in_any_dataset_is_named(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = small_folder(folder / "work")
     with h5py.File(made / "small.h5") as file:
         places: dict[str, int] = {}
@@ -139,7 +139,7 @@ def _place(node: Any) -> int | None:
 
 
 @attack(0, 400)
-def test_sizes_in_files_without_checksums(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_damaged_sizes_in_files_without_checksums_crash_nothing(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Bits turned in a file of an older version, read with little memory: a sentence or its numbers, never a crash."""
     whole = _unsealed(folder)
     structure = [place for place in range(len(whole)) if whole[place] not in (0, 255)][:6000]
@@ -157,7 +157,7 @@ def test_sizes_in_files_without_checksums(rng: Rng, folder: Path, count: int) ->
 
 
 @attack(20, 400)
-def test_bits_pages_and_tails_of_an_unclosed_recording(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_damaged_unclosed_recording_is_refused_or_read_as_it_was(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A killed recorder's file, damaged: refused or read as it was; repair keeps only what was written."""
     path = unclosed_recording(folder / "e.h5", Scene(Panel(3, 4), TwoPointReadout(), 140.0), 12, unloaded=3)
     whole, meant = path.read_bytes(), Recording.load(path)
@@ -198,7 +198,7 @@ def _datasets(file: h5py.File) -> list[str]:
 
 
 @attack(20, 400)
-def test_datasets_of_another_shape_or_type(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_datasets_of_another_shape_or_type_are_refused_in_one_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = small_folder(folder / "work")
     whole = {name: (made / name).read_bytes() for name in ("small.h5", "results.h5")}
     commands = {"small.h5": ("info", "check", "tare"), "results.h5": ("info", "check", "compare", "plot", "export")}
@@ -217,13 +217,13 @@ def test_datasets_of_another_shape_or_type(rng: Rng, folder: Path, count: int) -
         yield f"{word}, {path}: {fault}" if (fault := ended.survived()) else HELD
 
 
-test_bits_of_a_recording = attack(100, 2500)(_flipped("a.h5", Recording.load, _recording))
+test_flipped_bits_of_a_recording_are_noticed = attack(100, 2500)(_flipped("a.h5", Recording.load, _recording))
 
 
-test_bits_of_results = attack(50, 2500)(_flipped("b.h5", read_results, good_results))
+test_flipped_bits_of_results_are_noticed = attack(50, 2500)(_flipped("b.h5", read_results, good_results))
 
 
-test_a_recording_with_pages_lost_or_doubled = attack(40, 400)(_cut("c.h5", Recording.load, _recording))
+test_lost_or_doubled_pages_of_a_recording_are_noticed = attack(40, 400)(_cut("c.h5", Recording.load, _recording))
 
 
-test_results_with_pages_lost_or_doubled = attack(20, 400)(_cut("d.h5", read_results, good_results))
+test_lost_or_doubled_pages_of_results_are_noticed = attack(20, 400)(_cut("d.h5", read_results, good_results))

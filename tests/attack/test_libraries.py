@@ -31,7 +31,7 @@ pytestmark = pytest.mark.slow
 
 
 @attack(2, len(NEEDED))
-def test_commands_that_need_what_is_not_installed(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_commands_that_need_a_missing_library_say_how_to_install_it(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = _made(folder)
     for _, (library, arguments) in drawn(rng, NEEDED, count):
         ended = command(*arguments, folder=made, without=library)
@@ -40,7 +40,7 @@ def test_commands_that_need_what_is_not_installed(rng: Rng, folder: Path, count:
 
 
 @attack(1, len(SPARED))
-def test_commands_that_do_not_need_what_is_not_installed(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_commands_work_without_libraries_that_they_do_not_need(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = _made(folder)
     missing = ",".join(library for library, _ in NEEDED)
     for arguments in SPARED[:count]:

@@ -23,7 +23,7 @@ TABLE = ("--rows", "3", "--columns", "4", "--out", "out.h5")
 
 
 @attack()
-def test_texts_that_are_one_long_text_many_times(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_one_long_text_repeated_in_a_file_is_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
     path = folder / "small.h5"
     path.write_bytes(good_recordings(folder)[0])
     with h5py.File(path, "a") as file:
@@ -50,7 +50,7 @@ def _place(whole: bytearray, length: int) -> int:
 
 
 @attack()
-def test_a_compressed_matrix_of_390_mb_in_a_mat_file(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_compressed_matrix_of_390_mb_in_a_mat_file_is_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
     values = 390_000_000 // 12 * 12
     head = struct.pack("<IIIIIIiiiiIIII", 6, 8, 9, 0, 5, 12, values // 12, 3, 4, 0, 1, 1, ord("a"), 0)
     head += struct.pack("<II", 2, values)
@@ -63,13 +63,13 @@ def test_a_compressed_matrix_of_390_mb_in_a_mat_file(rng: Rng, folder: Path, cou
 
 
 @attack()
-def test_a_compressed_array_of_480_mb_in_an_npz_file(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_compressed_array_of_480_mb_in_an_npz_file_is_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
     np.savez_compressed(folder / "bomb.npz", a=np.zeros((40_000_000, 3, 4), dtype=np.uint8))
     yield _bounded(command("import", "bomb.npz", *TABLE, folder=folder, seconds=SECONDS), "bomb.npz")
 
 
 @attack(0, 1)
-def test_200_mb_of_line_ends(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_200_mb_of_line_ends_are_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
     with (folder / "lines.csv").open("wb") as stream:
         for _ in range(200):
             stream.write(b"\n" * 1_000_000)
@@ -77,7 +77,7 @@ def test_200_mb_of_line_ends(rng: Rng, folder: Path, count: int) -> Outcomes:
 
 
 @attack(0, 1)
-def test_a_column_of_400_000_rows_in_an_xlsx_file(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_column_of_400_000_rows_in_an_xlsx_file_is_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A column of 400 000 rows in a sheet of 2 MB, which is no table of a panel."""
     parts = {
         "[Content_Types].xml": '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types"><Default '
@@ -102,7 +102,7 @@ def test_a_column_of_400_000_rows_in_an_xlsx_file(rng: Rng, folder: Path, count:
 
 
 @attack()
-def test_panels_of_1_60001_cells(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_panels_of_1_by_60001_cells_are_refused_for_lack_of_memory(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = small_folder(folder / "work")
     scene = "\n".join(f"  {line}" for line in WIDE.splitlines())
     (made / "wide.yaml").write_text(f"schema: 1\nseed: 1\nframes: 1\nbaseline_frames: 1\nscene:\n{scene}\n")
@@ -126,7 +126,7 @@ def test_panels_of_1_60001_cells(rng: Rng, folder: Path, count: int) -> Outcomes
 
 
 @attack(0, 1)
-def test_sizes_that_are_none(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_invalid_sizes_of_memory_are_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = small_folder(folder / "work")
     for word in ("", "-1GB", "0", "lots", "1e9", "nan"):
         yield command("info", "small.h5", folder=made, memory=word).refused("LAMPEST_MEMORY")

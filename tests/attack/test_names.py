@@ -13,7 +13,7 @@ SIGNS = ("\x1b[2J", "\x1b]0;mine\x07", "\r", "\n", "\x9b31m", "\u202e", "\u2028"
 
 
 @attack(2, len(SIGNS))
-def test_files_with_signs_for_a_terminal(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_control_characters_in_file_names_are_never_printed(rng: Rng, folder: Path, count: int) -> Outcomes:
     for number in rng.permutation(len(SIGNS))[:count]:
         sign = SIGNS[number]
         made = small_folder(folder / f"work{number}")
@@ -36,7 +36,7 @@ def test_files_with_signs_for_a_terminal(rng: Rng, folder: Path, count: int) -> 
 
 
 @attack(2, len(SIGNS))
-def test_texts_in_files_with_signs_for_a_terminal(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_control_characters_in_files_are_never_printed(rng: Rng, folder: Path, count: int) -> Outcomes:
     for number in rng.permutation(len(SIGNS))[:count]:
         sign = SIGNS[number].encode("utf-8", "replace").decode()
         made = small_folder(folder / f"work{number}")
@@ -69,7 +69,7 @@ def test_texts_in_files_with_signs_for_a_terminal(rng: Rng, folder: Path, count:
 
 
 @attack()
-def test_ways_around_the_one_function_that_shows_names(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_only_one_module_prints(rng: Rng, folder: Path, count: int) -> Outcomes:
     for path in sorted((HOUSE / "lampest").rglob("*.py")):
         calls = [node.func for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
         prints = any(isinstance(call, ast.Name) and call.id == "print" for call in calls)

@@ -25,7 +25,7 @@ MADE_BY_LAMPEST = {
 
 
 @attack(3, len(WRONG))
-def test_wrong_values_at_every_field_of_every_public_class(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_every_field_of_every_public_class_refuses_wrong_values(rng: Rng, folder: Path, count: int) -> Outcomes:
     recording = lampest.datasets.load("rod")
     good: dict[str, dict[str, Any]] = {
         "Panel": {"rows": 3, "columns": 4},
@@ -45,7 +45,7 @@ def test_wrong_values_at_every_field_of_every_public_class(rng: Rng, folder: Pat
 
 
 @attack(3, len(WRONG))
-def test_wrong_values_at_public_functions(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_public_functions_refuse_wrong_values(rng: Rng, folder: Path, count: int) -> Outcomes:
     for name in sorted(lampest.__all__):
         function = getattr(lampest, name)
         if not inspect.isfunction(function) or not inspect.signature(function).parameters:
@@ -58,7 +58,7 @@ def test_wrong_values_at_public_functions(rng: Rng, folder: Path, count: int) ->
 
 
 @attack()
-def test_what_once_was_taken_silently(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_inconsistent_values_are_refused_together(rng: Rng, folder: Path, count: int) -> Outcomes:
     """What once was taken silently."""
     recording = lampest.datasets.load("rod")
     fields = {name: getattr(recording, name) for name in ("scene", "recorded", "time", "role")}

@@ -66,7 +66,7 @@ def _tried(what: str, place: Path, commands: Commands) -> Iterator[str]:
 
 
 @attack(4, 60)
-def test_scenes_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_scenes_with_impossible_numbers_end_in_a_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
     tries = [(old, new, value) for old, new in SCENES for value in EXTREME]
     for number, (old, new, value) in drawn(rng, tries, count):
         place = folder / f"scene{number}"
@@ -80,7 +80,7 @@ def test_scenes_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) -> 
 
 
 @attack(3, 60)
-def test_results_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_results_with_impossible_numbers_end_in_a_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
     names = ("cell_resistance", "relative_change", "measured", "measured_baseline", "baseline_resistance", "truth",
              "time", "sigma", "sigma_baseline", "reading_model", "objective", "solve_time")  # fmt: skip
     looks = (("info",), ("compare", "--report", "r.html"), ("plot",), ("plot", "--show", "profiles"), ("detect",))
@@ -103,7 +103,7 @@ def test_results_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) ->
 
 
 @attack(3, 30)
-def test_readings_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_readings_with_impossible_numbers_end_in_a_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
     tries = [(name, value, whole) for name in ("recorded", "sigma", "time") for value in EXTREME for whole in (1, 0)]
     for number, (name, value, whole) in drawn(rng, tries, count):
         place = folder / f"readings{number}"
@@ -117,7 +117,7 @@ def test_readings_with_numbers_of_no_panel(rng: Rng, folder: Path, count: int) -
 
 
 @attack(1, 6)
-def test_panels_of_which_next_to_nothing_is_left(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_panels_with_hardly_any_readings_end_in_a_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
     everywhere = [[row, column] for row in range(6) for column in range(7)]
     faults = {
         "one cell": {"open": everywhere[:-1]},

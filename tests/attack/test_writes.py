@@ -62,14 +62,14 @@ FILES = tuple(writer for writer in WRITERS if writer[0] not in ("run", "plot", "
 
 
 @attack(18, 18)
-def test_nothing_and_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_empty_and_root_paths_are_refused_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = small_folder(folder / "work")
     for _, (writer, place) in drawn(rng, [(writer, place) for writer in WRITERS for place in ("", "/")], count):
         yield _untouched(made, (*writer, place))
 
 
 @attack(12, 30)
-def test_devices_pipes_sockets_folders_and_links_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_devices_pipes_sockets_folders_and_links_are_refused_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = _beside_precious(folder, "work")
     os.mkfifo(made / "pipe.h5")
     (made / "folder.h5").mkdir()
@@ -88,7 +88,7 @@ def test_devices_pipes_sockets_folders_and_links_as_outputs(rng: Rng, folder: Pa
 
 
 @attack(6, 30)
-def test_what_is_read_as_what_is_written(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_an_input_is_refused_as_the_output(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = _inputs(folder / "work")
     shutil.copy(made / "results.h5", made / "detections.h5")
     tries = [(*writer, way) for writer in (*FILES, *OVER_INPUTS) if writer[0] != "record" for way in ("", "./", "hard")]
@@ -102,7 +102,7 @@ def test_what_is_read_as_what_is_written(rng: Rng, folder: Path, count: int) -> 
 
 
 @attack(6, 100)
-def test_every_input_of_every_command_as_its_output(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_every_input_of_every_command_is_refused_as_its_output(rng: Rng, folder: Path, count: int) -> Outcomes:
     tries = [(words, read) for words in TABLES for read in words if "." in read]
     for index, (words, read) in drawn(rng, tries, count):
         made = _inputs(folder / f"work{index}")
@@ -111,7 +111,7 @@ def test_every_input_of_every_command_as_its_output(rng: Rng, folder: Path, coun
 
 @pytest.mark.slow
 @attack(3, len(FOLDERS))
-def test_inputs_named_as_what_is_written_into_a_folder(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_inputs_inside_an_output_folder_are_never_overwritten(rng: Rng, folder: Path, count: int) -> Outcomes:
     for index, (words, source, *names) in drawn(rng, FOLDERS, count):
         made = _inputs(folder / f"work{index}")
         (made / "OUT").mkdir()
@@ -131,7 +131,7 @@ def test_inputs_named_as_what_is_written_into_a_folder(rng: Rng, folder: Path, c
 
 
 @attack()
-def test_two_outputs_of_one_name(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_two_outputs_of_one_name_are_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = small_folder(folder / "work")
     for words in TWICE:
         yield _untouched(made, words, "two outputs")
@@ -158,7 +158,7 @@ def _inputs(made: Path) -> Path:
 
 
 @attack()
-def test_a_lock_that_is_a_link_or_a_pipe(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_lock_that_is_a_link_or_a_pipe_is_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
     for kind in ("link", "pipe"):
         made = _beside_precious(folder, kind)
         (made / "out").mkdir()
@@ -170,7 +170,7 @@ def test_a_lock_that_is_a_link_or_a_pipe(rng: Rng, folder: Path, count: int) -> 
 
 
 @attack()
-def test_cases_that_link_to_another_s_folder(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_folder_of_cases_that_is_a_link_is_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
     for fresh in ((), ("--fresh",)):
         made, other = small_folder(folder / f"work{len(fresh)}"), folder / "other"
         other.mkdir(exist_ok=True)
@@ -184,7 +184,7 @@ def test_cases_that_link_to_another_s_folder(rng: Rng, folder: Path, count: int)
 
 
 @attack()
-def test_unfinished_files_of_others(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_unfinished_files_of_others_are_kept(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = small_folder(folder / "work")
     for place in (made / "out", made / "out" / "cases"):
         place.mkdir()
@@ -197,7 +197,7 @@ def test_unfinished_files_of_others(rng: Rng, folder: Path, count: int) -> Outco
 
 @pytest.mark.slow
 @attack()
-def test_results_and_pictures_that_are_links(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_results_and_pictures_that_are_links_are_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = _beside_precious(folder, "work")
     (made / "out").mkdir()
     (made / "out" / "results.h5").symlink_to(folder / "precious")
@@ -208,7 +208,7 @@ def test_results_and_pictures_that_are_links(rng: Rng, folder: Path, count: int)
 
 
 @attack()
-def test_a_simulation_s_output_that_is_a_link(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_an_output_of_a_simulation_that_is_a_link_is_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = _beside_precious(folder, "work")
     (made / "simulation.h5").symlink_to(folder / "precious")
     yield _untouched(made, ("simulate", "simulation.yaml")) or _precious(folder)
