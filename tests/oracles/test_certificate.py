@@ -268,6 +268,19 @@ def test_an_absolute_loss_is_certified_with_its_duals() -> None:
     assert check(start, outcome).status is Status.OPTIMUM
 
 
+def test_corners_of_absolute_losses_do_not_hide_a_steep_descent() -> None:
+    """All cells are as before but for rounding, and the readings of two loaded cells are missed by 60 percent."""
+    unloaded = USUAL * (1 + 1e-14 * np.random.default_rng(5).standard_normal(USUAL.shape))
+    measured = in_digits(changed(([2, 3], [3, 3]), 0.3))
+    terms = (Misfit(weighting="noise"), LogRatio(weight=0.03))
+    point = evaluation(terms, unloaded, measured, 1e-2 * measured, previous=USUAL)
+    assert point.kkt_residual(np.zeros(USUAL.size)) > 1e-4
+    ended = Outcome(point.cell_resistance, np.zeros(USUAL.size), Status.ITERATIONS, 1)
+    assert not check(point, ended).solved
+    outcome = ProjectedNewton(point.cost, Settings()).solve(point.data, point)
+    assert check(point, outcome).status is Status.OPTIMUM and outcome.at.objective < 0.5 * point.objective
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("readout", [GroundedReadout(sense="all", drive_ohm=50), LoadedColumnsReadout(load_ohm=10000)])
 @pytest.mark.parametrize("seed", [0, 1, 3, 5])
