@@ -155,11 +155,12 @@ def detect(
     estimator
         Estimator whose force and area are printed, such as LSM. Default: the first.
     """
-    from lampest.report.detect.detection import detect_recording, detect_results, is_results
+    from lampest.files.hdf5 import format_of
+    from lampest.report.detect.detection import detect_recording, detect_results
     from lampest.report.detect.pressed import pressed
     from lampest.runs.results import read_results
 
-    results = read_results(file, frames=_frames(frames)) if is_results(file) else None
+    results = read_results(file, frames=_frames(frames)) if format_of(file).startswith("results/") else None
     if results is None and estimator is not None:
         raise InputError(f"{file}: --estimator: a recording has none; name a results file")
     loads: Sequence[PressedCells] = ()

@@ -142,7 +142,7 @@ def page_row() -> dict[str, Any]:
     by_estimator = {name: [case for case in invented() if case.estimator == name] for name in METHODS}
     return {
         "standings": standing.standings, "values": standing.values, "block": standing.block, "units": standing.units,
-        "milliseconds": standing.milliseconds, "advice": advice,
+        "milliseconds": {row.estimator: row.milliseconds for row in standing.standings}, "advice": advice,
         "tables": [page.standing_table(standing), page.unit_table(standing), page.case_table(by_estimator)],
         "figures": page.figures(invented()[0]), "failed": page.failures(invented()),
         "disagreements": page.disagreements(invented()[:3]),

@@ -13,7 +13,6 @@ from lampest.estimate.nuisances import CircuitEffects, without_effects_of
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import with_saturated_stage
 from lampest.estimate.warnings import warnings_of
-from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
 from lampest.loads.pressure import sigma_of_frames, water_pressure
@@ -33,7 +32,6 @@ from lampest.runs.executors import each_of
 from lampest.runs.filling import frame_noise_of
 from lampest.runs.results import Results
 
-RESULTS = "results/"  # prefix of the format of results files
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
 NO_RESPONSE = "no pressures and forces, since the scene names no response; shapes are fitted with the published one"
 HEAD_FRAMES = 100  # measured frames from which, with the unloaded ones, the noise is estimated
@@ -150,11 +148,6 @@ class Known:
 def frame_rate(times: "list[float] | tuple[float, ...]") -> float:
     """Return the frames per second by the median step of their times in s; 0 for a single frame."""
     return float(1 / np.median(np.diff(times))) if len(times) > 1 else 0.0
-
-
-def is_results(path: Path) -> bool:
-    """Return whether a file contains results. Raises InputError where it cannot be read."""
-    return hdf5.format_of(path).startswith(RESULTS)
 
 
 def detect_results(

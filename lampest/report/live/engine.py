@@ -22,7 +22,7 @@ from lampest.recording.readings import Readings
 from lampest.report.detect.answer import Detected
 from lampest.report.live.handover import Beside, Errand, Newest
 from lampest.report.live.message import HISTORY_FRAMES, Picture, Point, View, with_detected
-from lampest.report.live.state import NOTICED_PERCENT, Findings, PanelState, SecondLook, solved_scan
+from lampest.report.live.state import NOTICED_PERCENT, Findings, PanelState, solved_scan
 from lampest.report.live.watcher import News, Scan, Unloaded, watcher
 
 BARS_SECONDS = 0.2  # between second looks for error bars alone, which only the eye reads
@@ -62,7 +62,7 @@ class Engine:
         self._arrivals: Newest[Scan | None] = Newest(None)
         self._pool = ThreadPoolExecutor(1, "lampest-solver")
         self._solving: Future[None] | None = None
-        self._zero_asked, self._looked = Event(), 0.0
+        self._zero_asked = Event()
         self._found: SimpleQueue[Any] = SimpleQueue()
         self._beside = Beside(methodcaller("run"), Errand.queued, self._take_answer) if beside else None
         self._watcher = watcher(name, self._take_detected) if beside else None
@@ -143,7 +143,7 @@ class Engine:
         """Solve the newest frame until no more come; check the circuit before and with the first loaded frames."""
         state = PanelState.begin(self._estimator, unloaded.scene, period, resting, hasty=self._beside is not None)
         self._check(unloaded)
-        seen, loaded = 0, tuple[Scan, ...]()
+        seen, looked, loaded = 0, 0.0, tuple[Scan, ...]()
         while (news := self._arrivals.after(seen)) is not None:
             assert news.item is not None
             skipped, seen = news.number - seen - 1, news.number
@@ -153,7 +153,11 @@ class Engine:
                 state = replace(state, recent=(), missing=self._baseline)
             state, picture = solved_scan(state, news.item, len(unloaded.scans) + seen, skipped)
             self.shown.change(partial(with_picture, picture=picture, zeroed=state.zeroed))
-            self._look_again(state.look)
+            # Requests for error bars alone are rationed, since weights and searches come first.
+            look, now = state.look, time.monotonic()
+            if look is not None and self._beside is not None and (look.due or now - looked >= BARS_SECONDS):
+                looked = now
+                self._beside.ask(Errand("look", look.findings, look.due))
             if len(loaded) < LOADED_FRAMES and float(np.nanmean(np.abs(picture.measured_change))) > NOTICED_PERCENT:
                 loaded = (*loaded, news.item)
                 if len(loaded) == LOADED_FRAMES:
@@ -172,13 +176,6 @@ class Engine:
             track = state.track or state.stream.track
             return replace(state, stream=replace(state.stream, keeps_weights=False, track=track), track=None)
         return state
-
-    def _look_again(self, look: SecondLook | None) -> None:
-        """Request a second look; requests for error bars alone are rationed, since weights and searches come first."""
-        now = time.monotonic()
-        if look is not None and self._beside is not None and (look.due or now - self._looked >= BARS_SECONDS):
-            self._looked = now
-            self._beside.ask(Errand("look", look.findings, look.due))
 
     def _check(self, unloaded: Unloaded, loaded: tuple[Scan, ...] = ()) -> None:
         """Show warnings about the frames."""

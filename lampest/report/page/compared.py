@@ -225,13 +225,21 @@ def between(interval: Interval, unit: str = "", sign: str = "") -> str:
 class Standing:
     """Mean of an estimator over the units, and its paired difference from the smallest mean.
 
-    wins : number of units in which no estimator is better.
+    Attributes
+    ----------
+    estimator : str
+    mean, difference : Interval
+    wins : int
+        Number of units in which no estimator is better.
+    milliseconds : float
+        Median time per frame, geometric mean over the units.
     """
 
     estimator: str
     mean: Interval
     difference: Interval
     wins: int
+    milliseconds: float
 
     @property
     def told_apart(self) -> bool:
@@ -281,8 +289,6 @@ class Comparison:
         Number of neighbouring units that the bootstrap draws together; 1 for recordings.
     standings : tuple of Standing
         Best first.
-    milliseconds : mapping
-        Estimator → median time per frame, geometric mean over the units.
     """
 
     criterion: Criterion
@@ -291,7 +297,6 @@ class Comparison:
     values: Array
     block: int
     standings: tuple[Standing, ...]
-    milliseconds: Mapping[str, float]
 
     @property
     def over_frames(self) -> bool:
@@ -355,11 +360,16 @@ def comparison_of(batch: Batch, generator: np.random.Generator) -> Comparison | 
         units = tuple(f"frame {number}" for number in cases[0].frame[match.chosen[0]])
     values = _values(match, criterion.per_cell, criterion.average)
     block = block_length(values) if single else 1
-    standings = _standings(match.estimators, values, picks(len(values), block, generator.spawn(1)[0]))
+    drawn = picks(len(values), block, generator.spawn(1)[0])
     # geometric mean over the units of the median time per frame
     times = np.exp(_values(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median).mean(axis=0))
-    milliseconds = dict(zip(match.estimators, times.tolist(), strict=True))
-    return Comparison(criterion, match, units, values, block, standings, milliseconds)
+    order = np.argsort(values.mean(axis=0), kind="stable")
+    wins, standings = np.sum(values == values.min(axis=1, keepdims=True), axis=0), []
+    for number in order:  # against the smallest mean, with the same bootstrap draws for all
+        own, best = values[:, number], values[:, order[0]]
+        intervals = mean_interval(own, drawn), mean_interval(own - best, drawn)
+        standings.append(Standing(match.estimators[number], *intervals, int(wins[number]), float(times[number])))
+    return Comparison(criterion, match, units, values, block, tuple(standings))
 
 
 def _values(match: Matched, per_cell: Callable[[CaseResult], Array], average: Callable[..., Any]) -> Array:
@@ -371,17 +381,6 @@ def _values(match: Matched, per_cell: Callable[[CaseResult], Array], average: Ca
         single = average(chosen[0], axis=1)
         columns.append(single if len(chosen) == 1 else np.array([average(part) for part in chosen]))
     return np.stack(columns, axis=1)
-
-
-def _standings(estimators: Sequence[str], values: Array, drawn: Picks) -> tuple[Standing, ...]:
-    """Compare every estimator with the one of smallest mean, listed first; all use the same bootstrap draws."""
-    order = np.argsort(values.mean(axis=0), kind="stable")
-    wins, rows = np.sum(values == values.min(axis=1, keepdims=True), axis=0), []
-    for number in order:
-        own, best = values[:, number], values[:, order[0]]
-        intervals = mean_interval(own, drawn), mean_interval(own - best, drawn)
-        rows.append(Standing(estimators[number], *intervals, int(wins[number])))
-    return tuple(rows)
 
 
 def weights_text(cases: Sequence[Mapping[str, Array]]) -> str:
@@ -422,8 +421,8 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     best = comparison.standings[0]
     # Differences of 5 % are invisible in maps and forces.
     similar = [row for row in comparison.standings if row.mean.value <= (1 + 0.05) * best.mean.value]
-    taken = min(similar, key=lambda row: comparison.milliseconds[row.estimator])
-    if comparison.milliseconds[best.estimator] < 1.1 * comparison.milliseconds[taken.estimator]:  # no practical gain
+    taken = min(similar, key=lambda row: row.milliseconds)
+    if best.milliseconds < 1.1 * taken.milliseconds:  # no practical gain
         taken = best
     weights = weights_text([case.weights for case in comparison.match.cases(taken.estimator)])
     named = f"{taken.estimator}{f' ({weights})' if weights else ''}"
@@ -446,7 +445,7 @@ def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing])
     if differences:
         yield f"Within 5 % of it: {listed(differences)}."
     if taken is not best:
-        slow, fast = (digits(comparison.milliseconds[row.estimator], 2) for row in (best, taken))
+        slow, fast = (digits(row.milliseconds, 2) for row in (best, taken))
         yield f"{taken.estimator} takes {fast} ms a frame, {best.estimator} {slow} ms."
     worse = [row for row in comparison.standings if row not in alike]
     if worse:

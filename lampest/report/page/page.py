@@ -202,24 +202,24 @@ def failures(cases: Sequence[CaseResult]) -> list[str]:
 
 def standing_table(comparison: Comparison) -> Table:
     """Compare every estimator with the best one: criterion, difference, wins, time."""
-    criterion, best = comparison.criterion, comparison.standings[0].estimator
+    criterion, first = comparison.criterion, comparison.standings[0]
     headers = (
         "",
         f"{criterion.name}, mean [{criterion.unit}] (95 % interval)",
-        f"difference from {best} [{criterion.difference_unit}] (95 % interval)",
+        f"difference from {first.estimator} [{criterion.difference_unit}] (95 % interval)",
         "significance",
         f"units with the smallest error, of {len(comparison.units)}",
         "time per frame [ms]",
-        f"times as fast as {best}",
+        f"times as fast as {first.estimator}",
     )
     rows = []
     for row in comparison.standings:
-        speed = comparison.milliseconds[row.estimator]
         difference, verdict, ratio = NONE, "smallest", NONE
-        if row.estimator != best:
-            difference, ratio = between(row.difference, sign="+"), digits(comparison.milliseconds[best] / speed, 2)
+        if row is not first:
+            difference, ratio = between(row.difference, sign="+"), digits(first.milliseconds / row.milliseconds, 2)
             verdict = "significant" if row.told_apart else "not significant"
-        rows.append((row.estimator, between(row.mean), difference, verdict, str(row.wins), digits(speed), ratio))
+        speed = digits(row.milliseconds)
+        rows.append((row.estimator, between(row.mean), difference, verdict, str(row.wins), speed, ratio))
     return Table(headers, tuple(rows))
 
 
@@ -283,7 +283,12 @@ def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
     For a > b the difference is significant if a − b > √((a − a_low)² + (b_high − b)²), which is exact for independent
     errors. Source: Zou and Donner, Stat. Med. 27, 2008.
     """
-    known = [(case, arms) for case in cases if (arms := _arms(case)) is not None]
+    known = []
+    for case in cases:
+        lower, upper = case.relative_change_lower, case.relative_change_upper
+        if lower is not None and upper is not None:  # distances to the ends of the interval, never negative
+            arms = np.maximum(case.relative_change - lower, 0.0), np.maximum(upper - case.relative_change, 0.0)
+            known.append((case, arms))
     pairs = []
     for (first, (first_below, first_above)), (second, (second_below, second_above)) in combinations(known, 2):
         both, difference = first.solved & second.solved, first.relative_change - second.relative_change
@@ -294,14 +299,6 @@ def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
             share = 100 * float(np.mean(np.isfinite(significant[both])))
             pairs.append(Disagreement(f"{first.estimator} − {second.estimator}", significant, share))
     return tuple(sorted(pairs, key=lambda pair: -pair.share))
-
-
-def _arms(case: CaseResult) -> tuple[Array, Array] | None:
-    """Return distances from the estimate to the ends of its interval, percentage points, never negative."""
-    lower, upper = case.relative_change_lower, case.relative_change_upper
-    if lower is None or upper is None:
-        return None
-    return np.maximum(case.relative_change - lower, 0.0), np.maximum(upper - case.relative_change, 0.0)
 
 
 def frames_text(frames: Sequence[int]) -> str:

@@ -102,7 +102,9 @@ def plot_results(
     plot = None if show is None else _chosen(show, frame)
     path, target = Path(path), None if out is None else Path(out)
     single = target if target is not None and target.suffix in SUFFIXES else None
-    _check_form(target)
+    kind = "" if target is None or single else guess_type(target)[0] or ""
+    if kind.startswith(("image/", "application/postscript")):
+        raise InputError(f"{target}: {PICTURES}")
     if frames is None and frame is not None and any(too_long(case.frames, case.cells) for case in stored_cases(path)):
         frames = range(frame, frame + 1)
     results = read_results(path, columns, frames)
@@ -120,8 +122,8 @@ def plot_results(
         raise InputError(
             f"{target}: one picture cannot hold {len(pictures)} ({names}): choose a recording, or name a folder"
         )
-    ending = ("" if frame is None else f"_frame{frame}") + ".png"
-    files = [single or (target or path.parent) / f"{plot.kind}_{name}{ending}" for name in pictures]
+    ending = "" if frame is None else f"_frame{frame}"
+    files = [single or (target or path.parent) / f"{plot.kind}_{name}{ending}.png" for name in pictures]
     drawn = [
         partial(plot.draw, tuple(replace(case, estimator=results.label(case)) for case in cases))
         for cases in pictures.values()
@@ -168,13 +170,6 @@ def _chosen(show: str | Plot, frame: int | None) -> Plot:
     if not isinstance(plot, Plot):
         raise InputError(f"a plot is a word such as 'contours' or a Plot, not {in_words(plot)}")
     return plot if frame is None else replace(plot, frame=frame)
-
-
-def _check_form(target: Path | None) -> None:
-    """Raise InputError for a file name whose type lampest cannot draw."""
-    kind = "" if target is None or target.suffix in SUFFIXES else guess_type(target)[0] or ""
-    if kind.startswith(("image/", "application/postscript")):
-        raise InputError(f"{target}: {PICTURES}")
 
 
 def _lacks(plot: Plot) -> str:

@@ -161,7 +161,11 @@ class MapPainter:
         if self.contoured:
             axes.plot(columns.ravel(), rows.ravel(), ".", color="0.35", ms=1, label="cell centre", clip_on=False)
         if tile.outlined is not None and np.any(tile.outlined) and self.panel.cells is None:
-            edges = axes.contour(*_cornered(self.panel, tile.outlined), levels=[0.5], colors="black", linewidths=1.3)
+            # Ones and zeros on a grid so fine that the outline has the cells' corners.
+            pitch, fine = self.panel.pitch_mm, np.pad(np.kron(tile.outlined, np.ones((16, 16))), 8)
+            lines = self.panel.centres_mm()
+            grid = (np.linspace(line[0] - pitch, line[-1] + pitch, 16 * (len(line) + 1)) for line in lines)
+            edges = axes.contour(*grid, fine, levels=[0.5], colors="black", linewidths=1.3)
             edges.set_path_effects([withStroke(linewidth=2.8, foreground="white")])
             axes.plot([], [], color="black", lw=1.3, label="true outline of the load")
         if tile.marked is not None and np.any(tile.marked):
@@ -257,13 +261,6 @@ def _refined(panel: Panel, values: Array) -> tuple[Array, Array, Array]:
     fine = [np.linspace(own[0] - half, own[-1] + half, len(own) * 8 + 1) for own in (x, y)]
     across = np.array([np.interp(fine[0], x, row) for row in values])
     return fine[0], fine[1], np.array([np.interp(fine[1], y, column) for column in across.T]).T
-
-
-def _cornered(panel: Panel, chosen: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """Return chosen cells as ones, and zeros elsewhere, on a grid so fine that the outline has the cells' corners."""
-    pitch = panel.pitch_mm
-    x, y = (np.linspace(line[0] - pitch, line[-1] + pitch, 16 * (len(line) + 1)) for line in panel.centres_mm())
-    return x, y, np.pad(np.kron(chosen, np.ones((16, 16))), 8)
 
 
 def maps_figure(
