@@ -15,15 +15,11 @@ from lampest.loads.recognition.candidates import AND, FLAT, UNIFORM, Several
 from lampest.loads.recognition.candidates import LOADS as SHAPED
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import (
-    IMPOSSIBLE,
-    RARE_LOG_ODDS,
     SD,
     Verdict,
     field_fit,
     paid,
     prior,
-    prior_cost,
-    rises,
     states,
 )
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
@@ -164,26 +160,6 @@ def test_two_mouths_are_two(places: Any, forms: Any, panel: Panel, unmodelled: U
         np.testing.assert_allclose([disc.diameter_mm for disc in discs], [size for size, _ in forms], atol=2.0)
     if forms is SMALL:  # a row of cells hardly tells its two sides apart
         np.testing.assert_allclose([disc[:2] for disc in discs], places, atol=5.0)
-
-
-@pytest.mark.slow
-def test_loads_in_one_place_and_hidden_suction_are_improbable() -> None:
-    frame = frames_of(recorded(MOUTH))[-1]
-    fit = seen([frame])[0].best
-    assert fit.change.max() > 1 and prior_cost(fit, frame) == pytest.approx(0, abs=0.1)
-    both = Several.of((OralDisc.candidate, OralDisc.candidate))
-    for shift, cost in ((0.0, IMPOSSIBLE), (60.0, 0.0)):
-        other = fit.parameters + np.eye(len(fit.parameters))[0] * shift
-        twice = replace(fit, candidate=both, parameters=np.concatenate([fit.parameters, other]))
-        alone = prior_cost(replace(fit, parameters=other), frame) if shift == 0 else IMPOSSIBLE  # no cell rises there
-        assert prior_cost(twice, frame) == pytest.approx(alone + cost + RARE_LOG_ODDS, abs=0.5)
-    hidden = replace(fit, change=np.minimum(fit.change, 0))
-    assert prior_cost(hidden, frame) == IMPOSSIBLE
-    pressed = frames_of(recorded(Rod(centre_mm=(45, 45), diameter_mm=35, mass_g=500)))[-1]
-    assert not rises(pressed) and prior_cost(fit, pressed) > 0.8 * IMPOSSIBLE
-    disc = hidden.candidate.disc(hidden.parameters)
-    ring = replace(hidden, candidate=Ring.candidate, parameters=Ring.candidate.start(disc))
-    assert prior_cost(ring, frame) == 0
 
 
 @pytest.mark.slow

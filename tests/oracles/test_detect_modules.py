@@ -12,13 +12,11 @@ from laws.recognised import PATCH_MM, answered, frame_under, verdict_on
 import lampest
 from docs.studies.attachments import CURVES, SLIDES_S, SLIDING, TOUCH_S, UNLOADED, recording, seen
 from lampest import Array, Course, Faults, OralDisc, Panel, Rod, Scene, Simulation, TwoPointReadout, simulate
-from lampest.files.levels import SIGNIFICANT
-from lampest.loads.recognition.attachment import Attachment, attachments_of
-from lampest.loads.recognition.candidates import LOADS
+from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import Fitting, Verdict, along_diameter
+from lampest.loads.recognition.fit import Fitting, along_diameter
 from lampest.loads.recognition.image import ImageWatch, Window
-from lampest.loads.recognition.observation import OUTLIER_SHARE, ModelErrors, Observation, Whitening, outliers
+from lampest.loads.recognition.observation import ModelErrors, Observation, Whitening
 from lampest.loads.recognition.watch import Panelled
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.response import ratio_from_pressure
@@ -357,47 +355,3 @@ def test_small_rods_are_as_large_as_they_are_said_to_be(diameter_mm: float, cent
     error = np.sqrt(slopes @ best.covariance @ slopes)
     assert error < 9.0
     assert abs(value - diameter_mm) < 2 * error
-
-
-def test_a_load_sucks_since_it_stands_there_where_that_is_more_probable_than_not(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    panel = Panel(6, 6)
-    frame = frame_under(Rod(centre_mm=(26, 24), diameter_mm=30, mass_g=500), panel)
-    verdict = Detector(PATCH_MM, LOADS[:1]).verdict(frame)
-    ((candidate, own),) = verdict.best.loads
-    for probability, since in ((0.6, 3.5), (0.5, None), (0.4, None)):
-        monkeypatch.setattr(Verdict, "sucks_at", lambda *_, share=probability: share)
-        (load,) = attachments_of(frame, verdict, 3.5)
-        assert (load.sucks, load.sucks_s, load.since_s) == (probability, since, 3.5)
-    assert load.clear == verdict.best.evidence - max(fit.evidence for fit in verdict.fits[:2])
-    for name, (value, slopes) in candidate.report(own).items():
-        deviation = np.sqrt(slopes @ verdict.best.covariance[: len(own), : len(own)] @ slopes)
-        assert getattr(load, name) == pytest.approx((value, deviation))
-
-
-def test_readings_exclude_more_than_three_deviations_beyond_the_map_of_independent_cells() -> None:
-    frame = frame_under(Rod(centre_mm=(30, 30), diameter_mm=24, mass_g=100), Panel(7, 7))
-    spread, at = frame.baseline.model_errors.mapped, frame.map
-    slope = frame.slope(at)
-    precision = slope.T @ np.linalg.solve(frame.covariance(slope), slope) + np.eye(at.size) / spread**2
-    deviation = np.sqrt(np.diag(np.linalg.inv(precision))).reshape(at.shape)
-    np.testing.assert_allclose(frame.highest - at, 3.0 * deviation, rtol=0.1)
-
-
-def test_outliers_are_taken_out_one_after_the_other_until_the_others_expect_what_is_left() -> None:
-    rng = np.random.default_rng(2)
-    root = np.tril(0.1 * rng.standard_normal((100, 100)), -1) + np.diag(rng.uniform(0.5, 2.0, 100))
-    covariance, residual = root @ root.T, 0.5 * root @ rng.standard_normal(100)
-    assert list(outliers(Whitening(root), residual)) == []
-    residual[[4, 17, 9]] += 12.0, -30.0, 20.0
-    far = list[int]()
-    while len(far) < int(OUTLIER_SHARE * 100):
-        left = np.setdiff1d(np.arange(100), far)
-        precision = np.linalg.inv(covariance[np.ix_(left, left)])
-        score = np.abs(precision @ residual[left]) / np.sqrt(np.diag(precision))
-        if score.max() <= SIGNIFICANT:
-            break
-        far.append(int(left[np.argmax(score)]))
-    assert list(outliers(Whitening(root), residual)) == sorted(far)
-    assert 17 in far

@@ -160,7 +160,7 @@ def test_speed_makes_up_for_no_error_and_a_sure_trifle_decides_nothing() -> None
     trifle = cohort(30, one=(hard, 4.0), other=(hard * 1.001, 4.0))
     comparison = compared(trifle)
     assert comparison.standings[1].told_apart
-    assert Standing("wide", Interval(2.0, 1.0, 3.0), Interval(1.5, 0.5, 2.5), 0).told_apart
+    assert Standing("wide", Interval(2.0, 1.0, 3.0), Interval(1.5, 0.5, 2.5), 0, 1.0).told_apart
     assert advise(trifle, comparison).headline.startswith("No practical difference between one and other")
 
 

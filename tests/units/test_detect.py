@@ -12,16 +12,14 @@ import numpy as np
 import pytest
 from support import invented_case
 
-from lampest import Block, Faults, InputError, OralDisc, Panel, Recording, Ring, Rod, Scene
+from lampest import Block, Faults, InputError, OralDisc, Panel, Recording, Rod, Scene
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.attachment import Attachment, continued_by
-from lampest.loads.recognition.breathing import Breath, Breathing
-from lampest.loads.recognition.candidates import FIELD, FLAT, NOTHING, Several
-from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import Fit, Verdict, prior_cost
+from lampest.loads.recognition.breathing import Breathing
+from lampest.loads.recognition.candidates import Several
+from lampest.loads.recognition.fit import Fit, prior_cost
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
 from lampest.loads.recognition.pumping import Pumping
-from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.loads.shapes.disc import Disc
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.response import ratio_from_pressure
@@ -105,61 +103,6 @@ def test_a_change_is_that_of_the_response_under_water_and_ends_where_a_cell_is_o
     assert np.all(far == 12) and np.all(flat == 0)
 
 
-def test_several_loads_are_their_parts_in_a_row() -> None:
-    mouth, rod, disc = OralDisc.candidate, Rod.candidate, Disc(20.0, 10.0, 30.0, 18.0, -6.0, 40.0, 0.1, 0.0)
-    both, begins = Several.of((mouth, rod)), (mouth.start(disc), rod.start(disc))
-    assert (both.label, both.sucks, Several.of((mouth, mouth)).sucks) == ("lamprey or cup and rod", False, True)
-    parameters = both.start(disc)
-    np.testing.assert_array_equal(parameters, np.concatenate(begins))
-    np.testing.assert_array_equal(
-        both.blind(parameters), np.concatenate([mouth.blind(begins[0]), rod.blind(begins[1])])
-    )
-    assert [part for part, _ in both.loads(parameters)] == [mouth, rod]
-    assert next(iter(both.priors(PANEL))) == "0.x" and len(both.priors(PANEL)) == len(parameters)
-    pressure, slopes = both.pressure(PANEL, 6.0, parameters)
-    each = [part.pressure(PANEL, 6.0, own) for part, own in both.loads(parameters)]
-    np.testing.assert_array_equal(pressure, each[0][0] + each[1][0])
-    np.testing.assert_array_equal(slopes[len(begins[0]) :], each[1][1])
-    again = both.like(Several.of((rod, mouth)), np.concatenate(begins[::-1]))
-    np.testing.assert_array_equal(again, np.concatenate([mouth.like(rod, begins[1]), rod.like(mouth, begins[0])]))
-    assert both.like(mouth, begins[0]) is None and both.like(FLAT, np.zeros(1)) is None
-    pressure, slopes = FLAT.pressure(PANEL, 6.0, np.array([2.5]))
-    assert (
-        np.all(pressure == 2.5)
-        and np.all(slopes == 1)
-        and list(FLAT.start(disc)) == [0]
-        and not len(NOTHING.start(disc))
-    )
-    assert FLAT.priors(PANEL)["flat"] == (0, 5, 0.7, 0)
-
-
-def test_a_fit_of_another_kind_begins_with_the_same_disc() -> None:
-    """A full disc presses in the mean as the rim and its suction do, at least a little; a rim is at least half a mm."""
-    mouth, ring, rod = OralDisc.candidate, Ring.candidate, Rod.candidate
-    disc = Disc(20.0, 10.0, 30.0, 18.0, -6.0, 40.0, 0.1, -0.2)
-    bearing, hole = 6 * 0.36 / 0.64, 0.36
-    begin, uneven = mouth.start(disc), np.array([0.1, 0.2, 0.3, 0.4])
-    expected = [20, 10, np.log(30), np.log(6), np.log(6), np.log(40 - bearing), 0.1, -0.2, 0, 0, 0, 0]
-    np.testing.assert_allclose(begin, expected)
-    np.testing.assert_allclose(ring.start(disc)[2:5], [np.log(30), np.log(6), np.log(40)])
-    np.testing.assert_allclose(rod.start(disc)[2:4], np.log([30, 40 * (1 - hole) - 6 * hole]))
-    begin[-4:] = uneven
-    np.testing.assert_array_equal(rod.like(mouth, begin)[-4:], uneven)
-    full = Disc(20.0, 10.0, 30.0, 0.0, 0.0, 0.2, 0.0, 0.0)
-    np.testing.assert_allclose(mouth.start(full)[2:6], [np.log(30), np.log(5.5), 0, np.log(0.5)])
-    np.testing.assert_allclose(rod.start(full)[3], np.log(0.2))
-    narrow = full._replace(diameter_mm=10.0, inner_mm=9.8)
-    np.testing.assert_allclose(mouth.start(narrow)[3], np.log(0.5))
-    np.testing.assert_allclose(mouth.start(full._replace(diameter_mm=10.0))[3], np.log(4))
-    assert rod.like(FLAT, np.zeros(1)) is None
-    report = mouth.report(begin)
-    assert {name: value for name, (value, _) in report.items()} == pytest.approx(
-        {"x_mm": 20, "y_mm": 10, "diameter_mm": 30, "suction_kpa": -6}
-    )
-    assert report["diameter_mm"][1][2] == pytest.approx(30) and report["suction_kpa"][1][4] == pytest.approx(-6)
-    assert mouth.blind(begin)[2] == pytest.approx(1.1 / 30) and rod.blind(rod.start(disc))[2] == pytest.approx(0.7 / 30)
-
-
 def fit_of(candidate: Any, disc: Disc, evidence: float = 0.0, change: float = 3.0, chi2: float = 80.0) -> Fit:
     """A fit that begins with a disc; ln r/r0 of all cells is the same."""
     parameters, nothing = candidate.start(disc), np.zeros(0)
@@ -198,63 +141,6 @@ def test_rare_loads_cost_beforehand() -> None:
         assert costs == pytest.approx(2 * [60 * np.exp(-((rise / max(0.2, 0.25 * full)) ** 2))])
 
 
-def test_a_verdict_weighs_half_of_what_evidence_says_and_less_where_nothing_fits() -> None:
-    """80 readings; differences of evidence count by EVIDENCE_SHARE, over χ² per reading beyond 1."""
-    frame = rising()
-    uniform = [fit_of(NOTHING, DISC, -50.0), fit_of(FLAT, DISC, -46.0)]
-    kinds = ((Rod.candidate, 3.0, 900.0), (OralDisc.candidate, 5.0, 80.0), (FIELD, 1.0, 9.0))
-    rod, mouth, field = (fit_of(kind, DISC, one, chi2=chi2) for kind, one, chi2 in kinds)
-    verdict = Verdict.of([*uniform, rod, mouth, field], frame)
-    expected = np.exp(0.5 * np.array([-50, -46, 3, 5, 1]))
-    np.testing.assert_allclose(verdict.shares, expected / expected.sum(), rtol=1e-6)
-    assert (
-        verdict.best is mouth
-        and verdict.loads == (mouth, rod)
-        and verdict.goodness == 1
-        and verdict.evidence == pytest.approx(5)
-    )
-    assert verdict.nothing == pytest.approx(sum(verdict.shares[:2]))
-    for disc, share in (
-        (None, verdict.shares[3]),
-        (DISC._replace(x_mm=54.9), verdict.shares[3]),
-        (DISC._replace(x_mm=55.1), 0),
-    ):
-        assert verdict.sucks_at(disc) == pytest.approx(share / (1 - verdict.nothing))
-    alone = Verdict.of(uniform, frame)
-    assert alone.shares[1] / alone.shares[0] == pytest.approx(np.exp(4)) and alone.loads == ()
-    poor = Verdict.of([*uniform, replace(rod, chi2=160.0)], frame)
-    good = Verdict.of([*uniform, replace(rod, chi2=40.0)], frame)
-    assert good.goodness == 0.5 and good.shares[2] / good.shares[1] == pytest.approx(np.exp(49 / 2))
-    overlapping = replace(fit_of(Several.of(2 * (Rod.candidate,)), DISC), evidence=20.0, chi2=1.0)
-    assert Verdict.of([*uniform, mouth, overlapping], frame).goodness == 1, "of the best beyond its prior"
-    assert poor.goodness == 2 and poor.shares[2] / poor.shares[1] == pytest.approx(np.exp(49 / 4))
-
-
-def test_the_mean_of_a_bare_panel_follows_its_readings() -> None:
-    """As the mean of all frames, then over 20 s; the median of three keeps an outlier out. In 1e-4 of ln y."""
-    scene = replace(SMALL, panel=Panel(4, 4))
-    panelled = Panelled(scene, Detector(6.0), np.zeros((4, 4)), ModelErrors())
-    measured = np.full((4, 4), 1312.5)
-    watch = Watch.begin(panelled, measured, 0.01 * measured, np.stack([measured] * 5), 0.0)
-    assert watch.rested == 5 and np.all(watch.test.loud == 1) and watch.resting[0] == pytest.approx(np.log(1312.5))
-    for time, change, mean, rested in (
-        (1, 1, 0, 5),
-        (2, 1, 0.5, 5),
-        (3, 1, 2 / 3, 5),
-        (4, 90, 0.75, 5),
-        (5, 1, 0.8, 5),
-        (15, 1, 0.9, 5),
-    ):
-        watch = watch.followed(measured * np.exp(1e-4 * change), 0.01 * measured, float(time))
-        np.testing.assert_allclose(1e4 * (watch.mean - np.log(1312.5)), mean, atol=1e-6)
-        assert (watch.rest_s, watch.rested, watch.present) == (time, rested, False) and watch.resting is watch.mean
-    assert watch.test.loud[0] == pytest.approx((0.95**5) * 0.5, abs=1e-3)
-    gone = replace(watch, uncovered_s=3.0)
-    assert gone.doubt == "something stood on the panel in its unloaded frames, and left at 3.0 s"
-    assert watch.doubt == "" and replace(watch, uneven=True).doubt.startswith("a load may lie on the panel")
-    assert watch.ended() is watch and watch.change is None
-
-
 def test_the_sentence_says_what_where_since_when_and_how_strong() -> None:
     answer = Detected.of("mouth", (BREATHES,), 4.0)
     assert answer.answer == LAMPREY and answer.probability == pytest.approx(0.9875, abs=1e-3)
@@ -280,26 +166,24 @@ def test_the_sentence_says_what_where_since_when_and_how_strong() -> None:
     assert Detected.of("none", (), 4.0).probability < 1, "a load may be too weak for a step"
 
 
-@pytest.mark.parametrize(
-    ("change", "rate", "answer", "why"),
-    [
-        ({}, 1.0, SUCKS, "breathing shows at four frames a second or more, here there are 1"),
-        ({"odds": -4.0, "previous_odds": -4.0}, 4.0, CUP, ""),
-        ({"odds": -4.0}, 4.0, SUCKS, "whether it breathes is not clear"),
-        ({"odds": 1.0}, 4.0, SUCKS, "whether it breathes is not clear (P = 0.73)"),
-        ({"odds": 4.0, "suction": 0.02}, 4.0, SUCKS, "it moves at a breathing rate, but probably not by its suction"),
-        ({"odds": 0.0, "hertz": None}, 4.0, SUCKS, "breathing shows after 4.5 s at the earliest"),
-        ({"suction": 1.0}, 4.0, LAMPREY, ""),
-        (None, 4.0, PRESSES, ""),
-    ],
+UNCLEAR: tuple[tuple[dict[str, Any] | None, float, str, str], ...] = (
+    ({}, 1.0, SUCKS, "breathing shows at four frames a second or more, here there are 1"),
+    ({"odds": -4.0, "previous_odds": -4.0}, 4.0, CUP, ""),
+    ({"odds": -4.0}, 4.0, SUCKS, "whether it breathes is not clear"),
+    ({"odds": 1.0}, 4.0, SUCKS, "whether it breathes is not clear (P = 0.73)"),
+    ({"odds": 4.0, "suction": 0.02}, 4.0, SUCKS, "it moves at a breathing rate, but probably not by its suction"),
+    ({"odds": 0.0, "hertz": None}, 4.0, SUCKS, "breathing shows after 4.5 s at the earliest"),
+    ({"suction": 1.0}, 4.0, LAMPREY, ""),
+    (None, 4.0, PRESSES, ""),
 )
-def test_the_answer_follows_from_two_probabilities(
-    change: dict[str, Any] | None, rate: float, answer: str, why: str
-) -> None:
-    breath = replace(BREATHES.breath, **({"odds": 0.0} if rate == 1.0 else {}) | (change or {}))
-    one = replace(BREATHES, breath=breath, sucks=0.02 if change is None else BREATHES.sucks)
-    said, probability, reason = answer_of(one, rate)
-    assert said == answer and 0.5 <= probability <= 1 and reason.startswith(why) and bool(reason) == bool(why)
+
+
+def test_the_answer_follows_from_two_probabilities() -> None:
+    for change, rate, answer, why in UNCLEAR:
+        breath = replace(BREATHES.breath, **({"odds": 0.0} if rate == 1.0 else {}) | (change or {}))
+        load = replace(BREATHES, breath=breath, sucks=0.02 if change is None else BREATHES.sucks)
+        said, probability, reason = answer_of(load, rate)
+        assert said == answer and 0.5 <= probability <= 1 and reason.startswith(why) and bool(reason) == bool(why)
 
 
 def test_loads_go_on_and_leave_by_steps_alone() -> None:
@@ -332,16 +216,6 @@ def test_the_signs_add_up_and_the_sentence_says_which_decided() -> None:
     silent, both = (replace(still, breath=Breathing(odds)) for odds in (-3.0, 2.0))
     assert answer_of(silent, 4.0)[0] == LAMPREY and both.lives > max(both.breathes, both.pumps)
     assert replace(SEEN, breath=Breathing(2.0)).lives == pytest.approx(1 / (1 + np.exp(-2)))
-
-
-def test_windows_add_up_and_one_does_not_turn_the_answer() -> None:
-    """A cup that was shaken stays one, and a mouth one, where a single window looks otherwise."""
-    shaken, own = (Breath(8.0, suction, (1.1, 0.1), (0.05, 0.01)) for suction in (1e-4, 0.99))
-    unclear = replace(own, suction=0.2)
-    cup, mouth = Breathing().after(shaken, full=True), Breathing().after(own, full=True)
-    assert cup.suction < 1e-3 and mouth.suction == pytest.approx(0.99, rel=0.01)
-    assert cup.after(own, full=True).suction < 0.01
-    assert mouth.after(own, full=True).after(unclear, full=True).suction > 0.8
 
 
 def test_events_say_when_it_touched_sucked_moved_and_left() -> None:

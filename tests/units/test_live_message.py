@@ -5,6 +5,7 @@ import json
 import socket
 import sys
 import time
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -28,6 +29,7 @@ from lampest import (
 from lampest.loads.pressure import Force, PressureTrack, water_pressure
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.breathing import Breathing
+from lampest.panel.panel import EachModule, Modules
 from lampest.panel.response import PublishedResponse, ratio_from_pressure
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, simulate
@@ -81,45 +83,26 @@ def drawn(change: Array, force: Force, *maps: Array, number: int = 1) -> Picture
     return Picture(number, float(number), 0.0, change, change, change > 0, force, "fine", 0.0, 0, *maps)
 
 
-def test_the_page_is_told_where_something_presses_and_what_its_force_leaves_out() -> None:
-    pressure = np.zeros((2, 3))
-    pressure[0, 1], pressure[0, 2], pressure[1, 0] = 10.0, 30.0, -5.0
-    nothing, saturated = np.zeros((2, 3)), (pressure == 30.0).astype(np.uint8)
-    picture = drawn(nothing, Force(1.0, 0.1), nothing, pressure, saturated)
-
-    def told(verdict: str) -> dict[str, Any]:
-        view = View("here", "LSM", "receiving", Panel(2, 3), picture=dataclasses.replace(picture, verdict=verdict))
-        content: dict[str, Any] = json.loads(view_text(view, 0.0))["picture"]
-        return content
-
-    assert told("pressing")["centre"] == [17.5, 0.0] and told("pressing")["health"]["saturated"] == [2]
-    assert told("nothing")["centre"] is None and told("sucking")["centre"] is None
-
-
-@pytest.mark.parametrize(
-    ("change", "verdict"),
-    [
-        ({}, "nothing"),
-        ({(1, 1): 0.4}, "pressing"),
-        ({(1, 1): 0.4, (1, 2): 1.1}, "pressing"),
-        ({(1, 1): 3.0}, "sucking"),
-        ({(1, 1): 0.1, (2, 2): 6.0}, "pressing and sucking"),
-    ],
+VERDICTS_ON: tuple[tuple[dict[tuple[int, int], float], str], ...] = (
+    ({}, "nothing"),
+    ({(1, 1): 0.4}, "pressing"),
+    ({(1, 1): 0.4, (1, 2): 1.1}, "pressing"),
+    ({(1, 1): 3.0}, "sucking"),
+    ({(1, 1): 0.1, (2, 2): 6.0}, "pressing and sucking"),
 )
-@pytest.mark.parametrize("noise_specified", [True, False])
-def test_what_is_on_the_panel_in_a_word(
-    change: dict[tuple[int, int], float], verdict: str, noise_specified: bool
-) -> None:
+
+
+def test_the_verdict_on_a_panel_ignores_open_cells_and_residues_of_penalties() -> None:
     """Cells times so much; as much beside a load as a penalty leaves there is no suction, nor is an open cell."""
-    scene, ratio = Scene(Panel(4, 5), TwoPointReadout() if noise_specified else None), np.ones((4, 5))
-    for cell, factor in change.items():
-        ratio[cell] = factor
     cells = np.full((4, 5), 3000.0)
-    resting, now = (Readings.of(scene, two_point_resistance(each)) for each in (cells, cells * ratio))
-    open_cell = np.zeros((4, 5), dtype=bool)
-    assert verdict_of(now, resting, ratio, open_cell) == verdict
-    open_cell[3, 4], ratio[3, 4] = True, 1e6
-    assert verdict_of(now, resting, ratio, open_cell) == verdict
+    for (change, verdict), readout in product(VERDICTS_ON, (TwoPointReadout(), None)):
+        scene, ratio, open_cell = Scene(Panel(4, 5), readout), np.ones((4, 5)), np.zeros((4, 5), dtype=bool)
+        for cell, factor in change.items():
+            ratio[cell] = factor
+        resting, now = (Readings.of(scene, two_point_resistance(each)) for each in (cells, cells * ratio))
+        assert verdict_of(now, resting, ratio, open_cell) == verdict
+        open_cell[3, 4], ratio[3, 4] = True, 1e6
+        assert verdict_of(now, resting, ratio, open_cell) == verdict
 
 
 def test_the_history_keeps_its_newest_points() -> None:
@@ -151,6 +134,17 @@ def test_equal_messages_are_told_by_their_signature() -> None:
     assert len({silent.signature, *signatures}) == 5 and message_of(CUP).signature == signatures[1]
     gone = dataclasses.replace(silent, picture=dataclasses.replace(silent.picture, verdict="unsolved"))
     assert not gone.solved and gone.row()[3] == 0.0
+
+
+def test_a_message_describes_the_panel_of_its_frame() -> None:
+    listed, modules = Panel(2, 2, cells=((0, 0, 1.5, 2.0), (1, 1, 9.0, 8.0))), Modules(1, 2, EachModule(2, 3, 5.0), 4.0)
+    for panel, known in (
+        (Panel(1, 2, 8.0), {"rows": 1, "columns": 2, "pitch_mm": 8.0}),
+        (listed, {"x_mm": [1.5, None, None, 9.0], "y_mm": [2.0, None, None, 8.0]}),
+        (Panel(modules=modules), {"rows": 2, "columns": 6, "pitch_mm": 5.0, "modules": [2, 3], "seam_mm": 4.0}),
+    ):
+        told = json.loads(view_text(View("here", "LSM", "receiving", panel), 0.0))["panel"]
+        assert known.items() <= told.items() and ("modules" in told) == (panel.modules is not None)
 
 
 def test_osc_has_a_message_for_every_number_and_map() -> None:

@@ -272,24 +272,22 @@ def test_tokens_are_compared_in_constant_time(open_page: SimpleNamespace, monkey
     assert len([text for text in compared if text]) == 3
 
 
-@pytest.mark.parametrize(
-    "request_line",
-    [
-        b"GET /<script>alert(1)</script> HTTP/1.1",
-        b"<script>alert(1)</script> / HTTP/1.1",
-        b"GET / <script>alert(1)</script>",
-        b"<script>alert(1)</script>",
-        b"GET /?token=<script>alert(1)</script> HTTP/1.1",
-        b"GET /" + b"<script>" * 9000 + b" HTTP/1.1",
-        b"GET / HTTP/1.1\r\n<script>alert(1)</script>: x\r\n" + b"<script>: 1\r\n" * 200,
-        b"GET / HTTP/9.9<script>",
-    ],
-)
 @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
-def test_error_pages_reflect_nothing_of_the_request(request_line: bytes, host: str) -> None:
+def test_error_pages_reflect_nothing_of_the_request(host: str) -> None:
+    script = b"<script>alert(1)</script>"
     with page_at(host) as page:
-        client = page.wired(request_line + b"\r\nHost: <script>localhost\r\n\r\n")
-        client.shutdown(socket.SHUT_WR)
-        answer = b"".join(iter(lambda: client.recv(4096), b""))
-    assert b"script" not in answer.replace(b"script-src", b"") and b"alert" not in answer
-    assert re.match(rb"(HTTP/1\.[01] )?[45]\d\d [A-Z][A-Za-z -]+\r?\n", answer), answer
+        for request_line in (
+            b"GET /%s HTTP/1.1" % script,
+            b"%s / HTTP/1.1" % script,
+            b"GET / %s" % script,
+            script,
+            b"GET /?token=%s HTTP/1.1" % script,
+            b"GET /" + b"<script>" * 9000 + b" HTTP/1.1",
+            b"GET / HTTP/1.1\r\n%s: x\r\n" % script + b"<script>: 1\r\n" * 200,
+            b"GET / HTTP/9.9<script>",
+        ):
+            client = page.wired(request_line + b"\r\nHost: <script>localhost\r\n\r\n")
+            client.shutdown(socket.SHUT_WR)
+            answer = b"".join(iter(lambda client=client: client.recv(4096), b""))
+            assert b"script" not in answer.replace(b"script-src", b"") and b"alert" not in answer
+            assert re.match(rb"(HTTP/1\.[01] )?[45]\d\d [A-Z][A-Za-z -]+\r?\n", answer), answer

@@ -25,7 +25,7 @@ from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.report.detect.answer import Detected
 from lampest.report.plots import PLOTS, Plot, picture, plot_of, plot_results
 from lampest.report.plots.maps import MapPainter, Scale, Tile, banded_scale
-from lampest.report.plots.style import new_figure, save
+from lampest.report.plots.style import change_text, new_figure, save
 from lampest.report.plots.timeline import timeline
 from lampest.runs.case import COLUMNS
 from lampest.runs.columns import FRAMES, Column
@@ -145,6 +145,18 @@ def test_a_map_is_in_millimetre_with_crosses_where_it_says(contoured: bool) -> N
     assert axes.get_title() == "a name\na note"
 
 
+def test_contours_of_listed_cells_end_where_cells_are_apart() -> None:
+    values, square = np.array([[-40.0, 20.0], [60.0, -80.0]]), ((0, 0, 0, 0), (0, 1, 10, 0), (1, 0, 0, 10))
+    for far, contours in ((10, 1), (100, 1), (-1000, 0)):
+        places = square if far > 0 else tuple((row, column, 50 * x, 50 * y) for row, column, x, y in square)
+        panel = Panel(2, 2, cells=(*places, (1, 1, abs(far), abs(far))))
+        drawn, plain = (
+            painted(MapPainter(panel, banded_scale([values], "x"), contoured), Tile("", values)).collections
+            for contoured in (True, False)
+        )
+        assert len(drawn) - len(plain) == contours
+
+
 def test_what_is_no_number_is_grey_and_what_was_not_solved_says_so() -> None:
     painter = MapPainter(Panel(1, 2), Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution"))
     _, cells = painted(painter, Tile("", np.array([[0.5, np.nan]]))).collections
@@ -201,3 +213,10 @@ def test_of_loads_that_have_all_left_a_timeline_shows_every_one() -> None:
         known = {"course": course, "change": change, "panel": Panel(4, 6)}
         axes, places, *_ = timeline(Detected.of("mouth", loads, 4.0, **known)).get_axes()
         assert [band.get_width() for band in axes.patches] == widths and len(places.lines) == crosses
+    bare = timeline(Detected.of("none", (), 4.0, course=course)).get_axes()[1]
+    assert [text.get_text() for text in bare.texts] == ["nothing was there"] and not bare.axison
+
+
+def test_changes_beyond_all_measure_are_powers_of_ten() -> None:
+    texts = {3.71: "+3.7", -82.4: "−82", 9502050701.0: "+9.5·10⁹", -1.0e5: "−1.0·10⁵", 99999.0: "+99999"}
+    assert {value: change_text(value, 10.0) for value in texts} == texts

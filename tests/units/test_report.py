@@ -18,7 +18,7 @@ from lampest.files.process import ALLOWED, in_bytes, libraries_to_the_log, memor
 from lampest.report.detect.pressed import figure, pressed, pressed_of, pressed_table, write_pressed
 from lampest.report.page import page as page_module
 from lampest.report.page.compared import Batch, comparison_of, read_batch
-from lampest.report.page.page import differences, report, write_report
+from lampest.report.page.page import case_table, differences, report, write_report
 from lampest.report.words import digits, median_text, no_formula, spanned, text_of
 from lampest.runs.case import about
 
@@ -153,7 +153,16 @@ def test_the_time_of_an_estimator_is_the_geometric_mean_of_its_recordings() -> N
         for name, own in seconds.items()
     ]
     found = comparison_of(batch(*cases), np.random.default_rng(0))
-    assert found is not None and dict(found.milliseconds) == pytest.approx({"A": 4.0, "B": 100.0, "C": 1e-3})
+    milliseconds = {row.estimator: row.milliseconds for row in found.standings}
+    assert milliseconds == pytest.approx({"A": 4.0, "B": 100.0, "C": 1e-3})
+
+
+def test_optima_are_counted_with_their_starts() -> None:
+    sought = invented_case(status=("optimum verified",) * 3, starts=np.array([1, 7, 3]))
+    single = dataclasses.replace(sought, starts=np.ones(3, dtype=int))
+    rough = invented_case("naive", status=("approximate, as the formulation asks",) * 3)
+    optima = case_table({"several": [sought, sought], "single": [single], "naive": [rough]}).cells[0]
+    assert optima == ("frames at a verified optimum", "6 of 6 (1 to 7 starts each)", "3 of 3 (1 start each)", "–")
 
 
 def test_texts_of_a_case_are_those_that_it_has() -> None:
@@ -199,17 +208,12 @@ def test_a_report_of_every_shape_is_written(shape: tuple[int, int, int]) -> None
 
 
 @pytest.mark.slow
-def test_the_page_names_frames_that_failed_and_says_what_verified_means_and_how_many_starts_there_were() -> None:
+def test_the_page_names_frames_that_failed() -> None:
     failed = {"LSM": (), "LSR-CR": (0, 1, 2), "LSR-dCR": (1,)}
     page = Page(report(batch(*(certain(invented_case(name, failed=frames)) for name, frames in failed.items()))))
     assert "LSR-CR, frames 5 to 7: stopped: too many iterations" in page.text
     assert "LSR-dCR, frame 6: stopped" in page.text and "LSR-CR failed in 3 of 3 frames" in page.text
     Page(report(batch(invented_case("LSM", failed=(0, 1, 2)))))
-    sought = invented_case(status=("optimum verified",) * 3, starts=np.array([1, 7, 3]))
-    rough = invented_case("naive", status=("approximate, as the formulation asks",) * 3)
-    text = Page(report(batch(sought, rough))).text
-    assert "frames at a verified optimum 3 of 3 (1 to 7 starts each) –" in text
-    assert "no small change of any cell lowers the cost. Such an optimum is local" in text
     # A frame is solved, and its change is NaN, because the unloaded panel was not.
     case = invented_case("LSR-CR", truth=False)
     without = dataclasses.replace(case, relative_change=np.full_like(case.cell_resistance, np.nan))
