@@ -83,14 +83,11 @@ def solved_case(faults: Faults | None = None, **known: Any) -> CaseResult:
     )
 
 
-SMALL = Scene(Panel(2, 3), TwoPointReadout(noise_lsb=0.7), 140.0)
-
-
-def at_rest(sigma: float = 1.0, errors: ModelErrors | None = None, scene: Scene = SMALL, **known: Any) -> Observation:
-    """A frame of 2 × 3 cells of 3 kohm that read 2 kohm, with so much noise; 540 s after the baseline."""
-    measured = np.full(scene.panel.shape, 2000.0)
-    baseline = Baseline.of(measured, np.full(measured.shape, sigma), scene, errors or ModelErrors())
-    return Observation(measured, np.full(measured.shape, sigma), baseline, 0 * measured, 540.0, **known)
+def at_rest() -> Observation:
+    """A frame of 2 × 3 cells of 3 kohm that read 2 kohm; 540 s after the baseline."""
+    measured, scene = np.full((2, 3), 2000.0), Scene(Panel(2, 3), TwoPointReadout(noise_lsb=0.7), 140.0)
+    baseline = Baseline.of(measured, np.ones((2, 3)), scene, ModelErrors())
+    return Observation(measured, np.ones((2, 3)), baseline, 0 * measured, 540.0)
 
 
 def test_a_change_is_that_of_the_response_under_water_and_ends_where_a_cell_is_open() -> None:
@@ -103,11 +100,11 @@ def test_a_change_is_that_of_the_response_under_water_and_ends_where_a_cell_is_o
     assert np.all(far == 12) and np.all(flat == 0)
 
 
-def fit_of(candidate: Any, disc: Disc, evidence: float = 0.0, change: float = 3.0, chi2: float = 80.0) -> Fit:
+def fit_of(candidate: Any, disc: Disc, change: float = 3.0) -> Fit:
     """A fit that begins with a disc; ln r/r0 of all cells is the same."""
     parameters, nothing = candidate.start(disc), np.zeros(0)
     cells = np.full(PANEL.shape, change)
-    return Fit(candidate, parameters, nothing, cells, nothing, nothing, chi2, 0.0, 0.0, evidence)
+    return Fit(candidate, parameters, nothing, cells, nothing, nothing, 80.0, 0.0, 0.0, 0.0)
 
 
 DISC = Disc(40.0, 30.0, 30.0, 18.0, -6.0, 40.0, 0.0, 0.0)
