@@ -94,7 +94,7 @@ VERDICTS_ON: tuple[tuple[dict[tuple[int, int], float], str], ...] = (
 
 def test_the_verdict_on_a_panel_ignores_open_cells_and_residues_of_penalties() -> None:
     """Cells times so much; as much beside a load as a penalty leaves there is no suction, nor is an open cell."""
-    cells = np.full((4, 5), 3000.0)
+    cells = 3000 * np.exp(0.3 * np.random.default_rng(1).standard_normal((4, 5)))
     for (change, verdict), readout in product(VERDICTS_ON, (TwoPointReadout(), None)):
         scene, ratio, open_cell = Scene(Panel(4, 5), readout), np.ones((4, 5)), np.zeros((4, 5), dtype=bool)
         for cell, factor in change.items():
