@@ -223,6 +223,13 @@ for header, line, times in (
     taken(f"{header} without one", text, expected=with_nan(FRAMES, (2, 1, 2)), start=start)
     refused(f"{header} without one", text, "the reading of row 1, column 2 is missing", missing="refuse")
 
+# Panels whose lines have as many fields as single values, and tables that fit after a turn.
+
+SMALL = FRAMES[:, :2, :3]
+taken("three columns", "\n\n".join("\n".join(lines(frame)) for frame in SMALL), expected=SMALL, rows=2, columns=3)
+WIDER = lines(np.ones((14, 7)))
+refused("a table of the panel's columns", WIDER, "7 fields; 7 × 5 cells need", "with `transpose` it would", rows=7)
+
 # Times.
 
 

@@ -13,9 +13,9 @@ import pytest
 from wild_board import WildBoard, hundred_a_second, wild_board, wire
 
 from lampest import Recording
+from tests.small_files import COMMAND
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT]
-COMMAND = [sys.executable, "-c", "from lampest.cli import main; main()"]
 
 
 def default_signals() -> None:
@@ -38,7 +38,7 @@ def loaded(processes: int) -> Iterator[None]:
 
 @contextmanager
 def recorder(board: WildBoard, out: Path, *words: str) -> Iterator["subprocess.Popen[str]"]:
-    arguments = [*COMMAND, "record", "--port", board.port, "--out", str(out), "--period", "0.01", *words]
+    arguments = [COMMAND, "record", "--port", board.port, "--out", str(out), "--period", "0.01", *words]
     with subprocess.Popen(
         arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=default_signals
     ) as process:
@@ -91,7 +91,7 @@ def test_a_signal_before_the_first_frame_leaves_nothing(tmp_path: Path) -> None:
 def test_what_is_ignored_from_the_start_stays_so(tmp_path: Path) -> None:
     """`nohup lampest record …` outlives its terminal."""
     out = tmp_path / "r.h5"
-    words = ["nohup", *COMMAND, "record", "--out", str(out), "--count", "40", "--period", "0.01", "--port"]
+    words = ["nohup", COMMAND, "record", "--out", str(out), "--count", "40", "--period", "0.01", "--port"]
     with wild_board(hundred_a_second) as board:
         process = subprocess.Popen([*words, board.port], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         while not out.exists():
@@ -105,7 +105,7 @@ def test_what_is_ignored_from_the_start_stays_so(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_live_ends_with_130_too(number: signal.Signals) -> None:
     lamprey = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
-    words = [*COMMAND, "live", "--recording", str(lamprey), "--speed", "1000", "--http", "127.0.0.1:0"]
+    words = [COMMAND, "live", "--recording", str(lamprey), "--speed", "1000", "--http", "127.0.0.1:0"]
     with subprocess.Popen(
         words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=default_signals
     ) as process:

@@ -116,17 +116,10 @@ def test_a_real_scene_is_the_clean_one_on_another_panel() -> None:
         ((_, clean),) = read_simulations(ROOT / "configs" / f"{path.stem}.yaml")
         ((name, real),) = read_simulations(ROOT / "configs" / f"real_{path.stem}.yaml")
         assert name == f"../results/real/real_{path.stem}.h5"
-        assert (real.loads, real.course, real.frames, real.baseline_frames) == (
-            clean.loads,
-            clean.course,
-            clean.frames,
-            clean.baseline_frames,
-        )
-        assert (real.scene.panel, real.scene.readout, real.scene.water) == (
-            clean.scene.panel,
-            clean.scene.readout,
-            clean.scene.water,
-        )
+        for part in ("loads", "course", "frames", "baseline_frames"):
+            assert getattr(real, part) == getattr(clean, part)
+        for part in ("panel", "readout", "water"):
+            assert getattr(real.scene, part) == getattr(clean.scene, part)
         assert real.scene.systematic is None and (real.unmodelled.reading_error or 0) > 0.03
         panels.add((real.seed, real.cells, real.unmodelled))
     assert len(panels) == 1

@@ -10,7 +10,6 @@ from unclosed import unclosed_recording
 import lampest
 from lampest import InputError, Recording
 from lampest.cli.results import _repaired
-from lampest.files import hdf5
 from lampest.files.checksums import is_left_open
 from lampest.recording.acquisition import EVENTS
 from lampest.recording.board.record import repair
@@ -82,50 +81,28 @@ def test_all_damaged_is_refused_and_stays(killed: Path) -> None:
     assert killed.read_bytes() == left
 
 
-VALUES = np.arange(6.0)
+def test_a_file_that_its_writer_left_open_stays_unless_it_ends_too_early(killed: Path) -> None:
+    whole = killed.read_bytes()
+    assert is_left_open(killed) and len(Recording.load(killed).time) == FRAMES
+    assert killed.read_bytes() == whole
+    for length in (20, 47, 48, 300, len(whole) // 2):
+        killed.write_bytes(whole[:length])
+        with pytest.raises(InputError, match=r"killed\.h5"):
+            Recording.load(killed)
 
 
-@pytest.fixture
-def left_open(tmp_path: Path) -> Path:
-    """What a left_open writer leaves: the bytes of a file while it is written."""
-    with h5py.File(tmp_path / "growing.h5", "w", libver=hdf5.FORMAT) as file:
-        values = file.create_dataset("some/values", (0,), "f8", maxshape=(None,), chunks=(4,))
-        file.swmr_mode = True
-        values.resize((len(VALUES),))
-        values[:] = VALUES
-        file.flush()
-        (tmp_path / "left_open.h5").write_bytes((tmp_path / "growing.h5").read_bytes())
-    return tmp_path / "left_open.h5"
-
-
-def read(path: Path) -> np.ndarray:
-    with hdf5.existing_file(path) as file:
-        return np.asarray(hdf5.read_array(file, "/some/values", 1))
-
-
-def test_what_a_killed_writer_left_is_read_and_stays_unless_it_ends_too_early(left_open: Path) -> None:
-    whole = left_open.read_bytes()
-    assert is_left_open(left_open)
-    np.testing.assert_array_equal(read(left_open), VALUES)
-    assert left_open.read_bytes() == whole
-    for length in (20, 47, 48, 300, len(whole) - 1):
-        left_open.write_bytes(whole[:length])
-        with pytest.raises(InputError, match=r"left_open\.h5"):
-            read(left_open)
-
-
-def test_damage_in_it_is_a_sentence_that_names_it(left_open: Path) -> None:
+def test_damage_in_it_is_a_sentence_that_names_it(killed: Path) -> None:
     """HDF5 alone waits for the right checksum without end."""
-    whole, refused, rng = left_open.read_bytes(), 0, np.random.default_rng(1)
-    with h5py.File(left_open.with_name("growing.h5")) as file:
-        header = h5py.h5o.get_info(file["some/values"].id).addr
-    for place in (9, 12, header + 6, *rng.integers(0, header + 200, 60)):
+    whole, expected, refused = killed.read_bytes(), Recording.load(killed).recorded, 0
+    with h5py.File(killed.with_name("growing.h5")) as file:
+        header = h5py.h5o.get_info(file["entry/two_point/resistance"].id).addr
+    for place in (9, 12, header + 6, *np.random.default_rng(1).integers(0, header + 200, 60)):
         damaged = bytearray(whole)
         damaged[place] ^= 16
-        left_open.write_bytes(damaged)
+        killed.write_bytes(damaged)
         try:
-            np.testing.assert_array_equal(read(left_open), VALUES)
+            np.testing.assert_array_equal(Recording.load(killed).recorded, expected)
         except InputError as error:
-            assert str(error).startswith(str(left_open))
+            assert str(error).startswith(str(killed))
             refused += 1
     assert refused > 10
