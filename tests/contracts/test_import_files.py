@@ -87,6 +87,19 @@ def sheet_of(frames: np.ndarray, changes: dict[tuple[int, int], Any] | None = No
     return rows
 
 
+def amplifiers(**volts: float) -> Scene:
+    return Scene(Panel(ROWS, COLUMNS), VirtualGroundReadout(sense_ohm=70.0, feedback_ohm=4000.0, **volts))
+
+
+OWN_VOLTAGES = amplifiers(drive_volt=0.5, converter_volt=2.5)
+
+
+def mostly(volt: float) -> np.ndarray:
+    volts = np.full((2, ROWS, COLUMNS), volt)
+    volts[0, 0] = 1.0
+    return volts
+
+
 HOLES = FRAMES.copy()
 HOLES[1, 2, 4] = HOLES[2, 0, 0] = np.nan
 GAPS = {(4, 15): "#DIV/0!", (5, 1): None}
@@ -126,6 +139,7 @@ FILES = {
     ),
     "a chosen array": archive(np.savez, arrays=TWO_ARRAYS, variable="b", expected=2 * FRAMES),
     "a chosen matrix": matrices(arrays=TWO_MATRICES, variable="S", expected=2 * FRAMES),
+    "open cells, which an unloaded film has": array(mostly(0.0), scene=amplifiers(), unit="volt", expected=mostly(0.0)),
     "a sheet": book(
         {"Notes": [["hello"]], "Data": sheet_of(FRAMES, GAPS)}, "sheet Data", "row 3 taken as", expected=HOLES, **HALVES
     ),
@@ -234,6 +248,18 @@ REFUSED = [
     array(FRAMES, "5 baseline frames asked for, but the file holds 4 frames", baseline_frames=5),
     array(FRAMES, "a panel needs at least one row", rows=0, columns=3, absent="m.npy"),
     given(lines(with_value(VOLTS, 5.5, 2, 1, 3)), "m.csv:3:9: ", "lies outside 0 to 5 V", scene=DIVIDER, unit="volt"),
+    array(
+        OWN_VOLTAGES.circuit.exact_reading(np.full((2, ROWS, COLUMNS), 2000.0)),
+        "fit none of volt, mV, code in this scene, whose converter ends at 0.5 V",
+        scene=amplifiers(supply_volt=0.5),
+    ),
+    array(
+        mostly(2.5),
+        "25 of 30 readings stand at the rail",
+        "is readout.converter_volt, 2.5 V",
+        scene=OWN_VOLTAGES,
+        unit="volt",
+    ),
     archive(np.savez, "a, b would all fit; say which with `variable`", arrays=TWO_ARRAYS),
     archive(np.savez, "the numeric arrays are: none", arrays={"R": np.array([{}], dtype=object)}),
     matrices("the numeric arrays are: x (2 × 2)", arrays={"x": np.ones((2, 2))}),
@@ -324,13 +350,6 @@ def test_entries_of_a_scene_are_set_at_the_import(tmp_path: Path, lampest: Calla
     assert (nowhere.code, made.exists()) == (2, False) and "--scene" in nowhere.err
 
 
-def amplifiers(**volts: float) -> Scene:
-    return Scene(Panel(ROWS, COLUMNS), VirtualGroundReadout(sense_ohm=70.0, feedback_ohm=4000.0, **volts))
-
-
-OWN_VOLTAGES = amplifiers(drive_volt=0.5, converter_volt=2.5)
-
-
 def test_the_drive_and_the_converter_of_a_virtual_ground_have_voltages_of_their_own(tmp_path: Path) -> None:
     truth = np.random.default_rng(2).uniform(1500, 6000, (1, ROWS, COLUMNS))
     volts = OWN_VOLTAGES.circuit.exact_reading(truth)
@@ -346,36 +365,6 @@ def test_the_drive_and_the_converter_of_a_virtual_ground_have_voltages_of_their_
     np.testing.assert_allclose(amplifiers(drive_volt=5.0).circuit.exact_reading(truth), both)
     with pytest.raises(ValueError, match="converter_volt must lie between"):
         amplifiers(converter_volt=0.0)
-
-
-def mostly(volt: float) -> np.ndarray:
-    volts = np.full((2, ROWS, COLUMNS), volt)
-    volts[0, 0] = 1.0
-    return volts
-
-
-@pytest.mark.parametrize(
-    ("volts", "scene", "unit", "message"),
-    [
-        (
-            OWN_VOLTAGES.circuit.exact_reading(np.full((2, ROWS, COLUMNS), 2000.0)),
-            amplifiers(supply_volt=0.5),
-            None,
-            "fit none of volt, mV, code in this scene, whose converter ends at 0.5 V",
-        ),
-        (mostly(2.5), OWN_VOLTAGES, "volt", r"25 of 30 readings stand at the rail .* is readout.converter_volt, 2.5 V"),
-        (mostly(0.0), amplifiers(), "volt", None),  # open cells, which an unloaded film has
-    ],
-)
-def test_volts_beyond_a_converter_or_mostly_at_the_rail_of_a_shorted_cell_are_refused(
-    tmp_path: Path, volts: np.ndarray, scene: Scene, unit: str | None, message: str | None
-) -> None:
-    (tmp_path / "v.csv").write_text("\n".join(lines(volts)))
-    if message is None:
-        assert import_file(tmp_path / "v.csv", scene=scene, unit=unit)[0].recorded.shape == (2, ROWS, COLUMNS)
-        return
-    with pytest.raises(InputError, match=message):
-        import_file(tmp_path / "v.csv", scene=scene, unit=unit)
 
 
 # Bare arrays, and layouts of one's own.

@@ -35,32 +35,27 @@ OWN = scene_of(IDLE, None)
 
 def larger(hello: Hello) -> Sent:
     """Well-formed frames of another size, as fast as the line takes them."""
-    for number in itertools.count():
-        yield 0.0, wire(hello, number, shape=(5, 5))
+    return ((0.0, wire(hello, number, shape=(5, 5))) for number in itertools.count())
 
 
 def garbage(hello: Hello) -> Sent:
     rng = np.random.default_rng(16)
-    while True:
-        yield 0.0, rng.bytes(400)
+    return ((0.0, rng.bytes(400)) for _ in itertools.count())
 
 
 def restarts(hello: Hello) -> Sent:
     """A board that says again and again that it does not scan."""
-    while True:
-        yield 0.0, message(hello_body(replace(hello, running=False)))
+    return itertools.repeat((0.0, message(hello_body(replace(hello, running=False)))))
 
 
 def replayed(hello: Hello) -> Sent:
     """Twenty frames, then the first ten of them for ever."""
-    for number in itertools.chain(range(20), itertools.cycle(range(10))):
-        yield 0.01, wire(hello, number)
+    return ((0.01, wire(hello, number)) for number in itertools.chain(range(20), itertools.cycle(range(10))))
 
 
 def flooded(hello: Hello) -> Sent:
     """Good frames, each among many of another size."""
-    for number in itertools.count():
-        yield 0.01, wire(hello, number) + wire(hello, number, shape=(5, 5)) * 20
+    return ((0.01, wire(hello, n) + wire(hello, n, shape=(5, 5)) * 20) for n in itertools.count())
 
 
 def recorded(script: Script, folder: Path, frames: int | None = None, seconds: float | None = None) -> Recorded:
