@@ -26,7 +26,7 @@ from lampest.panel.panel import Array, Panel, as_panels_have
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene, read_scene, scene_text
 from lampest.recording.acquisition import Acquisition, group_of, stored_fields, undamaged_frames
-from lampest.recording.foreign.unit import check_shorted, check_unit, recorded_values
+from lampest.recording.foreign.unit import check_unit, recorded_values
 from lampest.recording.readings import Readings, check_sigma
 
 FORMAT = "recording/1"
@@ -238,8 +238,7 @@ class Recording(Validated):
             raise InputError(f"baseline must be a number of frames from 0 to {len(array)}, not {baseline}")
         check_unit(unit, known, "values")
         known = known or Scene(Panel(*array.shape[1:]))
-        recorded = recorded_values(array, unit, known, lambda *place: f"values[{', '.join(map(str, place))}]")
-        check_shorted(recorded, known, unit, "values")
+        recorded = recorded_values(array, unit, known, lambda *at: f"values[{', '.join(map(str, at))}]", "values")
         role = np.where(np.arange(len(array)) < baseline, UNLOADED, MEASURED).astype(np.uint8)
         seconds = np.arange(len(array), dtype=float) if time is None else time.astype(float)
         return cls(known, recorded, seconds, role)

@@ -17,7 +17,7 @@ from lampest.recording.foreign import LAYOUTS
 from lampest.recording.foreign.arrays import MAX_BYTES, READERS, Frames, Layout, Shape, frames_of_arrays
 from lampest.recording.foreign.layouts import frames_of
 from lampest.recording.foreign.table import lines_of_sheets, lines_of_text, readings_table
-from lampest.recording.foreign.unit import check_shorted, check_unit, recorded_values, understood_unit
+from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
 from lampest.recording.foreign.words import Clock, units_of
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
@@ -110,8 +110,7 @@ def import_file(  # noqa: PLR0913 # the options of a command
     if kind is None:
         kind, reason = understood_unit(values, units_of(frames.words), scene, path)
     scene, given = scene or Scene(panel), scene is not None
-    recorded = recorded_values(values, kind, scene, frames.place)
-    check_shorted(recorded, scene, kind, path)
+    recorded = recorded_values(values, kind, scene, frames.place, path)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
     chosen, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
     series, time = recorded[chosen], clock.seconds[chosen]

@@ -12,6 +12,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
 
 FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
+Place = Callable[[int, int, int], str]  # frame, row and column of a value → its place in the source
 RESISTANCES = ("ohm", "kohm")
 MIN_USED = 0.01  # least share of the converter's range that readings use; less indicates another unit
 
@@ -117,11 +118,12 @@ def _rounding(values: Array) -> float:
     return 0.5 * 10.0 ** -next(digits, 9)
 
 
-def recorded_values(values: Array, unit: str, scene: Scene, place: Callable[[int, int, int], str]) -> Array:
+def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source: object) -> Array:
     """Return values converted from their unit to the readout's recorded quantity, (frames, rows, columns); NaN is kept.
 
     Codes and voltages at a rail, infinite resistances and those of zero remain bounds. Raises InputError with the place
-    (frame, row, column) of an impossible value.
+    (frame, row, column) of an impossible value, or with the source if most readings are at the rail of a shorted cell:
+    unit or range are probably wrong.
     """
     scaled, readout = values * FACTORS[unit], scene.readout
 
@@ -129,30 +131,25 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Callable[[int
         for frame, row, column in np.argwhere(bad)[:1].tolist():
             raise InputError(f"{place(frame, row, column)}: {values[frame, row, column]:.6g} {why}")
 
+    plain = np.where(np.isinf(values), np.nan, values)
     if unit in RESISTANCES or readout is None:
         refuse(values < 0, "must be a positive resistance in ohm")
-        return scaled
-    plain = np.where(np.isinf(values), np.nan, values)
-    if unit == "code":
+        recorded = scaled
+    elif unit == "code":
         refuse((plain < 0) | (plain > 2**readout.adc_bits - 1), f"is no code of a {readout.adc_bits}-bit converter")
         floored = plain <= (readout.floor_code or -1)
-        return readout.recorded_from_volt(np.where(floored, 0.0, readout.volt_from_code(plain)))
-    largest = f"{readout.full_scale_volt / FACTORS[unit]:g} {'V' if unit == 'volt' else unit}"
-    outside = (plain < 0) | (np.isfinite(values) & (scaled > readout.full_scale_volt))
-    refuse(outside, f"lies outside 0 to {largest}, the range of the readout's converter")
-    return readout.recorded_from_volt(np.where(np.isnan(plain), np.nan, scaled))
-
-
-def check_shorted(recorded: Array, scene: Scene, unit: str, source: object) -> None:
-    """Raise InputError if most readings are at the rail of a shorted cell: unit or range are probably wrong."""
-    readout = scene.readout
-    if readout is None:
-        return
-    shorted = Readings.of(scene, recorded).side == (AT_MOST if readout.unit == "ohm" else AT_LEAST)
-    count, whole = int(shorted.sum()), int(np.isfinite(recorded).sum())
-    if 2 * count > whole:
+        recorded = readout.recorded_from_volt(np.where(floored, 0.0, readout.volt_from_code(plain)))
+    else:
+        largest = f"{readout.full_scale_volt / FACTORS[unit]:g} {'V' if unit == 'volt' else unit}"
+        outside = (plain < 0) | (np.isfinite(values) & (scaled > readout.full_scale_volt))
+        refuse(outside, f"lies outside 0 to {largest}, the range of the readout's converter")
+        recorded = readout.recorded_from_volt(np.where(np.isnan(plain), np.nan, scaled))
+    if readout is not None:
+        shorted = Readings.of(scene, recorded).side == (AT_MOST if readout.unit == "ohm" else AT_LEAST)
+        count, whole = int(shorted.sum()), int(np.isfinite(recorded).sum())
         key = "converter_volt" if hasattr(readout, "converter_volt") else "supply_volt"
-        raise InputError(
-            f"{source}: {count} of {whole} readings stand at the rail of the converter that a shorted cell reaches: "
-            f"are they in {unit}, and is readout.{key}, {readout.full_scale_volt:g} V, the end of its range?"
-        )
+        if 2 * count > whole:
+            wrong = f"{count} of {whole} readings stand at the rail of the converter that a shorted cell reaches"
+            scale = f"readout.{key}, {readout.full_scale_volt:g} V, the end of its range"
+            raise InputError(f"{source}: {wrong}: are they in {unit}, and is {scale}?")
+    return recorded
