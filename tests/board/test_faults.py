@@ -104,25 +104,6 @@ def test_while_it_runs_others_can_read_along_but_not_repair(tmp_path: Path) -> N
     assert len(Recording.load(out).time) == 8
 
 
-def test_wrong_wishes_are_refused_and_leave_nothing(tmp_path: Path) -> None:
-    out = tmp_path / "r.h5"
-    sensor = scene()
-    with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
-        with pytest.raises(InputError, match=r"period of 0\.1 s is too short"):
-            record(board.port, out, scene=scene(), period=0.1, frames=1)
-        with pytest.raises(InputError, match=r"panel\.rows is 17"):
-            record(board.port, out, scene=scene(17, 10), frames=1)
-        with pytest.raises(InputError, match="measured_across is sensor, but the board says reference"):
-            changed = type(sensor.readout)(measured_across="sensor")
-            record(board.port, out, scene=type(sensor)(sensor.panel, changed), frames=1)
-        assert not out.exists()
-        out.write_text("precious")
-        with pytest.raises(InputError, match="exists already"):
-            record(board.port, out, frames=1)
-    with pytest.raises(InputError, match="cannot be opened"):
-        record(str(tmp_path / "no port"), tmp_path / "other.h5", frames=1)
-
-
 def test_in_real_time_a_second_takes_a_second(tmp_path: Path) -> None:
     with bench(tmp_path, some_cells(np.random.default_rng(9), 1), "--real-time") as board:
         began = time.monotonic()

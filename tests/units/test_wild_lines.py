@@ -264,6 +264,16 @@ def test_an_interrupted_recording_is_a_clean_file(tmp_path: Path, number: signal
     assert [path.name for path in tmp_path.iterdir()] == ["r.h5"]
 
 
+def test_a_scene_beyond_the_board_or_against_it_is_refused() -> None:
+    for panel, changes, words in (
+        (Panel(17, 10), {}, r"panel\.rows is 17, but the board can do at most 16"),
+        (Panel(3, 4), {"readings": 65}, r"readout\.readings is 65, but the board can do at most 64"),
+        (Panel(3, 4), {"measured_across": "sensor"}, "measured_across is sensor, but the board says reference"),
+    ):
+        with pytest.raises(InputError, match=words):
+            scene_of(IDLE, Scene(panel, TwoPointReadout(**changes)))
+
+
 def test_a_port_without_a_board_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lampest.recording.board.port.HELLO_SECONDS", 0.5)
     with pytest.raises(InputError, match="no lampest board answered"):
