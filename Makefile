@@ -8,7 +8,7 @@
 #   make mutants   60 random changes of the package, and which of them no fast test notices: an hour or more
 #   make lint      style and types
 #   make docs      set-up, then the pages as a site: docs/_build/html/index.html; what they show is run for it
-#   make studies  every command of docs/studies, one after the other: hours; what they print is in results/studies/
+#   make studies  every command of docs/studies, page by page: hours; PAGES="bench real" names some. Output: results/studies/
 #   make lock      after a change of dependencies: the locks with hashes, from pyproject.toml and constraints.txt
 #   make licences  what the dependencies' licences are, as docs/reference/licences.md
 #   make audit     known vulnerabilities of everything in the locks
@@ -60,7 +60,7 @@ docs: $(VENV)/.installed-dev
 	@echo docs/_build/html/index.html
 
 studies: $(VENV)/.installed-dev
-	@$(BIN)/python -m docs.studies.all_pages
+	@$(BIN)/python -m docs.studies.all_pages $(PAGES)
 
 # Everything that is installed is what the locks say, byte for byte; pyproject.toml and constraints.txt say what they may hold.
 lock: $(VENV)/.installed-supply

@@ -1,16 +1,22 @@
-"""Every command that the pages in docs/studies name, in their order: `make studies`. It takes hours.
+"""Every command that the pages in docs/studies name, page by page: `make studies`; PAGES="bench real" names some.
 
-Output goes to results/studies/PAGE.log, with the commit. A command that fails does not stop the others.
+All pages take hours. Output goes to results/studies/PAGE.log, with the commit. A command that fails does not stop the
+others. A page whose commands all succeed says at its end by which commit, and when.
 """
 
+import argparse
 import re
+import shlex
 import subprocess
 import sys
+from datetime import date
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+PAGES = {page.stem: page for page in sorted((ROOT / "docs" / "studies").glob("*.md"))}
 LOGS = ROOT / "results" / "studies"
 COMMAND = re.compile(r"^    ((?:lampest|python -m (?:docs|tests))\b[^#\n]*?) *(?:#.*)?$", re.MULTILINE)
+RUN = re.compile(r"\n*<!-- run -->\n.*\Z", re.DOTALL)
 
 
 def commands(page: Path) -> list[str]:
@@ -18,24 +24,53 @@ def commands(page: Path) -> list[str]:
     return [re.sub(r" *\[[^\]]*\]", "", results) for results in COMMAND.findall(page.read_text(encoding="utf-8"))]
 
 
-def main() -> int:
-    """Run them; 1 where any failed."""
-    LOGS.mkdir(parents=True, exist_ok=True)
-    commit = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True).stdout
+def with_commit(text: str, commit: str, day: str) -> str:
+    """A page that says at its end by which commit its commands ran."""
+    return (
+        RUN.sub("", text).rstrip("\n") + f"\n\n<!-- run -->\nAll commands of this page ran at commit {commit}, {day}.\n"
+    )
+
+
+def run_page(page: Path, commit: str) -> bool:
+    """Run the commands of a page; whether all succeeded."""
     failed = 0
-    for page in sorted((ROOT / "docs" / "studies").glob("*.md")):
-        for typed in commands(page):
-            print(f"{page.stem}: {typed}", flush=True)
-            words = typed.split()
-            program = Path(sys.executable).with_name(words[0])
-            with (LOGS / f"{page.stem}.log").open("a", encoding="utf-8") as log:
-                log.write(f"\n# {commit.strip()}: {typed}\n")
-                log.flush()
-                ended = subprocess.run([program, *words[1:]], cwd=ROOT, stdout=log, stderr=subprocess.STDOUT)
-            if ended.returncode:
-                failed += 1
-                print(f"  ended with {ended.returncode}: see {LOGS / page.stem}.log", flush=True)
-    return 1 if failed else 0
+    for typed in commands(page):
+        print(f"{page.stem}: {typed}", flush=True)
+        words = shlex.split(typed)
+        program = Path(sys.executable).with_name(words[0])
+        with (LOGS / f"{page.stem}.log").open("a", encoding="utf-8") as log:
+            log.write(f"\n# {commit}: {typed}\n")
+            log.flush()
+            ended = subprocess.run([program, *words[1:]], cwd=ROOT, stdout=log, stderr=subprocess.STDOUT)
+        if ended.returncode:
+            failed += 1
+            print(f"  ended with {ended.returncode}: see {LOGS / page.stem}.log", flush=True)
+    return not failed
+
+
+def main() -> int:
+    """Run the pages that are named, or all; 1 where any command failed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("pages", nargs="*", help=f"some of {', '.join(PAGES)}; default: all")
+    parser.add_argument("--list", action="store_true", help="print the commands, and run none")
+    stated = parser.parse_args()
+    if unknown := [name for name in stated.pages if name not in PAGES]:
+        parser.error(f"there is no page {unknown[0]}; there are {', '.join(PAGES)}")
+    pages = [PAGES[name] for name in stated.pages or PAGES if commands(PAGES[name])]
+    if stated.list:
+        print("\n".join(f"{page.stem}: {typed}" for page in pages for typed in commands(page)))
+        return 0
+    LOGS.mkdir(parents=True, exist_ok=True)
+    describe = ["git", "describe", "--always", "--dirty"]
+    commit = subprocess.run(describe, cwd=ROOT, capture_output=True, text=True).stdout.strip()
+    failed = False
+    for page in pages:
+        if run_page(page, commit):
+            text = page.read_text(encoding="utf-8")
+            page.write_text(with_commit(text, commit, f"{date.today():%d %B %Y}"), encoding="utf-8")
+        else:
+            failed = True
+    return int(failed)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 """The benchmark, random mats and the solvers that judge ours: scipy's and published ones. No time is asserted."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -11,7 +10,7 @@ import pytest
 
 from docs.studies.bench import SolverLimits, SolversFile, Trf, _Point
 from docs.studies.bench_pages import MARKED, PAGES, sections, with_tables
-from docs.studies.mats import LEAST_S, MOST_S, PUBLISHED, MatAnswer, Mats, solved_mats, table
+from docs.studies.mats import MOST_S, PUBLISHED, Mats, solved_mats, table
 from lampest import Huber, InputError, Misfit, Panel, Settings
 from lampest.cost.cost import Cost
 from lampest.estimate.sequence import first_stream
@@ -152,8 +151,9 @@ def test_memory_is_measured_of_each_solver_on_square_panels_alone(monkeypatch: p
 
 def test_what_there_is_no_time_for_is_left_out_and_named() -> None:
     bench = BenchFile(1, (3, 40), recordings=2, frames=3, repeats=1, budget_s=1e-3, limits=ALONE)
-    bench = replace(bench, memory=(3,))
-    found = run_bench(bench, quiet)
+    bench, told = replace(bench, memory=(3,)), list[tuple[int, int, str]]()
+    found = run_bench(bench, lambda *about: told.append(about))
+    assert told[0] == (0, 20, "3 × 3 LSM, recording 1") and told[-1] == (19, 20, "40 × 40 LSR-gdCR, recording 2")
     # The first task of every method knows nothing of its time: it is begun, and stops after its first frame.
     assert {(one.shape, one.recording, one.frame, one.memory_mb) for one in found.frames} == {((3, 3), "0", 0, None)}
     named = {(shape, what) for shape, _, what in found.left_out}
@@ -178,14 +178,6 @@ def test_a_larger_panel_is_guessed_from_the_next_smaller_one() -> None:
     assert BenchPart(0, (20, 20), "LSM").expected_s(bench, done[:2]) == pytest.approx(8 * 9.0)
     assert BenchPart(0, (10, 10), "LSM").expected_s(bench, done) == pytest.approx(9.0 + 78.0)
     assert BenchPart(0, (10, 10), "LSR-gCR").expected_s(bench, done) == 0
-
-
-def test_progress_is_told_before_each_part() -> None:
-    told: list[tuple[int, int, str]] = []
-    bench = BenchFile(1, (3,), recordings=2, frames=1, repeats=1, limits=ALONE)
-    run_bench(bench, lambda *about: told.append(about))
-    assert told[0] == (0, 10, "3 × 3 LSM, recording 1")
-    assert told[-1] == (9, 10, "3 × 3 LSR-gdCR, recording 2") and len(told) == 10
 
 
 def test_pages_show_tables_that_the_bench_writes() -> None:
@@ -278,10 +270,3 @@ def test_ours_and_theirs_stand_side_by_side_on_the_same_mats() -> None:
     assert not negative & {"reduced", "fixed_point", "least_squares"}
     lines = table(solves).splitlines()
     assert len(lines) == 2 + len(SIDES) * 2 * 6 and lines[2].startswith("| 6 × 6 | 0 % | reduced |")
-
-
-def test_a_fixed_point_that_does_not_settle_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    fixed_point: Callable[[np.ndarray], MatAnswer] = PUBLISHED["fixed_point"]
-    monkeypatch.setattr("docs.studies.mats.MOST_STEPS", 3)
-    answer = fixed_point(two_point(np.full((4, 4), LEAST_S)))
-    assert (answer.converged, answer.iterations) == (False, 3)

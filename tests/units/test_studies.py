@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from docs.studies.all_pages import commands, with_commit
 from docs.studies.audit import Audited, audit_remarks, audit_rows
 from docs.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
 from lampest import Array, InputError, Panel, Recording, Scene
@@ -282,6 +283,15 @@ def test_shipped_file_can_be_tuned() -> None:
     cases = read_run(Path(__file__).parents[2] / "configs" / "tune.yaml").cases
     assert len(cases) == 8
     assert all(case.estimator.automatic and why_not(case.estimator, 200) is None for case in cases)
+
+
+def test_a_page_names_the_commit_of_its_last_run_once() -> None:
+    text = "# A page\n\n    lampest run a.yaml   # first\n    python -m docs.studies.mats [--seed 1] --kinds 'a b'\n"
+    once = with_commit(text, "abc", "1 May 2026")
+    assert once.startswith(text) and once.endswith("ran at commit abc, 1 May 2026.\n")
+    assert with_commit(once, "def", "2 May 2026") == once.replace("abc", "def").replace("1 May", "2 May")
+    page = PAGE.with_name("bench.md")
+    assert commands(page)[0] == "python -m docs.studies.bench configs/bench.yaml"
 
 
 ROWS = """effect,estimator,recordings,cells,change,pressure,alone,ratio,reported
