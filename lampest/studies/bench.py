@@ -273,9 +273,9 @@ def bench_rows(frames: Sequence[BenchFrame]) -> list[study.Row]:
     rows: list[study.Row] = []
     for panel in grouped(frames, lambda frame: frame.shape).values():
         for name, chosen in {ALL: panel, **grouped(panel, lambda frame: frame.method)}.items():
-            for own in grouped(chosen, lambda frame: (frame.solver, frame.frame > 0)).values():
-                if name != ALL or {frame.method for frame in own} == methods:
-                    rows.append(_row(name, own))
+            for several in grouped(chosen, lambda frame: frame.solver).values():
+                kinds = grouped(several, lambda frame: frame.frame > 0).values()
+                rows += [_row(name, own) for own in kinds if name != ALL or {frame.method for frame in own} == methods]
     reduced = {PROBLEM(row): row.ms for row in rows if row.solver == "reduced"}
     for row in rows:
         row.ratio = row.ms / reduced[PROBLEM(row)] if PROBLEM(row) in reduced else None

@@ -130,6 +130,9 @@ def test_all_methods_are_told_together_only_where_none_was_left_out() -> None:
     found = [(row.rows, row.method, row.frames) for row in bench_rows(frames)]
     assert [about for about in found if about[1] == "all"] == [(8, "all", "first")]
     assert len(found) == 1 + 3 + 2 + 2
+    both = sorted([*timed(8, [1, 1]), *timed(8, [1, 1], solver="nodal")], key=lambda frame: frame.frame)
+    kinds = [(name, kind) for name in ("reduced", "nodal") for kind in ("first", "later")]
+    assert [(row.solver, row.frames) for row in bench_rows(both)] == 2 * kinds, "a solver's rows stand together"
 
 
 def test_frames_after_the_first_are_solved_in_turns_until_they_take_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
