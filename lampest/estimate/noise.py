@@ -63,8 +63,6 @@ class NoiseEstimate:
     Attributes
     ----------
     outliers : boolean array, shape (frames, rows, columns)
-    outlier_rate : float
-        Share of outliers among the unloaded readings, or among all where there are too few unloaded frames.
     warnings : tuple of str
         Contradictions of the scene and pitfalls, a line each.
     readings : Readings
@@ -89,7 +87,6 @@ class NoiseEstimate:
     """
 
     outliers: NDArray[np.bool_]
-    outlier_rate: float
     warnings: tuple[str, ...]
     readings: Readings
     factor: float = np.nan
@@ -225,43 +222,51 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
         Readings of all frames without outliers.
     """
     readout, resting = recording.scene.readout, recording.role == UNLOADED
-    unloaded = int(resting.sum())
-    counted = outliers[resting] if unloaded >= MIN_FRAMES and cleaned.sigma is not None else outliers
+    unloaded, messages = int(resting.sum()), list[str]()
     impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
-    rate, messages = float(counted.mean()), list[str]()
     if count := int(impossible.sum()):
         many = "reading is" if count == 1 else "readings are"
         messages.append(f"{count} {many} larger than any cells allow beside the others, and left out")
     if count := int((outliers & ~impossible).sum()):
         # Beyond MAX_SHARE neighbours in time are outliers, too, and replace them badly.
+        counted = outliers[resting] if unloaded >= MIN_FRAMES and cleaned.sigma is not None else outliers
+        rate = float(counted.mean())
         unseen = f"; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not cover them"
         message = f"{count} of {outliers.size} readings are outliers of one frame, replaced by their neighbours in time"
         messages.append(message + unseen * (rate > MAX_SHARE))
-    plain = NoiseEstimate(outliers, rate, tuple(messages), cleaned)
-    if cleaned.sigma is None:
-        return plain
-    parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 else None
-    if parts is None:
-        parts = repeated_scatter(cleaned[~resting])
+    plain, parts = NoiseEstimate(outliers, tuple(messages), cleaned), None
+    if cleaned.sigma is not None:
+        parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 else None
+        parts = parts or repeated_scatter(cleaned[~resting])
     if parts is None:
         return plain
+    own, message, used = parts.own, "", 1.0
+    squares, error = own**2 * parts.own_freedom, own / np.sqrt(2 * parts.own_freedom)
     specified = readout is None or recording.sigma is not None or readout.noise_specified
-    squares, few = parts.own**2 * parts.own_freedom, MIN_UNLOADED_FRAMES if readout and readout.noise_lsb is None else 2
-    used = noted_excess(squares, parts.own_freedom) if specified else 1.0
-    # Only of a converter it is known how small the noise may be: its step.
-    if readout is not None and recording.sigma is None and used == 1:
-        less = parts.own <= 1 / MIN_EXCESS and 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
-        used = shown_noise(readout, parts.own)[1] if (less if specified else unloaded >= few) else 1.0
-    error = parts.own / np.sqrt(2 * parts.own_freedom)
-    message = _noise_in_words(readout, parts.own, unloaded=unloaded > 1) if specified and used != 1 else ""
+    if specified:
+        used = noted_excess(squares, parts.own_freedom)
+        less = own <= 1 / MIN_EXCESS and 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
+        where = "unloaded frames" if unloaded > 1 else "readings at rest from frame to frame"
+        if readout is None:
+            message = f"noise {own:.2g} times the recording's sigma, measured in {where}"
+        else:
+            noise, factor = shown_noise(readout, own)
+            # Only of a converter it is known how small the noise may be: its step.
+            used = factor if less and recording.sigma is None else used
+            assumed = float(np.mean(readout.assumed_noise))
+            message = f"noise {noise:.2g} LSB, measured in {where}; the scene specifies {assumed:.3g} LSB"
+    elif readout is not None and unloaded >= (MIN_UNLOADED_FRAMES if readout.noise_lsb is None else 2):
+        used = shown_noise(readout, own)[1]
     frame = None
     if readout is not None and (parts.gain or parts.common_ripple.size or parts.line_ripple.size):
         volt = float(np.mean(readout.sigma_volt()))
         frame = FrameNoise(recording.scene, unloaded, parts.gain, parts.common_ripple * volt, parts.line_ripple * volt)
-    scaled = cleaned if used == 1 else replace(cleaned, sigma=used * cleaned.sigma)
-    seen = replace(plain, readings=scaled, factor=parts.own, factor_error=error, sigma_factor=used, frame=frame)
+    scaled = replace(cleaned, sigma=used * cleaned.sigma)
+    seen = replace(plain, readings=scaled, factor=own, factor_error=error, sigma_factor=used, frame=frame)
     shared = [text.format(size) for (_, text), size in zip(SHARED, seen.shared_sizes, strict=True) if size]
-    return seen.with_warnings(message, f"{', '.join(shared)}, which error bars allow for" if shared else "")
+    return seen.with_warnings(
+        message if used != 1 else "", f"{', '.join(shared)}, which error bars allow for" if shared else ""
+    )
 
 
 def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[NoiseEstimate | None]) -> NoiseEstimate:
@@ -274,10 +279,8 @@ def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[Nois
         f"module {list(layout.place(n))}: {seen.sentence}" for n, seen in enumerate(every) if seen and seen.warnings
     ]
     more = f"and {len(messages) - MAX_NAMED} modules more" if len(messages) > MAX_NAMED else ""
-    rate = float(np.mean([seen.outlier_rate for seen in every if seen is not None]))
-    whole = NoiseEstimate(
-        layout.joined(outliers), rate, (), Readings.of_parts(layout, readings), of_modules=tuple(every)
-    )
+    joined = Readings.of_parts(layout, readings)
+    whole = NoiseEstimate(layout.joined(outliers), (), joined, of_modules=tuple(every))
     return whole.with_warnings(*messages[:MAX_NAMED], more)
 
 
@@ -299,15 +302,6 @@ def shown_noise(readout: Readout, factor: float) -> tuple[float, float]:
     lasting = float(np.mean(readout.sigma_code(readout.assumed_noise, ENDLESS)))
     noise = readout.noise_of_variance(factor**2 * (assumed**2 - lasting**2))
     return noise, float(np.mean(readout.sigma_code(noise))) / assumed
-
-
-def _noise_in_words(readout: Readout | None, factor: float, *, unloaded: bool) -> str:
-    """Return the measured noise that replaces the specified one, in words."""
-    where = "unloaded frames" if unloaded else "readings at rest from frame to frame"
-    if readout is None:
-        return f"noise {factor:.2g} times the recording's sigma, measured in {where}"
-    noise, specified = shown_noise(readout, factor)[0], float(np.mean(readout.assumed_noise))
-    return f"noise {noise:.2g} LSB, measured in {where}; the scene specifies {specified:.3g} LSB"
 
 
 def steps_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
@@ -474,9 +468,6 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
     """
     known = ~np.isnan(deviation)
     lines, channels = deviation.shape[1:]
-    if not np.any(np.nan_to_num(deviation)):  # codes that all agree, or no noise at all
-        nothing = np.zeros((channels, 0))
-        return Scatter(0.0, max(int(known.sum() * repeats / len(known)), 1), 0.0, nothing, nothing)
     size = np.maximum((known * loudness**2).sum(axis=(1, 2)), 1e-300)
     # Gain of each frame by least squares, Σ deviation · loudness / Σ loudness², (frames,); then the mean over lines,
     # (frames, channels).
@@ -539,11 +530,9 @@ def _patterns(rows: Array, freedom: float) -> tuple[float, Array]:
     width = (first + second) * (1 / first + 1 / second) ** (1 / 3)
     unsure = 1 + TWO_SIDED * np.sqrt(2 / (freedom * max(channels - 1, 1)))
     edge = unsure * ((first + second) ** 2 + EDGE_WIDTHS * width) / freedom
-    strong = 0
-    for strong in range(channels if freedom >= MIN_SAMPLES_PER_CHANNEL * channels else 0):
-        others = size[: channels - strong - 1]
-        if not len(others) or size[channels - strong - 1] <= edge * others.mean():
-            break
+    # Each eigenvalue against the mean of the smaller ones, from the largest down.
+    above = size[1:] > edge * np.cumsum(size)[:-1] / np.arange(1, channels)
+    strong = int(np.argmin([*above[::-1], False])) if freedom >= MIN_SAMPLES_PER_CHANNEL * channels else 0
     weak = channels - strong
     noise = float(size[:weak].mean())
     return noise, np.asarray(direction[:, weak:] * np.sqrt(np.maximum(size[weak:] - noise, 0.0)))

@@ -28,8 +28,8 @@ def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -
     frames = _roles(recording.role), _times(recording), _unit(recording, readings), _scatter(recording, noise)
     plain = (*frames, *_modules(recording, readings), less)
     circuit, taken = check.sentence if check.mark in ("no", "not checked") else "", noise.corrections
-    learned = tuple(line for line in noise.warnings if not (circuit and line == taken))
-    circuit += f"; it is {TAKEN_OFF}" if circuit and taken else ""
+    learned = tuple(line for line in noise.warnings if line != taken)  # the circuit's sentence names these effects
+    circuit += f"; it is {TAKEN_OFF}" if taken else ""
     stage = saturated(recording)
     piled = "" if stage is None else stage.sentence
     loaded = UNEVENLY if check.loaded_at_rest and not less else ""

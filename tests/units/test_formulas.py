@@ -106,7 +106,7 @@ def test_motion_widens_the_noise_of_swept_readings_and_counts_frames_that_it_exc
     value[3] += 44.0
     nothing = np.zeros(value.shape)
     readings = Readings(value, nothing + 4.0, nothing, nothing + 1)
-    seen = NoiseEstimate(nothing.astype(bool), 0.0, (), readings)
+    seen = NoiseEstimate(nothing.astype(bool), (), readings)
     measured = np.arange(1, 4)
     moved = 0.5 * np.abs(steps_within_scan(scene, readings, measured)).max(axis=0)
     widened = seen.with_motion(scene, 0.5, measured)
