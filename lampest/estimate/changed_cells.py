@@ -11,13 +11,15 @@ Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The Amer
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.posterior.covariance import swept
+from lampest.posterior.covariance import inverse_and_volume, swept
 
 MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
 PARAMETER_COST = 12.0  # −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs
@@ -50,6 +52,54 @@ def touching(chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the chosen cells with their eight neighbours, (frames, rows, columns)."""
     around = np.pad(chosen, ((0, 0), (1, 1), (1, 1)))
     return np.asarray(sliding_window_view(around, (3, 3), axis=(1, 2)).any(axis=(-2, -1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Changes:
+    """Changes of the log cells between frames, d = A z + noise over still cells, with errors z ~ N(0, 1).
+
+    Attributes
+    ----------
+    change : array, shape (n,)
+        d.
+    noise : array, shape (n, n)
+        Σ, the covariance of d over still cells without these errors.
+    columns : array, shape (n, errors)
+        A.
+    """
+
+    change: Array
+    noise: Array
+    columns: Array
+
+    @cached_property
+    def covariance(self) -> Array:
+        """C = Σ + A Aᵀ, the covariance of d over still cells, (n, n)."""
+        return np.asarray(self.noise + self.columns @ self.columns.T)
+
+    @cached_property
+    def inverse_and_volume(self) -> tuple[Array, float]:
+        """C⁻¹ (n, n) and ln |C⁻¹|."""
+        return inverse_and_volume(self.covariance)
+
+    def selected(self, starts: Sequence[Chosen], loaded: Chosen | None = None) -> tuple[float, Chosen]:
+        """Return −2 ln evidence and the moved cells (n,), see `select_changed`."""
+        precision, volume = self.inverse_and_volume
+        slope = precision @ self.change
+        lost, moved = select_changed(slope, precision, starts, loaded)
+        return lost + float(self.change @ slope) - volume, moved
+
+    def cost_of(self, still: Chosen) -> float:
+        """Return −2 ln likelihood of the changes of the still cells alone."""
+        covariance, change = self.covariance[np.ix_(still, still)], self.change[still]
+        return float(change @ np.linalg.solve(covariance, change) + np.linalg.slogdet(covariance)[1])
+
+    def posterior(self, still: Chosen) -> tuple[Array, Array]:
+        """Return mean (errors,) and covariance (errors, errors) of z given the changes d_s of the still cells."""
+        part = self.columns[still]
+        # mean A_sᵀ C_ss⁻¹ d_s, covariance 1 − A_sᵀ C_ss⁻¹ A_s
+        weight = np.linalg.solve(self.covariance[np.ix_(still, still)], part)
+        return weight.T @ self.change[still], np.eye(part.shape[1]) - part.T @ weight
 
 
 def usual_starts(change: Array) -> list[Chosen]:

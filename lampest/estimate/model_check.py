@@ -91,11 +91,6 @@ class ModelCheck:
             return "not checked"
         return "no" if not self.explains else "yes" if self.noise == 1 else "noise"
 
-    def without(self, outliers: int) -> "ModelCheck":
-        """Return the check with the number of omitted outliers in its sentence."""
-        message = f"; {outliers} outlier{'s' if outliers > 1 else ''} of one frame left out" if outliers else ""
-        return replace(self, sentence=self.sentence + message)
-
 
 @dataclass(frozen=True, eq=False)
 class Question:
@@ -411,8 +406,6 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
         pair = specified.pair
         if pair is None or pair.median_sd > MAX_CELL_SD or pair.beyond_noise < MIN_EVIDENCE_GAIN:
             return BetterExplanation()
-        if not pair.moved.any():  # circuits differ in the cells that a load moves
-            return BetterExplanation()
     change = changes_beyond_noise(question.specified.scene, question.specified.readings(), question.role)
     rivals = rivals_of(question.specified, reversed_too=bool(change.max(initial=0.0) > -change.min(initial=0.0)))
     plain = [Explanation.of(rival, question) or some_in_series(rival, question) for rival in rivals]
@@ -445,12 +438,9 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
 def some_in_series(rival: Rival, question: Question) -> Explanation | None:
     """Return a circuit's explanation with the best one of SERIES_POINTS resistances in series; None without any."""
     most = most_in_series(rival, question)
-    # increasing resistances, each fit starting at the cells of the one before
-    known: list[Explanation] = []
-    for ohm in np.linspace(0.0, most, SERIES_POINTS) if most else ():
-        explanation = Explanation.of(rival.with_series(ohm), question, known[-1] if known else None)
-        known += [] if explanation is None else [explanation]
-    return min(known, key=attrgetter("score"), default=None)
+    points = np.linspace(0.0, most, SERIES_POINTS) if most else ()
+    explanations = (Explanation.of(rival.with_series(ohm), question) for ohm in points)
+    return min(filter(None, explanations), key=attrgetter("score"), default=None)
 
 
 def with_series(given: Explanation, question: Question) -> Explanation:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import fitted
 from lampest.estimate.deciding import MAX_NEIGHBOURS
-from lampest.estimate.nuisances import MIN_REMAINING, CircuitEffects, remaining_errors, without_effects_of
+from lampest.estimate.nuisances import CircuitEffects, remaining_errors, without_effects_of
 from lampest.estimate.outliers import MAX_SHARE, MIN_FRAMES
 from lampest.estimate.still_cells import possible_errors
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
@@ -34,8 +34,7 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 MIN_UNLOADED_FRAMES = 5  # unloaded frames from which noise is estimated if the scene does not specify it
 MAX_NAMED = 3  # modules in one sentence
 
-SCAN_SHARES = (0.25, 0.5, 0.75, 1.0)  # shares of the period that a scan may take
-MIN_REDUCTION = 3.0  # factor by which χ² must fall; also the rms of Δ·τ in σ below which motion is imperceptible
+MIN_MOTION = 3.0  # rms of Δ·τ in σ, below which motion within a scan is imperceptible
 
 # Factor on σ: a smaller excess changes no verdict, and creeping films cause it too. The ratio of first to second
 # differences of noise alone is 1.00 ± 0.06 with 100 readings.
@@ -76,8 +75,8 @@ class NoiseEstimate:
         Errors that the readings of a frame share; None where none is significant.
     possible_errors : Possible or None
         Errors that all frames share, as far as the still cells leave them possible; None where that is unknown.
-    scan_share : float
-        Share of its period that a scan seems to take, where loads move within it; else 0.
+    in_motion : bool
+        Whether loads move while a frame is scanned.
     of_modules : tuple of NoiseEstimate or None
         Noise of each module, None for a dead one; () for a single network.
     corrected_effects : CircuitEffects or None
@@ -94,7 +93,7 @@ class NoiseEstimate:
     sigma_factor: float = 1.0
     frame: FrameNoise | None = None
     possible_errors: Possible | None = None
-    scan_share: float = 0.0
+    in_motion: bool = False
     of_modules: tuple["NoiseEstimate | None", ...] = ()
     corrected_effects: CircuitEffects | None = None
     model_factor: float = 1.0
@@ -103,11 +102,6 @@ class NoiseEstimate:
     def sentence(self) -> str:
         """All warnings in one sentence."""
         return "; ".join(self.warnings)
-
-    @property
-    def corrections(self) -> str:
-        """The effects that are taken off the readings, in words; '' where there are none."""
-        return "" if self.corrected_effects is None else self.corrected_effects.corrections
 
     @property
     def reading_error(self) -> float:
@@ -146,27 +140,24 @@ class NoiseEstimate:
         """Return the noise with other σ of the readings."""
         return replace(self, readings=replace(self.readings, sigma=sigma))
 
-    def with_motion(self, scene: Scene, share: float, measured: NDArray[np.intp]) -> "NoiseEstimate":
+    def with_motion(self, scene: Scene, measured: NDArray[np.intp]) -> "NoiseEstimate":
         """Return the noise with wider σ where readings were taken while loads moved.
 
         Parameters
         ----------
         scene : Scene
-        share : float
-            Share of its period that a scan takes; 0 changes nothing.
         measured : integer array
             Numbers of the measured frames.
         """
         sigma = self.readings.sigma
-        if not share or sigma is None:
-            return self
-        moved = share * np.abs(steps_within_scan(scene, self.readings, measured)).max(axis=0)
+        moved = np.abs(steps_within_scan(scene, self.readings, measured)).max(axis=0)
+        assert sigma is not None
         count = int(np.sum(np.sqrt(np.mean((moved / sigma) ** 2, axis=(1, 2))) > 1))
         message = (
-            f"motion within a scan: as if a scan took {share:.2g} of the time between frames, in {count} frames; "
+            f"motion within a scan: as if a scan took all of the time between frames, in {count} frames; "
             "error bars allow for it as far as their neighbours show"
         )
-        return replace(self.with_sigma(np.hypot(sigma, moved)), scan_share=share).with_warnings(message)
+        return replace(self.with_sigma(np.hypot(sigma, moved)), in_motion=True).with_warnings(message)
 
 
 def with_still_cells(seen: NoiseEstimate, recording: Recording, sizes: Systematic) -> NoiseEstimate:
@@ -181,8 +172,9 @@ def with_still_cells(seen: NoiseEstimate, recording: Recording, sizes: Systemati
         Sizes of shared errors that the scene specifies or leaves possible.
     """
     unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
-    scene, resting = recording.scene, seen.readings[unloaded].mean()
-    still = seen.with_motion(scene, scan_share(scene, resting, seen.readings, measured), measured)
+    scene, resting, still = recording.scene, seen.readings[unloaded].mean(), seen
+    if moves_within_scan(scene, resting, seen.readings, measured):
+        still = seen.with_motion(scene, measured)
     strongest = strongest_frame(still.readings.plain_values, resting.value, measured)
     # two frames: the strongest, and the first or the last
     chosen = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
@@ -234,10 +226,11 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
         unseen = f"; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not cover them"
         message = f"{count} of {outliers.size} readings are outliers of one frame, replaced by their neighbours in time"
         messages.append(message + unseen * (rate > MAX_SHARE))
-    plain, parts = NoiseEstimate(outliers, tuple(messages), cleaned), None
-    if cleaned.sigma is not None:
-        parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 else None
-        parts = parts or repeated_scatter(cleaned[~resting])
+    plain = NoiseEstimate(outliers, tuple(messages), cleaned)
+    if cleaned.sigma is None:
+        return plain
+    parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 else None
+    parts = parts or repeated_scatter(cleaned[~resting])
     if parts is None:
         return plain
     own, message, used = parts.own, "", 1.0
@@ -321,40 +314,22 @@ def steps_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.int
     return steps * in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
 
 
-def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: NDArray[np.intp]) -> float:
-    """Return the share s of its period that the scan of a frame seems to take; 0 where the frames show no motion.
+def moves_within_scan(scene: Scene, resting: Readings, readings: Readings, measured: NDArray[np.intp]) -> bool:
+    """Return whether loads move while a frame is scanned.
 
-    The frames with the largest motion that have two neighbours are tested. If no cells explain their readings, s·Δ·τ
-    is subtracted for each s of SCAN_SHARES, and the s with the least misfit is returned. Where no share reduces the
-    misfit enough, loads move too far from frame to frame for the central difference Δ, and s is 1.
+    The frames with the largest motion that have two neighbours are tested: no cells explain the readings of most.
     """
     inner = measured[1:-1]
     if not len(inner) or readings.sigma is None or resting.sigma is None:
-        return 0.0
+        return False
     moved = steps_within_scan(scene, readings, measured).mean(axis=0)
     size = np.sqrt(np.mean((moved / readings.sigma) ** 2, axis=(1, 2)))
     moving = inner[np.argsort(-size[inner])][: 1 + MAX_NEIGHBOURS]
-    if size[moving[0]] < MIN_REDUCTION:
-        return 0.0
-    base = fitted(scene, resting, patient=True)
-    if base is None or base.tail < SIGNIFICANCE:
-        return 0.0
-
-    def left(share: float) -> tuple[list[float], float]:
-        """Return the tails of χ² and Σ ln(1 + χ²) of the frames after share·Δ·τ is subtracted."""
-        # y − s Δτ, the readings as if taken in the middle of their frame
-        freed = replace(readings, value=np.maximum(readings.value - share * moved, MIN_REMAINING * readings.value))
-        fits = [fit for frame in moving if (fit := fitted(scene, freed[frame], patient=True)) is not None]
-        tails = [fit.tail for fit in fits] + [1.0] * (len(moving) - len(fits))
-        return tails, float(sum(np.log1p(fit.chi_square) for fit in fits))
-
-    tails, cost = left(0.0)
-    if min(tails) >= SIGNIFICANCE:
-        return 0.0
-    least, best = min((left(share)[1], share) for share in SCAN_SHARES)
-    if least < cost - len(moving) * np.log(MIN_REDUCTION):
-        return best
-    return float(np.median(tails) < SIGNIFICANCE)  # the whole period, or nothing
+    if size[moving[0]] < MIN_MOTION:
+        return False
+    base, *fits = (fitted(scene, frame, patient=True) for frame in (resting, *(readings[at] for at in moving)))
+    tails = [1.0 if fit is None else fit.tail for fit in fits]
+    return base is not None and base.tail >= SIGNIFICANCE and bool(np.median(tails) < SIGNIFICANCE)
 
 
 def _sizes_in_words(hidden: Possible) -> str:

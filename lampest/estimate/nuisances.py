@@ -21,10 +21,10 @@ from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.cells_fit import FIT, CellsFit
 from lampest.estimate.changed_cells import (
     PARAMETER_COST,
+    Changes,
     away_from_changed,
     mostly_still,
     scores_with_errors,
-    select_changed,
     usual_starts,
 )
 from lampest.files.levels import SIGNIFICANCE, SIGNIFICANT
@@ -168,8 +168,9 @@ class FittedPair:
         return np.asarray(noise + spread**2 * self.channels @ self.channels.T)
 
     @cached_property
-    def _precision(self) -> Array:
-        return np.linalg.inv(self.covariance)
+    def _volume(self) -> float:
+        """ln |Σ|."""
+        return float(np.linalg.slogdet(self.covariance)[1])
 
     def columns(self, effects: Sequence[Effect]) -> Array:
         """Return a = K_f U_f − K_b U_b of each θ in units of its prior, (cells, effects).
@@ -181,51 +182,32 @@ class FittedPair:
         resting, loaded = (responses(frame, effects) for frame in self.frames)
         return np.asarray(loaded - np.array([not effect.since for effect in effects]) * resting)
 
-    def _with_columns(self, columns: Array) -> tuple[Array, Array, float]:
-        """Return the statistics of d ~ N(0, Σ + A Aᵀ), where A holds a common change of all cells and the columns.
+    def with_columns(self, columns: Array) -> Changes:
+        """Return the changes d with a common change of all cells, then effects of one prior deviation each, as errors.
 
         Parameters
         ----------
         columns : array, shape (cells, n)
             a of each effect in units of its prior.
-
-        Returns
-        -------
-        array, shape (cells, 1 + n)
-            A.
-        array, shape (cells, cells)
-            (Σ + A Aᵀ)⁻¹.
-        float
-            ln |Σ + A Aᵀ| − ln |Σ| − 2 ln prior of the effects in the network, up to a constant.
         """
-        own = np.column_stack([np.full(len(self.change), ASSUMED.common_change), columns])
-        # Woodbury: (Σ + A Aᵀ)⁻¹ = P − P A (1 + Aᵀ P A)⁻¹ Aᵀ P, and |Σ + A Aᵀ| = |Σ| |1 + Aᵀ P A|, with P = Σ⁻¹
-        weighted = self._precision @ own
-        inner = np.eye(own.shape[1]) + own.T @ weighted
-        precision = self._precision - weighted @ np.linalg.solve(inner, weighted.T)
-        prior = sum(PARAMETER_COST + (effect.size / effect.prior) ** 2 for effect in self.effects if effect.size)
-        return own, precision, float(np.linalg.slogdet(inner)[1]) + prior
+        common = np.full(len(self.change), ASSUMED.common_change)
+        return Changes(self.change, self.covariance, np.column_stack([common, columns]))
+
+    @property
+    def _prior(self) -> float:
+        """−2 ln prior of the effects in the network, less ln |Σ|."""
+        costs = (PARAMETER_COST + (effect.size / effect.prior) ** 2 for effect in self.effects if effect.size)
+        return sum(costs) - self._volume
 
     def explained(self, columns: Array) -> Evidence:
-        """Return the evidence with a common change of all cells and with further effects.
-
-        Parameters
-        ----------
-        columns : array, shape (cells, n)
-            a of each effect in units of its prior.
-        """
-        own, precision, added = self._with_columns(columns)
-        lost, moved = select_changed(precision @ self.change, precision, usual_starts(self.change))
-        score = float(self.change @ precision @ self.change) + lost + added
-        nothing = np.full(own.shape[1], np.nan)
-        if moved.all():
-            return Evidence(score, moved, nothing, nothing)
-        # Posterior of θ ~ N(0, 1) given the still cells s: covariance (1 + A_sᵀ Σ_ss⁻¹ A_s)⁻¹ =: V, mean V A_sᵀ Σ_ss⁻¹
-        # d_s.
-        still = away_from_changed(~moved, self.shape)
-        within = np.linalg.solve(self.covariance[np.ix_(still, still)], own[still])
-        left = np.linalg.inv(np.eye(own.shape[1]) + own[still].T @ within)
-        return Evidence(score, moved, left @ within.T @ self.change[still], np.sqrt(np.diag(left)))
+        """Return the evidence with a common change of all cells and with further effects, see `with_columns`."""
+        changes = self.with_columns(columns)
+        score, moved = changes.selected(usual_starts(self.change))
+        mean = sd = np.full(1 + columns.shape[1], np.nan)
+        if not moved.all():
+            mean, covariance = changes.posterior(away_from_changed(~moved, self.shape))
+            sd = np.sqrt(np.diag(covariance))
+        return Evidence(score + self._prior, moved, mean, sd)
 
     @cached_property
     def evidence(self) -> Evidence:
@@ -248,8 +230,8 @@ class FittedPair:
         candidates : array, shape (cells, n)
             a of each candidate.
         """
-        _, precision, added = self._with_columns(self.columns(effects))
-        return scores_with_errors(self.change, precision, candidates) + added
+        precision, volume = self.with_columns(self.columns(effects)).inverse_and_volume
+        return scores_with_errors(self.change, precision, candidates) - volume + self._prior
 
     @property
     def density(self) -> float:
@@ -259,8 +241,7 @@ class FittedPair:
         readings hardly depend on the cells gains nothing by it.
         """
         # p(y) = p(d) |∂d/∂y|: −2 ln p(y) has ln |Jᵀ J| = ln |normal| and ln |Σ| more than the quadratic form of d
-        seen, spread = np.linalg.slogdet(self.frames[1].normal)[1], np.linalg.slogdet(self.covariance)[1]
-        return self.evidence.score + float(seen + spread)
+        return self.evidence.score + float(np.linalg.slogdet(self.frames[1].normal)[1]) + self._volume
 
     @property
     def median_sd(self) -> float:

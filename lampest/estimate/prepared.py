@@ -141,7 +141,9 @@ class Prepared:
             return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
         with suppress(*BROKEN), np.errstate(all="ignore"):
             if self.question is not None:
-                return self.question.check(self.effects).without(int(self.cleaned.outliers.sum()))
+                check, count = self.question.check(self.effects), int(self.cleaned.outliers.sum())
+                left_out = f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""
+                return replace(check, sentence=check.sentence + left_out)
         return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
 
     def _module(self, number: int) -> "Prepared":
@@ -163,7 +165,8 @@ class Prepared:
             # A part of a longer recording takes over the effects, motion and errors of the whole.
             if self.whole_recording is not None:
                 noise = without_effects(noise, recording, self.whole_recording.corrected_effects)
-                noise = noise.with_motion(recording.scene, self.whole_recording.scan_share, measured)
+                if self.whole_recording.in_motion:
+                    noise = noise.with_motion(recording.scene, measured)
                 noise = with_reading_error(
                     replace(noise, possible_errors=self.whole_recording.possible_errors), recording
                 )

@@ -19,13 +19,12 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.cells_fit import FIT, CellsFit, cells_alone, fitted
-from lampest.estimate.changed_cells import MIN_STILL_SHARE, Chosen, away_from_changed, select_changed
+from lampest.estimate.changed_cells import MIN_STILL_SHARE, Changes, Chosen, away_from_changed
 from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, UNUSUAL
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
 from lampest.panel.systematic import HIDDEN_ERRORS, KNOWN_ERRORS, READING_ERROR, Possible, error_columns, recorded_share
-from lampest.posterior.covariance import inverse_and_volume
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
@@ -65,14 +64,14 @@ def possible_errors(
     # No cells explain the unloaded panel: e is estimated from its likelihood alone.
     if fit is None or fit.tail < SIGNIFICANCE:
         return Possible(at_least(_mean_square(_unloaded_costs(scene, resting))), None)
-    moves, shape = CellChanges.of(scene, fit, frames, sizes, noise), resting.value.shape
+    moves, shape = shared_changes(scene, fit, frames, sizes, noise), resting.value.shape
     if moves is None:
         return None
     # Evidence of e. The prior of smooth loads keeps a load's skirt from being taken for an error of the readings.
     smoothed = replace(moves, noise=moves.noise + _smooth_loads(shape, len(frames.value)))
     costs, still = _error_costs(smoothed)
     likeliest, apart = float(READING_ERRORS[np.argmin(costs[1:])]), away_from_changed(still, shape)
-    gain_apart = smoothed.cost_of(apart, 0.0) - smoothed.cost_of(apart, likeliest)
+    gain_apart = smoothed.changes(0.0).cost_of(apart) - smoothed.changes(likeliest).cost_of(apart)
     gain = gain_apart + BESIDE_SHARE * (float(costs[0] - costs.min()) - gain_apart)
     # Posterior mean square of e, from the changes and the unloaded panel together.
     size, certain = 0.0, gain > MIN_ERROR_GAIN
@@ -81,47 +80,21 @@ def possible_errors(
         if size * moves.reach > LINEAR_LIMIT:
             return Possible(at_least(size), None, certain)
     assumed = at_least(size)
-    root = None if still.mean() < MIN_STILL_SHARE else _possible(moves, assumed.reading_error or 0.0, shape)
+    if still.mean() < MIN_STILL_SHARE:
+        return Possible(assumed, None, certain)
+    # Neighbours of moved cells are left out, because a load has a skirt.
+    changes = moves.changes(assumed.reading_error or 0.0)
+    mean, covariance = changes.posterior(away_from_changed(_still(changes)[1], shape))
+    second = covariance + np.outer(mean, mean)
+    values, vectors = np.linalg.eigh((second + second.T) / 2)
+    # Lower triangular root of E[z zᵀ]: the columns behind those of common errors are the readings' own errors.
+    root = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T
     return Possible(assumed, root, certain)
 
 
-def _of_frame(
-    scene: Scene, fit: CellsFit, near: Array | None, sizes: Systematic, noise: FrameNoise | None
-) -> list[Array]:
-    """Return the covariance of one frame's log cells, and their response K U to shared errors.
-
-    Parameters
-    ----------
-    scene : Scene
-    fit : CellsFit
-        Fit of the frame.
-    near : array, shape (rows, columns), or None
-        Unloaded cells, ohm; None: the frame is the unloaded mean.
-    sizes : Systematic
-        Standard deviations of the errors.
-    noise : FrameNoise or None
-        Errors that the readings of a frame share.
-
-    Returns
-    -------
-    list of array
-        Covariance (cells, cells), then the responses (cells, n) to hidden errors, to each reading's own error of
-        size 1, and to known errors.
-    """
-    error = fit.covariance
-    at = fit if near is None else _steadied(scene, fit, near, error)
-    if noise is not None:
-        drawn = at.gain @ noise.columns(at.readings.value[None], baseline=near is None)
-        error = error + drawn @ drawn.T
-    unit = replace(sizes, reading_error=1.0)
-    groups = (HIDDEN_ERRORS, (READING_ERROR,), KNOWN_ERRORS)
-    columns = (error_columns(errors, at.network, at.readings.value, scene, unit) for errors in groups)
-    return [error, *map(at.response, columns)]
-
-
 @dataclass(frozen=True, eq=False)
-class CellChanges:
-    """Changes of the log cells from the unloaded panel to the frames, n = frames · cells.
+class SharedChanges:
+    """Changes of the log cells from the unloaded panel to the frames, n = frames · cells, by the size e of errors.
 
     Attributes
     ----------
@@ -129,7 +102,7 @@ class CellChanges:
         d, frame by frame.
     noise : array, shape (n, n)
         Covariance of d over still cells, without hidden errors.
-    a, own : array, shapes (n, k) and (n, cells)
+    hidden, own : array, shapes (n, k) and (n, cells)
         Response of d to hidden errors, and to each reading's own error of size 1.
     reach : float
         Median standard deviation of log r of the unloaded cells if e = 1.
@@ -137,78 +110,78 @@ class CellChanges:
 
     change: Array
     noise: Array
-    a: Array
+    hidden: Array
     own: Array
     reach: float
 
-    @classmethod
-    def of(
-        cls, scene: Scene, resting: CellsFit, frames: Readings, sizes: Systematic, noise: FrameNoise | None
-    ) -> "CellChanges | None":
-        """Return the changes from the unloaded panel to the frames; None where the fit of a frame fails.
+    def changes(self, size: float) -> Changes:
+        """Return the changes with hidden errors and each reading's own error; `size` is e."""
+        return Changes(self.change, self.noise, np.hstack([self.hidden, size * self.own]) if size else self.hidden)
 
-        Parameters
-        ----------
-        scene : Scene
-        resting : CellsFit
-            Fit of the unloaded panel.
-        frames : Readings
-            (frames, rows, columns).
-        sizes : Systematic
-        noise : FrameNoise or None
-        """
-        if not resting.small:
+
+def shared_changes(
+    scene: Scene, resting: CellsFit, frames: Readings, sizes: Systematic, noise: FrameNoise | None
+) -> SharedChanges | None:
+    """Return the changes from the unloaded panel to the frames; None where the fit of a frame fails.
+
+    Parameters
+    ----------
+    scene : Scene
+    resting : CellsFit
+        Fit of the unloaded panel.
+    frames : Readings
+        (frames, rows, columns).
+    sizes : Systematic
+        Standard deviations of the errors.
+    noise : FrameNoise or None
+        Errors that the readings of a frame share.
+    """
+    if not resting.small:
+        return None
+    unit = replace(sizes, reading_error=1.0)
+
+    def linearised(fit: CellsFit, error: Array, *, baseline: bool) -> list[Array]:
+        """Return the covariance of the log cells, and their response K U to hidden, own and known errors."""
+        if noise is not None:
+            drawn = fit.gain @ noise.columns(fit.readings.value[None], baseline=baseline)
+            error = error + drawn @ drawn.T
+        groups = (HIDDEN_ERRORS, (READING_ERROR,), KNOWN_ERRORS)
+        columns = (error_columns(errors, fit.network, fit.readings.value, scene, unit) for errors in groups)
+        return [error, *map(fit.response, columns)]
+
+    base = linearised(resting, resting.covariance, baseline=True)
+    size, count, change, parts = resting.cells.size, len(frames.value), [], []
+    # All changes share the error of the unloaded panel; every frame adds its own error, creep and a common change.
+    covariance = np.tile(base[0], (count, count))
+    for number in range(count):
+        frame = frames[number]
+        fit = fitted(scene, frame, resting.cells) or fitted(scene, frame, patient=True)
+        if fit is None or not fit.small:
             return None
-        base, size, count = _of_frame(scene, resting, None, sizes, noise), resting.cells.size, len(frames.value)
-        change, parts = [], []
-        for number in range(count):
-            frame = frames[number]
-            fit = fitted(scene, frame, resting.cells) or fitted(scene, frame, patient=True)
-            if fit is None or not fit.small:
-                return None
-            error, *columns = _of_frame(scene, fit, resting.cells, sizes, noise)
-            change.append(np.log(fit.cells / resting.cells).ravel())
-            parts.append([error, *(of_frame - at_rest for of_frame, at_rest in zip(columns, base[1:], strict=True))])
-        # All changes share the error of the unloaded panel; every frame adds its own error, creep and a common change.
-        covariance = np.tile(base[0], (count, count))
-        for number, (error, *_) in enumerate(parts):
-            part = slice(number * size, (number + 1) * size)
-            covariance[part, part] += error + ASSUMED.creep**2 * np.eye(size) + ASSUMED.common_change**2
-        hidden, own, known = (np.vstack(columns) for columns in list(zip(*parts, strict=True))[1:])
-        reach = float(np.median(np.linalg.norm(base[2], axis=1)))
-        return cls(np.concatenate(change), covariance + known @ known.T, hidden, own, reach)
+        error, *columns = linearised(_steadied(scene, fit, resting.cells), fit.covariance, baseline=False)
+        change.append(np.log(fit.cells / resting.cells).ravel())
+        parts.append([of_frame - at_rest for of_frame, at_rest in zip(columns, base[1:], strict=True)])
+        part = slice(number * size, (number + 1) * size)
+        covariance[part, part] += error + ASSUMED.creep**2 * np.eye(size) + ASSUMED.common_change**2
+    hidden, own, known = map(np.vstack, zip(*parts, strict=True))
+    reach = float(np.median(np.linalg.norm(base[2], axis=1)))
+    return SharedChanges(np.concatenate(change), covariance + known @ known.T, hidden, own, reach)
 
-    def columns(self, size: float) -> Array:
-        """Return the response of d to standard normal errors, (n, k + cells); `size` is e."""
-        return np.hstack([self.a, size * self.own]) if size else self.a
 
-    def covariance(self, size: float) -> Array:
-        """Return the covariance of d over still cells, noise + a aᵀ + e² own ownᵀ; `size` is e."""
-        columns = self.columns(size)
-        return np.asarray(self.noise + columns @ columns.T)
+def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen]:
+    """Return −2 ln evidence, and the still cells.
 
-    def cost_of(self, still: Chosen, size: float) -> float:
-        """Return −2 ln likelihood of the changes of the still cells alone; `size` is e."""
-        covariance, change = self.covariance(size)[np.ix_(still, still)], self.change[still]
-        return float(change @ np.linalg.solve(covariance, change) + np.linalg.slogdet(covariance)[1])
-
-    def still(self, size: float, begun: Chosen | None = None) -> tuple[float, Chosen]:
-        """Return −2 ln evidence of an error, and the still cells.
-
-        Parameters
-        ----------
-        size : float
-            e.
-        begun : boolean array, shape (n,), optional
-            Still cells that the search begins with; by default the half that changed least. Other starts are not
-            tried, because a shared error may explain a smooth load as well as moved cells do.
-        """
-        away = np.abs(self.change - np.median(self.change))
-        begun = away <= np.median(away) if begun is None else begun
-        precision, volume = inverse_and_volume(self.covariance(size))
-        slope = precision @ self.change
-        score, moved = select_changed(slope, precision, [~begun], np.abs(self.change) >= LOADED_CHANGE)
-        return score + float(self.change @ slope) - volume, ~moved
+    Parameters
+    ----------
+    changes : Changes
+    begun : boolean array, shape (n,), optional
+        Still cells that the search begins with; by default the half that changed least. Other starts are not tried,
+        because a shared error may explain a smooth load as well as moved cells do.
+    """
+    away = np.abs(changes.change - np.median(changes.change))
+    begun = away <= np.median(away) if begun is None else begun
+    score, moved = changes.selected([~begun], np.abs(changes.change) >= LOADED_CHANGE)
+    return score, ~moved
 
 
 def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
@@ -218,7 +191,7 @@ def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
     return np.kron(np.eye(frames), ASSUMED.skirt**2 * np.exp(-square / (2 * ASSUMED.skirt_cells**2)))
 
 
-def _error_costs(moves: CellChanges) -> tuple[Array, Chosen]:
+def _error_costs(moves: SharedChanges) -> tuple[Array, Chosen]:
     """Return −2 ln evidence of e = 0 and of READING_ERRORS, (1 + errors,), and the still cells of the most probable e.
 
     Every second error is computed, and the others are interpolated; each search begins with the still cells of the
@@ -227,7 +200,7 @@ def _error_costs(moves: CellChanges) -> tuple[Array, Chosen]:
     sizes = [0.0, *(size for size in READING_ERRORS[2::2] if size * moves.reach <= LINEAR_LIMIT)]
     costs, selections, start = list[float](), list[Chosen](), None
     for size in sizes:
-        cost, start = moves.still(size, start)
+        cost, start = _still(moves.changes(size), start)
         costs.append(cost)
         selections.append(start)
     between = np.interp(np.log(READING_ERRORS), np.log(sizes[1:]), costs[1:])
@@ -240,31 +213,7 @@ def _mean_square(costs: Array) -> float:
     return float(np.sqrt(odds @ np.square(READING_ERRORS) / odds.sum()))
 
 
-def _possible(moves: CellChanges, size: float, shape: tuple[int, ...]) -> Array:
-    """Return a lower triangular root of E[z zᵀ] given the still cells, where z are all standard normal errors.
-
-    Neighbours of moved cells are left out, because a load has a skirt.
-
-    Parameters
-    ----------
-    moves : CellChanges
-    size : float
-        e.
-    shape : tuple of int
-        Rows and columns.
-    """
-    still = away_from_changed(moves.still(size)[1], shape)
-    part = moves.columns(size)[still]
-    # posterior of z ~ N(0, 1) given d_s = A z + noise with total covariance C: mean Aᵀ C⁻¹ d_s, covariance 1 − Aᵀ C⁻¹ A
-    weight = np.linalg.solve(moves.covariance(size)[np.ix_(still, still)], part)
-    mean = weight.T @ moves.change[still]
-    second = np.eye(len(mean)) - part.T @ weight + np.outer(mean, mean)
-    values, vectors = np.linalg.eigh((second + second.T) / 2)
-    # Lower triangular: the columns behind those of common errors are the readings' own errors beside them.
-    return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T)
-
-
-def _steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFit:
+def _steadied(scene: Scene, fit: CellsFit, near: Array) -> CellsFit:
     """Return the fit with the cells that did not clearly move set to the unloaded ones, and their model readings.
 
     The linearisation of frames and unloaded panel then agrees for still cells, whatever the noise.
@@ -275,12 +224,10 @@ def _steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFi
     fit : CellsFit
     near : array, shape (rows, columns)
         Unloaded cells, ohm; a common factor on all cells remains.
-    error : array, shape (cells, cells)
-        Covariance of the log cells.
     """
     change = np.log(fit.cells / near)
     middle = np.median(change)
-    moved = np.abs(change - middle) > UNUSUAL * np.sqrt(2 * np.diag(error)).reshape(change.shape)
+    moved = np.abs(change - middle) > UNUSUAL * np.sqrt(2 * np.diag(fit.covariance)).reshape(change.shape)
     data = cells_alone().data(fit.readings.alone(), Background(scene))
     cells = np.where(moved, fit.cells, near * np.exp(middle))
     return CellsFit.at(scene, data, replace(fit.readings, value=data.network(0, cells).reading()), cells)

@@ -108,12 +108,12 @@ def test_motion_widens_the_noise_of_swept_readings_and_counts_frames_that_it_exc
     readings = Readings(value, nothing + 4.0, nothing, nothing + 1)
     seen = NoiseEstimate(nothing.astype(bool), (), readings)
     measured = np.arange(1, 4)
-    moved = 0.5 * np.abs(steps_within_scan(scene, readings, measured)).max(axis=0)
-    widened = seen.with_motion(scene, 0.5, measured)
+    moved = np.abs(steps_within_scan(scene, readings, measured)).max(axis=0)
+    widened = seen.with_motion(scene, measured)
     np.testing.assert_allclose(widened.readings.sigma, np.hypot(4.0, moved))
     exceeded = int(np.sum(np.sqrt(np.mean(moved**2, axis=(1, 2))) > 4.0))
     assert exceeded == 2 and "in 2 frames" in widened.sentence
-    assert moved[3].any() and seen.with_motion(scene, 0.0, measured) is seen
+    assert moved[3].any() and widened.in_motion
 
 
 def test_absolute_losses_are_smoothed_by_the_root_of_squares_less_its_width() -> None:
