@@ -32,6 +32,7 @@ from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, SIGNIFICANT
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.observation import patch_of
 from lampest.panel.panel import Array, Modules
+from lampest.panel.readouts.lines import of_side
 from lampest.posterior.interval import largest_of
 from lampest.recording.readings import Readings, mean_change, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -387,8 +388,13 @@ class Explanation:
 
     def may_have_series(self, question: Question) -> bool:
         """Return whether another resistance in series may explain the readings better, by linear theory."""
-        most = most_in_series(self.rival, question)
-        return bool(most) and self.pair is not None and self.pair.gain_in_series(most) > MIN_EVIDENCE_GAIN / 2
+        pair, most = self.pair, most_in_series(self.rival, question)
+        if pair is None or not most:
+            return False
+        # an error of all driven lines alike, with the standard deviation `most`
+        driven, _ = of_side(self.rival.scene.circuit.noisy_side, *np.split(pair.channels.T, pair.shape[:1]))
+        in_series = pair.explained(most * driven.sum(axis=0)[:, None])
+        return pair.evidence.score - in_series.score > MIN_EVIDENCE_GAIN / 2
 
 
 def better_rival(question: Question, specified: Explanation | None) -> BetterExplanation:
@@ -404,7 +410,9 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
     """
     if specified is not None:
         pair = specified.pair
-        if pair is None or pair.median_sd > MAX_CELL_SD or pair.beyond_noise < MIN_EVIDENCE_GAIN:
+        if pair is None or pair.beyond_noise < MIN_EVIDENCE_GAIN:
+            return BetterExplanation()
+        if np.median([np.sqrt(np.diag(fit.covariance)) for fit in specified.fits]) > MAX_CELL_SD:
             return BetterExplanation()
     change = changes_beyond_noise(question.specified.scene, question.specified.readings(), question.role)
     rivals = rivals_of(question.specified, reversed_too=bool(change.max(initial=0.0) > -change.min(initial=0.0)))

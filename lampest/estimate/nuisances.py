@@ -30,7 +30,6 @@ from lampest.estimate.changed_cells import (
 from lampest.files.levels import SIGNIFICANCE, SIGNIFICANT
 from lampest.panel.effects import EFFECTS, Effect, LooseContact
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import of_side
 from lampest.panel.systematic import systematic_of
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MIN_CHANGE
@@ -79,12 +78,6 @@ class BetterExplanation:
         return f"between the unloaded panel and {self.frames} {counts}"
 
 
-def candidates(shape: tuple[int, ...]) -> list[Effect]:
-    """Return all effects that are tried on a panel: those since the unloaded frames, then the constant ones."""
-    rows, columns = shape
-    return [kind(lines, since) for since in (True, False) for kind in EFFECTS for lines in kind.places(rows, columns)]
-
-
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """Evidence of a pair of frames under given effects.
@@ -106,14 +99,10 @@ class Evidence:
     sd: Array
 
 
-def _small(effect: Effect) -> Effect:
-    """Return the effect with the size of a secant's step, as a constant one."""
-    return replace(effect, since=False, size=SECANT_STEP * effect.prior)
-
-
 def responses(fit: CellsFit, effects: Sequence[Effect]) -> Array:
     """Return the response K U of the log cells to a unit of each θ, (cells, effects), by secants."""
-    small = [_small(effect) for effect in effects]
+    # An effect of the size of the secant's step; constant ones and those since the unloaded frames respond alike.
+    small = [replace(effect, since=False, size=SECANT_STEP * effect.prior) for effect in effects]
     each = {effect: fit.more(effect) / SECANT_STEP for effect in dict.fromkeys(small)}
     return fit.response(np.stack([each[effect] for effect in small]))
 
@@ -243,11 +232,6 @@ class FittedPair:
         # p(y) = p(d) |∂d/∂y|: −2 ln p(y) has ln |Jᵀ J| = ln |normal| and ln |Σ| more than the quadratic form of d
         return self.evidence.score + float(np.linalg.slogdet(self.frames[1].normal)[1]) + self._volume
 
-    @property
-    def median_sd(self) -> float:
-        """Median standard deviation of the log cells of both frames."""
-        return float(np.median([np.sqrt(np.diag(fit.covariance)) for fit in self.frames]))
-
     @cached_property
     def _misfit(self) -> tuple[float, int]:
         """χ² of the changes of the still cells, and the number of these cells."""
@@ -265,19 +249,6 @@ class FittedPair:
         """Misfit of the still cells over that of noise alone, at least 1."""
         misfit, still = self._misfit
         return max(misfit / max(still, 1), 1.0)
-
-    def gain_in_series(self, most: float) -> float:
-        """Return the gain of −2 ln evidence by another resistance in series with the standard deviation `most`, ohm."""
-        circuit, (rows, _) = self.frames[1].scene.circuit, self.shape
-        driven, _ = of_side(circuit.noisy_side, *np.split(self.channels.T, [rows]))
-        return self.evidence.score - self.explained(most * driven.sum(axis=0)[:, None]).score
-
-    def off_by_one(self, score: float) -> bool:
-        """Return whether the error of a single reading reaches a lower score than `score`.
-
-        An outlier in the frame in which a load arrives is hard to detect in time.
-        """
-        return bool(np.any(self.scores_with((), LooseContact.prior * self.frames[1].gain) < score))
 
     def _stepped(self, effects: Sequence[Effect], step: Array) -> "FittedPair | None":
         """Return the pair after a step of the effects' sizes; None where no cells explain the readings then.
@@ -400,11 +371,13 @@ def find_effects(pairs: Sequence[tuple[str, FittedPair]]) -> CircuitEffects:
         whole, certain = _grown(pair)
         gain = pair.evidence.score - whole.evidence.score
         # An effect counts if most cells stand still with it, and neither a load's edge nor one wrong reading explains
-        # as much.
+        # as much: an outlier in the frame in which a load arrives is hard to detect in time.
         if not (gain > most and mostly_still(whole.moved)):
             continue
-        beside = any(_beside_a_load(effect, whole.moved) for effect in whole.effects)
-        if beside or pair.off_by_one(whole.evidence.score + MIN_EVIDENCE_GAIN):
+        off_by_one = pair.scores_with((), LooseContact.prior * pair.frames[1].gain).min()
+        if off_by_one < whole.evidence.score + MIN_EVIDENCE_GAIN:
+            continue
+        if any(_beside_a_load(effect, whole.moved) for effect in whole.effects):
             continue
         most, fits_noise = gain, min(fit.tail for fit in whole.frames) >= SIGNIFICANCE
         names = " and ".join(effect.sentence(pair.shape[0]) for effect in whole.effects)
@@ -439,7 +412,9 @@ def _grown(pair: FittedPair) -> tuple[FittedPair, FittedPair]:
 
 def _tried(pair: FittedPair) -> Iterator[FittedPair]:
     """Generate the pairs with one more effect, for the MAX_CANDIDATES best ones of linear theory."""
-    effects = candidates(pair.shape)
+    rows, columns = pair.shape
+    # All effects since the unloaded frames, then the constant ones.
+    effects = [kind(line, since) for since in (True, False) for kind in EFFECTS for line in kind.places(rows, columns)]
     scores = pair.scores_with(pair.effects, pair.columns(effects))
     for number in np.argsort(scores)[:MAX_CANDIDATES]:
         if scores[number] > pair.evidence.score - PARAMETER_COST:

@@ -71,12 +71,10 @@ def detect_outliers(
     outlying &= (outlying.mean(axis=(-2, -1), keepdims=True) <= max_share) & (len(value) >= MIN_FRAMES)
     if not outlying.any():
         return outlying, value, np.zeros(value.shape)
-    middles, spreads = (np.stack([prediction[part] for prediction in expected]) for part in (0, 1))
     # The prediction with the smaller scatter is used; its disagreement with the other one adds to its uncertainty.
-    nearest = np.where(spreads[-1] < spreads[0], len(expected) - 1, 0)[None]
-    middle, spread = (np.take_along_axis(part, nearest, axis=0)[0] for part in (middles, spreads))
-    apart = np.abs(middles - middle).max(axis=0)
-    return outlying, middle, np.hypot(spread, np.nan_to_num(apart))
+    (middle, spread, _), (line, line_spread, _) = expected[0], expected[-1]
+    nearer, apart = line_spread < spread, np.nan_to_num(np.abs(line - middle))
+    return outlying, np.where(nearer, line, middle), np.hypot(np.where(nearer, line_spread, spread), apart)
 
 
 def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:

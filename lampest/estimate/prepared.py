@@ -110,18 +110,16 @@ class Prepared:
 
     @cached_property
     @ONE_BLAS_THREAD
-    def question(self) -> Question | None:
-        """The frames of a single network that its circuit has to explain; None where arithmetic breaks down."""
-        with suppress(*BROKEN), np.errstate(all="ignore"):
-            return Question.of(self.cleaned.recording, self.cleaned.outliers)
-        return None
+    def question(self) -> Question:
+        """The frames of a single network that its circuit has to explain. Raises the errors of `BROKEN`."""
+        return Question.of(self.cleaned.recording, self.cleaned.outliers)
 
     @cached_property
     @ONE_BLAS_THREAD
     def effects(self) -> CircuitEffects:
         """Effects beside the circuit of a single network."""
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            if self.cleaned.readings.sigma is not None and self.question is not None:
+            if self.cleaned.readings.sigma is not None:
                 return self.question.effects()
         return CircuitEffects()
 
@@ -140,10 +138,9 @@ class Prepared:
         if self.cleaned.readings.sigma is None:
             return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            if self.question is not None:
-                check, count = self.question.check(self.effects), int(self.cleaned.outliers.sum())
-                left_out = f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""
-                return replace(check, sentence=check.sentence + left_out)
+            check, count = self.question.check(self.effects), int(self.cleaned.outliers.sum())
+            left_out = f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""
+            return replace(check, sentence=check.sentence + left_out)
         return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
 
     def _module(self, number: int) -> "Prepared":

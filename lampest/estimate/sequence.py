@@ -322,18 +322,14 @@ class Parts:
 
 def check_by_parts(estimator: Estimator, stored: StoredRecording) -> None:
     """Raise InputError where an estimator, or the pressures of a scene, need all frames of a long recording at once."""
-    reason = ""
-    if estimator.method.needs_all_frames:
-        reason = f"formulation: {estimator.method.kind} estimates all frames together"
-    elif stored.scene.film is not None:
-        reason = "film: what it remembers is followed through all frames"
-    elif estimator.tare is not None:
-        reason = "tare: zero is followed through all frames"
-    if reason:
-        raise InputError(
-            f"{reason}, and {stored.frames} frames of {stored.scene.panel.crossings} cells are more than is held at "
-            "once; split the recording"
-        )
+    reasons = {
+        f"formulation: {estimator.method.kind} estimates all frames together": estimator.method.needs_all_frames,
+        "film: what it remembers is followed through all frames": stored.scene.film is not None,
+        "tare: zero is followed through all frames": estimator.tare is not None,
+    }
+    if reason := next((reason for reason, holds in reasons.items() if holds), ""):
+        size = f"{stored.frames} frames of {stored.scene.panel.crossings} cells"
+        raise InputError(f"{reason}, and {size} are more than is held at once; split the recording")
 
 
 def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:

@@ -85,19 +85,13 @@ def test_penalties_do_not_see_broken_cells(terms: tuple[Term, ...]) -> None:
     assert np.all(estimate.cell_resistance[:, others] < 1e5)
 
 
-@pytest.mark.slow
-def test_unknown_open_cell_is_flagged() -> None:
+def test_unknown_open_cells_and_shorts_are_flagged() -> None:
+    """A reading of zero within its noise is a bound, and the cell behind it ends at the least that bounds allow."""
     truth = cells()
     truth[:, 1, 2] = np.inf
     estimate = reconstruct(recording(truth), Estimator(LSM, formulation="reduced"))
     flags = np.stack([step.solution.open_cell[-1] for step in estimate.steps])
-    assert np.all(flags[:, 1, 2])
-    assert flags.sum() == len(flags)
-
-
-@pytest.mark.slow
-def test_unknown_short_is_flagged() -> None:
-    """A reading of zero within its noise is a bound, and the cell behind it ends at the least that bounds allow."""
+    assert np.all(flags[:, 1, 2]) and flags.sum() == len(flags)
     truth = cells()
     truth[:, 4, 5] = 1e-3
     estimate = reconstruct(recording(truth), Estimator((Misfit(), CellResistance(weight=1e-9)), formulation="reduced"))
@@ -106,30 +100,22 @@ def test_unknown_short_is_flagged() -> None:
         assert step.solution.cell_resistance[-1][4, 5] < 10 * SIGMA
 
 
-@pytest.mark.slow
-def test_saturated_codes_are_bounds() -> None:
+def test_saturated_codes_and_readings_below_the_series_resistance_are_bounds() -> None:
     """One row far above what 4 bits can tell: its readings bound it from below and do not pull it down to the rail."""
     readout = TwoPointReadout(adc_bits=4, noise_lsb=0.0, readings=1, reference_ohm=100.0)
     truth = np.full((2, *SHAPE), 500.0)
     truth[:, 0] = 1e5
-    made = recording(truth, readout=readout)
-    least, largest = readout.rails()
+    made, (least, largest) = recording(truth, readout=readout), readout.rails()
     made = replace(made, recorded=np.where(made.resistance > largest, 10 * largest, made.resistance))
-    readings = made.readings()
-    beyond = made.resistance > largest
+    readings, beyond = made.readings(), made.resistance > largest
     assert np.array_equal(beyond, truth == 1e5)
-    assert np.all(readings.side[beyond] == AT_LEAST)
-    assert np.all(readings.value[beyond] == largest)
+    assert np.all(readings.side[beyond] == AT_LEAST) and np.all(readings.value[beyond] == largest)
     low = replace(made, recorded=np.full_like(made.resistance, least / 2))
     assert np.all(low.readings().side == AT_MOST)
     estimate = reconstruct(made, Estimator(LSM, bounds=Bounds(upper="none"), formulation="reduced"))
-    model = estimate.steps[0].solution.reading[-1]
-    assert estimate.steps[0].solution.solved
-    assert np.all(model[beyond[1]] >= largest * (1 - 1e-6))
-
-
-def test_readings_below_the_series_resistance_are_bounds() -> None:
-    """However far below: they say that the cells are small, not how small."""
+    solution = estimate.steps[0].solution
+    assert solution.solved and np.all(solution.reading[-1][beyond[1]] >= largest * (1 - 1e-6))
+    # Readings below the series resistance, however far, say that the cells are small, not how small.
     made = recording(cells())
     wrong = replace(made, scene=replace(made.scene, series_resistance_ohm=float(made.resistance.max()) * 2))
     readings = wrong.readings()
@@ -218,12 +204,9 @@ def test_the_valley_is_followed_to_where_a_held_cell_leads(side: int) -> None:
 @pytest.mark.parametrize("term", [lampest.Gradient(), lampest.RelativeChange()])
 def test_a_missing_reading_does_not_choose_the_weight(term: object) -> None:
     """The penalty decides an unread cell whatever its weight; that it does was taken for a fault of the weight."""
-    weights = []
-    for missing in (0, 2):
-        estimate = lampest.reconstruct(
-            with_holes(3, missing), [lampest.Misfit(weighting="noise"), term], formulation="reduced"
-        )
-        weights.append(estimate.steps[0].weights[1])
+    terms = [lampest.Misfit(weighting="noise"), term]
+    estimates = [lampest.reconstruct(with_holes(3, missing), terms, formulation="reduced") for missing in (0, 2)]
+    weights = [estimate.steps[0].weights[1] for estimate in estimates]
     assert abs(np.log10(weights[1] / weights[0])) < 1.2  # it was 1e-15
 
 

@@ -63,7 +63,7 @@ def test_same_seed_same_bytes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("across", ["reference", "sensor"])
-def test_scatter_of_readings_is_the_readouts_sigma(across: str) -> None:
+def test_scatter_of_readings_is_the_readouts_sigma_and_saturated_codes_stay_finite(across: str) -> None:
     readout = TwoPointReadout(measured_across=across)
     recording = simulate(plain(scene=Scene(Panel(3, 4), readout, 140.0), frames=400))
     sigma = readout.sigma(recording.resistance.mean(axis=0))
@@ -71,6 +71,9 @@ def test_scatter_of_readings_is_the_readouts_sigma(across: str) -> None:
     assert np.sqrt(np.mean((scatter / sigma) ** 2)) == pytest.approx(1, abs=0.04)
     exact = two_point_resistance(recording.truth_cell_resistance[0]) + 140
     assert np.max(np.abs(recording.resistance.mean(axis=0) - exact) / sigma) < 5 / np.sqrt(400)
+    resistance = readout.recorded_from_sums(np.array([0, readout.readings * 1023]), readout.readings)
+    assert np.all((resistance > 0) & np.isfinite(resistance))
+    np.testing.assert_allclose(readout.volt_from_recorded(resistance) * 1024 / 5, [0.5, 1023.5])
 
 
 def test_uniform_panel_without_electronics_is_exact_and_cells_are_log_normal() -> None:
@@ -98,15 +101,12 @@ def test_the_force_on_a_panel_is_that_of_the_load() -> None:
     np.testing.assert_allclose(contact[1] / contact[1, 0], [1, 0.5, 0], atol=0.01)
 
 
-def test_suction_decays_is_pumped_up_and_pulled_off() -> None:
+def test_a_mouth_breathes_and_suction_decays_is_pumped_up_and_pulled_off() -> None:
     course = Course(start_s=10, approach_s=2, attachment_s=3, pump_s=40, pump_loss=0.3, release_at_s=200, pull_off=0.5)
     contact, suction = course.contact_and_suction(np.array([14.99, 15, 35, 54.99, 56, 75, 199.99, 200]))
     expected = [1, 1, 0.7**0.5, 0.7, 0.7 ** (1 / 40), 0.7**0.5, 1.5 * 0.7 ** (24.99 / 40), 0]
     np.testing.assert_allclose(suction, expected, rtol=1e-3)
     np.testing.assert_allclose(contact[:-1], 1)
-
-
-def test_course_of_a_lamprey() -> None:
     breathing = {"breathing_hz": 0.5, "breathing_depth": 0.1, "release_at_s": 10, "release_s": 2}
     course = Course(start_s=1, approach_s=2, attachment_s=2, **breathing)
     contact, suction = course.contact_and_suction(np.array([0.0, 1.0, 2.0, 3.0, 5.0, 6.5, 7.5, 11.0, 12.0]))
@@ -174,23 +174,6 @@ def test_one_effect_does_not_change_the_draws_of_another() -> None:
     assert 0.7 < (noisy.raw_sums == hit.raw_sums).mean() < 1
 
 
-def test_reference_tolerance_scales_what_the_divider_gives() -> None:
-    quiet = TwoPointReadout(adc_bits=30, noise_lsb=0, readings=1)
-    scene = Scene(Panel(3, 4), quiet, 140.0)
-    ratio = simulate(plain(scene=scene, unmodelled=Unmodelled(reference_tolerance=0.01))).resistance
-    ratio = ratio / simulate(plain(scene=scene)).resistance
-    np.testing.assert_allclose(ratio, ratio[0, 0, 0], rtol=1e-6)
-    assert 0 < abs(ratio[0, 0, 0] - 1) < 0.0102
-
-
-def test_saturated_codes_stay_finite() -> None:
-    for across in ("reference", "sensor"):
-        readout = TwoPointReadout(measured_across=across)
-        resistance = readout.recorded_from_sums(np.array([0, readout.readings * 1023]), readout.readings)
-        assert np.all((resistance > 0) & np.isfinite(resistance))
-        np.testing.assert_allclose(readout.volt_from_recorded(resistance) * 1024 / 5, [0.5, 1023.5])
-
-
 def test_raw_sums_only_where_sixteen_bits_hold_them() -> None:
     sums = np.array([[65535]])
     assert raw_sums(TwoPointReadout(adc_bits=16, readings=1), sums).dtype == np.uint16
@@ -218,8 +201,15 @@ def volt(recording: Recording) -> Array:
 
 
 def test_effects_are_as_large_as_they_are_told() -> None:
-    """Noise, a gain of each frame, errors of readings that all frames share, a stage that clips, a common drift."""
+    """Noise, a gain of each frame, errors of readings that all frames share, a stage that clips, a common drift, a
+    reference that is off, and wire as if a scene told it."""
     clean = with_effects()
+    ratio = with_effects(reference_tolerance=0.01).recorded / clean.recorded
+    np.testing.assert_allclose(ratio, ratio[0, 0, 0], rtol=2e-6)
+    assert 0 < abs(ratio[0, 0, 0] - 1) < 0.0102
+    scene, wired = Scene(Panel(10, 10), EXACT, lines=Lines(0.5, 0.5)), with_effects(wire_ohm_per_cell=0.5)
+    told = simulate(Simulation(1, 5, scene, baseline_frames=6, frames=6, loads=(ROD,)))
+    assert np.allclose(wired.recorded, told.recorded, rtol=1e-9) and wired.scene.lines is None
     assert np.array_equal(clean.recorded, with_effects(supply_ripple_hz=50.0).recorded), "an absent effect"
     coarse = TwoPointReadout(adc_bits=16, readings=1, noise_lsb=5.0)
     silent = volt(with_effects(replace(coarse, noise_lsb=0.0)))
@@ -253,12 +243,6 @@ def test_inl_is_a_curve_of_the_voltage_alone_and_as_large_as_told() -> None:
     assert 0.1 * 2e4 < np.abs(error).max() <= 1.001 * 2e4
     steps = np.diff(straight.ravel()[order])
     assert np.all(np.abs(np.diff(error)) <= 2e4 * 15 * steps + 2)  # smooth: at most 4π and some, over the range
-
-
-def test_wire_is_that_of_a_scene_that_tells_it() -> None:
-    scene, wired = Scene(Panel(10, 10), EXACT, lines=Lines(0.5, 0.5)), with_effects(wire_ohm_per_cell=0.5)
-    told = simulate(Simulation(1, 5, scene, baseline_frames=6, frames=6, loads=(ROD,)))
-    assert np.allclose(wired.recorded, told.recorded, rtol=1e-9) and wired.scene.lines is None
 
 
 def test_films_answer_less_and_each_otherwise() -> None:

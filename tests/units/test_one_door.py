@@ -70,12 +70,8 @@ def samples_of(recording: Recording) -> list[Sample]:
     converter = {"adc_bits": readout.adc_bits, "measured_across": readout.measured_across}
     further = times | circuit | converter
     hello = Hello(rows, columns, readout.readings, *(16, 16, 64), firmware=(1, 0), running=True, **further)
-    return [
-        Sample(
-            Frame(readout.readings, number, 1000 * number, 0, sums), hello, recording.scene, float(number), 0.0, 0, 0
-        )
-        for number, sums in enumerate(recording.raw_sums)
-    ]
+    frames = (Frame(readout.readings, at, 1000 * at, 0, sums) for at, sums in enumerate(recording.raw_sums))
+    return [Sample(frame, hello, recording.scene, float(frame.sequence), 0.0, 0, 0) for frame in frames]
 
 
 def own_loop(recording: Recording, estimator: Estimator) -> tuple[Array, Array]:
@@ -194,16 +190,6 @@ def test_no_value_is_refused(wrong: float, scene: Scene, seen: float, side: floa
         assert readings.value[0, 3, 5] == (580.0 if side == AT_LEAST else 560.0)
 
 
-def test_a_reading_whose_noise_is_not_finite_and_a_frame_of_holes_say_nothing() -> None:
-    holes = Readings.of(WHOLE, np.full(SHAPE, np.nan))
-    assert not holes.seen.any() and np.all(holes.value == 1)
-    sigma = np.full(SHAPE, 2.0)
-    sigma[1, 1], sigma[2, 2] = np.nan, np.inf
-    readings = Readings.of(WHOLE, np.full(SHAPE, 700.0), sigma)
-    assert_array_equal(readings.seen == 0, ~np.isfinite(sigma))
-    assert readings.sigma is not None and np.all(np.isfinite(readings.sigma))
-
-
 def test_the_mean_is_over_what_says_something() -> None:
     """A hole in one unloaded frame leaves the others; one wild bound does not outvote values; noise cut off does."""
     top = WHOLE.circuit.rails()[1]
@@ -225,6 +211,13 @@ def test_the_mean_is_over_what_says_something() -> None:
 
 
 def test_sigma_is_the_given_one_else_that_of_the_readout_else_unknown() -> None:
+    """A reading whose σ is not finite says nothing, nor does a frame of holes."""
+    holes, sigma = Readings.of(WHOLE, np.full(SHAPE, np.nan)), np.full(SHAPE, 2.0)
+    assert not holes.seen.any() and np.all(holes.value == 1)
+    sigma[1, 1], sigma[2, 2] = np.nan, np.inf
+    readings = Readings.of(WHOLE, np.full(SHAPE, 700.0), sigma)
+    assert_array_equal(readings.seen == 0, ~np.isfinite(sigma))
+    assert readings.sigma is not None and np.all(np.isfinite(readings.sigma))
     resistance = np.full((2, *SHAPE), 700.0)
     told, unknown = Readings.of(WHOLE, resistance), Readings.of(replace(WHOLE, readout=None), resistance)
     assert told.sigma is not None and np.all(told.sigma > 0) and unknown.sigma is None

@@ -1,9 +1,12 @@
 """The preparation of a recording."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,12 +26,12 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The steps of a preparation, in the order in which they were taken."""
     taken: list[str] = []
 
-    def counted(name: str) -> None:
-        step = getattr(preparation, name)
-        monkeypatch.setattr(preparation, name, lambda *given: (taken.append(name), step(*given))[1])
+    def counted(name: str, step: Callable[..., Any], *given: Any) -> Any:
+        taken.append(name)
+        return step(*given)
 
     for name in STEPS:
-        counted(name)
+        monkeypatch.setattr(preparation, name, partial(counted, name, getattr(preparation, name)))
     return taken
 
 
@@ -48,11 +51,9 @@ def test_a_check_that_explains_adds_the_numbers_that_no_frame_shows() -> None:
     for explains, taken in product((True, False, None), (recording, silent)):
         prepared = Prepared(taken)
         prepared.__dict__["_check"] = ModelCheck(explains, "as it stands")
+        added = "; no frame shows the numbers" if explains and taken is recording else ""
         sentence = prepared.check.sentence
-        if explains and taken is recording:
-            assert sentence.startswith("as it stands; no frame shows the numbers")
-        else:
-            assert sentence == "as it stands"
+        assert sentence.startswith(f"as it stands{added}") and bool(added) == (sentence != "as it stands")
 
 
 def test_what_is_no_recording_is_refused() -> None:
