@@ -78,6 +78,12 @@ class BetterExplanation:
         return f"between the unloaded panel and {self.frames} {counts}"
 
 
+def candidates(shape: tuple[int, ...]) -> list[Effect]:
+    """Return all effects that are tried on a panel: those since the unloaded frames, then the constant ones."""
+    rows, columns = shape
+    return [kind(lines, since) for since in (True, False) for kind in EFFECTS for lines in kind.places(rows, columns)]
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """Evidence of a pair of frames under given effects.
@@ -412,9 +418,7 @@ def _grown(pair: FittedPair) -> tuple[FittedPair, FittedPair]:
 
 def _tried(pair: FittedPair) -> Iterator[FittedPair]:
     """Generate the pairs with one more effect, for the MAX_CANDIDATES best ones of linear theory."""
-    rows, columns = pair.shape
-    # All effects since the unloaded frames, then the constant ones.
-    effects = [kind(line, since) for since in (True, False) for kind in EFFECTS for line in kind.places(rows, columns)]
+    effects = candidates(pair.shape)
     scores = pair.scores_with(pair.effects, pair.columns(effects))
     for number in np.argsort(scores)[:MAX_CANDIDATES]:
         if scores[number] > pair.evidence.score - PARAMETER_COST:

@@ -90,8 +90,8 @@ def prepared_row(recording: lp.Recording) -> dict[str, Any]:
     return {
         "warnings": prepared.warnings, "noise": noise.summary, "shared": noise.shared_sizes,
         "value": noise.readings.value, "sigma": noise.readings.sigma, "side": noise.readings.side,
-        "factors": [noise.sigma_factor, noise.model_factor, noise.scan_share],
-        "outliers": [noise.outliers, noise.outlier_rate], "corrections": noise.corrections,
+        "factors": [noise.sigma_factor, noise.model_factor, float(noise.in_motion)],
+        "outliers": noise.outliers, "corrections": noise.corrected_effects and noise.corrected_effects.corrections,
         "explains": check.explains,
         "check": [check.sentence, check.mark, check.better, check.common_change, check.noise],
         "known": known.sigma if isinstance(known, detection.Known) else known.why,
