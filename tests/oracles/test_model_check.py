@@ -14,7 +14,6 @@ from lampest import Misfit, OralDisc, Readings, Recording, Results, Scene, Simul
 from lampest.cli.results import compare as compare_command
 from lampest.estimate.cells_fit import fitted
 from lampest.estimate.prepared import Prepared
-from lampest.estimate.rivals import standing_frames
 from lampest.files.typed import members_of
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import AnyReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
@@ -298,14 +297,6 @@ def test_readings_that_say_nothing_or_little_do_not_blind_the_check() -> None:
 @pytest.mark.parametrize("readout", [DIVIDER, LOADED], ids=lambda readout: readout.kind)
 def test_what_scenes_tell_besides_is_no_fault_of_the_circuit(readout: Readout, besides: dict) -> None:
     assert Prepared(rod_on(Scene(PANEL, readout, **besides))).check.explains
-
-
-def test_frames_that_stand_are_taken_together_and_others_are_not() -> None:
-    random = np.random.default_rng(2)
-    value = 1000 + random.standard_normal((5, *SHAPE))
-    value[2] += 3.0
-    readings = Readings(value, np.ones_like(value), np.zeros_like(value), np.ones_like(value))
-    assert list(standing_frames(readings, 4, np.arange(5), 1.0)) == [0, 1, 3, 4]
 
 
 @pytest.fixture(scope="module")

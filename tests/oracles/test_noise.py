@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
-from lampest import Estimator, Gradient, Misfit, Readings, Readout, TwoPointReadout, Unmodelled, two_point_resistance
-from lampest.estimate.noise import scatter, steps_within_scan
+from lampest import Estimator, Gradient, Misfit, Readout, TwoPointReadout, Unmodelled, two_point_resistance
+from lampest.estimate.noise import scatter
 from lampest.estimate.outliers import detect_outliers
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
@@ -108,21 +107,6 @@ def test_leaps_are_seen_while_a_load_breathes() -> None:
         off += list((np.abs(instead - exact) / np.hypot(sigma, spread))[outlying & hit])
     assert found >= 4 * missed and false == 0
     assert np.mean(np.array(off) < 2) > 0.9
-
-
-def test_frame_noise_is_what_the_converter_would_see() -> None:
-    scene = Scene(Panel(3, 4), TwoPointReadout(), 140.0)
-    measured = np.random.default_rng(3).uniform(300, 900, (1, 3, 4))
-    noise = FrameNoise(scene, 4, 1e-3, np.full((4, 1), 2e-3), np.zeros((4, 0)))
-    gain, together = noise.columns(measured, baseline=False).T.reshape(2, 3, 4)
-
-    def read(volt: Array) -> Array:  # written out: the divider across the reference, series resistance taken off
-        return (5 - volt) / volt * 1000 - 140
-
-    volt = 5 * 1000 / (1000 + measured[0] + 140)
-    assert gain == pytest.approx(read(volt * 1.001) - measured[0], rel=0.01)
-    assert together == pytest.approx(read(volt + 2e-3) - measured[0], rel=0.01)
-    assert noise.columns(measured, baseline=True) == pytest.approx(noise.columns(measured, baseline=False) / 2)
 
 
 def recorded(
@@ -343,17 +327,6 @@ def test_still_cells_show_a_series_resistance_and_a_gentle_load_none() -> None:
     wrong = recorded(11, scene_of(0.7, None), series=40)
     size = np.linalg.norm(Prepared(wrong).noise.possible_errors.root[0])
     assert size == pytest.approx(40 / 35, rel=0.3) and min(held(wrong)) > 0.85
-
-
-def test_a_reading_that_comes_and_goes_is_swept_by_its_steps() -> None:
-    scene = Scene(Panel(2, 2), TwoPointReadout(noise_lsb=0.7), 140.0)
-    value = np.full((3, 2, 2), 800.0)
-    value[1] = 400.0
-    readings = Readings.of(scene, value)
-    late = np.array([[0.375, 0.125], [0.125, 0.375]])  # of a period, from the middle of the scan
-    steps = steps_within_scan(scene, readings, np.arange(3))
-    assert_allclose(np.abs(steps).max(axis=0), 400 * late * np.ones((3, 1, 1)))
-    assert not steps.mean(axis=0)[1].any()
 
 
 @pytest.mark.slow

@@ -236,28 +236,6 @@ def test_ripple_is_a_sine_of_its_amplitude_and_frequency_in_the_order_of_the_sca
     assert np.abs(np.diff(wave[0], axis=0)).max() < 0.2 * np.abs(np.diff(wave[0], axis=1)).max()
 
 
-def test_inl_is_a_curve_of_the_voltage_alone_and_as_large_as_told() -> None:
-    rough, straight = volt(with_effects(inl_lsb=2e4)), volt(with_effects())
-    order = np.argsort(straight, axis=None)
-    error = (rough - straight).ravel()[order] / LSB
-    assert 0.1 * 2e4 < np.abs(error).max() <= 1.001 * 2e4
-    steps = np.diff(straight.ravel()[order])
-    assert np.all(np.abs(np.diff(error)) <= 2e4 * 15 * steps + 2)  # smooth: at most 4π and some, over the range
-
-
-def test_films_answer_less_and_each_otherwise() -> None:
-    def answer(recording: Recording) -> Array:
-        truth = recording.truth_cell_resistance
-        return np.log(truth[-1] / truth[0])
-
-    plain = answer(with_effects())
-    touched = np.abs(plain) > 0.01
-    assert answer(with_effects(response_loss=0.2))[touched] == pytest.approx(0.8 * plain[touched])
-    spread = np.log(answer(with_effects(response_spread=0.2))[touched] / plain[touched])
-    assert 0.05 < spread.std() < 0.4
-    assert np.all(answer(with_effects(response_spread=0.2))[~touched] == pytest.approx(plain[~touched], abs=0.01))
-
-
 def test_a_travelling_load_is_elsewhere_when_later_lines_are_read() -> None:
     """Each row of a frame is that of an unmoved load at the place where the load is when the row is read."""
     frame, row, speed = 8, 6, 3.0
