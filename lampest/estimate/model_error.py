@@ -14,6 +14,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
+from lampest.estimate.cells_fit import fitted
 from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise import MIN_EXCESS, NoiseEstimate
@@ -25,8 +26,7 @@ from lampest.posterior.interval import student_two_sided
 from lampest.posterior.reference import MAX_CELLS, MODEL, ErrorScale, references
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
-from lampest.solvers.multistart import BROKEN, best_solution
-from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.multistart import BROKEN
 
 MIN_READINGS = 100  # their largest twentieth measures the tail; with fewer, a single outlier would decide it
 
@@ -112,12 +112,9 @@ def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Dat
         return similar, objective.cost(scene, 1, partial=solves[0].partial)
 
     yield posed(LogGradient(weight=1.0), Background(scene))
-    if np.any(recording.role == UNLOADED):
-        plain = Estimator((Misfit(weighting="noise"),), "reduced")
-        data = plain.data(resting.alone(), Background(scene))
-        solver = ProjectedNewton(plain.cost(scene, 1, partial=data.partial), plain.solver)
-        cells = best_solution(solver, data, None).cell_resistance[0]
-        yield posed(RelativeChange(weight=1.0), Background(scene, previous=cells, baseline=cells))
+    fit = fitted(scene, resting, patient=True) if np.any(recording.role == UNLOADED) else None
+    if fit is not None:
+        yield posed(RelativeChange(weight=1.0), Background(scene, previous=fit.cells, baseline=fit.cells))
 
 
 def _in_words(factor: float, used: float, scene: Scene) -> str:

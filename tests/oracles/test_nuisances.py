@@ -122,11 +122,6 @@ def test_detect_looks_at_frames_without_the_leak() -> None:
     assert not np.allclose(frames, recording.readings().value[UNLOADED:], rtol=1e-2)
 
 
-def test_noise_grows_by_what_a_leak_takes_of_the_signal() -> None:
-    wet, dry = Prepared(panel(1, leak_ohm=2e3)).noise.readings, panel(1).readings()
-    assert 1.1 < np.median(wet.sigma / dry.sigma) < 2
-
-
 def test_a_contact_that_another_one_explains_as_well_is_named_but_not_taken_off() -> None:
     recording = panel(8, contact=(3, 200.0, 0))
     prepared = Prepared(recording).effects

@@ -11,7 +11,7 @@ from lampest import Array, GroundedReadout, OralDisc, Panel, Ring, Rod, Scene, S
 from lampest.panel.readouts.floating import two_point_resistance, uniform_factor
 from lampest.panel.readouts.wiring import Lines
 from lampest.panel.response import Film
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.recording import Recording
 from lampest.recording.simulation import Cells, Course, read_simulations, run, simulate
 from lampest.recording.simulation.measure import Unmodelled, raw_sums
 from lampest.recording.simulation.simulation import Simulation, cells_under, pressure_at
@@ -222,32 +222,6 @@ def test_effects_are_as_large_as_they_are_told() -> None:
     assert volt(with_effects(saturation=0.6)).max() == pytest.approx(3.0, abs=1e-5)
     drift = np.log(with_effects(common_drift_per_minute=0.6).truth_cell_resistance / clean.truth_cell_resistance)
     assert drift == pytest.approx(np.broadcast_to(0.01 * np.arange(12)[:, None, None], drift.shape))
-
-
-def test_ripple_is_a_sine_of_its_amplitude_and_frequency_in_the_order_of_the_scan() -> None:
-    wave = volt(with_effects(supply_ripple_lsb=500, supply_ripple_hz=10)) - volt(with_effects())
-    wave = wave.reshape(12, 100) / LSB
-    spectrum = np.abs(np.fft.rfft(wave, axis=1)) / 50
-    assert np.all(np.argmax(spectrum, axis=1) == 10)  # a frame takes a second: ten periods in it, one in each row
-    assert spectrum[:, 10] == pytest.approx(500, rel=0.01)
-    assert not np.allclose(wave[0], wave[1], atol=50)  # another phase in each frame
-    columns = GroundedReadout(driven="columns", adc_bits=24, readings=1, noise_lsb=0.0)
-    wave = with_effects(columns, supply_ripple_lsb=500, supply_ripple_hz=1).recorded - with_effects(columns).recorded
-    assert np.abs(np.diff(wave[0], axis=0)).max() < 0.2 * np.abs(np.diff(wave[0], axis=1)).max()
-
-
-def test_a_travelling_load_is_elsewhere_when_later_lines_are_read() -> None:
-    """Each row of a frame is that of an unmoved load at the place where the load is when the row is read."""
-    frame, row, speed = 8, 6, 3.0
-    time = (frame - 6) + (row + 0.5) / 10 - 0.5
-    assert abs(speed * time) < 10  # not yet turned
-    scene = Scene(Panel(10, 10), EXACT)
-    there = replace(ROD, centre_mm=(45 + speed * time, 45))
-    still = simulate(Simulation(1, 5, scene, baseline_frames=6, frames=6, loads=(there,)))
-    moving = with_effects(load_speed_mm_s=speed)
-    assert moving.recorded[frame, row] == pytest.approx(still.recorded[frame, row], rel=1e-9)
-    assert not np.allclose(moving.recorded[frame, 2], still.recorded[frame, 2], rtol=1e-4)
-    assert np.array_equal(moving.recorded[moving.role == UNLOADED], with_effects().recorded[moving.role == UNLOADED])
 
 
 def test_a_leak_joins_lines_and_a_contact_adds_to_one_row_from_their_time_on() -> None:
