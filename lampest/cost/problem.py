@@ -1,6 +1,7 @@
 """Data of a solve, cost and residuals at a point with derivatives, and the test of optimality."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from time import monotonic
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from lampest.cost.cost import Cost, Symbols
+from lampest.cost.cost import Cost
 from lampest.cost.given import Given
 from lampest.panel.compiled import Compiled, guarded, with_entries
 from lampest.panel.network import Network
@@ -338,30 +339,23 @@ class Part:
 
     Attributes
     ----------
-    value : Compiled
-        x.
-    by_cells, by_model, by_previous, by_baseline : Compiled
-        Derivatives of x by cells, readings, previous frame and baseline, sparse.
+    functions : mapping of str to Compiled
+        'value': x; by the name of an input, the derivatives of x by it, sparse.
     term : array of int
         Number of the term of each row.
     """
 
-    value: Compiled
-    by_cells: Compiled
-    by_model: Compiled
-    by_previous: Compiled
-    by_baseline: Compiled
+    functions: Mapping[str, Compiled]
     term: NDArray[np.intp]
 
     def values(self, at: Evaluation) -> Array:
         """Return x at a point, (rows,)."""
-        return at.call(self.value)
+        return at.call(self.functions["value"])
 
     def jacobian(self, name: str, at: Evaluation) -> sparse.csc_array:
-        """Return one of the derivatives at a point, (rows, unknowns) sparse."""
-        derivative: Compiled = getattr(self, name)
-        structure = derivative.structure
-        return with_entries(structure, at.call(derivative)) if structure.nnz else structure
+        """Return the derivatives by an input at a point, (rows, unknowns) sparse."""
+        structure = self.functions[name].structure
+        return with_entries(structure, at.call(self.functions[name])) if structure.nnz else structure
 
 
 @dataclass(frozen=True, eq=False)
@@ -389,23 +383,18 @@ def residuals(cost: Cost) -> Residuals:
 @lru_cache(maxsize=64)
 def _residuals(cost: Cost) -> Residuals:
     symbols = cost.symbols()
-    pairs = cost.residuals(symbols)
+    inputs, pairs = symbols.inputs(), cost.residuals(symbols)
     stacked = casadi.vertcat(*(part for _, part in pairs))
     term = np.concatenate([np.full(part.shape[0], number, dtype=np.intp) for number, part in pairs])
     # Rows whose derivative by the readings has a structural nonzero are data.
-    reads = set(casadi.jacobian_sparsity(stacked, symbols.inputs()["reading"]).row())
-    rows = ([row for row in range(len(term)) if (row in reads) is data] for data in (True, False))
-    return Residuals(*(_part(symbols, stacked[chosen], term[chosen]) for chosen in rows))
-
-
-def _part(symbols: Symbols, rows: casadi.SX, term: NDArray[np.intp]) -> Part:
-    """Return compiled residuals and derivatives of given rows."""
-    inputs = symbols.inputs()
-    outputs = {
-        "value": casadi.densify(rows),
-        "by_cells": casadi.jacobian(rows, inputs["cell_resistance"]),
-        "by_model": casadi.jacobian(rows, inputs["reading"]),
-        "by_previous": casadi.jacobian(rows, inputs["previous"]),
-        "by_baseline": casadi.jacobian(rows, inputs["baseline"]),
-    }
-    return Part(**{name: symbols.compiled(name, output) for name, output in outputs.items()}, term=term)
+    reads = set(casadi.jacobian_sparsity(stacked, inputs["reading"]).row())
+    parts = []
+    for data in (True, False):
+        rows = [row for row in range(len(term)) if (row in reads) is data]
+        outputs = {"value": casadi.densify(stacked[rows])} | {
+            name: casadi.jacobian(stacked[rows], inputs[name])
+            for name in ("cell_resistance", "reading", "previous", "baseline")
+        }
+        functions = {name: symbols.compiled(name, output) for name, output in outputs.items()}
+        parts.append(Part(functions, term[rows]))
+    return Residuals(*parts)

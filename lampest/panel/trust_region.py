@@ -92,10 +92,16 @@ def steihaug(
         # ‖s + αp‖²_M = ‖s‖² + 2α sᵀMp + α²‖p‖², without a product with M
         further = inner + 2 * length * mixed + length * length * outer if isfinite(length) else inf
         if not further < radius**2:
-            negative = not curvature > 0
-            length = _to_radius(inner, mixed, outer, radius)
+            negative, length = not curvature > 0, inf
+            if radius < inf:
+                # Positive root t of ‖p‖² t² + 2 sᵀMp t − (radius² − ‖s‖²) = 0, without cancellation
+                room = max(radius**2 - inner, 0.0)
+                length = room / ((mixed + float(np.sqrt(mixed**2 + outer * room))) or 1.0)
             if negative:
-                length = min(length, _to_longest(step, search))
+                # Least t at which an entry of s + t p can reach MAX_RELATIVE_CHANGE
+                with np.errstate(divide="ignore"):
+                    reached = np.maximum(MAX_RELATIVE_CHANGE - np.abs(step), 0.0) / np.abs(search)
+                length = min(length, float(np.fmin.reduce(reached, initial=inf)))
             ended = np.sqrt(inner + 2 * length * mixed + length * length * outer)
             step, residual = step + length * search, residual + length * image
             # −gᵀs − ½ sᵀHs = −½ sᵀ(g + r) with the residual r = g + Hs
@@ -127,20 +133,3 @@ def restricted(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:
         return product(whole)[chosen]
 
     return part
-
-
-def _to_radius(inner: float, mixed: float, outer: float, radius: float) -> float:
-    """Return t ≥ 0 with ‖s + t p‖_M = radius, from inner = ‖s‖², mixed = sᵀMp and outer = ‖p‖²."""
-    if radius == inf:
-        return inf
-    left = max(radius**2 - inner, 0.0)
-    # Positive root of ‖p‖² t² + 2 sᵀMp t − (radius² − ‖s‖²) = 0, without cancellation
-    return left / (mixed + float(np.sqrt(mixed**2 + outer * left))) if left else 0.0
-
-
-def _to_longest(step: Array, search: Array) -> float:
-    """Return the least t ≥ 0 at which an entry of s + t p can reach MAX_RELATIVE_CHANGE in absolute value."""
-    room = MAX_RELATIVE_CHANGE - np.abs(step)
-    with np.errstate(divide="ignore"):
-        reached = room / np.abs(search)
-    return float(np.maximum(reached, 0.0).min(initial=inf))

@@ -113,7 +113,7 @@ class LinearModel:
     @cached_property
     def through(self) -> sparse.csc_array:
         """Derivative ∂x/∂y of the data by the readings, sparse (data rows, cells)."""
-        return self._residuals.data.jacobian("by_model", self.at)
+        return self._residuals.data.jacobian("reading", self.at)
 
     @cached_property
     def noise(self) -> Array:
@@ -200,7 +200,7 @@ class LinearModel:
     @cached_property
     def penalty_jacobian(self) -> sparse.csc_array:
         """Z, the derivative ∂x/∂u of the penalties, sparse (penalty rows, cells)."""
-        jacobian = self._residuals.penalties.jacobian("by_cells", self.at)
+        jacobian = self._residuals.penalties.jacobian("cell_resistance", self.at)
         # ∂x/∂u = (∂x/∂r)·diag(r), entry by entry of the sparse columns
         cells = np.repeat(self.at.cell_resistance.ravel(), np.diff(jacobian.indptr))
         return with_entries(jacobian, jacobian.data * cells)
@@ -212,7 +212,7 @@ class LinearModel:
         u₀ = log r of the previous frame (0) and of the baseline (1).
         """
         given, jacobians = self.at.data.given, list[sparse.csc_array]()
-        for name, cells in (("by_previous", given.previous), ("by_baseline", given.baseline)):
+        for name, cells in (("previous", given.previous), ("baseline", given.baseline)):
             jacobian = self._residuals.penalties.jacobian(name, self.at)
             if cells is not None and jacobian.nnz:
                 jacobian = sparse.csc_array(jacobian @ sparse.diags_array(cells.ravel()))
@@ -258,7 +258,7 @@ def rank(cost: Cost) -> int:
 
     For large panels full rank is returned, which penalties nearly have.
     """
-    function = residuals(cost).penalties.by_cells
+    function = residuals(cost).penalties.functions["cell_resistance"]
     count, cells = function.structure.shape
     if cells > MAX_DENSE:
         return int(min(count, cells))

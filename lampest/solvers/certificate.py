@@ -6,7 +6,7 @@ Source: Nocedal & Wright, Numerical Optimization, 2006, theorem 2.4; Boyd & Vand
 section 9.5 (the decrement).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -75,11 +75,16 @@ class Certificate:
         cls, hessian: Hessian, kind: Definiteness, free: Numbers, part: Array, decrement: float | None, **more: Any
     ) -> "Certificate":
         """Return the certificate for a Newton step `part` of the `free` cells (numbers); decrement None: computed."""
-        step = within_bounds(hessian.at, free, part)
+        step, data, deviations = within_bounds(hessian.at, free, part), hessian.at.data, float("inf")
         if decrement is None:
+            # δ² = gᵀ H⁻¹ g = −gᵀs
             decrement = float(np.sqrt(max(-float(hessian.gradient[free] @ part), 0.0)))
-        clear = kind is Definiteness.POSITIVE and float(np.abs(step).max(initial=0.0)) > MILLIONTH
-        return cls(kind, step, decrement, _deviations(hessian, decrement) if clear else float("inf"), **more)
+        long = float(np.abs(step).max(initial=0.0)) > MILLIONTH
+        if kind is Definiteness.POSITIVE and long and data.noise_known and np.any(hessian.curvature > 0):
+            # √2·s₀ = √(mean ∂²φ/∂y² σ²)
+            spread = (hessian.curvature * data.sigma.ravel() ** 2)[hessian.curvature > 0]
+            deviations = decrement / float(np.sqrt(np.mean(spread)))
+        return cls(kind, step, decrement, deviations, **more)
 
     @property
     def settled(self) -> bool:
@@ -88,20 +93,12 @@ class Certificate:
             return False
         return float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH or self.deviations <= DEVIATION_SHARE
 
-    def after(self, at: Evaluation, gradient: Array) -> "Certificate":
-        """Return the certificate at a nearby point from its gradient and the factor of this one.
-
-        Second derivatives are taken as unchanged.
-        """
-        if self.factor is None or self.definiteness is not Definiteness.POSITIVE:
-            return self
-        slope = gradient.ravel()[self.factor.cells]
-        # s = −H⁻¹ g, δ² = −gᵀs = gᵀ H⁻¹ g
-        part = self.factor.solve(-slope)
-        decrement = float(np.sqrt(max(-float(slope @ part), 0.0)))
-        deviations = self.deviations * decrement / (self.decrement or 1.0)
-        step = within_bounds(at, self.factor.cells, part)
-        return replace(self, step=step, decrement=decrement, deviations=deviations)
+    def after(self, hessian: Hessian) -> "Certificate":
+        """Return the certificate of a nearby point by the factor of this one: second derivatives hardly change."""
+        assert self.factor is not None
+        free = self.factor.cells
+        part = self.factor.solve(-hessian.gradient[free])
+        return Certificate.of(hessian, self.definiteness, free, part, None, left=self.left, factor=self.factor)
 
     def converged(self, cost_scale: float) -> bool:
         """Return whether one more step moves no cell by a millionth and lowers the cost by at most its rounding.
@@ -113,16 +110,6 @@ class Certificate:
         flat = self.definiteness is Definiteness.UNDETERMINED and self.left <= MILLIONTH * cost_scale
         known = self.definiteness is Definiteness.POSITIVE or flat
         return small and known and self.decrement**2 <= MIN_COST_SHARE * cost_scale
-
-
-def _deviations(hessian: Hessian, decrement: float) -> float:
-    """Return δ/(√2·s₀); infinite if the noise is not known."""
-    data, curvature = hessian.at.data, hessian.curvature
-    counting = curvature > 0
-    if not (data.noise_known and counting.any()):
-        return float("inf")
-    # √2·s₀ = √(mean ∂²φ/∂y² σ²)
-    return decrement / float(np.sqrt(np.mean(curvature[counting] * data.sigma.ravel()[counting] ** 2)))
 
 
 def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) -> Certificate:
@@ -182,8 +169,10 @@ def _confirmed(
 def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
     """Return the certificate by a Cholesky factor; where that fails, by eigenvectors."""
     matrix, slope = matrix_between(hessian.matrix, free), hessian.gradient[free]
-    least = ROUNDING * _usual_curvature(hessian)[free]
-    factor = None
+    # Usual curvature from a cell's own reading: the median weight of the readings times J_cc²
+    weight = hessian.curvature[hessian.curvature > 0]
+    usual = np.median(weight) * hessian.own_response**2 if len(weight) else np.ones(len(hessian.own_response))
+    least, factor = ROUNDING * usual[free], None
     if np.all(matrix.diagonal() > least):
         factor = Cholesky.of(hessian.at.cell_resistance, free, matrix)
     if factor is not None and clear_of_rounding(factor.triangle, factor.norm):
@@ -240,17 +229,6 @@ def clear_of_rounding(triangle: Array, norm: float) -> bool:
     """
     # dpocon returns the reciprocal condition number 1/(‖H‖₁ ‖H⁻¹‖₁).
     return bool(lapack.dpocon(triangle, norm)[0] * norm > ROUNDING)
-
-
-def _usual_curvature(hessian: Hessian) -> Array:
-    """Return the median weight of the readings times J_cc², the usual curvature from a cell's own reading, (cells,)."""
-    weight = hessian.curvature[hessian.curvature > 0]
-    middle = len(weight) // 2
-    return (
-        np.partition(weight, middle)[middle] * hessian.own_response**2
-        if len(weight)
-        else np.ones(len(hessian.own_response))
-    )
 
 
 def _by_conjugate_gradients(

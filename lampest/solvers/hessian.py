@@ -185,7 +185,7 @@ class Hessian:
             part = residuals(self.at.cost).data
             stiffness = self._stiffness(part)
             # W_i = Σ_k (∂x_k/∂y_i)²·ρ'(x_k)/x_k
-            weight = part.jacobian("by_model", self.at).power(2).T @ stiffness
+            weight = part.jacobian("reading", self.at).power(2).T @ stiffness
         return np.asarray(weight.reshape(self.at.cell_resistance.shape))
 
     @cached_property
@@ -196,7 +196,7 @@ class Hessian:
         if not len(part.term):
             return sparse.csr_array((size, size))
         # P = ∂x/∂u = (∂x/∂r)·diag(r)
-        slopes = part.jacobian("by_cells", self.at) @ sparse.diags_array(self.at.cell_resistance.ravel())
+        slopes = part.jacobian("cell_resistance", self.at) @ sparse.diags_array(self.at.cell_resistance.ravel())
         return sparse.csr_array(slopes.T @ (sparse.diags_array(self._stiffness(part)) @ slopes))
 
     def _stiffness(self, part: Part) -> Array:

@@ -152,30 +152,25 @@ def evaluable(cost: Cost, data: Data, places: Iterable[Array]) -> Iterator[Evalu
 
 def solved_from(solver: Solver, start: Evaluation) -> Solution:
     """Solve from one start; Newton's method polishes results of IPOPT that are not settled strict minima."""
-    with suppress(*BROKEN):
-        return _solved(solver, start)
-    return _broken(solver.cost, start.data)
-
-
-def _solved(solver: Solver, start: Evaluation) -> Solution:
-    """Solve from one start and polish the result; arithmetic errors are raised."""
-    outcome = solver.solve(start.data, start)
-    solution = check(start, outcome)
-    settled = solution.strict and solution.kkt_residual <= VERIFIED / 10
-    unique = start.data.readout.unique
-    if (settled and unique) or isinstance(solver, ProjectedNewton) or outcome.status is not Status.OPTIMUM:
-        return solution
-    # Polish from the solver's cells and, if that gives no strict minimum, from the start.
-    steps = LAST_STEPS if unique else FINE_STEPS
-    newton = ProjectedNewton(solver.cost, steps if solution.solved else solver.settings)
-    reached = [solution]
-    for near in (evaluated(solver.cost, start.data, outcome.cell_resistance), start):
-        polished = check(start, replace(newton.solve(start.data, near), iterations=outcome.iterations))
-        reached.append(polished)
-        if polished.strict:
-            break
-    solved = [candidate for candidate in reached if candidate.solved]
-    return min(solved, key=lambda candidate: (not candidate.strict, candidate.objective), default=solution)
+    try:
+        outcome = solver.solve(start.data, start)
+        solution = check(start, outcome)
+        settled, unique = solution.strict and solution.kkt_residual <= VERIFIED / 10, start.data.readout.unique
+        if isinstance(solver, ProjectedNewton) or outcome.status is not Status.OPTIMUM or (settled and unique):
+            return solution
+        # Polish from the solver's cells and, if that gives no strict minimum, from the start.
+        steps = LAST_STEPS if unique else FINE_STEPS
+        newton = ProjectedNewton(solver.cost, steps if solution.solved else solver.settings)
+        reached = [solution]
+        for near in (evaluated(solver.cost, start.data, outcome.cell_resistance), start):
+            polished = check(start, replace(newton.solve(start.data, near), iterations=outcome.iterations))
+            reached.append(polished)
+            if polished.strict:
+                break
+        solved = [candidate for candidate in reached if candidate.solved]
+        return min(solved, key=lambda candidate: (not candidate.strict, candidate.objective), default=solution)
+    except BROKEN:
+        return _broken(solver.cost, start.data)
 
 
 def _broken(cost: Cost, data: Data) -> Solution:

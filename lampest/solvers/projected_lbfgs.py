@@ -248,32 +248,23 @@ def _advanced(
     if old.any():
         inverses.renew(panels[old], points.some(np.flatnonzero(old)))
         secants = secants.without(old)
-    step = secants.direction(points, inverses, panels)
-    position, moved = points.position.copy(), np.zeros(len(panels), dtype=bool)
-    trying, length = np.arange(len(panels)), 1.0
+    step, length = secants.direction(points, inverses, panels), np.ones((len(panels), 1))
     low, high = points.position - STEPS.max_step, points.position + STEPS.max_step
     most = -np.expm1(-STEPS.max_step)  # relative change of a conductance
-    # Backtracking line search of every panel that has not yet found a step: u − log(1 − t·s), t shortened in turn.
-    for attempt in range(STEPS.max_tries):
-        target = points.position[trying] - np.log1p(-np.minimum(length * step[trying], most))
-        some = points if len(trying) == len(panels) else points.some(trying)
-        trial = some.elsewhere(np.clip(target, low[trying], high[trying]))
-        gain = some.at.objectives - trial.at.objectives
-        expected = -(some.gradient * (trial.position - some.position)).sum(axis=1)
-        invisible = MIN_DECREASE_SHARE * np.abs(some.at.objectives)
+    trial, moved = points, np.zeros(len(panels), dtype=bool)
+    # Backtracking line search: u − log(1 − t·s), t shortened for the panels that have not found a step, at last to 0.
+    for attempt in range(STEPS.max_tries + 1):
+        target = points.position - np.log1p(-np.minimum(length * step, most))
+        trial = points.elsewhere(np.where(length > 0, np.clip(target, low, high), points.position))
+        gain = points.at.objectives - trial.at.objectives
+        expected = np.abs((points.gradient * (trial.position - points.position)).sum(axis=1))
+        invisible = MIN_DECREASE_SHARE * np.abs(points.at.objectives)
         # Armijo's condition; where the decrease is within rounding, the gradient must halve.
-        lowered = np.where(
-            np.abs(expected) > invisible,
-            gain >= SUFFICIENT_DECREASE * np.abs(expected),
-            (np.abs(gain) <= invisible) & (trial.residual <= some.residual / 2),
-        )
-        if attempt == 0 and lowered.all():
-            return trial, secants.after(points, trial), lowered
-        inverses.worn[panels[trying[~lowered]]] = True
-        moved[trying[lowered]] = True
-        position[trying[lowered]] = trial.position[lowered]
-        trying, length = trying[~lowered], STEPS.radius_factor * length
-        if not len(trying):
+        halved = (np.abs(gain) <= invisible) & (trial.residual <= points.residual / 2)
+        moved = np.where(expected > invisible, gain >= SUFFICIENT_DECREASE * expected, halved)
+        stays = moved | (length[:, 0] == 0)
+        if stays.all():
             break
-    after = points.elsewhere(position)
-    return after, secants.after(points, after), moved
+        inverses.worn[panels[~stays]] = True
+        length[~stays] *= STEPS.radius_factor if attempt + 1 < STEPS.max_tries else 0.0
+    return trial, secants.after(points, trial), moved & (length[:, 0] > 0)

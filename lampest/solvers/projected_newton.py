@@ -226,7 +226,7 @@ class Iterate:
         if previous is not None and factor is not None and previous.definiteness is Definiteness.POSITIVE:
             near = factor.distance(self.at.cell_resistance) <= STEPS.refactor_distance**2
             if near and np.array_equal(np.flatnonzero(hessian.free), factor.cells):
-                return previous.after(self.at, hessian.gradient)
+                return previous.after(hessian)
         return certificate(hessian, self.preconditioner)
 
     @property
