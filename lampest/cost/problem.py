@@ -177,8 +177,8 @@ class Evaluation:
     data : Data
     cell_resistance, reading : array, shape (…, frames, rows, columns)
         Cells r in ohm, and modelled readings y in the readout's unit.
-    solved : tuple of Network, or None
-        Solved networks of the frames, or None if they are not yet computed.
+    networks : tuple of Network
+        Solved networks of the frames.
     own_weights : array, shape (…, terms), or None
         Weights of the terms for each panel; None for those of the cost.
     """
@@ -187,7 +187,7 @@ class Evaluation:
     data: Data
     cell_resistance: Array
     reading: Array
-    solved: tuple[Network, ...] | None
+    networks: tuple[Network, ...]
     own_weights: Array | None = None
 
     @classmethod
@@ -217,11 +217,6 @@ class Evaluation:
     def weights(self) -> Array:
         """Weights of the terms, (…, terms)."""
         return self.cost.weights if self.own_weights is None else self.own_weights
-
-    @cached_property
-    def networks(self) -> tuple[Network, ...]:
-        """The solved network of every frame."""
-        return self.data.networks(self.cell_resistance) if self.solved is None else self.solved
 
     def call(self, function: Compiled, dual: Array | None = None) -> Array:
         """Return the values of a compiled function at this point, (…, nonzeros); duals of None are zeros."""

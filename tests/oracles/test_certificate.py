@@ -3,7 +3,6 @@
 Readings come from statements of the circuits that share no code with the package: of extreme panels in 50 digits.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +18,7 @@ from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, VirtualGroundReadout
-from lampest.solvers.certificate import Definiteness, certificate, clear_of_rounding
+from lampest.solvers.certificate import certificate, clear_of_rounding
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
@@ -183,39 +182,6 @@ def test_a_factor_may_succeed_on_rounding() -> None:
         triangle, failed = lapack.dpotrf(unit)
         norm = float(np.abs(unit).sum(axis=0).max())
         assert not failed and clear_of_rounding(triangle, norm) is clear
-
-
-def by_differences(function: Callable[[Array], Array], size: int, step: float = 1e-4) -> Array:
-    """The matrix of derivatives, by values on either side of zero."""
-    units = step * np.eye(size)
-    return np.stack([(function(unit) - function(-unit)) / (2 * step) for unit in units], axis=1)
-
-
-def test_step_is_newtons() -> None:
-    """−H⁻¹ g with H by differences of gradients in u = log r, and the decrement."""
-    point = evaluation((Misfit(), Gradient(weight=1e-4)), USUAL * 1.02, in_digits(USUAL))
-
-    def gradient(aside: Array) -> Array:
-        cells = point.cell_resistance * np.exp(aside).reshape(point.cell_resistance.shape)
-        return Evaluation.at(point.cost, point.data, cells).log_gradient(np.zeros(0)).ravel()
-
-    slope = gradient(np.zeros(USUAL.size))
-    step = -np.linalg.solve(by_differences(gradient, USUAL.size), slope)
-    signed = certificate(Hessian(point, NOTHING))
-    assert signed.definiteness is Definiteness.POSITIVE
-    np.testing.assert_allclose(signed.step, step, rtol=1e-5, atol=1e-7)
-    assert signed.decrement == pytest.approx(np.sqrt(-slope @ step), rel=1e-5)
-
-
-def test_deviations_bound_every_step() -> None:
-    """|s_c| over its posterior deviation, from the inverse of J ᵀJ/σ², is never above what the decrement says."""
-    measured, sigma = in_digits(USUAL), 0.5
-    point = evaluation((Misfit(),), USUAL * 1.001, measured, np.full(measured.shape, sigma))
-    signed = certificate(Hessian(point, NOTHING))
-    sensitivity = point.networks[0].sensitivity()
-    share = np.abs(signed.step) / np.sqrt(np.diag(np.linalg.inv(sensitivity.T @ sensitivity / sigma**2)))
-    assert share.max() <= signed.deviations * 1.01
-    assert signed.deviations <= np.sqrt(USUAL.size) * share.max() * 10
 
 
 def test_a_small_cell_is_not_hidden() -> None:

@@ -29,7 +29,7 @@ from lampest.cost.problem import Evaluation
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.readouts import TwoPointReadout, floating
-from lampest.panel.readouts.floating import FloatingNetwork, Stencil, grounding, square_by_lines
+from lampest.panel.readouts.floating import FloatingNetwork, Stencil, grounding
 from lampest.solvers import certificate, hessian, interior_point, projected_newton
 from lampest.solvers.interior_point import METHOD, SIDES, Barrier, by_interior_point, crowds_bounds, over, reach
 from lampest.solvers.multistart import convex, solved_from
@@ -105,23 +105,6 @@ def test_stencil_inverts_what_it_stands_for() -> None:
     values = generator.standard_normal(20)
     expected = np.linalg.solve(matrix[np.ix_(chosen, chosen)], values[chosen])
     assert_allclose(stencil.solve(values.reshape(4, 5)).ravel()[chosen], expected, rtol=1e-10)
-
-
-def test_lines_stand_for_the_square_of_the_stencil() -> None:
-    """G S W S G, S put together cell by cell, is the diagonal and the lines that a preconditioner takes."""
-    generator = np.random.default_rng(3)
-    conductance, weight = np.exp(generator.standard_normal((2, 4, 5)))
-    resistance = two_point_resistance(1 / conductance)
-    row, column = np.divmod(np.arange(20), 5)
-    lines = (row[:, None] == row) / conductance.sum(axis=1)[row] ** 2
-    lines += (column[:, None] == column) / conductance.sum(axis=0)[column] ** 2
-    own = np.maximum(resistance.ravel() ** 2 - np.diag(lines), 0.05 * resistance.ravel() ** 2)
-    response = (lines + np.diag(own)) * conductance.ravel()
-    matrix = response.T @ (weight.reshape(-1, 1) * response)
-    parts = square_by_lines(conductance, resistance, weight)
-    lines = np.concatenate([row[:, None] == np.arange(4), column[:, None] == np.arange(5)], axis=1)
-    across = np.concatenate([one.reshape(-1, 1) * lines for one in parts.along], axis=1)
-    assert_allclose(matrix, np.diag(parts.own.ravel()) + across @ parts.mixed @ across.T, rtol=1e-10)
 
 
 @pytest.fixture

@@ -23,7 +23,6 @@ from lampest import (
     Readings,
     Scene,
     TableResponse,
-    TotalVariation,
     TwoPointReadout,
     Water,
     two_point_resistance,
@@ -49,7 +48,6 @@ from lampest.posterior.covariance import DenseErrors, SampledErrors, swept
 from lampest.posterior.linear import LinearModel
 from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.solvers.bounds import bounds_matter, lower_along
-from lampest.solvers.smoothing import Smoothing
 
 ROLE = np.array([UNLOADED, UNLOADED, MEASURED, MEASURED], dtype=np.uint8)
 
@@ -116,20 +114,6 @@ def test_motion_widens_the_noise_of_swept_readings_and_counts_frames_that_it_exc
     assert moved[3].any() and widened.in_motion
 
 
-def test_absolute_losses_are_smoothed_by_the_root_of_squares_less_its_width() -> None:
-    scene, cells = Scene(Panel(3, 3), TwoPointReadout()), np.linspace(900.0, 1300.0, 9).reshape(1, 3, 3)
-    estimator = Estimator((Misfit(), TotalVariation(weight=2.0)), "reduced")
-    data = estimator.data(Readings.of(scene, two_point_resistance(1.1 * cells)), Background(scene))
-    at = Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, cells)
-    width = 0.01
-    smoothed = np.sum(2.0 * (np.sqrt(at.nonsmooth**2 + width**2) - width))
-    assert Smoothing(width, np.zeros(len(at.nonsmooth))).objective(at) == pytest.approx(
-        at.costs[0] + smoothed, rel=1e-12
-    )
-    plain = Evaluation.at(Estimator((Misfit(),), "reduced").cost(scene, 1, partial=data.partial), data, cells)
-    assert Smoothing(width, np.zeros(0)).objective(plain) == plain.objective
-
-
 @pytest.mark.parametrize(("deviations", "matters"), [(1.2, True), (0.8, False)])
 def test_a_bound_matters_where_a_reading_is_missed_by_more_than_its_noise(deviations: float, matters: bool) -> None:
     """A cell stands at its lower bound, 500 ohm below which the truth lies; σ is the misfit over `deviations`."""
@@ -168,16 +152,6 @@ def test_a_circuit_explains_means_of_widened_readings_that_noise_leaves_nearly_g
         np.testing.assert_allclose(readings.value[usable > 0], value)
         np.testing.assert_allclose(readings.sigma[usable > 0], 3.0 * 2.0 / np.sqrt(2))
     assert len(Question(rival, ROLE, np.arange(4), np.arange(0), 3.0, np.arange(4)).readings(rival)) == 1
-
-
-def test_a_point_keeps_its_solved_networks_and_solves_them_where_it_has_none() -> None:
-    scene, cells = Scene(Panel(3, 3), TwoPointReadout()), np.linspace(900.0, 1300.0, 9).reshape(1, 3, 3)
-    estimator = Estimator((Misfit(),), "reduced")
-    data = estimator.data(Readings.of(scene, two_point_resistance(1.1 * cells)), Background(scene))
-    at = Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, cells)
-    assert at.networks is at.solved
-    anew = Evaluation(at.cost, data, cells, at.reading, None)
-    np.testing.assert_array_equal(anew.log_gradient(np.zeros(0)), at.log_gradient(np.zeros(0)))
 
 
 def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypatch: pytest.MonkeyPatch) -> None:
