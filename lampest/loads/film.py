@@ -284,12 +284,12 @@ class FilmKnown:
 
     @classmethod
     def specified(cls, film: Film) -> "FilmKnown":
-        return cls(film, film.creep_strength)
+        return cls(film, film.strength("creep_per_decade"))
 
     @property
     def hysteresis(self) -> Strength:
         """Mean and standard deviation of the hysteresis."""
-        return self.film.hysteresis_strength
+        return self.film.strength("hysteresis")
 
     @property
     def sentence(self) -> str:
@@ -331,7 +331,7 @@ class FilmKnown:
         """
         if self.film.creep_per_decade != "auto":
             return self
-        usual, data = self.film.creep_strength, (self.film.answer, change, sd, time)
+        usual, data = self.film.strength("creep_per_decade"), (self.film.answer, change, sd, time)
         each = _likelihood(*data, ERRORS.cell_memory, RESIDUES).sum(axis=(2, 3))
         logarithm = each - RESIDUES[:, None] / self.residue - CREEPS / usual.mean
         # moments of c, marginal over ρ; then of ρ, integrated over c with the grid's spacing

@@ -372,18 +372,8 @@ class Film(Configuration):
         """Whether a cell's resistance depends on earlier loads."""
         return bool(self.hysteresis or self.creep_per_decade)
 
-    @property
-    def hysteresis_strength(self) -> Strength:
-        """Hysteresis as specified, or the usual one for 'auto'."""
-        return self._strength("hysteresis")
-
-    @property
-    def creep_strength(self) -> Strength:
-        """Creep as specified, or the usual one for 'auto', a fraction per decade."""
-        return self._strength("creep_per_decade")
-
-    def _strength(self, name: str) -> Strength:
-        """Return mean and standard deviation of hysteresis or creep, including the spread from cell to cell."""
+    def strength(self, name: Literal["hysteresis", "creep_per_decade"]) -> Strength:
+        """Return hysteresis or creep as specified, or the usual one for 'auto', with the spread from cell to cell."""
         value = getattr(self, name)
         mean, sd = self.usual[name] if value == "auto" else (value, value * self.deviation)
         return Strength(mean, hypot(sd, mean * self.cell_spread))

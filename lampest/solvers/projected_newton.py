@@ -222,10 +222,9 @@ class Iterate:
     def certificate(self) -> Certificate:
         """Certificate of this point, reusing a previous factor while the Hessian has hardly changed."""
         previous, hessian = self.nearby, self.hessian
-        factor = None if previous is None else previous.factor
-        if previous is not None and factor is not None and previous.definiteness is Definiteness.POSITIVE:
-            near = factor.distance(self.at.cell_resistance) <= STEPS.refactor_distance**2
-            if near and np.array_equal(np.flatnonzero(hessian.free), factor.cells):
+        if previous and previous.factor and previous.definiteness is Definiteness.POSITIVE:
+            near = previous.factor.distance(self.at.cell_resistance) <= STEPS.refactor_distance**2
+            if near and np.array_equal(np.flatnonzero(hessian.free), previous.factor.cells):
                 return previous.after(hessian)
         return certificate(hessian, self.preconditioner)
 

@@ -260,7 +260,7 @@ def film_row() -> dict[str, Any]:
         "resting": ERRORS.resting_sd(3.0), "known": [each.sentence for each in (known, estimated)],
         "estimated": estimated.creep, "hysteresis": known.hysteresis,
         "known at once": estimated.at_once(change, 40.0 * times),
-        "bent": [scene.film.lowering, scene.film.answer, scene.film.answer_sd, scene.film.creep_strength],
+        "bent": [scene.film.lowering, scene.film.answer, scene.film.answer_sd, scene.film.strength("creep_per_decade")],
     }  # fmt: skip
 
 
