@@ -92,11 +92,6 @@ def given(of: Callable[[FrameReadings, Background], Array | None], absent: float
     return field(default=None, metadata={"source": Source(of, absent, **more)})
 
 
-def first_known(value: Array | None, otherwise: Array | None) -> Array | None:
-    """Return a value, or another one where it is not known."""
-    return otherwise if value is None else value
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Given:
     """Inputs of a solve: arrays in its data, symbols in a compiled cost, columns (cells, 1) in a term's `State`.
@@ -119,20 +114,13 @@ class Given:
         Standard deviation of log r0; 0 if r0 is an unknown of the same solve.
     """
 
-    measured: Any = given(lambda readings, _: readings.value, 1.0, per_frame=True)
-    sigma: Any = given(
-        lambda readings, _: first_known(readings.sigma, np.ones_like(readings.value)), 1.0, per_frame=True
-    )
-    side: Any = given(
-        lambda readings, _: readings.side if readings.partial else None, 0.0, per_frame=True, partial=True
-    )
-    seen: Any = given(
-        lambda readings, _: readings.seen if readings.partial else None, 1.0, per_frame=True, partial=True
-    )
-    previous: Any = given(lambda _, behind: behind.previous, 1.0, after=lambda r: r)
-    # Before the baseline is known, the previous frame.
-    baseline: Any = given(lambda _, behind: first_known(behind.baseline, behind.previous), 1.0, after=lambda r: r)
-    previous_deviation: Any = given(lambda _, behind: behind.previous_deviation, 0.0, after=lambda r: 0 * r)
+    measured: Any = given(lambda readings, behind: readings.value, 1.0, per_frame=True)
+    sigma: Any = given(lambda readings, behind: _noise(readings), 1.0, per_frame=True)
+    side: Any = given(lambda readings, behind: _mark(readings, readings.side), 0.0, per_frame=True, partial=True)
+    seen: Any = given(lambda readings, behind: _mark(readings, readings.seen), 1.0, per_frame=True, partial=True)
+    previous: Any = given(lambda readings, behind: behind.previous, 1.0, after=lambda r: r)
+    baseline: Any = given(lambda readings, behind: _baseline(behind), 1.0, after=lambda r: r)
+    previous_deviation: Any = given(lambda readings, behind: behind.previous_deviation, 0.0, after=lambda r: 0 * r)
 
     @staticmethod
     @cache
@@ -178,3 +166,18 @@ class Given:
     def named(self) -> Iterable[tuple[str, Any]]:
         """Yield (name, value) of every field that is known."""
         return ((name, value) for name in self.sources() if (value := getattr(self, name)) is not None)
+
+
+def _noise(readings: FrameReadings) -> Array:
+    """Return the standard deviations of the readings; ones if they are not known."""
+    return np.ones_like(readings.value) if readings.sigma is None else readings.sigma
+
+
+def _mark(readings: FrameReadings, mark: Array) -> Array | None:
+    """Return a mark of partial readings; None if all readings are values."""
+    return mark if readings.partial else None
+
+
+def _baseline(background: Background) -> Array | None:
+    """Return the baseline's cells; before they are known, the previous frame's."""
+    return background.previous if background.baseline is None else background.baseline
