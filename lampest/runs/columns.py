@@ -407,11 +407,7 @@ class Content(Validated):
         "ohm", "standard deviation of the reading", positive_or_infinite, as_volt="sigma", shared=True, default=None
     )
     sigma_baseline: Array | None = _cells(
-        "standard deviation of the baseline",
-        positive_or_infinite,
-        as_volt="sigma_baseline",
-        shared=True,
-        default=None,
+        "standard deviation of the baseline", positive_or_infinite, as_volt="sigma_baseline", shared=True, default=None
     )
     reading_side: NDArray[np.int8] | None = _maps(
         "1",

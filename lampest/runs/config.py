@@ -174,7 +174,8 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
         run: RunFile = point.value
         published |= run.published or {}
         executor = run.executor.beside(path.parent) if isinstance(run.executor, Dask) else run.executor
-        swept = _short_keys(point.entry, point.assignments)
+        own = f"estimators.{point.entry}."  # swept keys without the estimator: gradient.weight
+        swept = {path.removeprefix(own).removeprefix("terms."): value for path, value in point.assignments.items()}
         name, estimator = _varied_name(point.entry, swept), resolve(point.document, run, point.entry)
         for file in recording_paths(path, run.recordings):
             source = recordings[file] = recordings.get(file) or _Source.read(file)
@@ -308,12 +309,6 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
         return Estimator(terms_of(entry.terms), *(getattr(entry, item.name) for item in fields(Choices)))
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error
-
-
-def _short_keys(name: str, assignments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the swept values by their keys without the estimator: gradient.weight."""
-    own = f"estimators.{name}."
-    return {path.removeprefix(own).removeprefix("terms."): value for path, value in assignments.items()}
 
 
 def _varied_name(name: str, swept: Mapping[str, Any]) -> str:

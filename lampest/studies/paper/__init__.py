@@ -29,7 +29,7 @@ from lampest.runs.config import read_run
 from lampest.runs.executors import local
 from lampest.runs.results import Results, read_results
 from lampest.studies import study
-from lampest.studies.study import OnStep, named_values, read_settings
+from lampest.studies.study import OnStep, read_settings
 
 MEASURED = "measured"
 FASTEST = "formulation={kind: reduced, joint: true}"  # finds the optima that the files' formulations find, sooner
@@ -275,11 +275,8 @@ def paper_study(
 
 def rows(paper: Paper) -> list[study.Row]:
     """Return every published number with ours, a column for each side."""
-    names = ("figure", "quantity", "unit", "published")
-    return [
-        study.Row(**named_values(number, *names), **dict(zip(paper.names, number.ours, strict=True)))
-        for number in paper.numbers
-    ]
+    names = ("figure", "quantity", "unit", "published", *paper.names)
+    return [study.Row(**dict(zip(names, (*number[:4], *number.ours), strict=True))) for number in paper.numbers]
 
 
 def page_of(paper: Paper) -> str:
