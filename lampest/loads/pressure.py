@@ -208,7 +208,7 @@ def pressure_of(
         frames.append(track.pressure(ratio[number], lower[number], upper[number], float(at), part))
         track = track.after(ratio[number], float(at))
         tared.append(track.tared)
-    maps = ("pressure", "lower", "upper", "errors", "own", "common", "saturated", "pressing")
+    maps = [name for name in vars(frames[0]) if name != "tared"]
     return Pressure(**{name: np.stack([getattr(frame, name) for frame in frames]) for name in maps}, tared=tuple(tared))
 
 
@@ -283,7 +283,8 @@ class PressureTrack:
             return np.asarray(share * self._of_films(self.films.effective, change + moved, time)[0])
 
         # Error bars: estimate, residue and temperature, and response in quadrature in ln r; then mapped to pressure.
-        shared = TWO_SIDED * np.hypot(remembered, self._film_sd(answer) * answer)
+        curve_sd = 0.0 if self.scene.film is None else self.scene.film.answer_sd
+        shared = TWO_SIDED * np.hypot(remembered, np.hypot(response_sd(self.scene, answer), curve_sd) * answer)
         with np.errstate(divide="ignore"):
             fell, rose = np.log(ratio) - np.log(lower), np.log(upper) - np.log(ratio)
         below, above = np.hypot(fell, shared), np.hypot(rose, shared)
@@ -353,10 +354,6 @@ class PressureTrack:
             spread = np.hypot(self.residue * self.peak, drift) * np.sqrt(np.maximum(gone, 0.0))
         warming_sd = 0.0 if warmth is None else warmth.difference_kelvin * warmth.coefficient_sd_per_kelvin
         return np.asarray(np.hypot(spread, warming_sd))
-
-    def _film_sd(self, answer: Array) -> Array:
-        curve_sd = 0.0 if self.scene.film is None else self.scene.film.answer_sd
-        return np.asarray(np.hypot(response_sd(self.scene, answer), curve_sd))
 
     def _of_films(self, value: Callable[[Array, float], Array], change: Array, time: float) -> Array:
         """Return a method of `FilmMemory`, `at_once`, `effective` or `pressure`, of a frame for all films, (films, …).

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pytest
 
@@ -51,6 +52,9 @@ def test_a_run_reads_the_film_and_says_what_it_took_it_for(recording: Path, lamp
     config.write_text(RUN, encoding="utf-8")
     assert lampest("run", config, "--out", out, "--jobs", "1").code == 0
     (case,) = read_results(out / "results.h5").cases
+    with h5py.File(out / "results.h5") as file:
+        sentence = file["entry/pressed/LSM"].attrs["film"].decode()
+    assert sentence.startswith("creep ") and "from the recording" in sentence
     truth = Recording.load(recording).truth_pressure
     error = np.abs(case.pressure - truth[case.frame])
     assert np.percentile(error, 95) < 0.08 * truth.max()

@@ -12,7 +12,6 @@ import pytest
 from laws.recognised import PATCH_MM, frame_under, verdict_on
 
 from lampest import Array, Panel, Rod, Scene, Simulation
-from lampest.estimate.calibration.known_loads import KnownLoad
 from lampest.files.document import adapter, parse_document, to_yaml, validated
 from lampest.files.levels import SIGNIFICANT
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM
@@ -68,20 +67,6 @@ def test_presses_or_sucks_within_its_reach_alone(kind: type[Shape]) -> None:
     assert np.all(contact >= 0) and np.all(suction <= 0)
     assert not np.any((contact - suction)[distance > load.reach_mm + FINE.pitch_mm])
     assert np.any((contact - suction)[distance > load.reach_mm - 2 * FINE.pitch_mm])
-
-
-@pytest.mark.parametrize("foot", [{"diameter_mm": 24.0}, {"length_mm": 30.0, "width_mm": 18.0, "angle_deg": 20.0}])
-@pytest.mark.parametrize(
-    ("known", "newton"), [({"mass_g": 500.0}, 4.903325), ({"force_newton": 2.0}, 2.0), ({"pressure_kpa": 3.0}, None)]
-)
-def test_a_known_load_presses_with_its_force(
-    known: dict[str, float], newton: float | None, foot: dict[str, float]
-) -> None:
-    """Σ p·pitch² on a panel without gaps; of a pressure its area times it, kPa·mm² = mN."""
-    area = np.pi / 4 * 24.0**2 if "diameter_mm" in foot else 30.0 * 18.0
-    load = KnownLoad(frames=(0, 1), x_mm=44.0, y_mm=46.0, **known, **foot)
-    total = load.pressure(FINE, FINE.pitch_mm).sum() * FINE.pitch_mm**2 * 1e-3
-    assert total == pytest.approx(3.0 * area * 1e-3 if newton is None else newton, rel=0.01)
 
 
 @pytest.mark.parametrize("kind", SHAPES)
@@ -202,12 +187,3 @@ def test_values_are_those_of_fine_sampling(seed: int) -> None:
     pressure, _ = pressure_at_places(OBLONG.places_mm, 6.0, disc, form)
     expected = sampled(disc, form, 6.0)
     assert np.abs(pressure - expected).max() < 0.04 * (disc.rim_kpa - disc.suction_kpa)
-
-
-def test_patches_without_gaps_hold_the_whole_force() -> None:
-    """And a disc beside the panel presses on nothing."""
-    for diameter in (20.0, 33.0, 39.9):
-        pressure, _ = pressure_at_places(OBLONG.places_mm, 10.0, Disc(18.3, 31.7, diameter, 0.0, 0.0, 3.0, 0.0, 0.0))
-        assert pressure.sum() * 100 == pytest.approx(3 * np.pi * diameter**2 / 4, rel=0.01)
-    pressure, slopes = pressure_at_places(OBLONG.places_mm, 6.0, Disc(-40.0, 10.0, 20.0, 10.0, -5.0, 9.0, 0.1, 0.0))
-    assert not pressure.any() and not slopes.any()

@@ -5,11 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lampest import Array, Cells, Panel, Scene, Simulation, SuctionCup, Systematic, Temperature, TwoPointReadout, Water
+from lampest import Array, Cells, Panel, Scene, Simulation, SuctionCup, Temperature, Water
 from lampest.files.document import parse_document, to_yaml, validated
-from lampest.loads.film import ERRORS
-from lampest.loads.pressure import Pressure, PressureTrack, Tare, determined, pressure_of, total_force, water_pressure
-from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA, Film, ratio_from_pressure
+from lampest.loads.pressure import PressureTrack, Tare, pressure_of, water_pressure
+from lampest.panel.response import RESPONSE_SD, VACUUM_KPA, Film, ratio_from_pressure
 from lampest.recording.simulation.simulation import simulate
 
 COOLING = Temperature(-0.003, 20.0, 8.0, 0.001)
@@ -77,16 +76,6 @@ def test_interval_covers_the_truth(name: str, sd: float) -> None:
     assert 0.5 < np.mean(np.abs(pressed.pressure - pressure) < pressed.errors) < 0.75
 
 
-def test_errors_are_the_slopes() -> None:
-    """σ_p = |dp/d ln r| · √(sd² + (RESPONSE_SD·ln f)²) where the response is smooth."""
-    pressure = np.array([-4.0, 1.0, 10.0, 35.0])[:, None, None] * np.ones((4, 3))
-    sd, step = 1e-3, 1e-4
-    change = log_change(pressure, AIR)
-    slope = (log_change(pressure + step, AIR) - change) / step
-    pressed = pressure_of(np.exp(change), np.exp(change - 1.96 * sd), np.exp(change + 1.96 * sd), AIR)
-    np.testing.assert_allclose(pressed.errors, np.hypot(sd, RESPONSE_SD * change) / -slope, rtol=0.1)
-
-
 def test_pressures_are_flagged_where_the_curve_ends() -> None:
     pressure = np.array([-10.5, -9.0, -8.0, 0.0, 20.0, 30.9, 31.5, 200.0])[:, None, None] * np.ones((4, 3))
     ratio = np.exp(log_change(pressure, AIR))
@@ -96,6 +85,10 @@ def test_pressures_are_flagged_where_the_curve_ends() -> None:
     np.testing.assert_array_equal(flags[:, 0, 0], [1, 1, 0, 0, 0, 0, 1, 1])
     uncertain = pressure_of(ratio, ratio / 5, ratio * 5, AIR).saturated
     np.testing.assert_array_equal(uncertain[:, 0, 0], [1, 1, 1, 0, 1, 1, 1, 1])
+    deep = dataclasses.replace(AIR, water=Water(3000.0))  # 29 kPa of water stand on the film, too
+    for scene, flag in ((AIR, 0), (deep, 1)):
+        pressed = np.exp(log_change(np.full((1, 4, 3), 12.0), scene))
+        assert np.all(pressure_of(pressed, pressed, pressed, scene).saturated == flag)
 
 
 def test_open_and_unseen_cells_and_failed_frames() -> None:
@@ -140,22 +133,6 @@ def test_temperatures_are_of_this_world_and_stand_in_a_scene_that_has_them() -> 
     assert "water" not in to_yaml(AIR) and "temperature" not in to_yaml(AIR)
 
 
-def test_the_film_is_a_common_error_and_the_scatter_of_its_cells_is_none() -> None:
-    """Of a usual scene the curve is known to 25 %, and cells of one film scatter by 10 %."""
-    change = np.log(np.array([[[0.3, 0.32]]]))
-    scene = Scene(Panel(1, 2), TwoPointReadout())
-    ends, own = (np.exp(change - 1.96 * 0.2), np.exp(change + 1.96 * 0.2)), np.full(change.shape, 0.05)
-    found, alone = (pressure_of(np.exp(change), *ends, scene, own=one) for one in (own, None))
-    assert np.allclose(np.hypot(found.own, found.common), found.errors)
-    slope = found.errors / np.sqrt(0.2**2 + (0.25 * change) ** 2)  # kPa for each of ln r
-    assert np.allclose(found.own, slope * np.sqrt(0.05**2 + (0.1 * change) ** 2), rtol=0.2)
-    assert np.all(alone.own > 1.5 * found.own) and np.allclose(alone.errors, found.errors)
-    stated = pressure_of(
-        np.exp(change), *ends, dataclasses.replace(scene, systematic=Systematic(response_sd=0.25)), own=own
-    )
-    assert np.allclose(stated.own, slope * np.sqrt(0.05**2 + (0.25 * change) ** 2), rtol=0.2)
-
-
 def test_another_baseline_makes_the_panel_as_it_is_the_zero() -> None:
     """What the film keeps of a load that left is in the new baseline; it fades from there."""
     film = Film(creep_per_decade=0.1)
@@ -175,29 +152,3 @@ def test_another_baseline_makes_the_panel_as_it_is_the_zero() -> None:
     assert (
         PressureTrack.begin(AIR).rebased(1.0).watch is None and PressureTrack.begin(AIR).after(none, 1.0).time is None
     )
-
-
-def test_a_force_is_the_sum_over_pressed_cells() -> None:
-    """kPa on 10 × 10 mm are 0.1 N; own errors add in quadrature, common ones themselves."""
-    panel = Scene(Panel(1, 4), water=Water(100.0))
-    pressure, own, common = np.array([[2.0, 4.0, 99.0, 50.0]]), np.array([[3.0, 4, 9, 7]]), np.array([[5.0, 7, 9, 1]])
-    flags = {"saturated": np.array([[0, 1, 1, 1]]), "pressing": np.array([[1, 1, 0, 1]])}
-    blank = dict.fromkeys(("lower", "upper", "errors"), 0 * pressure)
-    load = Pressure(pressure=pressure, own=own, common=common, **flags, **blank)
-    assert total_force(panel, load) == pytest.approx((5.6, 0.1 * np.hypot(74**0.5, 13), 2))
-    told = dataclasses.replace(panel, response=PUBLISHED)
-    most = PUBLISHED.told_kpa[1] - 0.981
-    np.testing.assert_allclose(determined(told, pressure, own), [[[2, 4, most, most]], [[3, 4, 0, 0]]])
-    assert total_force(told, load) == pytest.approx((0.1 * (6 + most), 0.1 * np.hypot(5, 12), 2))
-    np.testing.assert_allclose(water_pressure(Panel(3, 2), Water(70.0))[:, 1], 9.81e-3 * np.array([70, 80, 90]))
-
-
-def test_a_cell_is_off_by_what_its_film_kept_and_by_temperature() -> None:
-    """Of a load that has left a share `residue` stays; beneath the largest load it counts by √(1 − x²/peak²)."""
-    scene = dataclasses.replace(AIR, film=Film(creep_per_decade=0.05), temperature=COOLING)
-    track = PressureTrack.begin(scene).after(np.full((4, 3), 0.3 * np.exp(0.036)), 10.0)
-    left = np.hypot(track.residue * np.log(0.3), ERRORS.resting_sd(1.0))
-    assert track.residue > 0.01
-    for ratio, share in ((0.3, 0.0), (0.3**0.5, 0.75), (1.0, 1.0)):
-        kept = track._kept(np.full((4, 3), ratio * np.exp(0.036)), 70.0)
-        np.testing.assert_allclose(kept, np.hypot(left * share**0.5, 12 * 0.001), rtol=1e-6)

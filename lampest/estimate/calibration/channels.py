@@ -10,11 +10,11 @@ where b = BELIEVED is the share of the information that is used.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from lampest.cost.losses import Student
 from lampest.cost.terms import Misfit
@@ -28,6 +28,7 @@ from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenReadout
+from lampest.panel.readouts.lines import of_side
 from lampest.panel.scene import Scene, SeriesPerLine, Systematic
 from lampest.panel.systematic import USUAL, systematic_of
 from lampest.posterior.covariance import positive_inverse
@@ -65,70 +66,57 @@ class ChannelCalibration(Calibration):
 def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     """Estimate the electronics' errors that explain the cells that nobody touches, in recordings of one circuit.
 
-    Raises InputError without a readout, for panels of modules, where scenes differ, or where no frame can be estimated.
+    The scene is corrected by them, and its systematic errors are their posterior uncertainty. Raises InputError without
+    a readout, for panels of modules, where scenes differ, or where no frame can be estimated.
     """
     common_scene(recordings, _circuit)
-    first = recordings[0]
-    if first.scene.readout is None:
-        raise InputError(f"{first.name}: its scene names no readout, whose numbers a calibration could find")
-    if first.scene.panel.modules is not None:
-        raise InputError(f"{first.name}: calibrate a panel of modules by recordings of each")
-    scene = _with_all_errors(first.scene)
+    scene, name = recordings[0].scene, recordings[0].name
+    if scene.readout is None:
+        raise InputError(f"{name}: its scene names no readout, whose numbers a calibration could find")
+    if scene.panel.modules is not None:
+        raise InputError(f"{name}: calibrate a panel of modules by recordings of each")
+    # prior sizes of all errors, channels included
+    prior = systematic_of(scene) or replace(USUAL, series_ohm=None, inl_lsb=None, wire_ohm_per_cell=None)
+    prior = replace(prior, channel_spread_ohm=prior.channel_spread_ohm or ASSUMED.channel_ohm, reading_error=None)
+    scene, (rows, columns) = replace(scene, systematic=prior), scene.panel.shape
     parts = [part for recording in recordings for part in _likelihoods(replace(recording, scene=scene))]
     if not parts:
-        raise InputError(f"{first.name}: no calibration: no frame could be estimated")
+        raise InputError(f"{name}: no calibration: no frame could be estimated")
     unit = np.eye(len(parts[0][0]))
-    inverse = positive_inverse(unit + BELIEVED * sum(learned for _, learned, _ in parts))
-    units = _in_units(scene, len(unit))
-    errors = units @ (BELIEVED * inverse @ sum((learned + unit) @ z for z, learned, _ in parts))
-    return _calibration(scene, errors, units @ inverse @ units.T, units @ units.T, sum(count for *_, count in parts))
-
-
-def _calibration(scene: Scene, errors: Array, covariance: Array, before: Array, frames: int) -> ChannelCalibration:
-    """Return the scene corrected for these errors, with their posterior uncertainty as its systematic errors.
-
-    Parameters
-    ----------
-    scene : Scene
-    errors : array, shape (1 + lines,)
-    covariance, before : array, shape (1 + lines, 1 + lines)
-        Posterior and prior covariance.
-    frames : int
-    """
-    deviation, (rows, columns) = np.sqrt(np.diag(covariance)), scene.panel.shape
-    mean = np.repeat([1 / rows, 1 / columns], [rows, columns])
-    centred = block_diag(*(np.eye(lines) - 1 / lines for lines in (rows, columns)))
-    # √(tr H P H/(lines − 2)), where H subtracts the mean of each side
-    apart, apart_before = (
-        float(np.sqrt(np.trace(centred @ part[1:, 1:] @ centred) / (rows + columns - 2)))
-        for part in (covariance, before)
-    )
+    inverse = positive_inverse(unit + BELIEVED * sum(precision for _, precision, _ in parts))
+    units = _units(scene, prior, len(unit))
+    errors = units @ (BELIEVED * inverse @ sum((precision + unit) @ z for z, precision, _ in parts))
+    covariance, frames = units @ inverse @ units.T, sum(count for *_, count in parts)
+    deviation, lines, mean = np.sqrt(np.diag(covariance)), covariance[1:, 1:], np.zeros((rows + columns, 2))
+    mean[:rows, 0], mean[rows:, 1] = 1 / rows, 1 / columns
+    of_means = mean.T @ lines @ mean
+    # mean variance of a channel against the mean of its side: (Σ var e − Σ_sides n var ē)/(lines − 2)
+    apart = float(np.sqrt((np.trace(lines) - np.diag(of_means) @ (rows, columns)) / (rows + columns - 2)))
     # variance of the sum of both sides' means, less the part of independent channels
-    together = float(mean @ covariance[1:, 1:] @ mean) - apart**2 * (1 / rows + 1 / columns)
+    together = float(of_means.sum()) - apart**2 * (1 / rows + 1 / columns)
     sizes = replace(
-        scene.specified_systematic or Systematic(),
+        prior,
         channel_spread_ohm=round(apart, DIGITS),
         reference_tolerance=round(float(np.sqrt(3) * deviation[0]), FRACTION_DIGITS),
         series_ohm=round(float(np.sqrt(max(together, 0.0))), DIGITS) or None,
     )
-    off = float(np.sqrt(np.mean(errors[1:] ** 2)))
     summary = (
-        f"reference {100 * errors[0]:+.2f} +- {100 * deviation[0]:.2f} %, channels off by {off:.2f} ohm rms and known "
-        f"to {apart:.2f} ohm beside their mean, from {frames} frames"
+        f"reference {100 * errors[0]:+.2f} +- {100 * deviation[0]:.2f} %, channels off by "
+        f"{np.sqrt(np.mean(errors[1:] ** 2)):.2f} ohm rms and known to {apart:.2f} ohm beside their mean, "
+        f"from {frames} frames"
     )
-    remarks = [f"from {frames} frames; +- is one standard deviation", summary]
-    for side, lines in zip(("rows", "columns"), np.split(np.arange(1, len(errors)), [rows]), strict=True):
-        each = ", ".join(f"{errors[line]:+.2f} +- {deviation[line]:.2f}" for line in lines)
-        remarks.append(f"{side} are off by {each} ohm")
+    each = [f"{off:+.2f} +- {sd:.2f}" for off, sd in zip(errors[1:], deviation[1:], strict=True)]
+    sides = (("rows", each[:rows]), ("columns", each[rows:]))
+    remarks = [f"{side} are off by {', '.join(offsets)} ohm" for side, offsets in sides]
     return ChannelCalibration(
         scene=_corrected(replace(scene, systematic=sizes), errors),
         summary=summary,
-        remarks=tuple(remarks),
-        warnings=() if apart < UNCHANGED * apart_before else (HARDLY,),
+        remarks=(f"from {frames} frames; +- is one standard deviation", summary, *remarks),
+        warnings=() if apart < UNCHANGED * prior.channel_spread_ohm else (HARDLY,),
         errors=errors,
         covariance=covariance,
         apart=apart,
-        apart_before=apart_before,
+        apart_before=prior.channel_spread_ohm,
         frames=frames,
     )
 
@@ -143,7 +131,7 @@ def _corrected(scene: Scene, errors: Array) -> Scene:
     known = scene.series_resistance_ohm
     both = (known.rows, known.columns) if isinstance(known, SeriesPerLine) else (known / 2, known / 2)
     lines = (np.round(np.maximum(np.add(ohm, off), 0.0), DIGITS) for ohm, off in zip(both, more, strict=True))
-    series = SeriesPerLine(*(tuple(float(ohm) for ohm in line) for line in lines))
+    series = SeriesPerLine(*(tuple(map(float, line)) for line in lines))
     readout = replace(readout, reference_ohm=round(readout.reference_ohm, DIGITS))
     return replace(scene, readout=readout, series_resistance_ohm=series)
 
@@ -153,38 +141,27 @@ def _circuit(scene: Scene) -> Scene:
     return replace(scene, subject=None, experiment=None, water=None, temperature=None, film=None, response=None)
 
 
-def _with_all_errors(scene: Scene) -> Scene:
-    """Return the scene with prior sizes of all errors, channels included."""
-    sizes = systematic_of(scene) or replace(USUAL, series_ohm=None, inl_lsb=None, wire_ohm_per_cell=None)
-    spread = sizes.channel_spread_ohm or ASSUMED.channel_ohm
-    return replace(scene, systematic=replace(sizes, channel_spread_ohm=spread, reading_error=None))
-
-
 def _likelihoods(recording: Recording) -> list[tuple[Array, Array, int]]:
     """Return z, Λ and the number of frames of every block of frames that can be estimated."""
-    noise, parts = Prepared(recording).noise, []
-    estimator = Estimator((Misfit(weighting="noise", loss=Student(corner=4.0)),), SmootherMethod(), error_bars=False)
+    noise, parts, method = Prepared(recording).noise, [], SmootherMethod()
+    estimator = Estimator((Misfit(weighting="noise", loss=Student(corner=4.0)),), method, error_bars=False)
     stream = first_stream(recording, noise.readings, estimator, noise)
     enough = np.flatnonzero(noise.readings.enough(recording.scene))
     for block in np.array_split(enough, max(round(len(enough) / BLOCK), 1)):
-        if len(block) < 2:
-            continue
-        try:
-            shared = SmootherMethod().least_cost(stream, [noise.readings[frame] for frame in block]).shared_estimate
-        except BROKEN:
-            continue
-        parts.append((*shared, len(block)))
+        with suppress(*BROKEN):
+            if len(block) > 1:
+                joint = method.least_cost(stream, [noise.readings[frame] for frame in block])
+                parts.append((*joint.shared_estimate, len(block)))
     return parts
 
 
-def _in_units(scene: Scene, count: int) -> Array:
+def _units(scene: Scene, prior: Systematic, count: int) -> Array:
     """Return the matrix (1 + lines, count) that maps z to the relative error of the reference and to ohm of lines."""
-    sizes, (rows, columns) = scene.specified_systematic or Systematic(), scene.panel.shape
-    contacts, units = 0 if scene.contacts is None else rows + columns, np.zeros((1 + rows + columns, count))
-    units[0, contacts] = sizes.reference_tolerance / np.sqrt(3)
-    lines = slice(contacts + 1, contacts + 1 + rows + columns)
-    units[1:, lines] = sizes.channel_spread_ohm * np.eye(rows + columns)
-    if sizes.series_ohm:
-        driven = slice(1, 1 + rows) if scene.circuit.noisy_side == "rows" else slice(1 + rows, None)
-        units[driven, lines.stop] = sizes.series_ohm
+    (rows, columns), lines = scene.panel.shape, sum(scene.panel.shape)
+    first, units = 0 if scene.contacts is None else lines, np.zeros((1 + lines, count))
+    sizes = [prior.reference_tolerance / np.sqrt(3), *lines * [prior.channel_spread_ohm]]
+    units[:, first : first + 1 + lines] = np.diag(sizes)
+    if prior.series_ohm:
+        driven = of_side(scene.circuit.noisy_side, (1.0, 0.0), (0.0, 1.0))[0]
+        units[1:, first + 1 + lines] = prior.series_ohm * np.repeat(driven, (rows, columns))
     return units

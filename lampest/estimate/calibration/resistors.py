@@ -223,20 +223,15 @@ class Unknown:
         """q of the scene's value; for channels at least the typical one."""
         return max(self.specified / self.scale, len(self.number.sides) if self.number.channel else 1.0)
 
-    def common(self, unknowns: Array) -> float:
-        """Return the common value, in the number's unit."""
-        return self.scale * float(unknowns[self.index])
-
-    def offsets(self, unknowns: Array) -> dict[Side, Array]:
-        """Return the offsets of the lines of each side, spread·e, ohm.
+    def values(self, unknowns: Array) -> tuple[float, list[Array]]:
+        """Return the common value, in the number's unit, and the offsets of the lines of each side, spread·e, ohm.
 
         The spread of channels is a third of the difference between worst and typical ones; that of resistors is the
         standard deviation of RESISTOR_TOLERANCE.
         """
-        spread = (WORST_OHM - TYPICAL_OHM) / 3
-        if not self.number.channel:
-            spread = RESISTOR_TOLERANCE / 3**0.5 * self.common(unknowns)
-        return {side: spread * unknowns[part] for side, part in self.lines.items()}
+        common = self.scale * float(unknowns[self.index])
+        spread = (WORST_OHM - TYPICAL_OHM) / 3 if self.number.channel else RESISTOR_TOLERANCE / 3**0.5 * common
+        return common, [spread * unknowns[part] for part in self.lines.values()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,29 +285,24 @@ class Problem:
         reference_off : float
             Relative error of the reference resistor.
         """
-        rows, columns = self.scene.panel.shape
-        channels: dict[Side, Array] = {"rows": np.zeros(rows), "columns": np.zeros(columns)}
-        fields, of_scene = dict[str, Any](), dict[str, float]()
+        channels: list[Array] = [np.zeros(lines) for lines in self.scene.panel.shape]
+        known, volts = dict[str, Any](), (self.scene.circuit.lsb_volt, self.scene.circuit.full_scale_volt)
         for unknown in self.unknowns:
-            number, common, off = unknown.number, unknown.common(unknowns), unknown.offsets(unknowns)
-            if number.in_scene and number.channel:
-                channels |= {side: common / len(off) + ohm for side, ohm in off.items()}
-            elif number.in_scene:
-                of_scene[number.name] = min(common, 0.9) if number == MEMORY else common
+            common, off = unknown.values(unknowns)
+            if unknown.number.in_scene and off:
+                channels = [common / len(off) + ohm for ohm in off]
             else:
-                each = common + sum(off.values())
                 # ln(1 + exp R) equals R from a few ohm on, is positive, and has a nonzero derivative everywhere.
-                volts = self.scene.circuit.lsb_volt, self.scene.circuit.full_scale_volt
-                limits = volts if number.unit == "volt" else (SHORT_OHM, MAX_OHM)
-                each = np.clip(np.logaddexp(0, each) if off else each, *limits)
-                fields[number.name] = tuple(each.tolist()) if off else float(each)
-        circuit: Any = with_numbers(self.scene.circuit, fields)
+                each = np.logaddexp(0, common + off[0]) if off else np.array(common)
+                limits = {"1": (0.0, 0.9), "volt": volts, "ohm": (SHORT_OHM if off else 0.0, MAX_OHM)}
+                limited = np.clip(each, *limits[unknown.number.unit]).tolist()
+                known[scene_key(unknown.number)] = tuple(limited) if off else limited
         # Contacts and faults belong to the panel, which is unplugged.
-        bare = Scene(self.scene.panel, circuit, lines=self.scene.lines, converter_memory=self.scene.converter_memory)
-        scene: Scene = with_numbers(bare, of_scene)
-        recorded = circuit.simulated(cells, scene, channels["rows"], channels["columns"])
-        volt = np.asarray(circuit.off_by(reference_off).volt_from_recorded(recorded))
-        return with_memory(circuit, scene.converter_memory, volt) if scene.converter_memory else volt
+        panel, plain, memory = self.scene.panel, self.scene.readout, self.scene.converter_memory
+        scene: Scene = with_numbers(Scene(panel, plain, lines=self.scene.lines, converter_memory=memory), known)
+        readout = scene.circuit
+        volt = readout.off_by(reference_off).volt_from_recorded(readout.simulated(cells, scene, *channels))
+        return with_memory(readout, scene.converter_memory, volt) if scene.converter_memory else volt
 
     @cached_property
     def measured(self) -> Array:
@@ -373,6 +363,11 @@ def forward_differences(function: Callable[[Array], Array], at: Array) -> Array:
     return np.asarray(slopes).reshape(-1, len(at))
 
 
+def scene_key(number: LineNumber) -> str:
+    """Return the key of a number in a scene, dotted for the readout's."""
+    return number.name if number.in_scene else f"readout.{number.name}"
+
+
 def with_numbers(part: Any, values: dict[str, Any]) -> Any:
     """Return a record with other values by field name; 'a.b' is the field b of its part a."""
     for name, value in values.items():
@@ -381,8 +376,7 @@ def with_numbers(part: Any, values: dict[str, Any]) -> Any:
     return part
 
 
-@dataclass(frozen=True, eq=False)
-class CircuitFit:
+class CircuitFit(NamedTuple):
     """The unknowns at the minimum and their covariance.
 
     Attributes
@@ -438,11 +432,9 @@ def _estimated(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
 
     def values(unknowns: Array) -> Array:
         """Return the mean over measured lines, then the lines' offsets from it."""
-        value, centred = unknown.common(unknowns), list[Array]()
-        for side, off in unknown.offsets(unknowns).items():
-            mean = off[measured[side]].mean()
-            value, centred = value + float(mean), [*centred, off - mean]
-        return np.concatenate([[value], *centred])
+        common, offsets = unknown.values(unknowns)
+        means = [off[known].mean() for off, known in zip(offsets, measured.values(), strict=True)]
+        return np.concatenate([[common + sum(means)], *map(np.subtract, offsets, means)])
 
     at, slopes = values(fit.unknowns), forward_differences(values, fit.unknowns)
     # σ² = diag(S P Sᵀ), with S the derivatives of the values and P the covariance of θ
@@ -530,21 +522,17 @@ def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None
 
 def _with_estimates(scene: Scene, numbers: Sequence[CircuitNumber], noise: float | tuple[float, ...] | None) -> Scene:
     """Return the scene with the estimated numbers, rounded to a milliohm; a list where lines differ."""
-    readout: Any = scene.readout if noise is None else replace(scene.circuit, noise_lsb=noise)
-
-    def rounded(value: float) -> float:
-        """Return a value rounded to DIGITS and clipped at 0, because noise may make a small one negative."""
-        return round(max(float(value), 0.0), DIGITS)
-
+    if noise is not None:
+        scene = with_numbers(scene, {"readout.noise_lsb": noise})
     for estimate in numbers:
-        number, value = estimate.number, rounded(estimate.value)
-        # The value of each line: its share of the sum where a reading has two channels; the mean where not measured.
-        share = estimate.value / max(len(estimate.lines), 1)
-        each = {side: tuple(map(rounded, share + np.nan_to_num(off))) for side, off, _ in estimate.lines}
-        if number.in_scene and number.channel:
-            scene = replace(scene, series_resistance_ohm=SeriesPerLine(**each) if estimate.differ else value)
-        elif number.in_scene:
-            scene = with_numbers(scene, {number.name: round(estimate.value, FRACTION_DIGITS)})
-        else:
-            readout = with_numbers(readout, {number.name: next(iter(each.values())) if estimate.differ else value})
-    return replace(scene, readout=readout)
+        number, digits = estimate.number, FRACTION_DIGITS if estimate.number in (MEMORY, *WIRE) else DIGITS
+        # Lines have their share of the sum where a reading has two channels, and the mean where not measured. Values
+        # are clipped at 0, because noise may make a small one negative.
+        value: Any = round(max(estimate.value, 0.0), digits)
+        if estimate.differ:
+            share = estimate.value / len(estimate.lines)
+            each = [np.maximum(share + np.nan_to_num(off), 0.0).tolist() for _, off, _ in estimate.lines]
+            lines = [tuple(round(ohm, digits) for ohm in side) for side in each]
+            value = SeriesPerLine(*lines) if number.in_scene else lines[0]
+        scene = with_numbers(scene, {scene_key(number): value})
+    return scene

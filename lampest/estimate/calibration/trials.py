@@ -1,7 +1,6 @@
 """Recordings of known resistors in place of the cells."""
 
 import warnings
-from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -105,12 +104,9 @@ class Trial:
 
         A resistor with the same key in another trial is the same resistor, moved.
         """
-        count, places = Counter[float](), {}
-        for row, column in np.argwhere(self.known > 0).tolist():
-            value = float(self.known[row, column])
-            places[value, count[value]] = (row, column)
-            count[value] += 1
-        return places
+        places = [(row, column) for row, column in np.argwhere(self.known > 0).tolist()]
+        values = [float(self.known[place]) for place in places]
+        return {(value, values[:n].count(value)): places[n] for n, value in enumerate(values)}
 
 
 def usable_range(readout: Readout) -> tuple[float, float]:

@@ -1,7 +1,8 @@
 """Attachments: loads over time, with place, size, and the probabilities that they suck, breathe and pump."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from math import exp, hypot, inf, log
 from typing import Any
 
@@ -11,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
-from lampest.loads.recognition.breathing import MAX_LOG_ODDS, Breathing
+from lampest.loads.recognition.breathing import MAX_LOG_ODDS, Breathing, Patterns
 from lampest.loads.recognition.candidates import UNIFORM, under
 from lampest.loads.recognition.fit import RARE_LOG_ODDS, Verdict
 from lampest.loads.recognition.observation import Observation
@@ -47,6 +48,8 @@ class Attachment:
         ln evidence over that of an unloaded panel.
     track : Pumping or None
         Pumps of its suction; None before the first sample.
+    patterns : Patterns or None
+        Effects of swings of its suction on the readings; None where it does not suck.
     """
 
     sucks: float
@@ -64,6 +67,7 @@ class Attachment:
     moved_s: tuple[float, ...] = ()
     clear: float = 0.0
     track: Pumping | None = None
+    patterns: Patterns | None = field(default=None, repr=False, compare=False)
 
     @property
     def breathes(self) -> float:
@@ -135,7 +139,9 @@ class Attachment:
         return replace(same, sucks_s=began, moved_s=moved)
 
 
-def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[Attachment]:
+def attachments_of(
+    frame: Observation, verdict: Verdict, since: float, patterns: Sequence[Patterns | None] = ()
+) -> list[Attachment]:
     """Return the loads of the most probable candidate; without a shape, one load for each group of changed cells.
 
     Parameters
@@ -144,6 +150,8 @@ def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[A
     verdict : Verdict
     since : float
         Time of arrival, s.
+    patterns : sequence of Patterns or None
+        Patterns of the most probable candidate's loads.
     """
     # ln r/r0 of the cells with the prior N(0, 1), independent of any candidate
     best, shape, attachments, first = verdict.best, frame.measured.shape, list[Attachment](), 0
@@ -154,10 +162,10 @@ def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[A
     resting = np.exp(-frame.baseline.logarithm)
     more, errors = resting * np.expm1(-change), resting * np.exp(-change) * sd
     clear = best.evidence - max(fit.evidence for fit in verdict.fits if fit.candidate in UNIFORM)
-    for candidate, own in best.loads:
+    for (candidate, own), effects in zip_longest(best.loads, patterns):
         disc, after = candidate.disc(own), first + len(own)
         covariance, first = best.covariance[first:after, first:after], after
-        known: dict[str, Any] = {"sucks": verdict.sucks_at(disc), "since_s": since, "clear": clear}
+        known: dict[str, Any] = {"sucks": verdict.sucks_at(disc), "since_s": since, "clear": clear, "patterns": effects}
         if disc is None:
             groups = _groups(frame.panel, moved, more, errors)
         else:

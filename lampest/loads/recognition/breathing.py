@@ -11,6 +11,7 @@ Source: Bretthorst, Bayesian Spectrum Analysis and Parameter Estimation, 1988; d
 
 from dataclasses import dataclass, replace
 from math import exp
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
@@ -95,7 +96,7 @@ class Breathing:
         """Probability that suction oscillates at a breathing rate; 1/2 before any observation."""
         return self.suction * float(expit(self.odds))
 
-    def after(self, seen: Breath, *, full: bool) -> "Breathing":
+    def after(self, seen: Breath | None, *, full: bool) -> "Breathing":
         """Return the breath after a window; `full` states whether the window is complete, so that its odds are kept.
 
         Assumptions: one mouth in twenty never shows its breath, because it is faint or at half the frame rate, and a
@@ -103,6 +104,8 @@ class Breathing:
         ones have to agree that the suction oscillates: with the last one alone, two of 75 shaken cups were taken for
         lampreys for a second (docs/studies/mouths.md).
         """
+        if seen is None:
+            return self
         # ln odds ← clip(ln odds + ln(0.05 + 0.95 B), −ln 20, 10)
         window = np.logaddexp(-RARE_LOG_ODDS, np.log1p(-exp(-RARE_LOG_ODDS)) + seen.odds)
         odds = float(np.clip(self.previous_odds + window, -RARE_LOG_ODDS, MAX_LOG_ODDS))
@@ -117,8 +120,7 @@ class Breathing:
         return replace(described, suction=float(expit(causes + RARE_LOG_ODDS)), causes=causes)
 
 
-@dataclass(frozen=True, eq=False)
-class Patterns:
+class Patterns(NamedTuple):
     """Effects of swings on whitened readings, as roots of their covariance at unit amplitude, (readings, n) each.
 
     Attributes
@@ -200,10 +202,8 @@ class Patterns:
         return np.asarray(whitening.T @ own.weights(MAX_SWINGS["own"], 1.0, EDGE_SD))
 
 
-def patterns_of(
-    frame: Observation, fit: Fit, whitening: Array, detector: Detector
-) -> list[tuple[tuple[float, float], Patterns]]:
-    """Return the centre and the patterns of every load of a fit that sucks.
+def patterns_of(frame: Observation, fit: Fit, whitening: Array, detector: Detector) -> list[Patterns | None]:
+    """Return the patterns of every load of a fit; None for loads that do not suck.
 
     Parameters
     ----------
@@ -215,45 +215,26 @@ def patterns_of(
         Whitens changes of ln y.
     detector : Detector
     """
-    panel = frame.panel
+    loads, panel, first = fit.loads, frame.panel, 0
+    patterns: list[Patterns | None] = [None] * len(loads)
+    if not any(part.sucks for part, _ in loads):
+        return patterns
     departure, covariance = detector.departure(frame, fit)
     rise = fit.change + departure
     by_cell = whitening @ (frame.slope(rise) / frame.measured.ravel()[:, None])
     slopes = _slopes(frame, rise, fit.scatter)
     spread = np.sqrt((slopes[1:-1] ** 2).sum(axis=0) + slopes[0] ** 2 * (fit.scatter**2 + np.diag(covariance)))
-    loads, patterns = fit.loads, list[tuple[tuple[float, float], Patterns]]()
     cells = [part.pressure(panel, detector.patch_mm, own)[0].ravel() != 0 for part, own in loads]
-    by_load = np.split(fit.by_parameter, np.cumsum([len(own) for _, own in loads]))
-    for (part, own), under, by_parameter in zip(loads, cells, by_load, strict=False):
-        disc = part.disc(own)
-        if disc is not None and part.sucks:
-            sways = np.array([prior.sway for prior in part.priors(panel).values()])
-            moves = (sways[:, None] * by_parameter[:, under])[sways > 0]
+    _, by_parameter = detector.fitting(fit.candidate, frame).effect(fit.parameters)
+    for number, ((part, own), under) in enumerate(zip(loads, cells, strict=True)):
+        if part.sucks:
+            sways = np.array([prior.sway for prior in part.priors(panel).values()])[:, None]
+            moves = (sways * by_parameter[first : first + len(own), under])[sways[:, 0] > 0]
             others = np.column_stack([whitening.sum(axis=1), by_cell[:, np.any(cells, axis=0) & ~under]])
             own_cells = by_cell[:, under], rise.ravel()[under], slopes[:, under], spread[under]
-            patterns.append(((disc.x_mm, disc.y_mm), Patterns.of(*own_cells, moves, others)))
+            patterns[number] = Patterns.of(*own_cells, moves, others)
+        first += len(own)
     return patterns
-
-
-def breaths(
-    times: Array, logarithms: Array, frame: Observation, fit: Fit, whitening: Array, detector: Detector
-) -> list[tuple[tuple[float, float], Breath]]:
-    """Return the centre and the breath of every load that sucks, from the frames of a window.
-
-    Parameters
-    ----------
-    times : array, shape (frames,)
-        s.
-    logarithms : array, shape (frames, readings)
-        ln y.
-    frame, fit, whitening, detector
-        As in `patterns_of`.
-    """
-    pressure, _ = fit.candidate.pressure(frame.panel, detector.patch_mm, fit.parameters)
-    changes = settled(logarithms - np.log(frame.measured.ravel()))
-    changes = (changes - _of_water(changes, frame, fit, pressure)) @ whitening.T
-    each = [(place, breath(times, changes, own)) for place, own in patterns_of(frame, fit, whitening, detector)]
-    return [(place, seen) for place, seen in each if seen is not None]
 
 
 def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
@@ -426,15 +407,29 @@ def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
     return np.vstack([mean, np.sqrt(shares)[:, None] * (slopes - mean), common])
 
 
-def _of_water(changes: Array, frame: Observation, fit: Fit, pressure: Array) -> Array:
-    """Return the effect of the water's pressure on ln y, (frames, readings), as estimated from lines without a load.
+def changes_without_water(logarithms: Array, frame: Observation, fit: Fit) -> Array:
+    """Return the changes of ln y, (frames, readings), since the recognised frame, less those by the water's pressure.
 
-    It is 0 if all lines are loaded.
+    The water's effect is estimated from lines without a load; it is 0 if all lines are loaded.
+
+    Parameters
+    ----------
+    logarithms : array, shape (frames, readings)
+        ln y.
+    frame : Observation
+        The recognised frame.
+    fit : Fit
+        Its fit.
     """
-    loaded = pressure != 0
+    changes, loaded, response = (
+        settled(logarithms - np.log(frame.measured.ravel())),
+        fit.change != 0,
+        frame.baseline.response,
+    )
     free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
+    pressure = response.pressure(fit.change / response.gains + response.logarithm(frame.water)) - frame.water
     slope = frame.slope(fit.change) @ frame.change(pressure)[1].ravel() / frame.measured.ravel()
-    return np.outer(changes[:, free] @ slope[free] / max(float(slope[free] @ slope[free]), 1e-300), slope)
+    return changes - np.outer(changes[:, free] @ slope[free] / max(float(slope[free] @ slope[free]), 1e-300), slope)
 
 
 def settled(series: Array) -> Array:

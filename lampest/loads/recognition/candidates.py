@@ -56,12 +56,6 @@ class Several(Candidate):
     def start(self, disc: Disc) -> Array:
         return np.concatenate([part.start(disc) for part in self.parts])
 
-    def like(self, candidate: Candidate, parameters: Array) -> Array | None:
-        """Return the start of every part from the other's loads; None where their numbers differ."""
-        begin = [part.like(*load) for part, load in zip(self.parts, candidate.loads(parameters), strict=False)]
-        known = [start for start in begin if start is not None]
-        return np.concatenate(known) if len(known) == len(self.parts) == len(candidate.loads(parameters)) else None
-
     def blind(self, parameters: Array) -> Array:
         return np.concatenate([part.blind(own) for part, own in self.loads(parameters)])
 
@@ -174,18 +168,18 @@ class DiscSearch:
         drawn_in = np.clip(apart.ravel(), -SIGNIFICANT * sd, SIGNIFICANT * sd)
         return bool(np.min(drawn_in @ self.changes) < -MAX_UNEVENNESS * sd)
 
-    def starts(self, normal: Array, pull: Array) -> dict[Template, Disc]:
+    def starts(self, slope: Array, error: Array) -> dict[Template, Disc]:
         """Return the disc with the largest gain of ln P, (tᵀb)²/tᵀΛt, for each template.
 
         Templates decrease ln r/r0, so that only a positive tᵀb counts.
 
         Parameters
         ----------
-        normal, pull : array, shapes (cells, cells) and (cells,)
-            Λ and b of `CellLikelihood`.
+        slope, error : array, shapes (readings, cells) and (readings,)
+            A and e of `CellLikelihood`: Λ = AᵀA and b = Aᵀe.
         """
         patterns = self.changes.T
-        pulled, size = patterns @ pull, patterns.multiply(patterns @ normal).sum(axis=1)
+        pulled, size = patterns @ (slope.T @ error), patterns.multiply(patterns @ (slope.T @ slope)).sum(axis=1)
         gain = pulled * np.abs(pulled) / np.maximum(size, 1e-300)
         best = np.argmax(gain.reshape(len(self.templates), -1), axis=1)
         size = len(self.discs) // len(self.templates)

@@ -5,8 +5,9 @@ coarse errors about the field of cells. They are then refined with the errors ab
 candidate explains the frame, several loads are fitted together.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,6 @@ from lampest.loads.recognition.fit import (
     CellLikelihood,
     Fit,
     Fitting,
-    Linearisation,
     Verdict,
     along_diameter,
     field_fit,
@@ -32,7 +32,8 @@ from lampest.loads.recognition.fit import (
     states,
 )
 from lampest.loads.recognition.observation import Observation, Whitening, outliers
-from lampest.loads.shapes.disc import Disc
+from lampest.loads.shapes.disc import EVEN, Disc
+from lampest.loads.shapes.kinds import RoundCandidate
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import BentSuction, PublishedResponse
@@ -185,23 +186,19 @@ class Detector:
 
     def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
         """Return the best fit of every kind from the matches of its templates, with coarse errors about the field."""
-        whitening, likelihood = coarse_errors(calm, field.change)
-        starts = self.search(calm.panel).starts(likelihood.normal, likelihood.pull)
-        fits: list[Fit] = []
+        likelihood, fits = coarse_errors(calm, field.change), list[Fit]()
+        starts = self.search(calm.panel).starts(likelihood.slope, likelihood.error)
         for load in kinds:
-            fitting, descents = self.fitting(load, calm), list[Linearisation]()
-            for disc in (starts[template] for template in load.templates):
-                # a descent that stays above the best one by MAX_LOG_RATIO is given up
-                most = min((descent.cost for descent in descents), default=np.inf) + MAX_LOG_RATIO
-                descents.append(fitting.descended(load.start(disc), likelihood, SEARCH.evaluations // 2, most))
-            fits.append(fitting.fit_at(min(descents, key=lambda descent: descent.cost), likelihood, whitening))
+            fitting, begins = self.fitting(load, calm), [load.start(starts[template]) for template in load.templates]
+            descents = [fitting.descended(begin, likelihood, SEARCH.evaluations // 2) for begin in begins]
+            fits.append(fitting.fit_at(min(descents, key=lambda descent: descent[1].cost)[0], likelihood))
         return fits
 
     def _settled(self, frame: Observation, fits: Sequence[Fit], field: Fit, calm: Observation) -> Verdict:
         """Return the verdict on all candidates, refined from coarse fits.
 
-        The best candidate is refined first. All others are fitted with its errors, from their own points or from its
-        point, and with their own errors if they come close. This is repeated until the best one stays the best.
+        The best candidate is refined first. All others are fitted with its errors, and with their own errors if they
+        come close. This is repeated until the best one stays the best.
 
         Parameters
         ----------
@@ -213,14 +210,16 @@ class Detector:
         """
         explains, scatter = field, self.response_levels[-1] * frame.baseline.model_errors.response
         for _ in range(len(fits)):
-            best = best_of(fits)
+            best = min(fits, key=attrgetter("score"))
             others = [fit for fit in fits if fit is not best]
             calm, best = self._sharpened(frame, best, explains, calm, scatter)
             best, whitening = self._own(calm, best)
-            besides = [self._beside(calm, fit, best, whitening) for fit in others]
-            near = [self._own(calm, fit)[0] if fit.cost < best.cost + MAX_LOG_RATIO else fit for fit in besides]
-            fits, explains = [best, *near], best
-            if best_of(fits) is best:
+            # equal errors for all candidates: otherwise a poor candidate would excuse its misfit by its own errors
+            most = best.cost + MAX_LOG_RATIO
+            besides = [self.fitting(fit.candidate, calm).best(fit.parameters, whitening, most) for fit in others]
+            fits = [best, *(self._own(calm, fit)[0] if fit.cost < most else fit for fit in besides)]
+            explains = best
+            if min(fits, key=attrgetter("score")) is best:
                 break
         return self._judged(calm, (*fits, field))
 
@@ -232,20 +231,10 @@ class Detector:
         fitting, response = self.fitting(fit.candidate, calm), calm.baseline.model_errors.response
         errors = [fitting.errors(fit, level * response) for level in self.response_levels]
         # type-II maximum likelihood of the film's deviation on a grid
-        levels = [fitting.stays(fit.parameters, whitening).evidence for whitening in errors]
+        likelihoods = (fitting.about(fit.parameters, whitening) for whitening in errors)
+        levels = [fitting.fit_at(fit.parameters, likelihood).evidence for likelihood in likelihoods]
         whitening = errors[int(np.argmax(levels))]
         return fitting.best(fit.parameters, whitening), whitening
-
-    def _beside(self, calm: Observation, fit: Fit, best: Fit, whitening: Whitening) -> Fit:
-        """Return the fit of another candidate with the errors of the best one.
-
-        It starts from its own φ and, if that does not come close to the best cost, from the place of the best fit.
-        """
-        fitting, most = self.fitting(fit.candidate, calm), best.cost + MAX_LOG_RATIO
-        # equal errors for all candidates: otherwise a poor candidate would excuse its misfit by its own errors
-        descended = fitting.best(fit.parameters, whitening, most)
-        like = fit.candidate.like(best.candidate, best.parameters) if descended.cost > most else None
-        return descended if like is None else best_of([descended, fitting.best(like, whitening, most)])
 
     def _together(self, kinds: Sequence[Candidate], calm: Observation, field: Fit, discs: Sequence[Disc]) -> list[Fit]:
         """Return coarse fits of several loads at once: one with the most probable kinds, and one in which all suck.
@@ -260,13 +249,13 @@ class Detector:
         discs : sequence of Disc
             Places of the loads.
         """
-        whitening, likelihood = coarse_errors(calm, field.change)
+        likelihood = coarse_errors(calm, field.change)
 
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
             parts, own = zip(*sorted(loads, key=lambda load: not load[0].sucks), strict=True)
             fitting = self.fitting(Several.of(parts), calm)
-            descended = fitting.descended(np.concatenate(own), likelihood, SEARCH.evaluations // 2)
-            return fitting.fit_at(descended, likelihood, whitening)
+            position, _ = fitting.descended(np.concatenate(own), likelihood, SEARCH.evaluations // 2)
+            return fitting.fit_at(position, likelihood)
 
         def likely(fit: Fit) -> float:
             return fit.evidence - prior_cost(fit, calm)
@@ -276,9 +265,12 @@ class Detector:
         for place in range(len(best.loads)):
             for kind in kinds:
                 loads = best.loads
-                similar = kind.like(*loads[place])
-                if kind is not loads[place][0] and similar is not None:
-                    loads[place] = kind, similar
+                part, own = loads[place]
+                if kind is not part and (disc := part.disc(own)) is not None:
+                    begin = kind.start(disc)
+                    if isinstance(kind, RoundCandidate) and isinstance(part, RoundCandidate):
+                        begin[-len(EVEN) :] = own[-len(EVEN) :]  # both are equally uneven
+                    loads[place] = kind, begin
                     best = max(best, fitted(loads), key=likely)
         return [best] if best is sucking else [best, sucking]
 
@@ -325,12 +317,7 @@ class Detector:
         return replace(fit, covariance=within + (shares[:, None] * apart).T @ apart)
 
 
-def coarse_errors(frame: Observation, change: Array) -> tuple[Whitening, CellLikelihood]:
-    """Return the errors about ln r/r0 (rows, columns), with independent deviations of all cells, and the likelihood."""
+def coarse_errors(frame: Observation, change: Array) -> CellLikelihood:
+    """Return the likelihood about ln r/r0 (rows, columns), with independent deviations of all cells."""
     whitening = Whitening.about(frame, change, frame.baseline.model_errors.coarse**2 * np.eye(change.size))
-    return whitening, CellLikelihood.about(frame, whitening, change)
-
-
-def best_of(fits: Iterable[Fit]) -> Fit:
-    """Return the fit with the lowest score."""
-    return min(fits, key=lambda fit: fit.score)
+    return CellLikelihood.about(frame, whitening, change)

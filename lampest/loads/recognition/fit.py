@@ -8,9 +8,10 @@ Otherwise rims that cancel suction between patches would fit any outline.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import combinations
 from math import exp, hypot, log
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from lampest.loads.recognition.candidates import FIELD, UNIFORM, under
 from lampest.loads.recognition.observation import MostProbable, Observation, Whitening, outliers
 from lampest.loads.shapes.disc import POINTS, Disc
 from lampest.loads.shapes.shape import Candidate, Prior
-from lampest.panel.least_squares import LevenbergMarquardt
+from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array, Panel
 
 # Search with one linearised circuit; a change of ln P below `settled` changes nothing that is reported.
@@ -53,8 +54,8 @@ class Fit:
         φ and its posterior covariance.
     change : array, shape (rows, columns)
         ln r/r0.
-    by_parameter : array, shape (parameters, cells)
-        Derivatives of ln r/r0 by φ.
+    normal : array, shape (parameters, parameters)
+        Gauss-Newton matrix of the cost.
     residual : array, shape (cells,)
         Residual of the readings, in their unit.
     chi2 : float
@@ -73,7 +74,7 @@ class Fit:
     parameters: Array
     covariance: Array
     change: Array
-    by_parameter: Array
+    normal: Array
     residual: Array
     chi2: float
     cost: float
@@ -97,28 +98,23 @@ class Fit:
         return [disc for part, own in self.loads if (disc := part.disc(own)) is not None]
 
 
-@dataclass(frozen=True, eq=False)
-class CellLikelihood:
-    """−ln P of a frame as a quadratic function of x = ln r/r0, ½ xᵀΛx − bᵀx + constant.
-
-    The circuit is linearised at x₀: with the whitened residual e and Jacobian A there, Λ = AᵀA and b = Aᵀ(e + A x₀).
+class CellLikelihood(NamedTuple):
+    """−ln P of a frame, ½ |e − A x|² + constant in x = ln r/r0, by the circuit linearised at x₀.
 
     Attributes
     ----------
-    normal, pull : array, shapes (cells, cells) and (cells,)
-        Λ and b.
-    constant : float
-    residual : array, shape (cells,)
+    whitening : Whitening
+        Errors of the readings.
+    slope, error : array, shapes (readings, cells) and (readings,)
+        A, and e = e₀ + A x₀ with the residual e₀ at x₀, whitened.
+    residual : array, shape (readings,)
         Residual of the readings at x₀, in their unit.
-    exact : float
-        ½ eᵀe, the value at x₀.
     """
 
-    normal: Array
-    pull: Array
-    constant: float
+    whitening: Whitening
+    slope: Array
+    error: Array
     residual: Array
-    exact: float
 
     @classmethod
     def about(cls, frame: Observation, whitening: Whitening, change: Array) -> "CellLikelihood":
@@ -126,36 +122,7 @@ class CellLikelihood:
         network = frame.baseline.network(change)
         residual = frame.target - network.reading().ravel()
         both = whitening @ np.column_stack([network.sensitivity(), residual])
-        slope, error = both[:, :-1], both[:, -1]
-        linear = error + slope @ change.ravel()
-        square = float(linear @ linear) / 2
-        return cls(slope.T @ slope, slope.T @ linear, square, residual, float(error @ error) / 2)
-
-
-@dataclass(frozen=True, eq=False)
-class Linearisation:
-    """The cost about φ, with its gradient and Gauss-Newton matrix.
-
-    Attributes
-    ----------
-    parameters : array, shape (parameters,)
-        φ.
-    change : array, shape (rows, columns)
-        ln r/r0.
-    by_parameter : array, shape (parameters, cells)
-        Its derivatives by φ.
-    misfit, cost : float
-        −ln P of the readings, and the same with the priors.
-    gradient, normal : array, shapes (parameters,) and (parameters, parameters)
-    """
-
-    parameters: Array
-    change: Array
-    by_parameter: Array
-    misfit: float
-    cost: float
-    gradient: Array
-    normal: Array
+        return cls(whitening, both[:, :-1], both[:, -1] + both[:, :-1] @ change.ravel(), residual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,24 +133,21 @@ class Fitting:
     frame: Observation
     patch_mm: float
 
-    def at(self, parameters: Array, likelihood: CellLikelihood) -> Linearisation:
-        """Return the cost about φ."""
+    def at(self, parameters: Array, likelihood: CellLikelihood) -> SumOfSquares:
+        """Return −ln P about φ, the squares of the readings' errors e − A x(φ) and of (φ − mean)/sd."""
+        change, slopes = self.effect(parameters)
+        mean, sd, _ = self._prior
+        touched = np.flatnonzero(change)  # x is 0 outside the load
+        by_cell = likelihood.slope[:, touched]
+        errors = likelihood.error - by_cell @ change.ravel()[touched]
+        slopes = np.vstack([-by_cell @ slopes[:, touched].T, np.diag(1 / sd)])
+        return SumOfSquares(np.concatenate([errors, (parameters - mean) / sd]), slopes)
+
+    def effect(self, parameters: Array) -> tuple[Array, Array]:
+        """Return ln r/r0 (rows, columns), and its derivatives by φ, (parameters, cells)."""
         pressure, by_parameter = self.pressure(parameters)
         change, response = self.frame.change(pressure)
-        slopes = by_parameter.reshape(len(parameters), response.size) * response.ravel()
-        mean, sd, _ = self._prior
-        apart = (parameters - mean) / sd
-        # x is 0 outside the load: only touched cells enter ½ xᵀΛx − bᵀx. Gradient X(Λx − b) + (φ − mean)/sd², matrix
-        # XΛXᵀ + 1/sd², with X = ∂x/∂φ (parameters, cells).
-        touched = np.flatnonzero(change)
-        changed, own = change.ravel()[touched], slopes[:, touched]
-        normal = likelihood.normal[np.ix_(touched, touched)]
-        pulled, pull = normal @ changed, likelihood.pull[touched]
-        misfit = likelihood.constant + float(changed @ (pulled / 2 - pull))
-        cost = misfit + float(apart @ apart) / 2
-        curvature = own @ normal @ own.T
-        curvature[np.diag_indices(len(sd))] += 1 / sd**2
-        return Linearisation(parameters, change, slopes, misfit, cost, own @ (pulled - pull) + apart / sd, curvature)
+        return change, by_parameter.reshape(len(parameters), response.size) * response.ravel()
 
     def about(self, parameters: Array, whitening: Whitening) -> CellLikelihood:
         """Return the likelihood with the circuit linearised at φ."""
@@ -196,8 +160,10 @@ class Fitting:
         steps: int = SEARCH.evaluations,
         most: float = np.inf,
         held: int | None = None,
-    ) -> Linearisation:
-        """Return the model at the most probable φ that the Levenberg-Marquardt method reaches.
+    ) -> tuple[Array, SumOfSquares]:
+        """Return the most probable φ that the Levenberg-Marquardt method reaches, and the squares there.
+
+        The circuit is linearised once.
 
         Parameters
         ----------
@@ -215,60 +181,34 @@ class Fitting:
         if held is not None:
             low[held] = high[held] = start[held]
         loop = replace(SEARCH, evaluations=steps, longest=longest)
-        _, minimum = loop.minimum(
-            lambda parameters: self.at(parameters, likelihood),
-            start,
-            (low, high),
-            lambda point, count: count > 4 and point.cost > most,
-        )
-        return minimum
+        model = partial(self.at, likelihood=likelihood)
+        return loop.minimum(model, start, (low, high), lambda point, count: count > 4 and point.cost > most)
 
-    def best(self, start: Array, whitening: Whitening, most: float = np.inf) -> Fit:
+    def best(self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None) -> Fit:
         """Return the fit at the most probable φ.
 
-        Parameters
-        ----------
-        start : array, shape (parameters,)
-        whitening : Whitening
-            Errors of the readings.
-        most : float
-            Cost above which the search ends early.
-        """
-        return self.fit_at(*self.settled(start, whitening, most), whitening)
-
-    def settled(
-        self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None
-    ) -> tuple[Linearisation, CellLikelihood]:
-        """Return the most probable φ with its exact cost, and the likelihood about it.
-
         The circuit is linearised again at the end of each search, until the exact cost agrees with the linearised one.
-        The parameters are those of `descended`.
+        `most` and `held` are those of `descended`.
         """
-        likelihood, parameters, best = self.about(start, whitening), start, None
+        fits, position, likelihood = list[Fit](), start, self.about(start, whitening)
         for _ in range(MAX_ROUNDS):
-            point = self.descended(parameters, likelihood, most=most, held=held)
-            likelihood = CellLikelihood.about(self.frame, whitening, point.change)
-            parameters, exact = point.parameters, point.cost - point.misfit + likelihood.exact
-            if best is None or exact < best[0].cost:
-                best = replace(point, cost=exact), likelihood
-            if abs(exact - point.cost) < SEARCH.settled or min(exact, point.cost) > most:
+            position, squares = self.descended(position, likelihood, most=most, held=held)
+            likelihood = self.about(position, whitening)
+            fits.append(self.fit_at(position, likelihood))
+            exact, linear = fits[-1].cost, squares.cost
+            if abs(exact - linear) < SEARCH.settled or min(exact, linear) > most:
                 break
-        assert best is not None
-        return best
+        return min(fits, key=lambda fit: fit.cost)
 
-    def stays(self, parameters: Array, whitening: Whitening) -> Fit:
-        """Return the fit at given φ, without a search."""
-        likelihood = self.about(parameters, whitening)
-        return self.fit_at(self.at(parameters, likelihood), likelihood, whitening)
-
-    def fit_at(self, point: Linearisation, likelihood: CellLikelihood, whitening: Whitening) -> Fit:
-        """Return the fit at a point, with the likelihood that was linearised there and its evidence."""
-        sd = self._prior[1]
-        covariance = np.linalg.inv(point.normal) + np.diag(self.candidate.blind(point.parameters) ** 2)
+    def fit_at(self, parameters: Array, likelihood: CellLikelihood) -> Fit:
+        """Return the fit at given φ with its evidence, by a likelihood that was linearised there or nearby."""
+        squares, whitening, sd = self.at(parameters, likelihood), likelihood.whitening, self._prior[1]
+        covariance = np.linalg.inv(squares.normal) + np.diag(self.candidate.blind(parameters) ** 2)
+        errors = whitening @ likelihood.residual
         # Laplace: ln P(R) = −cost − ½ ln det (H sd sdᵀ) − ½ ln det C + constant, with the Gauss-Newton matrix H
-        width = float(np.linalg.slogdet(point.normal * np.outer(sd, sd))[1]) / 2
-        known = point.parameters, covariance, point.change, point.by_parameter, likelihood.residual
-        likely = 2 * likelihood.exact, point.cost, whitening.volume, -width - point.cost - whitening.volume
+        width = float(np.linalg.slogdet(squares.normal * np.outer(sd, sd))[1]) / 2
+        known = parameters, covariance, self.effect(parameters)[0], squares.normal, likelihood.residual
+        likely = float(errors @ errors), squares.cost, whitening.volume, -width - squares.cost - whitening.volume
         return Fit(self.candidate, *known, *likely, whitening.scatter)
 
     @cached_property
@@ -332,13 +272,13 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
     place = names.index("diameter")
     others = np.ix_(*2 * [np.arange(len(names)) != place])
     # Profile: step ln d in both directions until P(δ) is negligible, all other parameters fitted.
-    points = [fitting.settled(fit.parameters, whitening, held=place)[0]]
+    points = [fitting.best(fit.parameters, whitening, held=place)]
     apart = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))  # as points of a patch are
     for step in (1, -1) * np.array(max(apart, fit.covariance[place, place] ** 0.5 / 2)):
         point = points[0]
         while point.cost < points[0].cost + MAX_LOG_RATIO / 2:
             begin = point.parameters + step * np.eye(len(names))[place]
-            point = fitting.settled(begin, whitening, points[0].cost + MAX_LOG_RATIO / 2, place)[0]
+            point = fitting.best(begin, whitening, points[0].cost + MAX_LOG_RATIO / 2, place)
             points.append(point)
     # Prior precision of a centre that is uniform within a pitch: beyond, it would touch other patches.
     centred = np.diag(fitting.centred * 12 / fitting.frame.panel.pitch_mm**2)
@@ -465,8 +405,17 @@ class Verdict:
 
     def sucks_at(self, disc: Disc | None) -> float:
         """Return the probability that a load at a disc's place sucks, given that there is a load; None: anywhere."""
+
+        def sucks(at: Disc | None) -> bool:
+            # at the place: the centre of a sucking load lies within the disc
+            near = disc and at and hypot(at.x_mm - disc.x_mm, at.y_mm - disc.y_mm) < disc.diameter_mm / 2
+            return disc is None or bool(near)
+
         pairs = zip(self.fits, self.shares, strict=True)
-        return sum(share for fit, share in pairs if _sucks(fit, disc)) / max(1 - self.nothing, 1e-9)
+        total = sum(
+            share for fit, share in pairs if any(sucks(part.disc(own)) for part, own in fit.loads if part.sucks)
+        )
+        return total / max(1 - self.nothing, 1e-9)
 
 
 def prior_cost(fit: Fit, frame: Observation) -> float:
@@ -498,16 +447,6 @@ def _hidden(rise: float, full: float) -> float:
 
 def _overlapping(first: Disc, second: Disc) -> float:
     """Return 1 if two discs are in one place, 0 if they do not overlap, smoothly between."""
-    apart = hypot(first.x_mm - second.x_mm, first.y_mm - second.y_mm)
-    common = (first.diameter_mm + second.diameter_mm) / 2 - apart
+    common = (first.diameter_mm + second.diameter_mm) / 2 - hypot(first.x_mm - second.x_mm, first.y_mm - second.y_mm)
     share = max(common, 0.0) / min(first.diameter_mm, second.diameter_mm)
     return 1 - exp(-((share / MIN_RISE_SHARE) ** 2))
-
-
-def _sucks(fit: Fit, disc: Disc | None) -> bool:
-    """Return whether one of the fit's loads sucks, with its centre within the disc."""
-    discs = [part.disc(own) for part, own in fit.loads if part.sucks]
-    if disc is None:
-        return bool(discs)
-    apart = [hypot(place.x_mm - disc.x_mm, place.y_mm - disc.y_mm) for place in discs if place is not None]
-    return min(apart, default=disc.diameter_mm) < disc.diameter_mm / 2

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
-from typing import Any, TypeAlias, cast
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,7 @@ from lampest.panel.scene import Scene
 CALM_S = 60.0  # s, three time constants of the mean, `FOLLOWS_S`
 
 
-@dataclass(frozen=True, eq=False)
-class WindowNetwork:
+class WindowNetwork(NamedTuple):
     """The solved networks of a window's modules, with the interface that recognition needs of one network."""
 
     layout: Modules

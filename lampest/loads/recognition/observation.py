@@ -330,15 +330,10 @@ class Observation:
         response, step = self.baseline.response, 1e-3  # kPa, for a central difference: F has corners
         # x = κ (ln F(p + p_w) − ln F(p_w)) at p and p ± step
         near = pressure + self.water + np.array([0.0, step, -step])[:, None, None]
-        change, up, down = response.gains * (response.logarithm(near) - self._immersed)
+        change, up, down = response.gains * (response.logarithm(near) - response.logarithm(self.water))
         return np.clip(change, -MAX_LOG_CHANGE, MAX_LOG_CHANGE), (up - down) / (2 * step) * (
             np.abs(change) < MAX_LOG_CHANGE
         )
-
-    @cached_property
-    def _immersed(self) -> Array:
-        """ln F(p_w), (rows, columns)."""
-        return self.baseline.response.logarithm(self.water)
 
     def covariance(self, slope: Array, cells: Array | float = 0.0) -> Array:
         """Return the covariance of the readings, σ² + V Vᵀ + H C Hᵀ + J T Jᵀ with H = (J, E), (cells, cells).

@@ -19,8 +19,15 @@ from scipy.sparse import csc_array
 
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.loads.recognition.attachment import Attachment, Pair, attachments_of, continued_by
-from lampest.loads.recognition.breathing import MIN_RATE_HZ, MIN_WINDOW_S, WINDOW_S, Patterns, breaths, patterns_of
+from lampest.loads.recognition.attachment import Attachment, attachments_of, continued_by
+from lampest.loads.recognition.breathing import (
+    MIN_RATE_HZ,
+    MIN_WINDOW_S,
+    WINDOW_S,
+    breath,
+    changes_without_water,
+    patterns_of,
+)
 from lampest.loads.recognition.candidates import FIELD, DiscSearch
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import IMPOSSIBLE, RARE_LOG_ODDS, Verdict
@@ -261,8 +268,10 @@ class Watch:
             return watch
         # In this order: the load may have gone, the last step may be cancelled, loads are recognised, breath and
         # suction judged.
-        if not watch.known and watch._calm(watch._frame(watch.mean, time)):
-            return watch._gone(watch.begun)
+        if not watch.known:
+            frame = watch._frame(watch.mean, time)
+            if watch.panelled.detector.calm(frame) is not None and watch._left(frame):
+                return watch._gone(watch.begun)
         watch = watch._resumed(watch.mean) if time >= watch.next_s else watch
         watch = watch._recognised(time) if time >= watch.next_s and len(watch.window) >= MIN_FRAMES else watch
         if not (watch.present and watch.known):
@@ -366,10 +375,6 @@ class Watch:
         np.einsum("ii->i", covariance)[: logarithm.size] += self._keeps(frame) ** 2
         return replace(frame, baseline=replace(baseline, covariance=covariance))
 
-    def _calm(self, frame: Observation) -> bool:
-        """Return whether a frame shows no load beyond the film's residue of an earlier one."""
-        return self.panelled.detector.calm(frame) is not None and self._left(frame)
-
     def _left(self, frame: Observation) -> bool:
         """Return whether a frame shows less of the recognised ln r/r0 than the film's residue; True without a load.
 
@@ -425,7 +430,8 @@ class Watch:
             return replace(self, known=True, next_s=again, former=None)
         if self.seen is None and self._uncovered(verdict, median, time):
             return replace(self, seen=frame, left=size, uncovered_s=self.begun)._gone(self.begun)
-        loads = attachments_of(frame, verdict, self.begun)
+        patterns = patterns_of(frame, verdict.best, self.test.whitening, self.panelled.detector)
+        loads = attachments_of(frame, verdict, self.begun, patterns)
         watch = replace(self, film_sd=self._keeps(frame), seen=frame, verdict=verdict, known=True, former=None)
         every = continued_by(self.attachments, loads, self.begun, again=self.known)
         return replace(watch, left=size, left_s=time, size=size, next_s=again, attachments=every)
@@ -448,16 +454,16 @@ class Watch:
         The last frame is left out, because it may be the first one of a release.
         """
         assert self.seen is not None and self.verdict is not None
-        settled = [frame for frame in self.window[:-1] if frame[0] > self.judged_s]
-        times, logarithms = np.array([at for at, _ in settled]), np.array([logarithm for _, logarithm in settled])
-        lasted = float(times[-1] - times[0])
+        frames = [frame for frame in self.window[:-1] if frame[0] > self.judged_s]
+        times, logarithms = np.array([at for at, _ in frames]), np.array([logarithm for _, logarithm in frames])
+        lasted, attachments = float(times[-1] - times[0]), list(self.attachments)
         # complete if it lasts WINDOW_S but for 2.5 mean steps
         full = lasted > WINDOW_S - 2.5 * lasted / max(len(times) - 1, 1)
-        attachments, common = list(self.attachments), (self.seen, self.verdict.best, self.test.whitening)
-        for place, breath in breaths(times, logarithms, *common, self.panelled.detector):
-            present = [number for number, load in enumerate(attachments) if load.present]
-            number = min(present, key=lambda number: attachments[number].distance(place))
-            attachments[number] = replace(own := attachments[number], breath=own.breath.after(breath, full=full))
+        changes = changes_without_water(logarithms, self.seen, self.verdict.best) @ self.test.whitening.T
+        for number, load in enumerate(attachments):
+            if load.present and load.patterns is not None:
+                breathing = load.breath.after(breath(times, changes, load.patterns), full=full)
+                attachments[number] = replace(load, breath=breathing)
         judged_s = float(times[-1]) if full else self.judged_s
         breath_s = time + (MIN_WINDOW_S + 1 / MIN_RATE_HZ if full else FIRST_S)
         return replace(self, attachments=tuple(attachments), judged_s=judged_s, breath_s=breath_s)
@@ -467,22 +473,16 @@ class Watch:
 
         With fewer than MIN_FRAMES frames the sample waits.
         """
-        assert self.seen is not None and self.verdict is not None
+        assert self.seen is not None
         block = np.array([logarithm for at, logarithm in self.window if at > self.sample_s - BLOCK_S])
         if len(block) < MIN_FRAMES:
             return self
         attachments, reference = list(self.attachments), np.log(self.seen.measured.ravel())
-        sucking = {number: load for number, load in enumerate(attachments) if load.present and load.sucks > 0.5}
-        tracked = {number for number, load in sucking.items() if load.track and load.track.moves == len(load.moved_s)}
-        common, patterns = (self.seen, self.verdict.best, self.test.whitening), list[tuple[Pair, Patterns]]()
-        if sucking.keys() - tracked:
-            patterns = patterns_of(*common, self.panelled.detector)
-        for number, load in sucking.items():
-            track = load.track
-            if number not in tracked and patterns:
-                _, own = min(patterns, key=lambda pair, load=load: load.distance(pair[0]))  # type: ignore[misc]
-                begin = self.sample_s - BLOCK_S, len(load.moved_s)
-                track = Pumping.begin(own.suction_weights(common[2]), reference, *begin, track)
-            if track is not None and (number in tracked or patterns):
+        for number, load in enumerate(attachments):
+            if load.present and load.sucks > 0.5 and load.patterns is not None:
+                track, moves = load.track, len(load.moved_s)
+                if track is None or track.moves != moves:
+                    weights = load.patterns.suction_weights(self.test.whitening)
+                    track = Pumping.begin(weights, reference, self.sample_s - BLOCK_S, moves, track)
                 attachments[number] = replace(load, track=track.after(block, time))
         return replace(self, attachments=tuple(attachments), sample_s=time + BLOCK_S)

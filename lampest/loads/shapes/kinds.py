@@ -113,13 +113,6 @@ class RoundCandidate(Candidate):
         others = (values[name] for name in self.numbers)
         return np.array([disc.x_mm, disc.y_mm, *others, disc.tilt_x, disc.tilt_y, *EVEN])
 
-    def like(self, other: Candidate, parameters: Array) -> Array | None:
-        """Return φ of the other kind's disc, with its unevenness if it is round, too."""
-        begin = super().like(other, parameters)
-        if begin is not None and isinstance(other, RoundCandidate):
-            begin[-len(EVEN) :] = parameters[-len(EVEN) :]
-        return begin
-
     def blind(self, parameters: Array) -> Array:
         """Return the standard deviation that readings cannot reduce: edge_mm/d of ln d, 0 of all others."""
         place = ("x", "y", *self._own).index("diameter")

@@ -90,11 +90,6 @@ class Candidate(ABC):
         """Return the most similar disc, from which fits of other kinds may start; None where there is none."""
         return None
 
-    def like(self, other: "Candidate", parameters: Array) -> Array | None:
-        """Return the start of a fit from another kind's φ: φ, (parameters,); None if the other is like no disc."""
-        disc = other.disc(parameters)
-        return None if disc is None else self.start(disc)
-
     def loads(self, parameters: Array) -> list[tuple["Candidate", Array]]:
         """Return every single load of the candidate with its own φ."""
         return [(self, parameters)]
