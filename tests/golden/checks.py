@@ -34,18 +34,20 @@ TWO, AT_COLUMNS = lp.TwoPointReadout(noise_lsb=0.7), lp.LoadedColumnsReadout(noi
 ON_GROUND = lp.GroundedReadout(noise_lsb=0.7)
 
 
-def recorded(readout: Any = TWO, told: Any = None, series: float = 140.0, **effects: float) -> lp.Recording:
+def recorded(readout: Any = TWO, specified: Any = None, series: float = 140.0, **effects: float) -> lp.Recording:
     """A hand on some cells, with effects that the scene does not name, or with another readout than the scene has."""
     scene = lp.Scene(WIDE, readout, series if readout.unit == "ohm" else 0.0)
     known: dict[str, Any] = {"baseline_frames": 4, "frames": 9 if "load_speed_mm_s" in effects else 5, "loads": (HAND,)}
     unmodelled, cells = lp.Unmodelled(**effects), lp.Cells(spread=0.15)
-    made = lp.simulate(lp.Simulation(schema=1, seed=3, scene=scene, cells=cells, unmodelled=unmodelled, **known), "x")
-    return replace(made, scene=told or scene)
+    recording = lp.simulate(
+        lp.Simulation(schema=1, seed=3, scene=scene, cells=cells, unmodelled=unmodelled, **known), "x"
+    )
+    return replace(recording, scene=specified or scene)
 
 
 def touched_at_rest() -> lp.Recording:
-    made = recorded()
-    return replace(made, recorded=np.concatenate([made.recorded[4:8], made.recorded[:5]]))
+    recording = recorded()
+    return replace(recording, recorded=np.concatenate([recording.recorded[4:8], recording.recorded[:5]]))
 
 
 @cache
@@ -56,10 +58,10 @@ def tiled() -> lp.Recording:
     scene = lp.Scene(lp.Panel(modules=tiles), TWO, 140.0, faults=lp.Faults(dead_modules=((1, 2),)), modules=own)
     known: dict[str, Any] = {"loads": (lp.Rod(centre_mm=(36.0, 36.0), diameter_mm=40.0, mass_g=900.0),)}
     known |= {"course": lp.Course(start_s=1.0, release_at_s=5.0), "baseline_frames": 4, "frames": 7}
-    made = lp.simulate(lp.Simulation(schema=1, seed=5, scene=scene, **known), "tiles")
+    recording = lp.simulate(lp.Simulation(schema=1, seed=5, scene=scene, **known), "tiles")
     factor = np.ones(scene.panel.shape)
     factor[4:, :4] = 1.7
-    return replace(made, recorded=made.recorded * factor)
+    return replace(recording, recorded=recording.recorded * factor)
 
 
 RECORDED: dict[str, Callable[[], lp.Recording]] = {
@@ -232,7 +234,7 @@ def answer_row(answer: Detected) -> dict[str, Any]:
 
 
 @cache
-def seen(name: str) -> Verdict:
+def verdict_of(name: str) -> Verdict:
     """One frame under a load, against three without."""
     loads, _, _, _ = ON_FILM[name]
     readings = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=1, loads=loads)).readings()
@@ -245,7 +247,7 @@ def seen(name: str) -> Verdict:
 
 
 def verdict_row(name: str) -> dict[str, Any]:
-    verdict = seen(name)
+    verdict = verdict_of(name)
     best = verdict.best
     return {
         "fits": [(fit.candidate.label, fit.evidence, fit.chi2, fit.cost, fit.volume) for fit in verdict.fits],
@@ -264,15 +266,15 @@ def breathing_row() -> dict[str, Any]:
     patterns = breathing.Patterns.of(
         np.eye(24), rise, slopes[None], 0.2 * np.abs(slopes), moves, rng.standard_normal((24, 1)),
     )  # fmt: skip
-    found = breathing.breath(times, breathing.settled(swing + rng.standard_normal(swing.shape)), patterns)
+    swing_breath = breathing.breath(times, breathing.settled(swing + rng.standard_normal(swing.shape)), patterns)
     belief = [breathing.Breathing()]
     for full in (False, True, True):
-        belief.append(belief[-1].after(found, full=full))
+        belief.append(belief[-1].after(swing_breath, full=full))
     pumping = Pumping.begin(np.ones(4) / 4, np.zeros(4), 0.0, 3)
     for number in range(30):
         pumping = pumping.after(0.02 * rng.standard_normal(4) + 0.3 * (number % 10 > 6), 0.5 * number)
     return {
-        "breath": found, "belief": belief, "probability": [each.probability for each in belief],
+        "breath": swing_breath, "belief": belief, "probability": [each.probability for each in belief],
         "slow": breathing.too_slow(1.5), "pumping": pumping.odds,
     }  # fmt: skip
 
@@ -280,12 +282,12 @@ def breathing_row() -> dict[str, Any]:
 def attachments_row() -> Any:
     """Loads of one recognition after another: one that stays, one that leaves, one that comes."""
     loads = [Attachment(0.2, float(k), (20.0 * k, 0.6), (9.0 * k, 0.6), (15.0, 1.0), cells=5) for k in range(4)]
-    seen = continued_by((), loads[:2], 1.0)
-    seen = continued_by(seen, [replace(loads[1], x_mm=(24.0, 0.6), sucks=0.9, since_s=3.0), loads[3]], 3.0)
-    again = continued_by(seen, [replace(loads[3], y_mm=(30.0, 0.5), diameter_mm=(20.0, 2.0))], 3.0, again=True)
+    present = continued_by((), loads[:2], 1.0)
+    present = continued_by(present, [replace(loads[1], x_mm=(24.0, 0.6), sucks=0.9, since_s=3.0), loads[3]], 3.0)
+    again = continued_by(present, [replace(loads[3], y_mm=(30.0, 0.5), diameter_mm=(20.0, 2.0))], 3.0, again=True)
     return {
-        "attachments": [seen, again, continued_by(again, [], 8.0)],
-        "sizes": [[load.size, load.width, load.lives] for load in seen],
+        "attachments": [present, again, continued_by(again, [], 8.0)],
+        "sizes": [[load.size, load.width, load.lives] for load in present],
     }  # fmt: skip
 
 

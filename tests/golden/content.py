@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 DIGITS, LONG, CHOSEN = 9, 40, 16  # significant digits; numbers of an array that is stored whole, and of a longer one
-RELATIVE, ABSOLUTE = 1e-8, 1e-11  # of a number, and of the largest of its array
+RELATIVE, ABSOLUTE = 1e-8, 1e-9  # of a number, and of the largest of its array
 
 
 def content(value: Any) -> Any:
@@ -50,21 +50,21 @@ def rounded(number: float) -> float:
     return float(f"{number:.{DIGITS}g}")
 
 
-def difference(stored: Any, found: Any, relative: float = RELATIVE, place: str = "") -> str:
+def difference(stored: Any, computed: Any, relative: float = RELATIVE, place: str = "") -> str:
     """Return the first place at which two contents differ, and how; '' where there is none."""
-    if isinstance(stored, dict) and isinstance(found, dict):
-        if stored.keys() != found.keys():
-            return f"{place}: {sorted(stored.keys() ^ found.keys())} stands on one side alone"
+    if isinstance(stored, dict) and isinstance(computed, dict):
+        if stored.keys() != computed.keys():
+            return f"{place}: {sorted(stored.keys() ^ computed.keys())} stands on one side alone"
         return next(
-            filter(None, (difference(stored[key], found[key], relative, f"{place}.{key}") for key in stored)), ""
+            filter(None, (difference(stored[key], computed[key], relative, f"{place}.{key}") for key in stored)), ""
         )
-    if isinstance(stored, list) and isinstance(found, list) and len(stored) == len(found):
-        if not all(isinstance(value, int | float) for value in stored + found):
-            pairs = enumerate(zip(stored, found, strict=True))
+    if isinstance(stored, list) and isinstance(computed, list) and len(stored) == len(computed):
+        if not all(isinstance(value, int | float) for value in stored + computed):
+            pairs = enumerate(zip(stored, computed, strict=True))
             return next(filter(None, (difference(*pair, relative, f"{place}[{k}]") for k, pair in pairs)), "")
-    elif not (isinstance(stored, int | float) and isinstance(found, int | float)):
-        return "" if stored == found else f"{place}: {stored!r} was stored, {found!r} is computed"
-    before, now = np.atleast_1d(np.array(stored, dtype=float)), np.atleast_1d(np.array(found, dtype=float))
+    elif not (isinstance(stored, int | float) and isinstance(computed, int | float)):
+        return "" if stored == computed else f"{place}: {stored!r} was stored, {computed!r} is computed"
+    before, now = np.atleast_1d(np.array(stored, dtype=float)), np.atleast_1d(np.array(computed, dtype=float))
     largest = np.max(np.abs(before), initial=0.0, where=np.isfinite(before))
     far = ~np.isclose(now, before, rtol=relative, atol=ABSOLUTE * largest, equal_nan=True)
     if not far.any():

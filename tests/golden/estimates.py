@@ -18,6 +18,7 @@ from lampest.estimate.calibration.resistors import calibrate_resistors
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.method import OptimalMethod
+from lampest.estimate.prepared import Prepared
 from lampest.recording.readings import (
     Readings,
     mean_change,
@@ -29,6 +30,7 @@ from lampest.recording.readings import (
 )
 from lampest.report.info import understood_lines
 from lampest.report.reconstruction import Reconstruction
+from lampest.studies.common import paper_methods
 
 # Recordings
 
@@ -74,8 +76,11 @@ def readings_row() -> dict[str, Any]:
     recorded[0, 1, 2], recorded[1, 0], recorded[2, 3, 4], recorded[:, 2, 2] = np.nan, 100.0, np.inf, recorded[:, 3, 2]
     readings = Readings.of(scene, recorded)
     known = readings.plain[0]
+    value = 100 + np.array([[0.0, 9, 0.1, 0, 3], [0.1, 0, 0.2, 4, 3], [0.2, 0, 0, 9, 3]])[:, None]
+    side = np.array([[-1.0, -1, 1, 1, 1], [0, 0, 1, -1, 1], [0, 0, 0, 0, 0]])[:, None]
+    bounds = lp.Readings(value, np.full(value.shape, 0.1), side, np.ones(value.shape))
     return {
-        "mean": readings.mean(), "missing": readings.missing(scene), "shown": readings.shown,
+        "mean": [readings.mean(), bounds.mean()], "missing": readings.missing(scene), "shown": readings.shown,
         "enough": readings.enough(scene), "sigma": readings.sigma_of_values, "bounds": readings.bounds,
         "stand in": stand_in(readings.value[0], known), "spread": stand_in_spread(readings.value[0], known),
         "rows": touching_rows(readings), "columns": touching_columns(readings),
@@ -177,7 +182,10 @@ ASIDE = (
     "kkt_residual", "scene",
 )  # fmt: skip
 AUTO = lp.LogGradient(weight="auto")
+PAPER = {"total_variation": (lp.Misfit(), lp.TotalVariation(weight=0.5))}
+PAPER |= {name: method.parts for name, method in paper_methods().items() if name != "LSM"}
 ESTIMATORS: dict[str, Estimator] = {
+    **{name: Estimator(terms, OptimalMethod("reduced", joint=True)) for name, terms in PAPER.items()},
     **{
         f"by {word}": Estimator((lp.Misfit(), lp.LogGradient(weight=0.05)), word) for word in get_args(
             MethodName
@@ -204,18 +212,21 @@ ESTIMATORS: dict[str, Estimator] = {
 MISSING_READINGS = "missing"
 
 
-def estimated(recording: lp.Recording, estimator: Estimator, name: str = "mine") -> lp.CaseResult:
-    return Reconstruction.of(recording, estimator).result(name)
-
-
 def case_row(case: lp.CaseResult) -> dict[str, Any]:
     """All columns and texts of a case, but for times and versions."""
     names = [field.name for field in fields(case) if field.name not in ASIDE]
     return {name: getattr(case, name) for name in names}
 
 
-def estimate_row(recording: Callable[[], lp.Recording], estimator: Estimator) -> dict[str, Any]:
-    return case_row(estimated(recording(), estimator))
+@cache
+def prepared() -> Any:
+    return Prepared(simulated())
+
+
+def estimate_row(recording: Callable[[], Any], estimator: Estimator) -> dict[str, Any]:
+    progress: list[tuple[int, int]] = []
+    estimates = Reconstruction.of(recording(), estimator, lambda done, frames: progress.append((done, frames)))
+    return case_row(estimates.result("mine")) | {"progress": progress}
 
 
 def gapped() -> lp.Recording:
@@ -236,26 +247,27 @@ def calibration_row(calibration: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def resistors_row(scene: lp.Scene) -> dict[str, Any]:
+def resistors_row(scene: lp.Scene, more: float = 0.0) -> dict[str, Any]:
     """Known resistors of several values on every cell, with other circuit numbers than the scene has."""
     printed = np.random.default_rng(4).choice([220.0, 470, 1000, 2200, 4700], PANEL.shape)
-    rows, columns = np.linspace(-9, 9, 4), np.linspace(-4, 8, 5)
+    rows, columns = np.linspace(-9, 9, 4) + more, np.linspace(-4, 8, 5) + more
     if scene.circuit.unit == "volt":
         scene = replace(scene, readout=replace(scene.circuit, drive_ohm=90.0))
     volt = scene.circuit.simulated(np.repeat(printed[None], 6, axis=0), scene, rows, columns)
     noise = 1 + 1e-4 * np.random.default_rng(5).standard_normal(volt.shape)
     recording = lp.Recording(scene, volt * noise, np.arange(6.0), np.zeros(6, dtype=np.uint8))
-    found = calibrate_resistors([recording], [printed], tolerance=1e-3)
-    return calibration_row(found) | {
-        "numbers": [(each.label, each.value, each.sigma, each.lines) for each in found.numbers]
+    calibration = calibrate_resistors([recording], [printed], tolerance=1e-3)
+    return calibration_row(calibration) | {
+        "numbers": [(each.label, each.value, each.sigma, each.lines) for each in calibration.numbers]
     }  # fmt: skip
 
 
 def channels_row() -> dict[str, Any]:
     scene = lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0, systematic=lp.Systematic(0.01, 5.0))
-    found = calibrate_channels([simulated("channel_spread_ohm", scene)])
-    return calibration_row(found) | {
-        "errors": found.errors, "covariance": found.covariance, "apart": [found.apart, found.apart_before],
+    calibration = calibrate_channels([simulated("channel_spread_ohm", scene)])
+    return calibration_row(calibration) | {
+        "errors": calibration.errors, "covariance": calibration.covariance,
+        "apart": [calibration.apart, calibration.apart_before],
     }  # fmt: skip
 
 
@@ -275,7 +287,7 @@ def loads_row() -> dict[str, Any]:
         ) for n,
         rod in enumerate(rods)
     ]  # fmt: skip
-    found = calibrate_loads(recordings, known_loads.KnownLoads(schema=1, loads=tuple(known)), 0.01)
+    calibration = calibrate_loads(recordings, known_loads.KnownLoads(schema=1, loads=tuple(known)), 0.01)
     blocks = known_loads.KnownLoads(
         schema=1,
         loads=(
@@ -285,8 +297,8 @@ def loads_row() -> dict[str, Any]:
             known_loads.KnownLoad(frames=(2, 3), pressure_kpa=7.0),
         ),
     )  # fmt: skip
-    return calibration_row(found) | {
-        "fitted": found.fitted, "pressures": blocks.pressures(PANEL),
+    return calibration_row(calibration) | {
+        "fitted": calibration.fitted, "pressures": blocks.pressures(PANEL),
         "moved": known[0].pressure(PANEL, 6.0, 3.0, -2.0),
     }  # fmt: skip
 
@@ -305,11 +317,12 @@ def of_estimate() -> Rows:
     }  # fmt: skip
     usual = Estimator((lp.Misfit(weighting="noise"), lp.LogGradient(weight=3.0)))
     return (
-        {f"estimate {name}": partial(estimate_row, simulated, estimator) for name, estimator in ESTIMATORS.items()}
+        {f"estimate {name}": partial(estimate_row, prepared, estimator) for name, estimator in ESTIMATORS.items()}
         | {f"estimate with {name}": partial(estimate_row, made, usual) for name, made in recordings.items()}
         | {f"resistors {name}": partial(resistors_row, scene) for name, scene in resistors.items()}
         | {
             "channels": channels_row,
+            "resistors of bad channels": partial(resistors_row, scenes()["noisy"], 87.9),
             "known loads": loads_row,
         }
     )

@@ -180,7 +180,7 @@ def certificate_row(cost: str, circuit: str, decades: float) -> dict[str, Any]:
     at = point(cost, circuit, decades=decades)
     smoothing = Smoothing.start(at)
     hessian = Hessian(at, smoothing)
-    shown = certificate(hessian)
+    proof = certificate(hessian)
     free = bounds.free_cells(at, hessian.gradient)
     factors = [
         preconditioners.preconditioner(hessian, free),
@@ -188,8 +188,8 @@ def certificate_row(cost: str, circuit: str, decades: float) -> dict[str, Any]:
     ]  # fmt: skip
     moved = ProjectedNewton(at.cost, Settings()).solve(at.data, at)
     return {
-        "kind": shown.definiteness, "step": shown.step, "decrement": shown.decrement, "deviations": shown.deviations,
-        "settled": shown.settled, "converged": shown.converged(at.cost_scale), "free": free,
+        "kind": proof.definiteness, "step": proof.step, "decrement": proof.decrement, "deviations": proof.deviations,
+        "settled": proof.settled, "converged": proof.converged(at.cost_scale), "free": free,
         "smoothing": smoothing.width,
         "preconditioned": [factor.over(free, at.cell_resistance)(hessian.gradient[free]) for factor in factors],
         "certain": check(at, moved).kkt_residual < 1e-7,
@@ -271,7 +271,7 @@ def weights_row(cost: str) -> dict[str, Any]:
     model = LinearModel(at, np.tanh(at.nonsmooth), deviation=fits[0].deviation)
     spectra = [spectrum.Spectrum.of(model, number, fits[0].covariance) for number in terms]
     return {
-        "scale": scale, "reference": fits[0],
+        "scale": scale, "gains": [scale.gain(each) for each in (0.5, 1.0, 3.0)], "reference": fits[0],
         "first": spectrum.first_weights(model, [1.0] * (1 + len(terms)), terms),
         "settled": spectrum.settled_weights(model, terms),
         "best": [spectrum.best_weight([each]) for each in spectra],

@@ -5,6 +5,7 @@ import json
 import re
 import sys
 import tempfile
+from collections.abc import Sequence
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from functools import cache, partial
@@ -15,15 +16,16 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from golden.checks import detected
-from golden.circuits import Rows, cells_of
-from golden.estimates import ESTIMATORS, case_row, simulated
+from golden.checks import detected, tiled
+from golden.circuits import COLD, FILM, Rows, cells_of
+from golden.estimates import ESTIMATORS, case_row, gapped, in_scene, simulated
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from support import invented_case
 
 import lampest as lp
+from lampest import cli
 from lampest.estimate.estimator import Estimator
 from lampest.loads.pressure import Force
 from lampest.loads.recognition import breathing
@@ -32,6 +34,7 @@ from lampest.report import compare
 from lampest.report.compare import screen_table
 from lampest.report.detect import pressed
 from lampest.report.detect.answer import Detected
+from lampest.report.info import describe, shaded_map, understood_lines
 from lampest.report.live.engine import with_picture
 from lampest.report.live.message import Message, Picture, Point, View, acknowledged, view_text, with_detected
 from lampest.report.live.state import PanelState, solved_scan
@@ -53,13 +56,15 @@ from lampest.studies.bench import (
     bench_rows,
     growth,
     loads,
+    run_bench,
     sheets,
 )
 from lampest.studies.common import StudyMethod
-from lampest.studies.weights import Curves, WeightSubject, l_curve, morozov, solve_at, why_not
+from lampest.studies.weights import Curves, WeightSubject, l_curve, morozov, solve_at, tune, why_not
 
 # Results, tables, pictures and messages
 
+SPOKEN = ("noisy", "contacts", "faults", "diodes")
 METHODS = ("LSM", "LSR-dCR", "LSR-gCR")
 
 
@@ -130,6 +135,10 @@ def table_row() -> dict[str, Any]:
     }  # fmt: skip
 
 
+def weights_of(cases: Sequence[lp.CaseResult]) -> str:
+    return compared.weights_text([case.weights for case in cases])
+
+
 def page_row() -> dict[str, Any]:
     batch = compared.Batch(
         ("a.h5",) * 6,
@@ -147,13 +156,16 @@ def page_row() -> dict[str, Any]:
         "figures": page.figures(invented()[0]), "failed": page.failures(invented()),
         "disagreements": page.disagreements(invented()[:3]),
         "doubts": page.doubts("LSM", [page.figures(case) for case in invented()[::3]]),
-        "frames": page.frames_text([3, 5, 6, 7, 9]),
+        "frames": page.frames_text([3, 5, 6, 7, 9]), "picks": compared.picks(10, 3, np.random.default_rng(2))[:4],
+        "length": [compared.block_length(part[:, None]) for part in (np.arange(30.0), np.sin(np.arange(40.0)))],
+        "between": [compared.between(compared.Interval(2.131, 1.95, 2.361), "%", "+"), weights_of(invented()[:2])],
     }  # fmt: skip
 
 
 def drawn_row(figure: Figure) -> dict[str, Any]:
     """What a reader of a figure sees, and the numbers under it."""
     axes = []
+    figure.draw_without_rendering()
     for each in figure.findobj(Axes):
         images = [*each.images, *each.collections]
         axes.append(
@@ -167,8 +179,11 @@ def drawn_row(figure: Figure) -> dict[str, Any]:
                 ],
                 "limits": [*each.get_xlim(), *each.get_ylim()],
                 "ticks": [each.get_xticks(), each.get_yticks()],
-                "texts": [(text.get_text(), text.get_position()) for text in each.texts],
+                "texts": [(text.get_text(), text.get_position(), text.get_size()) for text in each.texts],
                 "lines": [np.asarray(line.get_xydata(), dtype=float) for line in each.lines],
+                "looks": [(line.get_linewidth(), line.get_markersize(), str(line.get_color())) for line in each.lines],
+                "widths": [image.get_linewidths() for image in each.collections],
+                "place": each.get_position().bounds,
                 "values": [
                     np.ma.filled(np.ma.asarray(image.get_array(), dtype=float), np.nan)
                     for image in images
@@ -226,8 +241,10 @@ def message_row() -> dict[str, Any]:
         deviation=0.25, deviation_of=6, model="w",
     )  # fmt: skip
     view = with_detected(with_picture(view, picture, "zero"), answer)
-    message = Message.of(view)
+    message, blank = Message.of(view), View("here", "LSM", "waiting", panel)
     return {
+        "blank": json.loads(view_text(blank, 9.0)),
+        "errors": [pressed.figure(1.234, sd) for sd in (0.0, 0.1, 12.0, np.nan)],
         "content": message.content(60.0), "row": message.row(), "channels": message.channels(),
         "page": json.loads(view_text(view, 60.0, 3)), "signature": message.signature,
         "alarm": [view.alarm, acknowledged(view).alarm],
@@ -239,21 +256,22 @@ def live_row(estimator: str) -> dict[str, Any]:
     recording = simulated("outlier_probability")
     readings = recording.readings()
     state = PanelState.begin(ESTIMATORS[estimator], recording.scene, 1.0, readings[[0, 1, 2, 3]].mean(), hasty=True)
-    shown, looks = [], []
+    pictures, looks = [], []
     for number, frame in enumerate(recording.measured_frames(), 1):
+        state = replace(state, missing=2) if number == 3 and estimator == "tared" else state  # a zero is asked for
         sigma = recording.sigma if recording.sigma is None or recording.sigma.ndim == 2 else recording.sigma[frame]
         scan = Scan(recording.recorded[frame], sigma, float(number), 0.0)
         state, picture = solved_scan(state, scan, number, 0)
-        shown.append(
+        pictures.append(
             (
                 picture.relative_change, picture.pressure, picture.force, picture.verdict, picture.outliers,
                 picture.status,
             )
         )  # fmt: skip
         if state.look is not None:
-            found = state.look.findings()
-            looks.append((found.weights, found.lower, found.force))
-    return {"pictures": shown, "looks": looks}
+            findings = state.look.findings()
+            looks.append((findings.weights, findings.lower, findings.force))
+    return {"pictures": pictures, "looks": looks}
 
 
 def command(*words: str | Path) -> str:
@@ -261,7 +279,7 @@ def command(*words: str | Path) -> str:
     printed = io.StringIO()
     with patch.object(sys, "argv", ["lampest", *map(str, words)]), redirect_stdout(printed), redirect_stderr(printed):
         try:
-            lp.cli.main()
+            cli.main()
         except SystemExit as end:
             assert not end.code, printed.getvalue()
     return printed.getvalue()
@@ -306,6 +324,24 @@ def commands_row() -> dict[str, Any]:
     }  # fmt: skip
 
 
+def described_row() -> dict[str, Any]:
+    """Descriptions of recordings with gaps, bounds, lines that touch, modules, and scenes with every entry."""
+    texts = {}
+    for name, recording in {"gaps": gapped(), "modules": tiled(), **{name: in_scene(name) for name in SPOKEN}}.items():
+        readings = recording.recorded.copy()
+        readings[:, 2] = readings[:, 1] if name == "noisy" else readings[:, 2]
+        with tempfile.TemporaryDirectory() as folder, chdir(folder):
+            replace(recording, recorded=readings).save("r.h5")
+            texts[name] = describe("r.h5")
+    film = replace(
+        simulated(), scene=replace(simulated().scene, film=FILM, water=lp.Water(9.0), purpose="mat", temperature=COLD)
+    )
+    return texts | {
+        "spoken": understood_lines(film, ("a note",)),
+        "shaded": shaded_map(np.array([[-90.0, 5.0], [40.0, np.nan]])),
+    }
+
+
 def of_report() -> Rows:
     plots = {
         f"plot {plot.kind}": lambda plot=plot: drawn_row(
@@ -321,6 +357,7 @@ def of_report() -> Rows:
             "scales": scales_row,
             "message": message_row,
             "commands": commands_row,
+            "descriptions": described_row,
             "long columns": lambda: {name: series.values for name, series in invented()[0].long_columns().items()},
             "schema": lambda: sorted(config.json_schema()["$defs"]),
             "report of a fit": lambda: re.sub(
@@ -391,6 +428,27 @@ def tradeoff_row() -> dict[str, Any]:
     }  # fmt: skip
 
 
+def runs_row() -> dict[str, Any]:
+    """Tiny runs of the studies of solvers and of formulations, without their times."""
+    settings = {"LSM": StudyMethod(config.Terms(misfit=lp.Misfit()))}
+    file = BenchFile(schema=1, sizes=(3,), frames=2, repeats=1, estimators=settings)
+    steps: list[tuple[int, int]] = []
+    bench = run_bench(file, lambda done, total, *_: steps.append((done, total)))
+    plan = tradeoff.Plan(tradeoff.TradeoffFile(1, ("r.h5",), frames=2, repeats=1, patience_s=1e3), [simulated()])
+    plan = plan._replace(
+        settings=replace(
+            plan.settings, formulations=("naive", "reduced"), estimators={"LSM": StudyMethod(settings["LSM"].terms)}
+        )
+    )
+    names = ("frame", "solver", "kind", "objective", "gap", "solved", "cell_error", "changed_error")
+    frames = [*bench.frames, *tradeoff.run_tradeoff(plan)]
+    return {
+        "frames": [{name: getattr(each, name) for name in names if hasattr(each, name)} for each in frames],
+        "steps": steps,
+        "left": bench.left_out,
+    }
+
+
 def extremes_row(case: str) -> dict[str, Any]:
     shape = (extremes.CASES[case].shapes or ((3, 4),))[0]
     sample = extremes.AtlasSample(case, *shape, 5.0 * extremes.CASES[case].contrasted, 0.01, 3)
@@ -400,11 +458,12 @@ def extremes_row(case: str) -> dict[str, Any]:
     method = {"mine": StudyMethod(config.Terms(misfit=lp.Misfit(), gradient=lp.Gradient(weight=1e-3)))}
     atlas = extremes.AtlasFile(1, extremes.Grid((3,)), extremes.Grid(()), estimators=method)
     solves = extremes.solves_of(atlas, sample)
-    kept = [
-        (solve.part, solve.status, solve.verified, solve.forward_digits > 9, extremes.mild(solve)) for solve in solves
-    ]  # fmt: skip
+    outcomes = [
+        (each.part, each.status, each.verified, each.forward_digits > 9, each.excess < 1e-6, extremes.mild(each))
+        for each in solves
+    ]
     return {
-        "recorded": recording.recorded, "sigma": recording.sigma, "cells": cells, "solves": kept,
+        "recorded": recording.recorded, "sigma": recording.sigma, "cells": cells, "solves": outcomes,
         "remarks": extremes.atlas_remarks(solves),
     }  # fmt: skip
 
@@ -419,6 +478,7 @@ def weights_study_row() -> dict[str, Any]:
     return {
         "points": points, "morozov": morozov(points, subject.count), "corner": l_curve(points),
         "units": subject.units, "count": subject.count,
+        "tuned": [(each.rule, each.weight, each.error, each.excess, each.in_use) for each in tune(subject).choices],
         "finer": [point.weight for point in Curves(subject, tuple(points[2:6])).finer().points],
         "why": why_not(case.estimator, 9),
     }  # fmt: skip
@@ -450,6 +510,6 @@ def paper_row() -> dict[str, Any]:
 
 
 def of_studies() -> Rows:
-    return {"bench": bench_row, "tradeoff": tradeoff_row, "weights": weights_study_row, "paper": paper_row} | {
-        f"extremes {case}": partial(extremes_row, case) for case in extremes.CASES
-    }  # fmt: skip
+    rows: Rows = {f"extremes {case}": partial(extremes_row, case) for case in extremes.CASES}
+    rows |= {"bench": bench_row, "tradeoff": tradeoff_row, "weights": weights_study_row}
+    return rows | {"paper": paper_row, "runs": runs_row}

@@ -37,6 +37,7 @@ LEFT_OUT = (".git", ".venv", "results", "_build", ".hypothesis", "__pycache__", 
 GRACE = 60.0  # s beside three times the recorded duration
 LONGEST = 120.0  # s of recorded tests for one mutant; a survivor beyond this is counted as one
 GOLDEN = "tests/golden/test_table.py::test_a_row_has_its_stored_results["
+DEFAULTS = "tests/golden/test_defaults.py"  # guards what stands in classes, and calls none of their functions
 LIBRARIES = "numpy scipy.linalg scipy.sparse scipy.optimize scipy.stats scipy.special casadi h5py pydantic ruamel.yaml"
 LIBRARIES += " matplotlib.figure matplotlib.colors typer rich.table jinja2 mpmath pytest"
 
@@ -53,12 +54,17 @@ def copied_checkout() -> Iterator[Path]:
         yield copy
 
 
+def pytest_of(copy: Path, *options: str) -> tuple[list[str], dict[str, str]]:
+    """Return the command of the copy's fast tests, and its environment."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow", *options]
+    return command, os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+
+
 def run_tests(copy: Path, *options: str, seconds: float | None = None, **variables: str) -> int | None:
     """Run pytest on the copy and return its exit code, None when it takes longer than the given time."""
-    environment = os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"} | variables
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow", *options]
+    command, environment = pytest_of(copy, *options)
     silent = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    with subprocess.Popen(command, cwd=copy, env=environment, start_new_session=True, **silent) as process:
+    with subprocess.Popen(command, cwd=copy, env=environment | variables, start_new_session=True, **silent) as process:
         try:
             return process.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -73,7 +79,9 @@ def recorded_tests(copy: Path) -> Tests:
         run_tests(copy, "-p", "tests.mutation.record", **{OUTPUT: str(RECORD)})
         parts = [*RECORD.parent.glob(RECORD.name + ".*")]
         RECORD.write_text(json.dumps({name: test for part in parts for name, test in read(part).items()}))
-    return read(RECORD)
+    command, environment = pytest_of(copy, "--collect-only")
+    listed = set(subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True).stdout.split("\n"))
+    return {name: test for name, test in read(RECORD).items() if name in listed}  # others were renamed since
 
 
 def read(path: Path) -> Tests:
@@ -87,15 +95,15 @@ def guards_of(mutant: Mutant, tests: Tests) -> tuple[list[str], list[str]]:
     The shortest row comes first, then the shortest test of every file and the second of every file, up to `LONGEST`
     seconds.
     """
-    path = mutant.path.removeprefix("lampest/")
-    rows, by_file = list[str](), dict[str, list[str]]()
-    for name in sorted(tests, key=lambda name: tests[name]["seconds"]):
-        calls = tests[name]["functions"]
-        if f"{path}:{mutant.function}" in calls or (
-            not mutant.function and any(call.startswith(f"{path}:") for call in calls)
-        ):
-            group = rows if name.startswith(GOLDEN) else by_file.setdefault(name.partition("::")[0], [])
-            group.append(name)
+    path, rows, by_file = mutant.path.removeprefix("lampest/"), list[str](), dict[str, list[str]]()
+    tried = [f"{path}:{mutant.function}\n", f":{mutant.function}\n"] if mutant.function else []
+    for part in (*tried, f"{path}:"):  # a function that was renamed or moved since is known by its name or its module
+        names = [name for name, test in tests.items() if any(part in f"{call}\n" for call in test["functions"])]
+        if names:
+            break
+    names += [] if mutant.function else [name for name in tests if name.startswith(DEFAULTS)]
+    for name in sorted(set(names), key=lambda name: tests[name]["seconds"]):
+        (rows if name.startswith(GOLDEN) else by_file.setdefault(name.partition("::")[0], [])).append(name)
     rounds = max(map(len, by_file.values()), default=0)
     ordered = [names[number] for number in range(rounds) for names in by_file.values() if number < len(names)]
     total, chosen = 0.0, []

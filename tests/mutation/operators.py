@@ -63,10 +63,13 @@ def mutants_of(root: Path, path: Path) -> list[Mutant]:
 
 
 def sites(node: ast.AST, names: tuple[str, ...]) -> Iterator[tuple[ast.expr, str]]:
-    """Yield every expression that is computed with the function around it; annotations and messages are left out."""
+    """Yield every expression that is computed with its function; annotations, messages and strict zips are left out."""
     for field, children in ast.iter_fields(node):
-        if field in ("annotation", "returns", "decorator_list"):
-            continue
+        if field in ("annotation", "returns", "decorator_list") or (field, getattr(node, "arg", "")) == (
+            "value",
+            "strict",
+        ):
+            continue  # a strict zip refuses lengths that are equal anyway
         for child in children if isinstance(children, list) else [children]:
             if not isinstance(child, ast.AST) or isinstance(child, ast.JoinedStr):
                 continue

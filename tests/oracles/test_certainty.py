@@ -8,14 +8,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lampest import (
-    Arrival,
     Estimates,
     Estimator,
     Readings,
     Recording,
     Scene,
     Solution,
-    Stream,
     two_point_resistance,
 )
 from lampest.cost.given import Background
@@ -139,17 +137,6 @@ def changes_within(found: Estimates, cells: Array) -> list[bool]:
     change, bars = np.log(cells[-1] / cells[0]), found.steps[-1].bars
     estimate = np.log(found.cell_resistance[-1] / found.baseline_resistance)
     return list(((change >= estimate - bars.change.below) & (change <= estimate + bars.change.above)).ravel())
-
-
-def test_a_frame_without_error_bars_leaves_no_deviation_to_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene, exact = Scene(Panel(*SHAPE)), two_point_resistance(panel_cells())
-    readings = Readings.of(scene, exact, 0.01 * exact)
-    stream = Stream.begin(Estimator((Misfit(weighting="noise"), Arrival()), "reduced"), scene, 1.0, readings)
-    stream, step = stream.push(readings)
-    assert step.bars is not None and stream.track.deviation is not None
-    monkeypatch.setattr("lampest.posterior.track.errors_of", lambda *_: np.linalg.cholesky(-np.eye(2)))
-    stream, step = stream.push(readings)
-    assert step.solution.solved and step.bars is None and stream.track.deviation is None
 
 
 @pytest.mark.slow

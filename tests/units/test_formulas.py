@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.stats import norm
 
 from lampest import (
@@ -22,30 +21,21 @@ from lampest import (
     Panel,
     Readings,
     Scene,
-    TableResponse,
     TwoPointReadout,
-    Water,
     two_point_resistance,
 )
 from lampest.cost.given import Background, Given
-from lampest.cost.losses import AnyLoss
 from lampest.cost.problem import Evaluation
 from lampest.estimate.calibration.loads import _answers
 from lampest.estimate.calibration.trials import known_resistors
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
-from lampest.estimate.estimates import barred_maps
 from lampest.estimate.model_check import Question, most_in_series
-from lampest.estimate.noise import NoiseEstimate, steps_within_scan
-from lampest.estimate.outliers import _by_line, _by_median
 from lampest.estimate.rivals import Rival
 from lampest.files import levels
-from lampest.files.typed import members_of
-from lampest.loads.pressure import determined, total_force
 from lampest.panel import compiled
 from lampest.panel.panel import Array
 from lampest.posterior import track
-from lampest.posterior.covariance import DenseErrors, SampledErrors, swept
-from lampest.posterior.linear import LinearModel
+from lampest.posterior.covariance import SampledErrors, swept
 from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.solvers.bounds import bounds_matter, lower_along
 
@@ -95,23 +85,6 @@ def test_loaded_cells_have_moved_in_any_case() -> None:
     precision, loaded = np.linalg.inv(covariance), np.arange(8) == 6
     lost, moved = select_changed(precision @ change, precision, [np.zeros(8, dtype=bool)], loaded)
     assert moved[6] and change @ precision @ change + lost == pytest.approx(evidence(change, covariance, moved))
-
-
-def test_motion_widens_the_noise_of_swept_readings_and_counts_frames_that_it_exceeds() -> None:
-    scene = Scene(Panel(2, 2), TwoPointReadout())
-    value = np.full((4, 2, 2), 600.0)
-    value[2] += 40.0  # a load that comes in the third frame and presses a little more in the last
-    value[3] += 44.0
-    nothing = np.zeros(value.shape)
-    readings = Readings(value, nothing + 4.0, nothing, nothing + 1)
-    seen = NoiseEstimate(nothing.astype(bool), (), readings)
-    measured = np.arange(1, 4)
-    moved = np.abs(steps_within_scan(scene, readings, measured)).max(axis=0)
-    widened = seen.with_motion(scene, measured)
-    np.testing.assert_allclose(widened.readings.sigma, np.hypot(4.0, moved))
-    exceeded = int(np.sum(np.sqrt(np.mean(moved**2, axis=(1, 2))) > 4.0))
-    assert exceeded == 2 and "in 2 frames" in widened.sentence
-    assert moved[3].any() and widened.in_motion
 
 
 @pytest.mark.parametrize(("deviations", "matters"), [(1.2, True), (0.8, False)])
@@ -194,51 +167,6 @@ def test_a_lower_cost_is_looked_for_forth_and_back_along_a_direction_from_far_to
     np.testing.assert_allclose(lower.cell_resistance, 1000.0 * np.exp(0.1))
 
 
-def test_maps_of_error_bars_reach_as_far_as_those_of_each_frame_and_nowhere_where_it_has_none() -> None:
-    cells, baseline = np.array([[[2.0, 6.0]], [[4.0, 8.0]]]), np.array([[4.0, 4.0]])
-    own = {
-        "deviation": 0.1,
-        "below": 0.2,
-        "above": 0.3,
-        "resolution": 0.4,
-        "data_share": 0.5,
-        "own": 0.6,
-        "common": 0.7,
-    }
-    change = {name: 2 * number for name, number in own.items()}
-    frame, changed = (
-        SimpleNamespace(**{name: np.full((1, 2), number) for name, number in one.items()}) for one in (own, change)
-    )
-    steps: Any = (SimpleNamespace(bars=SimpleNamespace(frame=frame, change=changed)), SimpleNamespace(bars=None))
-    maps, ratio = barred_maps(cells, baseline, steps), np.array([[0.5, 1.5]])
-    first = {
-        "cell_resistance_errors": 0.1 * cells[0],
-        "cell_resistance_lower": np.exp(-0.2) * cells[0],
-        "cell_resistance_upper": np.exp(0.3) * cells[0],
-        "relative_change_errors": 20.0 * ratio,
-        "relative_change_lower": 100 * (np.exp(-0.4) * ratio - 1),
-        "relative_change_upper": 100 * (np.exp(0.6) * ratio - 1),
-        "ratio_lower": np.exp(-0.4) * ratio,
-        "ratio_upper": np.exp(0.6) * ratio,
-        "resolution": 0.4,
-        "data_share": 0.5,
-        "sigma_own": 0.6,
-        "sigma_common": 0.7,
-        "change_own": 1.2,
-    }
-    assert maps.keys() == first.keys()
-    ends = {name: 0.0 for name in first if name.endswith("_lower") or name in ("resolution", "data_share")}
-    for name, values in maps.items():
-        np.testing.assert_allclose(values[0], np.broadcast_to(first[name], (1, 2)), err_msg=name)
-        np.testing.assert_allclose(
-            values[1], {"relative_change_lower": -100.0}.get(name, ends.get(name, np.inf)), err_msg=name
-        )
-    cells[0, 0, 1] = np.nan
-    assert all(
-        np.isnan(values[0, 0]).tolist() == [False, True] for values in barred_maps(cells, baseline, steps).values()
-    )
-
-
 def test_profiles_are_of_three_missing_cells_that_are_free_where_matrices_are_at_hand(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -310,89 +238,6 @@ def test_locks_of_cached_properties_are_new_in_a_forked_child_and_others_stay(mo
     assert waiting.lock is not held and own.lock is held and not hasattr(bare, "lock")
     with pytest.raises(RuntimeError, match="cannot release un-acquired lock"):
         lock.release()
-
-
-@pytest.mark.parametrize("offsets", [(-2, -1, 1, 2), (1, 2, 3, 4), (-3, -2, -1, 1)])
-def test_neighbours_in_time_predict_a_reading_by_their_median_and_by_their_line(offsets: tuple[int, ...]) -> None:
-    """By least squares, with twice the deviation of the line's prediction; and by the efficiency of a median."""
-    beside, offset = np.random.default_rng(4).normal(5.0, 1.0, (4, 1, 2, 2)), np.array(offsets)[:, None]
-    predicted, spread, noise = _by_line(beside, offset)
-    median, scatter, of_median = _by_median(beside, offset)
-    design = np.stack([np.ones(4), offset[:, 0]], axis=1)
-    for place in np.ndindex(2, 2):
-        values = beside[:, 0, *place]
-        (height, _), left, *_ = np.linalg.lstsq(design, values, rcond=None)
-        error = np.sqrt(1 + np.linalg.inv(design.T @ design)[0, 0])
-        assert predicted[0][place] == pytest.approx(height) and noise[0][place] == pytest.approx(error)
-        assert spread[0][place] == pytest.approx(2 * np.sqrt(left[0] / 2) * error)
-        assert median[0][place] == np.median(values)
-        assert scatter[0][place] == pytest.approx(1.4826 * np.median(np.abs(values - np.median(values))), rel=1e-4)
-        assert of_median[0][place] == pytest.approx(np.sqrt(1 + np.pi / 8))
-
-
-def test_pressures_end_with_the_response_that_is_known_and_have_no_errors_there() -> None:
-    panel, film = Panel(2, 2), TableResponse(pressure_kpa=(0.0, 5.0), resistance_ohm=(3000.0, 900.0))
-    pressure, own = np.array([[1.0, 4.9], [5.0, 7.0]]), np.array([[0.1, 0.2], [0.3, 0.4]])
-    scene = Scene(panel, TwoPointReadout(), response=film)
-    known = [[1.0, 4.9], [5.0, 5.0]], [[0.1, 0.2], [0.0, 0.0]], [[0.2, 0.4], [0.0, 0.0]]
-    np.testing.assert_allclose(determined(scene, pressure, own, 2 * own), known)
-    np.testing.assert_array_equal(determined(Scene(panel), pressure, own), [pressure, own])
-    under = replace(scene, water=Water(200.0))
-    depth = 1e-6 * 1000 * 9.81 * np.array([[200.0, 200.0], [210.0, 210.0]])
-    ((last,), (below,)) = (part[1:, 1] for part in determined(under, pressure, own))
-    assert last == pytest.approx(5 - depth[1, 1], rel=1e-3) and below == 0
-
-
-def test_a_force_adds_pressures_up_whose_common_errors_move_together() -> None:
-    scene = Scene(Panel(2, 2, pitch_mm=20.0), TwoPointReadout())
-    pressure, own, common = np.array([[1.0, 2.0], [3.0, -4.0]]), np.full((2, 2), 0.3), np.full((2, 2), 0.1)
-    load: Any = SimpleNamespace(
-        pressure=pressure, own=own, common=common, pressing=pressure > 0, saturated=pressure > 2
-    )
-    force = total_force(scene, load)
-    assert force.newton == pytest.approx(0.4 * 6.0) and force.saturated == 1
-    assert force.deviation == pytest.approx(0.4 * np.hypot(np.sqrt(3) * 0.3, 3 * 0.1))
-
-
-def test_penalties_are_as_wide_as_their_residuals_say_without_the_share_of_the_frame_before() -> None:
-    """Residuals beside a cell that was not read are as wide as the largest other one of their term, and no evidence."""
-    term, squares = np.array([0, 0, 0, 1, 1]), np.array([4.0, 1.0, 9.0, 0.5, 2.0])
-    jacobian = sparse.csc_array([[1.0, 0.0], [0.0, 2.0], [1.0, 0.0], [0.5, 0.0], [0.0, 2.0]])
-    terms = [SimpleNamespace(weighs_previous=weighs) for weighs in (False, True)]
-    at = SimpleNamespace(cost=SimpleNamespace(terms=terms))
-    unread = np.zeros(5, dtype=bool)
-    model: Any = SimpleNamespace(
-        penalty_term=term, penalty_squares=squares, known_jacobians=[jacobian], at=at, unread_rows=unread
-    )
-    model.known_share = lambda variance: LinearModel.known_share(model, variance)
-    determined = {0: 7.0, 1: 0.2}
-    for variance, shares in ((None, [0, 0, 0, 0, 0]), (np.array([0.4, 0.9]), [0, 0, 0, 0.1, 1.0])):
-        before = None if variance is None else SimpleNamespace(variance=lambda variance=variance: variance)
-        errors = SimpleNamespace(model=model, before=before, determined=determined.get)
-        widening = DenseErrors.__dict__["widening"].func(errors)
-        np.testing.assert_allclose(widening, np.subtract([4.0, 2.0, 9.0, 2.5, 2.5], shares))
-    unread[1], errors.before, squares[2] = True, None, 90.0
-    widening = DenseErrors.__dict__["widening"].func(errors)
-    np.testing.assert_allclose(widening, [95 / 7, 90 / 1.959964**2, 90.0, 2.5, 2.5], rtol=1e-6)
-
-
-def test_squares_alone_are_called_squares() -> None:
-    assert {kind.__name__: kind.squared for kind in members_of(AnyLoss)} == {
-        "Squared": True,
-        "Huber": False,
-        "Absolute": False,
-        "Student": False,
-    }
-
-
-def test_sizes_of_what_a_frame_shares_are_those_of_a_usual_reading() -> None:
-    """The gain in percent; ripples as the root of the mean square over all readings, in steps of the converter."""
-    sizes: Any = NoiseEstimate.__dict__["shared_sizes"].fget
-    assert sizes(SimpleNamespace(frame=None)) == (0.0, 0.0, 0.0)
-    circuit = SimpleNamespace(lsb_volt=0.5)
-    roots = {"common_ripple": np.array([[3.0], [4.0]]), "line_ripple": np.array([[1.0, 0.0], [2.0, 2.0]])}
-    frame = SimpleNamespace(gain=0.02, scene=SimpleNamespace(circuit=circuit), **roots)
-    assert sizes(SimpleNamespace(frame=frame)) == pytest.approx((2.0, np.sqrt(12.5) / 0.5, np.sqrt(4.5) / 0.5))
 
 
 def test_levels_have_the_false_alarms_that_they_state() -> None:

@@ -19,7 +19,7 @@ from tests.mutation.operators import Mutant, mutants_of
 SOURCE = """LIMIT = 2.5
 class Panel:
     def area(self, length: Literal[4], width=3):
-        message = f"{length + 7} µm"
+        message = f"{length + 7} µm", zip([], strict=True)
         return sorted([-length * width, max(length, width)]) if length < LIMIT and not width is None else True
 """
 
