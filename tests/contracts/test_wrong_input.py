@@ -252,7 +252,6 @@ DOCUMENTS: dict[str, tuple[str, tuple[tuple[str, str, str, str], ...]]] = {
             ),
             ("nodal: 3", "noddal: 3", "6:10", "limits.noddal: no such key"),
             ("repeats: 1", "estimators: {A: {terms: {}}}", "", "a method needs at least one term"),
-            ("repeats: 1", "estimators: {A: {terms: {misfit: {loss: {kind: absolute}}}}}", "", "only squared losses"),
         ),
     ),
     "study extremes": (
