@@ -14,6 +14,7 @@ from golden.estimates import simulated
 import lampest as lp
 from lampest.estimate import changed_cells, noise, outliers
 from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
+from lampest.estimate.model_check import noise_factor
 from lampest.estimate.nuisances import candidates as possible_effects
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition import breathing, observation
@@ -147,6 +148,8 @@ def scatter_row() -> dict[str, Any]:
         "repeated": noise.repeated_scatter(readings[measured]),
         "excess": [noise.noted_excess(*pair) for pair in ((500.0, 300.0), (310.0, 300.0), (0.0, 0.0))],
         "shown": [noise.shown_noise(recording.scene.circuit, factor) for factor in (0.0, 0.5, 3.0)], "frame": frame,
+        "unknown": noise_factor(replace(readings, sigma=None)), "factor": noise_factor(readings[:4]),
+        "single": frames_beside(replace(recording, role=(recording.time == 4).astype(np.uint8)), readings, resting, 4),
         "beside": frames_beside(recording, readings, resting, frame),
         "possible": [str(each) for each in possible_effects((3, 4))],
     }  # fmt: skip

@@ -30,7 +30,7 @@ from lampest.recording.readings import (
 )
 from lampest.report.info import understood_lines
 from lampest.report.reconstruction import Reconstruction
-from lampest.studies.common import paper_methods
+from lampest.studies.common import CONFIGS, paper_methods
 
 # Recordings
 
@@ -300,6 +300,7 @@ def loads_row() -> dict[str, Any]:
     return calibration_row(calibration) | {
         "fitted": calibration.fitted, "pressures": blocks.pressures(PANEL),
         "moved": known[0].pressure(PANEL, 6.0, 3.0, -2.0),
+        "read": [known_loads.read_known_loads(CONFIGS / f"known_loads.{kind}") for kind in ("csv",)],
     }  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """Rows of costs, solvers and error bars."""
 
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from functools import cache, partial
 from itertools import product
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -280,6 +280,12 @@ def weights_row(cost: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def bounded_row() -> Any:
+    """The reference estimate of data whose bounds hold some cells."""
+    data = point("ohm").data
+    return references([replace(data, lower=np.maximum(data.lower, 1200.0))], point("ohm").cost)
+
+
 def chain_row() -> dict[str, Any]:
     rng = np.random.default_rng(6)
     root = rng.standard_normal((3, 4, 6))
@@ -320,6 +326,7 @@ def of_posterior() -> Rows:
         | {f"profile {known}": partial(profile_row, known) for known in (False, True)}
         | {
             "chain": chain_row,
+            "reference at bounds": bounded_row,
             "intervals": lambda: (
                 interval.one_sided(slopes, wide),
                 interval.chi_square_tail(slopes, wide),

@@ -33,6 +33,12 @@ def solved(panel: Panel, frames: np.ndarray, *terms: lampest.Term, **settings: o
     return lampest.reconstruct(recording_of(Scene(panel, READOUT), frames), terms=list(terms), **settings)
 
 
+@pytest.mark.parametrize("crossing", [(0, 3), (2, 0), (-1, 0), (0, -1)])
+def test_a_cell_at_no_crossing_is_refused(crossing: tuple[int, int]) -> None:
+    with pytest.raises(ValueError, match=rf"there is no crossing \[{crossing[0]}, {crossing[1]}\]"):
+        Panel(2, 3, cells=((0, 0, 0.0, 0.0), (*crossing, 10.0, 10.0)))
+
+
 @pytest.mark.parametrize("outline", OUTLINES)
 @pytest.mark.parametrize("formulation", ["reduced", "nodal"])
 def test_exact_readings_give_the_cells_back(outline: str, formulation: str) -> None:
