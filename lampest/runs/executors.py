@@ -282,6 +282,10 @@ class Dask(Executor):
                 if threads != 1:
                     raise InputError(f"executor: the worker {worker} has {threads} threads; start it with --nthreads 1")
             yield client
+            if place is None:
+                # Closed while it starts a worker anew, a nanny raises AssertionError (distributed 2026.8).
+                with suppress(TimeoutError):
+                    client.wait_for_workers(workers, timeout=self.wait_s)
 
 
 def _outcome(distributed: Any, client: Any, future: Any) -> Any:
@@ -292,6 +296,8 @@ def _outcome(distributed: Any, client: Any, future: Any) -> Any:
         raise LostError(f"the Dask scheduler {client.scheduler.address} is gone") from error
     except Exception as error:
         return error
+    finally:
+        future.release()
 
 
 def _of_this_machine(distributed: Any, workers: int) -> Any:
