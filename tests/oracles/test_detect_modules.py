@@ -319,7 +319,8 @@ def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) ->
     rng, found, mean, sd = np.random.default_rng(5), [], fitting.candidate.mean(SMALL), fitting.candidate.sd(SMALL)
 
     def cost_at(parameters: Array) -> float:
-        return float(fitting.about(parameters, whitening).exact + np.sum(((parameters - mean) / sd) ** 2) / 2)
+        error = whitening @ fitting.about(parameters, whitening).residual
+        return float(error @ error + np.sum(((parameters - mean) / sd) ** 2)) / 2
 
     here, cost = start, cost_at(start)
     for _ in range(STEPS):
