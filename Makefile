@@ -45,7 +45,7 @@ test-all: test
 	@$(PYTEST) $(SPREAD) -m slow
 
 quick: $(VENV)/.installed-dev
-	@$(PYTEST) $(SPREAD) -m 'not slow' $(QUICK)
+	@$(PYTEST) $(SPREAD:loadfile=worksteal) -m 'not slow' $(QUICK)
 
 mutants: $(VENV)/.installed-dev
 	@$(BIN)/python -m tests.mutation
