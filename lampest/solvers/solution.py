@@ -308,13 +308,13 @@ def _balanced(hessian: Hessian) -> bool:
     if not corner.any():
         return True
     weighted = (by_log[corner] * at.cost.slope[corner, None]).T
-    fixed = np.where(corner, 0.0, dual)
-    other = -at.log_gradient(fixed).ravel()
+    subgradient = np.where(corner, 0.0, dual)
+    target = -at.log_gradient(subgradient).ravel()
     # A cell at a bound may keep a gradient that points outward; first none is needed.
     inside = ((cells > at.data.lower) & (cells < at.data.upper)).ravel()
     for free in (np.ones_like(inside), inside):
-        fixed[corner] = lsq_linear(weighted[free], other[free], (-1.0, 1.0), method="bvls").x
-        if at.projected_gradients(at.log_gradient(fixed)) <= VERIFIED:
+        subgradient[corner] = lsq_linear(weighted[free], target[free], (-1.0, 1.0), method="bvls").x
+        if at.projected_gradients(at.log_gradient(subgradient)) <= VERIFIED:
             return True
     return False
 
