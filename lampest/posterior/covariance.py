@@ -365,7 +365,7 @@ class SampledErrors(DenseErrors):
     samples : int
         Number of samples of the error; standard deviations scatter by 7 %.
     probes : int
-        Number of random probes of a trace.
+        Number of random changes for sums over all rows of a penalty.
     accuracy, fine_accuracy : float
         Accuracy of a solve by conjugate gradients: of a sample, and of a value that is reported itself.
     """
@@ -418,14 +418,23 @@ class SampledErrors(DenseErrors):
         return every / len(np.unique(self.model.penalty_term)) - self.used(term)
 
     def used(self, term: int) -> float:
-        """Return tr(A⁻¹ Z_tᵀ Ω Z_t) of a term (number), estimated from random probes."""
-        random, own = np.random.default_rng(1), self.model.penalty_term == term
-        rows, total = self._rows[own], 0.0
-        for _ in range(self.probes):
-            # Hutchinson's estimate: E pᵀ √Ω Z A⁻¹ Zᵀ √Ω p for random signs p
-            right = (rows.T @ random.choice([-1.0, 1.0], int(own.sum())))[self.model.free]
-            total += float(right @ self.solved(right[:, None])[:, 0])
-        return total / self.probes
+        """Return tr(A⁻¹ Z_tᵀ Ω Z_t) of a term (number), the mean of Σ ω (Z δ)²/s² over `draws`."""
+        own = self.model.penalty_term == term
+        squares = self.model.penalty_curvature[own, None] * self.draws[own] ** 2
+        return float(np.sum(squares)) / (self.probes * self.model.scale)
+
+    @cached_property
+    def draws(self) -> Array:
+        """Changes Z δ of the penalties for random δ ~ N(0, s² A⁻¹) of the free cells, (penalty rows, probes)."""
+        model, random = self.model, np.random.default_rng(1)
+        # δ = s A⁻¹ (Jᵀ √Ω z₁ + Zᵀ √Ω z₂ + √(ε s²) z₃) with standard normal z
+        data = np.sqrt(np.maximum(model.data_curvature, np.finfo(float).tiny))
+        right = np.empty((len(model.free), self.probes))
+        for probe in range(self.probes):
+            rows, pull, ridge = map(random.standard_normal, (len(data), self._rows.shape[0], len(model.free)))
+            drawn = self._adjoint(rows / data) + self._rows.T @ pull
+            right[:, probe] = drawn[model.free] + np.sqrt(model.scale * model.ignorance) * ridge
+        return np.asarray(np.sqrt(model.scale) * (model.penalty_jacobian @ model.over_all(self.solved(right))))
 
     @cached_property
     def _samples(self) -> tuple[Array, Array]:

@@ -191,12 +191,18 @@ def first_weights(model: LinearModel, weights: Sequence[float], open_terms: Coll
 
 
 def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]:
-    """Return the weights after one step of the fixed point at an estimate, with traces from random probes."""
+    """Return the weights after one step of the fixed point at an estimate, with sums over random changes.
+
+    E|x| is the mean of |x̂ + Z δ| over δ ~ N(0, s² A⁻¹). With |x̂| alone, a penalty without residuals would have an
+    infinite weight.
+    """
     errors, weights = SampledErrors(model), list(model.at.weights)
     share = min(rank(model.at.cost.unweighted), len(model.free)) / len(np.unique(model.penalty_term))
     for number in open_terms:
-        residual = model.penalty[model.penalty_term == number]
-        evidence = PenaltyEvidence(residual, float(np.abs(residual).sum()), share, partial(errors.used, number))
+        own = model.penalty_term == number
+        residual = model.penalty[own]
+        magnitude = float(np.abs(residual[:, None] + errors.draws[own]).mean(axis=1).sum())
+        evidence = PenaltyEvidence(residual, magnitude, share, partial(errors.used, number))
         weights[number] = _weight(model, number, evidence)
     return weights
 

@@ -110,6 +110,21 @@ def test_the_evidence_chooses_its_fixed_point_and_says_how_sure_it_is(
     assert chosen.weight_sigma[1] == pytest.approx(np.sqrt(2 / DenseErrors(model).determined(1)), rel=0.03)
 
 
+def test_an_absolute_penalty_that_no_cell_contradicts_has_a_finite_weight(monkeypatch: pytest.MonkeyPatch) -> None:
+    terms = (Misfit(weighting="noise"), LogRatio(weight=AUTO))
+    estimator, scene = Estimator(terms, "reduced", auto_weight=AutoWeight(rule="evidence")), Scene(Panel(*SHAPE))
+    cells, chosen = cells_of(1), []
+    exact = two_point_resistance(cells)
+    measured = exact * (1 + 0.01 * np.random.default_rng(2).standard_normal(exact.shape))
+    readings = Readings.of(scene, measured[None], 0.01 * exact[None])
+    data = estimator.data(readings, Background(scene, previous=cells[None], baseline=cells[None]))
+    for most_cells in (1000, 10):
+        monkeypatch.setattr("lampest.estimate.weights.MAX_CELLS", most_cells)
+        chosen.append(float(with_chosen_weights(estimator, scene, data, cells[None]).terms[1].weight))
+    assert_allclose(chosen[1], chosen[0], rtol=0.25)
+    assert 0.3 < chosen[0] < 10
+
+
 def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights() -> None:
     estimator = Estimator((Misfit(), Gradient(weight=AUTO), CellResistance(weight=AUTO)), "reduced")
     data = [measured_data(estimator, cells_of(seed), 0.01, 2) for seed in (1, 2)]
