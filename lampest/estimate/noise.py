@@ -443,16 +443,18 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
     """
     known = ~np.isnan(deviation)
     lines, channels = deviation.shape[1:]
+    # Of a single line, gain and common ripple are not distinguished from its own ripple, and count as that.
+    several, free = lines > 1, max(lines - 1, 1)
     size = np.maximum((known * loudness**2).sum(axis=(1, 2)), 1e-300)
     # Gain of each frame by least squares, Σ deviation · loudness / Σ loudness², (frames,); then the mean over lines,
     # (frames, channels).
-    slope = (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / size
+    slope = several * (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / size
     remaining = np.where(known, deviation - slope[:, None, None] * loudness, 0.0)
-    common = remaining.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    common = several * remaining.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     # Missing readings reduce the degrees of freedom in proportion to their share.
     share = float(known.mean())
     inner = np.where(known, remaining - common[:, None, :], 0.0).reshape(-1, channels)
-    noise, apart = _patterns(inner, max(repeats * (lines - 1) * share, 1.0))
+    noise, apart = _patterns(inner, max(repeats * free * share, 1.0))
     # Variance of one reading by own noise and line ripple, and of the mean over lines if no common ripple existed.
     line = noise + float((apart**2).sum()) / channels
     together, variance = np.zeros((channels, 0)), line / (lines * share)
@@ -467,7 +469,7 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
     gain = 0.0
     if chi_square_tail((slope**2 / np.maximum(own, 1e-300)).sum(), repeats) < SIGNIFICANCE:
         gain = float(np.sqrt(max((slope**2).sum() / repeats - own.mean(), 0.0) * few))
-    degrees = repeats * (lines - 1) * (channels - apart.shape[1]) * share
+    degrees = repeats * free * (channels - apart.shape[1]) * share
     return Scatter(float(np.sqrt(max(noise, 0.0))), max(int(degrees), 1), gain, together, apart)
 
 

@@ -156,22 +156,23 @@ def without_outliers(
             most = MAX_SHARE
     resting = np.broadcast_to(median(value[unloaded]) if unloaded.any() else np.nan, value.shape[1:])
     lies = unloaded.reshape(-1, *(1,) * resting.ndim)
-    outlying &= lies | _alone_in_time(value, resting, ~unloaded)
+    outlying &= lies | _alone_in_time(value, scale, resting, ~unloaded)
     if not outlying.any():
         return impossible, readings
     left = replace(readings, seen=np.where(outlying & lies, 0.0, readings.seen))
     return outlying | impossible, _replaced(left, outlying & ~lies, instead, spread)
 
 
-def _alone_in_time(value: Array, resting: Array, measured: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether a reading deviates more from both neighbouring frames than these differ from each other.
+def _alone_in_time(value: Array, scale: Array, resting: Array, measured: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return whether a reading deviates from both neighbouring frames, and by more than these differ from each other.
 
-    Otherwise the reading may belong to the step of an arriving load. The unloaded panel precedes the first measured
-    frame. The last frame, without a successor, is never excluded.
+    Otherwise the reading may be the last one before a load arrives, or belong to its step. The unloaded panel precedes
+    the first measured frame. The last frame, without a successor, is never excluded.
 
     Parameters
     ----------
-    value : array, shape (frames, ..., rows, columns)
+    value, scale : array, shape (frames, ..., rows, columns)
+        Readings and their standard deviations.
     resting : array, shape (..., rows, columns)
         Median of the unloaded frames.
     measured : boolean array, shape (frames,)
@@ -180,7 +181,8 @@ def _alone_in_time(value: Array, resting: Array, measured: NDArray[np.bool_]) ->
     if len(own) > 1:
         before, after = np.concatenate([resting[None], own[:-2]]), own[1:]
         nearer = np.minimum(np.abs(own[:-1] - before), np.abs(own[:-1] - after))
-        alone[np.flatnonzero(measured)[:-1]] = ~(nearer < np.abs(after - before))
+        least = np.fmax(np.abs(after - before), OUTLIER_THRESHOLD * scale[measured][:-1])
+        alone[np.flatnonzero(measured)[:-1]] = ~(nearer < least)
     return alone
 
 

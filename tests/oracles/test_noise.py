@@ -12,13 +12,14 @@ import lampest
 from docs.studies.audit import AuditFile, AuditTask
 from lampest import Estimator, Gradient, Misfit, Readout, TwoPointReadout, Unmodelled, two_point_resistance
 from lampest.estimate.noise import scatter
-from lampest.estimate.outliers import detect_outliers
+from lampest.estimate.outliers import detect_outliers, without_outliers
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Systematic
 from lampest.posterior.covariance import DenseErrors, SampledErrors
 from lampest.posterior.frame_noise import FrameNoise
+from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.info import describe
@@ -42,6 +43,13 @@ def drawn(rng: np.random.Generator, frames: int, gain: float = 0.0, offset: floa
 
 def parts(rng: np.random.Generator, frames: int, **sizes: float) -> lampest.estimate.noise.Scatter:
     return scatter(drawn(rng, frames, **sizes), np.full((LINES, CHANNELS), 3000.0), frames - 1)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 12), (12, 1)])
+def test_noise_of_a_single_line_is_its_own(shape: tuple[int, int]) -> None:
+    noise = np.random.default_rng(5).standard_normal((40, 6, *shape))
+    sizes = [scatter(each - each.mean(axis=0), np.full(shape, 3000.0), 5).own for each in noise]
+    assert np.mean(np.square(sizes)) == pytest.approx(1, abs=0.2)
 
 
 def test_parts_of_noise_are_estimated_with_their_sizes_and_none_in_noise_alone() -> None:
@@ -76,6 +84,22 @@ def test_loads_and_wrong_noise_make_no_outliers() -> None:
     mouth, foot = AuditTask(audit, "as specified", 702).recording(), lampest.datasets.load("insole_standing")
     for recording in (mouth, foot, *(recorded(seed, scene_of(0.7, None), 3.0) for seed in range(8))):
         assert not Prepared(recording).cleaned.outliers.any()
+
+
+def test_no_reading_that_equals_the_unloaded_one_is_an_outlier() -> None:
+    """A load arrives in the third measured frame and stays; each reading is that of its own cell."""
+    rng = np.random.default_rng(4)
+    values = np.full((11, 9, 7), 1000.0)
+    values[5:, 3:5, 2] = 500.0
+    outlying = [
+        without_outliers(
+            np.zeros(values.shape, dtype=bool),
+            Readings.of(Scene(Panel(9, 7)), values + rng.standard_normal(values.shape), np.ones(values.shape)),
+            np.arange(11) < 3,
+        )[0].sum()
+        for _ in range(10)
+    ]
+    assert not any(outlying)
 
 
 def test_a_lone_leap_is_one_and_a_touch_of_one_frame_is_none() -> None:
