@@ -20,7 +20,7 @@ from lampest.estimate.calibration.loads import (
     fit_loads,
     response_of,
 )
-from lampest.estimate.calibration.resistors import Problem, ResistorCalibration, calibrate_resistors
+from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import parse_document, validated
 from lampest.loads.film import Creep, FilmKnown
@@ -28,7 +28,7 @@ from lampest.loads.pressure import pressure_of
 from lampest.panel.readouts import AnyReadout, GroundedReadout, LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.response import PUBLISHED, Film, PowerResponse
-from lampest.panel.scene import MeasuredSubject, SeriesPerLine, Systematic
+from lampest.panel.scene import MeasuredSubject, Systematic
 from lampest.recording.simulation.measure import random_stream
 from tests.estimates import recording_of, rms
 from tests.netlist import Resistor, potentials, resistors
@@ -322,26 +322,6 @@ def test_three_resistors_tell_a_diode_too() -> None:
     assert written.diode.drop_volt == pytest.approx(calibration.numbers[2].value, abs=1e-3)
 
 
-def test_a_calibration_begins_with_the_means_of_the_numbers_that_the_scene_has() -> None:
-    readout = LoadedColumnsReadout(
-        load_ohm=(4000.0, 5000.0, 6300.0), drive_ohm=(100.0, 140.0), diode=Diode(drop_volt=0.3)
-    )
-    scene = Scene(Panel(2, 3), readout, converter_memory=0.02, lines=Lines(0.4, 0.6))
-    problem = Problem(scene, (), 0.0)
-    assert [unknown.number.name for unknown in problem.unknowns] == [
-        *("drive_ohm", "load_ohm", "diode.drop_volt"),
-        *("converter_memory", "lines.row_ohm_per_cell", "lines.column_ohm_per_cell"),
-    ]
-    specified = [120.0, 5100.0, 0.3, 0.02, 0.4, 0.6]
-    np.testing.assert_allclose([unknown.specified for unknown in problem.unknowns], specified)
-    np.testing.assert_allclose(problem.start[:2], [120.0 / 70.0, 1.0])  # of typical channels, and of the scene's value
-    assert problem.start[6:].tolist() == [0.0] * 5
-    assert [unknown.lines for unknown in problem.unknowns[:3]] == [{"rows": slice(6, 8)}, {"columns": slice(8, 11)}, {}]
-    along = Scene(Panel(2, 3), TwoPointReadout(), SeriesPerLine((60.0, 80.0), 70.0))
-    (series,) = Problem(along, (), 0.0).unknowns
-    assert series.specified == 140.0 and series.start == 2.0
-
-
 def test_an_open_column_tells_what_the_converter_remembers() -> None:
     """Of every reading 3 % are of the one before, in scan order; the last of a frame stands before the first."""
     rng = np.random.default_rng(16)
@@ -386,17 +366,6 @@ def test_resistors_along_loaded_lines_tell_their_wire(kind: str) -> None:
     for one, expected in ((of_rows, along_row), (of_columns, along_column)):
         assert one.value == pytest.approx(expected, abs=4 * one.sigma)
         assert one.sigma < 1
-
-
-@pytest.mark.parametrize("kind", ["loaded_columns", "grounded"])
-def test_drives_of_next_to_nothing_are_found_to_be_that(kind: str) -> None:
-    """Ports that drive rows without a multiplexer: the fit stands at its end, and readouts take no less."""
-    for seed in range(3):
-        rng = np.random.default_rng([18, seed])
-        board = replace(some_board(kind, (4, 4), rng), rows=np.full(4, 1e-3))
-        printed, true = some_resistors((4, 4), rng)
-        drive, _ = calibrate_resistors([recording(told(kind, (4, 4)), board, true, rng)], [printed]).numbers
-        assert drive.value < 5 * drive.sigma + 1
 
 
 SIDE, LOADS, SPREAD = 4, 8, 5.0
@@ -522,24 +491,6 @@ def test_one_load_moved_over_the_panel_makes_forces_right() -> None:
     )
     assert np.mean(ours) < 0.10
     assert np.mean(ours) < (1 - 0.269) * np.mean(naive)
-
-
-@pytest.mark.slow
-def test_several_pressures_tell_another_film() -> None:
-    bench = Bench(2, response=OTHER, repeat=0.02)
-    calibration = calibrated(bench, [1.0, 3.0, 9.0, 20.0], 17.5)
-    response = calibration.scene.response
-    gains = true_gains(bench)
-    shift = np.exp(np.log(gains).mean())  # what all gains share belongs to the curve
-    for kpa in (1.0, 3.0, 9.0, 20.0):
-        assert response.logarithm(kpa) == pytest.approx(shift * OTHER.logarithm(kpa), rel=0.08)
-    off = np.log(response.gains * shift / gains) / np.array(response.gain_sd)
-    assert np.mean(np.abs(off) < 1.96) > 0.85
-    assert calibration.fitted.spread == pytest.approx(0.2, abs=0.06)
-    naive, ours = (
-        force_errors(bench, scene, 8) for scene in (replace(bench.scene, response=PUBLISHED), calibration.scene)
-    )
-    assert np.mean(ours) < 0.10 < 0.4 < np.mean(naive)
 
 
 def test_bars_of_gains_and_curve_hold_the_truth() -> None:

@@ -8,7 +8,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lampest import (
-    Estimates,
     Estimator,
     Readings,
     Recording,
@@ -132,56 +131,6 @@ def recorded(scene: Scene, cells: Array, resistance: Array, noise: float) -> Rec
     return recording_of(scene, resistance, 1, sigma=noise * resistance, truth_cell_resistance=cells)
 
 
-def changes_within(found: Estimates, cells: Array) -> list[bool]:
-    """Of the last frame's changes against the baseline, which ones lie in their intervals."""
-    change, bars = np.log(cells[-1] / cells[0]), found.steps[-1].bars
-    estimate = np.log(found.cell_resistance[-1] / found.baseline_resistance)
-    return list(((change >= estimate - bars.change.below) & (change <= estimate + bars.change.above)).ravel())
-
-
-@pytest.mark.slow
-def test_errors_that_readings_share_are_in_the_bars() -> None:
-    rng, resting, pressed = np.random.default_rng(5), panel_cells(seed=2), panel_cells(seed=2)
-    resting[2:5, 3:6] *= 10
-    scene = Scene(Panel(*SHAPE), systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=2.0))
-    cells = np.stack([resting, pressed])
-    exact = two_point_resistance(cells)
-    held: list[bool] = []
-    with_them: list[bool] = []
-    for _ in range(40):
-        off = 1 + 0.01 * rng.uniform(-1, 1)
-        channels = 2.0 * rng.standard_normal(sum(SHAPE))
-        series = channels[: SHAPE[0], None] + channels[None, SHAPE[0] :]
-        resistance = (exact + series) * off * (1 + 2e-4 * rng.standard_normal(exact.shape))
-        recording = recorded(scene, cells, resistance, 2e-4)
-        estimator = Estimator((Misfit(),), formulation="reduced")
-        estimate = reconstruct(recording, estimator)
-        with_them += changes_within(estimate, cells)
-        silent = replace(recording, scene=replace(scene, systematic=None))
-        held += changes_within(reconstruct(silent, estimator), cells)
-    assert 0.92 < np.mean(with_them) < 0.98
-    assert np.mean(held) < 0.7
-
-
-@pytest.mark.slow
-def test_a_method_that_looks_back_carries_its_error_along() -> None:
-    rng, cells, noise = np.random.default_rng(8), panel_cells(), 0.003
-    frames = np.repeat(cells[None], 6, axis=0)
-    exact = two_point_resistance(frames)
-    estimator = Estimator((Misfit(), RelativeChange(weight=1.0)), formulation="reduced")
-    standard, carried = [], []
-    for _ in range(12):
-        resistance = exact * (1 + noise * rng.standard_normal(exact.shape))
-        recording = recorded(Scene(Panel(*SHAPE)), frames, resistance, noise)
-        estimate = reconstruct(recording, estimator)
-        bars = [step.bars.frame for step in estimate.steps if step.bars is not None]
-        standard.append(np.log(estimate.cell_resistance[-1] / cells) / bars[-1].deviation)
-        carried.append(bars[-1].deviation)
-    assert 0.5 < rms(standard) < 1.2
-    alone = reconstruct(recording, replace(estimator, terms=(Misfit(),))).steps[-1].bars
-    assert np.median(carried / alone.frame.deviation) < 1
-
-
 def test_what_cells_share_of_a_change_cancels_as_far_as_both_frames_have_it() -> None:
     """A reference that is off moves baseline and frame alike; where the frame is the baseline, nothing is common."""
     cells = panel_cells()
@@ -235,20 +184,3 @@ def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
     at_rails = np.concatenate(held)
     assert unsolved <= 2 and len(at_rails) > 20  # of solves that end at the limit of iterations with a sentence
     assert at_rails.mean() > 0.9
-
-
-@pytest.mark.slow
-def test_own_and_common_parts_make_up_the_bar() -> None:
-    """Where nothing that readings share is off, each cell's own part alone is as large as the errors are."""
-    rng, cells = np.random.default_rng(8), np.stack([panel_cells(seed=3)] * 2)
-    scene = Scene(Panel(*SHAPE), systematic=Systematic(reference_tolerance=0.03, channel_spread_ohm=0.0))
-    exact, inside = two_point_resistance(cells), []
-    for _ in range(20):
-        recording = recorded(scene, cells, exact * (1 + 2e-4 * rng.standard_normal(exact.shape)), 2e-4)
-        estimate = reconstruct(recording, Estimator((Misfit(),), formulation="reduced"))
-        own, common, whole = estimate.sigma_own, estimate.sigma_common, estimate.cell_resistance_errors
-        free = np.isfinite(whole) & (own > 0)
-        assert_allclose(np.hypot(own, common)[free], (whole / estimate.cell_resistance)[free])
-        assert np.median(common) > 3 * np.median(own)
-        inside.append((np.abs(np.log(estimate.cell_resistance / cells[-1])) < 1.96 * own)[free])
-    assert 0.92 < np.mean(np.concatenate(inside)) < 0.98

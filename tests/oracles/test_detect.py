@@ -304,13 +304,6 @@ def test_what_is_attached_stays_until_the_readings_step(load: Shape, drift: floa
     assert (one.sucks > 0.5) == (load is STRONG)
 
 
-@pytest.mark.slow
-def test_an_hour_at_a_frame_every_ten_seconds_is_kept_from_the_first_frame_to_the_last() -> None:
-    (one,) = watched([load_that_leaves(Film(0.24, 0.03))], minutes=60, drift=0.02, period=10)
-    assert one.since_s == pytest.approx(55, abs=6) and one.until_s == pytest.approx(3765, abs=6)
-    assert one.sucks > 0.5
-
-
 def test_a_known_load_ends_by_a_step_and_not_by_an_opinion(monkeypatch: pytest.MonkeyPatch) -> None:
     """However probable drift makes it afterwards that nothing is there."""
     first, verdicts = Detector.verdict, list[Verdict]()

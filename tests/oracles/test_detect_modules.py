@@ -207,29 +207,6 @@ def test_a_watch_over_modules_begins_where_theirs_stand_and_they_go_on_from_ther
         assert own.test is parts[number].test
 
 
-def test_an_image_shows_the_largest_change_and_the_first_doubt_of_its_windows_and_modules() -> None:
-    windows = [Window.about(SCENE, np.array(place)) for place in ([69.0, 57.0], [143.0, 57.0])]
-    assert [window.numbers for window in windows] == [(0, 1, 3, 4), (1, 2, 4, 5)]
-    changes = np.full((12, 14), -1.0), np.full((12, 14), 0.5)
-    changes[1][3, 2] = 2.0
-    watches: list[Any] = [
-        SimpleNamespace(change=change, doubt=doubt, stands_out=3.0, ended=lambda: late)
-        for change, doubt in zip(changes, ("", "second"), strict=True)
-    ]
-    late: Any = SimpleNamespace(attachments=())
-    alone: Any = SimpleNamespace(doubt="module", stands_out=9.0)
-    opened = tuple((window, watch, 5.0) for window, watch in zip(windows, watches, strict=True))
-    image = ImageWatch(SimpleNamespace(scene=SCENE), dict.fromkeys(range(6), alone), opened)
-    assert image.doubt == "second" and image.stands_out == 3.0, "modules under windows do not count"
-    whole = image.change
-    assert (whole[0, 0], whole[0, 8], whole[0, 20], whole[3, 9], whole[4, 9]) == (-1, -1, 0.5, 2, -1)
-    ended = image.ended()
-    assert [at for *_, at in ended.opened] == [5.0, 5.0] and all(watch is late for _, watch, _ in ended.opened)
-    half = replace(image, opened=opened[:1])
-    assert half.doubt == "module" and half.stands_out == 9.0 and not half.change[:, 14:].any()
-    assert replace(image, opened=()).change is None and replace(image, modules={}, opened=()).doubt == ""
-
-
 def test_a_window_covers_the_modules_that_a_load_may_reach() -> None:
     """Cells of 10 × 10 modules are at 0 to 90, 104 to 194 … mm."""
     layout = Modules(4, 4, EachModule(10, 10), 4.0)

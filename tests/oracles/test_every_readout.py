@@ -234,17 +234,6 @@ def run_over(recording: Recording, folder: Path) -> CaseResult:
     return case
 
 
-@pytest.mark.slow
-def test_error_bars_cover_the_truth(tmp_path: Path) -> None:
-    """The mean square of errors in error bars, over panels: one, within what chance allows 720 cells."""
-    scores = []
-    for seed in range(12):
-        recording = panel_of(LOADED, 1.0, seed)
-        case = run_over(recording, tmp_path / str(seed))
-        scores.append((case.cell_resistance - truth_of(recording)) / case.cell_resistance_errors)
-    assert 0.8 < np.mean(np.square(scores)) < 1.25
-
-
 def test_a_recording_and_its_results_are_in_volt(tmp_path: Path) -> None:
     recording = panel_of(LOADED, 1.0)
     recording.save(tmp_path / "panel.h5")
@@ -382,31 +371,6 @@ def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
         bars = done.steps[0].bars
         scores.append(np.log(done.cell_resistance[0] / cells) / bars.frame.deviation)
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.2
-
-
-def test_series_per_line_is_one_number_where_all_are_alike() -> None:
-    plain, listed = (Scene(Panel(3, 4), TwoPointReadout(), one) for one in (140.0, SeriesPerLine((80.0,) * 3, 60.0)))
-    assert_allclose(np.broadcast_to(plain.series_ohm, (3, 4)), listed.series_ohm)
-    half = Scene(Panel(3, 4), TwoPointReadout(), SeriesPerLine((0.0, 80.0, 90.0), (60.0, 0.0, 0.0, 0.0)))
-    assert_allclose(half.series_ohm, [[60.0, 0, 0, 0], [140.0, 80, 80, 80], [150.0, 90, 90, 90]])
-
-
-@pytest.mark.parametrize("readout", KINDS, ids=lambda one: one.kind)
-def test_shared_errors_are_of_the_reference_and_then_of_the_channels_of_rows_and_columns(readout: Any) -> None:
-    cells, scene = cells_of(), Scene(Panel(*SHAPE), readout)
-    exact = readout.exact_reading(cells)
-    errors = readout.shared_errors(cells, exact, scene, 1e-4, 1e-3)
-    assert errors.shape == (1 + sum(SHAPE), *SHAPE)
-    actual = readout.off_by(1e-4)
-    changed = actual.exact_reading(cells)
-    if readout.unit == "ohm":  # the circuit divides by its own reference
-        changed = readout.recorded_from_volt(actual.volt_from_recorded(exact))
-    assert_allclose(errors[0], changed - exact, rtol=1e-3)
-    for line, channel in enumerate(1e-3 * np.eye(sum(SHAPE))):
-        recorded = readout.simulated(cells, scene, channel[: SHAPE[0]], channel[SHAPE[0] :])
-        change = readout.from_recorded(recorded, scene) - exact
-        assert_allclose(errors[1 + line], change, rtol=1e-5, atol=1e-9 * exact.max())
-    assert readout.shared_errors(cells, exact, scene, 0.0, 0.0).tolist() == np.zeros((1, *SHAPE)).tolist()
 
 
 @pytest.mark.parametrize("readout", [one for one in READOUTS.values() if one.unit == "volt"])

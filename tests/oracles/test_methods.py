@@ -1,6 +1,5 @@
 """The rungs of the ladder against closed forms and the full solution, and the paper's own solver."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,14 +8,13 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 from docs.studies.as_published import Weights, left_by_solver, lsqnonlin
-from lampest import Array, Estimates, InputError, Method, Panel, Recording, Scene, TwoPointReadout, two_point_resistance
+from lampest import Array, Estimates, Method, Panel, Recording, Scene, TwoPointReadout, two_point_resistance
 from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.methods.approximate import LinearisedMethod, TruncatedMethod, UncorrectedMethod
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
-from lampest.runs.config import Run, read_run
 from lampest.solvers.solution import Status
 from tests.estimates import recording_of
 
@@ -105,33 +103,6 @@ def test_one_step_sees_a_single_cell_on_a_panel_that_is_not_factored() -> None:
     estimate = found_by(LinearisedMethod(), recording(resting(shape), single)).cell_resistance[0]
     assert estimate[11, 17] / resting(shape)[11, 17] == pytest.approx(0.7, abs=0.07)
     assert np.median(np.abs(estimate / single - 1)) < 0.01
-
-
-def run_of(folder: Path, formulation: str, estimators: str = "{LSM: {terms: {misfit: {}}}}") -> Run:
-    """A run of a small recording with this formulation."""
-    recording(resting((3, 3)), resting((3, 3))).save(folder / "small.h5")
-    text = f"schema: 1\nrecordings: [small.h5]\nestimators: {estimators}\nformulation: {formulation}\n"
-    (folder / "run.yaml").write_text(text)
-    return read_run(folder / "run.yaml")
-
-
-@pytest.mark.parametrize(
-    ("formulation", "place"),
-    [("redcued", "4:1"), ("region", "4:1"), ("{kind: truncated, stepps: 3}", "4:"), ("{kind: far}", "4:")],
-)
-def test_unknown_formulation_is_one_sentence_with_its_place(tmp_path: Path, formulation: str, place: str) -> None:
-    with pytest.raises(InputError) as caught:
-        run_of(tmp_path, formulation)
-    assert f"run.yaml:{place}" in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_words_stand_for_methods(tmp_path: Path) -> None:
-    words = "", ", formulation: {kind: truncated, steps: 3}", ", formulation: nodal"
-    estimators = ", ".join(
-        f"{name}: {{terms: {{misfit: {{}}}}{word}}}" for name, word in zip("ABC", words, strict=True)
-    )
-    methods = [case.estimator.method for case in run_of(tmp_path, "linearised", f"{{{estimators}}}").cases]
-    assert methods == [LinearisedMethod(), TruncatedMethod(steps=3), OptimalMethod("nodal")]
 
 
 PANEL = Panel(4, 5)

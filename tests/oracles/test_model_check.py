@@ -11,17 +11,14 @@ import pytest
 import lampest
 from docs.studies.model_check import named, sound, wrong
 from lampest import Misfit, OralDisc, Readings, Recording, Results, Scene, Simulation, Systematic, Unmodelled, simulate
-from lampest.cli.results import compare as compare_command
 from lampest.estimate.cells_fit import fitted
 from lampest.estimate.prepared import Prepared
 from lampest.files.typed import members_of
 from lampest.panel.panel import EachModule, Modules, Panel
-from lampest.panel.readouts import AnyReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
+from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.two_point import four_point_excess
 from lampest.posterior.reference import MAX_CELLS
 from lampest.report.compare import compare, model_notes
-from lampest.report.info import describe
-from lampest.report.page.page import write_report
 from tests.estimates import recording_of
 
 SHAPE = (5, 7)
@@ -88,26 +85,6 @@ def test_a_cell_that_is_shorted_shows_the_resistance_of_the_driven_line(circuit:
     assert circuit.most_in_series(exact[None], 1e-4 * exact) == pytest.approx(circuit.drive_ohm, rel=1e-3)
     unread = np.where(np.isclose(exact, exact[line].max()), np.inf, 1e-4 * exact)
     assert circuit.most_in_series(exact[None], unread) > 1.1 * circuit.drive_ohm
-
-
-@pytest.mark.parametrize("driven", ["rows", "columns"])
-def test_readings_break_laws_by_as_many_deviations_as_their_sums_lie_beyond_the_supply(driven: Any) -> None:
-    """Rd is 0.3 of each load: a line stands by 0.3 of the sum of its readings below the supply."""
-    circuit = lampest.GroundedReadout(drive_ohm=300.0, load_ohm=1000.0, supply_volt=5.0, driven=driven)
-    volt, sigma = GENERATOR.uniform(0.5, 2.0, (2, 4, 4)), GENERATOR.uniform(0.01, 0.02, (2, 4, 4))
-    sigma[0, 2, 1] = np.inf
-    own, noise = (np.where(np.isfinite(sigma), values, 0.0) for values in (volt, sigma))
-    if driven == "columns":
-        own, noise = own.transpose(0, 2, 1), noise.transpose(0, 2, 1)
-    sums = (own.sum(axis=1) - 5.0) / np.sqrt((noise**2).sum(axis=1))
-    behind = own + 0.3 * own.sum(axis=2, keepdims=True) - 5.0
-    behind /= np.sqrt(noise**2 + 0.09 * (noise**2).sum(axis=2, keepdims=True))
-    behind[noise == 0] = -np.inf
-    first, second = circuit.free_tests(volt, sigma)
-    np.testing.assert_allclose(first.excess, sums.max(axis=1))
-    np.testing.assert_allclose(second.excess, behind.max(axis=(1, 2)))
-    assert (first.count, second.count) == (4, 16)
-    assert "add up to no more" in first.law and second.law.endswith("behind its 300 ohm")
 
 
 @pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: circuit.kind)
@@ -308,22 +285,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.slow
-def test_results_table_page_and_info_say_it(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (case,) = lampest.read_results(results).cases
-    assert case.model_mark == "no"
-    assert "swapped" in case.model_sentence
-    assert set(case.misfit) >= {"chi_square", "degrees_of_freedom", "tail", "worst_row", "worst_column"}
-    rows = compare(Results((case,)))
-    assert f"warning: {case.recording}: {case.model_sentence}" in model_notes(rows)
-    compare_command([results], csv=tmp_path / "table.csv")
-    assert case.model_sentence in " ".join(capsys.readouterr().out.split())
-    assert case.model_sentence in (tmp_path / "table.csv").read_text()
-    assert any(case.model_sentence in line for line in describe(results))
-    write_report([results], tmp_path / "page.html")
-    assert "Does the model explain the data? no" in (tmp_path / "page.html").read_text()
-
-
 def test_the_misfit_of_every_frame_is_that_of_its_residuals(results: Path) -> None:
     (case,) = lampest.read_results(results).cases
     for frame in range(len(case.time)):
@@ -331,26 +292,3 @@ def test_the_misfit_of_every_frame_is_that_of_its_residuals(results: Path) -> No
         assert np.isclose(case.misfit["chi_square"][frame], np.sum(residual**2))
         assert case.misfit["worst_row"][frame] == np.argmax(np.sum(residual**2, axis=1))
     assert np.all((case.misfit["tail"] >= 0) & (case.misfit["tail"] <= 1))
-
-
-@pytest.mark.parametrize(
-    ("readout", "systematic", "named"),
-    [
-        (TwoPointReadout(), None, "assumed series_resistance_ohm (within 35 ohm), reference_ohm (within 6 %)"),
-        (
-            LoadedColumnsReadout(),
-            Systematic(reference_tolerance=0.01, series_ohm=5.0),
-            "assumed drive_ohm (within 5 ohm), load_ohm (within 1 %)",
-        ),
-        (VirtualGroundReadout(), None, "feedback_ohm (within 6 %), drive_volt (exact), converter_volt (exact)"),
-    ],
-    ids=lambda value: getattr(value, "kind", ""),
-)
-def test_a_circuit_that_explains_its_readings_says_what_no_frame_shows(
-    readout: Readout, systematic: Systematic | None, named: str
-) -> None:
-    scene = Scene(Panel(6, 6), readout, systematic=systematic)
-    sentence = Prepared(simulate(Simulation(1, 7, scene, frames=1))).check.sentence
-    assert sentence.isascii() and named in sentence
-    assert sentence.startswith("the circuit explains its readings; no frame shows the numbers with which all cells")
-    assert sentence.endswith("changes in percent hardly depend on them; lampest calibrate measures them")

@@ -1,9 +1,7 @@
 """A panel of modules: one scene, one recording, one image; estimated alone, coupled over the seams, or many at once."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 import lampest
-from lampest import InputError, LogGradient, Readings, Recording, Rod, Stream, TwoPointReadout, read_results, read_scene
+from lampest import InputError, LogGradient, Readings, Recording, Rod, Stream, TwoPointReadout
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
@@ -60,14 +58,6 @@ def simulated(scene: Scene, frames: int = 3) -> Recording:
     """A rod over the seams."""
     rod = lampest.Rod(centre_mm=(40, 30), diameter_mm=40, mass_g=700)
     return simulate(Simulation(schema=1, seed=5, scene=scene, frames=frames, loads=(rod,)))
-
-
-def test_splitting_and_joining_are_inverse_and_keep_places() -> None:
-    image = np.arange(2 * 6 * 12).reshape(2, 6, 12)
-    parts = LAYOUT.split(image)
-    assert np.array_equal(LAYOUT.joined(parts), image)
-    for number in range(LAYOUT.count):
-        assert np.array_equal(parts[:, number], image[(..., *LAYOUT.cells(number))])
 
 
 def test_a_scene_survives_its_text_and_counts_seams() -> None:
@@ -268,49 +258,6 @@ def test_a_long_recording_is_solved_by_parts_and_goes_on_where_it_ended(
     assert one.cell_resistance.shape == other.cell_resistance.shape == (40, 6, 12)
     np.testing.assert_allclose(other.cell_resistance, one.cell_resistance, rtol=1e-3)
     assert np.isnan(other.cell_resistance[:, 3:, 8:]).all() and other.solved.all()
-
-
-def test_commands_run_from_scene_to_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lampest: Callable[..., SimpleNamespace]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    scene = "".join(f"  {line}\n" for line in (SCENE + FAULTS).strip().splitlines())
-    Path("mat.yaml").write_text(f"schema: 1\nseed: 2\nscene:\n{scene}frames: 3\noutput: mat.h5\n")
-    Path("run.yaml").write_text("schema: 1\nrecordings: [mat.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n")
-    for words in (
-        ["simulate", "mat.yaml"],
-        ["run", "run.yaml", "--jobs", "1"],
-        ["compare", "results/run/results.h5", "--csv", "table.csv", "--report", "page.html"],
-        ["plot", "results/run/results.h5", "--out", "pictures"],
-        ["info", "mat.h5"],
-        ["info", "results/run/results.h5"],
-        ["check", "results/run/results.h5"],
-    ):
-        assert lampest(*words).code == 0, words
-    [case] = read_results("results/run/results.h5").cases
-    assert case.cell_resistance.shape == (3, 6, 12)
-    assert np.isnan(case.cell_resistance[:, 3:, 8:]).all() and np.isfinite(case.cell_resistance[:, :3]).all()
-
-
-def test_rows_and_columns_that_follow_from_modules_are_not_called_assumed(
-    tmp_path: Path, lampest: Callable[..., SimpleNamespace]
-) -> None:
-    (tmp_path / "scene.yaml").write_text(SCENE, encoding="utf-8")
-    assert not [name for name in read_scene(tmp_path / "scene.yaml").assumed if name.startswith("panel")]
-    simulated(scene_of(SCENE)).save(tmp_path / "modules.h5")
-    assert "2 × 3 modules of 3 × 4 cells with seams of 3 mm" in lampest("info", tmp_path / "modules.h5").out
-
-
-def test_a_module_stuck_at_the_top_rail_does_not_fail_the_others() -> None:
-    """Its readings, all alike and below the resistance in series, are no kohm."""
-    recording = simulated(scene_of(SCENE))
-    readings = recording.recorded.copy()
-    readings[:, :3, :4] = 1.5
-    estimate = lampest.reconstruct(replace(recording, recorded=readings), [lampest.Misfit()], formulation="reduced")
-    others = np.ones(recording.scene.panel.shape, dtype=bool)
-    others[:3, :4] = False
-    alone = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
-    np.testing.assert_allclose(estimate.cell_resistance[:, others], alone.cell_resistance[:, others], rtol=1e-6)
 
 
 def disturbed(change: str) -> Recording:

@@ -1,6 +1,5 @@
 """What frames say of their own noise, and still cells of errors that all frames share, against drawn ones."""
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,19 +9,16 @@ from numpy.typing import NDArray
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
-from lampest import Estimator, Gradient, Misfit, Readout, TwoPointReadout, Unmodelled, two_point_resistance
+from lampest import Estimator, Misfit, Readout, TwoPointReadout, Unmodelled, two_point_resistance
 from lampest.estimate.noise import scatter
 from lampest.estimate.outliers import detect_outliers, without_outliers
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Systematic
-from lampest.posterior.covariance import DenseErrors, SampledErrors
-from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.report.info import describe
 from lampest.studies.study import read_settings
 from tests.estimates import in_intervals, log_errors, recording_of
 
@@ -243,20 +239,6 @@ def test_the_rim_of_a_mouth_is_no_error_of_the_model() -> None:
     assert all(Prepared(pressed(seed)).warnings == () for seed in (43, 50))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("error", [0.02, 0.04])
-def test_weights_allow_for_errors_of_single_readings(error: float) -> None:
-    """The weight that data choose estimates nearly as well as the best of a wide range."""
-    recording = pressed(41, reading_error=error)
-    assert Prepared(recording).noise.reading_error == pytest.approx(error, rel=0.5)
-
-    def missed(weight: float | str) -> float:
-        terms = Misfit(weighting="noise"), lampest.LogGradient(weight=weight)
-        return float(np.std(log_errors(reconstruct(recording, Estimator(terms, "reduced")))))
-
-    assert missed("auto") < 1.25 * min(missed(weight) for weight in (10.0, 100.0, 1e3, 1e4))
-
-
 def test_the_mean_of_unloaded_frames_has_all_of_an_error_that_repeats_do_not_reduce() -> None:
     recording = pressed(2, reading_error=0.04)
     noise = Prepared(recording).noise
@@ -353,17 +335,6 @@ def test_still_cells_show_a_series_resistance_and_a_gentle_load_none() -> None:
     assert size == pytest.approx(40 / 35, rel=0.3) and min(held(wrong)) > 0.85
 
 
-@pytest.mark.slow
-def test_a_penalty_does_not_know_cells_whose_readings_are_off() -> None:
-    """Its weight is chosen for what repeats show; its bars allow for what they do not show."""
-    gradient = Estimator((Misfit(), Gradient(weight="auto")), "reduced", error_bars=True)
-    rod = lampest.Rod(centre_mm=(35.0, 35.0), diameter_mm=30.0, mass_g=300.0)
-    scene = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0)
-    plain = Simulation(1, 1, scene, frames=3, loads=(rod,), unmodelled=Unmodelled(reading_error=0.1))
-    inside = [in_intervals(reconstruct(simulate(replace(plain, seed=seed)), gradient)) for seed in (1, 2)]
-    assert 0.88 < np.mean(inside) < 0.995
-
-
 def test_noisy_cells_are_not_taken_for_a_static_error() -> None:
     """So noisy that a large error of each reading would explain the cells that moved, too."""
     rod = lampest.Rod(centre_mm=(35.0, 35.0), diameter_mm=40.0, mass_g=400.0)
@@ -371,32 +342,6 @@ def test_noisy_cells_are_not_taken_for_a_static_error() -> None:
     for seed in (7, 8, 13):
         recording = simulate(Simulation(1, seed, scene, frames=3, loads=(rod,)))
         assert not Prepared(recording).noise.possible_errors.sizes.reading_error
-
-
-def test_what_frames_told_is_one_line_in_info_and_results(tmp_path: Path) -> None:
-    wrong = recorded(2, scene_of(0.7, None), 2.5, gain=0.004)
-    wrong.save(tmp_path / "wrong.h5")
-    (line,) = [line for line in describe(tmp_path / "wrong.h5") if line.startswith("noise")]
-    assert re.search(r"[23]\.\d+ ± 0\.\d+ times as specified, rescaled by", line)
-    assert "% gain" in line and "outliers" in line
-    lampest.reconstruct(wrong, [Misfit()], formulation="reduced").save(tmp_path / "results.h5")
-    lines = describe(tmp_path / "results.h5")
-    (learned,) = (line for line in lines if "times as specified" in line)
-    assert learned.startswith("noise") and "left possible, as standard deviations: series" in learned
-    assert any("measured in unloaded frames; the scene specifies" in line for line in lines)
-
-
-def test_samples_and_matrices_agree_on_what_a_frame_shares() -> None:
-    told = recorded(5, scene_of(0.7))
-    stream = lampest.Stream.begin(LSM, told.scene, 1.0, told.readings()[0])
-    data, start = stream.given(told.readings()[6])
-    model = stream.estimator.method.solve(stream, data, start).surroundings()
-    noise = FrameNoise(told.scene, 5, 0.005, np.zeros((8, 0)), np.full((8, 1), 1e-3))
-    drawn_columns = model.through @ noise.columns(data.measured, baseline=False)
-    dense, sampled = DenseErrors(model, None, drawn_columns), SampledErrors(model, None, drawn_columns)
-    assert np.median(sampled.variance / dense.variance) == pytest.approx(1, abs=0.1)
-    assert np.median(dense.variance / DenseErrors(model).variance) > 1.5
-    assert np.diag(dense.covariance) == pytest.approx(dense.variance)
 
 
 def test_what_users_get_wrong_is_one_plain_line() -> None:

@@ -11,13 +11,12 @@ import pytest
 
 from lampest import Array, Course, Estimator, OralDisc, Panel, Readings, Scene, Solution, Stream, Unmodelled, Water
 from lampest.cost.given import Background
-from lampest.cost.losses import Absolute, Huber, Loss, Squared, Student
+from lampest.cost.losses import Absolute, Loss, Squared, Student
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, Misfit, Term, TotalVariation, term_types
 from lampest.estimate.sequence import first_stream
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, TwoPointReadout, VirtualGroundReadout
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
-from lampest.solvers import hessian
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Status, check
@@ -64,22 +63,6 @@ def test_a_large_joint_pair_of_noisy_readings_ends() -> None:
     start = evaluated(cost, problem.data, problem.data.uniform_start)
     solution = solved_from(ProjectedNewton(cost, problem.estimator.solver), start)
     assert solution.optimum and solution.iterations < 150
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [190, 247])
-def test_as_many_starts_as_are_asked_for(number: int) -> None:
-    """A comparison with the frame before, read in volts; plain squares of readings that cells cannot meet."""
-    problem = RandomProblem.drawn(97, number)
-    assert problem.asked is not None
-    cost, oracle = problem.estimator.cost(problem.scene, 1, partial=problem.data.partial), problem.oracle
-    solver = ProjectedNewton(cost, replace(problem.estimator.solver, starts=9))
-    solution = best_solution(solver, problem.data, None)
-    assert solution.starts == 9
-    for place in (np.log(problem.cells[problem.pushed]), np.log(problem.data.uniform_start)):
-        start = evaluated(cost, problem.data, np.exp(place).reshape(1, *place.shape[-2:]))
-        least = oracle.value(np.log(solved_from(solver, start).cell_resistance).ravel())
-        assert oracle.value(np.log(solution.cell_resistance).ravel()) <= least * (1 + 1e-6)
 
 
 def pressed(noise: float) -> tuple[Array, Array]:
@@ -132,15 +115,6 @@ def test_heavy_squares_are_verified(kind: str, weight: float, scaled: bool) -> N
         assert least.value(least.minimised(start)) >= solution.objective * (1 - 1e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("scaled", [False, True])
-@pytest.mark.parametrize("kind", ["log_ratio", "total_variation_of_change"])
-def test_heavy_absolute_losses_are_verified(kind: str, scaled: bool) -> None:
-    """Their residuals are zero but for rounding, which the weight makes as large as the cost; it counts for nothing."""
-    solution, _ = solved_with(kind, 1e12, scaled=scaled, loss=Absolute(), noise=0.01)
-    assert solution.status in (Status.OPTIMUM, Status.ROUNDED, Status.STALLED, Status.FLAT)
-
-
 @pytest.mark.parametrize(
     ("kind", "weight", "scaled"),
     [
@@ -176,33 +150,6 @@ def test_absolute_losses_of_a_large_panel_take_no_more_steps(side: int, loss: Sq
     start = Evaluation.at(cost, data, data.uniform_start)
     solution = check(start, ProjectedNewton(cost, Settings()).solve(data, start))
     assert solution.status is Status.OPTIMUM and solution.iterations < 60
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("method", "most"),
-    [("relative_change", 600), ("gradient_of_relative_change", 600), ("relative_change", 0)],
-    ids=["relative_change-factors", "gradient_of_relative_change-factors", "relative_change-products"],
-)
-def test_a_joint_pair_ends_where_nothing_else_finds_less(
-    method: str, most: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Uneven cells without and with a mouth, most of its cells bending the cost downwards: several hundred unknowns."""
-    monkeypatch.setattr(hessian, "MATRIX_CELLS", most)
-    panel, readout = Panel(12, 11), TwoPointReadout(reference_ohm=1000.0, adc_bits=10, readings=20, noise_lsb=0.7)
-    resting = 3000 * np.exp(0.4 * np.random.default_rng(3).standard_normal(panel.shape))
-    distance = np.hypot(*(np.indices(panel.shape) - np.array([5.6, 5.3])[:, None, None]))
-    cells = np.stack([resting, resting * np.where(distance < 2.6, 6.0, np.where(distance < 4, 0.06, 1.0))])
-    exact = readout.exact_reading(cells)
-    sigma = readout.sigma(exact)
-    measured = exact + sigma * np.random.default_rng(4).standard_normal(exact.shape)
-    solution, data = solved((Misfit(), term_types()[method](weight=10)), Scene(panel, readout), measured, sigma)
-    assert solution.optimum, solution.status
-    least = LeastCost.of(data, Penalty("misfit", 1.0), Penalty(method, 10))
-    assert least.value(np.log(solution.cell_resistance).ravel()) == pytest.approx(solution.objective, rel=1e-9)
-    for start in (cells, data.uniform_start, solution.cell_resistance * 1.05):
-        place = np.clip(np.log(start), np.log(data.lower), np.log(data.upper)).ravel()
-        assert least.value(least.descended(place, 150)) >= solution.objective * (1 - 1e-6)
 
 
 @pytest.mark.slow
@@ -262,12 +209,3 @@ def test_readings_beyond_the_corner_of_a_loss_still_lead_to_the_minimum() -> Non
     misfit = Misfit(weighting="noise", loss=Student(corner=4.0))
     solution = solution_of_a_skin("loaded", misfit, term_types()["log_gradient"](weight=1e-3))
     assert solution.solved and solution.iterations < 150
-
-
-@pytest.mark.slow
-def test_a_frame_whose_cost_has_stopped_falling_ends_with_a_sentence() -> None:
-    """A corner a million times below the differences: second derivatives see none of them."""
-    penalty = Gradient(weight=1e-2, loss=Huber(corner=0.3))
-    solution = solution_of_a_skin("loaded", Misfit(weighting="noise"), penalty)
-    assert solution.solved or solution.status in (Status.STALLED, Status.ROUNDED)
-    assert solution.iterations < 300

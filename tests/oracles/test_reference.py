@@ -173,17 +173,6 @@ def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
     assert_allclose(more.max(axis=(1, 2)), (sigma * slope).max(axis=(1, 2)), rtol=0.15)
 
 
-def test_results_hold_how_well_the_data_determine_a_weight(tmp_path: Path) -> None:
-    recording = frames_under_load(0.0, 1)
-    estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient(), CellResistance(weight=1e-9)])
-    lampest.write_results(tmp_path / "results.h5", [estimate.result("mine")])
-    (case,) = lampest.read_results(tmp_path / "results.h5").cases
-    assert list(case.weight_sigma) == ["log_gradient"], "a weight that is a number has none"
-    assert_allclose(case.weight_sigma["log_gradient"], estimate.steps[0].weight_sigma[1])
-    assert np.all((case.weight_sigma["log_gradient"] > 0.03) & (case.weight_sigma["log_gradient"] < 1))
-    assert_allclose(case.reading_sigma, estimate.reading_sigma)
-
-
 PENALTIES = {
     "two": (LogGradient(), CellResistance()),
     "huber": (LogGradient(loss=Huber(corner=0.3)),),

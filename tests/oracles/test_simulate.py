@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lampest import Array, GroundedReadout, OralDisc, Panel, Ring, Rod, Scene, SuctionCup, TwoPointReadout, Water
-from lampest.panel.readouts.floating import two_point_resistance, uniform_factor
+from lampest import Array, GroundedReadout, OralDisc, Panel, Ring, Rod, Scene, SuctionCup, TwoPointReadout
 from lampest.panel.readouts.wiring import Lines
 from lampest.panel.response import Film
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import Cells, Course, read_simulations, run, simulate
 from lampest.recording.simulation.measure import Unmodelled, raw_sums
-from lampest.recording.simulation.simulation import Simulation, cells_under, pressure_at
+from lampest.recording.simulation.simulation import Simulation, cells_under
 from tests.netlist import two_point_resistances
 
 ROOT = Path(__file__).parents[2]
@@ -62,29 +61,6 @@ def test_same_seed_same_bytes(tmp_path: Path) -> None:
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
-@pytest.mark.parametrize("across", ["reference", "sensor"])
-def test_scatter_of_readings_is_the_readouts_sigma_and_saturated_codes_stay_finite(across: str) -> None:
-    readout = TwoPointReadout(measured_across=across)
-    recording = simulate(plain(scene=Scene(Panel(3, 4), readout, 140.0), frames=400))
-    sigma = readout.sigma(recording.resistance.mean(axis=0))
-    scatter = recording.resistance.std(axis=0)
-    assert np.sqrt(np.mean((scatter / sigma) ** 2)) == pytest.approx(1, abs=0.04)
-    exact = two_point_resistance(recording.truth_cell_resistance[0]) + 140
-    assert np.max(np.abs(recording.resistance.mean(axis=0) - exact) / sigma) < 5 / np.sqrt(400)
-    resistance = readout.recorded_from_sums(np.array([0, readout.readings * 1023]), readout.readings)
-    assert np.all((resistance > 0) & np.isfinite(resistance))
-    np.testing.assert_allclose(readout.volt_from_recorded(resistance) * 1024 / 5, [0.5, 1023.5])
-
-
-def test_uniform_panel_without_electronics_is_exact_and_cells_are_log_normal() -> None:
-    recording = simulate(plain(scene=Scene(PANEL, None, 140.0), cells=Cells(3000, 0.0)))
-    assert recording.raw_sums is None
-    np.testing.assert_allclose(recording.resistance, 3000 * uniform_factor(10, 10) + 140, rtol=1e-12)
-    many = simulate(plain(scene=Scene(Panel(60, 60)), frames=1, baseline_frames=0))
-    logarithm = np.log(many.truth_cell_resistance / 3050)
-    assert (np.mean(logarithm), np.std(logarithm)) == (pytest.approx(0, abs=0.01), pytest.approx(0.2, abs=0.01))
-
-
 def test_the_force_on_a_panel_is_that_of_the_load() -> None:
     """A patch has the mean of its pressure: half under a big straight edge, it sees half of it."""
     circles = {"inner_diameter_mm": 27, "outer_diameter_mm": 35}
@@ -99,26 +75,6 @@ def test_the_force_on_a_panel_is_that_of_the_load() -> None:
     rod = Rod(kind="rod", centre_mm=(-10_000, 10), diameter_mm=20_020, mass_g=1e6)
     contact, _ = rod.mean_pressure(Panel(3, 3), 6)
     np.testing.assert_allclose(contact[1] / contact[1, 0], [1, 0.5, 0], atol=0.01)
-
-
-def test_a_mouth_breathes_and_suction_decays_is_pumped_up_and_pulled_off() -> None:
-    course = Course(start_s=10, approach_s=2, attachment_s=3, pump_s=40, pump_loss=0.3, release_at_s=200, pull_off=0.5)
-    contact, suction = course.contact_and_suction(np.array([14.99, 15, 35, 54.99, 56, 75, 199.99, 200]))
-    expected = [1, 1, 0.7**0.5, 0.7, 0.7 ** (1 / 40), 0.7**0.5, 1.5 * 0.7 ** (24.99 / 40), 0]
-    np.testing.assert_allclose(suction, expected, rtol=1e-3)
-    np.testing.assert_allclose(contact[:-1], 1)
-    breathing = {"breathing_hz": 0.5, "breathing_depth": 0.1, "release_at_s": 10, "release_s": 2}
-    course = Course(start_s=1, approach_s=2, attachment_s=2, **breathing)
-    contact, suction = course.contact_and_suction(np.array([0.0, 1.0, 2.0, 3.0, 5.0, 6.5, 7.5, 11.0, 12.0]))
-    np.testing.assert_allclose(contact, [0, 0, 0.5, 1, 1, 0.9, 1.1, 0.5, 0], atol=1e-12)
-    np.testing.assert_allclose(suction, [0, 0, 0, 0, 1, 0.9, 1.1, 0.5, 0], atol=1e-12)
-
-
-def test_water_is_there_before_the_load_and_deeper_below() -> None:
-    time = np.array([-1.0, 0.0])
-    pressure = pressure_at(Simulation(1, 1, Scene(PANEL), water=Water(70)), time)
-    np.testing.assert_allclose(pressure[0], pressure[1])
-    np.testing.assert_allclose(pressure[0, :, 3], 9.81e-3 * (70 + 10 * np.arange(10)))
 
 
 @pytest.mark.parametrize(
@@ -136,42 +92,6 @@ def test_lamprey_looks_like_the_papers(name: str, covered: tuple[int, int], cent
     assert cells[centre] > 100
     assert np.sum(cells < -85) >= 4
     assert np.all(np.isfinite(recording.resistance**2 / recording.readings().sigma))
-
-
-@pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_scene_is_plausible(name: str) -> None:
-    recording = shipped(name)
-    cells, network = change(recording.truth_cell_resistance), recording.readings().value
-    unloaded = network[:3].mean()
-    assert 400 < unloaded < 620, "0.19 · 3.05 kilohm in air, less under water"
-    assert (unloaded < 540) == ("water" in name or "lamprey" in name)
-    assert cells.min() < -40
-    assert (cells.max() > 100) == ("cup" in name or "lamprey" in name)
-    assert change(network).min() < -12
-
-
-def test_unmodelled_effects_stay_out_of_the_scene() -> None:
-    effects = Unmodelled(channel_spread_ohm=3, reference_tolerance=0.01, drift_per_minute=0.5, outlier_probability=0.02)
-    clean, dirty = simulate(plain()), simulate(plain(unmodelled=effects))
-    assert dirty.scene == clean.scene and not np.allclose(dirty.resistance, clean.resistance)
-    np.testing.assert_array_equal(dirty.truth_pressure, clean.truth_pressure)
-    np.testing.assert_array_equal(dirty.truth_cell_resistance[0], clean.truth_cell_resistance[0])
-
-
-def test_one_effect_does_not_change_the_draws_of_another() -> None:
-    exact = Scene(Panel(3, 4), None, 140.0)
-    effects = ({}, {"drift_per_minute": 0.5})
-    alone, together = (
-        simulate(plain(scene=exact, unmodelled=Unmodelled(channel_spread_ohm=3, **more))) for more in effects
-    )
-    for recording in (alone, together):
-        channels = recording.resistance - two_point_resistance(recording.truth_cell_resistance) - 140
-        # One number for each line: mixed second differences vanish.
-        np.testing.assert_allclose(np.diff(np.diff(channels, axis=1), axis=2), 0, atol=1e-9)
-        np.testing.assert_allclose(channels[1:], channels[:1].repeat(4, axis=0), atol=1e-9)
-    np.testing.assert_allclose(alone.resistance[0], together.resistance[0], atol=1e-9)
-    noisy, hit = simulate(plain()), simulate(plain(unmodelled=Unmodelled(outlier_probability=5e-3)))
-    assert 0.7 < (noisy.raw_sums == hit.raw_sums).mean() < 1
 
 
 def test_raw_sums_only_where_sixteen_bits_hold_them() -> None:

@@ -16,12 +16,11 @@ from docs.studies.simulated_calibration import PRIORS, SETTINGS, calibration, pr
 from docs.studies.withheld import predictions
 from lampest import Array, Bounds, InputError, Misfit, Panel, Readings, Recording, Scene, read_run, two_point_resistance
 from lampest.cost.given import Background
-from lampest.cost.losses import Absolute, Huber, Student
+from lampest.cost.losses import Huber
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, LogRatio, RelativeChange, Term
+from lampest.cost.terms import CellResistance, Gradient, LogRatio, RelativeChange, Term
 from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.estimator import AutoWeight, Estimator
-from lampest.estimate.objective import Rule
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.weights import WeightSearch, converter_and_faults, residual_scale, strongest, with_chosen_weights
 from lampest.panel.readouts import TwoPointReadout
@@ -31,7 +30,7 @@ from lampest.posterior.spectrum import Spectrum, best_weight, settled_weights
 from lampest.runs.config import Case
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings
-from lampest.studies.weights import CurvePoint, Curves, WeightSubject, bound_evidence, l_curve, solve_at, tune
+from lampest.studies.weights import WeightSubject, bound_evidence, solve_at, tune
 from tests.estimates import recording_of, rms
 from tests.oracles import paper
 
@@ -59,19 +58,6 @@ def model_with(*terms: Term, noise: float = 0.003) -> LinearModel:
     data = measured_data(estimator, cells_of(1), noise, 2)
     solution = best_solution(estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0), data, None)
     return LinearModel(solution.at, solution.dual)
-
-
-def spectrum_and_model(term: Term) -> tuple[Spectrum, LinearModel]:
-    model = model_with(term)
-    return Spectrum.of(model), model
-
-
-@pytest.mark.parametrize("loss", [Huber(corner=50.0), Student(corner=50.0)], ids=["huber", "student"])
-def test_slopes_of_another_loss_balance_at_its_estimate(loss: Huber | Student) -> None:
-    spectrum, model = spectrum_and_model(Gradient(weight=1e-5, loss=loss))
-    assert np.mean(np.abs(model.penalty) > 50.0) > 0.3, "most rows lie beyond the corner"
-    slope = spectrum.directions.T @ (np.sqrt(model.data_curvature) * model.residual)
-    assert_allclose(slope, -1e-5 * spectrum.penalty_slope, atol=1e-4 * np.abs(slope).max())
 
 
 @pytest.mark.parametrize(("number", "factor"), [(1, 1e-3), (1, 1.0), (1, 30.0), (2, 1.0)])
@@ -152,29 +138,6 @@ def error(estimator: Estimator, data: Data, cells: Array) -> float:
     return rms(np.log(solution.cell_resistance[0] / cells))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("term", "rule"),
-    [
-        *((kind(weight=AUTO), rule) for kind in (Gradient, CellResistance) for rule in ("risk", "evidence")),
-        *((Gradient(weight=AUTO, loss=loss), "risk") for loss in (Huber(corner=200.0), Student(corner=200.0))),
-    ],
-)
-def test_the_choice_is_near_the_best_in_hindsight(term: Term, rule: Rule) -> None:
-    ratios = []
-    for seed, noise in enumerate((0.001, 0.003, 0.01, 0.03)):
-        cells = cells_of(10 + seed)
-        open_one = Estimator((Misfit(), term), "reduced", auto_weight=AutoWeight(rule=rule))
-        data = measured_data(open_one, cells, noise, 20 + seed)
-        chosen = with_chosen_weights(open_one, Scene(Panel(*SHAPE)), data, None)
-        weight = float(chosen.terms[1].weight)
-        grid = weight * 10.0 ** np.arange(-4, 3.1, 0.5)
-        best = min(error(chosen.with_weights([1.0, each]), data, cells) for each in grid)
-        ratios.append(error(chosen, data, cells) / best)
-    assert np.median(ratios) < 1.25
-    assert max(ratios) < 2
-
-
 def test_an_absolute_change_of_few_cells_is_weighed_as_well() -> None:
     estimator = Estimator((Misfit(), LogRatio(weight=AUTO)), "reduced")
     resting = 3050 * np.exp(0.2 * np.random.default_rng(4).standard_normal((6, 6)))
@@ -197,35 +160,6 @@ def recording(noise: float | None, frames: int = 4) -> Recording:
     exact = two_point_resistance(cells)
     measured = exact * (1 + (noise or 0.002) * np.random.default_rng(1).standard_normal(exact.shape))
     return recording_of(Scene(Panel(*SHAPE)), measured, 1, sigma=None if noise is None else noise * exact)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", [Gradient, CellResistance, RelativeChange, GradientOfRelativeChange])
-@pytest.mark.parametrize("per", ["recording", "frame"])
-def test_every_penalty_can_be_left_open(kind: type[Term], per: str) -> None:
-    estimator = Estimator((Misfit(), kind(weight=AUTO)), "reduced", auto_weight=AutoWeight(per=per))
-    estimate = reconstruct(recording(0.003), estimator)
-    weights = np.array([step.weights for step in estimate.steps])
-    assert np.all(weights[:, 0] == 1) and np.all(weights[:, 1] > 0)
-    assert (len(set(weights[:, 1])) == 1) == (per == "recording")
-    assert all(step.solution.solved for step in estimate.steps)
-
-
-@pytest.mark.parametrize(
-    "penalties",
-    [
-        (Gradient(weight=AUTO), CellResistance(weight=AUTO)),
-        (Gradient(weight=AUTO), CellResistance(weight=1e-7)),
-        (Gradient(weight=AUTO, loss=Absolute()),),
-        (Gradient(weight=AUTO), RelativeChange(weight=AUTO)),
-    ],
-)
-def test_several_penalties_and_other_losses(penalties: tuple[Term, ...]) -> None:
-    estimate = reconstruct(recording(0.003), Estimator((Misfit(), *penalties), "reduced"))
-    assert all(step.solution.solved for step in estimate.steps)
-    for number, term in enumerate(penalties, 1):
-        weight = estimate.steps[0].weights[number]
-        assert weight > 0 and (term.weight == AUTO or weight == term.weight)
 
 
 def test_without_noise_weights_are_chosen_too() -> None:
@@ -363,11 +297,6 @@ def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> Wei
     return WeightSubject.of(Case(Path("bump.h5"), "", "bump", "one", estimator, "", ""), held)
 
 
-@pytest.fixture(scope="module")
-def tuned() -> Curves:
-    return tune(subject(Gradient(weight="auto"), bump()))
-
-
 def test_point_has_the_papers_misfit_and_penalty_and_the_true_error() -> None:
     made = bump()
     point = solve_at(subject(Gradient(weight="auto"), made), 2e-5, None)
@@ -428,25 +357,6 @@ def test_what_a_held_cell_leaves_is_the_integral_of_its_density() -> None:
     assert_allclose(bound_evidence(model), expected, rtol=1e-5)
 
 
-def test_morozovs_weight_misses_the_readings_by_their_noise(tuned: Curves) -> None:
-    (weight,) = (choice.weight for choice in tuned.choices if choice.rule == "Morozov")
-    assert_allclose(tuned.at(weight).misfit, 20, rtol=0.05)
-
-
-def test_l_curve_finds_the_corner_of_a_hyperbola() -> None:
-    """x = √(1 + t²) + t, y = √(1 + t²) − t with t = log(λ/10) is curved most at t = 0."""
-    weights = np.geomspace(1e-3, 1e5, 41)
-    t = np.log(weights / 10)
-    away = np.sqrt(1 + t**2)
-    points = [CurvePoint(*both) for both in zip(weights, [1] * 41, np.exp(away + t), np.exp(away - t), strict=True)]
-    assert_allclose(l_curve(tuple(points)), 10, rtol=1e-6)
-    turned = tuple(replace(point, misfit=1 / point.penalty, penalty=1 / point.misfit) for point in points)
-    assert l_curve(turned) is None
-    wavy = [replace(point, penalty=float(np.exp(-0.1 * t - np.tanh(t)))) for point, t in zip(points, t, strict=True)]
-    bent = l_curve([replace(point, misfit=point.weight) for point in wavy])
-    assert 10 < bent < 100, "where it bends the other way counts for nothing"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("penalty", [Gradient(weight="auto"), RelativeChange(weight="auto")])
 def test_rule_in_use_is_what_a_run_goes_by(penalty: Term) -> None:
@@ -458,15 +368,3 @@ def test_rule_in_use_is_what_a_run_goes_by(penalty: Term) -> None:
     assert_allclose(run.steps[0].weights[1], used.weight)
     error = np.log(run.cell_resistance[0] / made.truth_cell_resistance[2])
     assert_allclose(used.error, np.sqrt(np.mean(error**2)), rtol=1e-4)
-
-
-def test_no_choice_beats_hindsight_and_the_curves_are_in_order(tuned: Curves) -> None:
-    weights = tuned.values("weight")
-    assert np.all(np.diff(weights) > 0)
-    assert np.all(tuned.values("solved") == 1)
-    assert np.all(np.diff(tuned.values("misfit")) > -1e-6)
-    assert np.all(np.diff(tuned.values("penalty")) < 1e-6 * tuned.values("penalty")[1:])
-    assert {choice.rule for choice in tuned.choices} >= {"risk", "evidence", "Morozov", "L-curve", "best"}
-    for choice in tuned.choices:
-        if choice.excess is not None:
-            assert choice.excess >= 1

@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 
-from lampest import Estimates, Faults, InputError, Recording, Rod, Scene, Squared, Status, read_results, read_run
+from lampest import Estimates, Faults, InputError, Recording, Rod, Scene, Squared, Status, read_run
 from lampest.cost.terms import Gradient, LogRatio, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.methods.approximate import TruncatedMethod
@@ -24,8 +24,6 @@ from lampest.panel.readouts.wiring import ContactPrior, Contacts, Lines, WiredNe
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings, touching_columns, touching_rows
 from lampest.recording.simulation.measure import true_contacts
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
-from lampest.runs.batch import run_batch
-from lampest.runs.executors import Serial
 from tests.estimates import log_errors, rms, scores
 
 LSM = (Misfit(weighting="noise"),)
@@ -80,13 +78,6 @@ def test_other_formulations_know_wire(readout: Readout, formulation: Any) -> Non
     bare = simulated(Scene(Panel(9, 7), readout))
     off, off_bare = (np.median(np.abs(log_errors(solved(one, formulation)))) for one in (recording, bare))
     assert off < 1.5 * off_bare + 0.001
-
-
-@each_readout
-def test_a_weight_is_chosen_for_a_wired_panel(readout: Readout) -> None:
-    recording = simulated(Scene(Panel(9, 7), readout, lines=THREAD))
-    done = solved(recording, terms=(*LSM, LogRatio(weight="auto", loss=Squared())))
-    assert np.median(np.abs(log_errors(done))) < 0.004
 
 
 def test_matrix_free_steps_reach_the_same_optimum() -> None:
@@ -229,14 +220,6 @@ def test_plain_least_squares_learns_nothing_of_contacts_and_its_bars_say_so(read
     assert 0.8 < rms(errors) < 1.25
 
 
-@pytest.mark.slow
-@each_readout
-def test_forgotten_contacts_are_far_outside_the_bars(readout: Readout) -> None:
-    recording = contacted(readout, 3)
-    ignored = solved(forgetting(recording, "contacts"))
-    assert rms(scores(ignored)) > 5 * rms(scores(solved(recording)))
-
-
 @each_readout
 def test_the_change_of_cells_hardly_knows_of_contacts(readout: Readout) -> None:
     """They are the same in both frames: bars of changes are far narrower than those of cells."""
@@ -299,19 +282,6 @@ def test_methods_that_look_back_know_contacts(terms: tuple[Term, ...]) -> None:
     assert all(step.solution.solved for step in done.steps)
     assert done.contacts is not None and done.cell_resistance_errors is not None
     assert rms(scores(done)) < 2
-
-
-def test_results_hold_contacts_with_their_errors(tmp_path: Path) -> None:
-    contacted(READOUTS["loaded"], 1).save(tmp_path / "panel.h5")
-    (tmp_path / "run.yaml").write_text(
-        "schema: 1\nrecordings: [panel.h5]\nformulation: reduced\n"
-        "estimators: {LSM: {terms: {misfit: {weighting: noise}}}}\n"
-    )
-    run_batch(read_run(tmp_path / "run.yaml"), tmp_path / "out", Serial())
-    (case,) = read_results(tmp_path / "out" / "results.h5").cases
-    assert len(case.contacts) == 2 * (5 + 6)
-    assert_allclose(case.contacts["row_4"], 60.0, rtol=1e-3)
-    assert_allclose(case.contacts["column_5_errors"], 50.0, rtol=1e-2)
 
 
 def test_known_contacts_are_not_estimated() -> None:
@@ -398,15 +368,6 @@ def test_told_of_it_the_cells_are_found(readout: Readout) -> None:
     told, ignored = solved(recording), solved(forgetting(recording, "converter_memory"))
     assert np.median(np.abs(log_errors(ignored))) > 3 * np.median(np.abs(log_errors(told)))
     assert 0.75 < rms(scores(told)) < 1.3
-
-
-def test_a_line_that_reads_nothing_shows_the_fraction() -> None:
-    """Zero volt of their own: what the channels of an unconnected sensed line read is left of the one before."""
-    readout = CONVERTERS["rows"]
-    volt = volts(readout, (40, 6))
-    volt[:, 3] = 0.0
-    recorded = with_memory(readout, FRACTION, volt)
-    assert np.sum(recorded[:, 3] * recorded[:, 2]) / np.sum(recorded[:, 2] ** 2) == pytest.approx(FRACTION, rel=1e-9)
 
 
 def test_impossible_memories_are_refused() -> None:
