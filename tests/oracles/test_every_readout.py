@@ -15,9 +15,7 @@ from lampest.cost.terms import Gradient, LogRatio, Misfit
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
 from lampest.panel.scene import Scene, SeriesPerLine, Systematic
-from lampest.recording.foreign.importing import import_file
 from lampest.recording.simulation.simulation import Simulation
-from lampest.report.info import describe
 from lampest.runs.batch import run_batch
 from lampest.runs.executors import Serial
 from lampest.runs.results import CaseResult, read_results
@@ -204,21 +202,6 @@ def test_a_dead_driven_line_leaves_the_model(readout: Any) -> None:
     assert all(step.solution.solved for step in done.steps)
     sound_rows = np.arange(8) != 4
     assert_allclose(done.cell_resistance[:, sound_rows], truth_of(sound)[:, sound_rows], rtol=1e-3)
-
-
-@every_kind
-def test_volt_and_code_are_imported_and_the_readout_is_named(readout: Any, tmp_path: Path) -> None:
-    recording = panel_of(readout, 0.0)
-    np.save(tmp_path / "volt.npy", recording.recorded)
-    np.save(tmp_path / "code.npy", readout.code_from_volt(recording.recorded))
-    for unit in ("volt", "code"):
-        loaded = import_file(tmp_path / f"{unit}.npy", ROWS, COLUMNS, recording.scene, unit, 3)[0]
-        assert np.max(np.abs(loaded.recorded - recording.recorded)) <= 0.5 * readout.lsb_volt * (1 + 1e-9)
-        assert unit == "code" or np.allclose(loaded.recorded, recording.recorded, rtol=1e-7)
-    with pytest.raises(InputError, match="gives volt"):
-        import_file(tmp_path / "volt.npy", ROWS, COLUMNS, recording.scene, "ohm")
-    loaded.save(tmp_path / "panel.h5")
-    assert any(readout.description() in line for line in describe(tmp_path / "panel.h5"))
 
 
 def run_over(recording: Recording, folder: Path) -> CaseResult:

@@ -274,21 +274,3 @@ def test_readings_that_say_nothing_or_little_do_not_blind_the_check() -> None:
 @pytest.mark.parametrize("readout", [DIVIDER, LOADED], ids=lambda readout: readout.kind)
 def test_what_scenes_tell_besides_is_no_fault_of_the_circuit(readout: Readout, besides: dict) -> None:
     assert Prepared(rod_on(Scene(PANEL, readout, **besides))).check.explains
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A results file of a recording under a wrong scene."""
-    path = tmp_path_factory.mktemp("check") / "results.h5"
-    recording = next(recording for what, recording in wrong(0, 10, 12) if what == "rows and columns swapped")
-    lampest.reconstruct(recording, [Misfit()], formulation="reduced").save(path, name="LSM")
-    return path
-
-
-def test_the_misfit_of_every_frame_is_that_of_its_residuals(results: Path) -> None:
-    (case,) = lampest.read_results(results).cases
-    for frame in range(len(case.time)):
-        residual = (case.reading_model[frame] - case.measured[frame]) / case.sigma[frame]
-        assert np.isclose(case.misfit["chi_square"][frame], np.sum(residual**2))
-        assert case.misfit["worst_row"][frame] == np.argmax(np.sum(residual**2, axis=1))
-    assert np.all((case.misfit["tail"] >= 0) & (case.misfit["tail"] <= 1))

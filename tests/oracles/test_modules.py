@@ -1,7 +1,6 @@
 """A panel of modules: one scene, one recording, one image; estimated alone, coupled over the seams, or many at once."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,15 +21,11 @@ from lampest.estimate.sequence import first_stream, reconstruct
 from lampest.estimate.stream import CarriedOver
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.document import parse_document, to_yaml, validated
-from lampest.panel.network import inverse_of
 from lampest.panel.panel import EachModule, Modules, Panel
-from lampest.panel.readouts.floating import grounding, two_point_resistance
+from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.scene import Scene
 from lampest.posterior.covariance import SampledMemory
 from lampest.recording.simulation import Simulation, simulate
-from lampest.runs.batch import Task, run_batch, solve_long
-from lampest.runs.config import read_run
-from lampest.runs.executors import Serial
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.projected_lbfgs import BatchOutcome, InverseHessians, Secants, _advanced, serves, solve
@@ -223,43 +218,6 @@ def test_a_sequence_goes_on_from_the_arrays_that_are_kept_of_it(panel: str) -> N
     assert_allclose([track.memory.samples, track.answers], pairs)
 
 
-@pytest.mark.slow
-def test_a_long_recording_is_solved_by_parts_and_goes_on_where_it_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    recording = simulated(scene_of(SCENE + FAULTS), frames=40)
-    recording.save(tmp_path / "mat.h5")
-    terms = "{misfit: {}, relative_change: {weight: 1e-3}}"
-    (tmp_path / "run.yaml").write_text(f"schema: 1\nrecordings: [mat.h5]\nestimators: {{dCR: {{terms: {terms}}}}}\n")
-    monkeypatch.setattr("lampest.recording.recording.MAX_READINGS", 10**6)
-    whole = run_batch(read_run(tmp_path / "run.yaml"), tmp_path / "whole", Serial())
-    monkeypatch.setattr("lampest.recording.recording.MAX_READINGS", 600)
-    monkeypatch.setattr("lampest.recording.recording.PART_READINGS", 1200)
-    run = read_run(tmp_path / "run.yaml")
-    [case] = run.cases
-    (tmp_path / "parts" / "cases").mkdir(parents=True)
-    written: list[Path] = []
-
-    def killed(path: Path, cases: list[lampest.CaseResult]) -> None:
-        if written:
-            raise KeyboardInterrupt
-        written.append(path)
-        lampest.write_results(path, cases)
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr("lampest.runs.batch.write_results", killed)
-        solve_long(Task(case, tmp_path / "parts"), case.stored)
-    before = written[0].stat().st_mtime_ns
-    monkeypatch.setattr("lampest.runs.batch.Task.clear_parts", lambda task: None)
-    parts = run_batch(run, tmp_path / "parts", Serial())
-    assert written[0].stat().st_mtime_ns == before  # the first part was not solved again
-    assert whole.results is not None and parts.results is not None
-    [one], [other] = (lampest.read_results(each.results).cases for each in (whole, parts))
-    assert one.cell_resistance.shape == other.cell_resistance.shape == (40, 6, 12)
-    np.testing.assert_allclose(other.cell_resistance, one.cell_resistance, rtol=1e-3)
-    assert np.isnan(other.cell_resistance[:, 3:, 8:]).all() and other.solved.all()
-
-
 def disturbed(change: str) -> Recording:
     """Four modules of 6 × 6, of which [0, 1] is not as the scene says."""
     readout = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=10, readings=20, noise_lsb=0.7)
@@ -447,19 +405,6 @@ def test_each_panel_ends_where_the_solver_for_one_ends(terms: tuple[Term, ...], 
         assert_allclose(found.points.at.cell_resistance[number], alone.cell_resistance, rtol=1e-5)
     again = solve(found.points.at, kept, np.arange(PANELS), Settings())
     assert again.solved[found.solved].all() and again.iterations[found.solved].max() == 0
-
-
-def test_networks_solved_together_are_those_solved_alone() -> None:
-    random = np.random.default_rng(3)
-    for shape in ((5, 4, 7), (5, 7, 4), (5, 1, 3)):
-        conductance = np.exp(random.uniform(-9, 0, shape))
-        ties = grounding(1 / conductance)
-        together = inverse_of(conductance, ties)
-        for one, tie, alone in zip(conductance, ties, together, strict=True):
-            assert_allclose(alone, inverse_of(one, tie), rtol=1e-10)
-    conductance[2, 0, 1] = 0.0
-    with pytest.raises(np.linalg.LinAlgError):
-        inverse_of(conductance, ties)
 
 
 def test_a_panel_that_readings_leave_open_is_handed_back_and_costs_no_other() -> None:

@@ -253,18 +253,3 @@ def single(recorded: Recording, frame: int, chosen: Estimator) -> Estimates:
     chosen_frames = [0, frame]
     parts = {name: getattr(recorded, name)[chosen_frames] for name in ("recorded", "time", "role", "sigma")}
     return reconstruct(replace(recorded, **parts), chosen)
-
-
-def test_mean_of_unloaded_frames_is_trusted_more() -> None:
-    """σ of the mean of n frames is √Σσ²/n: the misfit of a joint pair, weighted by noise, term by term."""
-    cells = truth((3, 4), 4, 18)
-    cells[1:3] = cells[0]
-    recorded = recording(cells, 5e-3, seed=18, unloaded=3)
-    terms = (Misfit(weighting="noise"), term_types()["relative_change"](weight=1e-2))
-    estimate = reconstruct(recorded, Estimator(terms))
-    sigma = np.sqrt(np.sum(recorded.sigma[:3] ** 2, axis=0)) / 3
-    resting = paper.forward(estimate.baseline_resistance).resistance - recorded.resistance[:3].mean(axis=0)
-    loaded = paper.forward(estimate.cell_resistance[0]).resistance - recorded.resistance[3]
-    expected = np.sum((resting / sigma) ** 2) + np.sum((loaded / recorded.sigma[3]) ** 2)
-    assert expected > 0.1
-    assert estimate.steps[0].solution.costs[0] == pytest.approx(expected, rel=1e-6)

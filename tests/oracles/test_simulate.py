@@ -19,7 +19,6 @@ from tests.netlist import two_point_resistances
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("lamprey_35mm", "lamprey_25mm", "rod", "ring")
 SHIPPED += tuple(f"cup_{medium}_{kpa}kpa" for medium in ("air", "water") for kpa in (10, 20))
-PANEL = Panel(10, 10)
 FINE = Panel(160, 160, 0.5)
 
 
@@ -77,6 +76,14 @@ def test_the_force_on_a_panel_is_that_of_the_load() -> None:
     np.testing.assert_allclose(contact[1] / contact[1, 0], [1, 0.5, 0], atol=0.01)
 
 
+def test_suction_decays_is_pumped_up_and_is_pulled_off() -> None:
+    course = Course(start_s=10, approach_s=2, attachment_s=3, pump_s=40, pump_loss=0.3, release_at_s=200, pull_off=0.5)
+    contact, suction = course.contact_and_suction(np.array([14.99, 15, 35, 54.99, 56, 75, 199.99, 200]))
+    expected = [1, 1, 0.7**0.5, 0.7, 0.7 ** (1 / 40), 0.7**0.5, 1.5 * 0.7 ** (24.99 / 40), 0]
+    np.testing.assert_allclose(suction, expected, rtol=1e-3)
+    np.testing.assert_allclose(contact[:-1], 1)
+
+
 @pytest.mark.parametrize(
     ("name", "covered", "centre"), [("lamprey_35mm", (4, 4), (4, 4)), ("lamprey_25mm", (3, 3), (4, 5))]
 )
@@ -103,7 +110,6 @@ def test_raw_sums_only_where_sixteen_bits_hold_them() -> None:
 
 
 EXACT = TwoPointReadout(adc_bits=24, readings=1, noise_lsb=0.0)
-LSB = 5 / 2**24
 ROD = Rod(kind="rod", centre_mm=(45, 45), diameter_mm=30, mass_g=300)
 
 

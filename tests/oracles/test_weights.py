@@ -30,7 +30,7 @@ from lampest.posterior.spectrum import Spectrum, best_weight, settled_weights
 from lampest.runs.config import Case
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings
-from lampest.studies.weights import WeightSubject, bound_evidence, solve_at, tune
+from lampest.studies.weights import CurvePoint, WeightSubject, bound_evidence, l_curve, solve_at, tune
 from tests.estimates import recording_of, rms
 from tests.oracles import paper
 
@@ -355,6 +355,20 @@ def test_what_a_held_cell_leaves_is_the_integral_of_its_density() -> None:
         density, _ = quad(lambda t, g=slope, a=curvature: np.exp(-(g * t + a * t * t) / 2), 0, reach, epsabs=0)
         expected += np.log(2 * np.pi) - 2 * np.log(density)
     assert_allclose(bound_evidence(model), expected, rtol=1e-5)
+
+
+def test_l_curve_finds_the_corner_of_a_hyperbola() -> None:
+    """x = √(1 + t²) + t, y = √(1 + t²) − t with t = log(λ/10) is curved most at t = 0."""
+    weights = np.geomspace(1e-3, 1e5, 41)
+    t = np.log(weights / 10)
+    away = np.sqrt(1 + t**2)
+    points = [CurvePoint(*both) for both in zip(weights, [1] * 41, np.exp(away + t), np.exp(away - t), strict=True)]
+    assert_allclose(l_curve(tuple(points)), 10, rtol=1e-6)
+    turned = tuple(replace(point, misfit=1 / point.penalty, penalty=1 / point.misfit) for point in points)
+    assert l_curve(turned) is None
+    wavy = [replace(point, penalty=float(np.exp(-0.1 * t - np.tanh(t)))) for point, t in zip(points, t, strict=True)]
+    bent = l_curve([replace(point, misfit=point.weight) for point in wavy])
+    assert 10 < bent < 100, "where it bends the other way counts for nothing"
 
 
 @pytest.mark.slow

@@ -60,17 +60,6 @@ def test_told_of_wire_the_cells_are_found(readout: Readout) -> None:
 
 
 @each_readout
-def test_wire_that_is_not_told_shows_in_the_place_of_the_cells(readout: Readout) -> None:
-    """As many readings as cells: the misfit is silent. Equal cells that seem to grow with their wire are not."""
-    scene = Scene(Panel(9, 7), readout, lines=THREAD)
-    recording = simulated(scene, cells=Cells(spread=0.003))
-    ignored, told = solved(forgetting(recording, "lines")), solved(recording)
-    path = Wiring(THREAD).path_ohm((9, 7)).ravel()
-    seeming, true = (np.corrcoef(done.baseline_resistance.ravel(), path)[0, 1] for done in (ignored, told))
-    assert seeming > 0.8 and abs(true) < 0.3
-
-
-@each_readout
 @pytest.mark.parametrize("formulation", ["auto", TruncatedMethod(steps=8), "linearised"], ids=str)
 def test_other_formulations_know_wire(readout: Readout, formulation: Any) -> None:
     """As well as without wire: what they leave out is theirs."""
@@ -205,19 +194,6 @@ PRIOR = Contacts(ContactPrior(60.0, 20.0), ContactPrior(150.0, 50.0))
 def contacted(readout: Readout, seed: int, spread: float = 0.2, frames: int = 1, shape: Any = (5, 6)) -> Recording:
     scene = Scene(Panel(*shape), readout, contacts=PRIOR, systematic="none")
     return simulate(Simulation(1, seed, scene, Cells(spread=spread), frames=frames))
-
-
-@pytest.mark.slow
-@each_readout
-def test_plain_least_squares_learns_nothing_of_contacts_and_its_bars_say_so(readout: Readout) -> None:
-    """As many readings as cells: the prior stays. Over draws the errors are as large as the bars."""
-    errors = []
-    for seed in range(12):
-        done = solved(contacted(readout, seed))
-        assert_allclose(done.contacts.mean((5, 6)), PRIOR.mean((5, 6)), rtol=1e-3)
-        assert_allclose(done.contacts.deviation((5, 6)), PRIOR.deviation((5, 6)), rtol=1e-2)
-        errors.append(scores(done))
-    assert 0.8 < rms(errors) < 1.25
 
 
 @each_readout
