@@ -404,10 +404,13 @@ class Ipopt:
         """Minimise from `start`. A failed solve does not raise; the outcome's status states the failure."""
         if data.overdue:
             return Outcome(start.cell_resistance, np.zeros_like(self.cost.slope), Status.TIME, 0)
-        # Units: resistances in s, the geometric mean of the apparent ones; split residuals in their largest.
+        # Units: resistances in s, the geometric mean of the apparent ones; split residuals in their largest at the start
+        # or at the apparent resistances, because a start at the baseline may leave none.
         scale = float(np.exp(np.mean(np.log(data.apparent_resistance))))
-        split = start.call(self.cost.functions.split)
-        split_scale = max(float(np.abs(split).max(initial=0)), 1e-12)
+        split, apparent = (
+            at.call(self.cost.functions.split) for at in (start, start.elsewhere(data.apparent_resistance))
+        )
+        split_scale = max(float(np.abs([split, apparent]).max(initial=0)), 1e-12)
         own: dict[str, Any] = {"ties": data.ties.ravel() * scale, "weights": self.cost.weights}
         own |= {"scale": scale, "cost_scale": start.cost_scale, "split_scale": split_scale}
         values = data.flat | own

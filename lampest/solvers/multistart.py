@@ -158,9 +158,10 @@ def solved_from(solver: Solver, start: Evaluation) -> Solution:
         settled, unique = solution.strict and solution.kkt_residual <= VERIFIED / 10, start.data.readout.unique
         if isinstance(solver, ProjectedNewton) or outcome.status is not Status.OPTIMUM or (settled and unique):
             return solution
-        # Polish from the solver's cells and, if that gives no strict minimum, from the start.
-        steps = LAST_STEPS if unique else FINE_STEPS
-        newton = ProjectedNewton(solver.cost, steps if solution.solved else solver.settings)
+        # Polish from the solver's cells and, if that gives no strict minimum, from the start. Absolute losses are
+        # smoothed in several widths, for which few steps do not suffice.
+        steps, near_minimum = LAST_STEPS if unique else FINE_STEPS, solution.solved and not len(start.nonsmooth)
+        newton = ProjectedNewton(solver.cost, steps if near_minimum else solver.settings)
         reached = [solution]
         for near in (evaluated(solver.cost, start.data, outcome.cell_resistance), start):
             polished = check(start, replace(newton.solve(start.data, near), iterations=outcome.iterations))

@@ -7,13 +7,26 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest import Array, Bounds, Estimates, Estimator, OptimalMethod, Panel, Recording, Scene, two_point_resistance
+from lampest import (
+    Array,
+    Bounds,
+    Estimates,
+    Estimator,
+    GroundedReadout,
+    OptimalMethod,
+    Panel,
+    Recording,
+    Scene,
+    Status,
+    two_point_resistance,
+)
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.cost.losses import Absolute, Huber, Squared
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import Gradient, Misfit, term_types
+from lampest.cost.terms import Gradient, LogRatio, Misfit, term_types
 from lampest.estimate.sequence import reconstruct
+from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.solvers.multistart import evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
 from tests.estimates import recording_of
@@ -253,3 +266,17 @@ def single(recorded: Recording, frame: int, chosen: Estimator) -> Estimates:
     chosen_frames = [0, frame]
     parts = {name: getattr(recorded, name)[chosen_frames] for name in ("recorded", "time", "role", "sigma")}
     return reconstruct(replace(recorded, **parts), chosen)
+
+
+@pytest.mark.parametrize("weight", [35.0, 200.0])
+@pytest.mark.parametrize("formulation", ["nodal", "reduced"])
+def test_optimum_is_verified_from_a_start_without_any_change(formulation: str, weight: float) -> None:
+    """The baseline is the first start, at which every residual of the absolute loss is zero."""
+    rng, time = np.random.default_rng(0), np.arange(8.0)
+    scene = Scene(Panel(3, 3), readout=GroundedReadout(load_ohm=1000.0, adc_bits=12, noise_lsb=2.5))
+    cells = np.repeat(5000 * np.exp(0.2 * rng.standard_normal((1, 3, 3))), 8, axis=0)
+    cells[6:, 1, 1] /= 2
+    recording = Recording(scene, measured(scene, cells, Unmodelled(), 0)[0], time, (time > 4).astype(np.uint8))
+    terms = (Misfit(weighting="noise"), LogRatio(weight=weight))
+    estimates = reconstruct(recording, Estimator(terms, formulation, error_bars=False))
+    assert [step.solution.status for step in estimates.steps] == 3 * [Status.OPTIMUM]
