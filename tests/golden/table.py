@@ -7,6 +7,7 @@ Most rows come from a walk over a union, so that a new member has one at once. P
 from golden.checks import of_checks, of_recognition
 from golden.circuits import Rows, of_loads, of_panel
 from golden.estimates import of_estimate, of_recording
+from golden.inputs import of_inputs
 from golden.numerics import of_cost, of_posterior, of_solvers
 from golden.outputs import of_report, of_studies
 
@@ -17,6 +18,7 @@ ROOMS = (
     of_solvers,
     of_posterior,
     of_recording,
+    of_inputs,
     of_estimate,
     of_checks,
     of_recognition,
