@@ -121,9 +121,12 @@ def outliers_row() -> dict[str, Any]:
         readings = lp.Readings.of(scene, frame)
         live.append(frames.without_outliers(readings, scene, resting, cells))
         frames = frames.after(readings)
+    apart = np.stack([value, 1000 + 5 * (value - 1000)], axis=1)
+    pair = lp.Readings(apart, np.full(apart.shape, 9.0), np.zeros(apart.shape), np.ones(apart.shape))
     impossible = lp.Readings.of(scene, lp.two_point_resistance(cells)[None] * np.where(cells == cells.max(), 9.0, 1.0))
     return {
         "whole": outliers.detect_outliers(value, scale), "few": outliers.detect_outliers(value[:4], scale[:4], 0.1),
+        "panels": outliers.without_outliers(np.zeros(pair.value.shape, dtype=bool), pair, np.arange(16) < 8),
         "live": live, "impossible": outliers.impossible_readings(scene.circuit, impossible),
         "median": outliers.median(value),
     }  # fmt: skip

@@ -1,15 +1,18 @@
-"""Results that later versions must give again: the golden table, and the defaults of public classes.
+"""Results that later versions must give again: the golden table, defaults and constants.
 
-python -m tests.golden.make                  # both
+python -m tests.golden.make                  # all
 python -m tests.golden.make table            # public results of every room, see table.py
 python -m tests.golden.make table report     # those of one room
-python -m tests.golden.make defaults
+python -m tests.golden.make defaults         # defaults of public classes, and constants of all modules
 
 Do so only where numbers are meant to change, and say in the commit why.
 """
 
 import dataclasses
+import importlib
+import inspect
 import json
+import pkgutil
 import sys
 from pathlib import Path
 
@@ -18,6 +21,8 @@ import lampest
 HERE = Path(__file__).parent
 DEFAULTS = HERE / "defaults.json"
 DATA = HERE / "data"
+CONSTANTS = HERE / "constants.json"
+LONGEST = 400  # characters of a constant; longer ones are lists whose entries have rows
 
 
 def defaults() -> dict[str, dict[str, str]]:
@@ -33,6 +38,39 @@ def defaults() -> dict[str, dict[str, str]]:
         for name, kind in sorted(kinds.items())
     }
     return {name: fields for name, fields in table.items() if fields}
+
+
+def constants() -> dict[str, dict[str, list[str]]]:
+    """Return room → numbers of constants, fields and arguments with a default, by their names.
+
+    A room's modules are one name space, so that a constant may move from one to another.
+    """
+    table: dict[str, dict[str, list[str]]] = {}
+    for entry in pkgutil.walk_packages(lampest.__path__, "lampest."):
+        module, room = importlib.import_module(entry.name), table.setdefault(entry.name.split(".")[1], {})
+        own = [value for value in vars(module).values() if getattr(value, "__module__", "") == entry.name]
+        named = {name: value for name, value in vars(module).items() if name.isupper() and name != "TYPE_CHECKING"}
+        for kind in (value for value in own if isinstance(value, type)):
+            own += [value for name, value in vars(kind).items() if inspect.isfunction(value) and name[:2] != "__"]
+            named |= {f"{kind.__name__}.{name}": value for name, value in vars(kind).items() if name[0] != "_"}
+        for function in (value for value in own if inspect.isfunction(value)):
+            arguments = inspect.signature(function).parameters.items()
+            named |= {f"{function.__qualname__}({name})": value.default for name, value in arguments}
+        for name, value in named.items():
+            text = repr(value)
+            if has_number(value) and len(text) < LONGEST and "<" not in text and text not in room.get(name, ()):
+                room.setdefault(name, []).append(text)
+    return table
+
+
+def has_number(value: object) -> bool:
+    """Whether a value is a number or a record with numbers."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, tuple | list) else ()
+    return isinstance(value, int | float) or is_record(value) or any(map(has_number, inner))
+
+
+def is_record(value: object) -> bool:
+    return dataclasses.is_dataclass(value) and not isinstance(value, type)
 
 
 def write_table(*rooms: str) -> None:
@@ -54,6 +92,8 @@ def main() -> None:
     what, *rooms = sys.argv[1:] or ["all"]
     if what != "table":
         DEFAULTS.write_text(json.dumps(defaults(), indent=1) + "\n")
+        rooms = (f"{json.dumps(room)}: {json.dumps(values)}" for room, values in constants().items())
+        CONSTANTS.write_text("{\n" + ",\n".join(rooms) + "\n}\n")
     if what != "defaults":
         write_table(*rooms)
 

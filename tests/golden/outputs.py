@@ -257,7 +257,8 @@ def live_row(estimator: str) -> dict[str, Any]:
     readings = recording.readings()
     state = PanelState.begin(ESTIMATORS[estimator], recording.scene, 1.0, readings[[0, 1, 2, 3]].mean(), hasty=True)
     pictures, looks = [], []
-    for number, frame in enumerate(recording.measured_frames(), 1):
+    few = 3 if estimator == "smoother" else None
+    for number, frame in enumerate(recording.measured_frames()[:few], 1):
         state = replace(state, missing=2) if number == 3 and estimator == "tared" else state  # a zero is asked for
         sigma = recording.sigma if recording.sigma is None or recording.sigma.ndim == 2 else recording.sigma[frame]
         scan = Scan(recording.recorded[frame], sigma, float(number), 0.0)
@@ -364,7 +365,7 @@ def of_report() -> Rows:
                 r"solve time .*", "", Reconstruction.of(simulated(), ESTIMATORS["auto"]).fit_report()
             ),
         }
-        | {f"live {name}": partial(live_row, name) for name in ("auto", "by nodal", "tared")}
+        | {f"live {name}": partial(live_row, name) for name in ("auto", "by nodal", "tared", "smoother")}
     )
 
 
@@ -468,19 +469,26 @@ def extremes_row(case: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
+@cache
+def weight_subject() -> Any:
+    estimator = Estimator((lp.Misfit(weighting="noise"), lp.LogGradient(weight=3.0)), "reduced")
+    return WeightSubject.of(SimpleNamespace(recording="r", name="e", estimator=estimator), simulated())
+
+
+@cache
+def tuned_curves() -> Curves:
+    return tune(weight_subject())
+
+
 def weights_study_row() -> dict[str, Any]:
-    case = SimpleNamespace(
-        recording="r", name="e",
-        estimator=Estimator((lp.Misfit(weighting="noise"), lp.LogGradient(weight=3.0)), "reduced"),
-    )  # fmt: skip
-    subject = WeightSubject.of(case, simulated())
+    subject, curves = weight_subject(), tuned_curves()
     points = [solve_at(subject, 10.0**n, None) for n in np.linspace(-4, 5, 10)]
     return {
         "points": points, "morozov": morozov(points, subject.count), "corner": l_curve(points),
         "units": subject.units, "count": subject.count,
-        "tuned": [(each.rule, each.weight, each.error, each.excess, each.in_use) for each in tune(subject).choices],
+        "tuned": [(each.rule, each.weight, each.error, each.excess, each.in_use) for each in curves.choices],
         "finer": [point.weight for point in Curves(subject, tuple(points[2:6])).finer().points],
-        "why": why_not(case.estimator, 9),
+        "why": why_not(subject.case.estimator, 9),
     }  # fmt: skip
 
 

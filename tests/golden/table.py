@@ -10,6 +10,7 @@ from golden.estimates import of_estimate, of_recording
 from golden.inputs import of_inputs
 from golden.numerics import of_cost, of_posterior, of_solvers
 from golden.outputs import of_report, of_studies
+from golden.whole import of_whole
 
 ROOMS = (
     of_panel,
@@ -24,6 +25,7 @@ ROOMS = (
     of_recognition,
     of_report,
     of_studies,
+    of_whole,
 )
 RELATIVE: dict[str, float] = {}  # name → tolerance, where an answer is iterative
 

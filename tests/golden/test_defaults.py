@@ -1,13 +1,18 @@
-"""The defaults that users rely on stay: every default of a public class, as the stored table has it."""
+"""Defaults and calibrated numbers stay: those of public classes, and of all modules, as the stored tables have them."""
 
 import json
 
 import pytest
-from golden.make import DEFAULTS, defaults
+from golden.make import CONSTANTS, DEFAULTS, constants, defaults
 
 STORED = json.loads(DEFAULTS.read_text())
+INTENDED = "an intended change: python -m tests.golden.make defaults"
 
 
 @pytest.mark.parametrize("name", sorted(STORED.keys() | defaults().keys()))
 def test_public_classes_have_their_stored_defaults(name: str) -> None:
-    assert defaults()[name] == STORED[name], "an intended change: python -m tests.golden.make defaults"
+    assert defaults()[name] == STORED[name], INTENDED
+
+
+def test_numbers_of_modules_stay() -> None:
+    assert constants() == json.loads(CONSTANTS.read_text()), INTENDED

@@ -37,7 +37,7 @@ LEFT_OUT = (".git", ".venv", "results", "_build", ".hypothesis", "__pycache__", 
 GRACE = 60.0  # s beside three times the recorded duration
 LONGEST = 120.0  # s of recorded tests for one mutant; a survivor beyond this is counted as one
 GOLDEN = "tests/golden/test_table.py::test_a_row_has_its_stored_results["
-DEFAULTS = "tests/golden/test_defaults.py"  # guards what stands in classes, and calls none of their functions
+DEFAULTS = "tests/golden/test_defaults.py"  # guards constants and defaults, and calls none of their functions
 LIBRARIES = "numpy scipy.linalg scipy.sparse scipy.optimize scipy.stats scipy.special casadi h5py pydantic ruamel.yaml"
 LIBRARIES += " matplotlib.figure matplotlib.colors typer rich.table jinja2 mpmath pytest"
 
@@ -101,7 +101,7 @@ def guards_of(mutant: Mutant, tests: Tests) -> tuple[list[str], list[str]]:
         names = [name for name, test in tests.items() if any(part in f"{call}\n" for call in test["functions"])]
         if names:
             break
-    names += [] if mutant.function else [name for name in tests if name.startswith(DEFAULTS)]
+    names += [name for name in tests if name.startswith(DEFAULTS)]
     for name in sorted(set(names), key=lambda name: tests[name]["seconds"]):
         (rows if name.startswith(GOLDEN) else by_file.setdefault(name.partition("::")[0], [])).append(name)
     rounds = max(map(len, by_file.values()), default=0)

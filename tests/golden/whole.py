@@ -1,0 +1,241 @@
+"""Rows of whole pages, of long recordings and of large panels, by limits that are lowered for them."""
+
+import re
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, chdir, contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from golden.checks import recorded
+from golden.circuits import PANEL, Rows
+from golden.estimates import case_row, simulated
+from golden.numerics import COSTS, certificate_row, point, solver_row
+from golden.outputs import command, drawn_row, invented, tuned_curves
+from support import invented_case
+from typer.main import get_command
+
+import lampest as lp
+from lampest import cli
+from lampest.estimate import model_error
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.prepared import Prepared
+from lampest.files.errors import InputError
+from lampest.recording.simulation import simulation
+from lampest.report.page import compared, page
+from lampest.runs.case import ATTRIBUTES, COLUMNS, REQUIRED
+from lampest.solvers import interior_point
+from lampest.studies.weights import weights_figure, why_not
+
+# Large panels and long recordings
+
+
+@contextmanager
+def limits(**values: int) -> Iterator[None]:
+    """Other limits, `module__NAME` for each, so that small examples count as large ones."""
+    with ExitStack() as stack:
+        for name, value in values.items():
+            module, _, constant = name.rpartition("__")
+            stack.enter_context(patch(f"lampest.{module.replace('__', '.')}.{constant}", value))
+        yield
+
+
+@contextmanager
+def large() -> Iterator[None]:
+    """No matrices over the cells."""
+    point.cache_clear()
+    with limits(
+        solvers__hessian__DENSE_CELLS=2, solvers__hessian__MATRIX_CELLS=2, solvers__certificate__DENSE_CELLS=2,
+        solvers__certificate__MAX_DENSE=2, posterior__covariance__MAX_DENSE=2, posterior__linear__MAX_DENSE=2,
+    ):  # fmt: skip
+        yield
+    point.cache_clear()
+
+
+def as_large(row: Callable[..., Any], *known: Any) -> Any:
+    with large():
+        return row(*known)
+
+
+def barrier_row() -> Any:
+    """The interior-point method from a start with most cells at a bound."""
+    with large():
+        begin = point("plain")
+        data = replace(
+            begin.data, lower=np.full(begin.data.lower.shape, 1200.0), upper=np.full(begin.data.upper.shape, 4500.0)
+        )
+        cells = np.where(np.indices(PANEL.shape).sum(axis=0) % 5 > 0, 1200.0, 4000.0)[None]
+        start = replace(begin, data=data).elsewhere(cells)
+        barrier = interior_point.Barrier.of(start)
+        ahead = [barrier := barrier.advanced() or barrier for _ in range(3)]
+        end, steps = interior_point.by_interior_point(start)
+        return {
+            "crowded": [interior_point.crowds_bounds(at) for at in (begin, start)], "steps": steps,
+            "cells": end.cell_resistance, "objective": end.objective, "mean": [each.mean for each in ahead],
+            "multipliers": [each.multipliers for each in ahead], "length": [each.length for each in ahead],
+            "merit": [each.merit(0.1) for each in ahead], "added": [each.added for each in ahead],
+            "bounds": ahead[0].put_at_bounds().cell_resistance,
+        }  # fmt: skip
+
+
+RUN_OF_PARTS = """
+schema: 1
+recordings: [long.h5]
+estimators:
+  alone: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 3.0}}, formulation: linearised}
+  following: {terms: {misfit: {}, log_ratio: {weight: 100.0, reference: previous}}, formulation: {kind: reduced}}
+"""
+
+
+def parts_row() -> dict[str, Any]:
+    """A recording that is read and solved in parts of sixteen frames."""
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        simulated(frames=19, baseline_frames=3).save("long.h5")
+        Path("run.yaml").write_text(RUN_OF_PARTS)
+        with limits(recording__recording__MAX_READINGS=200, recording__recording__PART_READINGS=20):
+            printed = command("run", "run.yaml", "--jobs", "1", "--out", "out")
+            again = command("run", "run.yaml", "--jobs", "1", "--out", "out")
+            told = command("info", "long.h5"), command("tare", "long.h5", "--frames", "16:18", "--out", "t.h5")
+            roles = lp.Recording.load("t.h5").role
+        cases = lp.read_results("out/results.h5", frames=range(3, 20)).cases
+    words = [re.sub(r"in \d.* s\b|\d+ bytes|case [0-9a-f]+", "…", text) for text in (printed, again, *told)]
+    return {"cases": [case_row(case) for case in cases], "words": words, "roles": roles}
+
+
+# Errors of the model
+
+
+def model_error_row() -> dict[str, Any]:
+    """Readings that are off, each by its own factor, without still cells that would show it."""
+    rows = {}
+    with limits(estimate__model_error__MIN_READINGS=20):
+        for error in (0.0, 0.2):
+            recording = recorded(reading_error=error)
+            noise = replace(Prepared(recording).frame_noise, possible_errors=None)
+            judged = model_error.with_model_error(noise, recording)
+            rows[str(error)] = [judged.warnings, judged.model_factor, judged.sigma_factor, judged.readings.sigma]
+    return rows
+
+
+# Pages and figures
+
+
+def report_row() -> dict[str, Any]:
+    """The page of a comparison, with what every picture would show in its place."""
+    recordings = {
+        name: {case.estimator: case for case in lp.Results(invented()).of(name)} for name in ("mouth", "second")
+    }
+    batches = {
+        "two": compared.Batch(("a.h5",) * 6, recordings),
+        "one": compared.Batch(("b.h5",), {"a0": {"LSM": invented_case("LSM", "a0", (3, 4, 5))}}),
+    }
+    drawn: list[Any] = []
+
+    def noted(plot: Any, cases: Any) -> str:
+        drawn.append([plot.kind, getattr(plot, "frame", None), [case.estimator for case in cases]])
+        return ""
+
+    pages = {}
+    with ExitStack() as stack:
+        for kind in (page.ContourPlot, page.CertaintyPlot, page.ResidualPlot):
+            stack.enter_context(patch.object(kind, "draw", noted))
+        stack.enter_context(patch.object(page, "data_uri", lambda _: "data:"))
+        for name, batch in batches.items():
+            text = page.report(batch)
+            pages[name] = re.sub(r'href="data:[^"]*|<style>.*?</style>', "…", text, flags=re.S)
+    return {"pages": pages, "drawn": drawn}
+
+
+def weights_figure_row() -> dict[str, Any]:
+    known = tuned_curves()
+    blind = replace(
+        known, points=tuple(replace(each, error=np.nan, risk=np.nan) for each in known.points),
+        choices=tuple(replace(choice, error=None, excess=None) for choice in known.choices[:2]),
+    )  # fmt: skip
+    subjects = (
+        (lp.Misfit(),), (lp.Misfit(), lp.LogGradient(), lp.Gradient()), COSTS["absolute"], COSTS["student"],
+        COSTS["penalty"],
+    )  # fmt: skip
+    return {
+        "figures": [drawn_row(weights_figure(curves)) for curves in (known, blind)],
+        "why": [why_not(Estimator(terms), count) for terms in subjects for count in (20, 2000)],
+    }
+
+
+# Simulation files
+
+SCENE = "seed: 4\nbaseline_frames: 1\nframes: 1\nscene: {panel: {rows: 2, columns: 3}}\n"
+SIMULATIONS = {
+    "plain": "", "named": "output: n{seed}_{case:02d}.h5\n",
+    "swept": "output: s{case:03d}_{frames}.h5\nsweep: {frames: [1, 2]}\n",
+    "drawn": "cells: {resistance_ohm: {uniform: [1000, 3000]}, spread: 0.1}\n",
+    "wrongly drawn": "cells: {resistance_ohm: {uniform: [3, 1]}}\n",
+    "three ends": "cells: {spread: {uniform: [1, 2, 3]}}\n",
+    "same names": "output: s.h5\nsweep: {frames: [1, 2]}\n", "no name": "output: s.txt\n",
+    "no word": "output: '{me}.h5'\n",
+    "several without names": "sweep: {frames: [1, 2], cells.resistance_ohm: [900, 1000.0]}\n",
+    "in folders": "output: '{frames}/s.h5'\nsweep: {frames: [1, 2]}\n", "swept wrongly": "sweep: {frame: [1, 2]}\n",
+    "swept badly": "sweep: {frames: 2}\n", "swept by nothing": "sweep: {frames: []}\n",
+}  # fmt: skip
+
+
+def simulation_files_row(text: str) -> dict[str, Any]:
+    """Recordings of a simulation file, by default, to one file and to a folder; or why there are none."""
+    rows: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        Path("sim.yaml").write_text(SCENE + text + "schema: 1\n")
+        Path("here").mkdir()
+        for out in (None, "one.h5", "here"):
+            try:
+                written = simulation.run(Path("sim.yaml"), out and Path(out))
+                rows[str(out)] = [
+                    (str(path).replace(folder, ""), lp.Recording.load(path).recorded) for path in written
+                ]  # fmt: skip
+            except InputError as error:
+                rows[str(out)] = str(error)
+    return rows
+
+
+# Declarations
+
+
+def columns_row() -> dict[str, Any]:
+    """Every column of results, and how figures and attributes are stored."""
+    rows: dict[str, Any] = {"required": REQUIRED, "attributes": str(ATTRIBUTES)}
+    for column in COLUMNS:
+        checks = [check.__name__ for check in column.checks]
+        rows[column.name] = checks, {key: re.sub(" at 0x[^>]*", "", str(value)) for key, value in vars(column).items()}
+    return rows
+
+
+PARTS = ("opts", "default", "required", "is_flag", "multiple", "nargs", "help", "hidden")
+
+
+def command_line_row(command: Any) -> Any:
+    """Every command with its arguments, their defaults and limits."""
+    if hasattr(command, "commands"):
+        return {name: command_line_row(each) for name, each in command.commands.items()}
+    return command.help, {
+        parameter.name: [
+            *(str(getattr(parameter, part, "")) for part in PARTS),
+            *(str(getattr(parameter, part, "")) for part in ("min", "max", "type")),
+        ] for parameter in command.params
+    }  # fmt: skip
+
+
+def of_whole() -> Rows:
+    return (
+        {f"solve large {cost}": partial(as_large, solver_row, cost, "whole", "newton") for cost in COSTS}
+        | {f"point large {cost}": partial(as_large, certificate_row, cost, "whole", 0.0) for cost in COSTS}
+        | {f"simulation {name}": partial(simulation_files_row, text) for name, text in SIMULATIONS.items()}
+        | {
+            "interior point": barrier_row, "parts": parts_row, "model error": model_error_row, "report": report_row,
+            "columns": columns_row,
+            "command line": lambda: command_line_row(get_command(cli.app)),
+            "weights figure": weights_figure_row,
+        }
+    )  # fmt: skip
