@@ -14,19 +14,12 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from lampest import (
-    Bounds,
-    Estimator,
     InputError,
-    Misfit,
     Panel,
-    Readings,
     Scene,
     TwoPointReadout,
-    two_point_resistance,
 )
-from lampest.cost.given import Background, Given
-from lampest.cost.problem import Evaluation
-from lampest.estimate.calibration.loads import _answers
+from lampest.cost.given import Given
 from lampest.estimate.calibration.trials import known_resistors
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
 from lampest.estimate.model_check import Question, most_in_series
@@ -34,10 +27,8 @@ from lampest.estimate.rivals import Rival
 from lampest.files import levels
 from lampest.panel import compiled
 from lampest.panel.panel import Array
-from lampest.posterior import track
-from lampest.posterior.covariance import SampledErrors, swept
+from lampest.posterior.covariance import swept
 from lampest.recording.recording import MEASURED, UNLOADED
-from lampest.solvers.bounds import bounds_matter, lower_along
 
 ROLE = np.array([UNLOADED, UNLOADED, MEASURED, MEASURED], dtype=np.uint8)
 
@@ -87,22 +78,6 @@ def test_loaded_cells_have_moved_in_any_case() -> None:
     assert moved[6] and change @ precision @ change + lost == pytest.approx(evidence(change, covariance, moved))
 
 
-@pytest.mark.parametrize(("deviations", "matters"), [(1.2, True), (0.8, False)])
-def test_a_bound_matters_where_a_reading_is_missed_by_more_than_its_noise(deviations: float, matters: bool) -> None:
-    """A cell stands at its lower bound, 500 ohm below which the truth lies; σ is the misfit over `deviations`."""
-    scene, truth = Scene(Panel(3, 3), TwoPointReadout()), np.full((3, 3), 1000.0)
-    held = truth.copy()
-    truth[1, 1] = 500.0
-    value, nothing = two_point_resistance(truth), np.zeros((1, 3, 3))
-    missed = np.abs(two_point_resistance(held) - value)
-    readings = Readings(value[None], np.full((1, 3, 3), missed.max() / deviations), nothing, nothing + 1)
-    estimator = Estimator((Misfit(),), "reduced", bounds=Bounds(lower=1000.0, upper="none"))
-    data = estimator.data(readings, Background(scene))
-    at = Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, held[None])
-    assert bounds_matter(at, at.log_gradient(np.zeros(0)), np.zeros(0)) is matters
-    assert not bounds_matter(at, -at.log_gradient(np.zeros(0)), np.zeros(0))  # no cell presses against a bound
-
-
 @pytest.mark.parametrize("levels", [(900.0, 400.0), (400.0, 900.0)])
 def test_a_resistance_in_series_is_smaller_than_every_reading_of_both_frames(levels: tuple[float, float]) -> None:
     recorded = np.repeat(levels, 2)[:, None, None] * np.ones((3, 3))
@@ -125,65 +100,6 @@ def test_a_circuit_explains_means_of_widened_readings_that_noise_leaves_nearly_g
         np.testing.assert_allclose(readings.value[usable > 0], value)
         np.testing.assert_allclose(readings.sigma[usable > 0], 3.0 * 2.0 / np.sqrt(2))
     assert len(Question(rival, ROLE, np.arange(4), np.arange(0), 3.0, np.arange(4)).readings(rival)) == 1
-
-
-def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four frames, two under each load: of the first the strongest cell moves by a quarter, of the second another."""
-    logarithm = np.full((4, 2, 3), 0.1)
-    logarithm[:, 1, 2] = [-1.75, -2.25, -2.0, -2.0]
-    logarithm[:, 0, 1] = [0.1, 0.1, 0.3, -0.3]
-    sd = np.full((4, 2, 3), 0.04)
-    sd[1] = 0.03
-    estimates = SimpleNamespace(frame=np.arange(2, 6), film=None)
-    monkeypatch.setattr("lampest.estimate.calibration.loads.reconstruct", lambda *_: estimates)
-    monkeypatch.setattr("lampest.estimate.calibration.loads.log_change", lambda _: (logarithm, sd))
-    recording: Any = SimpleNamespace(name="mine", role=np.arange(6))
-    loads: list[Any] = [SimpleNamespace(frames=frames) for frames in ((2, 3), (4, 5))]
-    mean, deviation, within = _answers(recording, loads)
-    np.testing.assert_allclose(mean, (logarithm[::2] + logarithm[1::2]) / 2)
-    np.testing.assert_allclose(deviation[:, 0, 0], [np.sqrt((0.04**2 + 0.03**2) / 2), 0.04])
-    np.testing.assert_allclose(within, [0.25, 0])
-    loads[0].frames = (2, 6)
-    with pytest.raises(InputError, match="no frame 6, its frames are 0 to 5"):
-        list(_answers(recording, loads))
-
-
-def test_a_lower_cost_is_looked_for_forth_and_back_along_a_direction_from_far_to_near(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    scene, cells = Scene(Panel(3, 3), TwoPointReadout()), np.full((1, 3, 3), 1000.0)
-    estimator = Estimator((Misfit(),), "reduced")
-    data = estimator.data(Readings.of(scene, two_point_resistance(1.1 * cells)), Background(scene))
-    at = Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, cells)
-    steps, along = list[Array](), np.linspace(-4.0, 2.0, 9)
-    with monkeypatch.context() as patch:
-        patch.setattr("lampest.solvers.bounds.moved_by", lambda _, step: steps.append(step))
-        assert lower_along(at, along) is None
-    lengths = [1.0, -1.0, 0.3, -0.3, 0.1, -0.1, 0.03, -0.03, 0.01, -0.01]
-    np.testing.assert_allclose(steps, np.multiply.outer(lengths, along / 4))
-    steps.clear()
-    lower = lower_along(at, -np.ones(9))
-    assert lower is not None and lower.objective < at.objective
-    np.testing.assert_allclose(lower.cell_resistance, 1000.0 * np.exp(0.1))
-
-
-def test_profiles_are_of_three_missing_cells_that_are_free_where_matrices_are_at_hand(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Cells 1, 2, 4 and 5 of a pair were not read; 1 stands at a bound, and 5 is one too many. Tangents move by 1."""
-    readings: Any = SimpleNamespace(value=np.zeros((2, 3)))
-    model: Any = SimpleNamespace(free=np.array([6, 8, 10, 11]), at=SimpleNamespace(cell_resistance=np.zeros((2, 2, 3))))
-    errors: Any = SimpleNamespace(model=model)
-    missing = np.array([[False, True, True], [False, True, True]])
-    monkeypatch.setattr(track, "errors_of", lambda model, memory: errors)
-    monkeypatch.setattr(track, "tangent", lambda errors, cell: np.eye(12)[cell])
-    ends = {-1: -3.0, 1: 2.0}
-    monkeypatch.setattr(track, "profile_end", lambda errors, cell, side: ends[side] * np.eye(12)[cell])
-    below, above = track.beyond_tangents(model, readings, missing, None)
-    np.testing.assert_allclose(below, 8.0 * np.array([[0, 0, 1], [0, 1, 0]]))
-    np.testing.assert_allclose(above, 3.0 * np.array([[0, 0, 1], [0, 1, 0]]))
-    errors = object.__new__(SampledErrors)
-    assert not np.any(track.beyond_tangents(model, readings, missing, None))
 
 
 def test_readings_that_are_all_values_are_told_to_a_cost_without_sides() -> None:

@@ -6,7 +6,7 @@ import os
 import re
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -58,32 +58,43 @@ def flooded(hello: Hello) -> Sent:
     return ((0.01, wire(hello, n) + wire(hello, n, shape=(5, 5)) * 20) for n in itertools.count())
 
 
-def recorded(script: Script, folder: Path, frames: int | None = None, seconds: float | None = None) -> Recorded:
+def recorded(script: Script, folder: Path, **limits: Any) -> Recorded:
     with wild_board(script) as board:
-        return record(board.port, folder / "r.h5", frames=frames, seconds=seconds, period=0.01)
+        return record(board.port, folder / "r.h5", period=0.01, **limits)
 
 
-@pytest.mark.parametrize(
-    ("script", "said"),
-    [(larger, "frames of another size"), (garbage, "pieces that are no message"), (restarts, "answers")],
+def silent(frames: int) -> Script:
+    return lambda hello: ((0.01, wire(hello, number)) for number in range(frames))
+
+
+UNFIT = r"nothing fit for \d+ s, though the line is not silent \(\d+ "
+# What a line sends when ten frames are requested, the sentence, and how many frames are in the file.
+USELESS: tuple[tuple[Script, str, int], ...] = (
+    (larger, UNFIT + "frames of another size", 0),
+    (garbage, UNFIT + "pieces that are no message", 0),
+    (restarts, UNFIT + "answers", 0),
+    (replayed, r"nothing fit .* frames out of order\); the 20 frames that came before are in", 20),
+    (silent(0), r"no frame came for \d s", 0),
+    (silent(5), r"no frame came for \d s; the 5 frames", 5),
 )
-def test_a_line_that_never_says_what_fits_ends_in_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: Script, said: str
+
+
+def test_a_line_without_frames_that_fit_ends_in_a_sentence_and_earlier_frames_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stream, "UNFIT_SECONDS", 0.5)
-    with pytest.raises(InputError, match=rf"nothing fit for \d+ s, though the line is not silent \(\d+ {said}"):
-        recorded(script, tmp_path, frames=10)
-    assert not (tmp_path / "r.h5").exists()
-
-
-def test_what_came_before_a_flood_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream, "UNFIT_SECONDS", 0.5)
-    with pytest.raises(
-        InputError, match=r"nothing fit .* frames out of order\); the 20 frames that came before are in"
-    ):
-        recorded(replayed, tmp_path, frames=30)
-    found = Recording.load(tmp_path / "r.h5")
-    assert found.acquisition.sequence.tolist() == list(range(20)) and not found.acquisition.lost.any()
+    for module, seconds in (("stream", 0.5), ("record", 1.0)):
+        monkeypatch.setattr(f"lampest.recording.board.{module}.UNFIT_SECONDS", seconds)
+    for script, sentence, count in USELESS:
+        began = time.monotonic()
+        with pytest.raises(InputError, match=sentence):
+            recorded(script, tmp_path, frames=30)
+        assert time.monotonic() - began < 15
+        assert len(list(tmp_path.iterdir())) == (count > 0)
+        if count:
+            recording = Recording.load(tmp_path / "r.h5")
+            assert recording.acquisition.sequence.tolist() == list(range(count))
+            assert not recording.acquisition.lost.any()
+            (tmp_path / "r.h5").unlink()
 
 
 @pytest.mark.slow
@@ -280,22 +291,6 @@ def test_a_port_without_a_board_is_named(tmp_path: Path, monkeypatch: pytest.Mon
         record("loop://", tmp_path / "r.h5", frames=1)
 
 
-@pytest.mark.parametrize("frames", [0, 5])
-def test_counted_frames_that_never_come_end_the_recording(
-    tmp_path: Path, frames: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("lampest.recording.board.record.UNFIT_SECONDS", 1.0)
-
-    def silent(hello: Hello) -> Sent:
-        yield from ((0.01, wire(hello, number)) for number in range(frames))
-
-    began = time.monotonic()
-    with pytest.raises(InputError, match=r"no frame came for \d s" + ("; the 5 frames" if frames else "")):
-        recorded(silent, tmp_path, frames=10)
-    assert time.monotonic() - began < 15
-    assert len(list(tmp_path.iterdir())) == (frames > 0)
-
-
 PERIOD = 0.05
 LAYOUT = Modules(2, 2, EachModule(3, 4), 4.0)
 SCENE = Scene(Panel(modules=LAYOUT), TwoPointReadout(readings=2))
@@ -362,42 +357,45 @@ def shown(here: Alignment, now: float) -> list[tuple[int | None, ...]]:
     return frames
 
 
+def images(arrivals: Iterable[tuple[int, int, float, float]]) -> list[tuple[int | None, ...]]:
+    """Images of two boards' frames (board, number, time, arrival), looked at on each arrival; board −1 sends none."""
+    image, seen = Alignment(2), list[tuple[int | None, ...]]()
+    for board, number, at, arrival in arrivals:
+        if board >= 0:
+            image.take(board, sent(number, at, arrival))
+        seen += shown(image, arrival)
+    return seen
+
+
 def test_late_arrivals_are_set_right_by_the_boards_clocks() -> None:
     """Frames of two boards that begin a fifth of a period apart arrive by up to half a period late."""
-    rng, here, seen = np.random.default_rng(1), Alignment(2), []
-    for number in range(30):
-        for board in range(2):
-            at = (number + 0.2 * board) * PERIOD
-            late = 0.0 if number % 5 == 0 else rng.uniform(0, 0.5 * PERIOD)
-            here.take(board, sent(number, at, at + late))
-        seen += shown(here, (number + 1) * PERIOD)
-    assert all(one == other for one, other in seen) and len(seen) >= 29
+    late = np.random.default_rng(1).uniform(0, 0.5 * PERIOD, (30, 2))
+    late[::5] = 0
+    times = PERIOD * (np.arange(30)[:, None] + (0.0, 0.2))
+    seen = images((board, n, times[n, board], (times + late)[n, board]) for n, board in np.ndindex(30, 2))
+    assert all(first == second for first, second in seen) and len(seen) >= 29
 
 
 def test_the_next_board_leads_while_the_first_is_gone_and_nobody_waits_twice() -> None:
-    here, seen = Alignment(2), []
-    for number in range(20):
-        for board in range(2):
-            if board or not 5 <= number < 12:
-                here.take(board, sent(number, number * PERIOD))
-        seen += shown(here, number * PERIOD + 0.01)
-        if number == 9:
-            seen += shown(here, number * PERIOD + 2.5 * PERIOD + LATE_SECONDS)
+    arrivals = [
+        (board, number, number * PERIOD, number * PERIOD + 0.01)
+        for number in range(20)
+        for board in (range(2) if not 5 <= number < 12 else (1,))
+    ]
+    late = 9 * PERIOD + 2.5 * PERIOD + LATE_SECONDS
+    seen = images([*arrivals[:15], (-1, 0, 0.0, late), *arrivals[15:]])
     whole = [(number, number) for number in (*range(5), *range(12, 20))]
-    assert [one for one in seen if None not in one] == whole
-    assert [one for one in seen if None in one] == [(None, number) for number in range(5, 12)]
+    assert [image for image in seen if None not in image] == whole
+    assert [image for image in seen if None in image] == [(None, number) for number in range(5, 12)]
 
 
-def test_a_clock_that_runs_slow_loses_no_frame_of_the_other() -> None:
-    here, seen = Alignment(2), []
-    for number in range(400):
-        here.take(0, sent(number, number * PERIOD))
-        if number < 392:
-            here.take(1, sent(number, number * PERIOD * 1.02))
-        seen += shown(here, number * PERIOD)
-    seen += shown(here, 1e9)
-    assert [one for one, _ in seen] == list(range(400))
-    assert sum(other is None for _, other in seen) <= 12
+def test_a_clock_that_runs_slow_loses_no_frame_of_the_neighbour() -> None:
+    times = [
+        (board, n, n * PERIOD * (1, 1.02)[board]) for n in range(400) for board in range(2) if not board or n < 392
+    ]
+    seen = images([*((*frame, frame[2]) for frame in times), (-1, 0, 0.0, 1e9)])
+    assert [first for first, _ in seen] == list(range(400))
+    assert sum(second is None for _, second in seen) <= 12
 
 
 def test_a_board_is_waited_for_until_it_is_late() -> None:
@@ -416,18 +414,13 @@ def test_a_board_is_waited_for_until_it_is_late() -> None:
     assert (other.moment, other.began) == (pytest.approx(0.9 * PERIOD), 0.0)
 
 
-@pytest.mark.parametrize("phase", (0.0, 0.1, 0.2, 0.4))
-def test_a_board_that_returns_is_shown_whatever_its_phase(phase: float) -> None:
+def test_a_board_that_returns_is_shown_whatever_its_phase() -> None:
     """Its frames arrive after those of the leading board, which must wait for them again."""
-    image, frames = Alignment(2), list[tuple[int | None, ...]]()
-    for number in range(40):
-        for board in range(2):
-            if board == 0 or not 5 <= number < 25:
-                at = (number + phase * board) * PERIOD
-                image.take(board, sent(number, at))
-                frames += shown(image, at)
-    assert frames[6:26] == [(number, None) for number in range(6, 26)]
-    assert frames[26:] == [(number, number) for number in range(26, 40)]
+    for phase in (0.0, 0.1, 0.2, 0.4):
+        times = [(board, n, (n + phase * board) * PERIOD) for n in range(40) for board in range(2)]
+        seen = images((*frame, frame[2]) for frame in times if frame[0] == 0 or not 5 <= frame[1] < 25)
+        assert seen[6:26] == [(number, None) for number in range(6, 26)]
+        assert seen[26:] == [(number, number) for number in range(26, 40)]
 
 
 def test_the_image_begins_where_every_board_has_come() -> None:
