@@ -1,6 +1,5 @@
-"""Formulas of changed cells, motion, smoothed losses and series resistances, against their plain statements."""
+"""Changed cells, known resistors, locks and levels, against their plain statements."""
 
-from dataclasses import replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -16,21 +15,12 @@ from scipy.stats import norm
 from lampest import (
     InputError,
     Panel,
-    Scene,
-    TwoPointReadout,
 )
-from lampest.cost.given import Given
 from lampest.estimate.calibration.trials import known_resistors
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
-from lampest.estimate.model_check import Question, most_in_series
-from lampest.estimate.rivals import Rival
 from lampest.files import levels
 from lampest.panel import compiled
 from lampest.panel.panel import Array
-from lampest.posterior.covariance import swept
-from lampest.recording.recording import MEASURED, UNLOADED
-
-ROLE = np.array([UNLOADED, UNLOADED, MEASURED, MEASURED], dtype=np.uint8)
 
 
 def drawn(cells: int, seed: int) -> tuple[Array, Array]:
@@ -76,48 +66,6 @@ def test_loaded_cells_have_moved_in_any_case() -> None:
     precision, loaded = np.linalg.inv(covariance), np.arange(8) == 6
     lost, moved = select_changed(precision @ change, precision, [np.zeros(8, dtype=bool)], loaded)
     assert moved[6] and change @ precision @ change + lost == pytest.approx(evidence(change, covariance, moved))
-
-
-@pytest.mark.parametrize("levels", [(900.0, 400.0), (400.0, 900.0)])
-def test_a_resistance_in_series_is_smaller_than_every_reading_of_both_frames(levels: tuple[float, float]) -> None:
-    recorded = np.repeat(levels, 2)[:, None, None] * np.ones((3, 3))
-    rival = Rival(Scene(Panel(3, 3), TwoPointReadout(), 100.0), recorded, np.ones(recorded.shape))
-    question = Question(rival, ROLE, np.array([0, 1]), np.array([2, 3]), 1.0, np.arange(4))
-    assert 0.9 * min(levels) < most_in_series(rival, question) < min(levels)
-    assert question.loaded == "frames 2 to 3"
-    assert replace(question, standing=np.array([3]), named=np.arange(10, 14)).loaded == "frame 13"
-
-
-def test_a_circuit_explains_means_of_widened_readings_that_noise_leaves_nearly_gaussian() -> None:
-    recorded, sigma = np.repeat([900.0, 800.0], 2)[:, None, None] * np.ones((3, 3)), np.full((3, 3), 2.0)
-    sigma[1, 2] = 600.0
-    rival = Rival(Scene(Panel(3, 3), TwoPointReadout(), 100.0), recorded, sigma)
-    resting, loaded = Question(rival, ROLE, np.array([0, 1]), np.array([2, 3]), 3.0, np.arange(4)).readings(rival)
-    usable = np.ones((3, 3))
-    usable[1, 2] = 0.0
-    for readings, value in ((resting, 800.0), (loaded, 700.0)):
-        np.testing.assert_array_equal(readings.seen, usable)
-        np.testing.assert_allclose(readings.value[usable > 0], value)
-        np.testing.assert_allclose(readings.sigma[usable > 0], 3.0 * 2.0 / np.sqrt(2))
-    assert len(Question(rival, ROLE, np.arange(4), np.arange(0), 3.0, np.arange(4)).readings(rival)) == 1
-
-
-def test_readings_that_are_all_values_are_told_to_a_cost_without_sides() -> None:
-    declared = {name: (one.absent, one.per_frame, one.partial) for name, one in Given.sources().items()}
-    assert declared == {
-        "measured": (1.0, True, False),
-        "sigma": (1.0, True, False),
-        "side": (0.0, True, True),
-        "seen": (1.0, True, True),
-        "previous": (1.0, False, False),
-        "baseline": (1.0, False, False),
-        "previous_deviation": (0.0, False, False),
-    }
-    whole, partial = (dict(Given.symbols(4, 2, partial=partial).named()) for partial in (False, True))
-    assert partial.keys() - whole.keys() == {"side", "seen"}
-    assert {name: symbol.shape for name, symbol in partial.items()} == {
-        name: (4, 2 if per_frame else 1) for name, (_, per_frame, _) in declared.items()
-    }
 
 
 def test_known_resistors_are_a_number_or_a_table_with_gaps(tmp_path: Path) -> None:
@@ -171,15 +119,3 @@ def test_levels_have_the_false_alarms_that_they_state() -> None:
     assert (levels.SIGNIFICANCE, levels.FALSE_ALARM_RATE) == (1e-4, 0.01)
     assert norm.ppf(0.975) == levels.TWO_SIDED
     assert 1 / norm.ppf(0.75) == pytest.approx(levels.MAD_TO_SIGMA, abs=5e-5)
-
-
-@pytest.mark.parametrize("order", ["C", "F"])
-def test_a_table_swept_by_all_its_places_is_the_inverse_and_the_solution(order: str) -> None:
-    rng = np.random.default_rng(4)
-    root, right = rng.standard_normal((5, 5)), rng.standard_normal(5)
-    matrix = root @ root.T + np.eye(5)
-    table = np.array(np.column_stack([matrix, right]), order=order)
-    for place in range(5):
-        table = swept(table, place)
-    np.testing.assert_allclose(table[:, :5], -np.linalg.inv(matrix), rtol=1e-9)
-    np.testing.assert_allclose(table[:, 5], np.linalg.solve(matrix, right), rtol=1e-9)

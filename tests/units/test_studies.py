@@ -94,12 +94,6 @@ def test_a_time_is_the_least_of_all_turns_and_of_wall_and_processor(
     assert [one.seconds for one in found] == [3, 1] * 2 and {one.baseline_s for one in found} == {5}
     run_tradeoff(tiny._replace(settings=replace(tiny.settings, patience_s=0.0)))
     assert first[6:] == ["naive", "reduced"], "no turn begins after the patience"
-    joint = tiny._replace(settings=replace(tiny.settings, repeats=1))
-    monkeypatch.setattr(tradeoff, "_passage", lambda *task: (replace(passage(*task)[0], joint_start=True), np.ones(2)))
-    assert {one.baseline_s for one in run_tradeoff(joint)} == {0}, "it is solved with the first frame"
-
-
-def test_memory_is_that_of_each_formulation_on_two_frames(tiny: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     tasks, steps = list[tuple[str, int]](), list[tuple[int, int]]()
 
     def peak(recording: Recording, estimator: Any) -> float:
@@ -107,10 +101,12 @@ def test_memory_is_that_of_each_formulation_on_two_frames(tiny: Plan, monkeypatc
         return 10.0 * len(tasks)
 
     monkeypatch.setattr(tradeoff, "peak_memory", peak)
-    settings = replace(tiny.settings, memory="LSM", repeats=1)
-    found = run_tradeoff(Plan(settings, tiny.recordings), lambda *step: steps.append(step))
+    joint = tiny._replace(settings=replace(tiny.settings, repeats=1))
+    measured = run_tradeoff(Plan(replace(joint.settings, memory="LSM"), tiny.recordings), lambda *at: steps.append(at))
     assert tasks == [("naive", 3), ("reduced", 3)] and steps == [(1, 3), (2, 3), (3, 3)]
-    assert [one.memory_mb for one in found] == [10, 10, 20, 20]
+    assert [each.memory_mb for each in measured] == [10, 10, 20, 20], "of each formulation on two frames"
+    monkeypatch.setattr(tradeoff, "_passage", lambda *task: (replace(passage(*task)[0], joint_start=True), np.ones(2)))
+    assert {one.baseline_s for one in run_tradeoff(joint)} == {0}, "it is solved with the first frame"
 
 
 def test_errors_of_changed_cells_are_those_beyond_five_percent() -> None:
