@@ -10,6 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from laws.recognised import answered
 from support import invented_case
 
 from lampest import Block, Faults, InputError, OralDisc, Panel, Recording, Rod, Scene
@@ -44,9 +45,7 @@ from lampest.report.detect.detection import (
     detect_results,
     frame_rate,
     known_of,
-    measured_frames,
 )
-from lampest.report.info import describe
 from lampest.runs.filling import _arrays_of, frame_noise_of
 from lampest.runs.results import CaseResult, Results
 
@@ -246,34 +245,17 @@ def test_the_file_has_the_names_of_the_json(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_recording_is_enough(tmp_path: Path, lampest: Command) -> None:
-    recorded(frames=56, frame_period_s=0.25, course=BREATHING).save(tmp_path / "mouth.h5")
-    said = lampest("detect", tmp_path / "mouth.h5", "--all", "--out", tmp_path)
-    assert said.code == 0 and said.out.startswith("lamprey attached since ") and "P(breathes)" in said.out
-    assert (tmp_path / "detections.h5").is_file() and (tmp_path / "timeline_mouth.png").is_file()
-    (answer,) = json.loads(lampest("detect", tmp_path / "mouth.h5", "--json").out)
-    assert (answer["answer"], answer["frames_per_second"]) == ("lamprey", 4.0)
-    (one,) = answer["attachments"]
-    assert one["breathing_hz"][0] == pytest.approx(1.1, abs=0.05)
-    assert one["diameter_mm"][0] == pytest.approx(33, abs=3 * one["diameter_mm"][1])
-    assert lampest("detect", tmp_path / "mouth.h5", "--estimator", "LSM").code == 2
-
-
-@pytest.mark.slow
 def test_pumps_tell_a_mouth_where_breath_cannot_be_seen() -> None:
     """At one frame a second; a cup that leaks as fast, without pumps, stays something that sucks."""
-    panel, times = Panel(6, 6), {"frames": 300, "frame_period_s": 1.0, "baseline_frames": 5}
+    known: dict[str, Any] = {"frames": 300, "frame_period_s": 1.0, "baseline_frames": 5, "seed": 5}
+    known |= {"scene": Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0)}
+    known |= {"loads": (replace(MOUTH, centre_mm=(26, 24)),)}
     course = Course(start_s=3, approach_s=0.5, attachment_s=1, pump_s=50, pump_loss=0.3, release_at_s=290, pull_off=0.5)
-    scene, mouth = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0), replace(MOUTH, centre_mm=(26, 24))
-    found = []
-    for pumps in (course, replace(course, pump_s=300.0, pump_loss=0.5)):
-        recording = simulate(Simulation(1, 5, scene, loads=(mouth,), course=pumps, **times))
-        known = known_of(Prepared(recording))
-        assert isinstance(known, Known)
-        found.append(known.answer(measured_frames(recording, known, np.ones(len(recording.time), dtype=bool))))
-    assert [one.answer for one in found] == [LAMPREY, SUCKS] and len(found[0].attachments) == 1
-    assert "pumping up its suction" in found[0].sentence and "breathing" not in found[0].sentence
-    assert "whether suction is pumped up again shows within minutes" in found[1].sentence
+    leak = replace(course, pump_s=300.0, pump_loss=0.5)
+    pumped, leaked = (answered(recorded(course=each, **known)) for each in (course, leak))
+    assert (pumped.answer, leaked.answer, len(pumped.attachments)) == (LAMPREY, SUCKS, 1)
+    assert "pumping up its suction" in pumped.sentence and "breathing" not in pumped.sentence
+    assert "whether suction is pumped up again shows within minutes" in leaked.sentence
 
 
 def test_results_are_answered_from_their_readings() -> None:
@@ -329,26 +311,6 @@ def test_readings_that_faults_blind_do_not_count() -> None:
     assert first.attachments[0].diameter_mm == pytest.approx(other.attachments[0].diameter_mm, rel=0.02)
 
 
-@pytest.mark.slow
-def test_other_readouts_are_watched_too(tmp_path: Path) -> None:
-    scene = Scene(PANEL, LoadedColumnsReadout(supply_volt=3.3, load_ohm=1000, drive_ohm=100, adc_bits=12, noise_lsb=1))
-    recorded(scene=scene, frames=8).save(tmp_path / "loaded.h5")
-    answer = detect_recording(tmp_path / "loaded.h5")
-    assert answer.answer == SUCKS and answer.attachments[0].place == pytest.approx((48, 36), abs=2)
-
-
-@pytest.mark.parametrize(
-    ("period_s", "loads", "said"), [(1.0, (MOUTH,), True), (0.25, (MOUTH,), False), (1.0, (), False)]
-)
-def test_too_few_frames_a_second_are_advised_against_where_something_sucks(
-    tmp_path: Path, period_s: float, loads: tuple[OralDisc, ...], said: bool
-) -> None:
-    path = tmp_path / "still.h5"
-    recorded(frames=4, frame_period_s=period_s, loads=loads, course=Course(start_s=0.1)).save(path)
-    assert any("breathing shows at four" in note for note in detect_recording(path).notes) == said
-    assert not any("breathing" in line for line in describe(path))
-
-
 MAT = Scene(
     Panel(12, 12, 10.0), LoadedColumnsReadout(load_ohm=35e3, polarity="down", noise_lsb=1, readings=4), purpose="mat"
 )
@@ -358,27 +320,23 @@ ELL = (
 )
 
 
-def mat_answer(tmp_path: Path, **known: Any) -> Detected:
-    """Two separate contacts on a mat, an L and a disc, or other loads."""
-    loads = (*ELL, Rod(centre_mm=(90, 90), diameter_mm=30, mass_g=600))
-    cells = Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6)
-    recorded(scene=MAT, cells=cells, frame_period_s=0.25, **{"loads": loads} | known).save(tmp_path / "mat.h5")
-    return detect_recording(tmp_path / "mat.h5")
-
-
-def test_two_separate_contacts_are_two_with_place_and_area(tmp_path: Path) -> None:
-    answer = mat_answer(tmp_path)
-    assert answer.answer == PRESSES and len(answer.attachments) == 2
-    ell, disc = sorted(answer.attachments, key=lambda one: one.x_mm[0])
+def test_a_mat_speaks_of_contacts_alone_two_of_them_with_place_and_area() -> None:
+    """An L and a disc; then a mouth."""
+    cells, disc = (
+        Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6),
+        Rod(centre_mm=(90, 90), diameter_mm=30, mass_g=600),
+    )
+    two, mouth = (
+        answered(recorded(scene=MAT, cells=cells, frame_period_s=0.25, loads=loads))
+        for loads in ((*ELL, disc), (MOUTH,))
+    )
+    assert two.answer == mouth.answer == PRESSES and len(two.attachments) == 2
+    ell, disc = sorted(two.attachments, key=lambda load: load.x_mm[0])
     assert disc.place == pytest.approx((90, 90), abs=3) and 7 <= disc.cells <= 13
     assert ell.place == pytest.approx((32, 47), abs=8) and 14 <= ell.cells <= 30
-    assert answer.sentence.startswith("2 contacts: since ") and answer.sentence.count(" cells, ") == 2
-
-
-def test_a_mat_speaks_of_contacts_alone(tmp_path: Path) -> None:
-    answer = mat_answer(tmp_path, loads=(MOUTH,))
-    words = json.dumps(answer.content()["sentence"]) + " ".join(answer.notes)
-    assert answer.answer == PRESSES and not any(word in words for word in ("suck", "lamprey", "breath"))
+    assert two.sentence.startswith("2 contacts: since ") and two.sentence.count(" cells, ") == 2
+    words = mouth.sentence + " ".join(mouth.notes)
+    assert not any(word in words for word in ("suck", "lamprey", "breath"))
 
 
 def test_one_frame_shows_no_change(tmp_path: Path) -> None:
