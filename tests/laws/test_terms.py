@@ -132,10 +132,7 @@ def test_grid_is_the_matrix_of_rows_and_columns() -> None:
 @pytest.mark.parametrize(
     ("form", "words"),
     [
-        (
-            "slices",
-            r"is 12 × 0, not a column of one or more rows; .*state.grid\(state.cell_resistance\) is the",
-        ),
+        ("slices", r"is 12 × 0, not a column of one or more rows; .*state.grid\(state.cell_resistance\) is the"),
         ("none", "is 0 × 1, not a column of one or more rows"),
         ("matrix", "is 3 × 4, not a column"),
         ("constant", "is constant: it must depend on state.cell_resistance or state.reading"),

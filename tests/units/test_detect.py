@@ -38,14 +38,7 @@ from lampest.report.detect.answer import (
     load_table,
     write_detections,
 )
-from lampest.report.detect.detection import (
-    Known,
-    _scattered,
-    detect_recording,
-    detect_results,
-    frame_rate,
-    known_of,
-)
+from lampest.report.detect.detection import Known, _scattered, detect_recording, detect_results, frame_rate, known_of
 from lampest.runs.filling import _arrays_of, frame_noise_of
 from lampest.runs.results import CaseResult, Results
 

@@ -10,16 +10,7 @@ import numpy as np
 import pytest
 
 from docs.studies.extremes import extremes_figure
-from lampest import (
-    Data,
-    Estimator,
-    Panel,
-    Recording,
-    Scene,
-    Status,
-    TwoPointReadout,
-    two_point_resistance,
-)
+from lampest import Data, Estimator, Panel, Recording, Scene, Status, TwoPointReadout, two_point_resistance
 from lampest.cost.given import Background, Given
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
 from lampest.estimate.methods.method import OptimalMethod

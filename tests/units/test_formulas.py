@@ -12,10 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from lampest import (
-    InputError,
-    Panel,
-)
+from lampest import InputError, Panel
 from lampest.estimate.calibration.trials import known_resistors
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
 from lampest.files import levels

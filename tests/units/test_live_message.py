@@ -183,12 +183,7 @@ def test_lsl_stamps_a_frame_once_and_tells_an_answer_when_it_changes(monkeypatch
     stub = {"StreamInfo": info, "StreamOutlet": outlet, "local_clock": lambda: 10.0, "IRREGULAR_RATE": 0.0}
     monkeypatch.setitem(sys.modules, "pylsl", SimpleNamespace(set_config_content=lambda text: None, **stub))
     with LslPublish.at(urlsplit("lsl://panel"), None).opened(print) as (where, send):
-        for message in (
-            message_of(),
-            message_of(CUP),
-            message_of(CUP, "alarm"),
-            message_of(CUP, "alarm", 8),
-        ):
+        for message in (message_of(), message_of(CUP), message_of(CUP, "alarm"), message_of(CUP, "alarm", 8)):
             send(message)
     (numbers, *rows), (texts, *answers) = streams["panel"], streams["panel-answer"]
     size = len(message_of().row())

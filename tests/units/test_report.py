@@ -286,10 +286,7 @@ def test_forces_of_noisy_maps_scatter_as_they_say() -> None:
 def test_every_frame_is_written_and_the_strongest_shown(tmp_path: Path) -> None:
     pressure, errors = maps()
     saturated = (pressure > 11).astype(np.uint8)
-    cases = (
-        pressing(pressure=pressure, pressure_own=errors, saturated=saturated),
-        invented_case("bare", shape=SHAPE),
-    )
+    cases = (pressing(pressure=pressure, pressure_own=errors, saturated=saturated), invented_case("bare", shape=SHAPE))
     found = pressed(Results(cases))
     assert [one.case.estimator for one in found] == ["LSM"]
     lines = list(csv.DictReader(write_pressed(tmp_path / "pressed.csv", found).read_text("utf-8").splitlines()))

@@ -17,11 +17,7 @@ from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
 from lampest.solvers.solution import Settings
 from lampest.studies import common, tradeoff, weights
-from lampest.studies.paper import (
-    FILE,
-    Side,
-    read_published,
-)
+from lampest.studies.paper import FILE, Side, read_published
 from lampest.studies.tradeoff import (
     STUDY,
     Plan,
