@@ -10,7 +10,7 @@ import pytest
 
 from docs.studies.bench import SolverLimits, SolversFile, Trf, _Point
 from docs.studies.bench_pages import MARKED, PAGES, sections, with_tables
-from docs.studies.mats import MOST_S, PUBLISHED, Mats, solved_mats, table
+from docs.studies.mats import MOST_S, OURS, PUBLISHED, Mats, solved_mats, table
 from lampest import Huber, InputError, Misfit, Panel, Settings
 from lampest.cost.cost import Cost
 from lampest.estimate.sequence import first_stream
@@ -39,14 +39,6 @@ SOLVERS = SolverLimits().solvers
 Frames = list[BenchFrame]
 ALONE = BenchLimits(nodal=0)  # the reduced solver
 LSM = {"LSM": paper_methods()["LSM"]}
-TINY = """\
-schema: 1
-sizes: [3, [2, 4]]
-recordings: 2
-frames: 2
-repeats: 2
-limits: {nodal: 3, scipy_exact: 4, scipy_difference: 3, scipy_lbfgsb: 3, joint: 3}
-"""
 
 
 def tables(bench: Bench) -> list[tuple[str, Any]]:
@@ -55,13 +47,6 @@ def tables(bench: Bench) -> list[tuple[str, Any]]:
 
 def quiet(*step: object) -> None:
     """No progress."""
-
-
-@pytest.fixture(scope="module")
-def tiny(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    path = tmp_path_factory.mktemp("bench") / "tiny.yaml"
-    path.write_text(TINY)
-    return run_bench(read_bench(path), quiet)
 
 
 def timed(side: int, times: list[float], method: str = "LSM", solver: str = "reduced", number: int = 0) -> Frames:
@@ -74,25 +59,24 @@ def timed(side: int, times: list[float], method: str = "LSM", solver: str = "red
 
 
 @pytest.mark.slow
-def test_all_solvers_agree_where_they_say_they_solved(tiny: Bench) -> None:
+def test_all_solvers_agree_where_they_say_they_solved() -> None:
+    """Ours, IPOPT and those of SciPy, on squares and on a panel that is none."""
+    limits = SolverLimits(nodal=3, joint=3, scipy_exact=4, scipy_difference=3, scipy_lbfgsb=3)
+    file = SolversFile(1, (3, (2, 4)), recordings=2, frames=2, repeats=2, limits=limits)
+    tiny = run_bench(file, quiet)
     solvers = {(3, 3): SOLVERS, (2, 4): ("reduced", "scipy_exact")}
-    assert {(one.shape, one.solver, one.recording, one.frame) for one in tiny.frames} == {
+    assert {(frame.shape, frame.solver, frame.recording, frame.frame) for frame in tiny.frames} == {
         (shape, name, number, frame)
         for shape, names in solvers.items()
         for name, number, frame in product(names, "01", range(3))
     }
-    for one in tiny.frames:
-        assert one.seconds > 0 and one.inverse_s > 0 and one.gap >= 0
-        paired = one.method in ("LSR-dCR", "LSR-gdCR") and one.shape == (3, 3)
-        assert one.kind == ("later" if one.frame else "pair" if paired else "first")
-        if one.solver in ("reduced", "nodal"):
-            assert one.solved and (not one.frame or one.gap < 1e-6), one
-        assert not one.verified or one.gap < 1e-3, one
+    for frame in tiny.frames:
+        paired = frame.method in ("LSR-dCR", "LSR-gdCR") and frame.shape == (3, 3)
+        assert frame.kind == ("later" if frame.frame else "pair" if paired else "first")
+        if frame.solver in ("reduced", "nodal"):
+            assert frame.solved and (not frame.frame or frame.gap < 1e-6), frame
+        assert not frame.verified or 0 <= frame.gap < 1e-3, frame
     assert tiny.left_out == ()
-    lines = page(STUDY.name, tables(tiny), bench_remarks(tiny)).splitlines()
-    named = [line.split(":")[0] for line in lines if line.startswith("## ")]
-    assert named == ["## solvers", "## methods", "## remarks"]
-    assert all(line == "" or line[0] in "#|-" for line in lines)
 
 
 def test_the_gap_is_above_the_least_objective_of_all_solvers_and_unknown_of_a_single_one(tmp_path: Path) -> None:
@@ -252,24 +236,17 @@ def test_published_solvers_find_mats_that_are_read_exactly(name: str, side: int)
         assert np.abs(1 / two_point(answer.conductance) - 1 / two_point(conductance)).max() < 6e-6
 
 
-@pytest.mark.slow
 def test_ours_and_theirs_stand_side_by_side_on_the_same_mats() -> None:
-    solves = list(solved_mats(Mats(sides=SIDES, draws=2, noise_percent=(0, 1)), seed=3, settings=Settings()))
-    names = ["reduced", "scipy_exact", *PUBLISHED]
-    ran = [(one.side, one.noise_percent, one.draw, one.solver) for one in solves]
-    assert ran == [*product(SIDES, (0, 1), (0, 1), names)]
-    for one in solves:
-        assert one.seconds > 0 and one.inverse_s > 0 and one.cell_error <= one.worst_cell_error
-        assert (one.evaluations is None) == (one.solver in ("reduced", "scipy_exact"))
-        if one.noise_percent == 0:
-            assert one.converged and one.negative == 0
-            assert one.reading_error < 1e-2 and one.cell_error < 1e-2, one
-            assert one.solver == "krylov" or one.cell_error < 1e-5, one
-    noisy = [one.cell_error for one in solves if one.side == 6 and one.noise_percent == 1 and one.draw == 0]
-    assert min(noisy) > 0.1  # what noise leaves of the cells is the same for all that end
+    solves = list(solved_mats(Mats(sides=(6,), draws=1, noise_percent=(0, 1)), seed=3, settings=Settings()))
+    assert [(solve.noise_percent, solve.solver) for solve in solves] == [*product((0, 1), (*OURS, *PUBLISHED))]
+    for solve in solves:
+        assert solve.seconds > 0 and solve.inverse_s > 0 and solve.cell_error <= solve.worst_cell_error
+        assert (solve.evaluations is None) == (solve.solver in OURS)
+        if solve.noise_percent == 0:
+            assert solve.converged and solve.negative == 0 and solve.reading_error < 1e-2
+            assert solve.cell_error < (1e-2 if solve.solver == "krylov" else 1e-5), solve
+    noisy = [solve.cell_error for solve in solves if solve.noise_percent]
+    assert min(noisy) > 0.1, "what noise leaves of the cells is the same for all that end"
     np.testing.assert_allclose(noisy, noisy[0], rtol=0.3)
-    negative = {one.solver for one in solves if one.side == 16 and one.noise_percent == 1 and one.negative}
-    assert "krylov_fine" in negative, "Newton's and Krylov's method knows no bounds"
-    assert not negative & {"reduced", "fixed_point", "least_squares"}
     lines = table(solves).splitlines()
-    assert len(lines) == 2 + len(SIDES) * 2 * 6 and lines[2].startswith("| 6 × 6 | 0 % | reduced |")
+    assert len(lines) == 2 + 2 * 6 and lines[2].startswith("| 6 × 6 | 0 % | reduced |")
