@@ -219,71 +219,64 @@ def test_the_strongest_frame_of_a_file_is_drawn(
     assert done.code == 2 and "has no unloaded frames to compare with; lampest tare names some" in done.err
 
 
-def test_a_simulation_is_overridden(tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_simulation_is_overridden_and_asks_for_its_room_beforehand(
+    tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert lampest("init", tmp_path).code == 0
-    bars: list[Any] = []
+    bars, simulation = list[Any](), tmp_path / "simulation.yaml"
 
     def shown(label: str, *, counted: bool = False) -> Any:
         bars.append((label, counted))
         return nullcontext(lambda done, total: bars.append((done, total)))
 
     monkeypatch.setattr("lampest.cli.screen.progress", shown)
-    ended = lampest("simulate", tmp_path / "simulation.yaml", "--set", "frames=2", "--out", tmp_path / "two.h5")
+    ended = lampest("simulate", simulation, "--set", "frames=2", "--out", tmp_path / "two.h5")
     assert ended.code == 0 and bars[0] == ("frames", True) and bars[-1][0] == bars[-1][1] > 2
     assert "2 measured" in lampest("info", tmp_path / "two.h5").out
-    assert lampest("simulate", tmp_path / "simulation.yaml", "--set", "frames").code == 2
-
-
-def test_results_of_other_cases_are_kept_aside(disk: SimpleNamespace, lampest: Command) -> None:
-    run, out = disk.folder / "run.yaml", disk.folder / "out"
-    assert lampest("run", run, "--out", out, "--jobs", "1").err == ""
-    again = lampest("run", run, "--out", out, "--jobs", "1")
-    assert again.err == "" and len(list(out.glob("*.h5"))) == 1
-    assert again.out.splitlines()[0] == f"0 cases solved, 3 were done before, 0 failed: {out / 'results.h5'}"
-    before = (out / "results.h5").read_bytes()
-    ended = lampest("run", run, "--out", out, "--jobs", "1", "--set", "solver.tolerance=1e-7")
-    assert "existing results of other cases were renamed: " in ended.err and str(out / "results_1.h5") in ended.err
-    assert (out / "results_1.h5").read_bytes() == before
-    assert (out / "results.h5").read_bytes() != before
-
-
-def test_results_never_take_the_place_of_a_recording(disk: SimpleNamespace, lampest: Command) -> None:
-    out = disk.folder / "out"
-    out.mkdir()
-    (disk.folder / "small.h5").rename(out / "results.h5")
-    before = (out / "results.h5").read_bytes()
-    ended = lampest("run", disk.folder / "run.yaml", "--set", "recordings=[out/results.h5]", "--out", out)
-    assert ended.code == 2 and "is an input; give the output another name" in ended.err
-    assert (out / "results.h5").read_bytes() == before and list(out.glob("*.h5")) == [out / "results.h5"]
-
-
-def test_a_simulation_asks_for_its_room_beforehand(
-    tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert lampest("init", tmp_path).code == 0
+    assert lampest("simulate", simulation, "--set", "frames").code == 2
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=999))
-    ended = lampest("simulate", tmp_path / "simulation.yaml", "--out", tmp_path / "deep" / "new.h5")
+    ended = lampest("simulate", simulation, "--out", tmp_path / "deep" / "new.h5")
     assert ended.code == 2 and re.search(r"new\.h5: .* may be needed on the disk, and 999 bytes are free", ended.err)
     assert not (tmp_path / "deep").exists()
 
 
-@pytest.mark.slow
-def test_pictures_of_a_frame_and_an_estimator(disk: SimpleNamespace, lampest: Command) -> None:
-    assert lampest("run", disk.folder / "run.yaml", "--out", disk.folder, "--jobs", "1").code == 0
-    results, new = disk.folder / "results.h5", disk.folder / "new"
-    told = lampest("info", results).out
-    (name, *_) = re.findall(r"^  (\S+) +solved", told, flags=re.MULTILINE)
-    ended = lampest("plot", results, "--out", new, "--frame", "1", "--estimator", name)
-    (picture,) = map(Path, ended.out.split())
-    assert picture == new / "contours_small_frame1.png" and picture.read_bytes().startswith(b"\x89PNG")
-    again = lampest("plot", results, "--out", new / "x.svg", "--frame", "1", "--estimator", name)
-    assert again.code == 0 and (new / "x.svg").read_text().startswith("<?xml")
-    assert lampest("plot", results, "--out", new / "x.pdf").code == 0 and (new / "x.pdf").is_file()
+def test_results_of_other_cases_are_kept_aside_and_none_takes_the_place_of_a_recording(
+    disk: SimpleNamespace, lampest: Command
+) -> None:
+    out = disk.folder / "out"
+
+    def run(*words: str) -> SimpleNamespace:
+        return lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1", *words)
+
+    assert run().err == ""
+    again = run()
+    assert again.err == "" and len(list(out.glob("*.h5"))) == 1
+    assert again.out.splitlines()[0] == f"0 cases solved, 3 were done before, 0 failed: {out / 'results.h5'}"
+    before = (out / "results.h5").read_bytes()
+    ended = run("--set", "solver.tolerance=1e-7")
+    assert "existing results of other cases were renamed: " in ended.err and str(out / "results_1.h5") in ended.err
+    assert (out / "results_1.h5").read_bytes() == before != (out / "results.h5").read_bytes()
+    shutil.copy(disk.folder / "small.h5", out / "results.h5")
+    ended = run("--set", "recordings=[out/results.h5]")
+    assert ended.code == 2 and "is an input; give the output another name" in ended.err
+    assert (out / "results.h5").read_bytes() == (disk.folder / "small.h5").read_bytes()
+
+
+def test_pictures_of_a_frame_and_an_estimator(tmp_path: Path, lampest: Command) -> None:
+    results, new = tmp_path / "results.h5", tmp_path / "new"
+    write_results(results, [invented_case(name, "small", (2, 3, 4)) for name in ("LSM", "LSR-CR")])
+    for words, place, begin in (
+        (("--out", new), new / "contours_small_frame5.png", b"\x89PNG"),
+        (("--out", new / "x.svg"), new / "x.svg", b"<?xml"),
+        (("--out", new / "x.pdf"), new / "x.pdf", b"%PDF"),
+    ):
+        ended = lampest("plot", results, *words, "--frame", "5", "--estimator", "LSM")
+        assert ended.out.split() == [str(place)] and place.read_bytes().startswith(begin)
     shutil.rmtree(new)
-    for wrong in (("--out", new / "x.jpg"), ("--frame", "999"), ("--estimator", name + "x")):
+    for wrong in (("--out", new / "x.jpg"), ("--frame", "999"), ("--estimator", "LSMx")):
         ended = lampest("plot", results, *wrong)
         assert ended.code == 2 and not new.exists(), wrong
-    assert f"did you mean {name}?" in ended.err
+    assert "did you mean LSM?" in ended.err
 
 
 @pytest.mark.slow
@@ -313,25 +306,6 @@ def one_row(found: object) -> list[Row]:
 
 def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["detections.h5", "timeline_small.png"])
-def test_detect_whose_input_bears_an_outputs_name_writes_nothing(
-    disk: SimpleNamespace, lampest: Command, name: str
-) -> None:
-    taken = disk.folder / name
-    shutil.copyfile(disk.folder / "small.h5", taken)
-    if name.endswith(".h5"):
-        words = (taken,)
-    else:
-        (disk.folder / "small.h5").unlink()
-        taken.rename(disk.folder / "small.h5")
-        (disk.folder / name).symlink_to(disk.folder / "small.h5")
-        words = (disk.folder / "small.h5",)
-    before = names(disk.folder)
-    done = lampest("detect", *words, "--out", disk.folder)
-    assert (done.code, names(disk.folder)) == (2, before), done.err
 
 
 def test_a_study_whose_input_bears_an_outputs_name_writes_nothing(tmp_path: Path) -> None:
