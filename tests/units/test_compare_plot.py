@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from support import METHODS, invented_case
 
-from lampest import ContourPlot, InputError, Panel, Recording, Scene, SweepPlot, TwoPointReadout, plot_results
+from lampest import InputError, Panel, Recording, Scene, SweepPlot, TwoPointReadout, plot_results
 from lampest.cli.screen import print_table
 from lampest.report.compare import Table, compare, compare_files, comparison, legend, screen_blocks, write_csv
 from lampest.report.info import describe
-from lampest.report.plots.style import save
 from lampest.report.strongest import strongest_index
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, write_results
 
@@ -66,46 +65,24 @@ def test_the_table_is_written_as_csv(tmp_path: Path) -> None:
         write_csv(tmp_path / "one.h5" / "table.csv", rows)
 
 
-@pytest.mark.parametrize("truth", [True, False])
-@pytest.mark.parametrize(("rows", "columns"), [(10, 10), (5, 12), (1, 8), (8, 1), (1, 1), (2, 2)])
-def test_a_picture_for_every_shape(rows: int, columns: int, truth: bool) -> None:
-    cases = tuple(invented_case(name, shape=(2, rows, columns), truth=truth) for name in METHODS[:2])
-    figure = ContourPlot().draw(cases)
-    titles = [axes.get_title().split("\n")[0] for axes in figure.axes if axes.get_title()]
-    assert titles == ["measured", "LSM", "LSR-CR"] + ["truth"] * truth
-    assert "frame 6 at 6 s" in figure.get_suptitle()
-
-
-@pytest.mark.slow
-def test_the_same_picture_twice(tmp_path: Path) -> None:
-    results = Results(tuple(invented_case(name, failed=(2,) if name == "LSM" else ()) for name in METHODS))
-    for name in ("one", "two"):
-        save(ContourPlot(7).draw(results.of("mouth")), tmp_path / f"{name}.png")
-    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
-    assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(InputError, match=r"written as \.png, \.svg or \.pdf"):
-        save(ContourPlot().draw(results.of("mouth")), tmp_path / "one.bmp")
-    with pytest.raises(InputError, match="frame 3 has no results; there are frames 5 to 7"):
-        ContourPlot(3).draw(results.of("mouth"))
-    with pytest.raises(InputError, match="no recording is called 'ear'; there are mouth"):
-        results.of("ear")
-
-
 @pytest.mark.slow
 def test_pictures_go_where_they_are_asked_to(tmp_path: Path) -> None:
     write_results(tmp_path / "one.h5", [invented_case("LSM", shape=(1, 3, 3))])
-    two = [invented_case("LSM", stem, (1, 3, 3)) for stem in ("a", "b")]
-    write_results(tmp_path / "two.h5", two)
+    write_results(tmp_path / "two.h5", [invented_case("LSM", stem, (1, 3, 3)) for stem in ("a", "b")])
     assert plot_results(tmp_path / "one.h5") == [tmp_path / "contours_mouth.png"]
     assert plot_results(tmp_path / "one.h5", tmp_path / "x.png") == [tmp_path / "x.png"]
     names = [path.name for path in plot_results(tmp_path / "two.h5", tmp_path / "new")]
     assert names == ["contours_a.png", "contours_b.png"] and (tmp_path / "new" / "contours_b.png").exists()
-    with pytest.raises(InputError, match=r"2 \(a, b\): choose a recording, or name a folder"):
-        plot_results(tmp_path / "two.h5", tmp_path / "x.png")
-    one = plot_results(tmp_path / "two.h5", tmp_path / "x.png", recordings=["b"])
-    assert one == [tmp_path / "x.png"] and one[0].read_bytes() == (tmp_path / "new" / "contours_b.png").read_bytes()
-    with pytest.raises(InputError, match="no recording is called 'c'; there are a, b"):
-        plot_results(tmp_path / "two.h5", tmp_path / "x.png", recordings=["c"])
+    chosen = plot_results(tmp_path / "two.h5", tmp_path / "x.png", recordings=["b"])
+    assert chosen == [tmp_path / "x.png"] and chosen[0].read_bytes() == (tmp_path / "new/contours_b.png").read_bytes()
+    for out, given, sentence in (
+        ("x.png", {}, r"2 \(a, b\): choose a recording, or name a folder"),
+        ("x.png", {"recordings": ["c"]}, "no recording is called 'c'; there are a, b"),
+        ("x.bmp", {"recordings": ["a"]}, r"written as \.png, \.svg or \.pdf"),
+        ("x.png", {"recordings": ["a"], "frame": 3}, "frame 3 has no results; there are frames 5 to 5"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            plot_results(tmp_path / "two.h5", tmp_path / out, **given)
 
 
 def test_results_without_a_solved_frame_are_compared_and_others_call_their_optima_local(tmp_path: Path) -> None:
@@ -200,17 +177,12 @@ def test_the_table_has_a_row_a_case_and_a_column_for_each_swept_key(tmp_path: Pa
 @pytest.mark.slow
 def test_results_with_swept_numbers_are_plotted_over_them(tmp_path: Path) -> None:
     write_results(tmp_path / "r.h5", SWEPT)
+    write_results(tmp_path / "plain.h5", SWEPT[:1])
     assert [path.name for path in plot_results(tmp_path / "r.h5")] == ["sweep_mouth.png"]
     assert [path.name for path in plot_results(tmp_path / "r.h5", frame=6)] == ["contours_mouth_frame6.png"]
-    cells, readings = (axes[0] for axes in np.reshape(SweepPlot().draw(SWEPT).axes, (2, 2)))
-    errors = [row["cell error median [%]"] for row in compare(Results(tuple(SWEPT)))]
-    names = ["plain", "smooth", "both, log_ratio.weight 0.1", "both, log_ratio.weight 1.0"]
-    lines = {str(line.get_label()): line for line in cells.get_lines()}
-    labels = (cells.get_ylabel(), readings.get_xlabel())
-    assert list(lines) == names and labels == ("cell error, median [%]", "gradient.weight")
-    assert list(lines["smooth"].get_xdata()) == [1e-8, 1e-6, 1e-4] and cells.get_xscale() == "log"
-    assert list(lines["smooth"].get_ydata()) == errors[1:4]
-    write_results(tmp_path / "plain.h5", SWEPT[:1])
-    assert plot_results(tmp_path / "plain.h5")[0].name == "contours_mouth.png"
+    assert [path.name for path in plot_results(tmp_path / "plain.h5")] == ["contours_mouth.png"]
+    lines = {str(line.get_label()): line for line in SweepPlot().draw(SWEPT).axes[0].get_lines()}
+    assert list(lines) == ["plain", "smooth", "both, log_ratio.weight 0.1", "both, log_ratio.weight 1.0"]
+    assert list(lines["smooth"].get_xdata()) == [1e-8, 1e-6, 1e-4]
     with pytest.raises(InputError, match="holds no sweep to draw"):
         plot_results(tmp_path / "plain.h5", show="sweep")

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 from support import METHODS, invented_case
 
-from lampest import CaseResult, InputError, Panel, PressurePlot, Scene, Water, write_results
+from lampest import CaseResult, ContourPlot, InputError, Panel, PressurePlot, Scene, Water, write_results
 from lampest.loads.pressure import pressure_of
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.breathing import Breathing
@@ -188,7 +188,7 @@ def case_with_pressure(shape: tuple[int, int, int] = (3, 10, 10), sd: float = 0.
 @pytest.mark.parametrize(
     ("shape", "sd"), [((3, 10, 10), 0.1), ((1, 1, 1), 0.0), ((1, 1, 7), np.inf), ((2, 5, 1), 0.1), ((1, 24, 16), 1.0)]
 )
-def test_pressures_of_every_shape_are_drawn_with_units_and_frame(
+def test_panels_of_every_shape_are_drawn_with_units_and_frame(
     tmp_path: Path, shape: tuple[int, int, int], sd: float
 ) -> None:
     case = case_with_pressure(shape, sd)
@@ -199,10 +199,13 @@ def test_pressures_of_every_shape_are_drawn_with_units_and_frame(
     labels = [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text]
     labels += [figure.get_supxlabel(), figure.get_supylabel()]
     assert len(labels) == 4 and all("[" in label for label in labels) and "frame 5 at 5 s" in figure.get_suptitle()
-    with pytest.raises(InputError, match="frame 99 has no results"):
-        PressurePlot(99).draw((case,))
-    with pytest.raises(InputError, match="holds no pressure"):
-        picture((invented_case(),), "pressure")
+    for wrong, sentence in ((PressurePlot(99), "frame 99 has no results"), (PressurePlot(), "holds no pressure")):
+        with pytest.raises(InputError, match=sentence):
+            picture((case if wrong.frame else invented_case(),), wrong)
+    for truth in (True, False):
+        cases = tuple(invented_case(name, shape=shape, truth=truth) for name in METHODS[:2])
+        titles = [axes.get_title().split("\n")[0] for axes in ContourPlot().draw(cases).axes if axes.get_title()]
+        assert titles == ["measured", "LSM", "LSR-CR"] + ["truth"] * truth
 
 
 def test_of_loads_that_have_all_left_a_timeline_shows_every_one() -> None:
