@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from golden.numerics import point
 from numpy.typing import NDArray
 from scipy.stats import norm
 
@@ -18,6 +19,7 @@ from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, selec
 from lampest.files import levels
 from lampest.panel import compiled
 from lampest.panel.panel import Array
+from lampest.solvers.bounds import lower_along
 
 
 def drawn(cells: int, seed: int) -> tuple[Array, Array]:
@@ -63,6 +65,16 @@ def test_loaded_cells_have_moved_in_any_case() -> None:
     precision, loaded = np.linalg.inv(covariance), np.arange(8) == 6
     lost, moved = select_changed(precision @ change, precision, [np.zeros(8, dtype=bool)], loaded)
     assert moved[6] and change @ precision @ change + lost == pytest.approx(evidence(change, covariance, moved))
+
+
+def test_a_lower_cost_is_looked_for_forth_and_back_along_a_direction_from_far_to_near(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    steps, along = list[Array](), np.linspace(-4.0, 2.0, 20)
+    monkeypatch.setattr("lampest.solvers.bounds.moved_by", lambda _, step: steps.append(step))
+    assert lower_along(point("plain"), along) is None
+    lengths = [1.0, -1.0, 0.3, -0.3, 0.1, -0.1, 0.03, -0.03, 0.01, -0.01]
+    np.testing.assert_allclose(steps, np.multiply.outer(lengths, along / 4))
 
 
 def test_known_resistors_are_a_number_or_a_table_with_gaps(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from lampest import Arrival, InputError, Misfit, Readings, Rod, Scene, Settings,
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
-from lampest.loads.pressure import Pressure, Tare, total_force
+from lampest.loads.pressure import Pressure, total_force
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
 from lampest.panel.response import Film, PublishedResponse
@@ -26,7 +26,7 @@ from lampest.recording.board import record as record_module
 from lampest.recording.board.protocol import Frame
 from lampest.recording.board.stream import Sample, scene_of
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.simulation import Course, Simulation, Unmodelled, read_simulations, simulate
+from lampest.recording.simulation import Course, Simulation, read_simulations, simulate
 from lampest.report.live import engine as engine_module
 from lampest.report.live import run as run_module
 from lampest.report.live.engine import Engine, FrameSource, with_picture
@@ -321,38 +321,20 @@ def test_methods_and_those_of_a_file(disk: SimpleNamespace) -> None:
 ROD = Rod(kind="rod", centre_mm=(25, 25), diameter_mm=40, mass_g=1500)
 
 
-def drifting(film: Film | None = None, drift: float = 0.01) -> Recording:
+def on_film(film: Film) -> Recording:
     """30 frames of nothing, 20 of a rod, 50 of nothing; 6 × 6 cells."""
     scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
-    course = Course(start_s=30, release_at_s=50)
-    unmodelled = Unmodelled(drift_per_minute=drift)
-    return simulate(Simulation(1, 3, scene, frames=100, loads=(ROD,), course=course, film=film, unmodelled=unmodelled))
+    return simulate(
+        Simulation(1, 3, scene, frames=100, loads=(ROD,), course=Course(start_s=30, release_at_s=50), film=film)
+    )
 
 
 @pytest.mark.slow
 def test_live_pressure_forgets_what_the_film_remembers() -> None:
-    told = drifting(Film(0.2, 0.08), 0.0)
+    told = on_film(Film(0.2, 0.08))
     silent = dataclasses.replace(told, scene=dataclasses.replace(told.scene, film=None))
     left = [pictures(LSM, recording)[-40].force.newton for recording in (told, silent)]
     assert abs(left[0]) < 0.1 * abs(left[1])
-
-
-@pytest.mark.slow
-def test_zero_is_taken_anew_live_where_nothing_touches_the_panel_and_when_it_is_asked_for() -> None:
-    recording, said = drifting(), list[str]()
-    engine = Engine("test", "test", dataclasses.replace(LSM, tare=Tare(10)), 3)
-    view = replay(engine, recording, lambda: said.append(engine.shown.item.zero))
-    whens = [int(text.split("frame ")[1].split(":")[0]) for text in said if text]
-    assert whens and "nothing touched the panel for 10 frames" in view.zero
-    assert not any(31 <= when <= 50 for when in whens)
-    plain = pictures(LSM, recording)[-1]
-    assert np.abs(view.picture.relative_change).max() < 0.6 * np.abs(plain.relative_change).max()
-    assert json.loads(view_text(view, 0.0))["zero"] == view.zero
-
-    asked = Engine("test", "test", LSM, 3)  # at frame 35, where the rod lies there and is taken for the unloaded panel
-    view = replay(asked, recording, lambda: asked.tare() if asked.shown.item.frames == 35 else None, 45)
-    assert view.zero == f"taken anew after frame 38: {ASKED}"
-    assert view.picture is not None and np.abs(view.picture.relative_change).max() < 5
 
 
 SMALL = Scene(Panel(3, 4), TwoPointReadout(), 140.0, response=PublishedResponse())

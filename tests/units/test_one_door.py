@@ -126,16 +126,6 @@ def test_a_dead_row_leaves_the_sound_cells_of_the_live_page_right() -> None:
         assert np.median(np.abs(error[sound])) < 0.03
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_one_frame_or_many_are_read_alike(name: str) -> None:
-    recording = recording_of(CASES[name])
-    many = recording.readings()
-    for frame, resistance in enumerate(recording.resistance):
-        one = Readings.of(recording.scene, resistance)
-        for part in ("value", "sigma", "side", "seen"):
-            assert_allclose(getattr(one, part), getattr(many[frame], part), rtol=1e-15)
-
-
 def test_what_does_not_fit_is_named() -> None:
     """Shapes and σ are a mistake; values never are."""
     good = np.full((2, *SHAPE), 700.0)
@@ -188,26 +178,6 @@ def test_no_value_is_refused(wrong: float, scene: Scene, seen: float, side: floa
     assert_array_equal(readings.value[others], values[others] - 140.0)
     if scene.readout is None and side:
         assert readings.value[0, 3, 5] == (580.0 if side == AT_LEAST else 560.0)
-
-
-def test_the_mean_is_over_what_says_something() -> None:
-    """A hole in one unloaded frame leaves the others; one wild bound does not outvote values; noise cut off does."""
-    top = WHOLE.circuit.rails()[1]
-    frames = np.full((4, *SHAPE), 700.0)
-    frames[0, 0, 0] = np.nan
-    frames[1:, 0, 1], frames[0, 0, 1] = np.nan, 710.0
-    frames[:, 0, 2] = np.nan
-    frames[0, 0, 3] = np.inf
-    frames[:, 0, 4] = [np.inf, np.inf, np.inf, 700.0]
-    frames[:, 0, 5] = [np.inf, 0.9 * top, 0.9 * top, 0.9 * top]
-    frames[:, 0, 6] = [np.inf, 0.0, np.nan, np.nan]
-    readings = Readings.of(WHOLE, frames)
-    mean = readings.mean()
-    assert_array_equal(mean.seen[0, :8], [1, 1, 0, 1, 1, 1, 0, 1])
-    assert_array_equal(mean.side[0, :8], [0, 0, 0, 0, AT_LEAST, AT_LEAST, 0, 0])
-    assert_allclose(mean.value[0, [0, 1, 3, 7]], [560.0, 570.0, 560.0, 560.0])
-    assert 0.9 * top - 140 < mean.value[0, 5] < top - 140
-    assert_allclose(mean.sigma[0, [0, 1, 7]], readings.sigma[3, 0, 7] / np.sqrt([3, 1, 4]), rtol=0.02)
 
 
 def test_sigma_is_the_given_one_else_that_of_the_readout_else_unknown() -> None:

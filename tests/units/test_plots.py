@@ -133,18 +133,6 @@ def test_residuals_without_noise_are_percent_of_the_readings() -> None:
         assert_allclose(axes.collections[1].get_array(), 100 * (factor - 1), atol=1e-9)
 
 
-@pytest.mark.parametrize("contoured", [True, False])
-def test_a_map_is_in_millimetre_with_crosses_where_it_says(contoured: bool) -> None:
-    values, marked = np.linspace(-50, 50, 12).reshape(3, 4), np.zeros((3, 4), dtype=bool)
-    marked[1, 2] = True
-    painter = MapPainter(Panel(3, 4, 5.0), banded_scale([values], "change [%]"), contoured)
-    axes = painted(painter, Tile("a name", values, "a note", marked, "open cell"))
-    (cross,) = (line for line in axes.lines if line.get_label() == "open cell")
-    assert (cross.get_xdata()[0], cross.get_ydata()[0]) == (10.0, 5.0)
-    assert axes.get_xlim() == (-2.5, 17.5) and axes.get_ylim() == (12.5, -2.5)
-    assert axes.get_title() == "a name\na note"
-
-
 def test_contours_of_listed_cells_end_where_cells_are_apart() -> None:
     values, square = np.array([[-40.0, 20.0], [60.0, -80.0]]), ((0, 0, 0, 0), (0, 1, 10, 0), (1, 0, 0, 10))
     for far, contours in ((10, 1), (100, 1), (-1000, 0)):
