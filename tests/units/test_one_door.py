@@ -142,56 +142,48 @@ def test_what_does_not_fit_is_named() -> None:
 
 
 NO_READOUT = replace(WHOLE, readout=None)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "scene", "seen", "side"),
-    [
-        (np.nan, WHOLE, 0, 0),
-        (np.inf, WHOLE, 1, AT_LEAST),
-        (1e9, WHOLE, 1, AT_LEAST),
-        (100.0, WHOLE, 1, AT_MOST),
-        (0.0, WHOLE, 1, AT_MOST),
-        (-5.0, WHOLE, 1, AT_MOST),
-        (-np.inf, WHOLE, 1, AT_MOST),
-        (np.nan, NO_READOUT, 0, 0),
-        (np.inf, NO_READOUT, 1, AT_LEAST),
-        (1e9, NO_READOUT, 1, 0),
-        (100.0, NO_READOUT, 1, AT_MOST),
-        (-5.0, NO_READOUT, 1, AT_MOST),
-    ],
+# A reading, its scene, whether it says something, and which side of a bound it is on.
+WRONG: tuple[tuple[float, Scene, int, float], ...] = (
+    (np.nan, WHOLE, 0, 0),
+    *((value, WHOLE, 1, AT_LEAST) for value in (np.inf, 1e9)),
+    *((value, WHOLE, 1, AT_MOST) for value in (100.0, 0.0, -5.0, -np.inf)),
+    (np.nan, NO_READOUT, 0, 0),
+    (np.inf, NO_READOUT, 1, AT_LEAST),
+    (1e9, NO_READOUT, 1, 0),
+    *((value, NO_READOUT, 1, AT_MOST) for value in (100.0, -5.0)),
 )
-def test_no_value_is_refused(wrong: float, scene: Scene, seen: float, side: float, tmp_path: Path) -> None:
+
+
+def test_no_value_is_refused(tmp_path: Path) -> None:
     """Each says nothing, or is a bound, and leaves the others as they are; a file keeps it as it came."""
-    values = np.full((2, *SHAPE), 700.0)
-    values[:, 0, 0], values[0, 3, 5] = 720.0, wrong
-    path = tmp_path / "mine.h5"
-    Recording(scene, values, np.arange(2.0), np.array([0, 1], dtype=np.uint8)).save(path)
-    kept = Recording.load(path)
-    assert_array_equal(kept.recorded, values)
-    readings = kept.readings()
-    assert (readings.seen[0, 3, 5], readings.side[0, 3, 5]) == (seen, side)
-    assert np.all(np.isfinite(readings.value) & (readings.value > 0))
-    others = np.ones((2, *SHAPE), dtype=bool)
-    others[0, 3, 5] = False
-    assert np.all(readings.seen[others] == 1) and np.all(readings.side[others] == 0)
-    assert_array_equal(readings.value[others], values[others] - 140.0)
-    if scene.readout is None and side:
-        assert readings.value[0, 3, 5] == (580.0 if side == AT_LEAST else 560.0)
+    for wrong, scene, seen, side in WRONG:
+        values = np.full((2, *SHAPE), 700.0)
+        values[:, 0, 0], values[0, 3, 5] = 720.0, wrong
+        Recording(scene, values, np.arange(2.0), np.array([0, 1], dtype=np.uint8)).save(tmp_path / "mine.h5")
+        recording = Recording.load(tmp_path / "mine.h5")
+        assert_array_equal(recording.recorded, values)
+        readings = recording.readings()
+        assert (readings.seen[0, 3, 5], readings.side[0, 3, 5]) == (seen, side)
+        assert np.all(np.isfinite(readings.value) & (readings.value > 0))
+        remaining = np.ones((2, *SHAPE), dtype=bool)
+        remaining[0, 3, 5] = False
+        assert np.all(readings.seen[remaining] == 1) and np.all(readings.side[remaining] == 0)
+        assert_array_equal(readings.value[remaining], values[remaining] - 140.0)
+        if scene.readout is None and side:
+            assert readings.value[0, 3, 5] == (580.0 if side == AT_LEAST else 560.0)
 
 
 def test_sigma_is_the_given_one_else_that_of_the_readout_else_unknown() -> None:
     """A reading whose σ is not finite says nothing, nor does a frame of holes."""
     holes, sigma = Readings.of(WHOLE, np.full(SHAPE, np.nan)), np.full(SHAPE, 2.0)
     assert not holes.seen.any() and np.all(holes.value == 1)
+    resistance = np.full((2, *SHAPE), 700.0)
+    assert_array_equal(Readings.of(WHOLE, resistance, sigma).sigma, np.full((2, *SHAPE), 2.0))
     sigma[1, 1], sigma[2, 2] = np.nan, np.inf
-    readings = Readings.of(WHOLE, np.full(SHAPE, 700.0), sigma)
+    readings = Readings.of(WHOLE, resistance[0], sigma)
     assert_array_equal(readings.seen == 0, ~np.isfinite(sigma))
     assert readings.sigma is not None and np.all(np.isfinite(readings.sigma))
-    resistance = np.full((2, *SHAPE), 700.0)
-    told, unknown = Readings.of(WHOLE, resistance), Readings.of(replace(WHOLE, readout=None), resistance)
+    told, unknown = Readings.of(WHOLE, resistance), Readings.of(NO_READOUT, resistance)
     assert told.sigma is not None and np.all(told.sigma > 0) and unknown.sigma is None
-    given = Readings.of(WHOLE, resistance, np.full(SHAPE, 3.0))
-    assert_array_equal(given.sigma, np.full((2, *SHAPE), 3.0))
     assert told[0].together(unknown[1]).sigma is None
     assert_array_equal(told[0].together(told[1]).sigma, told.sigma)

@@ -85,20 +85,23 @@ def test_parts_make_the_results_of_the_whole(tmp_path: Path, lampest: Command, s
     role = (np.arange(110) >= UNLOADED) & ((np.arange(110) < 80) | (np.arange(110) >= 102))
     save(tmp_path, values, role=role)
     (tmp_path / "run.yaml").write_text(RUN)
-    ended = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "parts", "--jobs", "1")
+
+    def run(name: str) -> SimpleNamespace:
+        return lampest("run", tmp_path / "run.yaml", "--out", tmp_path / name, "--jobs", "1")
+
+    ended = run("parts")
     assert (ended.code, ended.err) == (0, "")
     assert [file.suffix for file in (tmp_path / "parts" / "cases").iterdir()] == [".h5"] * 3
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stored, "MAX_READINGS", 10**6)
-        lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "whole", "--jobs", "1")
+        run("whole")
     parts, whole = (read_results(tmp_path / name / "results.h5") for name in ("parts", "whole"))
     for ours, theirs in zip(parts.cases, whole.cases, strict=True):
         assert ours.case_id == theirs.case_id and ours.status == theirs.status
         assert np.array_equal(ours.frame, theirs.frame) and np.array_equal(ours.time, theirs.time)
         np.testing.assert_allclose(ours.cell_resistance, theirs.cell_resistance, rtol=1e-2)
         assert ours.cell_resistance_errors is not None or ours.estimator == "scaled"
-    ended = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "parts", "--jobs", "1")
-    assert "0 cases solved, 3 were done before" in ended.out
+    assert "0 cases solved, 3 were done before" in run("parts").out
     assert lampest("check", tmp_path / "parts" / "results.h5").code == 0
 
 
@@ -314,22 +317,6 @@ def test_chunks_hold_whole_frames_and_few_values_none(tmp_path: Path, monkeypatc
         "first frames": ((10, 7), None),
         "first values": ((1, 2048), None),
     }
-
-
-def test_noise_is_not_packed_and_what_repeats_is(tmp_path: Path) -> None:
-    """Of many values; the same files when parts of either kind are joined, whichever comes first."""
-    scene, rng = lampest.Scene(lampest.Panel(10, 10), lampest.TwoPointReadout()), np.random.default_rng(1)
-    noisy, still = 900 + rng.standard_normal((1200, 10, 10)), np.full((1200, 10, 10), 900.0)
-    parts = [Recording(scene, one, np.zeros(1200), np.ones(1200, np.uint8)) for one in (noisy, still)]
-    for order in (parts, parts[::-1]):
-        stored.save_parts(tmp_path / "joined.h5", order)
-        for number, part in enumerate(order):
-            part.save(tmp_path / f"{number}.h5")
-            with h5py.File(tmp_path / f"{number}.h5") as file:
-                assert file["entry/two_point/resistance"].compression == (None if part is parts[0] else "gzip")
-        joined = Recording.load(tmp_path / "joined.h5").recorded
-        assert np.array_equal(joined, np.concatenate([part.recorded for part in order]))
-        assert checked_sentence(tmp_path / "joined.h5").count("agree with their checksums") == 1
 
 
 @pytest.mark.slow
