@@ -30,13 +30,17 @@ def solved(shape: tuple[int, int]) -> tuple[Array, Array, FloatingNetwork]:
 
 @pytest.mark.parametrize("kind", FORMULATIONS)
 @pytest.mark.parametrize("shape", SHAPES)
-def test_equations_hold_in_a_solved_network(kind: str, shape: tuple[int, int]) -> None:
-    cells, tie, network = solved(shape)
-    balance, resistance, _ = functions(kind, shape)(
-        1 / cells, tie, FORMULATIONS[kind].potentials(TwoPointReadout(), network)
-    )
-    assert_allclose(np.asarray(balance), 0, atol=1e-12)
-    assert_allclose(np.asarray(resistance).reshape(shape), network.reading(), rtol=1e-12)
+def test_equations_hold_in_a_solved_network_and_multipliers_balance_any_slope(
+    kind: str, shape: tuple[int, int]
+) -> None:
+    """∂φ/∂V + λᵀ ∂balance/∂V = 0, whatever φ is."""
+    (cells, tie, network), form = solved(shape), FORMULATIONS[kind]
+    potentials = form.potentials(TwoPointReadout(), network)
+    balance, resistance, jacobian = (np.asarray(part) for part in functions(kind, shape)(1 / cells, tie, potentials))
+    assert_allclose(balance, 0, atol=1e-12)
+    assert_allclose(resistance.reshape(shape), network.reading(), rtol=1e-12)
+    slope = np.random.default_rng(3).normal(size=len(potentials))
+    assert_allclose(form.multipliers(TwoPointReadout(), network, tie, slope) @ jacobian, -slope, atol=1e-11)
 
 
 @pytest.mark.parametrize("kind", FORMULATIONS)
@@ -51,22 +55,3 @@ def test_the_equations_leave_no_freedom(kind: str, shape: tuple[int, int]) -> No
     _, resistance, slope_there = function(1 / cells, tie, potentials)
     assert_allclose(np.asarray(slope_there), slope, rtol=1e-14)
     assert_allclose(np.asarray(resistance).reshape(shape), two_point_resistance(cells), rtol=1e-11)
-
-
-@pytest.mark.parametrize("kind", FORMULATIONS)
-@pytest.mark.parametrize("shape", SHAPES)
-def test_multipliers_balance_any_slope(kind: str, shape: tuple[int, int]) -> None:
-    """∂φ/∂V + λᵀ ∂balance/∂V = 0 in a solved network, whatever φ is."""
-    cells, tie, network = solved(shape)
-    form = FORMULATIONS[kind]
-    potentials = form.potentials(TwoPointReadout(), network)
-    slope = np.random.default_rng(3).normal(size=len(potentials))
-    multipliers = form.multipliers(TwoPointReadout(), network, tie, slope)
-    jacobian = np.asarray(functions(kind, shape)(1 / cells, tie, potentials)[2])
-    assert_allclose(multipliers @ jacobian, -slope, atol=1e-11)
-
-
-def test_nodal_needs_fewer_unknowns() -> None:
-    """10 × 10: unit currents into lines, not into cells."""
-    unknowns = {kind: functions(kind, (10, 10)).size1_in(2) for kind in FORMULATIONS}
-    assert unknowns == {"nodal": 165, "per_pixel": 2000}

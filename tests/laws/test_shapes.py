@@ -9,7 +9,7 @@ import re
 
 import numpy as np
 import pytest
-from laws.recognised import PATCH_MM, frame_under, verdict_on
+from laws.recognised import PATCH_MM, frame_under
 
 from lampest import Array, Panel, Rod, Scene, Simulation
 from lampest.files.document import adapter, parse_document, to_yaml, validated
@@ -84,15 +84,6 @@ def test_tilt_moves_the_force_and_keeps_it(kind: type[Shape]) -> None:
     assert sums(tilted) == pytest.approx(sums(level), rel=1e-9)
     lower, upper = np.split(tilted.mean_pressure(FINE, FINE.pitch_mm)[0], 2)
     assert upper.sum() > 1.2 * lower.sum()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", RECOGNISED)
-def test_is_recognised_as_what_it_is(kind: type[Shape]) -> None:
-    verdict = verdict_on(load_of(kind))
-    assert kind.candidate.label in verdict.best.candidate.label
-    assert kind.candidate in LOADS
-    assert verdict.goodness < 1.4
 
 
 @pytest.mark.parametrize("candidate", LOADS, ids=lambda candidate: candidate.label)
