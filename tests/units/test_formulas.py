@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from lampest import InputError, Panel
+from lampest.cost.given import Given
 from lampest.estimate.calibration.trials import known_resistors
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
 from lampest.files import levels
@@ -75,6 +76,21 @@ def test_a_lower_cost_is_looked_for_forth_and_back_along_a_direction_from_far_to
     assert lower_along(point("plain"), along) is None
     lengths = [1.0, -1.0, 0.3, -0.3, 0.1, -0.1, 0.03, -0.03, 0.01, -0.01]
     np.testing.assert_allclose(steps, np.multiply.outer(lengths, along / 4))
+
+
+def test_readings_that_are_all_values_are_told_to_a_cost_without_sides() -> None:
+    """Of each part of the data: its value where it is absent, whether every frame has one, and whether it may lack."""
+    declared = {name: (source.absent, source.per_frame, source.partial) for name, source in Given.sources().items()}
+    values = dict.fromkeys(("measured", "sigma"), (1.0, True, False))
+    compared = dict.fromkeys(("previous", "baseline"), (1.0, False, False)) | {
+        "previous_deviation": (0.0, False, False)
+    }
+    assert declared == values | {"side": (0.0, True, True), "seen": (1.0, True, True)} | compared
+    whole, partial = (dict(Given.symbols(4, 2, partial=partial).named()) for partial in (False, True))
+    assert partial.keys() - whole.keys() == {"side", "seen"}
+    assert {name: part.shape[1] for name, part in partial.items()} == {
+        name: 1 + made[1] for name, made in declared.items()
+    }
 
 
 def test_known_resistors_are_a_number_or_a_table_with_gaps(tmp_path: Path) -> None:
