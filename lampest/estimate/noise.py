@@ -45,6 +45,7 @@ EDGE_WIDTHS = 3.0  # widths of the Tracy-Widom law beyond the edge: noise alone 
 MIN_SAMPLES_PER_CHANNEL = 1.5
 MEDIAN_EFFICIENCY = 0.37  # of the median size as an estimate of σ, as a share of the readings (Hampel, 1974)
 PAIR_MEDIAN = 0.7960  # of the root mean square of two differences that share a frame, over √2 σ (by simulation)
+MIN_MEDIAN_NOISE = 0.5  # LSB: with less, most codes repeat, and the median of their differences shows no noise
 QUIET_SHARE = 0.25  # of the triples: loads that come and go make the others restless
 
 # Errors that the readings of a frame share: the texts of the summary and of warnings.
@@ -230,7 +231,10 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
     if cleaned.sigma is None:
         return plain
     parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 else None
-    parts = parts or repeated_scatter(cleaned[~resting])
+    if parts is None:
+        parts = repeated_scatter(cleaned[~resting])
+        coarse = parts and readout and shown_noise(readout, parts.own)[0] < MIN_MEDIAN_NOISE
+        parts = None if coarse else parts
     if parts is None:
         return plain
     own, message, used = parts.own, "", 1.0

@@ -82,6 +82,13 @@ def test_loads_and_wrong_noise_make_no_outliers() -> None:
         assert not Prepared(recording).cleaned.outliers.any()
 
 
+def test_a_converter_coarser_than_its_noise_is_not_called_free_of_noise() -> None:
+    """One unloaded frame, and steps so coarse that most readings repeat."""
+    scene = Scene(Panel(6, 5), TwoPointReadout(reference_ohm=2000.0, adc_bits=8, noise_lsb=0.2))
+    settings = Simulation(1, 3, scene, baseline_frames=1, frames=9)
+    assert Prepared(simulate(settings)).noise.sigma_factor == 1
+
+
 def test_no_reading_that_equals_the_unloaded_one_is_an_outlier() -> None:
     """A load arrives in the third measured frame and stays; each reading is that of its own cell."""
     rng = np.random.default_rng(4)
