@@ -112,7 +112,7 @@ def study(count: int, seed: int, calibrate: int, loads: int) -> None:
     results = calibrate_channels([made(seed + 10_000 + number) for number in range(calibrate)])
     off = (results.errors[1:] - board[0]).reshape(2, SIDE)
     left = np.sqrt(np.sum((off - off.mean(axis=1, keepdims=True)) ** 2) / (2 * SIDE - 2))
-    print(f"{results.summary()}; truly off by {left:.2f} ohm; the reference was off by {100 * board[1]:+.2f} %")
+    print(f"{results.summary}; truly off by {left:.2f} ohm; the reference was off by {100 * board[1]:+.2f} %")
     again = [replace(record, scene=results.scene) for record in every]
     for method in ("LSR-dCR", "smoother"):
         told(f"{method}, calibrated", np.stack([measure(record, method) for record in again]))

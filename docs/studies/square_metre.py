@@ -17,7 +17,7 @@ import numpy as np
 
 import lampest
 from lampest.estimate.deciding import baseline_readings, deciding_frame
-from lampest.estimate.modules import begin_stream
+from lampest.estimate.modules import begin_networks, network_scenes
 from lampest.estimate.sequence import deciding_data, first_stream
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import with_chosen_weights
@@ -105,22 +105,21 @@ def with_one_weight(penalty: lampest.Term, seed: int) -> str:
     estimator = lampest.Estimator((lampest.Misfit(), penalty), "reduced", error_bars=False)
     chosen: list[float] = []
 
-    def own(scene: lampest.Scene, number: int | None) -> tuple[lampest.Estimator, lampest.Readings]:
-        part, read = recording.modules[number or 0], readings.of_module(layout, number or 0)
+    networks = []
+    for part, own in zip(recording.modules, network_scenes(scene, estimator), strict=True):
+        read = part.readings()
         resting = baseline_readings(part, read)
         frame = deciding_frame(part, read, resting)
-        assert frame is not None
-        data = deciding_data(estimator, scene, resting, read[frame])
-        found = with_chosen_weights(estimator, scene, data, None)
-        chosen.append(float(found.terms[1].weight))
-        return found, resting
-
+        assert own is not None and frame is not None
+        weighted = with_chosen_weights(estimator, own, deciding_data(estimator, own, resting, read[frame]), None)
+        chosen.append(float(weighted.terms[1].weight))
+        networks.append((weighted, own, resting))
     errors = []
-    apart = begin_stream(estimator, scene, 1.0, readings[0], None, own)
+    apart = begin_networks(scene, networks, 1.0)
     for stream in (apart, first_stream(recording, readings, estimator)):
-        here, found = stream, []
+        state, found = stream, []
         for frame in recording.measured_frames():
-            here, step = here.push(readings[frame])
+            state, step = state.push(readings[frame])
             assert truth is not None
             found.append(np.abs(np.log(step.cell_resistance / truth[frame])))
         errors.append(np.stack(found))
