@@ -93,7 +93,8 @@ def draw(kind: str, rng: np.random.Generator) -> Draw:
         readout = makes[kind](**converter, **options)
         drive = channels(lines) + extra * (1 + apart * rng.uniform(-1, 1, lines))
         truth = (drive, nominal * (1 + apart * rng.uniform(-1, 1, others)))
-        actual = replace(readout, drive_ohm=tuple(truth[0].tolist()), **{SECOND[kind]: tuple(truth[1].tolist())})
+        ohm = {"drive_ohm": tuple(truth[0].tolist()), SECOND[kind]: tuple(truth[1].tolist())}
+        actual = replace(readout, **ohm)
     placed = str(
         rng.choice(["shorted" if kind == "two_point" else "two values", "everywhere", "here and there", "three"])
     )

@@ -55,7 +55,7 @@ def run(config: Path, out: Path) -> None:
         seconds, process = time.process_time() - begin, psutil.Process()
         size, files = process.memory_info().rss / 1e6, process.num_fds()
         print(f"{path.stem}  {seconds:8.1f} s of the processor  {size:8.2f} MB  {files} files open", flush=True)
-        write(path, carried)  # type: ignore[arg-type]
+        write(path, carried)
 
     batch.write_carried = told
     run_batch(read_run(config), out, Serial())

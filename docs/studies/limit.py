@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lampest.cost.losses import Student
 from lampest.cost.terms import Arrival, LogRatio, Misfit, RelativeChange, Term, TotalVariationOfChange
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.methods import SmootherMethod
+from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.loads.shapes import OralDisc, Rod
 from lampest.panel.panel import Array, Panel
@@ -119,7 +119,7 @@ class Setting:
         time = np.arange(len(pressure), dtype=float)
         drift = np.exp(self.unmodelled.drift_per_minute / 60 * rng.standard_normal(panel.shape) * time[:, None, None])
         cells = resting * drift * ratio_from_pressure(pressure)
-        noisy = replace(self.readout, noise_lsb=self.readout.assumed_noise * self.noisier)
+        noisy = replace(self.readout, noise_lsb=float(np.mean(self.readout.assumed_noise)) * self.noisier)
         recorded, _ = measured(replace(scene, readout=noisy), cells, self.unmodelled, seed)
         role = np.where(time < RESTING, UNLOADED, MEASURED).astype(np.uint8)
         return Recording(scene, recorded, time, role, truth_cell_resistance=cells)
@@ -159,7 +159,7 @@ def bound(recording: Recording, frames: NDArray[np.intp], cells: Array) -> Array
 def measure(recording: Recording, terms: tuple[Term, ...], formulation: str | SmootherMethod) -> Array:
     """Median error, percent; over the bound; 95th; held, of cells, changed ones, round jumps, changes; ms; solved."""
     begin = process_time()
-    results = reconstruct(recording, Estimator(terms, formulation))  # type: ignore[arg-type]
+    results = reconstruct(recording, Estimator(terms, formulation))
     lower, upper = results.cell_resistance_lower, results.cell_resistance_upper
     seconds = process_time() - begin
     truth, solved = recording.truth_cell_resistance, results.solved

@@ -53,7 +53,7 @@ def timed(function: Callable[..., Any], what: str, spent: Counter[str]) -> Calla
         try:
             return function(*arguments, **named)
         finally:
-            spent[what] += time.thread_time() - begin  # type: ignore[assignment]
+            spent[what] += time.thread_time() - begin
 
     return call
 

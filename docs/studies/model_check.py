@@ -76,7 +76,8 @@ def loads(random: np.random.Generator, panel: lampest.Panel) -> tuple[lampest.Sh
 def sound(seed: int) -> tuple[str, Recording] | None:
     """A recording of which all is told; None where no such panel can be simulated or read."""
     random = np.random.default_rng([seed, 1])
-    panel = lampest.Panel(*(int(side) for side in random.choice(SIDES, 2)), 10.0)
+    rows, columns = random.choice(SIDES, 2).tolist()
+    panel = lampest.Panel(rows, columns, 10.0)
     kind = [two_point, loaded_columns][seed % 2]
     scene, what = kind(random, panel), kind.__name__
     cells = lampest.Cells(float(random.choice([800.0, 3050.0, 30000.0])), float(random.choice([0.1, 0.3, 1.0])))

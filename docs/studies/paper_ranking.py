@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.report.plots.contours import percent_change
+from lampest.report.strongest import percent_change
 from lampest.runs.results import CaseResult, Results, read_results
 
 MEASURED = "measured"

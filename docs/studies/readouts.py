@@ -107,7 +107,7 @@ def contrast(draws: int, seed: int) -> None:
             cells = middle * np.exp(rng.uniform(-0.5, 0.5, (2, 16, 16)) * np.log(77))
             recording = measured(Scene(Panel(16, 16), readout, series), cells, rng)
             for formulation, results in off.items():
-                done = reconstruct(recording, Estimator(METHODS["LSM"], formulation, error_bars=False))  # type: ignore[arg-type]
+                done = reconstruct(recording, Estimator(METHODS["LSM"], formulation, error_bars=False))
                 results.append(float(np.median(np.abs(done.cell_resistance[0] / cells[1] - 1))))
         text = ", ".join(f"{name} {100 * np.median(results):.2f} %" for name, results in off.items())
         print(f"cells round {middle / 1e3:g} kohm: {text} off in the median cell")

@@ -75,7 +75,7 @@ def measured(rng: np.random.Generator, cells: Array, channels: Array, reference:
 
 def measure(made: Recording, method: str) -> Array:
     """Median error of cells and of changes, rms error of changes, percent; coverage of cells and of changes."""
-    results = reconstruct(made, Estimator(*METHODS[method]))  # type: ignore[arg-type]
+    results = reconstruct(made, Estimator(*METHODS[method]))
     assert made.truth_cell_resistance is not None and results.relative_change_lower is not None
     assert results.cell_resistance_lower is not None and results.cell_resistance_upper is not None
     cells, resting = made.truth_cell_resistance[results.frame], made.truth_cell_resistance[RESTING - 1]

@@ -404,8 +404,8 @@ class Ipopt:
         """Minimise from `start`. A failed solve does not raise; the outcome's status states the failure."""
         if data.overdue:
             return Outcome(start.cell_resistance, np.zeros_like(self.cost.slope), Status.TIME, 0)
-        # Units: resistances in s, the geometric mean of the apparent ones; split residuals in their largest at the start
-        # or at the apparent resistances, because a start at the baseline may leave none.
+        # Units: resistances in s, the geometric mean of the apparent ones; split residuals in the largest of the start
+        # and of the apparent resistances, because a start at the baseline may leave none.
         scale = float(np.exp(np.mean(np.log(data.apparent_resistance))))
         split, apparent = (
             at.call(self.cost.functions.split) for at in (start, start.elsewhere(data.apparent_resistance))
