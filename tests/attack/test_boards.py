@@ -1,6 +1,5 @@
 """Lines that flood or lie, long, noisy and killed recordings of a board, guests of its page, a broker that pauses."""
 
-import http.client
 import json
 import os
 import shutil
@@ -10,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from itertools import count as from_zero
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from attack.attack import HELD, HOUSE, MAIN, Outcomes, Rng, attack, command
+from attack.attack import HELD, HOUSE, Outcomes, Rng, attack, command
 from wild_board import Script, WildBoard, hundred_a_second, wild_board, wire
 
 from lampest import InputError, Recording
@@ -32,7 +31,6 @@ pytestmark = pytest.mark.slow
 DAY_FRAMES = 864_000  # of 24 h at 10 frames a second
 PART = 1_000  # frames of a day's part
 MORE_MEGABYTES, FRAME_BYTES = 8.0, 250  # by which a recording five times as long may grow; of a frame of 3 × 4 cells
-TOKEN = "a-token-of-my-own"
 LIMIT_S, SLACK_S = 0.5, 15.0  # how long nothing may fit here, and what the rest may take on a loaded machine
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin:/usr/local/bin")
 
@@ -198,83 +196,6 @@ def test_a_day_of_frames_at_10_a_second_is_recorded_in_constant_memory(rng: Rng,
 def _hurried(hello: Hello) -> Iterator[tuple[float, bytes]]:
     for number in from_zero():
         yield 0.0, wire(hello, number, 2**32 - 50_000 + 100 * number)
-
-
-@attack(0, 5)
-def test_a_flood_is_recorded_in_constant_memory(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """As many bytes of garbage as the line takes for so many tenths of a minute, good frames among them."""
-    junk = [rng.bytes(4000) for _ in range(20)]
-
-    def flooding(hello: Hello) -> Iterator[tuple[float, bytes]]:
-        for number in from_zero():
-            yield 0.0, wire(hello, number)
-            yield from ((0.0, junk[(number + part) % len(junk)]) for part in range(5))
-
-    sizes = []
-    for tenths in (1, count):
-        seconds = str(6 * tenths)
-        with wild_board(flooding) as board:
-            words = ("record", "--port", board.port, "--period", "0.1", "--seconds", seconds, "--out", f"{tenths}.h5")
-            ended = command(*words, folder=folder, seconds=6 * tenths + 60)
-        sizes.append(ended.peak / 1e6)
-        said = ended.code == 0 and " 0 restarts" in ended.out
-        yield HELD if said and ended.seconds < 7 * tenths + 30 else ended.said(f"{seconds} s of flood")
-    yield HELD if sizes[-1] < sizes[0] + 30 else f"{sizes[0]:.0f} MB, then {sizes[-1]:.0f} MB"
-
-
-@attack(20, 500)
-def test_guests_without_the_token_see_and_record_nothing_at_any_address(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A live page at all addresses before a board: nobody sees, tares or records without the token, by any address."""
-    with wild_board(hundred_a_second) as board, _page(folder, board.port) as where:
-        addresses = sorted({"127.0.0.1", *_addresses()})
-        for _ in range(count):
-            host = str(rng.choice(addresses))
-            wrong = TOKEN[: int(rng.integers(0, len(TOKEN)))] + "".join(rng.choice(list("abcé%&"), 3))
-            path = str(rng.choice(("/", "/views", "/zero", "/record?name=mine")))
-            shown = str(rng.choice((path, f"{path}{'&' if '?' in path else '?'}token={wrong.encode().hex()}")))
-            method = "POST" if path[1:5] in ("zero", "reco") else "GET"
-            status, text = _asked(host, where, method, shown, {"Authorization": f"Bearer {wrong.encode().hex()}"})
-            yield HELD if status == 403 and b"receiving" not in text else f"{method} {shown} at {host}: {status}"
-        yield HELD if not list(folder.glob("*.h5")) else "a guest began a recording"
-        bearer = {"Authorization": f"Bearer {TOKEN}", "X-Lampest": "1"}
-        for host in addresses:
-            status, text = _asked(host, where, "GET", "/", bearer)
-            yield HELD if status == 200 and b"<!doctype" in text[:40].lower() else f"{host} with the token: {status}"
-
-
-@contextmanager
-def _page(folder: Path, board: str) -> Iterator[int]:
-    """The port of a live page in a process of its own."""
-    words = ("live", "--port", board, "--period", "0.1", "--http", "0.0.0.0:0", "--token", TOKEN)
-    with (
-        _at(folder),
-        _running("-c", MAIN, *words) as process,
-    ):
-        yield int(process.stdout.readline().split("/?token")[0].rpartition(":")[2])
-
-
-@contextmanager
-def _at(folder: Path) -> Iterator[None]:
-    before = Path.cwd()
-    os.chdir(folder)
-    try:
-        yield
-    finally:
-        os.chdir(before)
-
-
-def _addresses() -> set[str]:
-    """This computer's addresses but for the loopback one, as far as its name tells them."""
-    with suppress(OSError):
-        return {str(found[4][0]) for found in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)}
-    return set()
-
-
-def _asked(host: str, where: int, method: str, path: str, headers: dict[str, str]) -> tuple[int, bytes]:
-    with closing(http.client.HTTPConnection(host, where, timeout=20)) as connection:
-        connection.request(method, path, headers=headers)
-        answer = connection.getresponse()
-        return answer.status, answer.read(200)
 
 
 @attack(1, 10)

@@ -191,32 +191,6 @@ def _repaired(path: Path, meant: Recording) -> str:
     return HELD if same else "repair changed what it kept"
 
 
-def _datasets(file: h5py.File) -> list[str]:
-    paths: list[str] = []
-    file.visititems(lambda path, node: paths.append(path) if isinstance(node, h5py.Dataset) else None)
-    return paths
-
-
-@attack(20, 400)
-def test_datasets_of_another_shape_or_type_are_refused_in_one_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made = small_folder(folder / "work")
-    whole = {name: (made / name).read_bytes() for name in ("small.h5", "results.h5")}
-    commands = {"small.h5": ("info", "check", "tare"), "results.h5": ("info", "check", "compare", "plot", "export")}
-    for _ in range(count):
-        name = str(rng.choice(list(whole)))
-        (made / name).write_bytes(whole[name])
-        with h5py.File(made / name, "a") as file:
-            path = str(rng.choice(_datasets(file)))
-            values = file[path][()]
-            others = (0.0, h5py.Empty("f8"), np.bytes_(b"text"), np.array([values]), np.zeros(0), np.array(b"x"))
-            del file[path]
-            file[path] = others[int(rng.integers(len(others)))]
-        word = str(rng.choice(commands[name]))
-        further = {"tare": ("--frames", "0:1", "--out", "t.h5"), "export": ("--to", "mat")}.get(word, ())
-        ended = called(word, name, *further, folder=made)
-        yield f"{word}, {path}: {fault}" if (fault := ended.survived()) else HELD
-
-
 test_flipped_bits_of_a_recording_are_noticed = attack(100, 2500)(_flipped("a.h5", Recording.load, _recording))
 
 

@@ -1,12 +1,11 @@
 """Names that would move the cursor, paint, or pretend to be another line: what reaches a terminal is plain."""
 
-import ast
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from attack.attack import HELD, HOUSE, Outcomes, Rng, attack, called, printable, small_folder
+from attack.attack import HELD, Outcomes, Rng, attack, called, printable, small_folder
 
 pytestmark = pytest.mark.slow
 SIGNS = ("\x1b[2J", "\x1b]0;mine\x07", "\r", "\n", "\x9b31m", "\u202e", "\u2028", "\x7f", "\b\b\b", "[bold]", "\udc80")
@@ -66,11 +65,3 @@ def test_control_characters_in_files_are_never_printed(rng: Rng, folder: Path, c
             ended = called(*arguments, folder=made)
             plain = printable(ended.out) and printable(ended.err) and "Traceback" not in ended.err
             yield HELD if plain else ended.said(f"{arguments[0]} with {sign!r} inside")
-
-
-@attack()
-def test_only_one_module_prints(rng: Rng, folder: Path, count: int) -> Outcomes:
-    for path in sorted((HOUSE / "lampest").rglob("*.py")):
-        calls = [node.func for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
-        prints = any(isinstance(call, ast.Name) and call.id == "print" for call in calls)
-        yield HELD if not prints or path.name == "screen.py" else f"{path} prints by itself"

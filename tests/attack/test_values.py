@@ -11,7 +11,7 @@ from attack.attack import HELD, SIMULATION, Ended, Outcomes, Rng, attack, called
 from fuzz.batches import write_recording
 from support import invented_case
 
-from lampest import Recording, write_results
+from lampest import write_results
 
 pytestmark = pytest.mark.slow
 EXTREME = (1e300, 1e-300, 5e-324, -1e300, 1e160, 1e29, 1e-29, 0.0, -0.0, 1e12, np.inf, -np.inf, np.nan)
@@ -102,20 +102,6 @@ def test_results_with_impossible_numbers_end_in_a_sentence(rng: Rng, folder: Pat
         yield from _tried(f"{name} with {'all' if whole else 'some'} {value}", place, commands)
 
 
-@attack(3, 30)
-def test_readings_with_impossible_numbers_end_in_a_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
-    tries = [(name, value, whole) for name in ("recorded", "sigma", "time") for value in EXTREME for whole in (1, 0)]
-    for number, (name, value, whole) in drawn(rng, tries, count):
-        place = folder / f"readings{number}"
-        place.mkdir()
-        write_recording(place / "small.h5", 2, 1)
-        good = Recording.load(place / "small.h5")
-        values = np.array(good.recorded * 0.01 if name == "sigma" else getattr(good, name), dtype=float)
-        values[np.ones(values.shape, bool) if whole else rng.random(values.shape) < 0.2] = value
-        _replace(place / "small.h5", "resistance" if name == "recorded" else name, values)
-        yield from _tried(f"{name} of {value}", place, RUNS[:1] + LOOKS)
-
-
 @attack(1, 6)
 def test_panels_with_hardly_any_readings_end_in_a_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
     everywhere = [[row, column] for row in range(6) for column in range(7)]
@@ -150,14 +136,6 @@ def sensible(ended: Ended) -> str:
 def _words(sentence: str) -> str:
     foreign = [word for word in FOREIGN if word in sentence]
     return f"speaks of {foreign}: {sentence[-300:]}" if foreign else HELD
-
-
-def _replace(path: Path, name: str, values: Any) -> None:
-    with h5py.File(path, "a") as file:
-        group = file["entry/two_point"]
-        if name in group:
-            del group[name]
-        group[name] = values
 
 
 def _yaml(value: float) -> str:

@@ -55,23 +55,3 @@ def test_the_shortest_period_of_the_table_is_kept(
     assert figures["longest_scan_us"] < shortest
     assert shortest / 1000 == pytest.approx(period_ms, abs=0.051)
     assert rate == pytest.approx(1e6 / shortest, rel=0.01)
-
-
-@pytest.mark.parametrize(
-    ("frames", "options"),
-    [
-        pytest.param(900, (), marks=pytest.mark.slow),
-        pytest.param(18_000, (), marks=pytest.mark.soak),
-        pytest.param(300, ("--real-time",), marks=pytest.mark.soak),
-    ],
-)
-def test_thirty_frames_a_second(tmp_path: Path, frames: int, options: tuple[str, ...]) -> None:
-    """10 × 10 cells, 2 readings; in real time nothing waits for the host: what it does not take in time is lost."""
-    with bench(tmp_path, some_cells(np.random.default_rng(1), 1), *options) as board:
-        done = record(board.port, tmp_path / "r.h5", frames=frames, scene=scene(readings=2), period=1 / 30)
-        figures = board.stop()
-    recording = Recording.load(tmp_path / "r.h5")
-    missed = int(recording.acquisition.missed.sum())
-    print(f"\n{done.frames} frames in {recording.time[-1]:.1f} s, {done.lost} lost, {missed} missed; {figures}")
-    assert (done.frames, done.lost, missed) == (frames, 0, 0) and not (options and figures["overrun"])
-    np.testing.assert_allclose(recording.time[-1], (frames - 1) / 30, rtol=1e-4, atol=2e-3)

@@ -1,10 +1,8 @@
 """What somebody gets who names nothing: weights from the data, and a formulation that fits the size and the rate."""
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +11,6 @@ import lampest
 from lampest import CellResistance, Gradient, Misfit, Recording, Scene, TotalVariation
 
 ROOT = Path(__file__).parents[2]
-PENALTIES = [kind for name, kind in lampest.term_types().items() if name not in ("misfit", "arrival")]
 
 
 @pytest.fixture(scope="module")
@@ -22,11 +19,6 @@ def few() -> Recording:
     whole, chosen = lampest.datasets.load("lamprey_35mm"), [0, 1, 2, 14, 15]
     parts = ("recorded", "time", "role", "truth_cell_resistance", "truth_pressure")
     return replace(whole, raw_sums=None, **{part: getattr(whole, part)[chosen] for part in parts})
-
-
-@pytest.mark.parametrize("kind", PENALTIES, ids=lambda kind: kind.__name__)
-def test_a_penalty_without_a_weight_has_its_weight_from_the_data(kind: type[lampest.Term]) -> None:
-    assert kind().weight == "auto"
 
 
 def test_it_serves_better_than_the_papers_weight(few: Recording) -> None:
@@ -45,17 +37,6 @@ def test_unknown_noise_takes_the_same_rule(few: Recording) -> None:
     open_ended = lampest.reconstruct(silent, [Misfit(), Gradient()], bounds=lampest.Bounds(upper="none"))
     assert np.array_equal(found.cell_resistance, open_ended.cell_resistance)
     assert lampest.reconstruct(silent, [Misfit(), CellResistance(), TotalVariation()]).solved.all()
-
-
-def test_a_file_that_names_nothing_is_one_that_names_the_defaults(
-    disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace]
-) -> None:
-    from lampest import read_run
-
-    head = "schema: 1\nrecordings: [small.h5]\nestimators: {smooth: {terms: {misfit: {}, gradient: "
-    (silent,) = read_run(disk.run(head + "{}}}}\n")).cases
-    (told,) = read_run(disk.run(head + "{weight: auto}}}}\nformulation: auto\n")).cases
-    assert silent.case_id == told.case_id
 
 
 @pytest.mark.parametrize("name", ["table1", "all_scenes", "sizes_run", "series_run"])

@@ -15,8 +15,8 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -47,8 +47,7 @@ TOOLS = {
 }
 
 
-@dataclass(frozen=True)
-class Fence:
+class Fence(NamedTuple):
     """A fenced block of a page."""
 
     language: str
@@ -61,19 +60,19 @@ class Fence:
         return named[1] if named else ""
 
     def commands(self) -> Iterator[tuple[str, str]]:
-        """What is typed, and what is answered."""
-        for part in re.split(r"^\$ ", self.text, flags=re.MULTILINE)[1:]:
-            typed, _, answer = part.partition("\n")
-            yield typed, answer
+        """Commands of a console with their answers."""
+        parts = re.split(r"^\$ ", self.text, flags=re.MULTILINE)[1:] if self.language == "console" else []
+        for command, _, answer in (part.partition("\n") for part in parts):
+            yield command, answer
 
 
-def fences(text: str) -> tuple[Fence, ...]:
-    """The blocks of a text."""
-    found = re.finditer(r"^```(\w+)\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
-    return tuple(Fence(*block.groups()) for block in found)
+def fences(page: Path) -> tuple[Fence, ...]:
+    """The fenced blocks of a page."""
+    blocks = re.finditer(r"^```(\w+)\n(.*?)^```$", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    return tuple(Fence(*block.groups()) for block in blocks)
 
 
-EXAMPLES = {page.stem: fences(page.read_text(encoding="utf-8")) for page in ADDING}
+EXAMPLES = {page.stem: fences(page) for page in ADDING}
 
 
 @pytest.fixture
@@ -94,33 +93,28 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def typed(folder: Path, command: str) -> str:
-    """What a command answers in a copy of the house; it must succeed."""
+def run(folder: Path, command: str) -> str:
+    """Return the output of a command in a copy of the house; it must succeed."""
     paths = os.pathsep.join((str(folder / "bin"), os.environ.get("PATH", "")))
     environment = os.environ | {"PYTHONPATH": str(folder), "PATH": paths}
-    ended = subprocess.run(
-        command, shell=True, cwd=folder, env=environment, capture_output=True, text=True, timeout=300
-    )
+    options = {"cwd": folder, "env": environment, "capture_output": True, "text": True, "timeout": 300}
+    ended = subprocess.run(command, shell=True, **options)
     assert ended.returncode == 0, f"$ {command}\n{ended.stdout}{ended.stderr}"
     return ended.stdout
 
 
-def applied(folder: Path, fence: Fence) -> None:
-    """A block without its commands: written where its first line says, or changed as the diff says."""
+def apply(folder: Path, fence: Fence) -> None:
+    """Write a block where its first line says, or apply its diff; the removed text must stand there once."""
     if fence.file:
         (folder / fence.file).write_text(fence.text.partition("\n")[2], encoding="utf-8")
-    if fence.language == "diff":
-        change(folder, fence.text)
-
-
-def change(folder: Path, diff: str) -> None:
-    """Apply a diff without line numbers; what it takes away, with what stands around, must stand there once."""
-    first, *lines = diff.splitlines(keepends=True)
+    if fence.language != "diff":
+        return
+    first, *lines = fence.text.splitlines(keepends=True)
     path = folder / first.removeprefix("--- ").strip()
     text = path.read_text(encoding="utf-8")
     for hunk in "".join(lines).split("@@\n"):
         parts = [(line[0], line[1:]) for line in hunk.splitlines(keepends=True)]
-        old, new = ("".join(rest for mark, rest in parts if mark in (" ", side)) for side in "-+")
+        old, new = ("".join(part for mark, part in parts if mark in (" ", side)) for side in "-+")
         assert text.count(old) == 1, f"{first}{old}stands there {text.count(old)} times"
         text = text.replace(old, new)
     path.write_text(text, encoding="utf-8")
@@ -131,31 +125,26 @@ def change(folder: Path, diff: str) -> None:
 def test_example_says_what_the_page_says(name: str, copy: Path) -> None:
     checker = doctest.OutputChecker()
     for fence in EXAMPLES[name]:
-        applied(copy, fence)
-        for command, answer in fence.commands() if fence.language == "console" else ():
-            found = typed(copy, command)
-            assert checker.check_output(answer, found, SAME), f"$ {command}\n{found}"
+        apply(copy, fence)
+        for command, answer in fence.commands():
+            output = run(copy, command)
+            assert checker.check_output(answer, output, SAME), f"$ {command}\n{output}"
 
 
 @pytest.mark.slow
 def test_all_examples_together_keep_the_rules_of_the_house(copy: Path) -> None:
     new = []
     for fence in (fence for blocks in EXAMPLES.values() for fence in blocks):
-        applied(copy, fence)
-        for command, _ in fence.commands() if fence.language == "console" else ():
+        apply(copy, fence)
+        for command, _ in fence.commands():
             if command.startswith("mv "):
-                typed(copy, command)
+                run(copy, command)
                 new.append(command.split()[-1])
         new += re.findall(r"^\+class (\w+)", fence.text, flags=re.MULTILINE) if fence.language == "diff" else []
     assert len(new) == len(EXAMPLES), "each page moves one file or one class into the house"
-    typed(copy, "python -m pytest -q -x tests/contracts/test_architecture.py -k 'keeps_the_rule or reached or twelve'")
-    typed(copy, "ruff check lampest && ruff format --check lampest")
-    typed(copy, "mypy")
-
-
-@pytest.mark.parametrize("page", ADDING, ids=lambda page: page.stem)
-def test_example_ends_in_a_checklist(page: Path) -> None:
-    assert page.read_text(encoding="utf-8").splitlines()[-1].startswith(("- [ ] ", "      "))
+    run(copy, "python -m pytest -q -x tests/contracts/test_architecture.py -k 'keeps_the_rule or reached or twelve'")
+    run(copy, "ruff check lampest && ruff format --check lampest")
+    run(copy, "mypy")
 
 
 def indented(page: Path) -> list[str]:
@@ -164,26 +153,20 @@ def indented(page: Path) -> list[str]:
     return [textwrap.dedent(block).strip() + "\n" for block in blocks]
 
 
-def fenced(page: Path, language: str) -> list[str]:
-    """The fenced blocks of a page in a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-
-
 @pytest.mark.parametrize("page", [README, PYTHON], ids=lambda page: page.name)
 def test_python_of_a_page_runs(page: Path, tmp_path: Path) -> None:
-    blocks = fenced(page, "python") + [block for block in indented(page) if block.startswith("import lampest")]
+    blocks = [block for language, block in fences(page) if language == "python"]
+    blocks += [block for block in indented(page) if block.startswith("import lampest")]
     assert blocks
     (tmp_path / "data").symlink_to(REPOSITORY / "data")
+    (tmp_path / "lampest").symlink_to(REPOSITORY / "lampest")
     (tmp_path / "page.py").write_text("\n".join(blocks), encoding="utf-8")
-    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
-    command = (sys.executable, "page.py")
-    ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
-    assert ended.returncode == 0, ended.stderr
+    run(tmp_path, f"{sys.executable} page.py")
 
 
 def test_keys_of_a_run_on_any_page_are_read(tmp_path: Path) -> None:
     """Blocks of YAML that begin with estimators, sweep or executor stand in a run's file."""
-    blocks = [block for page in PAGES for block in fenced(page, "yaml")]
+    blocks = (block for page in PAGES for language, block in fences(page) if language == "yaml")
     entries = [block for block in blocks if re.match("estimators:|sweep:|executor:", block)]
     assert len(entries) > 6
     for block in entries:
@@ -255,36 +238,21 @@ def test_glossary_says_truly_where_things_are_defined() -> None:
             assert all(re.search(rf"\b{part}\b", text) for part in name.split(".")), f"{path}: {name}"
 
 
-def test_scenes_of_the_readouts_page_are_scenes(tmp_path: Path) -> None:
-    blocks = fences(READOUTS.read_text(encoding="utf-8"))
-    assert len(blocks) >= 4, "one for each kind"
-    for fence in blocks:
-        file = tmp_path / "scene.yaml"
-        file.write_text(fence.text, encoding="utf-8")
-        assert read_scene(file).readout is not None, fence.text
-
-
-def test_the_readouts_page_has_every_kind_and_its_drawings() -> None:
-    """Kinds as lampest's face has them; drawings that are there."""
-    page = READOUTS.read_text(encoding="utf-8")
+def test_the_readouts_page_has_every_kind_scenes_that_are_read_and_its_drawings(tmp_path: Path) -> None:
+    page, blocks = READOUTS.read_text(encoding="utf-8"), fences(READOUTS)
     kinds = [getattr(lampest, name).kind for name in dir(lampest) if name.endswith("Readout") and name != "Readout"]
-    assert len(kinds) >= 4 and all(f"kind: {kind}" in page for kind in kinds)
+    assert len(blocks) >= len(kinds) >= 4 and all(f"kind: {kind}" in page for kind in kinds)
+    for fence in blocks:
+        (tmp_path / "scene.yaml").write_text(fence.text, encoding="utf-8")
+        assert read_scene(tmp_path / "scene.yaml").readout is not None, fence.text
     drawings = re.findall(r"\]\((circuits/\w+\.svg)\)", page)
     assert drawings and all((READOUTS.parent / drawing).is_file() for drawing in drawings)
 
 
-SCRIPTS = sorted((Path(__file__).parents[2] / "docs/examples").glob("plot_*.py"))
-
-
-def test_there_are_ten() -> None:
-    assert len(SCRIPTS) == 10
-
-
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
-def test_script_is_short_and_public(script: Path) -> None:
-    text = script.read_text(encoding="utf-8")
-    assert len(text.splitlines()) < 40
-    assert not re.search(r"from lampest\.|import lampest\.", text)
+def test_example_scripts_are_ten_short_and_public() -> None:
+    texts = [path.read_text(encoding="utf-8") for path in (DOCS / "examples").glob("plot_*.py")]
+    assert len(texts) == 10 and all(len(text.splitlines()) < 40 for text in texts)
+    assert not any(re.search(r"from lampest\.|import lampest\.", text) for text in texts)
 
 
 PROSE = sorted(
@@ -292,8 +260,6 @@ PROSE = sorted(
     for path in [*REPOSITORY.glob("*.md"), *(REPOSITORY / "docs").rglob("*.md"), REPOSITORY / "paper/paper.md"]
     if "_build" not in path.parts and path.name not in ("licences.md", "CODE_OF_CONDUCT.md")
 )
-CONFIGS = sorted((REPOSITORY / "configs").glob("*.yaml"))
-CODE = sorted((REPOSITORY / "lampest").rglob("*.py"))
 NOT_PLAIN = re.compile(
     r"\b(un?told|says nothing of|leaps?|leapt|torn|bends|gropes?|groping|what [^.,;:|\[]{1,40} what)\b",
     re.IGNORECASE,
@@ -331,21 +297,19 @@ def test_pages_are_plain_and_their_sentences_short(page: Path) -> None:
     assert not [sentence for sentence in every if len(re.findall(r"\w[\w.'’-]*", sentence)) > MOST_WORDS]
 
 
-@pytest.mark.parametrize("path", CONFIGS, ids=names)
-def test_comments_of_configurations_are_plain(path: Path) -> None:
-    comments = "\n".join(re.findall(r"(?:^|\s)#(.*)$", path.read_text(encoding="utf-8"), flags=re.MULTILINE))
-    assert not [found[0] for found in NOT_PLAIN.finditer(comments)]
-
-
-def test_messages_and_docstrings_are_plain() -> None:
-    found = [
-        f"{names(path)}:{node.lineno}: {word[0]}"
-        for path in CODE
+def test_comments_of_configurations_messages_and_docstrings_are_plain() -> None:
+    comments = (
+        (path, comment)
+        for path in (REPOSITORY / "configs").glob("*.yaml")
+        for comment in re.findall(r"(?:^|\s)#(.*)$", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    )
+    texts = (
+        (path, node.value)
+        for path in (REPOSITORY / "lampest").rglob("*.py")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value
-        for word in NOT_PLAIN.finditer(node.value)
-    ]
-    assert not found
+    )
+    assert not [(path, word[0]) for path, text in (*comments, *texts) for word in NOT_PLAIN.finditer(text)]
 
 
 def test_every_word_is_spelt_right() -> None:
@@ -354,9 +318,3 @@ def test_every_word_is_spelt_right() -> None:
     command = [sys.executable, "-m", "codespell_lib", *options, "lampest", "docs", "configs", "paper", *pages]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
-
-
-def test_the_list_finds_what_it_should() -> None:
-    assert NOT_PLAIN.search("the scene is told of it") is None or NOT_PLAIN.search("an untold error")
-    assert NOT_PLAIN.search("readings that leap") and not NOT_PLAIN.search("a bending moment")
-    assert list(sentences("One. Two `a. b` is here: Three.")) == ["One.", "Two code is here:", "Three."]

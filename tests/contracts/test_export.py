@@ -3,8 +3,6 @@
 import csv
 import dataclasses
 import json
-import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -30,7 +28,6 @@ from lampest import (
 
 START = "2026-05-04T09:30:00+02:00"
 Run = Callable[..., SimpleNamespace]
-OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
 
 
 def with_error_bars(case: CaseResult) -> CaseResult:
@@ -170,26 +167,6 @@ def test_mat_is_what_scipy_reads(lampest: Run, results: Path) -> None:
     assert held[0]["start_time"] == START
 
 
-@pytest.mark.skipif(OCTAVE is None, reason="there is no Octave here: apt-get install octave")
-def test_octave_reads_the_mat_file_and_the_results_themselves(lampest: Run, results: Path) -> None:
-    """Both give every cell, dimensions the other way round where HDF5 is read as it is."""
-    path = exported(lampest, results, "mat")
-    case = read_results(results).cases[0]
-    program = (
-        f"one = load('{path}').cases{{1}}; two = load('{results}').entry.('{case.recording}').('{case.estimator}');"
-        "printf('%s %s ', one.estimator, one.units.cell_resistance); printf('%.17g ', one.cell_resistance(:));"
-        "printf('%.17g ', permute(two.cell_resistance, [3 2 1])(:));"
-    )
-    ended = subprocess.run(
-        [str(OCTAVE), "--no-init-file", "--eval", program], capture_output=True, text=True, timeout=60
-    )
-    assert ended.returncode == 0, ended.stderr
-    estimator, unit, *numbers = ended.stdout.split()
-    assert (estimator, unit) == (case.estimator, "ohm")
-    cells = case.cell_resistance.ravel(order="F")
-    assert_array_equal(np.array(numbers, dtype=float), np.concatenate([cells, cells]))
-
-
 def test_zarr_is_what_xarray_reads(lampest: Run, results: Path) -> None:
     import xarray
     from zarr.storage import ZipStore
@@ -205,33 +182,6 @@ def test_zarr_is_what_xarray_reads(lampest: Run, results: Path) -> None:
         assert found["saturated"].isnull().any(["row", "column"]).values.tolist() == [False, True, False]
         assert "two_point_model" in found and "reading_model" not in found
         assert found.attrs["start_time"] == START
-
-
-@pytest.mark.slow
-def test_nwb_is_what_pynwb_reads(lampest: Run, results: Path) -> None:
-    from pynwb import read_nwb, validate
-
-    path = exported(lampest, results, "nwb", "--recording", "mouth")
-    assert not validate(path=str(path))
-    session = read_nwb(str(path))
-    assert session.session_start_time.isoformat() == START and session.session_id == "mouth"
-    cases = read_results(results).of("mouth")
-    assert set(session.processing) == {"LSM", "LSR-gCR"}
-    assert_array_equal(session.acquisition["measured"].data[:], cases[0].measured)
-    for case in cases:
-        module = session.processing[case.estimator]
-        series = module["cell_resistance"]
-        assert_array_equal(series.data[:], case.cell_resistance)
-        assert_array_equal(series.timestamps[:], case.time)
-        assert series.unit == "ohm"
-        assert_array_equal(module["open_cell"].data[:], shown(case, "open_cell"))
-        assert_array_equal(module["two_point_model"].data[:], case.reading_model)
-        assert "1: cannot be told from open" in module["open_cell"].description
-        assert tuple(module["frames"]["status"].data[:]) == case.status
-        cells = module["cells"].to_dataframe()
-        assert_array_equal(cells.baseline_resistance, case.baseline_resistance.ravel())
-        assert_array_equal(cells.x_mm, 10 * cells.column)
-    session.read_io.close()
 
 
 @pytest.mark.parametrize(

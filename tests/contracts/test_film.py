@@ -1,6 +1,5 @@
 """Films that remember, and responses from known loads, as a user meets them: files, commands, results, sentences."""
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -85,56 +84,12 @@ def test_tare_makes_other_frames_the_unloaded_ones_and_says_where_something_came
 
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-FRESH = """\
-schema: 1
-seed: 11
-scene:
-  panel: {rows: 6, columns: 6, pitch_mm: 10}
-  readout: {kind: two_point, adc_bits: 10, readings: 20, noise_lsb: 0.7}
-  series_resistance_ohm: 140
-frames: 2
-loads:
-  - {kind: rod, centre_mm: [12, 13], diameter_mm: 22, mass_g: 130}
-  - {kind: rod, centre_mm: [37, 36], diameter_mm: 25, mass_g: 300}
-course: {approach_s: 0}
-unmodelled: {response_spread: 0.25}
-output: fresh.h5
-"""
 
 
 @pytest.fixture
 def rods(tmp_path: Path, lampest: Command) -> list[Path]:
     assert lampest("simulate", CONFIGS / "known_loads.yaml", "--out", tmp_path / "rods").code == 0
     return sorted((tmp_path / "rods").glob("rod_*.h5"))
-
-
-@pytest.mark.slow
-def test_the_shipped_example_makes_pressures_of_fresh_loads_better(
-    rods: list[Path], tmp_path: Path, lampest: Command
-) -> None:
-    scene = tmp_path / "scene.yaml"
-    ended = lampest("calibrate", *rods, "--loads", CONFIGS / "known_loads.csv", "--out", scene)
-    assert (ended.code, ended.err) == (0, "")
-    assert ended.out.startswith("response from 9 loads on 36 of 36 cells: gains spread by ")
-    (tmp_path / "fresh.yaml").write_text(FRESH)
-    assert lampest("simulate", tmp_path / "fresh.yaml").code == 0
-    fresh, errors = public.Recording.load(tmp_path / "fresh.h5"), {}
-    told = dataclasses.replace(fresh, scene=public.read_scene(scene))
-    published = dataclasses.replace(fresh.scene, response=public.PublishedResponse())
-    for name, recording in (("naive", dataclasses.replace(fresh, scene=published)), ("ours", told)):
-        found = public.reconstruct(recording, [public.Misfit()], formulation="reduced")
-        truth = recording.truth_pressure[found.frame]
-        errors[name] = np.sqrt(np.mean((found.pressure - truth)[truth > 1] ** 2))
-        if name == "ours":
-            inside = (found.pressure_lower <= truth) & (truth <= found.pressure_upper)
-            assert np.mean(inside) > 0.9
-            found.save(tmp_path / "results.h5")
-    assert errors["ours"] < 0.5 * errors["naive"]
-    told.save(tmp_path / "told.h5")
-    (line,) = [line for line in lampest("info", tmp_path / "told.h5").out.splitlines() if line.startswith("response")]
-    assert "kind table" in line and "gain 0." in line and len(line) < 200
-    picture = lampest("plot", tmp_path / "results.h5", "--show", "pressure", "--out", tmp_path / "plots")
-    assert picture.code == 0, picture.err
 
 
 def test_yaml_says_the_same_as_csv_and_without_out_the_scene_is_printed(

@@ -1,7 +1,5 @@
 """Readings that are missing, at a rail or beyond what bounds allow: they refuse nothing, and sentences say so."""
 
-import csv
-import html
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -86,51 +84,11 @@ def test_a_batch_costs_what_cannot_be_read_and_no_more(batch: Path, lampest: Com
         assert np.all(file["entry/healthy/recording/missing_readings"][()] == 0)
 
 
-@pytest.mark.slow
-def test_counts_stand_in_info_table_and_page(batch: Path, lampest: Command) -> None:
-    said = lampest("info", batch / "holes.h5").out
-    assert "27 readings missing (19 %), 3 at a rail, zero or below the series resistance (2.1 %), in 4 of 7 " in said
-    assert "1 of 7 frames have too few values" in said
-    assert "missing" not in lampest("info", batch / "healthy.h5").out
-    lampest("run", batch / "run.yaml", "--out", batch / "out", "--jobs", "1")
-    results = batch / "out" / "results.h5"
-    assert "26 readings missing" in lampest("info", results).out
-    page = batch / "page.html"
-    ended = lampest("compare", results, "--csv", batch / "table.csv", "--report", page)
-    assert ended.code == 0, ended.err
-    rows = {
-        (row["recording"], row["estimator"]): row
-        for row in csv.DictReader((batch / "table.csv").read_text().split("\n"))
-    }
-    assert [rows["holes", "LSM"][name] for name in ("missing readings", "bound readings")] == ["26", "3"]
-    assert [rows["healthy", "LSM"][name] for name in ("missing readings", "bound readings")] == ["0", "0"]
-    # The network explains every value to its noise; a bound or a hole would make it thousands of percent.
-    assert float(rows["holes", "LSM"]["data error mean [%]"]) < 1.0
-    text = html.unescape(page.read_text())
-    assert "missing readings" in text and TOO_FEW in text
-    assert lampest("plot", results, "--out", batch).code == 0
-    assert lampest("detect", results, "--out", batch / "seen").code == 0
-
-
 def test_a_row_that_never_answers_is_named(tmp_path: Path, lampest: Command) -> None:
     values = healthy(4)
     values[:, 2] = np.nan
     said = lampest("info", recorded(tmp_path / "row.h5", values)).out
     assert "35 readings missing (25 %), in 7 of 7 frames; row 2 has none" in said
-
-
-@pytest.mark.slow
-def test_a_loop_of_ones_own_goes_on() -> None:
-    values = with_holes()
-    resting = lampest.Readings.of(SCENE, values[:2]).mean()
-    stream = lampest.Stream.begin(lampest.Estimator((lampest.Misfit(),), "reduced"), SCENE, 1.0, resting)
-    ended = []
-    for frame in values[2:]:
-        stream, step = stream.push(lampest.Readings.of(SCENE, frame))
-        ended.append(step.status)
-        assert np.isnan(step.cell_resistance).all() == (step.status == TOO_FEW)
-    assert [status == TOO_FEW for status in ended] == [False, False, True, False, False]
-    assert abs(stream.previous[1, 2] / 700.0 - 1) < 0.05
 
 
 @pytest.mark.parametrize("terms", [(lampest.Misfit(),), (lampest.Misfit(), lampest.RelativeChange(weight=10.0))])
@@ -234,17 +192,3 @@ def test_frames_taken_together_tell_it_too() -> None:
     terms = [lampest.Misfit(weighting="noise", loss=lampest.Huber(corner=4.0))]
     found = lampest.reconstruct(recording, terms, formulation="smoother", bounds=lampest.Bounds(upper=5000.0))
     assert all(status.startswith(HELD) for status in found.status), found.status
-
-
-def test_results_hold_cells_and_sentence(tmp_path: Path) -> None:
-    """As a user reads it: an estimate, with flags, and no frame that says verified."""
-    loaded = cells()
-    loaded[1, 2] = 9000.0
-    found = lampest.reconstruct(
-        exactly(PLAIN, cells(), loaded), [lampest.Misfit()], formulation="reduced", bounds=lampest.Bounds(upper=5000.0)
-    )
-    found.save(tmp_path / "results.h5")
-    with h5py.File(tmp_path / "results.h5") as file:
-        [group] = [group for group in file["entry/exact"].values() if "status" in group]
-        assert group["status"].asstr()[0].startswith(HELD)
-        assert np.isfinite(group["cell_resistance"][0]).all() and group["open_cell"][0, 1, 2] == 1

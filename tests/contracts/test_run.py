@@ -18,7 +18,6 @@ import pytest
 from lampest import CaseResult, InputError, read_results, read_run, term_types
 
 ROOT = Path(__file__).parents[2]
-COMMAND = Path(sys.executable).with_name("lampest")
 Command = Callable[..., SimpleNamespace]
 
 
@@ -109,21 +108,6 @@ def test_one_run_at_a_time_in_a_folder(disk: SimpleNamespace, lampest: Command) 
         assert (busy.code, busy.out, busy.err) == (2, "", f"lampest: {out}: another run is using this folder\n")
         assert [path.name for path in out.iterdir()] == [".lock"]
     assert lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1").code == 0
-
-
-@pytest.mark.slow
-def test_two_runs_into_one_folder_at_once(disk: SimpleNamespace) -> None:
-    """Either one waits for none and refuses, or it comes late and finds all done; the results are whole."""
-    command = [COMMAND, "run", str(disk.folder / "run.yaml"), "--out", str(disk.folder / "out"), "--jobs", "2"]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    both = [subprocess.Popen(command, **pipes) for _ in range(2)]
-    written = [run.communicate(timeout=120) for run in both]
-    for run, (out, err) in zip(both, written, strict=True):
-        if run.returncode:
-            assert (run.returncode, out) == (2, "")
-            assert err == f"lampest: {disk.folder / 'out'}: another run is using this folder\n"
-    assert 0 in [run.returncode for run in both]
-    assert [case.estimator for case in cases(disk.folder / "out")] == ["LSM", "LSR-CR", "LSR-dCR"]
 
 
 def test_a_sweep_varies_an_estimator_over_its_own_keys_and_all_over_the_others(disk: SimpleNamespace) -> None:
@@ -219,18 +203,6 @@ def test_shipped_runs_are_in_order(name: str) -> None:
 
 PROGRESS = r"lampest: (\d+ cases? to solve|\d+ of \d+).*\n"  # lines that a slow machine sees
 INTERRUPTED = "lampest: interrupted; what was finished is kept\n"
-
-
-@pytest.mark.slow
-def test_a_running_cluster_is_used_by_its_address(disk: SimpleNamespace, lampest: Command) -> None:
-    import distributed
-
-    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0", "host": "127.0.0.1"}
-    with distributed.LocalCluster(**options) as cluster:
-        path = disk.run(disk.text + f"executor: {{kind: dask, address: '{cluster.scheduler_address}'}}\n")
-        ended = lampest("run", path, "--out", disk.folder / "out", "--set", "formulation=reduced")
-        assert (ended.code, re.sub(PROGRESS, "", ended.err)) == (0, "") and "3 cases solved" in ended.out
-        assert len(cluster.scheduler.workers) == 1
 
 
 def test_missing_library_is_one_sentence(

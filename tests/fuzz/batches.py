@@ -1,11 +1,10 @@
-"""A batch in processes of its own, to be killed and starved; what it must leave behind."""
+"""A batch in processes of its own, to be killed; the results that it must leave behind."""
 
 import os
 import re
 import signal
 import subprocess
 import time
-from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ import psutil
 from lampest import Panel, Recording, Scene, TwoPointReadout, two_point_resistance
 from tests.small_files import COMMAND
 
-WHOM = ("command", "all", "worker")
+VICTIMS = ("command", "all", "worker")
 TIMES = ("solve_time", "error_bar_time", "baseline_solve_time_s")
 RUN = """\
 schema: 1
@@ -33,34 +32,33 @@ estimators:
 
 @dataclass(frozen=True)
 class Batch:
-    """A run's file and how many cases it makes."""
+    """A run's file and the count of its cases."""
 
     path: Path
-    cases: int
+    count: int
 
     def start(self, out: Path, jobs: int) -> subprocess.Popen[str]:
-        """The command as the leader of a session, so that its processes are known."""
+        """Start the command as the leader of a session, so that its processes are known."""
         command = [str(COMMAND), "run", str(self.path), "--out", str(out), "--jobs", str(jobs)]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         return subprocess.Popen(
             command,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
+            **pipes,
             start_new_session=True,
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         )
 
-    def finish(self, out: Path, jobs: int = 1) -> str:
-        """Run to the end; what was printed."""
+    def finish(self, out: Path, jobs: int = 1) -> dict[str, Any]:
+        """Run to the end and return the content of the results."""
         run = self.start(out, jobs)
-        printed, said = run.communicate(timeout=300)
-        assert (run.returncode, without_progress(said)) == (0, []), (run.returncode, said)
-        return printed
+        _, stderr = run.communicate(timeout=300)
+        assert (run.returncode, without_progress(stderr)) == (0, []), (run.returncode, stderr)
+        return content(out / "results.h5")
 
 
-def without_progress(said: str) -> list[str]:
-    """Lines on standard error; a machine that is slow sees how far a run is, too."""
-    return [line for line in said.splitlines() if not re.match(r"lampest: (\d+ cases? to solve|\d+ of \d+)", line)]
+def without_progress(stderr: str) -> list[str]:
+    """Lines on standard error; a slow machine prints lines of progress, too."""
+    return [line for line in stderr.splitlines() if not re.match(r"lampest: (\d+ cases? to solve|\d+ of \d+)", line)]
 
 
 def batch(folder: Path, frames: int = 6, weights: tuple[float, ...] = (1e-4, 1e-2)) -> Batch:
@@ -73,7 +71,7 @@ def batch(folder: Path, frames: int = 6, weights: tuple[float, ...] = (1e-4, 1e-
 
 
 def write_recording(path: Path, frames: int, seed: int) -> None:
-    """One unloaded frame, then others, of 6 × 7 cells."""
+    """One unloaded frame and measured ones, of 6 × 7 cells."""
     rng, scene = np.random.default_rng(seed), Scene(Panel(6, 7), TwoPointReadout(), 140.0)
     cells = 3000 * np.exp(0.3 * rng.standard_normal((frames + 1, 6, 7)))
     volt = 5 * 1000 / (1000 + 140 + two_point_resistance(cells))
@@ -92,84 +90,72 @@ def session(leader: int) -> list[int]:
     return living
 
 
-def until(true: Callable[[], Any], seconds: float = 60.0) -> None:
-    """Wait until it is."""
+def until(condition: Callable[[], Any], seconds: float = 60.0) -> None:
+    """Wait for a condition."""
     deadline = time.monotonic() + seconds
-    while not true():
+    while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.01)
 
 
 def content(path: Path) -> dict[str, Any]:
-    """All that a file holds but times: path → values of datasets and attributes."""
-    held: dict[str, Any] = {}
+    """All of a file but times: path → values of datasets and attributes."""
+    values: dict[str, Any] = {}
 
-    def keep(name: str, node: Any) -> None:
+    def add(name: str, node: Any) -> None:
         if isinstance(node, h5py.Dataset) and name.rpartition("/")[2] not in TIMES:
-            held[name] = node[()]
+            values[name] = node[()]
         for key, value in node.attrs.items():
             if key not in (*TIMES, "REFERENCE_LIST", "DIMENSION_LIST"):
-                held[f"{name}@{key}"] = value
+                values[f"{name}@{key}"] = value
 
     with h5py.File(path) as file:
-        keep("/", file)
-        file.visititems(keep)
-    return held
+        add("/", file)
+        file.visititems(add)
+    return values
 
 
 def same(ours: dict[str, Any], theirs: dict[str, Any], tolerance: float = 0.0) -> None:
-    """Equal bit by bit, or to the tolerance of a solver, which a kept factor may save some iterations."""
+    """Assert equality bit by bit, or to the tolerance of a solver that a cached factor saves some iterations."""
     assert set(ours) == set(theirs)
     for name, value in ours.items():
         if tolerance and name.endswith(("/iterations", "/starts", "/kkt_residual", "@model_check")):
             continue
-        value, other = np.asarray(value), np.asarray(theirs[name])
-        assert value.dtype == other.dtype, name
+        value, expected = np.asarray(value), np.asarray(theirs[name])
+        assert value.dtype == expected.dtype, name
         if value.dtype.kind == "f":
-            np.testing.assert_allclose(value, other, rtol=tolerance, atol=tolerance, err_msg=name)
+            np.testing.assert_allclose(value, expected, rtol=tolerance, atol=tolerance, err_msg=name)
         else:
-            assert np.array_equal(value, other), name
+            assert np.array_equal(value, expected), name
 
 
 def finished(out: Path) -> int:
-    """How many cases have their result."""
+    """The count of cases that have their result."""
     return len(list((out / "cases").glob("[!.]*.h5")))
 
 
-def kill(process: subprocess.Popen[str], whom: str, rng: np.random.Generator) -> None:
-    """SIGKILL to the command alone, to all its processes, or to one of its workers."""
-    workers = [number for number in session(process.pid) if number != process.pid]
-    single = [int(rng.choice(workers))] if whom == "worker" and workers else [process.pid]
-    for target in [process.pid, *workers] if whom == "all" else single:
-        with suppress(ProcessLookupError):
-            os.kill(target, signal.SIGKILL)
-
-
-def killed_again_and_again(tmp_path: Path, made: Batch, kills: int, seed: int) -> Counter[str]:
-    """Kill as often, resume each time, and compare every folder that gets done; how often what happened."""
-    rng, counts, folder = np.random.default_rng(seed), Counter[str](), 0
-    begin = time.monotonic()
-    made.finish(tmp_path / "undisturbed", 2)
+def killed_again_and_again(tmp_path: Path, cases: Batch, kills: int) -> None:
+    """Kill the command, all its processes or a worker so often, resume each time, and compare every complete folder."""
+    rng, count, folder, begin = np.random.default_rng(kills), 0, 0, time.monotonic()
+    undisturbed = cases.finish(tmp_path / "undisturbed", 2)
     longest = time.monotonic() - begin
-    undisturbed = content(tmp_path / "undisturbed" / "results.h5")
-    while counts["kills"] < kills:
+    while count < kills:
         out = tmp_path / f"out{folder}"
-        before = finished(out)
-        run = made.start(out, int(rng.integers(1, 3)))
-        whom = WHOM[int(rng.integers(len(WHOM)))]
+        previous, run = finished(out), cases.start(out, int(rng.integers(1, 3)))
         time.sleep(float(rng.uniform(0.1 * longest, longest)))
-        alive = run.poll() is None
-        if alive:
-            kill(run, whom, rng)
-            counts.update({"kills": 1, whom: 1})
-        _, said = run.communicate(timeout=300)
-        assert "Traceback" not in said
+        if run.poll() is None:
+            victim, count = VICTIMS[int(rng.integers(len(VICTIMS)))], count + 1
+            workers = [number for number in session(run.pid) if number != run.pid]
+            single = [int(rng.choice(workers))] if victim == "worker" and workers else [run.pid]
+            for target in [run.pid, *workers] if victim == "all" else single:
+                with suppress(ProcessLookupError):
+                    os.kill(target, signal.SIGKILL)
+        _, stderr = run.communicate(timeout=300)
+        assert "Traceback" not in stderr
         until(lambda leader=run.pid: not session(leader))
-        assert finished(out) >= before
+        assert finished(out) >= previous
         if run.returncode == 0:
             same(content(out / "results.h5"), undisturbed)
-            folder, counts = folder + 1, counts + Counter(done=1)
-    made.finish(tmp_path / f"out{folder}")
-    same(content(tmp_path / f"out{folder}" / "results.h5"), undisturbed)
+            folder += 1
+    same(cases.finish(tmp_path / f"out{folder}"), undisturbed)
     assert not list(tmp_path.rglob("*.part"))
-    return counts
