@@ -1,4 +1,4 @@
-"""What an attack is, what it is directed at, and how a command is met by one."""
+"""Attacks as tests, their targets, and the commands that meet them."""
 
 import contextlib
 import io
@@ -20,11 +20,10 @@ import pytest
 from fuzz.batches import write_recording
 from support import invented_case
 
-from lampest.runs.results import write_results
+from lampest import write_results
 
 HOUSE = Path(__file__).parents[2]
-MAIN = "from lampest.cli import main; main()"
-LONGEST_SENTENCE = 1_000
+MAX_SENTENCE = 1_000
 HELD = ""
 SEED = int(os.environ.get("ATTACK_SEED", "1"))  # another one chooses other damage
 
@@ -34,9 +33,9 @@ Tries = Callable[[Rng, Path, int], Outcomes]
 
 
 def attack(quick: int = 1, full: int = 1) -> Callable[[Tries], Callable[..., None]]:
-    """Make a test of tries (generator, empty folder, how many), each HELD, or a sentence on what fell.
+    """Make a test of tries (generator, empty folder, count), each HELD or a sentence on the failure.
 
-    quick : how many in `make test`; 0: none. full : how many under the mark `soak`.
+    quick : count in `make test`; 0: none. full : count under the mark `soak`.
     """
     counts = [pytest.param(quick, marks=[] if quick else pytest.mark.soak), pytest.param(full, marks=pytest.mark.soak)]
 
@@ -55,7 +54,7 @@ def attack(quick: int = 1, full: int = 1) -> Callable[[Tries], Callable[..., Non
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended: code (negative: a signal that killed it), what it said, seconds, most bytes."""
+    """An ended command: code (negative: a signal that killed it), output, errors, seconds, most bytes."""
 
     code: int
     out: str
@@ -64,28 +63,32 @@ class Ended:
     peak: int
 
     def refused(self, *words: str) -> str:
-        """HELD where it was refused: code 2, one line that holds the words."""
+        """Return HELD where it was refused: code 2, one line that holds the words."""
         sentence = self.err.startswith("lampest: ") and self.err.count("\n") == 1 and self.err.endswith("\n")
-        if self.code != 2 or not sentence or self.out or len(self.err) > LONGEST_SENTENCE or not printable(self.err):
-            return self.said("was not refused in one sentence")
+        if self.code != 2 or not sentence or self.out or len(self.err) > MAX_SENTENCE or not printable(self.err):
+            return self.described("was not refused in one sentence")
         missing = [word for word in words if word not in self.err]
-        return self.said(f"does not say {missing}") if missing else HELD
+        return self.described(f"does not say {missing}") if missing else HELD
 
     def survived(self) -> str:
-        """HELD where it ended in order, whether it took the input or refused it, or some of its cases failed."""
+        """Return HELD where it took the input, refused it, or reported that some cases failed."""
         if self.code == 2:
             return self.refused()
-        fine = self.code in (0, 3) and "Traceback" not in self.err and printable(self.err) and printable(self.out)
-        return HELD if fine else self.said("ended badly")
+        return HELD if self.code in (0, 3) and self.plain else self.described("ended badly")
+
+    @property
+    def plain(self) -> bool:
+        """Whether its words do nothing to a terminal and hold no traceback."""
+        return printable(self.out) and printable(self.err) and "Traceback" not in self.err
 
     def within(self, seconds: float, megabytes: float) -> str:
-        """HELD where it took no more time and memory than that."""
+        """Return HELD where it took no more time and memory than that."""
         if self.seconds <= seconds and self.peak <= megabytes * 1e6:
             return HELD
-        return self.said(f"took {self.seconds:.1f} s and {self.peak / 1e6:.0f} MB")
+        return self.described(f"took {self.seconds:.1f} s and {self.peak / 1e6:.0f} MB")
 
-    def said(self, fault: str) -> str:
-        """The fault with what the command said of it."""
+    def described(self, fault: str) -> str:
+        """Return the fault with the command's words."""
         return f"{fault}: code {self.code}, {self.out[-200:]!r} {self.err[-300:]!r}"
 
 
@@ -100,7 +103,7 @@ def printable(text: str) -> bool:
 
 
 def called(*arguments: str | Path, folder: Path) -> Ended:
-    """The command within this process, whose most bytes say nothing; for what neither hangs nor crashes it."""
+    """Call the command within this process, without measuring its memory."""
     from lampest import cli
 
     out, err, begin, code = io.StringIO(), io.StringIO(), time.monotonic(), 0
@@ -121,63 +124,53 @@ def called(*arguments: str | Path, folder: Path) -> Ended:
     return Ended(code, out.getvalue(), err.getvalue(), time.monotonic() - begin, 0)
 
 
+def environment(**changes: str) -> dict[str, str]:
+    """The environment of a process that runs this source with one thread."""
+    return os.environ | {"PYTHONPATH": str(HOUSE), "OMP_NUM_THREADS": "1"} | changes
+
+
 def command(
     *arguments: str | Path,
     folder: Path,
     seconds: float = 120.0,
     addresses: int | None = None,
     without: str = "",
-    script: str = MAIN,
     memory: str | None = None,
 ) -> Ended:
-    """The command in a process of its own, ended after so many seconds, with at most so many bytes of addresses.
+    """Run the command in a process of its own, killed after some seconds, with at most so many bytes of addresses.
 
-    without : libraries, apart by commas, that are as if they were not installed. script : what runs instead.
-    memory : the variable LAMPEST_MEMORY.
+    without : libraries, apart by commas, that are as if not installed. memory : the variable LAMPEST_MEMORY.
     """
-    blocked = f"import sys; sys.modules.update(dict.fromkeys({[*filter(None, without.split(','))]}))\n"
+    script = f"import sys; sys.modules.update(dict.fromkeys({[*filter(None, without.split(','))]}))\n"
+    script += "from lampest.cli import main; main()"
 
     def limits() -> None:
         if addresses is not None:
             resource.setrlimit(resource.RLIMIT_AS, (addresses, addresses))
 
-    environment = (
-        os.environ
-        | {"PYTHONPATH": str(HOUSE), "OMP_NUM_THREADS": "1"}
-        | ({} if memory is None else {"LAMPEST_MEMORY": memory})
-    )
-    begin = time.monotonic()
+    begin, peak = time.monotonic(), 0
     with (folder / ".out").open("w+b") as out, (folder / ".err").open("w+b") as err:
         process = subprocess.Popen(
-            [sys.executable, "-c", blocked + script, *map(str, arguments)],
+            [sys.executable, "-c", script, *map(str, arguments)],
             stdin=subprocess.DEVNULL,
             stdout=out,
             stderr=err,
             cwd=folder,
-            env=environment,
+            env=environment(**({} if memory is None else {"LAMPEST_MEMORY": memory})),
             preexec_fn=limits,
             start_new_session=True,
         )
-        code, peak = _awaited(process, begin + seconds)
-        texts = []
-        for stream in (out, err):
-            stream.seek(0)
-            texts.append(stream.read().decode("utf-8", "replace"))
+        while process.returncode is None:
+            number, status, used = os.wait4(process.pid, os.WNOHANG)
+            if number:
+                process.returncode, peak = os.waitstatus_to_exitcode(status), used.ru_maxrss * 1024
+            elif time.monotonic() > begin + seconds:
+                os.killpg(process.pid, signal.SIGKILL)
+            time.sleep(0.01)
+    texts = [(folder / name).read_bytes().decode("utf-8", "replace") for name in (".out", ".err")]
     for name in (".out", ".err"):
         (folder / name).unlink()
-    return Ended(code, *texts, time.monotonic() - begin, peak)
-
-
-def _awaited(process: "subprocess.Popen[bytes]", deadline: float) -> tuple[int, int]:
-    """(code, most bytes in memory) of a process, which is killed at the deadline."""
-    while True:
-        number, status, used = os.wait4(process.pid, os.WNOHANG)
-        if number:
-            process.returncode = os.waitstatus_to_exitcode(status)
-            return process.returncode, used.ru_maxrss * 1024
-        if time.monotonic() > deadline:
-            os.killpg(process.pid, signal.SIGKILL)
-        time.sleep(0.01)
+    return Ended(process.returncode, *texts, time.monotonic() - begin, peak)
 
 
 RUN = "schema: 1\nrecordings: [small.h5]\nestimators: {LSM: {terms: {misfit: {}}, formulation: reduced}}\n"
@@ -188,7 +181,7 @@ SIMULATION = (
 
 
 def small_folder(folder: Path) -> Path:
-    """A folder with small.h5, run.yaml, scene.yaml, simulation.yaml, table.csv and results.h5."""
+    """Make a folder with small.h5, run.yaml, simulation.yaml, table.csv and results.h5."""
     folder.mkdir(parents=True, exist_ok=True)
     write_recording(folder / "small.h5", 2, 1)
     (folder / "run.yaml").write_text(RUN)
@@ -199,12 +192,12 @@ def small_folder(folder: Path) -> Path:
 
 
 def everything(folder: Path) -> dict[str, bytes | str]:
-    """What stands in a folder: path → bytes of a file, or what else it is."""
-    found: dict[str, bytes | str] = {}
+    """Return the content of a folder: path → bytes of a file, or its kind."""
+    content: dict[str, bytes | str] = {}
     for path in sorted(folder.rglob("*")):
         name = str(path.relative_to(folder))
         if path.is_symlink():
-            found[name] = f"a link to {path.readlink()}"
+            content[name] = f"a link to {path.readlink()}"
         else:
-            found[name] = path.read_bytes() if path.is_file() else "no regular file"
-    return found
+            content[name] = path.read_bytes() if path.is_file() else "no regular file"
+    return content

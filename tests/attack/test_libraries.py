@@ -45,4 +45,4 @@ def test_commands_name_a_missing_library_that_they_need_and_work_without_all_oth
     missing = ",".join(library for library, _ in NEEDED)
     for arguments in SPARED[: count - 1]:
         ended = command(*arguments, folder=made, without=missing)
-        yield HELD if ended.code == 0 else ended.said(f"{' '.join(arguments)} without {missing}")
+        yield HELD if ended.code == 0 else ended.described(f"{' '.join(arguments)} without {missing}")

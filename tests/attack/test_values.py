@@ -127,7 +127,7 @@ def test_panels_with_hardly_any_readings_end_in_a_sentence(rng: Rng, folder: Pat
 def sensible(ended: Ended) -> str:
     """HELD where a command did its work, or said in words of the panel why not."""
     if ended.code not in (0, 2, 3) or "Traceback" in ended.err or not printable(ended.err):
-        return ended.said("ended badly")
+        return ended.described("ended badly")
     if ended.code == 2 and ended.refused():
         return ended.refused()
     return _words(ended.err)

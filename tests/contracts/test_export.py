@@ -209,8 +209,8 @@ def test_an_export_that_fails_leaves_neither_of_its_files(results: Path) -> None
     assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
 
 
-def test_who_was_measured_and_a_start_that_is_given_are_in_nwb(lampest: Run, tmp_path: Path) -> None:
-    from pynwb import read_nwb
+def test_nwb_is_what_pynwb_reads_with_who_was_measured_and_a_start_that_is_given(lampest: Run, tmp_path: Path) -> None:
+    from pynwb import read_nwb, validate
 
     case = invented_case("LSM", "mouth", (2, 3, 4))
     scene = dataclasses.replace(
@@ -219,13 +219,27 @@ def test_who_was_measured_and_a_start_that_is_given_are_in_nwb(lampest: Run, tmp
         experiment=Experiment(title="attachment", experimenter="Doe, Jane", water_temperature_celsius=12.5),
     )
     write_results(tmp_path / "r.h5", [dataclasses.replace(case, scene=scene)])
-    session = read_nwb(str(exported(lampest, tmp_path / "r.h5", "nwb", "--start", START)))
-    assert session.session_start_time.isoformat() == START
+    path = exported(lampest, tmp_path / "r.h5", "nwb", "--start", START)
+    assert not validate(path=str(path))
+    session = read_nwb(str(path))
+    assert session.session_start_time.isoformat() == START and session.session_id == "mouth"
+    module = session.processing["LSM"]
+    series = module["cell_resistance"]
+    assert_array_equal(session.acquisition["measured"].data[:], case.measured)
+    assert_array_equal(series.data[:], case.cell_resistance)
+    assert_array_equal(series.timestamps[:], case.time)
+    assert series.unit == "ohm" and "1: cannot be told from open" in module["open_cell"].description
+    assert_array_equal(module["open_cell"].data[:], shown(case, "open_cell"))
+    assert_array_equal(module["two_point_model"].data[:], case.reading_model)
+    assert tuple(module["frames"]["status"].data[:]) == case.status
+    cells = module["cells"].to_dataframe()
+    assert_array_equal(cells.baseline_resistance, case.baseline_resistance.ravel())
+    assert_array_equal(cells.x_mm, 10 * cells.column)
     assert (session.subject.subject_id, session.subject.species) == ("L7", "Petromyzon marinus")
     assert (session.subject.weight, session.subject.description) == ("0.15 kg", "420 mm long")
     assert session.experiment_description == "attachment; water at 12.5 degrees Celsius"
     assert session.experimenter == ("Doe, Jane",)
-    described = session.processing["LSM"].description.splitlines()
+    described = module.description.splitlines()
     assert described[:2] == ["recording: mouth", "estimator: LSM"] and "lampest_version: 0.1.0" in described
     assert "scene:" not in "".join(described) and "rows: 3" in session.notes
     session.read_io.close()

@@ -1,29 +1,24 @@
 """Gives an input to its reader and says what is wrong with the way it is received."""
 
-import contextlib
 import faulthandler
-import io
-import os
 import resource
 import shutil
-import sys
 import time
 import traceback
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
+from attack.attack import MAX_SENTENCE, called
 from fuzz.mutants import IMPORTED, KINDS, RUN, Mutant, text
 
-from lampest import InputError, Recording, cli, import_file, read_results, read_run, read_scene, read_simulations
+from lampest import InputError, Recording, import_file, read_results, read_run, read_scene, read_simulations
 from lampest.recording.simulation import run as simulate
 
 FINE, REFUSED = "taken", "refused"
 MOST_SECONDS = 5.0
 MOST_KILOBYTES = 1_200_000
-LONGEST_SENTENCE = 1_000
 HUNG_SECONDS = 120
 SMALL_SIMULATION = 50_000
 
@@ -88,33 +83,16 @@ def _received(mutant: Mutant, path: Path) -> str:
 def _check_sentence(sentence: str) -> None:
     if "Unable to allocate" in sentence or "more data than the memory" in sentence:
         raise ReceptionError(f"it was tried to take that much memory: {sentence}")
-    if not sentence or len(sentence) > LONGEST_SENTENCE or not sentence.isprintable():
+    if not sentence or len(sentence) > MAX_SENTENCE or not sentence.isprintable():
         raise ReceptionError(f"no sentence of {len(sentence)} characters: {sentence[:2000]!r}")
 
 
 def _check_command(arguments: list[str], code: int) -> None:
     """The command ends with that code, and says one line on stderr where it refuses."""
-    out, err = io.StringIO(), io.StringIO()
-    with (
-        mock.patch.object(sys, "argv", ["lampest", *arguments]),
-        mock.patch.dict(os.environ),
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(err),
-    ):
-        try:
-            cli.main()
-            ended: Any = 0
-        except SystemExit as end:
-            ended = end.code or 0
-        except BaseException as error:
-            raise ReceptionError(
-                f"lampest {arguments[0]}: " + "".join(traceback.format_exception(error)[-4:])
-            ) from error
-    said = err.getvalue()
-    if ended != code or said.count("\n") != (code != 0) or (code and (out.getvalue() or "lampest: " not in said)):
-        raise ReceptionError(
-            f"lampest {arguments[0]} ended with {ended}, not {code}: {said[:2000]!r} {out.getvalue()[:200]!r}"
-        )
+    ended = called(*arguments, folder=Path.cwd())
+    lines, refused = ended.err.count("\n"), "lampest: " in ended.err and not ended.out
+    if ended.code != code or lines != (code != 0) or (code and not refused):
+        raise ReceptionError(ended.described(f"lampest {arguments[0]} must end with {code}"))
 
 
 def _setting(path: Path) -> None:
