@@ -5,6 +5,7 @@ Run it with: python -m tests.studies.equal BEFORE.h5 AFTER.h5 [--cells 1e-12]
 
 import argparse
 import sys
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -103,20 +104,18 @@ def equal(before: Path, after: Path, cells: float) -> bool:
 
 
 def show(rows: list[Row], lone: list[str], cells: float) -> None:
-    """Print the table, and below it what stands in one file only; readings appear where they differ."""
+    """Print the table, and below it the groups of one file only; readings appear where they differ."""
     width = max((len(row.name) for row in rows), default=9)
     print(f"{'':{width}}  {'cells':>9}  {'baseline':>9}  {'bars':>9}  {'weights':>9}  flags")
     for row in rows:
         if row.name.endswith("/recording") and row.agrees(cells) and not row.rest[1]:
             continue
         figures = "  ".join("        -" if np.isnan(value) else f"{value:9.1e}" for value in row.differences.values())
-        flags = f"UNEQUAL: {', '.join(row.unequal)}" if row.unequal else "equal"
         rest = f"; rest {row.rest[1]:.1e} in {row.rest[0]}" if row.rest[1] else ""
-        print(f"{row.name:{width}}  {figures}  {flags}{rest}")
-    for name in lone:
+        print(f"{row.name:{width}}  {figures}  {', '.join(row.unequal) or 'equal'}{rest}")
+    paths = Counter(path for row in rows for path in row.alone)
+    for name in (*lone, *(f"{path} of {count} groups" for path, count in sorted(paths.items()))):
         print(f"in one file only: {name}")
-    for path in sorted({path for row in rows for path in row.alone}):
-        print(f"in one file only: {path} of {sum(path in row.alone for row in rows)} groups")
     print(f"largest difference of a cell {largest(rows):.1e}, allowed {cells:.1e}")
 
 
