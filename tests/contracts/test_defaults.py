@@ -1,16 +1,12 @@
 """What somebody gets who names nothing: weights from the data, and a formulation that fits the size and the rate."""
 
-import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import lampest
 from lampest import CellResistance, Gradient, Misfit, Recording, Scene, TotalVariation
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -37,10 +33,3 @@ def test_unknown_noise_takes_the_same_rule(few: Recording) -> None:
     open_ended = lampest.reconstruct(silent, [Misfit(), Gradient()], bounds=lampest.Bounds(upper="none"))
     assert np.array_equal(found.cell_resistance, open_ended.cell_resistance)
     assert lampest.reconstruct(silent, [Misfit(), CellResistance(), TotalVariation()]).solved.all()
-
-
-@pytest.mark.parametrize("name", ["table1", "all_scenes", "sizes_run", "series_run"])
-def test_the_papers_configurations_name_theirs(name: str) -> None:
-    text = (ROOT / "configs" / f"{name}.yaml").read_text(encoding="utf-8")
-    assert re.search(r"^formulation: (nodal$|\{kind: nodal, joint: true\})", text, re.MULTILINE)
-    assert "gradient: {weight: 1e-3}" in text

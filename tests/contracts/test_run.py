@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from lampest import CaseResult, InputError, read_results, read_run, term_types
+from tests.small_files import COMMAND
 
 ROOT = Path(__file__).parents[2]
 Command = Callable[..., SimpleNamespace]
@@ -171,16 +172,10 @@ def test_recordings_are_found_relative_to_the_file_and_published_figures_travel_
     assert given.initial.time_s == 58.63 and given.following is None
 
 
-def test_terms_and_the_shipped_schema_are_shown(lampest: Command) -> None:
-    terms, schema = lampest("show", "terms"), lampest("show", "schema")
-    assert (terms.code, terms.err, schema.code, schema.err) == (0, "", 0, "")
-    for kind, term in term_types().items():
-        (line,) = (line for line in terms.out.splitlines() if line.strip().startswith(f"{kind} "))
-        assert term.unit in line and f"weight: {term().weight}" in line
+def test_the_schema_is_the_shipped_one_and_knows_every_term(lampest: Command) -> None:
     shipped = (ROOT / "configs" / "lampest.schema.json").read_text(encoding="utf-8")
-    assert schema.out == shipped, "lampest show schema > configs/lampest.schema.json"
-    words = (*term_types(), "huber", "per_pixel", "resolution", "sweep", "published")
-    assert all(f'"{word}"' in shipped for word in words)
+    assert lampest("show", "schema").out == shipped, "lampest show schema > configs/lampest.schema.json"
+    assert all(f'"{word}"' in shipped for word in (*term_types(), "huber", "per_pixel", "sweep", "published"))
 
 
 @pytest.mark.parametrize("name", ["table1", "all_scenes"])
@@ -190,7 +185,9 @@ def test_shipped_runs_are_in_order(name: str) -> None:
     recordings = {case.recording for case in run.cases}
     assert len(run.cases) == 5 * len(recordings)
     assert len(recordings) == {"table1": 2, "all_scenes": 8}[name]
-    assert path.read_text(encoding="utf-8").startswith("# yaml-language-server: $schema=lampest.schema.json\n")
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("# yaml-language-server: $schema=lampest.schema.json\n")
+    assert re.search(r"^formulation: (nodal$|\{kind: nodal, joint: true\})", text, re.MULTILINE)
     weights = {case.name: [(type(term).__name__, term.weight) for term in case.estimator.terms] for case in run.cases}
     assert weights == {
         "LSM": [("Misfit", 1)],
@@ -218,28 +215,22 @@ def test_missing_library_is_one_sentence(
 
 
 def interrupted(path: Path, out: Path, pattern: str, count: int) -> tuple[int, str, str]:
-    """Code, output and errors of a run that Ctrl-C reaches, as all of its processes, once there are so many files."""
-    run = subprocess.Popen(
-        [Path(sys.executable).with_name("lampest"), "run", path, "--out", out],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        # Shells start background jobs with Ctrl-C ignored, and children inherit that.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
+    """Return code, output and errors of a run that Ctrl-C reaches, in all processes, once so many files exist."""
+    # Shells start background jobs with Ctrl-C ignored, and children inherit that.
+    options = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler)}
+    options |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
+    run = subprocess.Popen([COMMAND, "run", path, "--out", out], **options)
     deadline = time.monotonic() + 60
     while len(list((out / "cases").glob(pattern))) < count:
-        assert run.poll() is None, run.communicate()
-        assert time.monotonic() < deadline
+        assert run.poll() is None and time.monotonic() < deadline, run.communicate()
         time.sleep(0.01)
     os.killpg(run.pid, signal.SIGINT)
-    printed, complained = run.communicate(timeout=60)
+    stdout, stderr = run.communicate(timeout=60)
     with pytest.raises(ProcessLookupError):  # nothing stays running
         while time.monotonic() < deadline + 60:
             os.killpg(run.pid, 0)
             time.sleep(0.05)
-    return run.returncode, printed, re.sub(PROGRESS, "", complained)
+    return run.returncode, stdout, re.sub(PROGRESS, "", stderr)
 
 
 def large(disk: SimpleNamespace, frames: int) -> None:
