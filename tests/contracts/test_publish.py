@@ -8,7 +8,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -42,8 +42,7 @@ def free_port(kind: int = socket.SOCK_STREAM) -> int:
         return int(place.getsockname()[1])
 
 
-def there(port: int) -> bool:
-    """Whether somebody listens at a port."""
+def listens(port: int) -> bool:
     with socket.socket() as place:
         return place.connect_ex(("127.0.0.1", port)) == 0
 
@@ -54,7 +53,7 @@ def broker(folder: Path, port: int, further: str = "allow_anonymous true") -> It
     (folder / "broker.conf").write_text(f"listener {port} 127.0.0.1\n{further}\n")
     with subprocess.Popen([MOSQUITTO, "-c", folder / "broker.conf"], stderr=subprocess.DEVNULL) as running:
         try:
-            until(lambda: there(port))
+            until(lambda: listens(port))
             yield
         finally:
             running.terminate()
@@ -82,20 +81,27 @@ def subscribed(port: int) -> Iterator[list[dict[str, Any]]]:
         client.loop_stop()
 
 
-def replayed(
-    lampest: Run, where: str, frames: int = 6, speed: float = 10.0, words: tuple[str, ...] = ()
-) -> SimpleNamespace:
-    """A recording, published."""
+def replayed(lampest: Run, where: str, frames: int = 6, speed: float = 10.0, *words: str) -> SimpleNamespace:
+    """A published recording."""
     source = ("--recording", LAMPREY, "--speed", speed, "--count", frames)
     return lampest("live", *source, "--http", "127.0.0.1:0", "--publish", where, *words)
 
 
-def until(true: Callable[[], bool], seconds: float = 20.0) -> None:
-    """Wait until something is true."""
+def until(condition: Callable[[], object], seconds: float = 20.0) -> None:
     end = time.monotonic() + seconds
-    while not true():
+    while not condition():
         assert time.monotonic() < end, "it never came"
         time.sleep(0.02)
+
+
+@contextmanager
+def beside(listen: Callable[[], None]) -> Iterator[None]:
+    """A listener in a thread, which ends before the block does."""
+    thread = threading.Thread(target=listen)
+    thread.start()
+    yield
+    thread.join(60)
+    assert not thread.is_alive()
 
 
 def check_message(told: dict[str, Any]) -> None:
@@ -119,7 +125,7 @@ def test_mqtt_carries_the_message(lampest: Run, tmp_path: Path) -> None:
     with broker(tmp_path, port), subscribed(port) as came:
         done = replayed(lampest, f"mqtt://127.0.0.1:{port}/panel/one")
         assert done.code == 0 and f"mqtt://127.0.0.1:{port}/panel/one\n" in done.out
-        until(lambda: bool(came) and came[-1]["sequence"] == UNLOADED + 6)
+        until(lambda: came and came[-1]["sequence"] == UNLOADED + 6)
     numbers = [told["sequence"] for told in came]
     assert numbers == sorted(numbers) and numbers[0] > UNLOADED, "in order, unloaded ones first"
     signs = [(told["sequence"], told["detection"] and told["detection"]["sentence"], told["alarm"]) for told in came]
@@ -132,21 +138,18 @@ def test_mqtt_carries_the_message(lampest: Run, tmp_path: Path) -> None:
 @pytest.mark.slow
 @needs_broker
 def test_a_broker_that_goes_away_is_said_and_called_again(lampest: Run, tmp_path: Path) -> None:
-    port, after = free_port(), []
-    first = broker(tmp_path, port)
-    first.__enter__()
+    port, after, first = free_port(), list[dict[str, Any]](), ExitStack()
+    first.enter_context(broker(tmp_path, port))
 
-    def elsewhere() -> None:
+    def renew() -> None:
         time.sleep(3)
-        first.__exit__(None, None, None)
+        first.close()
         with broker(tmp_path, port), subscribed(port) as came:
-            until(lambda: bool(came), 40)
+            until(lambda: came, 40)
             after.extend(came)
 
-    beside = threading.Thread(target=elsewhere)
-    beside.start()
-    done = replayed(lampest, f"mqtt://127.0.0.1:{port}/panel/one", frames=20, speed=2.0)
-    beside.join()
+    with beside(renew):
+        done = replayed(lampest, f"mqtt://127.0.0.1:{port}/panel/one", frames=20, speed=2.0)
     assert done.code == 0, done.err
     assert "the broker is gone" in done.err and "the broker is back" in done.err
     assert after and "password" not in done.err
@@ -169,16 +172,13 @@ def test_websocket_carries_the_message_to_who_has_the_token(lampest: Run) -> Non
     port, came = free_port(), []
 
     def listening() -> None:
-        until(lambda: there(port))
+        until(lambda: listens(port))
         with connect(f"ws://127.0.0.1:{port}/?token={TOKEN}") as connection, suppress(ConnectionClosed):
             while True:
                 came.append(json.loads(connection.recv()))
 
-    beside = threading.Thread(target=listening)
-    beside.start()
-    words = ("--token", TOKEN)
-    done = replayed(lampest, f"websocket://0.0.0.0:{port}", frames=20, speed=4.0, words=words)
-    beside.join(20)
+    with beside(listening):
+        done = replayed(lampest, f"websocket://0.0.0.0:{port}", 20, 4.0, "--token", TOKEN)
     assert done.code == 0 and f"ws://0.0.0.0:{port}/?token={TOKEN}\n" in done.out
     assert came[-1]["sequence"] == UNLOADED + 20, "who listens gets the last frame"
     check_message(came[-1])
@@ -198,10 +198,8 @@ def test_lsl_is_a_described_stream(lampest: Run) -> None:
         came["age"] = pylsl.local_clock() - stamp
         inlet.close_stream()
 
-    beside = threading.Thread(target=listening)
-    beside.start()
-    assert replayed(lampest, "lsl://lampest-test", frames=20, speed=2.0).code == 0
-    beside.join()
+    with beside(listening):
+        assert replayed(lampest, "lsl://lampest-test", frames=20, speed=2.0).code == 0
     info, sample = came["info"], np.array(came["sample"])
     assert (info.type(), info.channel_count(), info.channel_format()) == ("Pressure", 315, pylsl.cf_float32)
     labels, units = info.get_channel_labels(), info.get_channel_units()
