@@ -328,6 +328,15 @@ def test_resistors_along_loaded_lines_tell_their_wire(kind: str) -> None:
         assert one.sigma < 1
 
 
+def test_a_drive_of_next_to_nothing_is_found_to_be_that() -> None:
+    """Ports that drive rows without a multiplexer: the fit ends at the least resistance that readouts take."""
+    rng = np.random.default_rng([18, 0])
+    board = replace(some_board("loaded_columns", (4, 4), rng), rows=np.full(4, 1e-3))
+    printed, true = some_resistors((4, 4), rng)
+    drive, _ = calibrate_resistors([recording(told("loaded_columns", (4, 4)), board, true, rng)], [printed]).numbers
+    assert drive.value < 5 * drive.sigma + 1
+
+
 SIDE, LOADS, SPREAD = 4, 8, 5.0
 TOLD = Systematic(reference_tolerance=0.01, channel_spread_ohm=SPREAD)
 

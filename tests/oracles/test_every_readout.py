@@ -10,15 +10,14 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
-from lampest import Array, Diode, Estimator, Faults, InputError, Panel, Recording, Settings, Squared, read_run, simulate
+import lampest
+from lampest import Array, Diode, Estimator, Faults, InputError, Panel, Recording, Settings, Squared, simulate
 from lampest.cost.terms import Gradient, LogRatio, Misfit
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
 from lampest.panel.scene import Scene, SeriesPerLine, Systematic
 from lampest.recording.simulation.simulation import Simulation
-from lampest.runs.batch import run_batch
-from lampest.runs.executors import Serial
-from lampest.runs.results import CaseResult, read_results
+from lampest.runs.results import read_results
 from tests.estimates import recording_of
 from tests.netlist import Node, Resistor, potentials
 
@@ -204,30 +203,18 @@ def test_a_dead_driven_line_leaves_the_model(readout: Any) -> None:
     assert_allclose(done.cell_resistance[:, sound_rows], truth_of(sound)[:, sound_rows], rtol=1e-3)
 
 
-def run_over(recording: Recording, folder: Path) -> CaseResult:
-    """Run the least squares of a recording as `lampest run` does."""
-    folder.mkdir(exist_ok=True)
-    recording.save(folder / "panel.h5")
-    (folder / "run.yaml").write_text(
-        "schema: 1\nrecordings: [panel.h5]\nformulation: reduced\nerror_bars: true\n"
-        "estimators: {LSM: {terms: {misfit: {weighting: noise}}}}\n"
-    )
-    run_batch(read_run(folder / "run.yaml"), folder / "results", Serial())
-    (case,) = read_results(folder / "results" / "results.h5").cases
-    return case
-
-
 def test_a_recording_and_its_results_are_in_volt(tmp_path: Path) -> None:
     recording = panel_of(LOADED, 1.0)
     recording.save(tmp_path / "panel.h5")
     loaded = Recording.load(tmp_path / "panel.h5")
     assert loaded.scene == recording.scene and loaded.path == "/entry/readings/volt"
     assert np.array_equal(loaded.recorded, recording.recorded)
-    case = run_over(loaded, tmp_path)
-    with h5py.File(tmp_path / "results" / "results.h5") as file:
+    lampest.reconstruct(loaded, LSM, formulation="reduced").save(tmp_path / "results.h5", name="LSM")
+    with h5py.File(tmp_path / "results.h5") as file:
         (estimator,) = (group for name, group in file["/entry/panel"].items() if name != "recording")
         assert estimator["reading_model"].attrs["units"] == b"volt" and "two_point_model" not in estimator
         assert file["/entry/panel/recording/volt"].attrs["units"] == b"volt"
+    (case,) = read_results(tmp_path / "results.h5").cases
     assert case.scene == recording.scene
     assert_allclose(case.reading_model, case.measured, rtol=1e-2)
 

@@ -55,23 +55,6 @@ def test_nothing_is_said_and_taken_off_where_nothing_is(seed: int) -> None:
     assert np.array_equal(prepared.noise.readings.value, recording.readings().value)
 
 
-@pytest.mark.parametrize(
-    ("effect", "sentence"),
-    [
-        ({"leak_ohm": 10e3, "leak_from": UNLOADED}, "kohm between neighbouring lines, since the unloaded frames"),
-        ({"leak_ohm": 2e3}, "kohm between neighbouring lines explains"),
-        ({"contact": (3, 200.0, UNLOADED)}, "200 ohm more at the contact of row 3, since the unloaded frames"),
-        ({"contact": (3, 200.0, UNLOADED + 3)}, "200 ohm more at the contact of row 3, since the unloaded frames"),
-        ({"creep": -0.03}, "cells that nobody touched changed together by -3"),
-        ({"saturated": 0.62}, "loaded channels end at the same 3.1 volt"),
-        ({"saturated": 0.585}, "of the unloaded panel too"),
-    ],
-)
-def test_what_a_panel_does_is_named(effect: dict, sentence: str) -> None:
-    said = Prepared(panel(1, **effect)).warnings
-    assert sum(sentence in line for line in said) == 1, said
-
-
 def test_channels_that_end_together_by_chance_are_no_stage_that_saturates() -> None:
     """Five of the unloaded panel's channels within the noise of the largest voltage, six a little below, others far."""
     recording = panel(3)
