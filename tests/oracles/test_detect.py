@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 from docs.studies.attachments import recording as attached
 from lampest import Array, Block, Film, OralDisc, Panel, Recording, Ring, Rod, Scene, Shape, SuctionCup, TwoPointReadout
 from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.candidates import AND, FLAT, UNIFORM, Several
+from lampest.loads.recognition.candidates import AND, UNIFORM, Several
 from lampest.loads.recognition.candidates import LOADS as SHAPED
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import (
@@ -208,15 +208,6 @@ def test_the_field_has_the_evidence_of_its_gaussian() -> None:
     expected = multivariate_normal(np.zeros(cells), spread, allow_singular=False).logpdf(frame.residual())
     constant = cells * np.log(2 * np.pi) / 2 - paid(PANEL, states(PANEL, np.zeros(PANEL.shape)))
     assert fit.evidence == pytest.approx(expected + constant, abs=0.5)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_drift_and_outliers_are_nothing(seed: int) -> None:
-    doubtful = Unmodelled(
-        channel_spread_ohm=3, reference_tolerance=0.01, drift_per_minute=0.01, outlier_probability=1e-4
-    )
-    verdicts = seen(frames_of(recorded(seed=seed, frames=6, unmodelled=doubtful)))
-    assert all(verdict.best.candidate.label in ("nothing", FLAT.label) for verdict in verdicts)
 
 
 @pytest.mark.slow

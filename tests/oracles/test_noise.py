@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
-from lampest import Estimator, Misfit, Readout, TwoPointReadout, Unmodelled, two_point_resistance
+from lampest import Estimator, Misfit, TwoPointReadout, Unmodelled, two_point_resistance
 from lampest.estimate.noise import scatter
 from lampest.estimate.outliers import detect_outliers, without_outliers
 from lampest.estimate.prepared import Prepared
@@ -363,21 +363,3 @@ def test_what_users_get_wrong_is_one_plain_line() -> None:
         (replace(fine, recorded=fine.recorded[[5, 6, 7, 5, 6, 7, 6, 5]]), "a load may lie on the panel"),
     ):
         assert sum(line in one for one in Prepared(wrong).warnings) == 1
-
-
-@pytest.mark.parametrize(
-    ("right", "wrong", "word"),
-    [
-        (TwoPointReadout(adc_bits=12), {"measured_across": "sensor"}, "reference"),
-        (lampest.LoadedColumnsReadout(adc_bits=12, readings=20), {"polarity": "down"}, "up"),
-    ],
-)
-def test_a_circuit_that_is_read_in_reverse_is_named(right: Readout, wrong: dict, word: str) -> None:
-    rod = lampest.Rod(centre_mm=(30.0, 40.0), diameter_mm=30, mass_g=850)
-    scene = Scene(Panel(7, 8), right)
-    made = simulate(Simulation(1, 1, scene, baseline_frames=5, frames=3, loads=(rod,)))
-    other = replace(scene, readout=replace(right, **wrong))
-    volt = right.volt_from_recorded(made.recorded)
-    said = Prepared(replace(made, scene=other, recorded=other.circuit.recorded_from_volt(volt), raw_sums=None)).warnings
-    assert any(f"readout.{next(iter(wrong))}: {word} (" in line for line in said)
-    assert not any("did something lie" in line for line in said)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
@@ -17,7 +16,6 @@ from lampest.studies.study import read_settings
 from tests.estimates import recording_of
 from tests.netlist import two_point_resistances
 
-Array = NDArray[np.float64]
 ROWS, COLUMNS, UNLOADED, FRAMES = 9, 10, 5, 6
 
 

@@ -268,15 +268,6 @@ def test_error_bars_say_what_errors_are(
     assert coverage[0] < np.mean(inside) < coverage[1]
 
 
-def test_samples_agree_with_matrices_along_a_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every frame's noise is new: the same samples again and again would not average out."""
-    dense = with_bars(walk(0, 2.0), Arrival())
-    monkeypatch.setattr("lampest.posterior.covariance.MAX_DENSE", 1)
-    sampled = with_bars(walk(0, 2.0), Arrival())
-    assert rms(deviation(sampled)[-1]) == pytest.approx(rms(deviation(dense)[-1]), rel=0.06)
-    assert_allclose(sampled.cell_resistance, dense.cell_resistance, rtol=0.05)
-
-
 def test_bars_know_what_huber_holds_back() -> None:
     """Cells that breathe faster than they are expected to walk lag behind: their bars must say so."""
     inside = []
