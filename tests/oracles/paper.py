@@ -103,7 +103,7 @@ def minimise(
     """The paper's solver: trust region reflective, here SciPy's."""
     shape = start.shape
     span = upper - lower
-    found = least_squares(
+    solution = least_squares(
         lambda x: residuals(x.reshape(shape)),
         np.clip(start, lower + 1e-6 * span, upper - 1e-6 * span).ravel(),
         lambda x: jacobian(x.reshape(shape)),
@@ -114,4 +114,4 @@ def minimise(
         gtol=1e-12,
         max_nfev=500,
     )
-    return np.asarray(found.x).reshape(shape)
+    return np.asarray(solution.x).reshape(shape)

@@ -113,14 +113,14 @@ def some_resistors(shape: tuple[int, int], rng: np.random.Generator) -> tuple[Ar
     return printed, printed * rng.uniform(0.99, 1.01, shape)
 
 
-def pulls(found: ResistorCalibration, board: Board) -> list[float]:
+def pulls(calibration: ResistorCalibration, board: Board) -> list[float]:
     """(found − true)/σ of every mean."""
     if board.kind == "two_point":
-        (one,) = found.numbers
-        return [(one.value - board.rows.mean() - board.columns.mean()) / one.sigma]
+        (number,) = calibration.numbers
+        return [(number.value - board.rows.mean() - board.columns.mean()) / number.sigma]
     return [
-        (one.value - true.mean()) / one.sigma
-        for one, true in zip(found.numbers, (board.rows, board.columns), strict=True)
+        (number.value - true.mean()) / number.sigma
+        for number, true in zip(calibration.numbers, (board.rows, board.columns), strict=True)
     ]
 
 
@@ -147,7 +147,7 @@ def test_resistors_of_several_values_tell_every_number_of_every_line(kind: str) 
 @pytest.mark.parametrize("kind", KINDS)
 def test_good_calibrations_are_never_refused_and_as_good_as_they_say(kind: str) -> None:
     """50 boards and sets of resistors of 1 %, 3 to 12 frames: none is refused, and errors are as large as stated."""
-    found = []
+    scores = []
     for seed in range(50):
         rng = np.random.default_rng([seed, KINDS.index(kind)])
         shape = (int(rng.integers(3, 6)), int(rng.integers(3, 6)))
@@ -155,10 +155,10 @@ def test_good_calibrations_are_never_refused_and_as_good_as_they_say(kind: str) 
         board, scene = some_board(kind, shape, rng), told(kind, shape, readings=readings, noise_lsb=noise)
         printed, true = some_resistors(shape, rng)
         frames = int(rng.integers(3, 12))
-        found += pulls(calibrate_resistors([recording(scene, board, true, rng, frames)], [printed]), board)
-    within = np.mean(np.abs(found) < 1.96)
+        scores += pulls(calibrate_resistors([recording(scene, board, true, rng, frames)], [printed]), board)
+    within = np.mean(np.abs(scores) < 1.96)
     assert within > 0.88
-    assert 0.7 < np.std(found) < 1.25
+    assert 0.7 < np.std(scores) < 1.25
 
 
 def test_three_resistors_on_a_breadboard_tell_load_and_drive() -> None:
@@ -360,10 +360,10 @@ def channel_recording(seed: int, channels: Array, reference: float = 0.0, loads:
     return recording_of(replace(scene, systematic=TOLD), recorded, 2, truth_cell_resistance=cells)
 
 
-def chi_square(found: ChannelCalibration, channels: Array, reference: float) -> float:
+def chi_square(calibration: ChannelCalibration, channels: Array, reference: float) -> float:
     """χ² over the number of errors."""
-    off = found.errors - np.concatenate([[reference], channels])
-    return float(off @ np.linalg.solve(found.covariance, off)) / len(off)
+    off = calibration.errors - np.concatenate([[reference], channels])
+    return float(off @ np.linalg.solve(calibration.covariance, off)) / len(off)
 
 
 @pytest.mark.slow

@@ -215,14 +215,14 @@ def test_the_field_has_the_evidence_of_its_gaussian() -> None:
 @pytest.mark.parametrize("ohm", [20.0, 160.0])
 def test_an_outlier_does_not_move_the_mouth(ohm: float, place: tuple[int, int]) -> None:
     """Nor do last bits, where it lies under the mouth."""
-    recording, found = recorded(MOUTH, frames=1), []
+    recording, diameters = recorded(MOUTH, frames=1), []
     for last_bits in (0.0, 1e-12):
         measured = recording.readings().value * (1 + last_bits * np.random.default_rng(1).standard_normal(PANEL.shape))
         measured[3, *place] += ohm
         verdict = seen(frames_of(recording, measured))[-1]
         assert verdict.best.candidate.label == "lamprey or cup"
-        found.append(disc_of(verdict).diameter_mm)
-    assert found[0] == pytest.approx(34, abs=0.6) and found[1] == pytest.approx(found[0], abs=0.01)
+        diameters.append(disc_of(verdict).diameter_mm)
+    assert diameters[0] == pytest.approx(34, abs=0.6) and diameters[1] == pytest.approx(diameters[0], abs=0.01)
 
 
 @pytest.mark.slow
@@ -233,8 +233,8 @@ def test_strong_suction_leaves_no_smaller_disc_possible(tmp_path: Path) -> None:
     off = Unmodelled(channel_spread_ohm=3.0, reference_tolerance=0.01, response_spread=0.25, response_loss=0.3)
     times = {"frames": 12, "baseline_frames": 5, "frame_period_s": 0.25, "course": Course(start_s=2.0)}
     simulate(Simulation(1, 1, scene, loads=(load,), unmodelled=off, **times)).save(tmp_path / "mouth.h5")
-    (found,) = detect_recording(tmp_path / "mouth.h5").attachments
-    assert found.diameter_mm[1] < 3 and abs(found.diameter_mm[0] - 32.2) < 2 * found.diameter_mm[1]
+    (attachment,) = detect_recording(tmp_path / "mouth.h5").attachments
+    assert attachment.diameter_mm[1] < 3 and abs(attachment.diameter_mm[0] - 32.2) < 2 * attachment.diameter_mm[1]
 
 
 STRONG = OralDisc(centre_mm=(37, 35), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=60)

@@ -181,14 +181,14 @@ def test_a_watch_over_modules_begins_where_theirs_stand_and_they_go_on_from_ther
     assert (inside.rested, inside.rest_s, inside.begun, inside.uneven) == (3.0, 2.5, 2.75, False)
     assert np.all(inside.test.loud == 3) and inside.window[0][0] == 2.75 and len(inside.window) == 1
     usual = np.log(2e3 * 5 / 9)
-    for found, expected in (
+    for values, expected in (
         (inside.resting, np.log(np.array([3e3, 2e3, 1.5e3]) * 5 / 9)),
         (inside.window[0][1], np.log(np.array([3e3, 2e3, 1.5e3]) * 5 / 9)),
         (inside.mean, [-1, -2, -3]),
         (inside.recent[0], [0.1, 0.2, 0.3]),
         (inside.recent[1], [0.2, 0.4, 0.6]),
     ):
-        each = layout.split(found.reshape(6, 6))
+        each = layout.split(values.reshape(6, 6))
         np.testing.assert_allclose(each[:, 1, 1], [*expected, usual], rtol=1e-9)
         assert np.ptp(each, axis=(1, 2)).max() < 1e-9
     numbers = np.arange(36.0)
@@ -201,8 +201,8 @@ def test_a_watch_over_modules_begins_where_theirs_stand_and_they_go_on_from_ther
     assert [at for *_, at in closed.opened] == [21.0] and closed.modules[1] is parts[1] and 3 not in closed.modules
     for number in (0, 2):
         own, cells = closed.modules[number], layout.split(numbers.reshape(6, 6))[number].ravel()
-        for place, found in enumerate((own.resting, own.mean, *own.recent)):
-            np.testing.assert_array_equal(found, cells + 40 * place)
+        for place, values in enumerate((own.resting, own.mean, *own.recent)):
+            np.testing.assert_array_equal(values, cells + 40 * place)
         assert (own.rest_s, own.rested, own.begun, own.uncovered_s, own.window) == (7, 8, 9, 6, left.window)
         assert own.test is parts[number].test
 
@@ -281,9 +281,9 @@ def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
 
 @pytest.mark.parametrize("curve", ["straight", "delayed"])
 def test_bars_of_suction_and_breath_contain_films_that_no_one_measured(curve: str) -> None:
-    found = [seen("mouth", 4.0, seed, attached_s=9.0, curve=curve) for seed in range(9000, 9004)]
-    suction = np.array([(one.suction - one.true_suction) / one.suction_sd for one in found])
-    depth = np.array([(one.seen_depth - one.depth) / one.depth_sd for one in found])
+    watched = [seen("mouth", 4.0, seed, attached_s=9.0, curve=curve) for seed in range(9000, 9004)]
+    suction = np.array([(answer.suction - answer.true_suction) / answer.suction_sd for answer in watched])
+    depth = np.array([(answer.seen_depth - answer.depth) / answer.depth_sd for answer in watched])
     assert np.abs(suction).max() < 2.3 and np.abs(depth).max() < 2.3
 
 
@@ -293,7 +293,7 @@ STEPS, SCALES = 40000, (0.1, 0.4, 1.0)
 
 def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) -> Array:
     """ln d along a random walk through e^−cost, (samples)."""
-    rng, found, mean, sd = np.random.default_rng(5), [], fitting.candidate.mean(SMALL), fitting.candidate.sd(SMALL)
+    rng, samples, mean, sd = np.random.default_rng(5), [], fitting.candidate.mean(SMALL), fitting.candidate.sd(SMALL)
 
     def cost_at(parameters: Array) -> float:
         error = whitening @ fitting.about(parameters, whitening).residual
@@ -305,8 +305,8 @@ def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) ->
         there = cost_at(step)
         if np.log(rng.random()) < cost - there:
             here, cost = step, there
-        found.append(here[2])
-    return np.array(found[STEPS // 5 :])
+        samples.append(here[2])
+    return np.array(samples[STEPS // 5 :])
 
 
 @pytest.mark.slow

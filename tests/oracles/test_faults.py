@@ -101,9 +101,9 @@ def holed_coverage(recording: lampest.Recording, terms: list[object]) -> tuple[f
 def test_cells_beside_one_that_was_not_read_are_held(terms: list[object]) -> None:
     """A missing reading moves all cells together, along a curve: tangents held 87 % of them over 28 such panels."""
     misfit = lampest.Misfit(weighting="noise" if terms else "plain")
-    found = [holed_coverage(with_holes(seed, 1 + seed % 2), [misfit, *terms]) for seed in range(12)]
-    assert np.mean([share for share, _ in found]) > 0.9
-    assert np.median([width for _, width in found]) < 0.3
+    coverages = [holed_coverage(with_holes(seed, 1 + seed % 2), [misfit, *terms]) for seed in range(12)]
+    assert np.mean([share for share, _ in coverages]) > 0.9
+    assert np.median([width for _, width in coverages]) < 0.3
 
 
 @pytest.mark.parametrize("term", [lampest.RelativeChange(), lampest.GradientOfRelativeChange()])

@@ -23,21 +23,21 @@ from lampest.recording.simulation import Simulation, Unmodelled, simulate
 
 def followed(plays: Plays, pressures: Array) -> Array:
     """p_e of pressures one after the other."""
-    found = []
+    effective = []
     for pressure in pressures:
-        found.append(plays.effective(np.array(pressure)))
+        effective.append(plays.effective(np.array(pressure)))
         plays = plays.after(np.array(pressure))
-    return np.array(found)
+    return np.array(effective)
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.1, 0.24, 0.5])
 @pytest.mark.parametrize("peak", [30.0, -8.0])
 def test_cycle_loads_along_the_line_and_unloads_along_the_hyperbola(gap: float, peak: float) -> None:
     share = np.linspace(0, 1, 101)
-    found = followed(Plays.at_rest(np.array(gap)), peak * np.concatenate([share, share[::-1]])) / peak
+    effective = followed(Plays.at_rest(np.array(gap)), peak * np.concatenate([share, share[::-1]])) / peak
     steep = ((1 + gap) / (1 - gap)) ** 2
-    np.testing.assert_allclose(found[:101], share, atol=1e-12)
-    back = found[101:][::-1]
+    np.testing.assert_allclose(effective[:101], share, atol=1e-12)
+    back = effective[101:][::-1]
     np.testing.assert_allclose(back, steep * share / (1 + (steep - 1) * share), atol=0.025 * gap)
     assert np.max(back - share) == pytest.approx(gap, abs=0.002)
 
@@ -84,8 +84,8 @@ def seen(recording: Recording) -> Array:
 
 def test_simulated_film_has_the_hysteresis_that_it_is_told() -> None:
     recording = recorded(Film(hysteresis=0.24))
-    pressure, found = recording.truth_pressure[:, 3, 3], seen(recording)
-    gap = found - pressure
+    pressure, effective = recording.truth_pressure[:, 3, 3], seen(recording)
+    gap = effective - pressure
     np.testing.assert_allclose(gap[:42], 0, atol=1e-9)
     assert 0.2 < gap[42:].max() / pressure.max() < 0.242  # frames come where they come
     assert gap[-15:] == pytest.approx(0, abs=1e-9)
@@ -136,10 +136,10 @@ def of_truth(recording: Recording, gap: slice = slice(0), end: int | None = None
 def test_told_film_is_taken_off() -> None:
     """A quarter of full scale remains where the scene is silent, a fiftieth where it tells; frames see moments only."""
     for told, worst in ((TRUE, 0.02), (None, np.inf)):
-        found, truth = of_truth(pressed_film(TRUE, told))
-        error = np.abs(found.pressure - truth).max() / truth.max()
+        pressed, truth = of_truth(pressed_film(TRUE, told))
+        error = np.abs(pressed.pressure - truth).max() / truth.max()
         assert error < worst and (told is not None or error > 0.24)
-        after = np.abs(found.pressure - truth)[45:].max()
+        after = np.abs(pressed.pressure - truth)[45:].max()
         assert after < 0.05 if told else after > 0.15
 
 
@@ -147,8 +147,8 @@ def test_told_film_is_taken_off() -> None:
 def test_memory_is_causal(told: Film) -> None:
     """Frames that come later change nothing."""
     recording = pressed_film(TRUE, told)
-    (found, _), (part, _) = of_truth(recording), of_truth(recording, end=33)
-    np.testing.assert_array_equal(part.pressure, found.pressure[:30])
+    (whole, _), (part, _) = of_truth(recording), of_truth(recording, end=33)
+    np.testing.assert_array_equal(part.pressure, whole.pressure[:30])
 
 
 @pytest.mark.slow
@@ -157,16 +157,16 @@ def test_intervals_hold_films_that_differ() -> None:
     told = Film(0.2, 0.05, deviation=0.25, cell_spread=0.2)
     inside = []
     for seed in range(12):
-        found, truth = of_truth(pressed_film(told, told, seed))
-        pressed = truth.max(axis=0) > 1
-        inside.append(((found.lower - 0.05 <= truth) & (truth <= found.upper + 0.05))[10:40, pressed].mean())
+        pressed, truth = of_truth(pressed_film(told, told, seed))
+        held = (pressed.lower - 0.05 <= truth) & (truth <= pressed.upper + 0.05)
+        inside.append(held[10:40, truth.max(axis=0) > 1].mean())
     assert 0.88 < np.mean(inside) < 0.995
 
 
 def test_failed_frames_leave_a_gap_and_no_more() -> None:
-    found, truth = of_truth(pressed_film(TRUE, TRUE), gap=slice(20, 23))
-    assert np.isnan(found.pressure[20:23]).all()
-    assert np.abs(found.pressure - truth)[23:].max() < 0.5
+    pressed, truth = of_truth(pressed_film(TRUE, TRUE), gap=slice(20, 23))
+    assert np.isnan(pressed.pressure[20:23]).all()
+    assert np.abs(pressed.pressure - truth)[23:].max() < 0.5
 
 
 @cache
@@ -241,9 +241,9 @@ def test_drift_of_a_film_presses_nowhere_and_is_in_its_bars() -> None:
     """A cell that nobody touches conducts more by 1 % a minute; changes are known to a thousandth."""
     time = np.arange(0.0, 300.0, 20.0)
     ratio = np.exp(-0.01 * time / 60)[:, None, None] * np.ones((2, 2))
-    found, without = (pressures(ratio, film, time, sure=0.002) for film in (OPEN_FILM, None))
-    assert not found.pressing.any() and without.pressing[5:].all()
-    assert found.lower.max() < 0 < found.upper.min()
+    with_film, without_film = (pressures(ratio, film, time, sure=0.002) for film in (OPEN_FILM, None))
+    assert not with_film.pressing.any() and without_film.pressing[5:].all()
+    assert with_film.lower.max() < 0 < with_film.upper.min()
 
 
 FILM = Film(0.2, 0.05)

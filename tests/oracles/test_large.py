@@ -127,11 +127,11 @@ def test_the_interior_point_method_ends_where_stops_at_bounds_end(
 ) -> None:
     """It puts the cells at their bounds that belong there, which leaves no search for them."""
     start = crowded(noise, seed, shape)
-    found, steps = by_interior_point(start)
+    point, steps = by_interior_point(start)
     solver = projected_newton.ProjectedNewton(start.cost, Settings())
     inside = solved_from(solver, start)
     assert (steps, inside.iterations, inside.open_cell.sum()) == (*iterations, crowd)
-    assert np.array_equal(found.cell_resistance >= found.data.upper, inside.open_cell)
+    assert np.array_equal(point.cell_resistance >= point.data.upper, inside.open_cell)
     monkeypatch.setattr(projected_newton, "by_interior_point", lambda start: (start, 0))
     stopped = solved_from(solver, start)
     assert inside.solved and inside.status is stopped.status
@@ -296,18 +296,18 @@ def test_lines_precondition_the_crosstalk() -> None:
     at = at.elsewhere(
         np.clip(at.data.readout.start(at.data.measured[0], at.data.upper[0]), at.data.lower, at.data.upper)
     )
-    found = hessian.Hessian(at, Smoothing.start(at))
+    curvature = hessian.Hessian(at, Smoothing.start(at))
     count, spread = at.cell_resistance.size, {}
     cells, free = at.cell_resistance.ravel(), np.ones(at.cell_resistance.size, dtype=bool)
     scale = sparse.diags_array(1 / cells)
-    local = sparse.csr_array(scale @ (found.penalty_matrix + sparse.diags_array(found.own)) @ scale)
+    local = sparse.csr_array(scale @ (curvature.penalty_matrix + sparse.diags_array(curvature.own)) @ scale)
     for lined in (False, True):
-        kept = TwoLevel.of(found) if lined else TwoLevel(at.cell_resistance, sparse_inverse(local))
-        assert (kept.lines is not None) == lined
-        solve = kept.over(free, at.cell_resistance)
+        preconditioner = TwoLevel.of(curvature) if lined else TwoLevel(at.cell_resistance, sparse_inverse(local))
+        assert (preconditioner.lines is not None) == lined
+        solve = preconditioner.over(free, at.cell_resistance)
         inverse = np.stack([solve(unit) for unit in np.eye(count)])
         assert_allclose(inverse, inverse.T, atol=1e-6 * np.abs(inverse).max())
-        values = linalg.eigvals(found.gauss_newton_matrix @ inverse).real
+        values = linalg.eigvals(curvature.gauss_newton_matrix @ inverse).real
         assert values.min() > 0
         spread[lined] = np.quantile(values, 0.98) / np.quantile(values, 0.02)
     assert spread[True] < 0.3 * spread[False], spread
@@ -319,13 +319,13 @@ def test_what_the_last_digits_of_the_cost_hide_is_no_way_down(
 ) -> None:
     """One cell of a large panel curves the cost by ± a share of its scale, over a change of one in log r."""
     at = pressed_patch()
-    found = hessian.Hessian(at, Smoothing.start(at))
+    curved = hessian.Hessian(at, Smoothing.start(at))
     diagonal = np.full(at.cell_resistance.size, at.cost_scale)
     diagonal[7] *= curvature
     monkeypatch.setattr(hessian.Hessian, "product", lambda self, step: diagonal * step)
     monkeypatch.setattr(hessian.Hessian, "gradient", np.where(np.arange(len(diagonal)) == 7, 1e-9, 0.0))
-    kept = TwoLevel(at.cell_resistance, lambda values: values)
-    assert certificate.certificate(found, kept).definiteness is certificate.Definiteness[named]
+    preconditioner = TwoLevel(at.cell_resistance, lambda values: values)
+    assert certificate.certificate(curved, preconditioner).definiteness is certificate.Definiteness[named]
 
 
 @pytest.mark.parametrize(
@@ -379,8 +379,8 @@ def test_the_lower_of_both_steps_is_taken_and_negative_curvature_where_there_is_
     for name, step in zip(("trust_region_step", "levenberg_step"), steps, strict=False):
         monkeypatch.setattr(projected_newton, name, lambda point, step=step: step)
     point: Any = SimpleNamespace(below_saddle=steps[2])
-    found = projected_newton.descent_step(point)
-    assert found is not None and found.objective == taken
+    descent = projected_newton.descent_step(point)
+    assert descent is not None and descent.objective == taken
     if region is not None:  # where the quadratic model is Gauss and Newton's, nothing else is tried
         trial = SimpleNamespace(objective=region, gauss_newton=2)
         monkeypatch.setattr(projected_newton, "trust_region_step", lambda point: trial)

@@ -32,10 +32,10 @@ def resting(shape: tuple[int, int] = SHAPE, seed: int = 3) -> Array:
 
 def pressed(cells: Array, strength: float = 0.2, block: tuple[slice, slice] = BLOCK) -> Array:
     """A block of cells at that share of their resistance, give or take."""
-    found = cells.copy()
+    loaded = cells.copy()
     rng = np.random.default_rng(5)
-    found[block] *= strength * np.exp(0.3 * rng.standard_normal(found[block].shape))
-    return found
+    loaded[block] *= strength * np.exp(0.3 * rng.standard_normal(loaded[block].shape))
+    return loaded
 
 
 def recording(*cells: Array, noise: float = 0.0, sigma: float = 1e-6, unloaded: int = 1) -> Recording:

@@ -177,12 +177,12 @@ def test_modules_that_are_alike_share_their_weights(monkeypatch: pytest.MonkeyPa
 def test_modules_in_threads_beside_each_other_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = simulated(scene_of(SCENE + FAULTS))
     terms = [lampest.Misfit(), lampest.CellResistance(weight=1e-7)]
-    found = []
+    results = []
     for cores in (1, 3):
         monkeypatch.setattr("lampest.estimate.batch.MIN_PANELS_PER_THREAD", 1)
         monkeypatch.setattr("os.sched_getaffinity", lambda process, cores=cores: set(range(cores)))
-        found.append(lampest.reconstruct(recording, terms, formulation="reduced").cell_resistance.tobytes())
-    assert found[0] == found[1]
+        results.append(lampest.reconstruct(recording, terms, formulation="reduced").cell_resistance.tobytes())
+    assert results[0] == results[1]
 
 
 @pytest.mark.parametrize(
@@ -301,11 +301,11 @@ def cost(recording: Recording, cells: NDArray[np.float64], frame: int, weight: f
     """Σ (R − R_m)² + λ Σ (ln r_b/r_a)²/d², written down anew."""
     layout, panel = COUPLED, recording.scene.panel
     measured = layout.split(recording.recorded[frame] - 140.0)
-    found = sum(np.sum((two_point_resistance(c) - m) ** 2) for c, m in zip(layout.split(cells), measured, strict=True))
+    misfit = sum(np.sum((two_point_resistance(c) - m) ** 2) for c, m in zip(layout.split(cells), measured, strict=True))
     x, y = (line / panel.pitch_mm for line in panel.centres_mm())
     logarithm = np.log(cells)
     steps = (np.diff(logarithm, axis=0) / np.diff(y)[:, None], np.diff(logarithm, axis=1) / np.diff(x))
-    return float(found + weight * sum(np.sum(step**2) for step in steps))
+    return float(misfit + weight * sum(np.sum(step**2) for step in steps))
 
 
 def test_what_couples_no_cells_is_as_without_coupling() -> None:
@@ -319,16 +319,16 @@ def test_what_couples_no_cells_is_as_without_coupling() -> None:
 
 def test_differences_over_seams_count_by_their_distance() -> None:
     recording, weight = taken(), 3e4
-    found, without = (one(recording, lampest.LogGradient(weight=weight)) for one in (coupled, apart))
-    assert found.solved.all()
+    estimate, uncoupled = (one(recording, lampest.LogGradient(weight=weight)) for one in (coupled, apart))
+    assert estimate.solved.all()
     random = np.random.default_rng(1)
-    for place, frame in enumerate(found.frame):
-        cells = found.cell_resistance[place]
+    for place, frame in enumerate(estimate.frame):
+        cells = estimate.cell_resistance[place]
         least = cost(recording, cells, frame, weight)
-        assert least == pytest.approx(found.steps[place].solution.objective, rel=1e-9)
+        assert least == pytest.approx(estimate.steps[place].solution.objective, rel=1e-9)
         beside = (cells * np.exp(1e-3 * random.standard_normal(cells.shape)) for _ in range(20))
         assert all(cost(recording, one, frame, weight) > least for one in beside)
-        assert cost(recording, without.cell_resistance[place], frame, weight) > 1.001 * least
+        assert cost(recording, uncoupled.cell_resistance[place], frame, weight) > 1.001 * least
 
 
 @pytest.mark.parametrize("penalty", [lampest.Gradient(weight=1e-6), lampest.TotalVariation(weight=0.1)])
@@ -393,18 +393,18 @@ def solved_together(batch: Evaluation) -> BatchOutcome:
 def test_each_panel_ends_where_the_solver_for_one_ends(terms: tuple[Term, ...], noise: float) -> None:
     batch = batch_of(terms, frames_of_panels(noise))
     assert serves(batch.cost, batch.data)
-    kept = InverseHessians.nothing(PANELS, 20)
-    found = solve(batch, kept, np.arange(PANELS), Settings())
-    assert found.solved.sum() >= PANELS - 2
-    for number in np.flatnonzero(found.solved):
-        one = batch.data.some(int(number))
-        alone = best_solution(ProjectedNewton(batch.cost, Settings()), one, np.full(one.measured.shape, 3000.0))
+    inverses = InverseHessians.nothing(PANELS, 20)
+    outcome = solve(batch, inverses, np.arange(PANELS), Settings())
+    assert outcome.solved.sum() >= PANELS - 2
+    for number in np.flatnonzero(outcome.solved):
+        data = batch.data.some(int(number))
+        alone = best_solution(ProjectedNewton(batch.cost, Settings()), data, np.full(data.measured.shape, 3000.0))
         assert alone.strict
-        scale = float(np.sum((one.measured / 1e3) ** 2))
-        assert abs(found.points.at.objectives[number] - alone.objective) <= 1e-6 * alone.objective + 1e-6 * scale
-        assert_allclose(found.points.at.cell_resistance[number], alone.cell_resistance, rtol=1e-5)
-    again = solve(found.points.at, kept, np.arange(PANELS), Settings())
-    assert again.solved[found.solved].all() and again.iterations[found.solved].max() == 0
+        scale = float(np.sum((data.measured / 1e3) ** 2))
+        assert abs(outcome.points.at.objectives[number] - alone.objective) <= 1e-6 * alone.objective + 1e-6 * scale
+        assert_allclose(outcome.points.at.cell_resistance[number], alone.cell_resistance, rtol=1e-5)
+    again = solve(outcome.points.at, inverses, np.arange(PANELS), Settings())
+    assert again.solved[outcome.solved].all() and again.iterations[outcome.solved].max() == 0
 
 
 def test_a_panel_that_readings_leave_open_is_handed_back_and_costs_no_other() -> None:
@@ -412,8 +412,8 @@ def test_a_panel_that_readings_leave_open_is_handed_back_and_costs_no_other() ->
     readings.seen[2, 1] = 0.0
     batch = batch_of((Misfit(),), Readings(readings.value, readings.sigma, readings.side, readings.seen))
     batch.data.given.seen[2, :, 1] = 0.0
-    found = solved_together(batch)
-    assert not found.solved[2] and found.solved.sum() >= PANELS - 2
+    outcome = solved_together(batch)
+    assert not outcome.solved[2] and outcome.solved.sum() >= PANELS - 2
 
 
 def test_inputs_that_nobody_gives_stand_as_absent_for_every_panel() -> None:

@@ -68,8 +68,8 @@ def test_what_few_frames_share_has_no_quiet_directions() -> None:
     for _ in range(20):
         columns = 3.0 * rng.standard_normal((5, 1, CHANNELS))
         deviation = rng.standard_normal((5, LINES, CHANNELS)) + columns
-        found = scatter(deviation - deviation.mean(axis=0), np.full((LINES, CHANNELS), 3000.0), 4).common_ripple
-        loudness = np.linalg.eigvalsh(found @ found.T)
+        ripple = scatter(deviation - deviation.mean(axis=0), np.full((LINES, CHANNELS), 3000.0), 4).common_ripple
+        loudness = np.linalg.eigvalsh(ripple @ ripple.T)
         assert loudness[0] > 1 and 4 < loudness.mean() < 25
 
 
@@ -119,7 +119,7 @@ def test_a_lone_leap_is_one_and_a_touch_of_one_frame_is_none() -> None:
 
 def test_leaps_are_seen_while_a_load_breathes() -> None:
     """Readings go by ten to forty σ from frame to frame, and lags of their median hid leaps of five times as much."""
-    rng, found, missed, false, off = np.random.default_rng(3), 0, 0, 0, []
+    rng, detected, missed, false, off = np.random.default_rng(3), 0, 0, 0, []
     place = np.hypot(*(np.indices((9, 9)) - 4.0))
     for _ in range(6):
         breath = 1 + 0.15 * np.sin(2 * np.pi * (0.08 * np.arange(8) + rng.uniform()))
@@ -129,10 +129,10 @@ def test_leaps_are_seen_while_a_load_breathes() -> None:
         hit = rng.random(exact.shape) < 5e-3
         noisy = exact + sigma * rng.standard_normal(exact.shape) + hit * 0.15 * exact
         outlying, instead, spread = detect_outliers(noisy, sigma)
-        found, missed = found + np.sum(outlying & hit), missed + np.sum(hit & ~outlying)
+        detected, missed = detected + np.sum(outlying & hit), missed + np.sum(hit & ~outlying)
         false += np.sum(outlying & ~hit)
         off += list((np.abs(instead - exact) / np.hypot(sigma, spread))[outlying & hit])
-    assert found >= 4 * missed and false == 0
+    assert detected >= 4 * missed and false == 0
     assert np.mean(np.array(off) < 2) > 0.9
 
 
@@ -169,10 +169,10 @@ def scene_of(noise: float | str | None, systematic: Systematic | str | None = "n
 
 def held(recording: Recording) -> tuple[float, float]:
     """Shares of the true cells and true changes within their 95 % intervals."""
-    found, cells = reconstruct(recording, LSM), recording.truth_cell_resistance
-    change = 100 * (cells[found.frame] / cells[0] - 1)
-    changed = (found.relative_change_lower <= change) & (change <= found.relative_change_upper)
-    return float(in_intervals(found).mean()), float(changed.mean())
+    estimate, cells = reconstruct(recording, LSM), recording.truth_cell_resistance
+    change = 100 * (cells[estimate.frame] / cells[0] - 1)
+    changed = (estimate.relative_change_lower <= change) & (change <= estimate.relative_change_upper)
+    return float(in_intervals(estimate).mean()), float(changed.mean())
 
 
 @pytest.mark.parametrize("told", ["estimated", None])
@@ -309,11 +309,11 @@ def breathing(seed: int, covered: NDArray[np.bool_], pressure: float, frames: in
     unloaded = np.repeat(3050 * np.exp(0.2 * rng.standard_normal((1, 10, 10))), frames + 5, axis=0)
     cells = unloaded.copy()
     cells[5:] *= np.exp(-0.2 * load[:, None, None] * covered)
-    volt = 5000 / (two_point_resistance(cells) + 1140)
-    code = volt * 1023 / 5 + 0.7 * rng.standard_normal((20, *volt.shape))
-    found = np.clip(np.round(code), 0, 1023).mean(axis=0) * 5 / 1023
+    exact = 5000 / (two_point_resistance(cells) + 1140)
+    code = exact * 1023 / 5 + 0.7 * rng.standard_normal((20, *exact.shape))
+    volt = np.clip(np.round(code), 0, 1023).mean(axis=0) * 5 / 1023
     scene = Scene(Panel(10, 10), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
-    return recording_of(scene, (5 - found) / found * 1000, 5, truth_cell_resistance=cells)
+    return recording_of(scene, (5 - volt) / volt * 1000, 5, truth_cell_resistance=cells)
 
 
 @pytest.mark.parametrize("seed", range(6))

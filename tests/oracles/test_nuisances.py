@@ -116,9 +116,9 @@ def test_readings_of_a_saturated_stage_are_bounds_as_if_the_scene_stated_it() ->
     assert readings.bounds.any() and np.all(readings.bounds[volt > 3.096]) and not np.any(readings.bounds[volt < 3.094])
     assert not recording.readings().bounds.any()
     stated = replace(recording.scene, readout=TwoPointReadout(readings=20, noise_lsb=0.7, passes_volt=(0.0, 3.098)))
-    found = replace(recording, scene=stated)
-    assert np.mean(found.readings().bounds != readings.bounds) < 0.01
-    assert not any("saturate" in line for line in Prepared(found).warnings)
+    specified = replace(recording, scene=stated)
+    assert np.mean(specified.readings().bounds != readings.bounds) < 0.01
+    assert not any("saturate" in line for line in Prepared(specified).warnings)
 
 
 def test_the_size_of_a_leak_is_estimated_and_the_curve_of_a_converter_is_none() -> None:
@@ -134,8 +134,10 @@ def test_the_edge_of_a_load_on_half_the_panel_is_no_contact() -> None:
     course = Course(start_s=-0.08, approach_s=0.06, attachment_s=0.9316, breathing_hz=0.80338, breathing_depth=0.1)
     scene = Scene(lampest.Panel(9, 7), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
     cells = Cells(spread=0.085013)
-    found = simulate(Simulation(1, 9125, scene, cells, frames=18, frame_period_s=0.1, loads=(block,), course=course))
-    assert Prepared(found).effects.name == ""
+    recording = simulate(
+        Simulation(1, 9125, scene, cells, frames=18, frame_period_s=0.1, loads=(block,), course=course)
+    )
+    assert Prepared(recording).effects.name == ""
 
 
 def test_channels_that_differ_are_no_contact_under_a_mouth() -> None:

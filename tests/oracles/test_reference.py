@@ -58,12 +58,12 @@ def test_cells_and_the_scale_of_errors_are_recovered_from_readings_that_are_off_
     """σ says 0.3 %; s is then 23, of Student's t with three degrees of freedom between 13 and 23."""
     truth = loaded()
     data, cost = judged(truth, seed, static=0.07)
-    scale, (found,) = references([data], cost)
+    scale, (estimate,) = references([data], cost)
     assert 8 <= scale.best <= 32 and scale.gain(1.0) > 6
     assert 0.4 < scale.tail / 1.96 / (0.07 / NOISE) < 1.6, "95 % of the errors"
     plain = lampest.reconstruct(recording_of(Scene(Panel(8, 8)), data.measured), [Misfit()])
-    assert log_error(found.cells[0], truth) < 0.3 < 5 * 0.3 < log_error(plain.cell_resistance[0], truth)
-    z = np.log(found.cells[0] / truth).ravel() / np.sqrt(np.diag(found.covariance))
+    assert log_error(estimate.cells[0], truth) < 0.3 < 5 * 0.3 < log_error(plain.cell_resistance[0], truth)
+    z = np.log(estimate.cells[0] / truth).ravel() / np.sqrt(np.diag(estimate.covariance))
     assert 0.7 < rms(z) < 1.3
 
 
@@ -71,9 +71,9 @@ def test_cells_and_the_scale_of_errors_are_recovered_from_readings_that_are_off_
 @pytest.mark.parametrize("seed", [1, 2])
 def test_errors_are_the_noise_where_the_circuit_is_right_and_loads_have_edges(factor: float, seed: int) -> None:
     data, cost = judged(loaded(factor=factor), seed)
-    scale, (found,) = references([data], cost)
+    scale, (estimate,) = references([data], cost)
     assert scale.best == 1
-    assert log_error(found.cells[0], loaded(factor=factor)) < 0.07
+    assert log_error(estimate.cells[0], loaded(factor=factor)) < 0.07
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -56,9 +56,9 @@ def test_bootstrap_intervals_of_a_mean_hold_it() -> None:
     held = 0
     for _ in range(400):
         values = rng.standard_normal(30)
-        found = mean_interval(values, picks(30, 1, rng))
-        assert found.value == pytest.approx(values.mean()) and found.lower < found.value < found.upper
-        held += found.lower <= 0 <= found.upper
+        interval = mean_interval(values, picks(30, 1, rng))
+        assert interval.value == pytest.approx(values.mean()) and interval.lower < interval.value < interval.upper
+        held += interval.lower <= 0 <= interval.upper
     assert 0.90 <= held / 400 <= 0.97
     drawn = picks(10, 3, rng)  # blocks are neighbours, and every frame is drawn alike
     assert drawn.shape == (2000, 10) and np.all((drawn[:, 1:3] - drawn[:, :2]) % 10 == 1)

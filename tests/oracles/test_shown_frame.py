@@ -43,6 +43,6 @@ def test_small_changes_of_a_uniform_panel_come_back(shape: tuple[int, int]) -> N
     assert likely_change(readings[1:], readings[0]) == pytest.approx(change, abs=1e-10)
     value, resting = np.full((1, 4, 4), 300.0), np.full((4, 4), 600.0)
     value[0, 1], value[0, 2, 2] = np.nan, np.nan
-    found = likely_change(value, resting)[0]  # what says nothing leaves the rest
-    assert np.isnan(found[1]).all() and np.isnan(found[2, 2]) and np.isfinite(found).sum() == 11
-    assert found[np.isfinite(found)] == pytest.approx(np.log(0.5))
+    likely = likely_change(value, resting)[0]  # what says nothing leaves the rest
+    assert np.isnan(likely[1]).all() and np.isnan(likely[2, 2]) and np.isfinite(likely).sum() == 11
+    assert likely[np.isfinite(likely)] == pytest.approx(np.log(0.5))

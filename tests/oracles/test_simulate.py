@@ -182,7 +182,7 @@ def test_a_film_under_a_load_that_only_grows_does_as_in_a_single_step(monkeypatc
     """Hysteresis shows where a load shrinks, be it within a frame."""
     course = Course(start_s=1.0, approach_s=60.0, breathing_depth=0.0)
     growing = plain(frames=40, loads=(MOUTH,), course=course, film=Film(hysteresis=0.3))
-    found = cells_under(growing, np.arange(41.0))
+    cells = cells_under(growing, np.arange(41.0))
     monkeypatch.setattr("lampest.recording.simulation.simulation.MOMENTS", 1)
-    np.testing.assert_allclose(cells_under(growing, np.arange(41.0)), found, rtol=1e-12)
-    assert found[40].min() < 0.9 * found[0].min()
+    np.testing.assert_allclose(cells_under(growing, np.arange(41.0)), cells, rtol=1e-12)
+    assert cells[40].min() < 0.9 * cells[0].min()

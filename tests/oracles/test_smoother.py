@@ -235,8 +235,8 @@ def test_what_each_line_of_a_scan_has_anew_is_averaged_over_frames() -> None:
     volt = readout.volt_from_recorded(made.recorded) + ripple
     rippled = replace(made, recorded=readout.recorded_from_volt(volt))
     together, alone = (
-        np.median(np.abs(np.diff(log_errors(found), axis=0)))
-        for found in (found_of(rippled), found_of(rippled, (Misfit(),)))
+        np.median(np.abs(np.diff(log_errors(estimate), axis=0)))
+        for estimate in (found_of(rippled), found_of(rippled, (Misfit(),)))
     )
     assert together < 0.4 * alone
 

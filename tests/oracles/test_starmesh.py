@@ -91,8 +91,8 @@ def test_open_cells_leave_the_network() -> None:
     cells[1, 2] = cells[3] = np.inf
     cells[3, 4] = 500.0
     expected = in_digits(np.where(np.isinf(cells), 1e300, cells))
-    for found in (exact_two_point_resistance(cells), two_point_resistance(cells)):
-        assert_allclose(found, expected, rtol=1e-13)
+    for resistance in (exact_two_point_resistance(cells), two_point_resistance(cells)):
+        assert_allclose(resistance, expected, rtol=1e-13)
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
@@ -105,8 +105,8 @@ def test_lines_that_nothing_connects_are_infinitely_apart(scale: float) -> None:
     expected = np.full((6, 7), np.inf)
     expected[:3, :4], expected[3:5, 4:] = in_digits(first), in_digits(second)
     rows, columns = rng.permutation(6), rng.permutation(7)
-    for found in (exact_two_point_resistance, two_point_resistance):
-        assert_allclose(found(cells[rows][:, columns]), expected[rows][:, columns], rtol=1e-13)
+    for forward in (exact_two_point_resistance, two_point_resistance):
+        assert_allclose(forward(cells[rows][:, columns]), expected[rows][:, columns], rtol=1e-13)
     assert_array_equal(two_point_resistance(np.full((3, 2), np.inf)), np.full((3, 2), np.inf))
     assert_array_equal(two_point_resistance(np.full((1, 1), np.inf)), [[np.inf]])
 
@@ -120,9 +120,9 @@ def test_shorts_join_lines() -> None:
         short = rng.random(cells.shape) < rng.choice([0.1, 0.3, 0.6])
         cells[rng.random(cells.shape) < 0.2] = np.inf
         limit = exact_two_point_resistance(np.where(short, 1e-40, cells))
-        found = exact_two_point_resistance(np.where(short, 0, cells))
-        assert_array_equal(found == 0, limit < 1e-30)
-        assert_allclose(found, np.where(limit < 1e-30, 0, limit), rtol=1e-13)
+        resistance = exact_two_point_resistance(np.where(short, 0, cells))
+        assert_array_equal(resistance == 0, limit < 1e-30)
+        assert_allclose(resistance, np.where(limit < 1e-30, 0, limit), rtol=1e-13)
         assert_array_equal(two_point_resistance(np.where(short, 0, cells)) == 0, limit < 1e-30)
 
 
@@ -141,7 +141,7 @@ def test_a_panel_of_hundred_by_hundred_keeps_its_digits(decades: float) -> None:
     """All pairs for a small multiple of one inverse, where an elimination for every pair would take minutes."""
     for name, cells in structured((100, 100), np.random.default_rng(13), decades):
         begin = time.process_time()
-        found = exact_two_point_resistance(cells)
+        resistance = exact_two_point_resistance(cells)
         assert time.process_time() - begin < 2, name
-        assert np.all(np.isfinite(found) & (found > 0)), name
-        assert np.sum(found / cells) == pytest.approx(199, rel=1e-12)
+        assert np.all(np.isfinite(resistance) & (resistance > 0)), name
+        assert np.sum(resistance / cells) == pytest.approx(199, rel=1e-12)

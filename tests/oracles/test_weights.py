@@ -219,15 +219,15 @@ def test_draws_have_the_prior_that_the_penalty_implies(name: str) -> None:
 @pytest.mark.parametrize("name", PRIORS)
 def test_intervals_hold_draws_of_the_prior_as_often_as_they_say(name: str, level: str, chosen: bool) -> None:
     """Of 1,440 cells; where the weight is chosen and noise large, 40 draws are 40 weights."""
-    found = calibration(PRIORS[name], *SETTINGS[level], chosen, DRAWS, 7)
-    half, most, nearly_all = found.coverage
+    drawn = calibration(PRIORS[name], *SETTINGS[level], chosen, DRAWS, 7)
+    half, most, nearly_all = drawn.coverage
     if chosen:
         assert 0.42 < half < 0.62 and 0.72 < most < 0.93 and nearly_all > 0.88
-        assert np.quantile(found.weights, 0.1) < 2 and np.quantile(found.weights, 0.9) > 0.5
+        assert np.quantile(drawn.weights, 0.1) < 2 and np.quantile(drawn.weights, 0.9) > 0.5
     else:
         assert abs(half - 0.5) < 0.05 and abs(most - 0.8) < 0.04 and abs(nearly_all - 0.95) < 0.02
-        assert np.allclose(found.weights, 1)
-    assert min(found.uniformity) > 1e-3
+        assert np.allclose(drawn.weights, 1)
+    assert min(drawn.uniformity) > 1e-3
 
 
 COARSE = TwoPointReadout(adc_bits=12, readings=1, noise_lsb=1.0, reference_ohm=500.0)
@@ -255,10 +255,10 @@ def going_over(folder: Path) -> lampest.Recording:
 def test_withheld_readings_are_predicted_better_than_by_interpolation(tmp_path: Path) -> None:
     recording = going_over(tmp_path)
     (case,) = read_run(tmp_path / "run.yaml").cases
-    found = [one for one in predictions(recording, case, 0.1, 1, 0) if one.factor == 1]
-    assert len(found) == 6 and all(one.solved and one.readings == 5 for one in found)
-    assert np.median([one.error / one.interpolated for one in found]) < 0.5
-    assert np.median([one.hidden for one in found]) > 2
+    predicted = [prediction for prediction in predictions(recording, case, 0.1, 1, 0) if prediction.factor == 1]
+    assert len(predicted) == 6 and all(prediction.solved and prediction.readings == 5 for prediction in predicted)
+    assert np.median([prediction.error / prediction.interpolated for prediction in predicted]) < 0.5
+    assert np.median([prediction.hidden for prediction in predicted]) > 2
 
 
 @pytest.mark.slow
@@ -332,18 +332,18 @@ def test_evidence_is_laplaces_at_each_estimate() -> None:
 def test_what_a_held_cell_leaves_is_the_integral_of_its_density() -> None:
     """The cost's slope and Gauss-Newton curvature by differences, the integral by quadrature."""
     made = bump()
-    one = subject(CellResistance(weight="auto"), made)
-    found = solve_at(one, 0.3, None)
-    at = Evaluation.at(one.with_weight(0.3), one.data, found.cells)
+    subject_of_bump = subject(CellResistance(weight="auto"), made)
+    point = solve_at(subject_of_bump, 0.3, None)
+    at = Evaluation.at(subject_of_bump.with_weight(0.3), subject_of_bump.data, point.cells)
     model = LinearModel(at, np.zeros(0))
     bound = np.flatnonzero(model.at_lower | model.at_upper)
     assert 0 < len(bound) < 20
     step = 1e-5
 
     def residuals(cell: int, change: float) -> np.ndarray:
-        cells = found.cells.copy()
+        cells = point.cells.copy()
         cells.flat[cell] *= np.exp(change)
-        data = two_point_resistance(cells) - one.data.measured
+        data = two_point_resistance(cells) - subject_of_bump.data.measured
         return np.concatenate([data.ravel(), np.sqrt(0.3) * cells.ravel()])
 
     expected = 0.0

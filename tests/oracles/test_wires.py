@@ -223,12 +223,12 @@ def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
         misfit = np.sum(((read - readings.value) / readings.sigma) ** 2)
         return float(misfit + 1e-3 * sum(np.sum(step**2) for step in steps) + np.sum(place[20:] ** 2))
 
-    found = np.concatenate([np.log(done.baseline_resistance).ravel(), (done.contacts.mean((4, 5)) - mean) / deviation])
-    least = cost(found)
+    estimate = np.r_[np.log(done.baseline_resistance).ravel(), (done.contacts.mean((4, 5)) - mean) / deviation]
+    least = cost(estimate)
     within = [(None, None)] * 20 + [(low, None) for low in -mean / deviation]  # contacts are not negative
-    better = minimize(cost, found + 0.01, method="L-BFGS-B", bounds=within, options={"ftol": 1e-12, "gtol": 1e-3})
+    better = minimize(cost, estimate + 0.01, method="L-BFGS-B", bounds=within, options={"ftol": 1e-12, "gtol": 1e-3})
     assert least <= better.fun * (1 + 1e-5) + 1e-6
-    assert np.abs(found[20:]).max() > 0.3  # equal cells do tell of contacts
+    assert np.abs(estimate[20:]).max() > 0.3  # equal cells do tell of contacts
     # The posterior is narrower than the prior there, and its size right: over draws in the next test.
     assert np.all(done.contacts.deviation((4, 5)) <= deviation * (1 + 1e-9))
 
