@@ -250,18 +250,6 @@ def test_channels_that_differ_are_no_other_resistance_in_series() -> None:
     assert better in ("series_resistance_ohm near 130", "series_resistance_ohm near 140")
 
 
-@pytest.mark.slow
-def test_readings_that_say_nothing_or_little_do_not_blind_the_check() -> None:
-    recording = rod_on(Scene(PANEL, LOADED))
-    recorded = recording.recorded.copy()
-    recorded[np.random.default_rng(1).random(recorded.shape) < 0.05] = np.nan
-    recorded[0, 2, 2], recorded[4, 3, 3] = np.inf, 0.0
-    right = replace(recording, recorded=recorded, raw_sums=None)
-    assert Prepared(right).check.explains
-    check = Prepared(replace(right, scene=Scene(PANEL, replace(LOADED, driven="columns")))).check
-    assert check.explains is False and "swapped" in check.better
-
-
 @pytest.mark.parametrize(
     "besides",
     [

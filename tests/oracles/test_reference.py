@@ -206,20 +206,3 @@ def test_readings_without_noise_are_judged_by_the_reference_too(static: float) -
     estimate = lampest.reconstruct(replace(recording, sigma=None), [Misfit(), Gradient()], bounds=Bounds(upper="none"))
     told = lampest.reconstruct(recording, [Misfit(), Gradient()], bounds=Bounds(upper="none"))
     assert rms(log_errors(estimate)) < 1.5 * rms(log_errors(told))
-
-
-@pytest.mark.slow
-def test_a_weight_of_a_large_panel_is_chosen_by_the_evidence() -> None:
-    """1,296 cells are more than the reference estimate takes."""
-    cells = np.kron(loaded(), np.ones((5, 5)))[:36, :36]
-    pair = np.stack([cells, cells])
-    readings, sigma = with_errors(pair, 1)
-    scene = Scene(Panel(36, 36), systematic="none")
-    recording = recording_of(scene, readings, sigma=sigma, truth_cell_resistance=pair)
-    estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient()], error_bars=False)
-    assert estimate.solved.all() and np.isfinite(estimate.steps[0].weight_sigma[1])
-    weight, errors = estimate.steps[0].weights[1], []
-    for factor in (0.1, 1.0, 10.0):
-        terms = [WEIGHTED, LogGradient(weight=factor * weight)]
-        errors.append(rms(log_errors(lampest.reconstruct(recording, terms, error_bars=False))))
-    assert errors[1] < 1.3 * min(errors)

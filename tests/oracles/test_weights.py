@@ -18,7 +18,7 @@ from lampest import Array, Bounds, InputError, Misfit, Panel, Readings, Recordin
 from lampest.cost.given import Background
 from lampest.cost.losses import Huber
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import CellResistance, Gradient, LogRatio, RelativeChange, Term
+from lampest.cost.terms import CellResistance, Gradient, LogRatio, Term
 from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.sequence import reconstruct
@@ -30,7 +30,7 @@ from lampest.posterior.spectrum import Spectrum, best_weight, settled_weights
 from lampest.runs.config import Case
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings
-from lampest.studies.weights import CurvePoint, WeightSubject, bound_evidence, l_curve, solve_at, tune
+from lampest.studies.weights import CurvePoint, WeightSubject, bound_evidence, l_curve, solve_at
 from tests.estimates import recording_of, rms
 from tests.oracles import paper
 
@@ -369,16 +369,3 @@ def test_l_curve_finds_the_corner_of_a_hyperbola() -> None:
     wavy = [replace(point, penalty=float(np.exp(-0.1 * t - np.tanh(t)))) for point, t in zip(points, t, strict=True)]
     bent = l_curve([replace(point, misfit=point.weight) for point in wavy])
     assert 10 < bent < 100, "where it bends the other way counts for nothing"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("penalty", [Gradient(weight="auto"), RelativeChange(weight="auto")])
-def test_rule_in_use_is_what_a_run_goes_by(penalty: Term) -> None:
-    made = bump()
-    tuned_curves = tune(subject(penalty, made))
-    (used,) = (choice for choice in tuned_curves.choices if choice.in_use)
-    assert used.rule == "risk"
-    run = reconstruct(made, tuned_curves.subject.case.estimator)
-    assert_allclose(run.steps[0].weights[1], used.weight)
-    error = np.log(run.cell_resistance[0] / made.truth_cell_resistance[2])
-    assert_allclose(used.error, np.sqrt(np.mean(error**2)), rtol=1e-4)
