@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import lapack
 from scipy.optimize import brentq
 
-from lampest import Absolute, Gradient, LogRatio, Misfit, Outcome, Readings, Recording, Scene, Squared, Stream, Term
+from lampest import LogRatio, Misfit, Outcome, Readings, Recording, Scene, Squared, Stream, Term
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data, Evaluation
@@ -214,12 +214,6 @@ def test_what_the_noise_hides_needs_no_further_step(noise: float | None) -> None
     sigma = None if noise is None else noise * measured
     point = evaluation((Misfit(),), USUAL * (1 + 3e-6), measured, sigma)
     assert certificate(Hessian(point, NOTHING)).settled is (noise is not None)
-
-
-def test_an_absolute_loss_is_certified_with_its_duals() -> None:
-    start = evaluation((Misfit(), Gradient(weight=1e-2, loss=Absolute())), USUAL, in_digits(USUAL))
-    outcome = ProjectedNewton(start.cost, Settings()).solve(start.data, start)
-    assert check(start, outcome).status is Status.OPTIMUM
 
 
 @pytest.mark.parametrize(("share", "optimum"), [(1e-3, False), (0.3, False), (1.5, True)])

@@ -288,12 +288,6 @@ def test_a_diode_and_the_converter_are_in_the_model(diode: Diode, driven: Any, p
             assert_allclose(one.cell_resistance[0], close, rtol=1e-4)
 
 
-def test_a_diode_that_drops_next_to_nothing_is_none() -> None:
-    cells = cells_of()
-    ideal = replace(UNLIKE, diode=Diode(drop_volt=0.01, at_ampere=10.0, slope_volt=0.5))
-    assert_allclose(ideal.exact_reading(cells), UNLIKE.exact_reading(cells), rtol=1e-5)
-
-
 NOISY = (0.6, 3.0, 1.2, 5.0)
 KINDS: tuple[Readout, ...] = (
     TwoPointReadout(adc_bits=12),
