@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 from lampest import (
     Array,
     Bounds,
-    Estimates,
     Estimator,
     GroundedReadout,
     OptimalMethod,
@@ -257,18 +256,12 @@ def test_sequence_is_its_frames_one_by_one(method: str) -> None:
     estimate = reconstruct(recorded, estimator(method))
     assert len(estimate.steps) == 3
     assert list(estimate.frame) == [1, 2, 3]
-    alone = single(recorded, 3, estimator(method))
+    pair = {name: getattr(recorded, name)[[0, 3]] for name in ("recorded", "time", "role", "sigma")}
+    alone = reconstruct(replace(recorded, **pair), estimator(method))
     if method in RELATIVE:
         assert np.max(np.abs(alone.cell_resistance[-1] / estimate.cell_resistance[-1] - 1)) > 1e-3
     else:
         assert_allclose(alone.cell_resistance[-1], estimate.cell_resistance[-1], rtol=1e-6)
-
-
-def single(recorded: Recording, frame: int, chosen: Estimator) -> Estimates:
-    """The baseline and one frame of a recording."""
-    chosen_frames = [0, frame]
-    parts = {name: getattr(recorded, name)[chosen_frames] for name in ("recorded", "time", "role", "sigma")}
-    return reconstruct(replace(recorded, **parts), chosen)
 
 
 @pytest.mark.parametrize("weight", [35.0, 200.0])
