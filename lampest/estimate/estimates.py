@@ -86,7 +86,7 @@ class Barred(property):
 
     if TYPE_CHECKING:
 
-        def __get__(self, found: Any, owner: type | None = None) -> Array | None:  # type: ignore[override]
+        def __get__(self, estimates: Any, owner: type | None = None) -> Array | None:  # type: ignore[override]
             """Return the error bar of the estimates."""
 
 

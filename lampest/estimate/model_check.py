@@ -279,10 +279,12 @@ def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
     read = np.isfinite(values).any(axis=1)
     factors, levels = dict.fromkeys(np.flatnonzero(~read).tolist(), np.nan), np.nanmedian(values[read], axis=1)
     for place, number in enumerate(np.flatnonzero(read).tolist() if len(levels) > 2 else ()):
-        # ln level less the median of the others, against 5 robust standard deviations of these and MIN_AWAY
-        others = np.delete(levels, place)
-        away = levels[place] - np.median(others)
-        if abs(away) > max(MIN_AWAY, SIGNIFICANT * MAD_TO_SIGMA * float(np.median(np.abs(others - np.median(others))))):
+        # ln level less the median of the remaining ones, against 5 robust standard deviations of these and MIN_AWAY
+        remaining = np.delete(levels, place)
+        away = levels[place] - np.median(remaining)
+        if abs(away) > max(
+            MIN_AWAY, SIGNIFICANT * MAD_TO_SIGMA * float(np.median(np.abs(remaining - np.median(remaining))))
+        ):
             factors[number] = float(np.exp(away))
     return factors
 
@@ -299,15 +301,15 @@ def noise_factor(resting: Readings) -> float:
 def _unexplained(explanation: "Explanation", question: Question) -> str:
     """Return the significant misfit of the explanation in words; '' where there is none."""
     worst = int(np.argmin([fit.tail for fit in explanation.fits]))
-    fit, what = explanation.fits[worst], question.loaded if worst else "the unloaded panel"
+    fit, place = explanation.fits[worst], question.loaded if worst else "the unloaded panel"
     if fit.tail >= SIGNIFICANCE:
         return ""
     squares = fit.residual.reshape(fit.cells.shape) ** 2
     rows, columns = squares.sum(axis=1), squares.sum(axis=0)
     name, lines = ("row", rows) if rows.max() >= columns.max() else ("column", columns)
     return (
-        f"no cells give the readings of {what}: chi square is {fit.chi_square:.3g} where some {fit.degrees:.3g} would "
-        f"be noise, {name} {np.argmax(lines)} holds {100 * lines.max() / squares.sum():.0f} % of it"
+        f"no cells give the readings of {place}: chi square is {fit.chi_square:.3g} where some {fit.degrees:.3g} "
+        f"would be noise, {name} {np.argmax(lines)} holds {100 * lines.max() / squares.sum():.0f} % of it"
     )
 
 

@@ -197,7 +197,7 @@ def changes_beyond_noise(scene: Scene, readings: Readings, role: NDArray[np.uint
     return np.where(beyond, change, 0.0)
 
 
-def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], noise: float) -> NDArray[np.intp]:
+def standing_frames(readings: Readings, frame: int, candidates: NDArray[np.intp], noise: float) -> NDArray[np.intp]:
     """Return the frames that are equal to one frame within their noise, so that their mean has less noise.
 
     Parameters
@@ -206,7 +206,7 @@ def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], no
         (frames, rows, columns).
     frame : int
         The number of the frame; it is always included.
-    others : integer array
+    candidates : integer array
         Numbers of the frames that are compared with it.
     noise : float
         Factor on every σ.
@@ -217,5 +217,5 @@ def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], no
     # χ² of the difference of two frames, Σ (y − y₀)²/(σ² + σ₀²)
     square = np.where(plain, (readings.value - readings.value[frame]) / spread, 0.0) ** 2
     similar = chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1)) >= FALSE_ALARM_RATE
-    standing: NDArray[np.intp] = others[similar[others] | (others == frame)]
+    standing: NDArray[np.intp] = candidates[similar[candidates] | (candidates == frame)]
     return standing

@@ -67,9 +67,9 @@ def saturated(recording: Recording) -> Saturated | None:
         resting = np.fmax.reduce(volt[unloaded], axis=0)  # NaN where no reading is a value
         most = np.fmax.reduce(volt[measured], axis=0) if measured.any() else resting
         moved = np.nan_to_num(most - resting, nan=0.0) > OUTLIER_THRESHOLD * width
-        for channels, others in ((most, moved), (resting, np.isfinite(resting))):
+        for channels, counted in ((most, moved), (resting, np.isfinite(resting))):
             end = float(np.nanmax(channels, initial=-np.inf))
-            below = np.where(others, end - channels, np.inf)
+            below = np.where(counted, end - channels, np.inf)
             # channels at the end, within one width of it, and those beyond up to NEIGHBOUR_WIDTH
             piled, near = below <= width, (below > width) & (below <= NEIGHBOUR_WIDTH * width)
             apart = end - float(np.nanmin(channels, initial=end)) > MIN_EXTENT * float(np.mean(width))

@@ -41,7 +41,7 @@ Weights = tuple[list[float], tuple[float, ...]]  # of the terms, and the standar
 
 
 def with_chosen_weights(
-    estimator: AnyObjective, scene: Scene, data: Data, near: Array | None, others: Sequence[Data] = ()
+    estimator: AnyObjective, scene: Scene, data: Data, near: Array | None, further: Sequence[Data] = ()
 ) -> AnyObjective:
     """Return the objective with its open weights chosen from the data.
 
@@ -53,14 +53,14 @@ def with_chosen_weights(
         Data of the deciding solve.
     near : array, shape (frames, rows, columns), optional
         Cells in ohm to start from where the reference model cannot be fitted.
-    others : sequence of Data
+    further : sequence of Data
         Data of further solves that the weights are to suit as well. Only those count that are partial, with bounds or
         gaps, if and only if `data` is.
 
     Raises InputError where the noise is needed and unknown.
     """
     cost = estimator.cost(scene, len(data.measured), partial=data.partial)
-    similar = tuple(further for further in others if further.partial == data.partial)
+    similar = tuple(solve for solve in further if solve.partial == data.partial)
     search = WeightSearch(cost, (data, *similar), estimator.solver)
     first = convex(data, near) if near is None else near
     small = data.measured[0].size <= MAX_CELLS and data.measured.size <= MAX_DENSE

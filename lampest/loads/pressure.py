@@ -436,5 +436,5 @@ def sum_sd(weight: Array | float, own: Array, common: Array) -> float:
 def total_force(scene: Scene, load: Pressure) -> Force:
     """Return the force of one frame, Σ p·pitch² over the pressed cells."""
     area, pressed = scene.panel.pitch_mm**2 * KPA_MM2, load.pressing != 0
-    kpa, own, common = (one[pressed] for one in determined(scene, load.pressure, load.own, load.common))
+    kpa, own, common = (part[pressed] for part in determined(scene, load.pressure, load.own, load.common))
     return Force(float(area * kpa.sum()), sum_sd(area, own, common), int(np.sum((load.saturated != 0) & pressed)))

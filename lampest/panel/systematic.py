@@ -70,8 +70,8 @@ def unobservable_numbers(scene: Scene) -> str:
     sizes = systematic_of(scene) or Systematic()
     within = f"within {100 * sizes.reference_tolerance:.3g} %", f"within {sizes.series_ohm or 0.0:.3g} ohm"
     known = {number.name: within[number.channel] for number in scene.circuit.line_numbers()}
-    others = {"reference_ohm": within[0], "drive_volt": "exact", "converter_volt": "exact"}
-    known |= {name: size for name, size in others.items() if hasattr(scene.readout, name)}
+    further = {"reference_ohm": within[0], "drive_volt": "exact", "converter_volt": "exact"}
+    known |= {name: size for name, size in further.items() if hasattr(scene.readout, name)}
     named = ", ".join(f"{name} ({size})" for name, size in known.items())
     return (
         f"no frame shows the numbers with which all cells scale, assumed {named}; changes in percent hardly depend on "

@@ -236,7 +236,7 @@ class DenseErrors:
     @cached_property
     def variance(self) -> Array:
         """Diagonal of S, (free,)."""
-        return np.asarray(sum(np.sum(one * other, axis=1) for one, other in self._own + self._inherited))
+        return np.asarray(sum(np.sum(left * right, axis=1) for left, right in self._own + self._inherited))
 
     @cached_property
     def covariance(self) -> Array:
@@ -541,12 +541,12 @@ def active_bounds(errors: DenseErrors, rows: Array, known: Array) -> tuple[Array
     stacked = np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties]) * stretch
     moved = np.vstack([rows * data, -model.carried(known) * penalties])
     # Each cell at a bound alone: Schur complement, variance v, slope of −log density, and effect a of z.
-    own, others = stacked[:, cells], stacked[:, free]
-    across = errors.inverse @ (others.T @ own)
-    left = np.maximum(np.sum(own**2, axis=0) - np.sum((others.T @ own) * across, axis=0), IGNORANCE * model.scale)
+    own, inside = stacked[:, cells], stacked[:, free]
+    across = errors.inverse @ (inside.T @ own)
+    left = np.maximum(np.sum(own**2, axis=0) - np.sum((inside.T @ own) * across, axis=0), IGNORANCE * model.scale)
     variance = model.scale / left
     slope = np.abs(model.gradient[cells]) * stretch[cells] / (2 * model.scale)
-    answer = ((own - others @ across).T @ moved) / left[:, None]
+    answer = ((own - inside @ across).T @ moved) / left[:, None]
     # Cells whose bound z overcomes: solve again with the free ones.
     released = np.sqrt(np.sum(answer**2, axis=1)) > slope * variance
     together = np.concatenate([free, cells[released]])

@@ -338,8 +338,10 @@ class ReferenceFit:
         bound += _tails(missed_squares[value], square) + _tails(stepped_squares, variance)
         weights = np.zeros(len(self.position))
         weights[rows] = of_readings
-        found = replace(self, reading_weights=weights, step_weights=of_steps, variance=variance, covariance=covariance)
-        return replace(found, change=change, bound=float(bound), residual_variance=residual_variance)
+        updated = replace(
+            self, reading_weights=weights, step_weights=of_steps, variance=variance, covariance=covariance
+        )
+        return replace(updated, change=change, bound=float(bound), residual_variance=residual_variance)
 
     def _within_bounds(self, matrix: Array, covariance: Array, slope: Array) -> Array:
         """Return the Gauss–Newton step of the cells, with cells at active bounds held.

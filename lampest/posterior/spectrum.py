@@ -91,8 +91,8 @@ class Spectrum:
         # A = R Rᵀ of the data, the other penalties and the prior precision
         jacobian = DenseErrors(model).jacobian * size[:, None]
         rows = model.penalty_jacobian.toarray()[:, model.free]
-        others = model.penalty_curvature[~own]
-        matrix = jacobian.T @ jacobian + (rows[~own].T * others) @ rows[~own]
+        curvature = model.penalty_curvature[~own]
+        matrix = jacobian.T @ jacobian + (rows[~own].T * curvature) @ rows[~own]
         matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
         factor, _ = cho_factor(matrix, lower=True)
         # R⁻¹ Zᵀ, with rows of Z weighted by √(½ρ'(x)/x)
@@ -114,7 +114,7 @@ class Spectrum:
             known = back @ covariance[np.ix_(model.free, model.free)] @ back.T
         return cls(
             np.maximum(stiffness, 0),
-            basis.T @ (rows[~own].T @ (others * model.penalty[~own])),
+            basis.T @ (rows[~own].T @ (curvature * model.penalty[~own])),
             vectors.T @ (penalties @ penalty),
             directions,
             float(penalty @ penalty),

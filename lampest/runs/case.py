@@ -274,15 +274,15 @@ class StoredCase:
     cells: int
 
 
-def check_name(name: str, what: str) -> None:
+def check_name(name: str, noun: str) -> None:
     """Raise InputError unless `name` can name a group: printable ASCII without '/', trimmed, not reserved."""
     fit = name.isascii() and name.isprintable() and "/" not in name and name == name.strip()
     if not fit or name in ("", ".", "..") or len(name) > 200:
         raise InputError(
-            f"{name[:200]!r} cannot name this {what}: 1 to 200 printable ASCII characters without '/' "
+            f"{name[:200]!r} cannot name this {noun}: 1 to 200 printable ASCII characters without '/' "
             "or blanks at the ends are needed, other than '.' and '..'"
         )
-    if (what, name) == ("estimator", SHARED):
+    if (noun, name) == ("estimator", SHARED):
         raise InputError(f"an estimator cannot be called '{SHARED}': results keep the measurement under that name")
 
 

@@ -98,18 +98,18 @@ class Results:
         chosen = "weight: auto" in case.case_yaml or not case.weights.keys() - {"misfit"}
         return case.estimator if chosen or case.estimator not in self.published else f"{case.estimator}, paper's lambda"
 
-    def named(self, what: Literal["recording", "estimator"], names: Collection[str]) -> "Results":
+    def named(self, field: Literal["recording", "estimator"], names: Collection[str]) -> "Results":
         """Return the results of these recordings or estimators in the order of the file; all if none is named.
 
         Raises InputError for an unknown name.
         """
-        known = list(dict.fromkeys(str(getattr(case, what)) for case in self.cases))
+        known = list(dict.fromkeys(str(getattr(case, field)) for case in self.cases))
         for name in names:
             if name not in known:
                 close = meant(name, known)
-                raise InputError(f"no {what} is called {name!r}; there are {', '.join(known) or 'none'}{close}")
+                raise InputError(f"no {field} is called {name!r}; there are {', '.join(known) or 'none'}{close}")
         chosen = names or known
-        return replace(self, cases=tuple(case for case in self.cases if getattr(case, what) in chosen))
+        return replace(self, cases=tuple(case for case in self.cases if getattr(case, field) in chosen))
 
 
 @typed

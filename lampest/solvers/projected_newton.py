@@ -318,13 +318,13 @@ def trust_region_step(point: Iterate) -> Iterate | None:
         if trial is not None and decrease_ratio(point, trial, direction.decrease) >= SUFFICIENT_DECREASE:
             # Accepted: keep the preconditioner unless conjugate gradients took too many products.
             worn = direction.products > STEPS.max_reuse_products[hessian.dense]
-            kept, nearby = (None, None) if worn else (cached, point.known)
+            reused, nearby = (None, None) if worn else (cached, point.known)
             patience = patience if direction.negative or product is not exact else STEPS.gauss_newton
             # Linear convergence: the next step is shorter by the ratio of the residuals.
             moved = float(np.abs(trial.at.position - point.at.position).max())
             small = hessian.dense and not len(point.at.nonsmooth)
             expected = moved * trial.residual / (point.residual or 1.0) if small else inf
-            return Iterate(trial.hessian, trial.objective, kept, patience, convex, point.damping, expected, nearby)
+            return Iterate(trial.hessian, trial.objective, reused, patience, convex, point.damping, expected, nearby)
         # Rejected: try again within a smaller radius.
         radius = STEPS.radius_factor * direction.length
         if not radius > 0:

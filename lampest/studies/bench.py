@@ -370,12 +370,12 @@ def bench_remarks(bench: Bench) -> list[str]:
     limited = [f"{name} {limit}" for name, limit in vars(settings.limits).items() if limit < largest]
     lines = [f"not run beyond these sides (limits): {', '.join(limited)}"] if limited else []
     panels: dict[tuple[str, str], list[str]] = {}  # of which the same was left out
-    for (shape, what), own in grouped(bench.left_out, lambda left_out: (left_out[0], left_out[2])).items():
+    for (shape, part), own in grouped(bench.left_out, lambda left_out: (left_out[0], left_out[2])).items():
         methods = [method for _, method, _ in own]
         named = "all methods" if methods == list(settings.estimators) else ", ".join(methods)
-        panels.setdefault((what, named), []).append(f"{shape[0]} × {shape[1]}")
+        panels.setdefault((part, named), []).append(f"{shape[0]} × {shape[1]}")
     reason = f"left out, would not end within {settings.budget_s:g} s"
-    return lines + [f"{reason}: {what}: {named} at {', '.join(several)}" for (what, named), several in panels.items()]
+    return lines + [f"{reason}: {part}: {named} at {', '.join(several)}" for (part, named), several in panels.items()]
 
 
 STUDY: study.Study[BenchFile, Bench] = study.Study(

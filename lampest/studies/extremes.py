@@ -454,8 +454,8 @@ def atlas_remarks(solves: Sequence[Solve]) -> list[str]:
     return lines + [f"{count} × {status}" for status, count in ended.most_common()]
 
 
-def _share(part: int, whole: int, what: str) -> str:
-    return f"{part} of {whole} {what} ({f'{100 * part / whole:.2f} %' if whole else 'none tried'})"
+def _share(part: int, whole: int, noun: str) -> str:
+    return f"{part} of {whole} {noun} ({f'{100 * part / whole:.2f} %' if whole else 'none tried'})"
 
 
 STUDY: study.Study[AtlasFile, Sequence[Solve]] = study.Study(
