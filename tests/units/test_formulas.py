@@ -15,6 +15,7 @@ from scipy.stats import norm
 
 from lampest import InputError, Panel
 from lampest.cost.given import Given
+from lampest.estimate.calibration.loads import _answers
 from lampest.estimate.calibration.trials import known_resistors
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
 from lampest.files import levels
@@ -66,6 +67,20 @@ def test_loaded_cells_have_moved_in_any_case() -> None:
     precision, loaded = np.linalg.inv(covariance), np.arange(8) == 6
     lost, moved = select_changed(precision @ change, precision, [np.zeros(8, dtype=bool)], loaded)
     assert moved[6] and change @ precision @ change + lost == pytest.approx(evidence(change, covariance, moved))
+
+
+def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four frames, two under each load: of the first the strongest cell moves by a quarter, of the second another."""
+    logarithm = np.full((4, 2, 3), 0.1)
+    logarithm[:, 1, 2] = [-1.75, -2.25, -2.0, -2.0]
+    logarithm[:, 0, 1] = [0.1, 0.1, 0.3, -0.3]
+    estimates = SimpleNamespace(frame=np.arange(2, 6), film=None)
+    monkeypatch.setattr("lampest.estimate.calibration.loads.reconstruct", lambda *_: estimates)
+    monkeypatch.setattr("lampest.estimate.calibration.loads.log_change", lambda _: (logarithm, 0 * logarithm + 0.04))
+    recording: Any = SimpleNamespace(name="mine", role=np.arange(6))
+    loads: list[Any] = [SimpleNamespace(frames=frames) for frames in ((2, 3), (4, 5))]
+    *_, within = _answers(recording, loads)
+    np.testing.assert_allclose(within, [0.25, 0])
 
 
 def test_a_lower_cost_is_looked_for_forth_and_back_along_a_direction_from_far_to_near(
