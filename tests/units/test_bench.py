@@ -32,6 +32,7 @@ from lampest.studies.bench import (
 )
 from lampest.studies.common import StudyMethod, paper_methods
 from lampest.studies.study import page, read_settings
+from tests.netlist import two_point_resistances
 
 ROOT = Path(__file__).parents[2]
 read_bench = read_settings(SolversFile)
@@ -210,30 +211,18 @@ SIDES = (6, 16)
 FINE = {"fixed_point": 1e-5, "krylov_fine": 1e-8, "least_squares": 1e-6}
 
 
-def two_point(conductance: np.ndarray) -> np.ndarray:
-    """Volts per ampere between every row and every column, one injection at a time, the last column grounded."""
-    rows, columns = conductance.shape
-    nodes, readings = np.zeros((rows + columns, rows + columns)), np.empty(conductance.shape)
-    for row, column in np.ndindex(rows, columns):
-        pair = np.ix_((row, rows + column), (row, rows + column))
-        nodes[pair] += conductance[row, column] * np.array([[1, -1], [-1, 1]])
-    for row, column in np.ndindex(rows, columns):
-        current = np.zeros(rows + columns)
-        current[row], current[rows + column] = 1, -1
-        volts = np.append(np.linalg.solve(nodes[:-1, :-1], current[:-1]), 0)
-        readings[row, column] = volts[row] - volts[rows + column]
-    return readings
-
-
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_published_solvers_find_mats_that_are_read_exactly(name: str, side: int) -> None:
     conductance = np.random.default_rng(side).uniform(1e-3, MOST_S, (side, side))
-    answer = PUBLISHED[name](two_point(conductance))
+    answer = PUBLISHED[name](two_point_resistances(1 / conductance))
     assert answer.converged and answer.evaluations > answer.iterations > 0
     np.testing.assert_allclose(answer.conductance, conductance, rtol=FINE.get(name, 2e-2))
     if name == "krylov":  # as published it stops at 6 µS in every reading
-        assert np.abs(1 / two_point(answer.conductance) - 1 / two_point(conductance)).max() < 6e-6
+        assert (
+            np.abs(1 / two_point_resistances(1 / answer.conductance) - 1 / two_point_resistances(1 / conductance)).max()
+            < 6e-6
+        )
 
 
 def test_ours_and_theirs_stand_side_by_side_on_the_same_mats() -> None:

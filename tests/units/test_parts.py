@@ -190,21 +190,6 @@ def test_a_folder_of_parts_that_is_a_link_out_is_left_alone(tmp_path: Path, smal
 
 
 @pytest.mark.slow
-def test_parts_differ_from_the_whole_by_the_solvers_tolerance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where noise and circuit are asked of all frames alike: parts have 32, the load is largest in the middle."""
-    save(tmp_path, frames(60))
-    (tmp_path / "run.yaml").write_text(RUN)
-    for name, readings in (("parts", 640), ("whole", 10**6)):
-        for limit in ("MAX_READINGS", "PART_READINGS"):
-            monkeypatch.setattr(stored, limit, readings)
-        run_batch(read_run(tmp_path / "run.yaml"), tmp_path / name, Serial())
-    parts, whole = (content(tmp_path / name / "results.h5") for name in ("parts", "whole"))
-    same(parts, whole, 1e-5)
-    sentences = [value for name, value in parts.items() if name.endswith("@model_check")]
-    assert all(b"; of a long recording 60 frames between 0 and 59 were asked" in value for value in sentences)
-
-
-@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system tells no peak of a process alone")
 def test_memory_does_not_grow_with_the_frames(tmp_path: Path) -> None:
     """Peak resident size of two processes; the 25 maps of the longer recording alone would be 48 MB."""

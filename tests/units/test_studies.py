@@ -153,12 +153,7 @@ REFUSED: tuple[tuple[dict[str, Any], str], ...] = (
     ({"estimators": {}}, "at least one"),
     ({"formulations": ("naive",)}, "must hold reduced"),
     ({"formulations": ("reduced", "reduced")}, "twice"),
-    ({"frames": 1}, "2"),
-    ({"frames": 1001}, "1000"),
-    ({"repeats": 0}, "1"),
-    ({"repeats": 1001}, "1000"),
     ({"memory": "mine"}, "none of the estimators"),
-    ({"patience_s": -1.0}, "patience_s"),
     ({"sizes": ()}, "at least one"),
     ({"sizes": (7,)}, "8"),
     ({"sizes": (1001,)}, "1000"),
@@ -171,7 +166,6 @@ def test_settings_of_a_tradeoff_out_of_range_are_refused_and_the_ends_allowed() 
     for changes, sentence in REFUSED:
         with pytest.raises(ValueError, match=sentence):
             Simulated(**changes) if "sizes" in changes else settings(**changes)
-    assert settings(frames=2, repeats=1, patience_s=0.0).frames == settings(frames=1000, repeats=1000).repeats - 998
     made = [*Simulated(sizes=(8, (9, 10)), diameter_mm=28.0, seed=5).simulations(2)]
     assert Simulated(sizes=(8, (8, 1000)), seed=0).diameter_mm == 35
     assert [name for name, _ in made] == ["8x8_clean_10bit", "9x10_clean_10bit"]
