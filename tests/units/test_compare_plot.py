@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support import METHODS, invented_case
 
-from lampest import InputError, Panel, Recording, Scene, SweepPlot, TwoPointReadout, plot_results
+from lampest import InputError, Panel, Recording, Scene, SweepPlot, plot_results
 from lampest.cli.screen import print_table
 from lampest.report.compare import Table, compare, compare_files, comparison, legend, screen_blocks, write_csv
 from lampest.report.info import describe
@@ -51,20 +51,6 @@ def test_the_table_fits_a_hundred_columns_with_whole_names(capsys: pytest.Captur
         assert any(line.startswith((f" {name} ", f" {name}, paper's λ ")) for line in lines)
 
 
-def test_the_table_is_written_as_csv(tmp_path: Path) -> None:
-    for name in ("one.h5", "two.h5"):
-        write_results(tmp_path / name, [invented_case(method) for method in METHODS], PUBLISHED)
-    rows = compare_files([tmp_path / "one.h5", tmp_path / "two.h5"])
-    write_csv(tmp_path / "table.csv", rows)
-    lines = list(csv.DictReader((tmp_path / "table.csv").read_text(encoding="utf-8").splitlines()))
-    assert len(lines) == 14 and lines[0]["results"].endswith("one.h5") and lines[7]["results"].endswith("two.h5")
-    assert float(lines[0]["data error mean [%]"]) == rows[0]["data error mean [%]"]
-    assert lines[0]["published time sd [s]"] == "0.4" and lines[1]["published time sd [s]"] == ""
-    assert [block.title.split(": ")[0] for block in screen_blocks(rows)] == [row["results"] for row in rows[::7]]
-    with pytest.raises(InputError, match="cannot be written"):
-        write_csv(tmp_path / "one.h5" / "table.csv", rows)
-
-
 @pytest.mark.slow
 def test_pictures_go_where_they_are_asked_to(tmp_path: Path) -> None:
     write_results(tmp_path / "one.h5", [invented_case("LSM", shape=(1, 3, 3))])
@@ -103,22 +89,17 @@ def test_results_without_a_solved_frame_are_compared_and_others_call_their_optim
     assert strongest_index(half[1:]) == 2 and strongest_index(half) == 1, "of the frames that most estimators solved"
 
 
-def test_a_description_names_the_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_description_shows_what_fits_the_screen_and_no_foreign_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("COLUMNS", "100")
-    write_results(tmp_path / "r.h5", [invented_case(name) for name in METHODS], PUBLISHED)
-    lines = describe(tmp_path / "r.h5")
-    assert lines[0].endswith("results/1") and any("10 rows × 10 columns" in line for line in lines)
-    scene = Scene(Panel(30, 14), TwoPointReadout(), 140.0)
-    values = np.linspace(300, 400, 3 * 30 * 14).reshape(3, 30, 14)
-    Recording(scene, values, np.arange(3.0), np.array([0, 1, 1], dtype=np.uint8)).save(tmp_path / "rec.h5")
-    text = "\n".join(describe(tmp_path / "rec.h5"))
-    parts = ("3: 1 unloaded, 2 measured; 0 to 2 s", "300 to 400 ohm", "140 ohm", "10 bits", "rises by . ")
-    assert all(part in text for part in (*parts, "readings of frame 2 at 2 s, the strongest change"))
-    assert [line[:2] for line in text.splitlines() if line.endswith("#" * 28)][-1:] == ["29"], "all columns are shown"
-    wide = np.full((2, 60, 300), 300.0)
-    wide[1, 0, 0] = np.nan
-    Recording(Scene(Panel(60, 300)), wide, np.arange(2.0), np.array([0, 1], dtype=np.uint8)).save(tmp_path / "wide.h5")
-    assert describe(tmp_path / "wide.h5")[-1] == "(the first 48 of 60 rows and 97 of 300 columns)"
+    for rows, columns in ((30, 14), (60, 300)):
+        values = np.linspace(300, 400, 2 * rows * columns).reshape(2, rows, columns)
+        recording = Recording(Scene(Panel(rows, columns)), values, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
+        recording.save(tmp_path / f"{rows}.h5")
+    lines = describe(tmp_path / "30.h5")
+    assert any(line.endswith("#" * 28) for line in lines), "all columns are shown"
+    assert describe(tmp_path / "60.h5")[-1] == "(the first 48 of 60 rows and 97 of 300 columns)"
     (tmp_path / "text.h5").write_text("text", encoding="utf-8")
     with pytest.raises(InputError, match="not a readable HDF5 file"):
         describe(tmp_path / "text.h5")
@@ -164,6 +145,8 @@ def test_the_table_has_a_row_a_case_and_a_column_for_each_swept_key(tmp_path: Pa
     assert [cells[:3] for cells in block.cells][:4] == expected and len(block.cells) == 8
     write_csv(tmp_path / "t.csv", rows)
     lines = list(csv.DictReader((tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()))
+    with pytest.raises(InputError, match="cannot be written"):
+        write_csv(tmp_path / "r.h5" / "t.csv", rows)
     assert [line["gradient.weight"] for line in lines][:3] == ["", "1e-08", "1e-06"]
     assert [line["log_ratio.weight"] for line in lines][3:6] == ["", "0.1", "1.0"]
     frame = comparison(tmp_path / "r.h5")
