@@ -175,13 +175,6 @@ def test_only_data_terms_read_what_was_measured(term: type[Term], words: dict[st
     assert term.reads_measurement == (not same)
 
 
-@pytest.mark.parametrize("weight", [-1e-9, float("nan"), float("inf")])
-@pytest.mark.parametrize("kind", term_types())
-def test_weight_must_be_finite_and_not_negative(kind: str, weight: float) -> None:
-    with pytest.raises(ValueError, match="weight must be"):
-        term_types()[kind](weight=weight)
-
-
 @pytest.mark.parametrize("frames", [1, 2])
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
 @pytest.mark.parametrize(("term", "words"), VARIANTS)
