@@ -28,7 +28,6 @@ MEMBERS = [
 ]
 
 DEEPEST = 2  # what stands deeper in an example is an example of its own
-PANELS = tuple(itertools.product((3, 2, 1), (4, 2, 1)))
 
 
 def loaded(text: str, kind: Any) -> Any:
@@ -151,21 +150,6 @@ def test_every_method_may_be_its_bare_word() -> None:
     assert {word for method in methods for word in words(method)} == {*get_args(MethodName)}
     for method in methods:
         assert all(named_method(word) == method(kind=word) for word in words(method))
-
-
-@pytest.mark.parametrize("readout", members_of(hints(Scene)["readout"]))
-def test_a_scene_takes_every_readout(readout: type) -> None:
-    """What a readout computes has its laws elsewhere; they walk the same union."""
-    for example in examples(readout):
-        scene = next(scene for shape in PANELS if (scene := fits(shape, example)) is not None)
-        assert loaded(to_yaml(scene), Scene) == scene
-
-
-def fits(shape: tuple[int, int], readout: Any) -> Scene | None:
-    try:
-        return Scene(Panel(*shape), readout)
-    except ValueError:  # a list of one number for each line, and so many lines there are not
-        return None
 
 
 def test_installed_kinds_stand_in_the_order_of_their_names(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,17 +1,17 @@
 """Losses of a user's own, in no union, which say what they cost and nothing else."""
 
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import casadi
 import numpy as np
 import pytest
-from laws.samples import members_of
+from golden.numerics import LOSSES
 from numpy.testing import assert_allclose
 
 from lampest import Array, Gradient, InputError, Misfit, Panel, Reconstruction, Recording, Scene, Term, reconstruct
-from lampest.cost.losses import Absolute, AnyLoss, Huber, Loss, PenaltyEvidence, Squared
+from lampest.cost.losses import Absolute, Huber, Loss, PenaltyEvidence, Squared
 from lampest.files.document import adapter
 from lampest.panel.readouts.floating import two_point_resistance
 from tests.estimates import recording_of
@@ -55,11 +55,7 @@ class OnlyCost(Loss):
         return self.of.cost(residual)
 
 
-SMOOTH = [
-    loss(**{field.name: CORNER for field in fields(loss) if field.default is MISSING})
-    for loss in members_of(AnyLoss)
-    if loss.enters != "dual"
-]
+SMOOTH = [loss for loss in LOSSES if loss.enters != "dual"]
 
 
 def recording(pressed: float = 0.4, outlier: float = 1.0) -> Recording:

@@ -13,6 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lampest import Array, Bounds, Contacts, Faults, Panel, Scene
+from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.typed import members_of
 from lampest.panel.network import Network
 from lampest.panel.readouts import AnyReadout
@@ -79,6 +80,11 @@ def network_of(scene: Scene, logarithm: Array, ties: Array | None = None) -> Net
 
 def size(values: Array) -> float:
     return float(np.abs(values).max())
+
+
+@every_scene
+def test_a_scene_with_it_comes_back_from_yaml(scene: Scene) -> None:
+    assert validated(parse_document(to_yaml(scene), "law"), Scene) == scene
 
 
 @every_scene

@@ -1,20 +1,20 @@
 """What holds for every cost term with every loss. The tests walk the unions: a new term is tested as it is."""
 
 import dataclasses
-from itertools import product
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal
 
 import casadi
 import numpy as np
 import pytest
-from laws.samples import members_of
+from golden.numerics import LOSSES as UNION_LOSSES
+from golden.numerics import options
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import t
 
 from lampest import Array, InputError, Panel, TwoPointReadout, two_point_resistance
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
-from lampest.cost.losses import Absolute, AnyLoss, Huber, Loss, Squared, Student
+from lampest.cost.losses import Absolute, Huber, Loss, Squared, Student
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Misfit, State, Term, term_kind, term_types
 from lampest.solvers.hessian import Hessian
@@ -22,7 +22,7 @@ from lampest.solvers.ipopt import FORMULATIONS, Program
 from lampest.solvers.smoothing import Smoothing
 
 PANEL = Panel(3, 4)
-CORNER = 40.0
+CORNER = 40.0  # of the losses of the union, too
 IN_OHMS = ("cell_resistance", "reading", "measured", "sigma", "previous", "baseline")  # of what a term is given
 
 
@@ -38,22 +38,7 @@ class GemanMcClure(Loss):
         return casadi.sum1(residual**2 / (1 + (residual / self.corner) ** 2))
 
 
-LOSSES = [
-    loss(**{field.name: CORNER for field in dataclasses.fields(loss) if field.default is dataclasses.MISSING})
-    for loss in (*members_of(AnyLoss), GemanMcClure)
-]
-
-
-def options(term: type[Term]) -> list[dict[str, Any]]:
-    """Every combination of a term's choices of words, such as misfit's weighting."""
-    choices = {
-        name: get_args(hint)
-        for name, hint in get_type_hints(term).items()
-        if get_origin(hint) is Literal and name != "kind"
-    }
-    return [dict(zip(choices, words, strict=True)) for words in product(*choices.values())]
-
-
+LOSSES = [*UNION_LOSSES, GemanMcClure(CORNER)]
 VARIANTS = [
     pytest.param(term, words, id="-".join([kind, *words.values()]))
     for kind, term in term_types().items()
