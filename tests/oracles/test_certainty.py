@@ -30,9 +30,9 @@ from tests.estimates import in_intervals, recording_of, rms
 SHAPE = (7, 8)
 
 
-def panel_cells(shape: tuple[int, int] = SHAPE, seed: int = 1) -> Array:
+def panel_cells() -> Array:
     """An unloaded panel with a pressed patch and a sucked cell."""
-    cells = 3050 * np.exp(0.2 * np.random.default_rng(seed).standard_normal(shape))
+    cells = 3050 * np.exp(0.2 * np.random.default_rng(1).standard_normal(SHAPE))
     cells[2:5, 3:6] *= 0.1
     cells[3, 4] *= 30
     return cells

@@ -250,13 +250,11 @@ def load_that_leaves(
     return simulate(Simulation(1, 5, SQUARE, frames=frames, loads=(load,), course=course, film=film))
 
 
-def watched(
-    recordings: list[Recording], minutes: float = 0.0, drift: float = 0.0, period: float = 1.0
-) -> tuple[Attachment, ...]:
+def watched(recordings: list[Recording], minutes: float = 0.0, drift: float = 0.0) -> tuple[Attachment, ...]:
     """What is attached in recordings, one after the other; the first has the baseline.
 
     minutes : between the first frames of the load and its last. drift : of ln y a decade, of each reading by itself a
-    tenth of that. period : s, between frames.
+    tenth of that.
     """
     readings = recordings[0].readings()
     resting = readings[[0, 1, 2]].mean()
@@ -271,10 +269,10 @@ def watched(
     for recording in recordings:
         readings = recording.readings()
         for number in range(3, len(readings.value)):
-            time += period
+            time += 1.0
             watch = pushed(watch, readings.value[number], readings.sigma[number], time)
-            for _ in range(round(60 * minutes / period) if number == 14 else 0):
-                time += period
+            for _ in range(round(60 * minutes) if number == 14 else 0):
+                time += 1.0
                 noise = readings.sigma[number] * rng.standard_normal(SQUARE.panel.shape)
                 watch = pushed(watch, readings.value[number] + noise, readings.sigma[number], time)
     return watch.attachments

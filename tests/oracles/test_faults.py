@@ -1,4 +1,4 @@
-"""What is broken leaves the model, what only bounds a reading is a bound, and intervals of missing readings hold."""
+"""Broken cells are flagged, readings at their limits are bounds, and intervals of missing readings hold."""
 
 from dataclasses import replace
 

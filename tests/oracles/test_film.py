@@ -113,11 +113,9 @@ TRUE = Film(hysteresis=0.24, creep_per_decade=0.05)
 SLOW = Course(approach_s=10, release_at_s=30, release_s=10)
 
 
-def pressed_film(
-    truth: Film, told: Film | None, seed: int = 3, course: Course = SLOW, mass_g: float = 2400
-) -> Recording:
+def pressed_film(truth: Film, told: Film | None, seed: int = 3, course: Course = SLOW) -> Recording:
     """A rod on 6 × 6 cells that is put on and taken off, 60 frames."""
-    rod = Rod(centre_mm=(25, 25), diameter_mm=40, mass_g=mass_g)
+    rod = Rod(centre_mm=(25, 25), diameter_mm=40, mass_g=2400)
     scene = Scene(
         Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, systematic=EXACT, film=told, response=PublishedResponse()
     )
@@ -240,13 +238,11 @@ CUP = SuctionCup(kind="suction_cup", centre_mm=(25, 25), inner_diameter_mm=24, o
 ARRIVES, LEAVES = 30, 70
 
 
-def drifting(
-    load: Shape, seed: int = 1, film: Film | None = FILM, drift: float = 0.01, approach: float = 1.0
-) -> Recording:
+def drifting(load: Shape, seed: int = 1, film: Film | None = FILM, approach: float = 1.0) -> Recording:
     """130 frames of 6 × 6 cells that drift; the load is there from ARRIVES to LEAVES."""
     course = Course(start_s=ARRIVES, approach_s=approach, release_at_s=LEAVES, release_s=1)
     scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
-    unmodelled = Unmodelled(drift_per_minute=drift)
+    unmodelled = Unmodelled(drift_per_minute=0.01)
     return simulate(
         Simulation(1, seed, scene, frames=130, loads=(load,), course=course, film=film, unmodelled=unmodelled)
     )

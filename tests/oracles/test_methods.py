@@ -26,23 +26,23 @@ SMOOTH: tuple[Term, ...] = (Misfit(), Gradient(weight=1e-7))
 REDUCED = OptimalMethod("reduced")
 
 
-def resting(shape: tuple[int, int] = SHAPE, seed: int = 3) -> Array:
-    return np.asarray(3000 * np.exp(0.2 * np.random.default_rng(seed).standard_normal(shape)))
+def resting(shape: tuple[int, int] = SHAPE) -> Array:
+    return np.asarray(3000 * np.exp(0.2 * np.random.default_rng(3).standard_normal(shape)))
 
 
-def pressed(cells: Array, strength: float = 0.2, block: tuple[slice, slice] = BLOCK) -> Array:
-    """A block of cells at that share of their resistance, give or take."""
+def pressed(cells: Array) -> Array:
+    """A block of cells at a fifth of their resistance, give or take."""
     loaded = cells.copy()
     rng = np.random.default_rng(5)
-    loaded[block] *= strength * np.exp(0.3 * rng.standard_normal(loaded[block].shape))
+    loaded[BLOCK] *= 0.2 * np.exp(0.3 * rng.standard_normal(loaded[BLOCK].shape))
     return loaded
 
 
-def recording(*cells: Array, noise: float = 0.0, sigma: float = 1e-6, unloaded: int = 1) -> Recording:
+def recording(*cells: Array, noise: float = 0.0) -> Recording:
     """Frames of readings with a relative noise; σ is what is told of it."""
     exact = two_point_resistance(np.stack(cells))
     readings = exact * (1 + noise * np.random.default_rng(7).standard_normal(exact.shape))
-    return recording_of(Scene(Panel(*cells[0].shape)), readings, unloaded, sigma=exact * max(noise, sigma))
+    return recording_of(Scene(Panel(*cells[0].shape)), readings, 1, sigma=exact * max(noise, 1e-6))
 
 
 def found_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **options: Any) -> Estimates:

@@ -1,4 +1,4 @@
-"""Leaks, contacts, common creep and saturation are named, in readings of a network that is written anew here."""
+"""Leaks, contacts and saturation are taken off the frames that have them; the network is written anew here."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +24,6 @@ def panel(
     leak_ohm: float = np.inf,
     leak_from: int = 0,
     contact: tuple[int, float, int] = (0, 0.0, 0),
-    creep: float = 0.0,
     saturated: float = 1.0,
 ) -> Recording:
     """A hand on some cells; contact : of a row, so many ohm more, from a frame on. saturated : share of full scale."""
@@ -34,7 +33,6 @@ def panel(
     frames = UNLOADED + FRAMES
     cells = np.repeat(3000 * np.exp(0.15 * rng.standard_normal((1, ROWS, COLUMNS))), frames, axis=0)
     cells[UNLOADED:] *= np.exp(-2 * np.exp(-((row - down) ** 2 + (column - across) ** 2) / 3))
-    cells[UNLOADED:] *= np.exp(creep * np.linspace(0, 1, FRAMES))[:, None, None]
     leaks = np.where(np.arange(frames) >= leak_from, leak_ohm, np.inf)
     ohm = np.stack([two_point_resistances(*frame) for frame in zip(cells, leaks, strict=True)])
     ohm[contact[2] :, contact[0]] += contact[1]

@@ -281,14 +281,14 @@ def test_the_table_of_real_recordings_has_a_row_for_every_method(
 NOISE = 0.02
 
 
-def bump(rows: int = 4, columns: int = 5, noise: float = NOISE) -> Recording:
+def bump() -> Recording:
     """Two unloaded frames and one with a bump, with relative noise."""
     rng = np.random.default_rng(5)
-    cells = 3000 * np.exp(0.1 * rng.standard_normal((3, rows, columns)))
+    cells = 3000 * np.exp(0.1 * rng.standard_normal((3, 4, 5)))
     cells[2, 1:3, 1:4] *= 0.3
     exact = two_point_resistance(cells)
-    measured = exact * np.exp(noise * rng.standard_normal(exact.shape))
-    return recording_of(Scene(Panel(rows, columns)), measured, 2, sigma=noise * exact, truth_cell_resistance=cells)
+    measured = exact * np.exp(NOISE * rng.standard_normal(exact.shape))
+    return recording_of(Scene(Panel(4, 5)), measured, 2, sigma=NOISE * exact, truth_cell_resistance=cells)
 
 
 def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> WeightSubject:
