@@ -13,14 +13,17 @@ from golden.numerics import point
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from lampest import InputError, Panel
+from lampest import InputError, Panel, Scene, TwoPointReadout
 from lampest.cost.given import Given
 from lampest.estimate.calibration.loads import _answers
 from lampest.estimate.calibration.trials import known_resistors
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
+from lampest.estimate.model_check import Question
+from lampest.estimate.rivals import Rival
 from lampest.files import levels
 from lampest.panel import compiled
 from lampest.panel.panel import Array
+from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.solvers.bounds import lower_along
 
 
@@ -67,6 +70,20 @@ def test_loaded_cells_have_moved_in_any_case() -> None:
     precision, loaded = np.linalg.inv(covariance), np.arange(8) == 6
     lost, moved = select_changed(precision @ change, precision, [np.zeros(8, dtype=bool)], loaded)
     assert moved[6] and change @ precision @ change + lost == pytest.approx(evidence(change, covariance, moved))
+
+
+def test_a_circuit_explains_means_of_widened_readings_that_noise_leaves_nearly_gaussian() -> None:
+    recorded, sigma = np.repeat([900.0, 800.0], 2)[:, None, None] * np.ones((3, 3)), np.full((3, 3), 2.0)
+    sigma[1, 2] = 600.0
+    rival = Rival(Scene(Panel(3, 3), TwoPointReadout(), 100.0), recorded, sigma)
+    role = np.array([UNLOADED, UNLOADED, MEASURED, MEASURED], dtype=np.uint8)
+    resting, loaded = Question(rival, role, np.array([0, 1]), np.array([2, 3]), 3.0, np.arange(4)).readings(rival)
+    usable = np.ones((3, 3))
+    usable[1, 2] = 0.0
+    for readings, value in ((resting, 800.0), (loaded, 700.0)):
+        np.testing.assert_array_equal(readings.seen, usable)
+        np.testing.assert_allclose(readings.value[usable > 0], value)
+        np.testing.assert_allclose(readings.sigma[usable > 0], 3.0 * 2.0 / np.sqrt(2))
 
 
 def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypatch: pytest.MonkeyPatch) -> None:
