@@ -383,7 +383,7 @@ def find_effects(pairs: Sequence[tuple[str, FittedPair]]) -> CircuitEffects:
         off_by_one = pair.scores_with((), LooseContact.prior * pair.frames[1].gain).min()
         if off_by_one < whole.evidence.score + MIN_EVIDENCE_GAIN:
             continue
-        if any(_beside_a_load(effect, whole.moved) for effect in whole.effects):
+        if any(beside_a_load(effect, whole.moved) for effect in whole.effects):
             continue
         most, fits_noise = gain, min(fit.tail for fit in whole.frames) >= SIGNIFICANCE
         names = " and ".join(effect.sentence(pair.shape[0]) for effect in whole.effects)
@@ -428,7 +428,7 @@ def _tried(pair: FittedPair) -> Iterator[FittedPair]:
             yield settled
 
 
-def _beside_a_load(effect: Effect, moved: NDArray[np.bool_]) -> bool:
+def beside_a_load(effect: Effect, moved: NDArray[np.bool_]) -> bool:
     """Return whether the edge of a load may look like this better contact: most cells of an adjacent line moved."""
     if not isinstance(effect, LooseContact) or effect.size > 0:
         return False

@@ -56,7 +56,7 @@ class Workers(ProcessPoolExecutor):
 
     def __exit__(self, *error: object) -> None:
         self.kill()
-        self.shutdown(cancel_futures=True)
+        self.shutdown()
 
 
 def _answer(function: Function, argument: Any) -> bytes:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import lampest as lp
 from lampest.estimate import changed_cells, noise, outliers
 from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
 from lampest.estimate.model_check import noise_factor
+from lampest.estimate.nuisances import CircuitEffects, beside_a_load
 from lampest.estimate.nuisances import candidates as possible_effects
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition import breathing, observation
@@ -22,6 +24,7 @@ from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Verdict
 from lampest.loads.recognition.pumping import Pumping
+from lampest.panel.effects import LineLeak, LooseContact
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.scene import OwnOfModule
 from lampest.report.detect import detection
@@ -158,6 +161,28 @@ def scatter_row() -> dict[str, Any]:
     }  # fmt: skip
 
 
+def contacts_row() -> dict[str, Any]:
+    """Contacts that the edge of a load may imitate, effects in words, and noise of frames with many outliers."""
+    loaded = np.zeros((4, 5), dtype=bool)
+    loaded[1, :3] = loaded[1:, 3] = True
+    contacts = [LooseContact((line,), size=size) for line in range(9) for size in (-40.0, 40.0)]
+    effects: Any = SimpleNamespace(effects=(LooseContact((5,), size=40.0), LineLeak((1,), size=1e-4)), shape=(4, 5))
+    rng, recording = np.random.default_rng(5), recorded()
+    shared = {}
+    for unloaded in (2, 4):
+        fewer = replace(recording, role=(np.arange(9) >= unloaded).astype(np.uint8))
+        flagged = rng.random(recording.recorded.shape) < np.where(np.arange(9) < 6, 0.02, 0.2)[:, None, None]
+        for readings in (fewer.readings(), replace(fewer.readings(), sigma=None)):
+            shared[f"{unloaded} {readings.sigma is None}"] = noise.estimate_noise(fewer, flagged, readings).warnings
+    calm = 1000 + np.where(np.arange(60) < 30, 2.0, 30.0)[:, None, None] * rng.standard_normal((60, 3, 4))
+    calm[[8, 20, 33, 59], 1, 2] += 90.0
+    return {
+        "beside": [beside_a_load(contact, loaded) for contact in contacts],
+        "corrections": CircuitEffects(pair=effects).corrections, "warnings": shared,
+        "usual": outliers.detect_outliers(calm, np.full(calm.shape, 2.0))[0].nonzero(),
+    }  # fmt: skip
+
+
 def changed_row() -> dict[str, Any]:
     """Cells that moved, found from their changes and a precision."""
     rng = np.random.default_rng(7)
@@ -179,7 +204,12 @@ def changed_row() -> dict[str, Any]:
 
 def of_checks() -> Rows:
     rows: Rows = {f"prepared {name}": lambda made=made: prepared_row(made()) for name, made in RECORDED.items()}
-    return rows | {"outliers": outliers_row, "scatter": scatter_row, "changed cells": changed_row}
+    return rows | {
+        "outliers": outliers_row,
+        "scatter": scatter_row,
+        "changed cells": changed_row,
+        "contacts": contacts_row,
+    }
 
 
 # Recognition

@@ -63,13 +63,17 @@ def mutants_of(root: Path, path: Path) -> list[Mutant]:
 
 
 def sites(node: ast.AST, names: tuple[str, ...]) -> Iterator[tuple[ast.expr, str]]:
-    """Yield every expression that is computed with its function; annotations, messages and strict zips are left out."""
+    """Yield every expression that is computed, with its function.
+
+    Annotations, messages and changes without an effect are left out: `strict` of zips refuses lengths that are equal
+    anyway, `optimize` of einsum changes its time alone, and reshape takes any negative length for the unknown one.
+    """
     for field, children in ast.iter_fields(node):
-        if field in ("annotation", "returns", "decorator_list") or (field, getattr(node, "arg", "")) == (
-            "value",
-            "strict",
-        ):
-            continue  # a strict zip refuses lengths that are equal anyway
+        if field in ("annotation", "returns", "decorator_list"):
+            continue
+        if field == "value" and getattr(node, "arg", "") in ("strict", "optimize"):
+            continue
+        reshapes = isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "reshape"
         for child in children if isinstance(children, list) else [children]:
             if not isinstance(child, ast.AST) or isinstance(child, ast.JoinedStr):
                 continue
@@ -77,7 +81,8 @@ def sites(node: ast.AST, names: tuple[str, ...]) -> Iterator[tuple[ast.expr, str
             inner = (*names, child) if named else names  # type: ignore[arg-type]
             if isinstance(child, ast.expr):
                 yield child, enclosing_function(names)
-            yield from sites(child, inner)  # type: ignore[arg-type]
+            if not (reshapes and isinstance(child, ast.UnaryOp)):
+                yield from sites(child, inner)  # type: ignore[arg-type]
 
 
 def enclosing_function(definitions: tuple[ast.AST, ...]) -> str:
