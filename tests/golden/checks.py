@@ -15,7 +15,7 @@ from golden.estimates import simulated
 import lampest as lp
 from lampest.estimate import changed_cells, noise, outliers
 from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
-from lampest.estimate.model_check import noise_factor
+from lampest.estimate.model_check import Explanation, module_factors, noise_factor
 from lampest.estimate.nuisances import CircuitEffects, beside_a_load
 from lampest.estimate.nuisances import candidates as possible_effects
 from lampest.estimate.prepared import Prepared
@@ -161,6 +161,12 @@ def scatter_row() -> dict[str, Any]:
     }  # fmt: skip
 
 
+def factors_of_modules(factor: float) -> dict[int, float]:
+    recorded = tiled().recorded.copy()
+    recorded[:, :4, 4:8] *= factor
+    return module_factors(replace(tiled(), recorded=recorded), Modules(2, 3, EachModule(4, 4), seam_mm=3.0))
+
+
 def contacts_row() -> dict[str, Any]:
     """Contacts that the edge of a load may imitate, effects in words, and noise of frames with many outliers."""
     loaded = np.zeros((4, 5), dtype=bool)
@@ -174,11 +180,15 @@ def contacts_row() -> dict[str, Any]:
         flagged = rng.random(recording.recorded.shape) < np.where(np.arange(9) < 6, 0.02, 0.2)[:, None, None]
         for readings in (fewer.readings(), replace(fewer.readings(), sigma=None)):
             shared[f"{unloaded} {readings.sigma is None}"] = noise.estimate_noise(fewer, flagged, readings).warnings
+    fits: Any = [SimpleNamespace(chi_square=2.0 + k, readings=SimpleNamespace(bounds=np.eye(2 + k))) for k in (0, 1)]
+    explanation = Explanation(None, tuple(fits), SimpleNamespace(beyond_noise=30.0, density=70.0))  # type: ignore[arg-type]
     calm = 1000 + np.where(np.arange(60) < 30, 2.0, 30.0)[:, None, None] * rng.standard_normal((60, 3, 4))
     calm[[8, 20, 33, 59], 1, 2] += 90.0
     return {
         "beside": [beside_a_load(contact, loaded) for contact in contacts],
-        "corrections": CircuitEffects(pair=effects).corrections, "warnings": shared,
+        "modules": [factors_of_modules(factor) for factor in (1.01, 1.1, 1.3, 1.6, 2.5)], "warnings": shared,
+        "scores": [explanation.score, explanation.beyond_noise],
+        "corrections": CircuitEffects(pair=effects).corrections,
         "usual": outliers.detect_outliers(calm, np.full(calm.shape, 2.0))[0].nonzero(),
     }  # fmt: skip
 

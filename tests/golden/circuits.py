@@ -260,6 +260,9 @@ def film_row() -> dict[str, Any]:
         "resting": ERRORS.resting_sd(3.0), "known": [each.sentence for each in (known, estimated)],
         "estimated": estimated.creep, "hysteresis": known.hysteresis,
         "known at once": estimated.at_once(change, 40.0 * times),
+        "remembers": [
+            lp.Film(hysteresis=loss, creep_per_decade=creep).remembers for loss in (0.0, 0.2) for creep in (0.0, 0.1)
+        ],
         "bent": [scene.film.lowering, scene.film.answer, scene.film.answer_sd, scene.film.strength("creep_per_decade")],
     }  # fmt: skip
 
@@ -301,7 +304,10 @@ def candidate_row(candidate: Candidate) -> dict[str, Any]:
     start = candidate.start(disc)
     start = start if len(start) == len(mean) else mean
     row = {"mean": mean, "sd": candidate.sd(PANEL), "start": start, "map": candidate.pressure(PANEL, 6.0, start)}
-    return row | {"report": candidate.report(start), "blind": candidate.blind(start), "disc": candidate.disc(start)}
+    discs = [SHAPES[name].disc() for name in ("rod", "ring", "suction_cup")]
+    discs += [disc._replace(diameter_mm=2.0, inner_mm=0.1), disc._replace(rim_kpa=0.01, suction_kpa=-0.02)]
+    row |= {"report": candidate.report(start), "blind": candidate.blind(start), "disc": candidate.disc(start)}
+    return row | {"starts": [candidate.start(each) for each in discs]}
 
 
 def of_loads() -> Rows:

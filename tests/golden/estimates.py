@@ -206,6 +206,10 @@ ESTIMATORS: dict[str, Estimator] = {
     "several": Estimator((lp.Misfit(weighting="noise"), AUTO, lp.CellResistance()), "reduced"),
     "bounds": Estimator((lp.Misfit(),), "reduced", bounds=lp.Bounds(lower=900.0, upper=4000.0)),
     "smoother": Estimator((lp.Misfit(weighting="noise", loss=lp.Student(corner=4.0)),), lp.SmootherMethod(lag=3)),
+    "smoother at bounds": Estimator(
+        (lp.Misfit(weighting="noise", loss=lp.Student(corner=4.0)),), lp.SmootherMethod(lag=3),
+        bounds=lp.Bounds(lower=2000.0),
+    ),
     "truncated": Estimator((lp.Misfit(), lp.LogGradient(weight=0.05)), lp.TruncatedMethod(steps=4)),
     "tared": Estimator((lp.Misfit(),), "reduced", tare=lp.Tare(frames=5)),
 }  # fmt: skip

@@ -179,9 +179,29 @@ def drawn_row(figure: Figure) -> dict[str, Any]:
                 ],
                 "limits": [*each.get_xlim(), *each.get_ylim()],
                 "ticks": [each.get_xticks(), each.get_yticks()],
-                "texts": [(text.get_text(), text.get_position(), text.get_size()) for text in each.texts],
+                "texts": [
+                    (text.get_text(), text.get_position(), text.get_size(), text.zorder, str(text.get_color()))
+                    for text in each.texts
+                ],
                 "lines": [np.asarray(line.get_xydata(), dtype=float) for line in each.lines],
-                "looks": [(line.get_linewidth(), line.get_markersize(), str(line.get_color())) for line in each.lines],
+                "looks": [
+                    (
+                        line.get_linewidth(),
+                        line.get_markersize(),
+                        line.zorder,
+                        line.get_alpha(),
+                        *map(
+                            str,
+                            (
+                                line.get_color(),
+                                line.get_linestyle(),
+                                line.get_marker(),
+                                line.get_markerfacecolor(),
+                            ),
+                        ),
+                    )
+                    for line in each.lines
+                ],
                 "widths": [image.get_linewidths() for image in each.collections],
                 "place": each.get_position().bounds,
                 "values": [

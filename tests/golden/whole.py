@@ -6,10 +6,12 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, chdir, contextmanager
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import h5py
 import numpy as np
 from golden.checks import recorded
 from golden.circuits import PANEL, Rows
@@ -29,6 +31,10 @@ from lampest.recording.simulation import simulation
 from lampest.report.page import compared, page
 from lampest.runs.case import ATTRIBUTES, COLUMNS, REQUIRED
 from lampest.solvers import interior_point
+from lampest.solvers.bounds import bounds_matter
+from lampest.solvers.certificate import certificate
+from lampest.solvers.hessian import Hessian
+from lampest.solvers.smoothing import Smoothing
 from lampest.studies.weights import weights_figure, why_not
 
 # Large panels and long recordings
@@ -59,6 +65,22 @@ def large() -> Iterator[None]:
 def as_large(row: Callable[..., Any], *known: Any) -> Any:
     with large():
         return row(*known)
+
+
+def exact_row() -> Any:
+    """The certificate where every reading is met exactly, and readings that bounds keep from being met."""
+    known, partly = point("plain"), point("penalty")
+    near = known.elsewhere(known.cell_resistance)
+    met = replace(near, data=replace(near.data, given=replace(near.data.given, measured=near.reading)))
+    proof = certificate(Hessian(met.elsewhere(near.cell_resistance), Smoothing(1.0, near.nonsmooth)))
+    held, slope = [], np.full(partly.cell_resistance.shape, 1e9)
+    for place, share in product(((1, 3), (0, 0), (2, 1)), (0.8, 1.2)):
+        lower = np.ones(slope.shape)
+        lower[0][place] = partly.cell_resistance[0][place]
+        given = replace(partly.data.given, measured=share * partly.data.measured)
+        trial = replace(partly, data=replace(partly.data, given=given, lower=lower)).elsewhere(partly.cell_resistance)
+        held += [bounds_matter(trial, sign * slope, np.zeros(len(trial.nonsmooth))) for sign in (1.0, -1.0)]
+    return [proof.definiteness, bool(np.abs(proof.step).max() < 1e-9), held]
 
 
 def barrier_row() -> Any:
@@ -227,12 +249,33 @@ def command_line_row(command: Any) -> Any:
     }  # fmt: skip
 
 
+STORED = ("shape", "dtype", "chunks", "compression", "shuffle", "fletcher32", "maxshape")
+
+
+def files_row() -> dict[str, Any]:
+    """How recordings and results are stored: types, chunks, filters and attributes."""
+    stored: dict[str, Any] = {}
+
+    def noted(path: str, node: Any) -> None:
+        known = {key: str(value) for key, value in sorted(node.attrs.items()) if "LIST" not in key and "crc" not in key}
+        stored[node.file.filename + " " + path] = [*(str(getattr(node, part, "")) for part in STORED), known]
+
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        simulated(frames=30).save("recording.h5")
+        lp.write_results(Path("results.h5"), invented()[:1])
+        for name in ("recording.h5", "results.h5"):
+            with h5py.File(name) as file:
+                file.visititems(noted)
+    return stored
+
+
 def of_whole() -> Rows:
     return (
         {f"solve large {cost}": partial(as_large, solver_row, cost, "whole", "newton") for cost in COSTS}
         | {f"point large {cost}": partial(as_large, certificate_row, cost, "whole", 0.0) for cost in COSTS}
         | {f"simulation {name}": partial(simulation_files_row, text) for name, text in SIMULATIONS.items()}
         | {
+            "exact readings": exact_row, "exact readings large": partial(as_large, exact_row), "files": files_row,
             "interior point": barrier_row, "parts": parts_row, "model error": model_error_row, "report": report_row,
             "columns": columns_row,
             "command line": lambda: command_line_row(get_command(cli.app)),

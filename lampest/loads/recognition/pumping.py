@@ -93,8 +93,8 @@ class Pumping:
         cls, weights: Array, reference: Array, time: float, moves: int, before: "Pumping | None" = None
     ) -> "Pumping":
         """Return the state before the first sample; `before` is that of the same attachment in its previous place."""
-        kinds = np.log(OF_KINDS.share) + np.zeros(GRID)
-        known = kinds if before is None else logsumexp(before.logarithm, axis=-1, keepdims=True) + np.zeros(GRID)
+        kinds = np.broadcast_to(np.log(OF_KINDS.share), GRID)
+        known = kinds if before is None else np.broadcast_to(logsumexp(before.logarithm, axis=-1, keepdims=True), GRID)
         return cls(weights, reference, time, moves, known, np.zeros(GRID), np.ones(GRID), np.zeros(GRID))
 
     def after(self, logarithms: Array, time: float) -> "Pumping":
