@@ -265,6 +265,17 @@ def detected_row(name: str, purpose: Any = None) -> dict[str, Any]:
     return answer_row(detected(name, purpose))
 
 
+def bare_row() -> dict[str, Any]:
+    """A rod on a panel of which neither circuit nor noise are known."""
+    loads, course, _, _ = ON_FILM["rod"]
+    scene = lp.Scene(lp.Panel(6, 7), response=lp.PublishedResponse())
+    unmodelled = lp.Unmodelled(drift_per_minute=0.1)
+    recording = lp.simulate(lp.Simulation(1, 3, scene, loads=loads, course=course, frames=5, unmodelled=unmodelled))
+    with tempfile.TemporaryDirectory() as folder:
+        recording.save(Path(folder) / "bare.h5")
+        return answer_row(detection.detect_recording(Path(folder) / "bare.h5"))
+
+
 def frames_of(recording: lp.Recording) -> detection.Frames:
     """Values, σ and time of the measured frames."""
     return detection.measured_frames(recording, detection.known_of(Prepared(recording)), recording.role == 1)
@@ -341,6 +352,7 @@ def of_recognition() -> Rows:
     rows: Rows = {f"detected {name}": partial(detected_row, name) for name in ON_FILM}
     rows |= {f"verdict on {name}": partial(verdict_row, name) for name in ON_FILM}
     return rows | {
+        "detected without a readout": bare_row,
         "detected on a mat": partial(detected_row, "block", "mat"), "breathing": breathing_row,
         "attachments": attachments_row,
         "detected on modules": lambda: answer_row(detection.known_of(Prepared(tiled())).answer(frames_of(tiled()))),

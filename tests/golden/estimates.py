@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import cache, partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, get_args
 
 import numpy as np
@@ -14,7 +15,7 @@ import lampest as lp
 from lampest.estimate.calibration import known_loads
 from lampest.estimate.calibration.channels import calibrate_channels
 from lampest.estimate.calibration.loads import calibrate_loads
-from lampest.estimate.calibration.resistors import calibrate_resistors
+from lampest.estimate.calibration.resistors import calibrate_resistors, noise_of
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.method import OptimalMethod
@@ -30,6 +31,7 @@ from lampest.recording.readings import (
 )
 from lampest.report.info import understood_lines
 from lampest.report.reconstruction import Reconstruction
+from lampest.runs.filling import frame_noise_of
 from lampest.studies.common import CONFIGS, paper_methods
 
 # Recordings
@@ -266,6 +268,42 @@ def resistors_row(scene: lp.Scene, more: float = 0.0) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def repeats_row() -> list[Any]:
+    """Noise of lines from repeats: alike, different, and too few."""
+    cases = (
+        ((40, 50, 60), (1.0, 1.1, 0.9)),
+        ((40, 50, 60), (1.0, 3.0, 0.1)),
+        ((40, 2, 60), (1.0, 9.0, 1.3)),
+        ((1, 2, 0), (1,) * 3),
+    )
+    trials = [[SimpleNamespace(repeats=np.array(n), noise_lsb=np.array(x))] for n, x in cases]
+    return [noise_of(trial) for trial in (*trials, trials[0] + trials[2])]  # type: ignore[arg-type]
+
+
+def stored_noise_row() -> list[Any]:
+    """Noise that readings share, from what a results file holds of it; or why not."""
+    scene, held, rows = (
+        lp.Scene(PANEL, lp.TwoPointReadout(noise_lsb=0.7)),
+        {"gain": np.array(0.01), "unloaded": np.array(4), "apart": np.ones((5, 2))},
+        list[Any](),
+    )
+    changes: list[dict[str, Any]] = [
+        {},
+        {"gain": -1.0},
+        {"gain": np.nan},
+        {"unloaded": 0},
+        {"unloaded": 1},
+        {"together": np.ones((9, 1))},
+    ]
+    for change in changes:
+        try:
+            noise = frame_noise_of({**held, **{name: np.asarray(value) for name, value in change.items()}}, scene)
+            rows.append(noise and [noise.unloaded, noise.gain, noise.common_ripple, noise.line_ripple])
+        except ValueError as error:
+            rows.append(str(error))
+    return rows
+
+
 def channels_row() -> dict[str, Any]:
     scene = lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0, systematic=lp.Systematic(0.01, 5.0))
     calibration = calibrate_channels([simulated("channel_spread_ohm", scene)])
@@ -326,6 +364,8 @@ def of_estimate() -> Rows:
         | {f"estimate with {name}": partial(estimate_row, made, usual) for name, made in recordings.items()}
         | {f"resistors {name}": partial(resistors_row, scene) for name, scene in resistors.items()}
         | {
+            "repeats": repeats_row,
+            "stored noise": stored_noise_row,
             "channels": channels_row,
             "resistors of bad channels": partial(resistors_row, scenes()["noisy"], 87.9),
             "known loads": loads_row,

@@ -148,8 +148,19 @@ def page_row() -> dict[str, Any]:
     )
     standing = compared.comparison_of(batch, np.random.default_rng(1))
     advice = compared.advise(batch, standing)
+    unknown = [replace(case, truth=None, truth_baseline=None) for case in invented()]
+    blind = [
+        compared.comparison_of(
+            compared.Batch(
+                ("b.h5",), {name: {case.estimator: case for case in lp.Results(unknown).of(name)} for name in names}
+            ),
+            np.random.default_rng(2),
+        )
+        for names in (("mouth",), ("mouth", "second"))
+    ]
     by_estimator = {name: [case for case in invented() if case.estimator == name] for name in METHODS}
     return {
+        "blind": [(each.standings, each.values, each.block, each.units) for each in blind if each is not None],
         "standings": standing.standings, "values": standing.values, "block": standing.block, "units": standing.units,
         "milliseconds": {row.estimator: row.milliseconds for row in standing.standings}, "advice": advice,
         "tables": [page.standing_table(standing), page.unit_table(standing), page.case_table(by_estimator)],
@@ -268,6 +279,7 @@ def message_row() -> dict[str, Any]:
         "content": message.content(60.0), "row": message.row(), "channels": message.channels(),
         "page": json.loads(view_text(view, 60.0, 3)), "signature": message.signature,
         "alarm": [view.alarm, acknowledged(view).alarm],
+        "seen": [acknowledged(each).acknowledged for each in (view, blank)],
     }  # fmt: skip
 
 

@@ -92,8 +92,8 @@ def read(path: Path) -> Tests:
 def guards_of(mutant: Mutant, tests: Tests) -> tuple[list[str], list[str]]:
     """Return golden rows and other tests that call a mutant's function, or its module where it is in no function.
 
-    The shortest row comes first, then the shortest test of every file and the second of every file, up to `LONGEST`
-    seconds.
+    The shortest row comes first, then defaults and constants, the shortest test of every file and the second of every
+    file, up to `LONGEST` seconds.
     """
     path, rows, by_file = mutant.path.removeprefix("lampest/"), list[str](), dict[str, list[str]]()
     tried = [f"{path}:{mutant.function}\n", f":{mutant.function}\n"] if mutant.function else []
@@ -101,12 +101,12 @@ def guards_of(mutant: Mutant, tests: Tests) -> tuple[list[str], list[str]]:
         names = [name for name, test in tests.items() if any(part in f"{call}\n" for call in test["functions"])]
         if names:
             break
-    names += [name for name in tests if name.startswith(DEFAULTS)]
-    for name in sorted(set(names), key=lambda name: tests[name]["seconds"]):
+    chosen = [name for name in tests if name.startswith(DEFAULTS)]
+    for name in sorted(set(names) - set(chosen), key=lambda name: tests[name]["seconds"]):
         (rows if name.startswith(GOLDEN) else by_file.setdefault(name.partition("::")[0], [])).append(name)
     rounds = max(map(len, by_file.values()), default=0)
     ordered = [names[number] for number in range(rounds) for names in by_file.values() if number < len(names)]
-    total, chosen = 0.0, []
+    total = 0.0
     for name in ordered:
         total += tests[name]["seconds"]
         if total < LONGEST:
