@@ -2,8 +2,8 @@
 
 import dataclasses
 import doctest
-import inspect
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -56,15 +56,6 @@ def test_every_name_is_there_and_listed() -> None:
     assert lampest.Estimator([Misfit()]) == lampest.Estimator((Misfit(),))
     with pytest.raises(AttributeError, match="no attribute 'reconstrcut'"):
         lampest.reconstrcut  # noqa: B018
-
-
-def test_a_function_says_what_it_takes() -> None:
-    signature = inspect.signature(lampest.reconstruct)
-    kinds = {name: parameter.kind.name for name, parameter in signature.parameters.items()}
-    named = ("formulation", "solver", "bounds", "error_bars", "auto_weight", "tare", "progress")
-    expected = dict.fromkeys(("recording", "terms"), "POSITIONAL_OR_KEYWORD") | dict.fromkeys(named, "KEYWORD_ONLY")
-    assert kinds == expected
-    assert "Any" not in str(signature)
 
 
 SCRIPT = """\
@@ -166,27 +157,21 @@ def test_wrong_use_is_one_sentence(lamprey: Recording, given: dict[str, Any], se
 
 
 def test_wrong_frames_weights_and_files_are_one_sentence(lamprey: Recording) -> None:
-    estimator = lampest.Estimator((Misfit(),), "reduced")
-    stream = lampest.Stream.begin(estimator, lamprey.scene, 1.0, lamprey.readings()[:3].mean())
-    for wrong, sentence in (
-        (lambda: Gradient(weight=-1), "Gradient: weight must be zero or positive, and finite"),
-        (
-            lambda: Gradient(weight="autos"),
-            "Gradient: weight: Input should be a valid number or 'auto', not 'autos'; did you mean auto",
-        ),
-        (
-            lambda: Recording.load("mine.csv"),
-            "mine.csv: is no recording; lampest.import_file (lampest import) makes one of it",
-        ),
-        (lambda: stream.push(lamprey.resistance[3]), "a stream takes Readings.of(scene, values), not a ndarray"),
-        (
-            lambda: stream.push(lamprey.readings()[3:5]),
-            "a stream takes one frame of 10 × 10 readings, not 2 × 10 × 10; of several, take one or their mean()",
-        ),
-    ):
-        with pytest.raises(InputError) as raised:
+    estimator, readings = lampest.Estimator((Misfit(),), "reduced"), lamprey.readings()
+    stream = lampest.Stream.begin(estimator, lamprey.scene, 1.0, readings[:3].mean())
+    for wrong, sentence in {
+        lambda: Gradient(weight=-1): "Gradient: weight must be zero or positive, and finite",
+        lambda: Gradient(
+            weight="autos"
+        ): "Gradient: weight: Input should be a valid number or 'auto', not 'autos'; did",
+        lambda: Recording.load("mine.csv"): "mine.csv: is no recording; lampest.import_file (lampest import) makes one",
+        lambda: stream.push(lamprey.resistance[3]): "a stream takes Readings.of(scene, values), not a ndarray",
+        lambda: stream.push(
+            readings[3:5]
+        ): "a stream takes one frame of 10 × 10 readings, not 2 × 10 × 10; of several,",
+    }.items():
+        with pytest.raises(InputError, match=f"^{re.escape(sentence)}"):
             wrong()
-        assert str(raised.value).startswith(sentence)
     with pytest.raises(InputError, match=r"less than the 140 ohm in series; are these kohm\?"):
         replace(lamprey, recorded=lamprey.recorded / 1000)
 
@@ -195,18 +180,14 @@ def test_a_recording_and_a_reconstruction_are_one_line_each(lamprey: Recording, 
     assert repr(lamprey) == "Recording(lamprey_35mm: 7 frames (3 unloaded) of 10 × 10 cells, 0 to 6 s)"
     solved = "misfit + gradient, reduced, 4 of 4 frames solved, the first: optimum verified"
     assert repr(found) == f"Reconstruction(lamprey_35mm: {solved})"
+    assert found.weights.keys() == {"gradient"} and np.all(found.weights["gradient"] == 1e-3)
+    shown = found._repr_html_()
+    assert "gradient: 0.001" in shown and "[[Cells in frame 6 at 6 s]]" in shown and 'src="data:image/' in shown
     assert not {"ast", "annotations", "import_module", "Path"} & set(dir(lampest))
     assert not {"of", "asked", "tared"} & set(dir(found)) and {"cell_resistance", "fit_report"} <= set(dir(found))
 
 
-def test_a_result_says_what_was_chosen_and_what_speaks_against_it(found: Reconstruction) -> None:
-    assert found.weights.keys() == {"gradient"} and np.all(found.weights["gradient"] == 1e-3)
-    assert found.noise.summary and isinstance(found.checks, tuple)
-    shown = found._repr_html_()
-    assert "gradient: 0.001" in shown and "[[Cells in frame 6 at 6 s]]" in shown and 'src="data:image/' in shown
-
-
-def test_a_fit_report_has_sections_as_lmfit_has_them(found: Reconstruction, lamprey: Recording) -> None:
+def test_a_fit_report_has_sections_as_lmfit_has_them(found: Reconstruction) -> None:
     lines = found.fit_report().splitlines()
     titles = [line for line in lines if line.startswith("[[")]
     assert titles[:4] == ["[[Model]]", "[[Fit Statistics]]", "[[Weights]]", "[[Cells in frame 6 at 6 s]]"]
@@ -221,9 +202,6 @@ def test_a_fit_report_has_sections_as_lmfit_has_them(found: Reconstruction, lamp
     assert values["resistance"].endswith(" ohm") and values["change"].endswith(" %")
     assert values["errors"].startswith("standard deviation of cells: own ")
     assert float(values["reduced chi-square"].split()[0].replace(",", "")) > 0
-    silent = replace(lamprey, scene=replace(lamprey.scene, readout=None))
-    bare = lampest.reconstruct(silent, MISFIT, formulation="reduced", bounds=lampest.Bounds(upper="none"))
-    assert "chi-square" not in bare.fit_report() and "[[Weights]]" not in bare.fit_report()
 
 
 def test_what_is_saved_is_what_the_arrays_hold(found: Reconstruction, tmp_path: Path) -> None:
@@ -248,6 +226,7 @@ def test_without_noise_there_are_no_error_bars(lamprey: Recording) -> None:
     for name in ("cell_resistance_errors", "relative_change_upper", "pressure", "saturated", "resolution"):
         assert getattr(bare, name) is None
     assert "pressure" not in bare.to_xarray()
+    assert "chi-square" not in bare.fit_report() and "[[Weights]]" not in bare.fit_report()
     hint = (
         r"holds no pressure to draw, which needs pressure.*; add .* to the scene, such as response: \{kind: published\}"
     )
@@ -260,6 +239,11 @@ def test_labelled_arrays_say_what_results_files_say(found: Reconstruction, tmp_p
     dataset = found.to_xarray()
     assert dict(dataset.sizes) == {"time": 4, "row": 10, "column": 10}
     assert_array_equal(dataset.time, found.time)
+    table = found.to_dataframe()
+    assert list(table.columns[:4]) == ["time", "frame", "row", "column"] and len(table) == 400
+    assert_array_equal(table.cell_resistance, found.cell_resistance.ravel())
+    units = table.attrs["units"]
+    assert (units["cell_resistance"], units["pressure"], units["time"]) == ("ohm", "kPa", "s")
     assert_array_equal(dataset.x, 10.0 * np.arange(10))
     assert dataset.x.dims == ("column",) and dataset.y.dims == ("row",) and dataset.x.attrs["units"] == "mm"
     with h5py.File(tmp_path / "r.h5") as file:
@@ -275,18 +259,6 @@ def test_labelled_arrays_say_what_results_files_say(found: Reconstruction, tmp_p
     assert read.identical(dataset)
     dataset.to_netcdf(tmp_path / "r.nc", engine="h5netcdf")
     assert float(dataset.sel(time=5.0, row=3, column=4).cell_resistance) == found.cell_resistance[2, 3, 4]
-
-
-def test_a_table_has_a_line_for_every_cell_of_every_frame(found: Reconstruction) -> None:
-    table = found.to_dataframe()
-    assert list(table.columns[:4]) == ["time", "frame", "row", "column"] and len(table) == 400
-    line = table[(table.frame == 5) & (table.row == 3) & (table.column == 4)]
-    assert line.cell_resistance.item() == found.cell_resistance[2, 3, 4]
-    assert line.time.item() == found.time[2] and line.status.item() == "optimum verified"
-    assert line.baseline_resistance.item() == found.baseline_resistance[3, 4]
-    units = table.attrs["units"]
-    assert (units["cell_resistance"], units["pressure"], units["time"]) == ("ohm", "kPa", "s")
-    assert set(units) == set(table.columns) - {"row", "column"}
 
 
 def test_what_a_file_is_and_what_is_not_installed_is_said(
