@@ -1,21 +1,17 @@
 """What stands around the board: the sentence about missing packages, ports, keys, a board behind a network socket."""
 
 import os
-import socket
 import subprocess
-import threading
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
-from board.bench import FIRMWARE, bench, scene, some_cells
+from board.bench import FIRMWARE
 
 from lampest import InputError
 from lampest.recording.board import port
 from lampest.recording.board.port import pressed_keys
 from lampest.recording.board.protocol import message
-from lampest.recording.board.record import record
 
 
 def test_missing_packages_are_named_in_one_sentence(tmp_path: Path) -> None:
@@ -68,32 +64,3 @@ def test_keys_are_read_one_by_one_and_the_terminal_is_restored(monkeypatch: pyte
             with pressed_keys() as keys:
                 assert keys() == ""
     os.close(master)
-
-
-@pytest.mark.slow
-def test_a_board_behind_a_network_socket(tmp_path: Path) -> None:
-    """socket://host:port, as serial-to-network bridges offer it."""
-    with (
-        bench(tmp_path, some_cells(np.random.default_rng(3), 1)) as board,
-        socket.create_server(("127.0.0.1", 0)) as door,
-    ):
-        line = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
-
-        def to_board(guest: socket.socket) -> None:
-            while data := guest.recv(4096):
-                os.write(line, data)
-
-        def serve() -> None:
-            guest, _ = door.accept()
-            threading.Thread(target=to_board, args=(guest,), daemon=True).start()
-            with guest:
-                try:
-                    while True:
-                        guest.sendall(os.read(line, 4096))
-                except OSError:
-                    return
-
-        threading.Thread(target=serve, daemon=True).start()
-        url = f"socket://127.0.0.1:{door.getsockname()[1]}"
-        done = record(url, tmp_path / "r.h5", frames=4, scene=scene())
-    assert (done.frames, done.lost) == (4, 0)

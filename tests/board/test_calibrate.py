@@ -1,16 +1,13 @@
 """The simulated board with known resistors in place of the panel: recorded, calibrated, recorded again."""
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from board.bench import bench, lampest, loaded_scene, scene, some_cells
+from board.bench import bench, scene
 
-from lampest import Estimator, Misfit, Recording, Scene
+from lampest import Recording
 from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
-from lampest.estimate.sequence import reconstruct
-from lampest.files.document import read_document, to_yaml, validated
 from lampest.recording.board.record import record
 
 OPEN = 1e15
@@ -49,36 +46,3 @@ def test_channels_that_differ_are_found_and_written(tmp_path: Path) -> None:
     for lines, true in zip(found.numbers[0].lines, (rows, columns), strict=True):
         np.testing.assert_allclose(lines.off_ohm, true - true.mean(), atol=5 * np.max(lines.sigma_ohm))
     np.testing.assert_allclose(found.scene.series_ohm, rows[:, None] + columns, atol=1)
-
-
-@pytest.mark.slow
-def test_three_resistors_on_the_loaded_board_make_the_scene_that_records_the_panel(tmp_path: Path) -> None:
-    """Channels of 100 ohm and loads of 9.8 kΩ that nobody knew: calibrated by the commands, cells come back."""
-    rng = np.random.default_rng(4)
-    options = ("--row-ohm", 100, "--load-ohm", 9_800)
-    cells, table = np.full((1, 8, 8), OPEN), np.full((8, 8), np.inf)
-    cells[0, 0, :3] = table[0, :3] = [1000, 3300, 10_000]
-    np.savetxt(tmp_path / "known.csv", table, delimiter=",")
-    (tmp_path / "told.yaml").write_text(to_yaml(loaded_scene(8, 8)))
-    with bench(tmp_path, cells, *options, wiring="loaded_columns") as board:
-        words = ("--port", board.port, "--scene", tmp_path / "told.yaml", "--count", 20)
-        lampest("record", *words, "--out", tmp_path / "known.h5")
-    words = (tmp_path / "known.h5", "--known", tmp_path / "known.csv", "--tolerance", 0.001)
-    said, _ = lampest("calibrate", *words, "--out", tmp_path / "scene.yaml")
-    stated = re.findall(r"(\w+) resistance ([\d.]+) ± ([\d.]+) ohm", said)
-    assert [name for name, *_ in stated] == ["drive", "load"]
-    for (_, ohm, sigma), true in zip(stated, (100, 9_800), strict=True):
-        assert abs(float(ohm) - true) < 3 * float(sigma)
-    found: Scene = validated(read_document(tmp_path / "scene.yaml"), Scene)
-    truth = some_cells(rng, 2, 8, 8)
-    with bench(tmp_path, truth, *options, wiring="loaded_columns") as board:
-        words = ("--port", board.port, "--scene", tmp_path / "scene.yaml", "--count", 2)
-        lampest("record", *words, "--out", tmp_path / "panel.h5")
-    recorded = Recording.load(tmp_path / "panel.h5")
-    assert recorded.scene == found
-    errors = []
-    for known in (found, loaded_scene(8, 8)):
-        changed = Recording(known, recorded.recorded, recorded.time, recorded.role)
-        cells = reconstruct(changed, Estimator((Misfit(),), "reduced")).cell_resistance
-        errors.append(float(np.median(np.abs(cells / truth - 1))))
-    assert errors[0] < 0.02 and errors[0] < errors[1], (errors, said)

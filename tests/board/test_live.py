@@ -190,17 +190,6 @@ def test_every_word_fits_a_wide_and_a_narrow_screen(width: int, tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_a_solver_that_is_too_slow_drops_frames_and_says_so(tmp_path: Path) -> None:
-    words = ("--recording", LAMPREY, "--speed", 1000, "--config", ROOT / "configs" / "table1.yaml")
-    with live(tmp_path, *words, "--estimator", "LSR-gdCR") as (window, _):
-        window.until(ENDED)
-        window.until(NUMBER, lambda number: number == 24)
-        assert int(window.text("skipped")) > 5
-        assert "Solving is slower than frames arrive" in window.text("behind")
-        assert "passed over for the newest one" in window.text("behind")
-
-
-@pytest.mark.slow
 def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: Path) -> None:
     cells, _ = truth_of(LAMPREY)
     out = tmp_path / "along.h5"

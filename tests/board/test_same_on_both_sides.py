@@ -180,13 +180,10 @@ COMMANDS = (
 )
 
 
-def test_every_command_is_answered_or_refused() -> None:
+def test_a_board_answers_or_refuses_every_command_and_while_it_runs_all_but_stop_and_identify() -> None:
     for kind, value, result, now in COMMANDS:
         answers = answered_by_c(c().lampest_start_settings(), command(kind, 9, value))
         assert answers == (Answer(kind, 9, result, now),)
-
-
-def test_a_board_refuses_unknown_commands_and_while_it_runs_all_but_stop_and_identify() -> None:
     settings = c().lampest_start_settings()
     for body, result in (
         ([1, 99, 7, 0, 0, 0, 0], Result.REFUSED_UNKNOWN),

@@ -2,9 +2,7 @@
 
 import os
 import shutil
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -13,7 +11,7 @@ from contracts.extensions import CONTRAST, Cushion, Divider, Ellipse, Even, Hist
 from numpy.testing import assert_allclose, assert_array_equal
 
 import lampest
-from lampest import Gradient, LogGradient, Misfit, Panel, Recording, Scene, Simulation
+from lampest import Gradient, Misfit, Panel, Recording, Scene, Simulation
 from tests.small_files import run_command
 
 EXTENSIONS = Path(__file__).with_name("extensions.py")
@@ -85,28 +83,6 @@ def test_a_readout_joins_with_one_file_and_one_name() -> None:
     assert_allclose(simulated(given).recorded, recording.recorded, rtol=1e-12)
     nodal = lampest.reconstruct(recording, [Misfit(weighting="noise")])
     assert_allclose(nodal.cell_resistance, found.cell_resistance, rtol=1e-4)
-
-
-@dataclass(frozen=True, kw_only=True)
-class BelowGround(Divider):
-    """A circuit whose output no converter between ground and supply can read."""
-
-    def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """Volt, negative."""
-        return -super().reading(row, column, mutual)
-
-
-@pytest.mark.slow
-def test_a_readout_outside_the_range_of_the_converter_names_the_rail() -> None:
-    negative = simulated(BelowGround())
-    found = lampest.reconstruct(negative, [Misfit(weighting="noise")], formulation="reduced")
-    assert not found.solved.any() and found.status[0].endswith("at or beyond the converter's rail of 0.00488 volt")
-    recording = simulated(Divider())
-    recorded = recording.recorded.copy()
-    recorded[:, 2, 3:5], recorded[:, 0, 0] = -0.1, 6.0
-    spoilt = replace(recording, recorded=recorded)
-    found = lampest.reconstruct(spoilt, [Misfit(weighting="noise"), LogGradient()], formulation="reduced")
-    assert found.solved.all() and np.isfinite(found.cell_resistance).all()
 
 
 def test_a_method_joins_with_one_file_and_one_name(recording: Recording) -> None:

@@ -283,13 +283,6 @@ def test_a_fault_in_a_file_is_one_sentence(file: SimpleNamespace, tmp_path: Path
     check_refused(file, tmp_path)
 
 
-def test_codes_are_read_to_the_resolution_of_their_converter(tmp_path: Path) -> None:
-    np.save(tmp_path / "c.npy", np.floor(VOLTS / 5 * 1024).astype(int))
-    recording, _ = import_file(tmp_path / "c.npy", ROWS, COLUMNS, DIVIDER, "code")
-    np.testing.assert_allclose(recording.resistance, FRAMES, rtol=0.005)
-    assert recording.scene is DIVIDER
-
-
 @pytest.mark.parametrize(
     ("unit", "usual", "rails"), [("code", 500, (0, 1023)), ("volt", 2.5, (0, 5)), ("ohm", 500.0, (np.inf, 0))]
 )
@@ -370,16 +363,11 @@ def test_the_drive_and_the_converter_of_a_virtual_ground_have_voltages_of_their_
 # Bare arrays, and layouts of one's own.
 
 
-@pytest.mark.parametrize(
-    ("unit", "values"),
-    [
-        ("ohm", FRAMES),
-        ("kohm", FRAMES / 1000),
-        ("volt", VOLTS),
-        ("mV", 1000 * VOLTS),
-        ("code", np.floor(VOLTS / 5 * 1024).astype(int)),
-    ],
-)
+IN_UNITS = {"ohm": FRAMES, "kohm": FRAMES / 1000, "volt": VOLTS, "mV": 1000 * VOLTS}
+IN_UNITS["code"] = np.floor(VOLTS / 5 * 1024).astype(int)
+
+
+@pytest.mark.parametrize(("unit", "values"), IN_UNITS.items(), ids=IN_UNITS)
 def test_an_array_becomes_the_recording_that_its_file_becomes(tmp_path: Path, unit: str, values: np.ndarray) -> None:
     path = tmp_path / "scene.yaml"
     path.write_text("panel: {rows: 3, columns: 5}\nreadout: {kind: two_point}\nseries_resistance_ohm: 140\n")
@@ -388,6 +376,7 @@ def test_an_array_becomes_the_recording_that_its_file_becomes(tmp_path: Path, un
     for scene in (DIVIDER, path, str(path)):
         recording = Recording.from_array(values.tolist(), unit=unit, baseline=2, scene=scene, time=[0, 1, 2, 4])
         np.testing.assert_array_equal(recording.recorded, expected.recorded)
+        np.testing.assert_allclose(recording.resistance, FRAMES, rtol=0.005)
         assert (recording.role.tolist(), recording.time.tolist()) == ([0, 0, 1, 1], [0, 1, 2, 4])
         assert recording.scene.panel == DIVIDER.panel
 

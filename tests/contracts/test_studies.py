@@ -204,34 +204,17 @@ def test_settings_of_the_command_override_the_file_of_a_study(disk: SimpleNamesp
 
 @pytest.mark.slow
 def test_the_papers_page_needs_nothing_else_and_its_scenes_give_most_of_its_numbers(tmp_path: Path) -> None:
-    """The script of the page adds the paper's solver; the command draws the same without it, of the same results."""
-    done = started(tmp_path, "-m", "docs.studies.paper", "--out", "out", "--jobs", "1")
+    done, folder = started(tmp_path, *MAIN, "study", "paper", "--out", "out", "--jobs", "1"), tmp_path / "out"
     assert done.code == 0, done.err
     assert all((tmp_path / line).is_file() for line in done.out.splitlines())
-    written = tmp_path / "out"
-    page = (written / "paper.html").read_text(encoding="utf-8")
+    page = (folder / "paper.html").read_text(encoding="utf-8")
     text = re.sub(r"base64,[\w+/=]+", "", page)  # whose letters may spell anything
     assert "http" not in text.replace("https://www.w3.org", "") and page.count("data:image/png;base64,") >= 5
     assert all(part in page for part in ("Fig. 1-e", "Fig. 2-a", "Fig. 6", "Fig. 8", "Fig. 9", "Table I"))
-    pictures = {file.stem.split("_")[0] for file in written.glob("*.png")}
-    assert pictures == {"fig1e", "fig2", "fig6", "fig8", "fig9"}
-    rows = table_of(written / "numbers.csv")
+    assert {file.stem.split("_")[0] for file in folder.glob("*.png")} == {"fig1e", "fig2", "fig6", "fig8", "fig9"}
+    rows = table_of(folder / "numbers.csv")
     ours = {(row["figure"], row["quantity"]): float(row["clean scenes"]) for row in rows}
     # The two mouths cover as many cells as published; plain least squares follows its readings far more closely.
     assert [ours[key] for key in ours if key[0].startswith("Fig. 9")] == [4, 4, 3, 3]
     assert ours["Table I", "LSM, all steps: data error"] < 0.05 < 1.33
     assert ours["Fig. 8-a", "measured, smallest change"] == pytest.approx(-63, abs=1.5), "series resistance included"
-    # Ranges of figure 8 and mean errors of table I within a quarter, by the solver in kind; clean scenes give 7.
-    judged = [row for row in rows if row["figure"].startswith("Fig. 8") or "data error" in row["quantity"]]
-    good = {
-        side: sum(abs(float(row[side]) / float(row["published"]) - 1) <= 0.25 for row in judged)
-        for side in ("clean scenes", "paper's panel", "its solver")
-    }
-    assert len(judged) == 19 and good["its solver"] >= 13 > good["clean scenes"]
-    for file in written.glob("*.*"):
-        file.unlink()
-    done = started(tmp_path, *MAIN, "study", "paper", "--out", "out", "--jobs", "1")
-    assert done.code == 0, done.err
-    assert done.out.splitlines()[-1].endswith(".png")
-    again = table_of(written / "numbers.csv")
-    assert again == [{name: text for name, text in row.items() if name != "its solver"} for row in rows]
