@@ -1,5 +1,7 @@
-"""Lines that flood or lie, and long and killed recordings of a board."""
+"""Lines that flood or lie, long and killed recordings of a board, and a broker that pauses."""
 
+import json
+import signal
 import subprocess
 import sys
 import time
@@ -11,12 +13,17 @@ from unittest import mock
 import numpy as np
 import pytest
 from attack.attack import HELD, Outcomes, Rng, attack, command, environment
+from contracts.test_publish import MOSQUITTO, free_port, listens, until
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion
+from units.test_stalled_listeners import message as frame
 from wild_board import Script, hundred_a_second, wild_board, wire
 
 from lampest import InputError, Recording
 from lampest.recording.board import stream
 from lampest.recording.board.protocol import Hello, message
 from lampest.recording.board.record import record, repair
+from lampest.report.live.publish import publish_at
 from tests.bodies import hello_body
 
 pytestmark = pytest.mark.slow
@@ -116,3 +123,33 @@ def test_a_day_of_frames_at_10_a_second_is_recorded_in_constant_memory(rng: Rng,
     yield HELD if each < FRAME_BYTES else f"{each:.0f} bytes a frame: {each * DAY_FRAMES / 1e6:.0f} MB a day"
     right = np.allclose(found.time, 0.1 * np.arange(len(found.time)), atol=1e-3) and not found.acquisition.lost.any()
     yield HELD if right and not found.acquisition.session.any() else f"time ends at {found.time[-1]:.3f} s"
+
+
+@attack(1, 10)
+def test_a_broker_that_pauses_receives_no_late_messages(rng: Rng, folder: Path, count: int) -> Outcomes:
+    """A broker pauses for one to three seconds: messages of that time are lost, but for the first 0.2 s."""
+    port, ages, ear = free_port(), list[float](), Client(CallbackAPIVersion.VERSION2)
+    (folder / "conf").write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
+    ear.on_message = lambda _, __, heard: ages.append(time.time() - json.loads(heard.payload)["health"]["sent"])
+    if MOSQUITTO is None:
+        return
+    with subprocess.Popen([MOSQUITTO, "-c", folder / "conf"], stderr=subprocess.DEVNULL) as broker:
+        until(lambda: listens(port))
+        ear.connect("127.0.0.1", port)
+        ear.subscribe("panel")
+        ear.loop_start()
+        with publish_at(f"mqtt://127.0.0.1:{port}/panel").opened(print) as (_, send):
+            for _ in range(count):
+                ages.clear()
+                paused, begin = float(rng.uniform(1, 3)), time.monotonic()
+                broker.send_signal(signal.SIGSTOP)
+                while time.monotonic() < begin + paused + 1:
+                    if time.monotonic() > begin + paused:
+                        broker.send_signal(signal.SIGCONT)
+                    send(frame(1, 2))
+                    time.sleep(0.03)
+                late = sum(age > 0.5 for age in ages)
+                yield HELD if late < 15 and len(ages) > 15 else f"{late} of {len(ages)} messages came late"
+        ear.disconnect()
+        ear.loop_stop()
+        broker.terminate()
