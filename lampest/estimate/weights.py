@@ -57,7 +57,7 @@ def with_chosen_weights(
         Data of further solves that the weights are to suit as well. Only those count that are partial, with bounds or
         gaps, if and only if `data` is.
 
-    Raises InputError where the noise is needed and unknown.
+    Raises InputError where the evidence is requested and the noise unknown.
     """
     cost = estimator.cost(scene, len(data.measured), partial=data.partial)
     similar = tuple(solve for solve in further if solve.partial == data.partial)
@@ -65,9 +65,8 @@ def with_chosen_weights(
     first = convex(data, near) if near is None else near
     small = data.measured[0].size <= MAX_CELLS and data.measured.size <= MAX_DENSE
     rule = estimator.auto_weight.rule or ("risk" if small else "evidence")
-    if rule == "evidence" and not data.noise_known:
-        reason = "auto_weight.rule: evidence" if estimator.auto_weight.rule else "weight: auto of a large panel"
-        raise InputError(f"{reason} needs the noise: a readout in the scene or sigma in the recording")
+    if estimator.auto_weight.rule == "evidence" and not data.noise_known:
+        raise InputError("auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the recording")
     with np.errstate(all="ignore"):
         return estimator.with_weights(*(search.by_evidence(first) if rule == "evidence" else search.by_risk(first)))
 
@@ -180,7 +179,7 @@ class WeightSearch:
         """Return the weights at the fixed point of the evidence.
 
         The standard deviation of ln λ is √(2/γ), with γ the degrees of freedom that the data determine. If the
-        residuals exceed the noise (`residual_scale`), their scale multiplies σ.
+        residuals exceed the noise (`residual_scale`), or if that is unknown, their scale multiplies σ.
 
         Parameters
         ----------
@@ -188,6 +187,7 @@ class WeightSearch:
             Cells in ohm to start from.
         """
         weights, near, data, scale = self.suggested(first), first, self.solves[0], 1.0
+        least = 1.0 if data.noise_known else 0.0
         sigma = [np.nan] * len(weights)
         with suppress(*BROKEN):
             for _ in range(2 * MAX_SOLVES):
@@ -202,7 +202,7 @@ class WeightSearch:
                 weights = (next_weights if large else settled_weights)(model, self.open_terms)
                 for number in self.open_terms:
                     sigma[number] = np.sqrt(2 / max(errors.determined(number), 1.0))
-                scale = max(1.0, scale * residual_scale(errors))
+                scale = max(least, scale * residual_scale(errors))
                 if np.abs(np.log(np.array((*weights, scale)) / np.array(previous))).max() < SETTLED:
                     break
         return weights, tuple(sigma)

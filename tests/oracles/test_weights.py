@@ -111,6 +111,19 @@ def test_an_absolute_penalty_that_no_cell_contradicts_has_a_finite_weight(monkey
     assert 0.3 < chosen[0] < 10
 
 
+def test_a_large_panel_without_noise_has_a_weight_from_its_residuals() -> None:
+    cells = np.repeat(cells_of(3, (22, 20))[None], 2, axis=0)
+    cells[1, 8:14, 5:9] *= 0.3
+    exact = two_point_resistance(cells)
+    noisy = exact * (1 + 0.02 * np.random.default_rng(4).standard_normal(exact.shape))
+    recorded, truth = Recording.from_array(noisy, baseline=1), np.log(cells[1])
+    smooth, plain = (
+        rms(np.log(lampest.reconstruct(recorded, terms, error_bars=False).cell_resistance[0]) - truth)
+        for terms in (None, [Misfit()])
+    )
+    assert smooth < 0.7 * plain
+
+
 def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights() -> None:
     estimator = Estimator((Misfit(), Gradient(weight=AUTO), CellResistance(weight=AUTO)), "reduced")
     data = [measured_data(estimator, cells_of(seed), 0.01, 2) for seed in (1, 2)]
