@@ -51,7 +51,8 @@ def constants() -> dict[str, dict[str, list[str]]]:
         own = [value for value in vars(module).values() if getattr(value, "__module__", "") == entry.name]
         named = {name: value for name, value in vars(module).items() if name.isupper() and name != "TYPE_CHECKING"}
         for kind in (value for value in own if isinstance(value, type)):
-            own += [value for name, value in vars(kind).items() if inspect.isfunction(value) and name[:2] != "__"]
+            methods = [getattr(value, "__func__", value) for name, value in vars(kind).items() if name[:2] != "__"]
+            own += [value for value in methods if inspect.isfunction(value)]
             named |= {f"{kind.__name__}.{name}": value for name, value in vars(kind).items() if name[0] != "_"}
         for function in (value for value in own if inspect.isfunction(value)):
             arguments = inspect.signature(function).parameters.items()

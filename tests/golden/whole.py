@@ -30,6 +30,7 @@ from lampest.files.errors import InputError
 from lampest.recording.simulation import simulation
 from lampest.report.page import compared, page
 from lampest.runs.case import ATTRIBUTES, COLUMNS, REQUIRED
+from lampest.runs.columns import FRAMES, Column
 from lampest.solvers import interior_point
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.certificate import certificate
@@ -227,7 +228,14 @@ def simulation_files_row(text: str) -> dict[str, Any]:
 
 def columns_row() -> dict[str, Any]:
     """Every column of results, and how figures and attributes are stored."""
-    rows: dict[str, Any] = {"required": REQUIRED, "attributes": str(ATTRIBUTES)}
+    rows: dict[str, Any] = {"required": REQUIRED, "attributes": str(ATTRIBUTES), "refused": []}
+    for name, axes, flag in product(
+        ("mine", "my own", "größe", "time"), (FRAMES, ("time", "row")), ("yes", "not so", "größer")
+    ):
+        try:
+            Column(name, axes, "1", "a value", flags=((1, flag),))
+        except InputError as error:
+            rows["refused"].append(str(error))
     for column in COLUMNS:
         checks = [check.__name__ for check in column.checks]
         rows[column.name] = checks, {key: re.sub(" at 0x[^>]*", "", str(value)) for key, value in vars(column).items()}
