@@ -4,10 +4,12 @@
     python -m docs.studies.paper_ranking results/real_run
 
 Look: correlation of the map as the paper draws it, clipped at ±100 %, with the truth drawn so; median over loaded
-frames.
+frames. The clean recordings and those of a panel like the paper's (real_*) have a table each; those without a truth are
+left out.
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +27,10 @@ def likeness(change: Array, truth: Array) -> Array:
     return np.array([np.corrcoef(record, other)[0, 1] for record, other in zip(drawn, true, strict=True)])
 
 
-def looks(results: Results) -> dict[str, list[float]]:
-    """Source → likeness of every frame that is solved."""
+def looks(results: Results, recordings: Sequence[str]) -> dict[str, list[float]]:
+    """Source → likeness of every frame of these recordings that is solved."""
     estimates: dict[str, list[float]] = {}
-    for name in results.recordings():
+    for name in recordings:
         cases = results.of(name)
         truth = _true_change(cases[0])
         estimates.setdefault(MEASURED, []).extend(
@@ -46,19 +48,17 @@ def _true_change(case: CaseResult) -> Array:
 
 
 def main() -> None:
-    """One table for each folder of results."""
+    """Two tables for each folder of results: clean recordings, and those of a panel like the paper's."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", type=Path, nargs="+")
     for folder in parser.parse_args().folders:
         results = read_results(folder / "results.h5")
-        print(f"\n{folder}\n\n| | look | ms |\n|---|---|---|")
-        times = {
-            name: 1e3 * np.median([np.median(c.solve_time[c.solved]) for c in results.cases if c.estimator == name])
-            for name in {case.estimator for case in results.cases}
-        }
-        for source, seen in looks(results).items():
-            time = f"{times[source]:.1f}" if source in times else ""
-            print(f"| {source} | {np.median(seen):.2f} | {time} |")
+        judged = [name for name in results.recordings() if results.of(name)[0].truth is not None]
+        for kind, real in (("clean", False), ("like the paper's panel", True)):
+            recordings = [name for name in judged if name.startswith("real_") == real]
+            print(f"\n{folder}, {kind}\n\n| | look |\n|---|---|")
+            for source, likenesses in looks(results, recordings).items():
+                print(f"| {source} | {np.median(likenesses):.2f} |")
 
 
 if __name__ == "__main__":
