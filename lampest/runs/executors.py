@@ -15,8 +15,9 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import astuple, dataclass, replace
 from importlib import import_module
-from multiprocessing import get_context, resource_tracker
+from multiprocessing import get_context, parent_process, resource_tracker
 from pathlib import Path
+from threading import Thread
 from typing import Annotated, Any, Literal
 
 from lampest.files.errors import InputError, extra
@@ -29,14 +30,16 @@ Function = Callable[[Any], Any]
 class Workers(ProcessPoolExecutor):
     """Fresh processes that ignore Ctrl-C, and that are killed at the end.
 
+    Each begins with a call of `begun`, where it is given, with these arguments.
+
     Attributes
     ----------
     processes : mapping
         The processes, by their number.
     """
 
-    def __init__(self, count: int, *begun: Any) -> None:
-        super().__init__(count, get_context("spawn"), *begun)
+    def __init__(self, count: int, begun: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()) -> None:
+        super().__init__(count, get_context("spawn"), _begin, (begun, arguments))
         self.processes = self._processes
 
     def begin(self, function: Function, argument: Any) -> "Future[bytes]":
@@ -57,6 +60,20 @@ class Workers(ProcessPoolExecutor):
     def __exit__(self, *error: object) -> None:
         self.kill()
         self.shutdown()
+
+
+def _begin(begun: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
+    """Prepare a new process, which is to end with its parent: a parent that is killed closes no pipe to it."""
+    Thread(target=_end_with_parent, daemon=True).start()
+    if begun is not None:
+        begun(*arguments)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 def _answer(function: Function, argument: Any) -> bytes:

@@ -139,6 +139,14 @@ def hanging(seconds: float) -> float:
     return seconds
 
 
+def test_workers_end_with_a_command_that_is_killed() -> None:
+    """They hold its output, so that whoever reads it would wait forever."""
+    asked = "import os, time; from lampest.runs.executors import Workers; workers = Workers(2)"
+    asked += "; workers.begin(time.sleep, 100), workers.begin(pow, 2).exception(60), os.kill(os.getpid(), 9)"
+    done = subprocess.run([sys.executable, "-c", asked], stdout=subprocess.PIPE, timeout=60)
+    assert done.returncode == -signal.SIGKILL
+
+
 @pytest.mark.slow
 def test_a_task_that_hangs_is_ended_and_costs_no_other() -> None:
     begin = time.monotonic()
