@@ -22,8 +22,8 @@ LOCKED = $(BIN)/python -m pip install $(QUIETLY) --require-hashes --no-deps --re
 APT = export DEBIAN_FRONTEND=noninteractive; apt-get update -qq && apt-get install -y -qq --no-install-recommends
 OUT = results/table1
 # Chosen by the functions that a second of each test file calls, of a record of the fast tests (python -m tests.mutation --guards),
-# six variants of each test: laws, defaults and golden results, then import, wrong input, pressure and the detector.
-QUICK = --variants 6 tests/laws tests/golden tests/contracts/test_import.py tests/contracts/test_wrong_input.py \
+# four variants of each test: laws, defaults and golden results, then import, wrong input, pressure and the detector.
+QUICK = --variants 4 tests/laws tests/golden tests/contracts/test_import.py tests/contracts/test_wrong_input.py \
         tests/contracts/test_defaults.py tests/oracles/test_pressure.py tests/units/test_detect.py
 PYTEST = $(BIN)/python -m pytest -q
 SPREAD = --numprocesses auto --maxprocesses 4 --dist loadfile

@@ -32,7 +32,6 @@ from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, SIGNIFICANT
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.observation import patch_of
 from lampest.panel.panel import Array, Modules
-from lampest.panel.readouts.lines import of_side
 from lampest.posterior.interval import largest_of
 from lampest.recording.readings import Readings, mean_change, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -388,16 +387,6 @@ class Explanation:
         """−2 ln evidence of the changes beyond that of noise alone, and the costs of parameters."""
         return 0.0 if self.pair is None else self.pair.beyond_noise + self._costs
 
-    def may_have_series(self, question: Question) -> bool:
-        """Return whether another resistance in series may explain the readings better, by linear theory."""
-        pair, most = self.pair, most_in_series(self.rival, question)
-        if pair is None or not most:
-            return False
-        # an error of all driven lines alike, with the standard deviation `most`
-        driven, _ = of_side(self.rival.scene.circuit.noisy_side, *np.split(pair.channels.T, pair.shape[:1]))
-        in_series = pair.explained(most * driven.sum(axis=0)[:, None])
-        return pair.evidence.score - in_series.score > MIN_EVIDENCE_GAIN / 2
-
 
 def better_rival(question: Question, specified: Explanation | None) -> BetterExplanation:
     """Return the rival that explains the readings where the scene's circuit does not, or better by MIN_EVIDENCE_GAIN.
@@ -423,8 +412,7 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
     enough = np.inf if specified is None else specified.score
     likely = sorted((known for known in plain if known and known.score < enough), key=attrgetter("score"))
     likely = likely[:MAX_CANDIDATES]
-    # By linear theory a right circuit gains nothing by another resistance in series, and is spared the search.
-    own = [specified] if specified and specified.may_have_series(question) else []
+    own = [] if specified is None else [specified]
     tried = (*likely, *(with_series(known, question) for known in (*likely, *own)))
     still = (known for known in tried if known.pair is None or mostly_still(known.pair.moved))
     lawful = (known for known in still if not broken_law(known.rival, question))

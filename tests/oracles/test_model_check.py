@@ -262,3 +262,9 @@ def test_channels_that_differ_are_no_other_resistance_in_series() -> None:
 @pytest.mark.parametrize("readout", [DIVIDER, LOADED], ids=lambda readout: readout.kind)
 def test_what_scenes_tell_besides_is_no_fault_of_the_circuit(readout: Readout, besides: dict) -> None:
     assert Prepared(rod_on(Scene(PANEL, readout, **besides))).check.explains
+
+
+@pytest.mark.parametrize("seed", [411, 413])
+def test_an_omitted_series_resistance_is_named_where_linear_theory_sees_none(seed: int) -> None:
+    _, recording = next(wrong(seed, 10, 10))
+    assert "series_resistance_ohm near 1" in Prepared(recording).check.better
