@@ -37,7 +37,7 @@ PAGES = (
     REPOSITORY / "firmware" / "README.md",
     *sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts),
 )
-COPIED = ("lampest", "tests", "pyproject.toml", "README.md", "LICENSE")
+COPIED = ("lampest", "tests", "docs/studies", "pyproject.toml", "README.md", "LICENSE")
 SAME = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 TOOLS = {
     "lampest": f"{sys.executable} -c 'from lampest.cli import main; main()'",
