@@ -35,8 +35,8 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import MIN_CHANGE
 
 # In −2 ln evidence, of another circuit, an effect or an error of the model. 430 recordings with the right circuit gain
-# 32 at most, and nearly all less than 15: no false alarm (docs/theory/model_check.md). By an error of the model mouths
-# at their limits gain 23 where nothing is wrong, and 76 where readings are off by 7 % each.
+# 32 at most, and nearly all less than 15; of 500 others two gain more (docs/theory/model_check.md). By an error of the
+# model mouths at their limits gain 23 where nothing is wrong, and 76 where readings are off by 7 % each.
 MIN_EVIDENCE_GAIN = 36.0
 MAX_CANDIDATES = 3  # rivals or effects that are solved exactly, the best ones of linear theory; effects at a time
 SETTLED_STEP = 0.1  # step of θ in standard deviations below which the iteration ends
