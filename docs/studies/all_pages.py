@@ -5,17 +5,19 @@ others. A page whose commands all succeed says at its end by which commit, and w
 """
 
 import argparse
+import os
 import re
 import shlex
 import subprocess
 import sys
 from datetime import date
+from itertools import takewhile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PAGES = {page.stem: page for page in sorted((ROOT / "docs" / "studies").glob("*.md"))}
 LOGS = ROOT / "results" / "studies"
-COMMAND = re.compile(r"^    ((?:lampest|python -m (?:docs|tests))\b[^#\n]*?) *(?:#.*)?$", re.MULTILINE)
+COMMAND = re.compile(r"^    ((?:\w+=\w+ )*(?:lampest|python -m (?:docs|tests))\b[^#\n]*?) *(?:#.*)?$", re.MULTILINE)
 RUN = re.compile(r"\n*<!-- run -->\n.*\Z", re.DOTALL)
 
 
@@ -37,11 +39,14 @@ def run_page(page: Path, commit: str) -> bool:
     for typed in commands(page):
         print(f"{page.stem}: {typed}", flush=True)
         words = shlex.split(typed)
-        program = Path(sys.executable).with_name(words[0])
+        variables = dict(word.split("=") for word in takewhile(lambda word: "=" in word, words))
+        program, *arguments = words[len(variables) :]
+        command = [Path(sys.executable).with_name(program), *arguments]
         with (LOGS / f"{page.stem}.log").open("a", encoding="utf-8") as log:
             log.write(f"\n# {commit}: {typed}\n")
             log.flush()
-            ended = subprocess.run([program, *words[1:]], cwd=ROOT, stdout=log, stderr=subprocess.STDOUT)
+            options = {"cwd": ROOT, "env": os.environ | variables, "stdout": log, "stderr": subprocess.STDOUT}
+            ended = subprocess.run(command, **options)
         if ended.returncode:
             failed += 1
             print(f"  ended with {ended.returncode}: see {LOGS / page.stem}.log", flush=True)
