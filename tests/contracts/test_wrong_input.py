@@ -12,7 +12,6 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from contracts.test_simulation_files import BASE
 from contracts.test_studies import BENCH, EXTREMES, GRADIENT_ALONE
 from support import invented_case
 
@@ -113,6 +112,18 @@ def below(line: str, *further: str) -> str:
     return "\n".join((line, *further))
 
 
+SIMULATION = """\
+schema: 1
+seed: 4
+scene:
+  panel: {rows: 4, columns: 3, pitch_mm: 10}
+  readout: {kind: two_point}
+  series_resistance_ohm: 140
+frames: 2
+loads:
+  - {kind: oral_disc, centre_mm: [10, 10], diameter_mm: 25, rim_width_mm: 4, pressure_kpa: -10}
+  - {kind: rod, centre_mm: [20, 0], diameter_mm: 10, mass_g: 50}
+"""
 FIRST, FRAMES, SERIES = "schema: 1", "frames: 2", "  series_resistance_ohm: 140"
 # The command, its file in order, and of each fault: what is replaced by what, line:column of the complaint, its words.
 DOCUMENTS: dict[str, tuple[str, tuple[tuple[str, str, str, str], ...]]] = {
@@ -170,7 +181,7 @@ DOCUMENTS: dict[str, tuple[str, tuple[tuple[str, str, str, str], ...]]] = {
         ),
     ),
     "simulate": (
-        BASE,
+        SIMULATION,
         (
             ("rim_width_mm: 4", "rim_width_mm: 4, tlit: 0.1", "9:78", "tlit: no such key"),
             ("mass_g: 50", "mass_g: 50, weight: 3", "10:66", "weight: no such key; there are tilt, tilt_direction_deg"),

@@ -196,6 +196,11 @@ SIMULATIONS = {
     "plain": "", "named": "output: n{seed}_{case:02d}.h5\n",
     "swept": "output: s{case:03d}_{frames}.h5\nsweep: {frames: [1, 2]}\n",
     "drawn": "cells: {resistance_ohm: {uniform: [1000, 3000]}, spread: 0.1}\n",
+    "drawn twice": "loads: [{kind: rod, centre_mm: [9, 5], diameter_mm: {uniform: [8, 15]}, mass_g: {uniform: [1, 50]}}]\n",
+    "swept load": (
+        "output: '../made/s{seed:03d}_{mass_g}.h5'\nloads: [{kind: rod, centre_mm: [9, 5], diameter_mm: 9, mass_g: 1}]\n"
+        "sweep: {seed: [1, 2], loads.0.mass_g: [50, 60]}\n"
+    ),
     "wrongly drawn": "cells: {resistance_ohm: {uniform: [3, 1]}}\n",
     "three ends": "cells: {spread: {uniform: [1, 2, 3]}}\n",
     "same names": "output: s.h5\nsweep: {frames: [1, 2]}\n", "no name": "output: s.txt\n",
@@ -210,17 +215,26 @@ def simulation_files_row(text: str) -> dict[str, Any]:
     """Recordings of a simulation file, by default, to one file and to a folder; or why there are none."""
     rows: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
-        Path("sim.yaml").write_text(SCENE + text + "schema: 1\n")
-        Path("here").mkdir()
+        for name in ("here", "files"):
+            Path(name).mkdir()
+        file = Path("files/sim.yaml")
+        file.write_text(SCENE + text + "schema: 1\n")
         for out in (None, "one.h5", "here"):
             try:
-                written = simulation.run(Path("sim.yaml"), out and Path(out))
+                written = [(path, lp.Recording.load(path)) for path in simulation.run(file, out and Path(out))]
                 rows[str(out)] = [
-                    (str(path).replace(folder, ""), lp.Recording.load(path).recorded) for path in written
+                    (str(path).replace(folder, ""), made.recorded, is_made_again(made)) for path, made in written
                 ]  # fmt: skip
             except InputError as error:
                 rows[str(out)] = str(error)
     return rows
+
+
+def is_made_again(recording: lp.Recording) -> bool:
+    """Return whether the simulation that a recording's file holds makes the same recording."""
+    Path("again.yaml").write_text(str(recording.simulation))
+    ((_, again),) = lp.read_simulations(Path("again.yaml"))
+    return np.array_equal(lp.simulate(again).recorded, recording.recorded)
 
 
 # Declarations

@@ -232,6 +232,7 @@ def test_a_simulation_is_overridden_and_asks_for_its_room_beforehand(
     monkeypatch.setattr("lampest.cli.screen.progress", shown)
     ended = lampest("simulate", simulation, "--set", "frames=2", "--out", tmp_path / "two.h5")
     assert ended.code == 0 and bars[0] == ("frames", True) and bars[-1][0] == bars[-1][1] > 2
+    assert ended.out == f"{tmp_path / 'two.h5'}\n"
     assert "2 measured" in lampest("info", tmp_path / "two.h5").out
     assert lampest("simulate", simulation, "--set", "frames").code == 2
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=999))
