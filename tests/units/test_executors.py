@@ -10,9 +10,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
-from threading import Thread
 from types import SimpleNamespace
 from typing import Any
 from unittest import mock
@@ -25,9 +24,8 @@ from lampest.files import process
 from lampest.runs import batch, executors
 from lampest.runs.batch import Task, run_batch, solve_case
 from lampest.runs.config import json_schema, read_run
-from lampest.runs.executors import Dask, Processes, Serial, Tls, local
+from lampest.runs.executors import Dask, LostError, Processes, Serial, Tls, local
 
-Command = Callable[..., SimpleNamespace]
 TIMES = ("solve_time", "baseline_solve_time", "error_bar_time")
 ONE_WORKER: Any = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0", "host": "127.0.0.1"}
 DEATH = "__import__('os')._exit(9)"
@@ -102,16 +100,6 @@ def test_task_that_kills_its_worker_costs_no_other(executor: Any) -> None:
     assert outcomes == answers | {DEATH: "its process died 4 times"}
 
 
-@pytest.mark.slow
-def test_a_call_that_is_no_longer_wanted_is_ended(tmp_path: Path) -> None:
-    """As at Ctrl-C."""
-    never = f"[__import__('time').sleep(60), open({str(tmp_path / 'never')!r}, 'x')]"
-    outcomes = Processes(2).results(eval, ["1", never])
-    assert next(outcomes) == ("1", 1)
-    outcomes.close()
-    assert not list(tmp_path.iterdir()) and not multiprocessing.active_children()
-
-
 def test_ctrl_c_that_compiled_code_took_for_its_own_ends_a_batch() -> None:
     def compiled(cause: BaseException | None) -> Any:
         raise SystemError("returned a result with an exception set") from cause
@@ -161,65 +149,32 @@ def test_a_process_that_nobody_replaces_is_not_ended() -> None:
     assert hanging(0.5) == 0.5 and signal.getsignal(signal.SIGALRM) == before
 
 
-def slow_case(task: Task) -> Any:
-    """Solves a case; every one but the first takes long to say so."""
-    solved = solve_case(task)
-    time.sleep(0.0 if task.case.name == "LSM" else 30.0)
-    return solved
+class Lost(Serial):
+    """Loses its scheduler once a worker has written the second result and before it says so."""
+
+    def results(self, function: Any, arguments: Sequence[Any]) -> Any:
+        yield from super().results(function, arguments[:1])
+        function(arguments[1])
+        raise LostError("the scheduler is gone")
 
 
-def test_levels_of_loggers_are_as_before_once_dask_is_done() -> None:
-    log = logging.getLogger("distributed.scheduler")
-    before = log.level
-    try:
-        log.setLevel(logging.ERROR)
-        with executors._silence():
-            assert not log.isEnabledFor(logging.CRITICAL)
-        assert log.level == logging.ERROR
-    finally:
-        log.setLevel(before)
-
-
-@pytest.mark.slow
-def test_a_scheduler_that_is_gone_costs_nothing_that_is_finished(
-    disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A worker has written the second case and not said so when the scheduler is killed; the third one waits."""
-    file = disk.folder / "scheduler.json"
-    words = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
-    words += ["--dashboard-address", "127.0.0.1:0", "--scheduler-file", str(file)]
-    worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(file), "--nthreads", "1"]
-    worker += ["--no-dashboard", "--death-timeout", "60", "--no-nanny"]
-    tests = Path(__file__).parents[1]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (tests.parent, tests, tests / "units")))}
-    quiet: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
-    scheduler, helper = subprocess.Popen(words, **quiet), subprocess.Popen(worker, **quiet)
-    try:
-        run = read_run(disk.run(disk.text + "formulation: reduced\n"))
-        monkeypatch.setattr("lampest.runs.batch.solve_case", slow_case)
-        cases = disk.folder / "out" / "cases"
-
-        def kill() -> None:
-            while len(list(cases.glob("[!.]*.h5"))) < 2:
-                time.sleep(0.05)
-            scheduler.kill()
-
-        killer = Thread(target=kill)
-        killer.start()
-        while not file.exists():
-            time.sleep(0.05)
-        report = run_batch(run, disk.folder / "out", Dask(scheduler_file=str(file), wait_s=60.0))
-        killer.join()
-    finally:
-        for process in (scheduler, helper):
-            process.kill()
-            process.wait()
-    assert (report.done, report.failed, report.not_run) == (2, (), 1)
-    assert report.lost.startswith("the Dask scheduler tcp://127.0.0.1:") and report.lost.endswith("is gone")
+def test_a_scheduler_that_is_gone_costs_nothing_that_is_finished(disk: SimpleNamespace) -> None:
+    run = read_run(disk.run(disk.text + "formulation: reduced\n"))
+    report = run_batch(run, disk.folder / "out", Lost())
+    assert (report.done, report.failed, report.not_run, report.lost) == (2, (), 1, "the scheduler is gone")
     assert report.results is not None and len(read_results(report.results).cases) == 2
-    monkeypatch.undo()
     again = run_batch(run, disk.folder / "out", Serial())
     assert (again.done, again.skipped, again.not_run) == (1, 2, 0)
+
+
+def test_calls_that_a_scheduler_no_longer_knows_are_lost_with_it() -> None:
+    import distributed
+
+    client: Any = SimpleNamespace(scheduler=SimpleNamespace(address="tcp://a:1"))
+    future = mock.Mock(**{"result.side_effect": distributed.CancelledError("key")})
+    with pytest.raises(LostError, match=r"^the Dask scheduler tcp://a:1 is gone$"):
+        executors._outcome(distributed, client, future)
+    future.release.assert_called_once()
 
 
 def test_a_scheduler_is_found_by_its_file(disk: SimpleNamespace) -> None:
@@ -282,9 +237,13 @@ def tls_of(folder: Path) -> Tls:
     return Tls("ca.pem", "me.pem", "me.key").beside(folder)
 
 
-def test_a_cluster_of_this_machine_listens_on_the_loopback_address_alone() -> None:
-    [(_, found)] = Dask(workers=1).results(eval, [LISTENING])
-    assert found == {"127.0.0.1"}
+def test_a_cluster_of_this_machine_listens_on_the_loopback_address_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its loggers are as before once it has ended."""
+    log = logging.getLogger("distributed.scheduler")
+    monkeypatch.setattr(log, "level", logging.ERROR)
+    outcomes = Dask(workers=1).results(eval, [LISTENING])
+    assert next(outcomes) == (LISTENING, {"127.0.0.1"}) and not log.isEnabledFor(logging.CRITICAL)
+    assert not list(outcomes) and log.level == logging.ERROR
 
 
 def test_a_scheduler_with_certificates_is_used_and_one_without_the_files_is_not(keys: Path) -> None:
