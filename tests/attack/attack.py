@@ -3,7 +3,6 @@
 import contextlib
 import io
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -133,20 +132,15 @@ def command(
     *arguments: str | Path,
     folder: Path,
     seconds: float = 120.0,
-    addresses: int | None = None,
     without: str = "",
     memory: str | None = None,
 ) -> Ended:
-    """Run the command in a process of its own, killed after some seconds, with at most so many bytes of addresses.
+    """Run the command in a process of its own, killed after some seconds.
 
     without : libraries, apart by commas, that are as if not installed. memory : the variable LAMPEST_MEMORY.
     """
     script = f"import sys; sys.modules.update(dict.fromkeys({[*filter(None, without.split(','))]}))\n"
     script += "from lampest.cli import main; main()"
-
-    def limits() -> None:
-        if addresses is not None:
-            resource.setrlimit(resource.RLIMIT_AS, (addresses, addresses))
 
     begin, peak = time.monotonic(), 0
     with (folder / ".out").open("w+b") as out, (folder / ".err").open("w+b") as err:
@@ -157,7 +151,6 @@ def command(
             stderr=err,
             cwd=folder,
             env=environment(**({} if memory is None else {"LAMPEST_MEMORY": memory})),
-            preexec_fn=limits,
             start_new_session=True,
         )
         while process.returncode is None:

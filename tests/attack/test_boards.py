@@ -12,7 +12,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from attack.attack import HELD, Outcomes, Rng, attack, command, environment
+from attack.attack import HELD, Outcomes, Rng, attack, environment
 from contracts.test_publish import MOSQUITTO, free_port, listens, until
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
@@ -27,9 +27,6 @@ from lampest.report.live.publish import publish_at
 from tests.bodies import hello_body
 
 pytestmark = pytest.mark.slow
-DAY_FRAMES = 864_000  # of 24 h at 10 frames a second
-PART = 1_000  # frames of a day's part
-MORE_MEGABYTES, FRAME_BYTES = 8.0, 250  # growth of a recording five times as long; of a frame of 3 × 4 cells
 LIMIT_S, SLACK_S = 0.5, 15.0  # without a fitting message; of everything else on a loaded machine
 RECORDER = (
     "import sys; from pathlib import Path; from lampest.recording.board.record import record\n"
@@ -100,29 +97,6 @@ def test_a_recorder_killed_at_any_moment_leaves_every_counted_frame(rng: Rng, fo
         closed = found.role[:4].tolist() == [0, 0, 0, 1][:frames] and (frames < 4 or found.sigma is not None)
         right = frames >= counted and repaired and same and closed
         yield HELD if right else f"{counted} counted, {frames} read, repaired {repaired}, same {same}, closed {closed}"
-
-
-def _hurried(hello: Hello) -> Iterator[tuple[float, bytes]]:
-    for number in from_zero():
-        yield 0.0, wire(hello, number, 2**32 - 50_000 + 100 * number)
-
-
-@attack(0, 8)
-def test_a_day_of_frames_at_10_a_second_is_recorded_in_constant_memory(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """Parts of a day, over the wrap of the board's clock, as fast as the line takes them."""
-    sizes = []
-    for frames in (PART, (count + 1) * PART):
-        out = folder / f"{frames}.h5"
-        with wild_board(_hurried) as board:
-            words = ("record", "--port", board.port, "--period", "0.1", "--count", str(frames), "--out", out.name)
-            ended = command(*words, folder=folder, seconds=600)
-        yield HELD if ended.code == 0 else ended.described(f"{frames} frames")
-        sizes.append(ended.peak / 1e6)
-    found, each = Recording.load(out), out.stat().st_size / frames
-    yield HELD if sizes[1] < sizes[0] + MORE_MEGABYTES * max(1, count / 4) else f"{sizes} MB"
-    yield HELD if each < FRAME_BYTES else f"{each:.0f} bytes a frame: {each * DAY_FRAMES / 1e6:.0f} MB a day"
-    right = np.allclose(found.time, 0.1 * np.arange(len(found.time)), atol=1e-3) and not found.acquisition.lost.any()
-    yield HELD if right and not found.acquisition.session.any() else f"time ends at {found.time[-1]:.3f} s"
 
 
 @attack(1, 10)

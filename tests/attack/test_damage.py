@@ -7,8 +7,8 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from attack.attack import HELD, Outcomes, Rng, Tries, attack, called, command, small_folder
-from fuzz.mutants import good_recordings, good_results, without_checksums
+from attack.attack import HELD, Outcomes, Rng, Tries, attack, called, small_folder
+from fuzz.mutants import good_recordings, good_results
 from unclosed import unclosed_recording
 
 from lampest import InputError, Panel, Recording, Scene, TwoPointReadout, read_results
@@ -17,8 +17,6 @@ from lampest.recording.board.record import repair
 
 pytestmark = pytest.mark.slow
 HARMS = ("bits", "bits", "end", "gap", "twice", "zeros")
-MOST_ADDRESSES = 3_000_000_000
-FILES_AT_ONCE = 40  # of one command, which has two minutes for them however busy the machine is
 
 
 def _harmed(rng: Rng, whole: bytes) -> bytes:
@@ -82,18 +80,6 @@ test_damage_of_results_is_noticed = attack(70, 2900)(_damaged(read_results, good
 
 
 @attack()
-def test_files_without_checksums_are_read_and_named_so(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made = small_folder(folder / "work")
-    for name in ("small.h5", "results.h5"):
-        for words in ("as written", "without checksums"):
-            ended = called("check", name, folder=made)
-            yield HELD if ended.code == 0 and words in ended.out else ended.described(f"{name} is not {words}")
-            with h5py.File(made / name, "a") as file:
-                file[f"beside {words}"] = "mine"
-        yield HELD if called("info", name, folder=made).code == 0 else f"{name}: info refuses"
-
-
-@attack()
 def test_a_flipped_bit_in_any_dataset_is_named(rng: Rng, folder: Path, count: int) -> Outcomes:
     made, places = small_folder(folder / "work"), dict[str, int]()
     with h5py.File(made / "small.h5") as file:
@@ -119,22 +105,6 @@ def _place(node: h5py.Dataset) -> int:
         return int(begin)
     header = h5py.h5o.get_info(node.id).addr  # the values are in the metadata
     return Path(node.file.filename).read_bytes().index(node[()].tobytes(), header)
-
-
-@attack(0, 400)
-def test_damaged_sizes_in_files_without_checksums_crash_nothing(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """Bits turned in a file of an older version, read with little memory: a sentence or its numbers, never a crash."""
-    whole = bytes(without_checksums(good_recordings, folder)[0])
-    structure = [place for place in range(len(whole)) if whole[place] not in (0, 255)][:6000]
-    for first in range(0, count, FILES_AT_ONCE):
-        names = [f"{number}.h5" for number in range(first, min(first + FILES_AT_ONCE, count))]
-        for name in names:
-            damaged = bytearray(whole)
-            damaged[int(rng.choice(structure))] ^= 1 << int(rng.integers(8))
-            (folder / name).write_bytes(damaged)
-        ended = command("check", *names, folder=folder, addresses=MOST_ADDRESSES)
-        fine = ended.code in (0, 2) and "Traceback" not in ended.err and ended.peak < 1e9
-        yield HELD if fine else ended.described("an older file, damaged")
 
 
 @attack(20, 400)

@@ -7,7 +7,6 @@ import socket
 from pathlib import Path
 
 import numpy as np
-import pytest
 from attack.attack import HELD, Outcomes, Rng, attack, called, drawn, everything, small_folder
 
 from lampest import Recording, Scene, TwoPointReadout, two_point_resistance
@@ -35,16 +34,6 @@ INPUTS = (
     ("calibrate", "small.h5", "--loads", "loads.csv", "--out"),
     ("record", "--scene", "scene.yaml", "--out"),
     ("live", "--recording", "small.h5", "--config", "run.yaml", "--out"),
-)
-# A command, a file that it reads under the name of one of its outputs, and the source of this file.
-FOLDERS = (
-    (("run", "OUT/results.h5", "--jobs", "1", "--out", "OUT"), "OUT/results.h5", "run.yaml"),
-    (("run", "own.yaml", "--jobs", "1", "--out", "OUT"), "OUT/results.h5", "small.h5"),
-    (("run", "own.yaml", "--jobs", "2", "--out", "OUT"), "OUT/results.h5", "small.h5"),
-    (("study", "weights", "own.yaml", "--out", "OUT"), "OUT/tune.h5", "small.h5"),
-    (("study", "weights", "OUT/tune.csv", "--out", "OUT"), "OUT/tune.csv", "weights.yaml"),
-    (("detect", "OUT/detections.h5", "--out", "OUT"), "OUT/detections.h5", "results.h5"),
-    (("plot", "OUT/contours_small.png", "--out", "OUT"), "OUT/contours_small.png", "results.h5"),
 )
 FILES = tuple(writer for writer in WRITERS if writer[0] not in ("run", "plot", "detect"))
 
@@ -85,24 +74,6 @@ def test_every_input_of_every_command_is_refused_as_its_output(rng: Rng, folder:
     yield _untouched(made, ("detect", "detections.h5"), "is an input")
     for place in ("z", "./z"):
         yield _untouched(made, ("compare", "results.h5", "--csv", "z", "--report", place), "two outputs")
-
-
-@pytest.mark.slow
-@attack(3, len(FOLDERS))
-def test_inputs_inside_an_output_folder_are_never_overwritten(rng: Rng, folder: Path, count: int) -> Outcomes:
-    for index, (words, read, source) in drawn(rng, FOLDERS, count):
-        made = _inputs(folder / f"work{index}")
-        (made / "OUT").mkdir()
-        if source.endswith(".yaml"):
-            (made / read).write_text((made / source).read_text().replace("small.h5", "../small.h5"))
-        else:
-            shutil.copy(made / source, made / read)
-        own = (made / ("weights.yaml" if "weights" in words else "run.yaml")).read_text()
-        (made / "own.yaml").write_text(own.replace("small.h5", read))
-        content = (made / read).read_bytes()
-        ended = called(*words, folder=made)
-        fault = ended.survived() if (made / read).read_bytes() == content else f"{read} is lost"
-        yield f"{' '.join(words)}: {fault}" if fault else HELD
 
 
 def _inputs(made: Path) -> Path:

@@ -24,12 +24,6 @@ from lampest.runs.case import check_name
 
 TEXTS = ("run", "scene", "simulation", "setting", "table")  # other files contain the time at which they were written
 QUICK = settings(derandomize=True, deadline=None, database=None, max_examples=100)
-FEW = settings(QUICK, max_examples=25)
-words = st.sampled_from([*RUN, *RUN["estimators"], "terms", "misfit", "weight", "kind", "lower", "<<", "*a", "&a"])
-scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20) | words
-trees = st.recursive(
-    scalars, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(words | st.text(max_size=8), inner, max_size=4)
-)
 
 
 @pytest.fixture(scope="module")
@@ -62,22 +56,6 @@ def test_files_that_are_nearly_right_are_taken_or_refused(good: Corpus, folder: 
         mutant = good.mutant(number, kind)
         assert kind not in TEXTS or mutant == again.mutant(number, kind)
         assert receive(mutant, folder) in (FINE, REFUSED), number
-
-
-@pytest.mark.slow
-@given(trees)
-@QUICK
-def test_any_tree_as_a_run_is_taken_or_refused(good: Corpus, folder: Path, tree: Any) -> None:
-    run = Mutant("run", json.dumps({**RUN, "estimators": tree}).encode())
-    simulation = Mutant("simulation", json.dumps({"schema": 1, "seed": 1, "scene": tree}).encode())
-    assert {receive(mutant, folder) for mutant in (run, simulation)} <= {FINE, REFUSED}
-
-
-@pytest.mark.slow
-@given(st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")))
-@FEW
-def test_any_bytes_as_any_file_are_taken_or_refused(good: Corpus, folder: Path, content: bytes) -> None:
-    assert {receive(Mutant(kind, content), folder) for kind in KINDS} <= {FINE, REFUSED}
 
 
 FIELDS = (

@@ -28,6 +28,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
 from lampest.recording.simulation import simulation
+from lampest.report.info import checked_sentence, describe
 from lampest.report.page import compared, page
 from lampest.runs.case import ATTRIBUTES, COLUMNS, REQUIRED
 from lampest.runs.columns import FRAMES, Column
@@ -192,14 +193,15 @@ def weights_figure_row() -> dict[str, Any]:
 # Simulation files
 
 SCENE = "seed: 4\nbaseline_frames: 1\nframes: 1\nscene: {panel: {rows: 2, columns: 3}}\n"
+LOAD = "loads: [{{kind: rod, centre_mm: [9, 5], diameter_mm: {}, mass_g: {}}}]\n"
 SIMULATIONS = {
     "plain": "", "named": "output: n{seed}_{case:02d}.h5\n",
     "swept": "output: s{case:03d}_{frames}.h5\nsweep: {frames: [1, 2]}\n",
     "drawn": "cells: {resistance_ohm: {uniform: [1000, 3000]}, spread: 0.1}\n",
-    "drawn twice": "loads: [{kind: rod, centre_mm: [9, 5], diameter_mm: {uniform: [8, 15]}, mass_g: {uniform: [1, 50]}}]\n",
+    "drawn twice": LOAD.format("{uniform: [8, 15]}", "{uniform: [1, 50]}"),
     "swept load": (
-        "output: '../made/s{seed:03d}_{mass_g}.h5'\nloads: [{kind: rod, centre_mm: [9, 5], diameter_mm: 9, mass_g: 1}]\n"
-        "sweep: {seed: [1, 2], loads.0.mass_g: [50, 60]}\n"
+        LOAD.format(9, 1)
+        + "output: '../made/s{seed:03d}_{mass_g}.h5'\nsweep: {seed: [1, 2], loads.0.mass_g: [50, 60]}\n"
     ),
     "wrongly drawn": "cells: {resistance_ohm: {uniform: [3, 1]}}\n",
     "three ends": "cells: {spread: {uniform: [1, 2, 3]}}\n",
@@ -275,7 +277,7 @@ STORED = ("shape", "dtype", "chunks", "compression", "shuffle", "fletcher32", "m
 
 
 def files_row() -> dict[str, Any]:
-    """How recordings and results are stored: types, chunks, filters and attributes."""
+    """How recordings and results are stored: types, chunks, filters and attributes; files that others added to."""
     stored: dict[str, Any] = {}
 
     def noted(path: str, node: Any) -> None:
@@ -288,6 +290,10 @@ def files_row() -> dict[str, Any]:
         for name in ("recording.h5", "results.h5"):
             with h5py.File(name) as file:
                 file.visititems(noted)
+            stored[f"{name} checked"] = re.sub(r"\d+ bytes", "…", checked_sentence(Path(name)))
+            with h5py.File(name, "a") as file:
+                file["beside"] = "not by lampest"
+            stored[f"{name} changed"] = checked_sentence(Path(name)), describe(name)
     return stored
 
 

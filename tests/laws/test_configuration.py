@@ -168,7 +168,6 @@ def scene(**keys: Any) -> Scene:
     return Scene(Panel(6, 7), **keys)
 
 
-ELECTRONIC = "reference_tolerance outlier_probability noise_factor saturation supply_ripple_lsb gain_spread inl_lsb".split()
 NOISY, SERIES = Misfit(weighting="noise"), r"belongs to readout\.kind: two_point.*drive_ohm or sense_ohm"
 SMOOTHER = r"smoother has one term, misfit: \{weighting: noise, loss"
 IMPOSSIBLE: list[tuple[Callable[[], object], str]] = [
@@ -204,7 +203,10 @@ IMPOSSIBLE: list[tuple[Callable[[], object], str]] = [
     (lambda: Course(pump_s=40, pump_loss=1), "pump_loss must be below 1"),
     *(
         (lambda effect=effect: Simulation(1, 5, scene(), unmodelled=Unmodelled(**{effect: 0.5})), "need a readout")
-        for effect in ELECTRONIC
+        for effect in (
+            *("reference_tolerance", "outlier_probability", "noise_factor", "saturation"),
+            *("supply_ripple_lsb", "gain_spread", "inl_lsb"),
+        )
     ),
     (lambda: Estimator((Misfit(),), tare=10), "tare must be"),
     (lambda: Estimator((NOISY, Arrival()), error_bars=False), "arrival weighs frames by their error bars"),
