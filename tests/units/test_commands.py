@@ -26,6 +26,7 @@ from lampest import (
     TwoPointReadout,
     export_results,
     read_results,
+    read_run,
     read_scene,
     write_results,
 )
@@ -37,6 +38,8 @@ from lampest.report.live.engine import Engine
 from lampest.report.live.run import from_recording
 from lampest.report.plots import plot_file
 from lampest.report.plots.style import WIDTH_INCH
+from lampest.runs.batch import run_batch
+from lampest.runs.executors import Serial
 from lampest.studies.study import Row, Study
 
 Command = Callable[..., SimpleNamespace]
@@ -260,6 +263,8 @@ def test_results_of_other_cases_are_kept_aside_and_none_takes_the_place_of_a_rec
     shutil.copy(disk.folder / "small.h5", out / "results.h5")
     ended = run("--set", "recordings=[out/results.h5]")
     assert ended.code == 2 and "is an input; give the output another name" in ended.err
+    with pytest.raises(InputError, match="is an input"):
+        run_batch(read_run(disk.folder / "run.yaml", ("recordings=[out/results.h5]",)), out, Serial())
     assert (out / "results.h5").read_bytes() == (disk.folder / "small.h5").read_bytes()
 
 
