@@ -105,14 +105,9 @@ HOLES[1, 2, 4] = HOLES[2, 0, 0] = np.nan
 GAPS = {(4, 15): "#DIV/0!", (5, 1): None}
 HALVES: dict[str, Any] = {"times": np.arange(4) / 2, "start": "2025-01-31T12:00:00"}
 TWO_SHEETS = {"A": sheet_of(FRAMES), "B": sheet_of(2 * FRAMES)}
-TWO_MATRICES = {"R": LAST, "S": 2 * LAST}
-TWO_ARRAYS = {"a": FRAMES, "b": 2 * FRAMES}
 FILES = {
     "frames, rows, columns": array(FRAMES, "read as (frames"),
-    "frames, cells": array(FRAMES.reshape(4, -1), "read as (frames"),
     "frames, columns, rows": array(FRAMES.transpose(0, 2, 1), "read as (frames", transpose=True),
-    "single precision": array(FRAMES.astype("f4"), "read as (frames", expected=FRAMES.astype("f4")),
-    "one frame": array(FRAMES[0], expected=FRAMES[:1]),
     "one transposed frame": array(FRAMES[0].T, expected=FRAMES[:1], transpose=True),
     "frames last": array(LAST, "read as (rows, columns, frames)"),
     "frames first or last": array(
@@ -122,8 +117,6 @@ FILES = {
         rows=2,
         columns=2,
     ),
-    "volt": array(VOLTS, scene=DIVIDER, unit="volt"),
-    "mV": array(1000 * VOLTS, scene=DIVIDER, unit="mV"),
     "lines with resistances of their own": array(
         FRAMES,
         f"series resistance rows from 70 to {69 + ROWS} ohm, columns 71 ohm",
@@ -137,28 +130,18 @@ FILES = {
         arrays={"R_kohm": FRAMES / 1000, "time_ms": np.arange(4) * 250, "note": np.array("text"), "gain": np.ones(3)},
         times=np.arange(4) / 4,
     ),
-    "a chosen array": archive(np.savez, arrays=TWO_ARRAYS, variable="b", expected=2 * FRAMES),
-    "a chosen matrix": matrices(arrays=TWO_MATRICES, variable="S", expected=2 * FRAMES),
     "open cells, which an unloaded film has": array(mostly(0.0), scene=amplifiers(), unit="volt", expected=mostly(0.0)),
+    "a packed matrix beside what is none": matrices(
+        "array R read as (rows, columns, frames)",
+        arrays={"note": "text", "fs": 1.0, "s": {"a": LAST}, "z": LAST * 1j, "i": np.arange(3), "R": LAST},
+        packed=True,
+    ),
     "a sheet": book(
         {"Notes": [["hello"]], "Data": sheet_of(FRAMES, GAPS)}, "sheet Data", "row 3 taken as", expected=HOLES, **HALVES
     ),
     "a chosen sheet": book(TWO_SHEETS, variable="B", expected=2 * FRAMES, **HALVES),
     "blocks in a sheet": book({"A": [[float(x) for x in row] for frame in FRAMES for row in [*frame, []]]}),
 }
-for packed in (False, True):
-    for values, axes in (
-        (LAST, "(rows, columns, frames)"),
-        (FRAMES, "(frames, rows, columns)"),
-        (FRAMES[0], "(rows, columns)"),
-    ):
-        others = {"note": "text", "fs": 1.0, "s": {"a": values}, "z": values * 1j, "i": np.arange(3)}
-        FILES[f"a matrix {axes}{' packed' * packed}"] = matrices(
-            f"array R read as {axes}",
-            arrays=others | {"R": values},
-            packed=packed,
-            expected=FRAMES[: 4 if values.ndim == 3 else 1],
-        )
 for axes, values in (("last", LAST), ("first", FRAMES)):
     FILES[f"MATLAB 7.3 with frames {axes}"] = given(
         lambda path, values=values: matlab(path, R=values, t=np.arange(4.0)[None] / 2),
@@ -260,15 +243,9 @@ REFUSED = [
         scene=OWN_VOLTAGES,
         unit="volt",
     ),
-    archive(np.savez, "a, b would all fit; say which with `variable`", arrays=TWO_ARRAYS),
-    archive(np.savez, "the numeric arrays are: none", arrays={"R": np.array([{}], dtype=object)}),
     matrices("the numeric arrays are: x (2 × 2)", arrays={"x": np.ones((2, 2))}),
-    matrices("the numeric arrays are: none", arrays={"x": FRAMES * 1j}),
-    matrices("R, S would all fit; say which with `variable`", arrays=TWO_MATRICES),
-    matrices("no numeric array 'T'; there are R, S", arrays=TWO_MATRICES, variable="T"),
     book({"Data": sheet_of(FRAMES, {(6, 7): "abc"})}, "m.xlsx: Data!H7: 'abc' is no number"),
     book({"Data": [[1.0]] * 1500 + [[1.0, 2.0, 3.0]]}, "1 fields; 3 × 5 cells need"),  # is not read to its end
-    book(TWO_SHEETS, "the sheets A, B would all fit; say which with `variable`"),
     book(TWO_SHEETS, "no sheet 'C'; there are A, B", variable="C"),
 ]
 
@@ -281,27 +258,6 @@ def test_an_array_or_a_sheet_gives_its_frames_times_and_sentences(file: SimpleNa
 @pytest.mark.parametrize("file", REFUSED, ids=lambda file: f"{file.name}: {file.notes[0]}")
 def test_a_fault_in_a_file_is_one_sentence(file: SimpleNamespace, tmp_path: Path) -> None:
     check_refused(file, tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("unit", "usual", "rails"), [("code", 500, (0, 1023)), ("volt", 2.5, (0, 5)), ("ohm", 500.0, (np.inf, 0))]
-)
-def test_what_is_at_a_rail_is_a_bound(tmp_path: Path, unit: str, usual: float, rails: tuple[float, float]) -> None:
-    values = np.full((1, ROWS, COLUMNS), usual)
-    values[0, 0, :2] = rails
-    np.save(tmp_path / "m.npy", values)
-    recording, notes = import_file(tmp_path / "m.npy", ROWS, COLUMNS, DIVIDER, unit)
-    assert any(note.startswith("2 readings at or beyond a rail") for note in notes)
-    np.testing.assert_array_equal(recording.readings().side[0, 0, :3], [1, -1, 0])
-
-
-def test_one_value_for_each_listed_cell(tmp_path: Path) -> None:
-    scene = Scene(Panel(3, 2, cells=((2, 0, 0.0, 15.0), (0, 1, 7.5, 0.0), (1, 1, 7.5, 7.5))))
-    (tmp_path / "m.csv").write_text("\n".join(lines(FRAMES[:, 0, :3])))
-    recording, notes = import_file(tmp_path / "m.csv", scene=scene, unit="ohm")
-    np.testing.assert_allclose(recording.recorded[:, [2, 0, 1], [0, 1, 1]], FRAMES[:, 0, :3])
-    assert np.isnan(recording.recorded[:, 0, 0]).all()
-    assert any("the order of the scene's list" in note for note in notes)
 
 
 # Scenes beside a file.
@@ -318,10 +274,6 @@ def test_a_scene_file_describes_the_panel_of_an_import(tmp_path: Path) -> None:
     path.write_text("seed: 1\nscene:\n  panel: {rows: 3, colums: 5}\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"scene\.yaml:3:"):
         read_scene(path)
-    for ohm in ("1e29", "1e-9", "{rows: [140, 140, 1e29], columns: 70}"):
-        path.write_text(f"panel: {{rows: 3, columns: 5}}\nseries_resistance_ohm: {ohm}\n", encoding="utf-8")
-        with pytest.raises(InputError, match=r"scene\.yaml:.*must lie between 1e-06 and 1e\+09 ohm"):
-            read_scene(path)
 
 
 def test_entries_of_a_scene_are_set_at_the_import(tmp_path: Path, lampest: Callable[..., Any]) -> None:
@@ -358,54 +310,6 @@ def test_the_drive_and_the_converter_of_a_virtual_ground_have_voltages_of_their_
     np.testing.assert_allclose(amplifiers(drive_volt=5.0).circuit.exact_reading(truth), both)
     with pytest.raises(ValueError, match="converter_volt must lie between"):
         amplifiers(converter_volt=0.0)
-
-
-# Bare arrays, and layouts of one's own.
-
-
-IN_UNITS = {"ohm": FRAMES, "kohm": FRAMES / 1000, "volt": VOLTS, "mV": 1000 * VOLTS}
-IN_UNITS["code"] = np.floor(VOLTS / 5 * 1024).astype(int)
-
-
-@pytest.mark.parametrize(("unit", "values"), IN_UNITS.items(), ids=IN_UNITS)
-def test_an_array_becomes_the_recording_that_its_file_becomes(tmp_path: Path, unit: str, values: np.ndarray) -> None:
-    path = tmp_path / "scene.yaml"
-    path.write_text("panel: {rows: 3, columns: 5}\nreadout: {kind: two_point}\nseries_resistance_ohm: 140\n")
-    np.save(tmp_path / "m.npy", values)
-    expected, _ = import_file(tmp_path / "m.npy", scene=DIVIDER, unit=unit, baseline_frames=2)
-    for scene in (DIVIDER, path, str(path)):
-        recording = Recording.from_array(values.tolist(), unit=unit, baseline=2, scene=scene, time=[0, 1, 2, 4])
-        np.testing.assert_array_equal(recording.recorded, expected.recorded)
-        np.testing.assert_allclose(recording.resistance, FRAMES, rtol=0.005)
-        assert (recording.role.tolist(), recording.time.tolist()) == ([0, 0, 1, 1], [0, 1, 2, 4])
-        assert recording.scene.panel == DIVIDER.panel
-
-
-def test_an_array_alone_is_a_recording_of_frames_a_second_apart() -> None:
-    plain = Recording.from_array(FRAMES)
-    assert plain.scene == Scene(Panel(ROWS, COLUMNS)) and plain.time[-1] == 3 and np.all(plain.role == 1)
-    assert reconstruct(Recording.from_array(FRAMES, baseline=1), [Misfit()]).solved.all()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"values": FRAMES[0]}, r"values must have the shape \(frames, rows, columns\) with at least one frame, not"),
-        ({"values": FRAMES[:, :2], "scene": DIVIDER}, r"values must have the shape \(frames, 3, 5\) .*not \(4, 2, 5\)"),
-        ({"values": FRAMES, "baseline": 5}, "baseline must be a number of frames from 0 to 4, not 5"),
-        ({"values": FRAMES, "unit": "V"}, "the unit 'V' is unknown; there are ohm, kohm, volt, mV, code"),
-        ({"values": FRAMES, "unit": "volt"}, "values: volt values need a scene with a readout"),
-        ({"values": FRAMES, "unit": "volt", "scene": DIVIDER}, r"values\[0, 0, 0\]: 468.* lies outside 0 to 5 V, the "),
-        ({"values": FRAMES, "time": [0, 1]}, "time must hold one finite time for each frame"),
-        ({"values": "m.csv"}, "values"),
-    ],
-)
-def test_an_array_that_does_not_fit_is_refused_in_words_of_its_arguments(
-    arguments: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(InputError, match=message) as caught:
-        Recording.from_array(**arguments)
-    assert "--" not in str(caught.value)
 
 
 # The command.

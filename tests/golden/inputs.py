@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,7 @@ TEXTS: dict[str, str] = {
     "other columns": "note,r0c0,r0c1,r1c0,T,humidity\nx,300,310,320,20,40\ny,301,311,321,21,41\n",
     "same names": "r0c0,r0c0,r0c1\n1,2,3\n", "beyond names": "r0c0,r2c1,r1c0\n1,2,3\n",
     "too many fields": "1,2,3,4,5\n1,2,3,4,5\n", "to transpose": "300,310\n320,330\n340,350\n",
+    "empty end": timed_lines(1, 2, name="x").replace("\n", ",,\n").replace("f,", "f,note"),
     "empty column": "a,,b,c\n1,,400,300\n2,,410,310\n",
     "longer line": "300,310,320\n330,340,350\n1,2,3,4\n300,310,320\n", "word": "300,310,320\n330,huh,350\n",
     "words": "300,OL,#N/A\n330,ovf,-\n300,310,320\n330,1e9,350\n", "no values": "# nothing\n\n",
@@ -107,6 +109,7 @@ TIMES: dict[str, tuple[str, dict[str, Any]]] = {
         timed_lines("2025-01-31,12:00:00.5", "2025-01-31,12:00:01.5", name="date,time"), {},
     ),
     "one cut": (timed_lines(*range(7), 3, *range(8, 14)), {}), "cut stamp": (timed_lines(*range(9), "", 10), {}),
+    "cut word": (timed_lines(*range(9), "4x", *range(10, 14)), {}),
     "back": (timed_lines(3, 2, 1), {}), "no time": (timed_lines("huh", "2025", "x"), {}), "given": (
         timed_lines(100, 350, 720), {"time_unit": "us"},
     ), "given for dates": (timed_lines("12:00:00", "12:00:01"), {"time_unit": "ms"}),
@@ -207,6 +210,31 @@ def arrays_row() -> dict[str, Any]:
     return rows
 
 
+def python_row() -> dict[str, Any]:
+    """Arrays in Python in every unit, and why others are none."""
+    rows: dict[str, Any] = {}
+    scenes_of = {"none": None, "ohm": lp.TwoPointReadout(), "volt": lp.LoadedColumnsReadout()}
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "scene.yaml").write_text("panel: {rows: 2, columns: 3}\nreadout: {kind: two_point}\n")
+        for (name, readout), (unit, scale), (way, how) in product(scenes_of.items(), SCALES.items(), HOW.items()):
+            scene = readout and lp.Scene(lp.Panel(2, 3), readout)
+            known = {"values": scale * VALUES.round(), "unit": unit, "scene": scene} | how
+            known["scene"] = Path(folder) / "scene.yaml" if known["scene"] == "file" else known["scene"]
+            try:
+                made = lp.Recording.from_array(**known)
+                rows[f"{name} {unit} {way}"] = [made.recorded[0], made.time, made.role, made.scene.panel.rows]
+            except InputError as error:
+                rows[f"{name} {unit} {way}"] = str(error)
+    return rows
+
+
+SCALES = {"ohm": 1.0, "kohm": 1e-3, "volt": 5e-3, "mV": 5.0, "code": 1.0, "V": 1.0}
+HOW: dict[str, dict[str, Any]] = {
+    "alone": {}, "two unloaded": {"baseline": 2}, "five unloaded": {"baseline": 5}, "times": {"time": [0, 1, 2, 4]},
+    "two times": {"time": [0, 1]}, "one frame": {"values": VALUES[0]}, "one row": {"values": VALUES[:, :1]},
+    "a word": {"values": "m.csv"}, "a list": {"values": VALUES.tolist()}, "scene of a file": {"scene": "file"},
+}  # fmt: skip
+
 # Ranges
 
 DECADES = 10.0 ** np.arange(-12, 14)
@@ -256,5 +284,5 @@ def of_inputs() -> Rows:
         {f"text {name}": partial(imported, "m.csv", text) for name, text in TEXTS.items()}
         | {f"time {name}": partial(imported, "m.csv", text, **how) for name, (text, how) in TIMES.items()}
         | {f"range {name}": partial(ranges_row, owner) for name, owner in configurations().items()}
-        | {"units": units_row, "arrays and sheets": arrays_row}
+        | {"units": units_row, "arrays in Python": python_row, "arrays and sheets": arrays_row}
     )

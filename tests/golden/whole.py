@@ -1,6 +1,7 @@
 """Rows of whole pages, of long recordings and of large panels, by limits that are lowered for them."""
 
 import re
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, chdir, contextmanager
@@ -291,9 +292,16 @@ def files_row() -> dict[str, Any]:
             with h5py.File(name) as file:
                 file.visititems(noted)
             stored[f"{name} checked"] = re.sub(r"\d+ bytes", "…", checked_sentence(Path(name)))
-            with h5py.File(name, "a") as file:
+            shutil.copy(name, "changed.h5")
+            with h5py.File(name, "a", libver=("v110", "v110")) as file:
                 file["beside"] = "not by lampest"
-            stored[f"{name} changed"] = checked_sentence(Path(name)), describe(name)
+            with h5py.File("changed.h5", "a") as file:
+                file.create_group("beside")
+            stored[f"{name} changed"] = (
+                checked_sentence(Path(name)),
+                describe(name),
+                checked_sentence(Path("changed.h5")),
+            )
     return stored
 
 
