@@ -12,7 +12,7 @@ from itertools import count, product
 from operator import attrgetter
 from pathlib import Path
 from string import ascii_lowercase
-from time import perf_counter, process_time
+from time import perf_counter
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -22,7 +22,6 @@ from matplotlib.figure import Figure
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.estimates import Estimates
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import AnyMethod, MethodName, named_method
 from lampest.estimate.methods.approximate import TruncatedMethod
 from lampest.estimate.methods.method import Method
@@ -44,7 +43,6 @@ from lampest.studies.common import MIN_GAP, TimedFrame, outcome, peak_memory
 from lampest.studies.study import OnStep, column, read_settings
 
 REFERENCE = "reduced"
-Passage = tuple[Estimates, Array]  # estimates of a recording, and the processor time of each frame, s
 
 
 @dataclass(frozen=True)
@@ -242,27 +240,20 @@ def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list
     return [replace(frame, memory_mb=memory.get((frame.shape, frame.solver))) for frame in measured]
 
 
-def _passage(recording: Recording, estimator: Estimator) -> Passage:
-    """Solve the frames of a recording in sequence."""
-    clock = [process_time()]
-    estimates = reconstruct(recording, estimator, lambda *_: clock.append(process_time()))
-    return estimates, np.diff(clock)
-
-
 def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Iterator[TradeoffFrame]:
     """Measure all formulations with a method on a recording."""
     rungs, begin = settings.rungs(recording.scene.panel.shape), perf_counter()
-    runs: dict[str, list[Passage]] = {name: [] for name in rungs}
+    runs: dict[str, list[Estimates]] = {name: [] for name in rungs}
     for turn in range(settings.repeats):
         if turn and perf_counter() - begin > settings.patience_s:
             break
         for name, formulation in rungs.items():
             estimator = settings.estimators[method].estimator(formulation, settings.solver)
-            runs[name].append(_passage(recording, estimator))
-    costs = list(_costs(runs[REFERENCE][0][0]))
+            runs[name].append(reconstruct(recording, estimator))
+    costs = list(_costs(runs[REFERENCE][0]))
     objective = np.array(
         [
-            [_objective(*cost, cells) for cost, cells in zip(costs, run[0][0].cell_resistance, strict=True)]
+            [_objective(*cost, cells) for cost, cells in zip(costs, run[0].cell_resistance, strict=True)]
             for run in runs.values()
         ]
     )
@@ -270,9 +261,8 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
     least = np.nanmin(objective, axis=0)
     gaps = (objective - least) / (least + [_noise_cost(*cost) for cost in costs])
     for (name, run), values, gap in zip(runs.items(), objective.tolist(), gaps.tolist(), strict=True):
-        first = run[0][0]
-        turns = [np.minimum([step.seconds for step in estimates.steps], cpu) for estimates, cpu in run]
-        seconds = np.min(turns, axis=0).tolist()
+        first = run[0]
+        seconds = np.min([[step.seconds for step in estimates.steps] for estimates in run], axis=0).tolist()
         for number, (step, cell, changed) in enumerate(zip(first.steps, *errors(first), strict=True)):
             yield TradeoffFrame(
                 **outcome(recording, step),
@@ -282,7 +272,7 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
                 seconds=seconds[number],
                 objective=values[number],
                 gap=gap[number],
-                baseline_s=0.0 if first.joint_start else min(estimates.baseline.seconds for estimates, _ in run),
+                baseline_s=0.0 if first.joint_start else min(estimates.baseline.seconds for estimates in run),
                 cell_error=float(cell),
                 changed_error=float(changed),
             )

@@ -152,12 +152,14 @@ def page_row() -> dict[str, Any]:
     blind = [
         compared.comparison_of(
             compared.Batch(
-                ("b.h5",), {name: {case.estimator: case for case in lp.Results(unknown).of(name)} for name in names}
+                ("b.h5",), {name: {case.estimator: case for case in lp.Results(cases).of(name)} for name in names}
             ),
             np.random.default_rng(2),
         )
-        for names in (("mouth",), ("mouth", "second"))
-    ]
+        for cases, names in (
+            (unknown, ("mouth",)), (unknown, ("mouth", "second")), ((invented()[0], *unknown[1:]), ("mouth",)),
+        )
+    ]  # fmt: skip
     by_estimator = {name: [case for case in invented() if case.estimator == name] for name in METHODS}
     return {
         "blind": [(each.standings, each.values, each.block, each.units) for each in blind if each is not None],

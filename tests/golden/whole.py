@@ -121,10 +121,14 @@ def parts_row() -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         simulated(frames=19, baseline_frames=3).save("long.h5")
         Path("run.yaml").write_text(RUN_OF_PARTS)
-        with limits(recording__recording__MAX_READINGS=200, recording__recording__PART_READINGS=20):
+        with limits(
+            recording__recording__MAX_READINGS=200, recording__recording__PART_READINGS=20,
+            report__info__PART_READINGS=300,
+        ):  # fmt: skip
             printed = command("run", "run.yaml", "--jobs", "1", "--out", "out")
             again = command("run", "run.yaml", "--jobs", "1", "--out", "out")
             told = command("info", "long.h5"), command("tare", "long.h5", "--frames", "16:18", "--out", "t.h5")
+            told += (command("info", "out/results.h5"),)
             roles = lp.Recording.load("t.h5").role
         cases = lp.read_results("out/results.h5", frames=range(3, 20)).cases
     words = [re.sub(r"in \d.* s\b|\d+ bytes|case [0-9a-f]+", "…", text) for text in (printed, again, *told)]

@@ -12,7 +12,7 @@ import pytest
 from docs.studies.all_pages import commands, with_commit
 from docs.studies.audit import Audited, audit_remarks, audit_rows
 from docs.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
-from lampest import Array, InputError, Panel, Recording, Scene
+from lampest import InputError, Panel, Recording, Scene
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
 from lampest.solvers.solution import Settings
@@ -74,26 +74,22 @@ def test_a_gap_is_relative_to_the_cost_of_the_noise(tiny: Plan) -> None:
         assert best.cell_error < 1e-3 > best.changed_error
 
 
-def test_a_time_is_the_least_of_all_turns_and_of_wall_and_processor(
-    tiny: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The fake clock: of turn n 5 − n s by the wall; by the processor 9 s, 1 s in the second frame of the second."""
-    passage, turns, first = tradeoff._passage, count(), list[str]()
+def test_a_time_is_the_least_of_all_turns(tiny: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each frame of turn n takes 5 − n s: of a block of frames each has its share."""
+    solve, turns, solved = tradeoff.reconstruct, count(), list[str]()
 
-    def timed(recording: Recording, estimator: Any) -> tuple[Any, Array]:
-        estimates, _ = passage(recording, estimator)
-        first.append(estimator.method.kind)
-        turn = next(turns) // 2
+    def timed(recording: Recording, estimator: Any, *on_frame: Any) -> Any:
+        estimates, turn = solve(recording, estimator, *on_frame), next(turns) // 2
+        solved.append(estimator.method.kind)
         steps = tuple(replace(step, seconds=5.0 - turn) for step in estimates.steps)
-        changed = replace(estimates, steps=steps, baseline=replace(estimates.baseline, seconds=7.0 - turn))
-        return changed, np.array([9.0, 1.0 if turn == 1 else 9.0])
+        return replace(estimates, steps=steps, baseline=replace(estimates.baseline, seconds=7.0 - turn))
 
-    monkeypatch.setattr(tradeoff, "_passage", timed)
-    found = run_tradeoff(tiny)
-    assert first == ["naive", "reduced"] * 3 and all(one.iterations >= 0 and one.solved for one in found)
-    assert [one.seconds for one in found] == [3, 1] * 2 and {one.baseline_s for one in found} == {5}
+    monkeypatch.setattr(tradeoff, "reconstruct", timed)
+    frames = run_tradeoff(tiny)
+    assert solved == ["naive", "reduced"] * 3 and all(frame.iterations >= 0 and frame.solved for frame in frames)
+    assert [frame.seconds for frame in frames] == [3] * 4 and {frame.baseline_s for frame in frames} == {5}
     run_tradeoff(tiny._replace(settings=replace(tiny.settings, patience_s=0.0)))
-    assert first[6:] == ["naive", "reduced"], "no turn begins after the patience"
+    assert solved[6:] == ["naive", "reduced"], "no turn begins after the patience"
     tasks, steps = list[tuple[str, int]](), list[tuple[int, int]]()
 
     def peak(recording: Recording, estimator: Any) -> float:
@@ -105,8 +101,8 @@ def test_a_time_is_the_least_of_all_turns_and_of_wall_and_processor(
     measured = run_tradeoff(Plan(replace(joint.settings, memory="LSM"), tiny.recordings), lambda *at: steps.append(at))
     assert tasks == [("naive", 3), ("reduced", 3)] and steps == [(1, 3), (2, 3), (3, 3)]
     assert [each.memory_mb for each in measured] == [10, 10, 20, 20], "of each formulation on two frames"
-    monkeypatch.setattr(tradeoff, "_passage", lambda *task: (replace(passage(*task)[0], joint_start=True), np.ones(2)))
-    assert {one.baseline_s for one in run_tradeoff(joint)} == {0}, "it is solved with the first frame"
+    monkeypatch.setattr(tradeoff, "reconstruct", lambda *task: replace(timed(*task), joint_start=True))
+    assert {frame.baseline_s for frame in run_tradeoff(joint)} == {0}, "it is solved with the first frame"
 
 
 def test_errors_of_changed_cells_are_those_beyond_five_percent() -> None:

@@ -348,7 +348,11 @@ def comparison_of(batch: Batch, generator: np.random.Generator) -> Comparison | 
     resolution. None if neither is known, since the data error grows with every penalty, good or bad; or if no two
     estimators share a frame.
     """
-    known = {name: cases for name, cases in batch.recordings.items() if first_of(cases).truth is not None}
+    known = {
+        name: cases
+        for name, cases in batch.recordings.items()
+        if all(case.truth is not None for case in cases.values())
+    }
     match = matched(known or batch.recordings)
     cases = [case for name in match.estimators for case in match.cases(name)]
     predictable = all(case.sigma is not None and case.resolution is not None for case in cases)
