@@ -24,7 +24,6 @@ from lampest.studies.bench import (
     BenchFile,
     BenchFrame,
     BenchLimits,
-    BenchPart,
     bench_remarks,
     bench_rows,
     run_bench,
@@ -97,29 +96,6 @@ def test_the_gap_is_above_the_least_objective_of_all_solvers_and_unknown_of_a_si
         SolversFile(1, (3,), {"robust": StudyMethod(Terms(misfit=Misfit(loss=Huber(corner=1.0))))})
 
 
-def test_a_row_has_the_largest_gap_and_memory_and_the_median_time() -> None:
-    gaps, memories = (0, np.nan, 1e-3, 2e-3, 0), (7.0, None, 50.0, 30.0, None)
-    frames = [
-        replace(one, gap=gap, memory_mb=memory, iterations=one.frame, solved=one.frame != 3)
-        for one, gap, memory in zip(timed(4, [9.0, 1.0, 2.0, 3.0, 6.0]), gaps, memories, strict=True)
-    ]
-    first, later = bench_rows(frames[:1] + frames)[:2]
-    assert (first.frames, first.ms, first.count, first.memory_mb) == ("first", 9000.0, 2, 7.0)
-    assert (later.frames, later.ms, later.ms_quartile_1, later.ms_quartile_3) == ("later", 2500.0, 1750.0, 3750.0)
-    assert (later.gap, later.memory_mb, later.iterations, later.ratio) == (2e-3, 50.0, 2.5, 1.0)
-    assert (later.count, later.solved, later.inverses) == (4, 3, pytest.approx(2.5e6))
-
-
-def test_all_methods_are_told_together_only_where_none_was_left_out() -> None:
-    frames = [*timed(8, [1, 1]), *timed(8, [1], "LSR-CR"), *timed(16, [1, 1]), *timed(32, [1, 1], "LSR-CR")]
-    found = [(row.rows, row.method, row.frames) for row in bench_rows(frames)]
-    assert [about for about in found if about[1] == "all"] == [(8, "all", "first")]
-    assert len(found) == 1 + 3 + 2 + 2
-    both = sorted([*timed(8, [1, 1]), *timed(8, [1, 1], solver="nodal")], key=lambda frame: frame.frame)
-    kinds = [(name, kind) for name in ("reduced", "nodal") for kind in ("first", "later")]
-    assert [(row.solver, row.frames) for row in bench_rows(both)] == 2 * kinds, "a solver's rows stand together"
-
-
 def test_frames_after_the_first_are_solved_in_turns_until_they_take_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     """The fake clock: the first frame takes 0.3 s, the next 0.4, 0.2 and 0.1 s, those of the last 2 s and less."""
     clock, solve = iter([0.3, 0.4, 0.2, 0.1, 2.0, 0.01]), bench_module.pushed
@@ -150,22 +126,6 @@ def test_what_there_is_no_time_for_is_left_out_and_named() -> None:
     remarks = bench_remarks(found)
     assert "left out, would not end within 0.001 s: recording 2: all methods at 3 × 3, 40 × 40" in remarks
     assert any(line.startswith("not run beyond these sides (limits): nodal 0, ") for line in remarks)
-
-
-def test_a_larger_panel_is_guessed_from_the_next_smaller_one() -> None:
-    bench = BenchFile(1, (10, 20, 40), limits=replace(BenchLimits(), nodal=10))
-    done = [
-        *timed(10, [8.0, 1.0]),
-        *timed(20, [2.0, 1.5]),
-        *timed(20, [3.0, 1.5], number=1),
-        *timed(20, [99.0, 99.0], method="LSR-CR"),
-        *timed(10, [77.0, 1.0], solver="nodal"),
-    ]
-    assert BenchPart(1, (20, 20), "LSM").expected_s(bench, done) == pytest.approx(4.0)
-    assert BenchPart(0, (40, 40), "LSM").expected_s(bench, done) == pytest.approx(8 * 4.0)
-    assert BenchPart(0, (20, 20), "LSM").expected_s(bench, done[:2]) == pytest.approx(8 * 9.0)
-    assert BenchPart(0, (10, 10), "LSM").expected_s(bench, done) == pytest.approx(9.0 + 78.0)
-    assert BenchPart(0, (10, 10), "LSR-gCR").expected_s(bench, done) == 0
 
 
 def test_pages_show_tables_that_the_bench_writes() -> None:

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,27 +11,13 @@ import pytest
 from docs.studies.all_pages import commands, with_commit
 from docs.studies.audit import Audited, audit_remarks, audit_rows
 from docs.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
-from lampest import InputError, Panel, Recording, Scene
+from lampest import InputError, Recording
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
 from lampest.solvers.solution import Settings
 from lampest.studies import common, tradeoff, weights
-from lampest.studies.paper import (
-    FILE,
-    Side,
-    read_published,
-)
-from lampest.studies.tradeoff import (
-    STUDY,
-    Plan,
-    Simulated,
-    TradeoffFile,
-    TradeoffFrame,
-    ladder_rows,
-    read_plan,
-    run_tradeoff,
-    tradeoff_figure,
-)
+from lampest.studies.paper import FILE, Side, read_published
+from lampest.studies.tradeoff import Plan, read_plan, run_tradeoff
 from lampest.studies.weights import CurvePoint, why_not
 from tests.small_files import exact, write_recording
 
@@ -103,110 +88,6 @@ def test_a_time_is_the_least_of_all_turns(tiny: Plan, monkeypatch: pytest.Monkey
     assert [each.memory_mb for each in measured] == [10, 10, 20, 20], "of each formulation on two frames"
     monkeypatch.setattr(tradeoff, "reconstruct", lambda *task: replace(timed(*task), joint_start=True))
     assert {frame.baseline_s for frame in run_tradeoff(joint)} == {0}, "it is solved with the first frame"
-
-
-def test_errors_of_changed_cells_are_those_beyond_five_percent() -> None:
-    truth = np.array([[[100.0, 100.0, 100.0]], [[100.0, 106.0, 104.0]], [[100.0, 100.0, 95.1]]])
-    recording = SimpleNamespace(truth_cell_resistance=truth, role=np.array([0, 1, 1]))
-    cells = np.array([[[101.0, 106 * 1.3, 104 * 0.9]], [[102.0, 100.0, 95.1]]])
-    estimates: Any = SimpleNamespace(recording=recording, frame=np.array([1, 2]), cell_resistance=cells)
-    every, changed = tradeoff.errors(estimates)
-    assert every == pytest.approx([10, 0]) and changed == pytest.approx([30, np.nan], nan_ok=True)
-    recording.role = np.array([1, 1, 1])
-    np.testing.assert_allclose(tradeoff.errors(estimates)[1], changed), "else against the first frame"
-    recording.truth_cell_resistance = None
-    assert np.isnan(tradeoff.errors(estimates)).all() and tradeoff.errors(estimates)[0].shape == (2,)
-
-
-def test_the_first_frames_are_the_unloaded_and_the_first_measured_ones() -> None:
-    values = np.arange(1.0, 7.0)[:, None, None] * np.ones((2, 3))
-    recording = Recording(Scene(Panel(2, 3)), values, np.arange(6.0), np.array([0, 1, 1, 0, 1, 1], dtype=np.uint8))
-    assert list(common.first_frames(recording, 3).time) == [0, 1, 2, 3, 4]
-    assert list(common.first_frames(recording, 2).time) == [0, 1, 2, 3]
-    with pytest.raises(InputError, match="at least two measured frames"):
-        common.first_frames(recording, 1)
-
-
-def settings(**changes: Any) -> TradeoffFile:
-    """Of a trade-off of one recording, by default with the five methods of the paper."""
-    return TradeoffFile(**{"schema": 1, "recordings": ("a.h5",)} | changes)
-
-
-def test_large_panels_are_left_to_the_fast_formulations_and_methods() -> None:
-    """The nodal one solves at most 16 lines, pixel by pixel is for ten; methods with a joint pair have 16, too."""
-    everyone = settings()
-    every = ["naive", "scaled", "linearised", "truncated 1", "truncated 2", "truncated 4", "reduced"]
-    for shape, more in (((10, 9), ["nodal", "per_pixel"]), ((11, 3), ["nodal"]), ((3, 16), ["nodal"]), ((17, 3), [])):
-        assert list(everyone.rungs(shape)) == every + more
-    assert everyone.methods((16, 16)) == ["LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR"]
-    assert everyone.methods((4, 17)) == ["LSM", "LSR-CR", "LSR-gCR"]
-    assert list(everyone.rungs((1000, 1000))) == every and "naive" not in everyone.rungs((1001, 1))
-    assert (everyone.frames, everyone.repeats, everyone.patience_s, everyone.memory) == (5, 3, 3.0, None)
-
-
-REFUSED: tuple[tuple[dict[str, Any], str], ...] = (
-    ({"recordings": ()}, "name recordings"),
-    ({"estimators": {}}, "at least one"),
-    ({"formulations": ("naive",)}, "must hold reduced"),
-    ({"formulations": ("reduced", "reduced")}, "twice"),
-    ({"memory": "mine"}, "none of the estimators"),
-    ({"sizes": ()}, "at least one"),
-    ({"sizes": (7,)}, "8"),
-    ({"sizes": (1001,)}, "1000"),
-    ({"sizes": (8, (8, 8))}, "twice"),
-    ({"sizes": (8,), "seed": -1}, "seed"),
-)
-
-
-def test_settings_of_a_tradeoff_out_of_range_are_refused_and_the_ends_allowed() -> None:
-    for changes, sentence in REFUSED:
-        with pytest.raises(ValueError, match=sentence):
-            Simulated(**changes) if "sizes" in changes else settings(**changes)
-    made = [*Simulated(sizes=(8, (9, 10)), diameter_mm=28.0, seed=5).simulations(2)]
-    assert Simulated(sizes=(8, (8, 1000)), seed=0).diameter_mm == 35
-    assert [name for name, _ in made] == ["8x8_clean_10bit", "9x10_clean_10bit"]
-    assert [simulation.scene.panel.shape for _, simulation in made] == [(8, 8), (9, 10)]
-    mouths = [simulation.loads[0] for _, simulation in made]
-    assert [mouth.centre_mm for mouth in mouths] == [(34, 36), (44, 36)], "beside the middle of every panel"
-    assert [(mouth.diameter_mm, mouth.rim_width_mm) for mouth in mouths] == [(28, pytest.approx(4.8))] * 2
-    for _, simulation in made:
-        assert (simulation.seed, simulation.frames, simulation.scene.series_resistance_ohm) == (5, 2, 140)
-
-
-def frame(**changes: Any) -> TradeoffFrame:
-    """A measured frame of a trade-off."""
-    known: dict[str, Any] = {"rows": 3, "columns": 4, "recording": "a", "method": "LSM", "solver": "reduced"}
-    known |= {"frame": 1, "seconds": 0.004, "objective": 2.0, "gap": 0.0, "iterations": 3, "solved": True}
-    known |= {"status": "optimum verified", "baseline_s": 0.01, "cell_error": 1.0, "changed_error": 2.0}
-    return TradeoffFrame(**known | changes)
-
-
-NAN, OTHERS = float("nan"), ("naive", "slow")
-MEASURED = [
-    frame(frame=0, seconds=0.02),
-    frame(gap=1e-6, cell_error=3.0, changed_error=NAN),
-    frame(frame=2, seconds=0.006, gap=NAN, cell_error=NAN, changed_error=NAN, solved=False),
-    *(frame(solver="naive", frame=number, seconds=0.001, gap=5e3, cell_error=60.0) for number in (0, 1)),
-    *(frame(solver="slow", frame=number, seconds=0.9, gap=1.0, changed_error=9.0) for number in (0, 1)),
-    *(frame(method="other", recording="b", frame=number, seconds=0.5, memory_mb=17.3) for number in (0, 1)),
-]
-
-
-def test_a_row_ignores_unknown_errors_and_counts_failed_frames_as_infinite_gaps() -> None:
-    (row,) = ladder_rows(MEASURED[:3])
-    assert (row.frame_ms, row.cell_error, row.changed_error) == pytest.approx((5, 2, 2))
-    assert (row.gap, row.worst_gap, row.reached, row.failed) == (1e-6, np.inf, pytest.approx(2 / 3), 1)
-    unknown = [replace(one, cell_error=NAN) for one in MEASURED[:2]]
-    assert ladder_rows(unknown)[0].cell_error is None
-    assert [(row.method, row.recording, row.formulation) for row in STUDY.rows(MEASURED)][:5] == [
-        *(("all", "all", "reduced") if name == "reduced" else ("LSM", "a", name) for name in ("reduced", *OTHERS)),
-        *(("LSM", "a", name) for name in ("reduced", "naive")),
-    ]
-    (_, rows, _), *_ = STUDY.sheets([*(replace(one, changed_error=NAN) for one in MEASURED[:3]), *MEASURED[3:]])
-    assert [row.front for row in rows] == ["*", "*", ""], "on that of time and gap alone, without an error"
-    axes = tradeoff_figure(ladder_rows([replace(one, gap=0.0, changed_error=NAN) for one in MEASURED], "method")).axes
-    assert [text.get_text() for text in axes[0].texts] == ["no truth"]
-    assert axes[1].get_ylim()[0] == pytest.approx(1e-12 / 30) and list(axes[1].lines[-1].get_ydata()) == [1e-12] * 2
 
 
 def test_a_call_takes_the_lesser_of_wall_and_processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
