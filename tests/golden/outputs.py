@@ -505,7 +505,8 @@ def bench_row() -> dict[str, Any]:
         "expected": [each.expected_s(settings, frames[:number]) for number in (0, 2, 30) for each in (
             part, part._replace(shape=(8, 8)), part._replace(method="LSR-CR"),
         )],
-        "recorded": [settings.recording((4, 5), number).recorded for number in (0, 1)], "loads": [bench.loads(number, (9, 9)) for number in range(4)],
+        "recorded": [settings.recording((4, 5), number).recorded for number in (0, 1)],
+        "loads": [bench.loads(number, (9, 9)) for number in range(4)],
     }  # fmt: skip
 
 
