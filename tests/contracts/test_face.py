@@ -187,23 +187,6 @@ def test_a_recording_and_a_reconstruction_are_one_line_each(lamprey: Recording, 
     assert not {"of", "asked", "tared"} & set(dir(found)) and {"cell_resistance", "fit_report"} <= set(dir(found))
 
 
-def test_a_fit_report_has_sections_as_lmfit_has_them(found: Reconstruction) -> None:
-    lines = found.fit_report().splitlines()
-    titles = [line for line in lines if line.startswith("[[")]
-    assert titles[:4] == ["[[Model]]", "[[Fit Statistics]]", "[[Weights]]", "[[Cells in frame 6 at 6 s]]"]
-    values = dict(line.strip().split(" = ") for line in lines if " = " in line)
-    values = {name.strip(): value for name, value in values.items()}
-    assert values["frames solved"] == "4 of 4" and values["readings"] == "400 in 4 frames"
-    case = found.result()
-    rms = np.sqrt(np.mean((100 * (case.reading_model / case.measured - 1)) ** 2))
-    number, unit = values["residual, rms"].split(" ", 1)
-    assert float(number) == pytest.approx(rms, rel=0.05) and unit == "% of the reading"
-    assert float(values["solve time"].split()[0]) == pytest.approx(1000 * np.median(case.solve_time), rel=0.01)
-    assert values["resistance"].endswith(" ohm") and values["change"].endswith(" %")
-    assert values["errors"].startswith("standard deviation of cells: own ")
-    assert float(values["reduced chi-square"].split()[0].replace(",", "")) > 0
-
-
 def test_what_is_saved_is_what_the_arrays_hold(found: Reconstruction, tmp_path: Path) -> None:
     found.save(tmp_path / "r.h5", name="mine")
     (case,) = lampest.read_results(tmp_path / "r.h5").cases

@@ -1,4 +1,4 @@
-"""Rows of tables, pictures, messages, commands and studies."""
+"""Rows of tables, pictures, messages and commands."""
 
 import io
 import json
@@ -12,11 +12,9 @@ from functools import cache, partial
 from itertools import product
 from math import nan
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
-import h5py
 import numpy as np
 from golden.checks import detected, tiled
 from golden.circuits import COLD, FILM, Rows, cells_of
@@ -28,18 +26,30 @@ from support import invented_case
 
 import lampest as lp
 from lampest import cli
-from lampest.estimate.estimator import Estimator
+from lampest.files.process import in_bytes
 from lampest.loads.pressure import Force
 from lampest.loads.recognition import breathing
 from lampest.loads.recognition.attachment import Attachment
-from lampest.report import compare
+from lampest.panel.panel import EachModule, Modules
+from lampest.report import compare, words
 from lampest.report.detect import pressed
 from lampest.report.detect.answer import Detected
-from lampest.report.info import describe, shaded_map, understood_lines
+from lampest.report.info import describe, shaded_map, text_map, understood_lines
+from lampest.report.live import watcher
 from lampest.report.live.engine import with_picture
-from lampest.report.live.message import Message, Picture, Point, View, acknowledged, view_text, with_detected
-from lampest.report.live.state import PanelState, solved_scan
-from lampest.report.live.watcher import Scan
+from lampest.report.live.message import (
+    HISTORY_FRAMES,
+    Message,
+    Picture,
+    Point,
+    View,
+    acknowledged,
+    view_text,
+    with_detected,
+)
+from lampest.report.live.publish import publish_at
+from lampest.report.live.state import PanelState, solved_scan, verdict_of
+from lampest.report.live.watcher import Scan, Unloaded, in_one_batch
 from lampest.report.page import compared, page
 from lampest.report.plots import PLOTS, maps, style
 from lampest.report.plots.timeline import timeline
@@ -47,12 +57,6 @@ from lampest.report.reconstruction import Reconstruction
 from lampest.report.strongest import strongest_index
 from lampest.report.words import digits
 from lampest.runs import config
-from lampest.studies import bench, common, extremes, paper, tradeoff, weights
-from lampest.studies.bench import Bench, BenchFile, BenchFrame, BenchPart, run_bench
-from lampest.studies.certified import correct_digits, fifty_digits
-from lampest.studies.common import StudyMethod
-from lampest.studies.study import Cases, Study, read_settings
-from lampest.studies.weights import Curves, WeightSubject, l_curve, morozov, solve_at, tune, why_not
 
 # Results, tables, pictures and messages
 
@@ -99,12 +103,12 @@ def invented() -> tuple[lp.CaseResult, ...]:
 
 
 def swept_cases() -> tuple[lp.CaseResult, ...]:
+    """An estimator without swept keys, one with a swept weight, and one with two."""
+    both = product((1.0, 10.0), ("L2", "L1"))
+    swept = [{}, *({"g.weight": 10.0**n} for n in range(3)), *({"g.weight": n, "loss": loss} for n, loss in both)]
     return tuple(
-        replace(
-            invented_case(f"a{n}", shape=(2, 4, 5)),
-            swept_json=json.dumps({"estimators.a.terms.gradient.weight": 10.0**n}),
-        )
-        for n in range(3)
+        replace(invented_case(f"a{n}", shape=(2, 4, 5)), swept_json=json.dumps(keys) if keys else "")
+        for n, keys in enumerate(swept)
     )
 
 
@@ -115,6 +119,10 @@ def table_row() -> dict[str, Any]:
     )  # fmt: skip
     blocks = compare.screen_blocks(rows, published=True)
     many = [row | {"recording": f"{row['recording']}{number}"} for number in range(4) for row in rows]
+    fast, failed = np.full(3, 1e-7), invented_case("LSR-CR", shape=(3, 2, 3), failed=(0, 1, 2))
+    bare = compare.compare(lp.Results((invented_case(shape=(3, 2, 3), truth=False, solve_time=fast), failed)))
+    with tempfile.TemporaryDirectory() as folder:
+        written = pressed.write_pressed(Path(folder, "p.csv"), pressed.pressed(lp.Results(invented()[:1]))).read_text()
     lines = compare.table_lines(rows)
     return {
         "rows": rows, "blocks": blocks, "legend": compare.legend(rows, blocks), "notes": compare.model_notes(rows),
@@ -123,7 +131,9 @@ def table_row() -> dict[str, Any]:
         "keys": compare.swept_keys(rows),
         "pressed": [(each.values, each.errors, each.saturated) for each in pressed.pressed(lp.Results(invented()))],
         "pressed table": pressed.pressed_table(pressed.pressed(lp.Results(invented()))),
-        "strongest": strongest_index(invented()[:3]),
+        "strongest": [strongest_index(cases) for cases in (invented()[:3], invented()[2:3], swept_cases())],
+        "bare": [compare.screen_blocks(bare, published=True), compare.legend(bare, compare.screen_blocks(bare))],
+        "written": written, "none": compare.screen_blocks([]),
     }  # fmt: skip
 
 
@@ -153,11 +163,26 @@ def page_row() -> dict[str, Any]:
         )
     ]  # fmt: skip
     by_estimator = {name: [case for case in invented() if case.estimator == name] for name in METHODS}
+    optimal = invented_case(status=("optimum verified",) * 3, starts=np.array([1, 7, 3]), shape=(3, 2, 3))
+    starts = {"several": [optimal] * 2, "one": [replace(optimal, starts=np.ones(3, dtype=int))], "none": invented()[:1]}
+    failing = {"A": (), "B": (2,), "C": (0, 1, 2)}
+    cases = [invented_case(name, "long", (40, 2, 2), failed=failed) for name, failed in failing.items()]
+    cases += [invented_case(name, recording, (2, 2, 2)) for recording in ("second", "third") for name in "AB"]
+    uneven = [*cases, invented_case("A", "fourth", (2, 2, 2)), replace(cases[3], recording="copy")]
+    alone = [invented_case("A", "r1", (2, 2, 2)), invented_case("B", "r2", (2, 2, 2))]
+    ranked = [(each, compared.Batch.of(("c.h5",), each)) for each in (cases[:3], uneven, alone)]
+    judged = [compared.comparison_of(each, np.random.default_rng(3)) for _, each in ranked]
     return {
         "blind": [(each.standings, each.values, each.block, each.units) for each in blind if each is not None],
         "standings": standing.standings, "values": standing.values, "block": standing.block, "units": standing.units,
-        "milliseconds": {row.estimator: row.milliseconds for row in standing.standings}, "advice": advice,
-        "tables": [page.standing_table(standing), page.unit_table(standing), page.case_table(by_estimator)],
+        "milliseconds": {row.estimator: row.milliseconds for row in standing.standings},
+        "advice": [advice, *(compared.advise(each, known) for (_, each), known in zip(ranked, judged, strict=True))],
+        "matched": [
+            (known.estimators, [*known.recordings], known.chosen, known.left_out)
+            for known in (compared.matched(each.recordings) for _, each in ranked)
+        ],
+        "tables": [page.standing_table(standing), page.unit_table(standing)],
+        "cases": [page.case_table(by_estimator), page.case_table(starts)],
         "figures": page.figures(invented()[0]), "failed": page.failures(invented()),
         "disagreements": page.disagreements(invented()[:3]),
         "doubts": page.doubts("LSM", [page.figures(case) for case in invented()[::3]]),
@@ -239,7 +264,15 @@ def scales_row() -> dict[str, Any]:
         "round": [style.round_numbers(0.3, 70.0), style.round_numbers(250.0, 900.0)],
         "texts": [
             style.change_text(250.0, 100.0), style.change_text(-3.0, 100.0),
-            style.short_title("a very long name of an estimator"), digits(0.00123), digits(12345.6), digits(-1e9),
+            style.short_title("a very long name of an estimator"),
+            *(style.change_text(value, 10.0) for value in (3.71, -82.4, 9502050701.0, -1.0e5, 99999.0)),
+            *map(digits, (0.00123, 12345.6, -1e9, 9.9e-5, 1e-4, 999999.0, 1e6, 0.0, nan, np.inf, -np.inf)),
+            digits(-3050.4, 2), digits(12.3456, 3, 0.0123), *(words.text_of(value) for value in (None, nan, 0.5)),
+            words.text_of(0.5, ".1f"), *(pressed.figure(12.345, sd) for sd in (0.0, 0.56, 1e-4)),
+            *(words.median_text(np.array(values)) for values in ((3.0, nan, 1.0, 8.0), (2.0, 2.0), (nan,))),
+            *(words.spanned(np.array(values), "ohm") for values in ((672.91, nan, 219.5), (nan,))),
+            *(str(words.no_formula(value)) for value in ("=1", "+1", "-1", "@a", "\ta", "\ra", "a=1", -1)),
+            *(in_bytes(value) for value in (999, 1000, 3 * 2**20, 26.8 * 2**30)),
         ],
     }  # fmt: skip
 
@@ -299,6 +332,64 @@ def live_row(estimator: str) -> dict[str, Any]:
             findings = state.look.findings()
             looks.append((findings.weights, findings.lower, findings.force))
     return {"pictures": pictures, "looks": looks}
+
+
+VERDICTS_ON: tuple[dict[tuple[int, int], float], ...] = (
+    {}, {(1, 1): 0.4}, {(1, 1): 0.4, (1, 2): 1.1}, {(1, 1): 3.0}, {(1, 1): 0.1, (2, 2): 6.0}, {(1, 1): 0.9},
+)  # fmt: skip
+PLACES = ("mqtt://localhost", "mqtt://a/b/", "osc://:7/x", "mqtt://me:p%40ss@h:5/t", "lsl://panel", "websocket://:0",
+          "mqtt://h:99999", "mqtt://h?x=1", "up")  # fmt: skip
+
+
+def live_words_row() -> dict[str, Any]:
+    """Verdicts on changes, alarms of answers, what waits, the history, panels and addresses."""
+    cells, verdicts = cells_of((4, 5), spread=0.3), []
+    for change, readout, broken in product(VERDICTS_ON, (lp.TwoPointReadout(), None), (False, True)):
+        scene, ratio, open_cell = lp.Scene(lp.Panel(4, 5), readout), np.ones((4, 5)), np.zeros((4, 5), dtype=bool)
+        for cell, factor in change.items():
+            ratio[cell] = factor
+        resting, now = (lp.Readings.of(scene, lp.two_point_resistance(each)) for each in (cells, cells * ratio))
+        ratio[3, 4], open_cell[3, 4] = (1e6, True) if broken else (1.0, False)
+        verdicts.append(verdict_of(now, resting, ratio, open_cell))
+    lamprey = Attachment(
+        0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), breath=breathing.Breathing(6.0)
+    )
+    cup = replace(lamprey, breath=breathing.Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
+    gone, later = replace(lamprey, until_s=9.0), replace(lamprey, since_s=20.0)
+    view, alarms = View("here", "LSM", "receiving", lp.Panel(2, 3)), []
+    for loads, seen in (((cup,), 0), ((lamprey,), 0), ((gone,), 0), ((), 1), ((gone,), 0), ((lamprey, later), 0)):
+        view = with_detected(view, Detected.of("here", loads, 4.0))
+        alarms.append((view.alarm, sorted(view.acknowledged)))
+        view = acknowledged(view) if seen else view
+    map_ = np.ones((2, 3))
+    for number in range(1, HISTORY_FRAMES + 3):
+        picture = Picture(number, number, 0.0, map_, map_, map_ > 2, Force(1.0, 0.1), "fine", 0.0, 0)
+        view = with_picture(view, picture)
+    scans: list[Any] = [Unloaded(simulated().scene, ()), *(Scan(map_, None, float(number), 0.0) for number in range(6))]
+    with patch.object(watcher, "MAX_WAITING", 4):
+        waiting = [[scans.index(each) for each in in_one_batch(scans[n:], [scans[:n]])[0]] for n in (2, 3)]
+        waiting += [[scans.index(each) for each in in_one_batch(scans[1:n], [])[0]] for n in (5, 6, 7)]
+    listed = lp.Panel(2, 2, cells=((0, 0, 1.5, 2.0), (1, 1, 9.0, 8.0)))
+    panels = (lp.Panel(1, 2, 8.0), listed, lp.Panel(modules=Modules(1, 2, EachModule(2, 3, 5.0), 4.0)))
+    return {
+        "verdicts": verdicts, "alarms": alarms, "waiting": waiting,
+        "history": (len(view.history), view.history[0].number),
+        "shown": [json.loads(view_text(view, 0.0, HISTORY_FRAMES + n))["history"] for n in (-1, 2)],
+        "again": json.loads(view_text(view, 0.0, HISTORY_FRAMES + 2))["picture"],
+        "panels": [json.loads(view_text(View("here", "LSM", "on", panel), 0.0))["panel"] for panel in panels],
+        "addresses": [
+            refusal(publish_at, each) if each in PLACES[-3:] else vars(publish_at(each, "key")) for each in PLACES
+        ],
+        "signatures": [Message.of(replace(view, alarm=alarm)).signature for alarm in ("", "an alarm")],
+    }  # fmt: skip
+
+
+def refusal(made: Callable[..., Any], *known: Any, **changes: Any) -> str:
+    """Why something cannot be made."""
+    try:
+        return f"made: {type(made(*known, **changes)).__name__}"
+    except ValueError as error:
+        return str(error)
 
 
 def command(*words: str | Path) -> str:
@@ -363,10 +454,40 @@ def described_row() -> dict[str, Any]:
     film = replace(
         simulated(), scene=replace(simulated().scene, film=FILM, water=lp.Water(9.0), purpose="mat", temperature=COLD)
     )
+    drawn = (shaded_map, lambda change: text_map(change // 7))
+    with patch.dict("os.environ", COLUMNS="100"):
+        large = [
+            draw(np.linspace(-50, 90, np.prod(size)).reshape(size))[-3:]
+            for size, draw in product(((30, 14), (60, 300), (2, 40)), drawn)
+        ]  # fmt: skip
     return texts | {
         "spoken": understood_lines(film, ("a note",)),
         "shaded": shaded_map(np.array([[-90.0, 5.0], [40.0, np.nan]])),
-    }
+        "large": large,
+        "results": described_results(),
+    }  # fmt: skip
+
+
+def described_results() -> list[str]:
+    """Results without a solved frame, and of estimators that look for optima or do not."""
+    status = ("optimum verified", "an optimum, but a plateau", "approximate, as the formulation asks; not an optimum")
+    unsolved = invented_case(shape=(3, 2, 3), failed=(0, 1, 2), baseline_resistance=np.full((2, 3), nan))
+    optima = [
+        invented_case(name, "second", (3, 2, 3), **{"starts": np.array([1, 4, 9])} | changes)
+        for name, changes in (
+            ("LSM", {"status": status}),
+            ("rough", {"status": status[2:] * 3}),
+            ("old", {"starts": None}),
+        )
+    ]
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        lp.write_results(Path("r.h5"), [unsolved, *optima])
+        return describe("r.h5")
+
+
+def fit_row() -> list[str]:
+    fit = Reconstruction.of(simulated(), ESTIMATORS["auto"])
+    return [re.sub(r"solve time .*", "", fit.fit_report()), repr(fit), repr(simulated())]
 
 
 def of_report() -> Rows:
@@ -383,308 +504,12 @@ def of_report() -> Rows:
             "page": page_row,
             "scales": scales_row,
             "message": message_row,
+            "words of live": live_words_row,
             "commands": commands_row,
             "descriptions": described_row,
             "long columns": lambda: {name: series.values for name, series in invented()[0].long_columns().items()},
             "schema": lambda: sorted(config.json_schema()["$defs"]),
-            "report of a fit": lambda: re.sub(
-                r"solve time .*", "", Reconstruction.of(simulated(), ESTIMATORS["auto"]).fit_report()
-            ),
+            "report of a fit": fit_row,
         }
         | {f"live {name}": partial(live_row, name) for name in ("auto", "by nodal", "tared", "smoother")}
     )
-
-
-# Studies
-
-
-def timed(made: type[Any], **known: Any) -> list[Any]:
-    """Frames that took some time, of two solvers, two methods and four panels."""
-    frames = []
-    for side, method, solver, frame in product((32, 48, 64, 8), ("LSM", "LSR-CR"), ("reduced", "nodal"), (0, 1, 2)):
-        seconds = 1e-3 * side**1.5 * (1 + frame / 10) * (3 if solver == "nodal" else 1) * (
-            1.2 if method == "LSM" else 1
-        )  # fmt: skip
-        about = {
-            "rows": side, "columns": side, "recording": "0", "method": method, "solver": solver, "frame": frame,
-            "seconds": seconds,
-        }  # fmt: skip
-        about |= {
-            "objective": 1.0, "gap": 1e-7 * frame * (solver == "nodal"), "iterations": 4 + frame,
-            "status": "optimum verified", "memory_mb": None if frame else 10.0 + side,
-        }  # fmt: skip
-        frames.append(
-            made(
-                **about, solved=frame < 2 or solver == "reduced",
-                **{name: value(side, frame) for name, value in known.items()},
-            )
-        )  # fmt: skip
-    return frames
-
-
-def timed_bench() -> Bench:
-    """A benchmark in which methods, memory and time were left out, and frames failed or have no gap."""
-    frames = timed(
-        BenchFrame, kind=lambda side, frame: "later" if frame else "first", inverse_s=lambda side,
-        frame: 1e-6 * side**2,
-    )  # fmt: skip
-    frames += [replace(frames[0], rows=9, kind="pair"), replace(frames[0], rows=9), replace(frames[1], rows=9, gap=nan)]
-    left_out = ((8, 8), "LSM", "recording 2"), ((8, 8), "LSR-CR", "recording 2"), ((9, 8), "LSM", "memory of nodal")
-    settings = BenchFile(schema=1, sizes=(8, 16, (30, 20)), budget_s=9.0, frames=2)
-    return Bench(settings, tuple(frames), left_out)
-
-
-def timed_tradeoff() -> list[tradeoff.TradeoffFrame]:
-    """Frames of formulations, also of a panel whose errors are unknown and of a frame that failed."""
-    frames = timed(
-        tradeoff.TradeoffFrame, baseline_s=lambda side, frame: 0.1, cell_error=lambda side, frame: side / 9 + frame,
-        changed_error=lambda side, frame: side / 5,
-    )  # fmt: skip
-    bare = [replace(frame, rows=3, changed_error=nan, cell_error=nan, gap=0.0, seconds=0.1) for frame in frames[:6]]
-    return [*frames, *bare, replace(frames[1], recording="1", gap=nan, cell_error=nan, solved=False)]
-
-
-def judged_solves() -> list[extremes.Solve]:
-    """Solves that are verified, doubtful, worse than the truth, refused and crashed."""
-    known = {
-        "case": extremes.GRID, "rows": 3, "columns": 4, "decades": 6.0, "noise": 0.01, "seed": 0, "part": "frame",
-        "method": "LSM", "formulation": "reduced", "solved": True, "status": "optimum verified", "iterations": 4,
-        "residual": 1e-9, "audited": 2e-9, "excess": -1.0, "model_digits": 11.0, "forward_digits": 12.0,
-    }  # fmt: skip
-    changes: tuple[dict[str, Any], ...] = (
-        {}, {"audited": 1e-3, "residual": 1e-10, "excess": 1e-3, "model_digits": 9.5, "iterations": 10},
-        {"solved": False, "status": "stopped", "model_digits": nan, "forward_digits": 9.0, "iterations": 7},
-        {"solved": False, "status": f"{extremes.CRASHED}KeyError: no", "residual": 1.0},
-        {"solved": False, "status": f"{extremes.REFUSED}a number: 3"}, {"decades": 7.0},
-        {"case": "open cell", "decades": 0.0}, {"case": "open cell", "decades": 0.0, "noise": 0.1},
-    )  # fmt: skip
-    return [extremes.Solve(**known | change) for change in changes]
-
-
-def stored(path: Path) -> dict[str, Any]:
-    """Attributes and values of a file, without versions."""
-    held: dict[str, Any] = {}
-
-    def noted(name: str, node: Any) -> None:
-        held[name] = {key: str(value) for key, value in sorted(node.attrs.items()) if not key.endswith("_version")}
-        if hasattr(node, "shape"):
-            values = node[()]
-            held[name]["values"] = np.char.decode(values) if values.dtype.kind == "S" else values
-
-    with h5py.File(path) as file:
-        file.visititems(noted)
-    return {name: {key: each for key, each in about.items() if "LIST" not in key} for name, about in held.items()}
-
-
-MEASURED: dict[str, tuple[Study[Any, Any], Callable[[], Any]]] = {
-    "bench": (bench.STUDY, timed_bench), "tradeoff": (tradeoff.STUDY, timed_tradeoff),
-    "extremes": (extremes.STUDY, judged_solves),
-    "weights": (weights.STUDY, lambda: Cases([tuned_curves()], ["a/b left out: it was solved for no weight"])),
-}  # fmt: skip
-
-
-def study_files_row(name: str) -> dict[str, Any]:
-    """Every file of a study of given measurements, and the words of its command."""
-    study, measured = MEASURED[name][0], MEASURED[name][1]()
-    known = replace(study, read=lambda *_: None, measure=lambda *_: measured, figures=lambda _: {})
-    module = {"bench": bench, "tradeoff": tradeoff, "extremes": extremes, "weights": weights}[name]
-    with tempfile.TemporaryDirectory() as folder, chdir(folder), patch.object(module, "STUDY", known):
-        Path("file.yaml").touch()
-        printed = command("study", name, "file.yaml")
-        files = sorted(Path("results/file").iterdir())
-        return {"printed": printed} | {
-            path.name: stored(path) if path.suffix == ".h5" else path.read_text() for path in files
-        }  # fmt: skip
-
-
-def bench_row() -> dict[str, Any]:
-    frames, settings, part = timed_bench().frames, timed_bench().settings, BenchPart(0, (64, 64), "LSM")
-    return {
-        "rows": [vars(row) for row in bench.bench_rows(frames)], "solvers": settings.solvers((16, 16)),
-        "wired": replace(settings, lines=lp.Lines(1.0)).solvers((16, 16)),
-        "expected": [each.expected_s(settings, frames[:number]) for number in (0, 2, 30) for each in (
-            part, part._replace(shape=(8, 8)), part._replace(method="LSR-CR"),
-        )],
-        "recorded": [settings.recording((4, 5), number).recorded for number in (0, 1)],
-        "loads": [bench.loads(number, (9, 9)) for number in range(4)],
-    }  # fmt: skip
-
-
-def tradeoff_row() -> dict[str, Any]:
-    frames, recording = timed_tradeoff(), simulated()
-    measured, factors = recording.measured_frames(), 1 + np.arange(20.0).reshape(4, 5) / 100
-    cells = factors * recording.truth_cell_resistance[measured]
-    untared = replace(recording, role=np.ones_like(recording.role))
-    known = [
-        SimpleNamespace(recording=each, frame=measured, cell_resistance=cells)
-        for each in (recording, untared, replace(recording, truth_cell_resistance=None))
-    ]
-    return {
-        "figure": drawn_row(tradeoff.tradeoff_figure(tradeoff.ladder_rows(frames, "method"))),
-        "pareto": tradeoff.front([(1.0, 3.0), (2.0, 1.0), (3.0, 2.0), (0.5, 9.0)]),
-        "errors": [tradeoff.errors(each) for each in known],
-    }  # fmt: skip
-
-
-def runs_row() -> dict[str, Any]:
-    """Tiny runs of the studies of solvers and of formulations, without their times."""
-    settings = {"LSM": StudyMethod(config.Terms(misfit=lp.Misfit()))}
-    file = BenchFile(schema=1, sizes=(3,), frames=2, repeats=1, estimators=settings)
-    steps: list[tuple[int, int]] = []
-    measured = run_bench(file, lambda done, total, *_: steps.append((done, total)))
-    plan = tradeoff.Plan(tradeoff.TradeoffFile(1, ("r.h5",), frames=2, repeats=1, patience_s=1e3), [simulated()])
-    plan = plan._replace(
-        settings=replace(
-            plan.settings, formulations=("naive", "reduced"), estimators={"LSM": StudyMethod(settings["LSM"].terms)}
-        )
-    )
-    names = ("frame", "solver", "kind", "objective", "gap", "solved", "cell_error", "changed_error")
-    frames = [*measured.frames, *tradeoff.run_tradeoff(plan)]
-    return {
-        "frames": [{name: getattr(each, name) for name in names if hasattr(each, name)} for each in frames],
-        "steps": steps,
-        "left": measured.left_out,
-    }
-
-
-def extremes_row(case: str) -> dict[str, Any]:
-    shape = (extremes.CASES[case].shapes or ((3, 4),))[0]
-    sample = extremes.AtlasSample(case, *shape, 5.0 * extremes.CASES[case].contrasted, 0.01, 3)
-    recording, cells = extremes.recording_of(sample)
-    if shape[0] * shape[1] > 20:
-        return {"recorded": recording.recorded, "cells": cells}
-    method = {"mine": StudyMethod(config.Terms(misfit=lp.Misfit(), gradient=lp.Gradient(weight=1e-3)))}
-    atlas = extremes.AtlasFile(1, extremes.Grid((3,)), extremes.Grid(()), estimators=method)
-    solves = extremes.solves_of(atlas, sample)
-    outcomes = [
-        (each.part, each.status, each.verified, each.forward_digits > 9, each.excess < 1e-6, extremes.mild(each))
-        for each in solves
-    ]
-    return {
-        "recorded": recording.recorded, "sigma": recording.sigma, "cells": cells, "solves": outcomes,
-        "remarks": extremes.atlas_remarks(solves),
-    }  # fmt: skip
-
-
-@cache
-def weight_subject() -> Any:
-    estimator = Estimator((lp.Misfit(weighting="noise"), lp.LogGradient(weight=3.0)), "reduced")
-    return WeightSubject.of(SimpleNamespace(recording="r", name="e", estimator=estimator), simulated())
-
-
-@cache
-def tuned_curves() -> Curves:
-    return tune(weight_subject())
-
-
-def refusal(made: Callable[..., Any], *known: Any, **changes: Any) -> str:
-    """Why something cannot be made."""
-    try:
-        return f"made: {type(made(*known, **changes)).__name__}"
-    except ValueError as error:
-        return str(error)
-
-
-SIDES = ((10, 9), (11, 3), (3, 16), (16, 16), (17, 3), (4, 17), (1000, 1000), (1001, 1))
-NO_GRID = extremes.Grid(())
-REFUSED: tuple[tuple[Callable[..., Any], tuple[Any, ...], tuple[dict[str, Any], ...]], ...] = (
-    (tradeoff.TradeoffFile, (1,), ({},)),
-    (
-        partial(tradeoff.TradeoffFile, recordings=("a.h5",)), (1,), (
-            {}, {"estimators": {}}, {"formulations": ("naive",)}, {"formulations": ("reduced", "reduced")},
-            {"memory": "mine"}, {"frames": 1}, {"repeats": 0}, {"patience_s": -1.0}, {"patience_s": 0.0},
-        ),
-    ),
-    (
-        tradeoff.Simulated, (), (
-            {"sizes": ()}, {"sizes": (7,)}, {"sizes": (1001,)}, {"sizes": (8, (8, 8))}, {"sizes": (8,), "seed": -1},
-            {"sizes": (8, (8, 1000)), "seed": 0}, {"sizes": (8,), "noise": {}}, {"sizes": (8,), "diameter_mm": 0.0},
-        ),
-    ),
-    (BenchFile, (1,), (
-        {"sizes": ()}, {"sizes": (1,)}, {"sizes": (2, 1000)}, {"sizes": (3,), "memory": (1,)},
-        {"sizes": (3,), "limits": bench.BenchLimits(2, 2)}, {"sizes": (3,), "frames": 0},
-        {"sizes": (3,), "budget_s": 0.0},
-    )),
-    (extremes.Grid, (), (
-        {"sizes": (0,)}, {"sizes": (65,)}, {"sizes": (1, 64), "decades": (0, 15)}, {"sizes": (2,), "noise": (101,)},
-    )),
-    (extremes.AtlasFile, (1,), (
-        {"grid": NO_GRID, "structured": NO_GRID},
-        {"grid": extremes.Grid((2,)), "structured": NO_GRID, "estimators": {}},
-    )),
-)  # fmt: skip
-
-
-def settings_row() -> dict[str, Any]:
-    """Panels, methods and scenes that files of studies name, and files that are refused."""
-    file = tradeoff.TradeoffFile(1, ("a.h5",))
-    atlas = extremes.AtlasFile(
-        1, extremes.Grid((2, (3, 4)), (1.0, 9.0), (0.0, 10.0), seeds=2), extremes.Grid((3,), (6.0,), (1.0,)),
-        nodal=extremes.Grid((2, 3), (1.0,), (0.0, 1.0)),
-    )  # fmt: skip
-    scenes = tradeoff.Simulated(sizes=(8, (9, 10)), diameter_mm=28.0, seed=5).simulations(2)
-    return {
-        "rungs": [[*file.rungs(shape)] for shape in SIDES], "methods": [file.methods(shape) for shape in SIDES],
-        "scenes": [(name, each.scene.panel.shape, each.loads, each.seed, each.frames) for name, each in scenes],
-        "first": [common.first_frames(simulated(), number).time for number in (2, 3)],
-        "too few": refusal(common.first_frames, simulated(), 1),
-        "shipped": len(read_settings(extremes.AtlasFile)(common.CONFIGS / "extremes.yaml").samples),
-        "atlas": [(*vars(each).values(), *atlas.formulations(each)) for each in atlas.samples],
-        "refused": [refusal(made, *known, **each) for made, known, changes in REFUSED for each in changes],
-    }  # fmt: skip
-
-
-def digits_row() -> dict[str, Any]:
-    """Numbers of fifty digits, and how many digits others have in common with them."""
-    cells = np.array([[1.0, 2.0], [3.0, np.inf]])
-    pairs = ((1.0, 1.0), (1.0, 1 + 1e-6), (1.0, 3.0), (np.inf, np.inf), (0.0, 0.0), (np.nan, 1.0), (1.0, np.nan))
-    return {
-        "readings": [fifty_digits(each) for each in (cells, np.where(cells == 2, 0.0, cells), np.diag([1.0, np.nan]))],
-        "digits": [correct_digits(np.array([1.0, value]), np.array([1.0, known])) for known, value in pairs],
-    }
-
-
-def weights_study_row() -> dict[str, Any]:
-    subject, curves = weight_subject(), tuned_curves()
-    points = [solve_at(subject, 10.0**n, None) for n in np.linspace(-4, 5, 10)]
-    return {
-        "points": points, "morozov": morozov(points, subject.count), "corner": l_curve(points),
-        "units": subject.units, "count": subject.count,
-        "tuned": [(each.rule, each.weight, each.error, each.excess, each.in_use) for each in curves.choices],
-        "finer": [point.weight for point in Curves(subject, tuple(points[2:6])).finer().points],
-        "why": why_not(subject.case.estimator, 9),
-        "traced": [weights.trace(subject, [mark]).values("weight")[[0, 1, -1]] for mark in (1e-9, 1e9)],
-    }  # fmt: skip
-
-
-def paper_row() -> dict[str, Any]:
-    """The paper beside one side: two mouths of a rod's frames, with estimates that no solver made."""
-    published = paper.read_published(paper.FILE)
-    mouths = [replace(simulated(), name=name) for name in ("large", "small")]
-    shape, methods = mouths[0].recorded[4:].shape, {row.method for row in published.ranges} - {paper.MEASURED}
-    cases = [
-        invented_case(method, mouth.name, shape, joint_start="d" in method)
-        for method in sorted(methods) for mouth in mouths
-    ]  # fmt: skip
-    loads = {load.letter: paper.load_of(mouths[0]) for load in published.loads}
-    optima = paper.optima(lp.Results(tuple(cases)), mouths)
-    sides = [paper.shown(paper.Side(f"{word} scenes", word, mouths, loads, *optima)) for word in ("clean", "panel")]
-    numbers = [*paper.published_beside(sides, published)]
-    names = tuple(side.name for side in sides)
-    known = paper.Paper(published, names, numbers, {})
-    page = paper.page_of(known)
-    return {
-        "response": drawn_row(paper.response_figure(published)),
-        "bending": drawn_row(paper.bending_figure(published)), "covered": paper.covered(cells_of((4, 5)) - 3000),
-        "numbers": [vars(row) for row in paper.rows(known)], "counts": paper.counts(numbers, names),
-        "sheet": paper.sheet(numbers[:30], names), "tiles": paper.tiles_of(sides[0], published),
-        "page": re.findall(r"<p>(?:Of|Numbers)[^<]*|<caption>[^<]*|<td>[^<]*time", page),
-    }  # fmt: skip
-
-
-def of_studies() -> Rows:
-    rows: Rows = {f"extremes {case}": partial(extremes_row, case) for case in extremes.CASES}
-    rows |= {f"files of {name}": partial(study_files_row, name) for name in MEASURED}
-    rows |= {"bench": bench_row, "tradeoff": tradeoff_row, "weights": weights_study_row, "settings": settings_row}
-    return rows | {"paper": paper_row, "runs": runs_row, "digits": digits_row}

@@ -9,7 +9,8 @@ from golden.circuits import Rows, of_loads, of_panel
 from golden.estimates import of_estimate, of_recording
 from golden.inputs import of_inputs
 from golden.numerics import COSTS, of_cost, of_posterior, of_solvers
-from golden.outputs import of_report, of_studies
+from golden.outputs import of_report
+from golden.studies import of_studies
 from golden.whole import of_whole
 
 ROOMS = (

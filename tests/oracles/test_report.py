@@ -164,16 +164,6 @@ def test_speed_makes_up_for_no_error_and_a_sure_trifle_decides_nothing() -> None
     assert advise(trifle, comparison).headline.startswith("No practical difference between one and other")
 
 
-def test_few_recordings_and_a_single_one_are_warned_of() -> None:
-    errors = [0.01, 0.02, 0.03]
-    few = cohort(3, A=(errors, 1.0), B=([0.05] * 3, 1.0))
-    assert any("fewer than 5" in sentence for sentence in advise(few, compared(few)).warnings)
-    one = cohort(1, A=(errors, 1.0), B=([0.05], 1.0))
-    comparison = compared(one)
-    assert comparison.over_frames and comparison.values.shape == (SHAPE[0], 2)
-    assert any("One recording only" in sentence for sentence in advise(one, comparison).warnings)
-
-
 def test_without_truth_the_prediction_decides_and_without_noise_nothing_does() -> None:
     def case(name: str, recording: str, misfit: float, resolution: float) -> CaseResult:
         plain = invented_case(name, recording, SHAPE, truth=False)
@@ -190,21 +180,6 @@ def test_without_truth_the_prediction_decides_and_without_noise_nothing_does() -
     bare = batch(*(invented_case(name, "r", SHAPE, truth=False) for name in ("A", "B")))
     untold = advise(bare, compared(bare))
     assert untold.estimator is None and "cannot rank" in untold.headline
-
-
-def test_who_fails_does_not_compete() -> None:
-    cases = [invented_case("A", shape=(40, 3, 3), failed=(2,)), invented_case("B", shape=(40, 3, 3))]
-    match = matched(batch(*cases).recordings)
-    assert match.estimators == ("A", "B") and match.frames == 39 and not match.chosen[0][2]
-    cases.append(invented_case("C", shape=(40, 3, 3), failed=(0, 1, 2)))
-    others = [invented_case(name, recording) for name in ("A", "B") for recording in ("second", "third")]
-    match = matched(batch(*cases, *others, invented_case("A", "fourth")).recordings)
-    assert match.estimators == ("A", "B") and len(match.recordings) == 3
-    assert match.left_out[0] == "C, without results of the same recordings"
-    assert match.left_out[1] == "1 of 4 recordings lack some of the estimators"
-    assert compared(batch(invented_case("A", "r1"), invented_case("B", "r2"))) is None
-    match = matched(batch(*cases).recordings)
-    assert match.left_out == ("C failed in 3 of 40 frames",) and match.frames == 39
 
 
 def test_copies_of_a_recording_are_no_further_recordings() -> None:

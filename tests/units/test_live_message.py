@@ -5,7 +5,6 @@ import json
 import socket
 import sys
 import time
-from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,41 +16,32 @@ import pytest
 from lampest import (
     Array,
     Faults,
-    InputError,
     OralDisc,
     Panel,
-    Readings,
     Scene,
     TwoPointReadout,
     Water,
-    two_point_resistance,
 )
 from lampest.loads.pressure import Force, PressureTrack, water_pressure
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.breathing import Breathing
-from lampest.panel.panel import EachModule, Modules
 from lampest.panel.response import PublishedResponse, ratio_from_pressure
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, simulate
 from lampest.report.detect.answer import Detected
 from lampest.report.detect.detection import detect_recording
 from lampest.report.live import watcher as watcher_module
-from lampest.report.live.engine import Engine, with_picture
+from lampest.report.live.engine import Engine
 from lampest.report.live.handover import Errand
 from lampest.report.live.message import (
-    ANSWER,
-    HISTORY_FRAMES,
     Message,
     Picture,
     View,
-    acknowledged,
-    view_text,
-    with_detected,
 )
 from lampest.report.live.publish import LslPublish, publish_at, waited
 from lampest.report.live.run import METHODS, scan_of
-from lampest.report.live.state import read_load, verdict_of
-from lampest.report.live.watcher import Unloaded, Watched, in_one_batch, watcher
+from lampest.report.live.state import read_load
+from lampest.report.live.watcher import Unloaded, Watched, watcher
 
 
 def force_of(kpa: Array, **entries: Any) -> Force:
@@ -83,39 +73,6 @@ def drawn(change: Array, force: Force, *maps: Array, number: int = 1) -> Picture
     return Picture(number, float(number), 0.0, change, change, change > 0, force, "fine", 0.0, 0, *maps)
 
 
-VERDICTS_ON: tuple[tuple[dict[tuple[int, int], float], str], ...] = (
-    ({}, "nothing"),
-    ({(1, 1): 0.4}, "pressing"),
-    ({(1, 1): 0.4, (1, 2): 1.1}, "pressing"),
-    ({(1, 1): 3.0}, "sucking"),
-    ({(1, 1): 0.1, (2, 2): 6.0}, "pressing and sucking"),
-)
-
-
-def test_the_verdict_on_a_panel_ignores_open_cells_and_residues_of_penalties() -> None:
-    """Cells times so much; as much beside a load as a penalty leaves there is no suction, nor is an open cell."""
-    cells = 3000 * np.exp(0.3 * np.random.default_rng(1).standard_normal((4, 5)))
-    for (change, verdict), readout in product(VERDICTS_ON, (TwoPointReadout(), None)):
-        scene, ratio, open_cell = Scene(Panel(4, 5), readout), np.ones((4, 5)), np.zeros((4, 5), dtype=bool)
-        for cell, factor in change.items():
-            ratio[cell] = factor
-        resting, now = (Readings.of(scene, two_point_resistance(each)) for each in (cells, cells * ratio))
-        assert verdict_of(now, resting, ratio, open_cell) == verdict
-        open_cell[3, 4], ratio[3, 4] = True, 1e6
-        assert verdict_of(now, resting, ratio, open_cell) == verdict
-
-
-def test_the_history_keeps_its_newest_points() -> None:
-    nothing = np.full((1, 1), np.nan)
-    view = View("here", "LSM", "receiving", Panel(1, 1))
-    for number in range(1, HISTORY_FRAMES + 50):
-        view = with_picture(view, drawn(nothing, Force(1.0, 0.1), number=number))
-    assert len(view.history) == HISTORY_FRAMES and view.history[-1].number == HISTORY_FRAMES + 49
-    content = json.loads(view_text(view, 0.0, known=HISTORY_FRAMES + 46))
-    assert content["history"] == [[HISTORY_FRAMES + number, 1.0] for number in (47.0, 48.0, 49.0)]
-    assert json.loads(view_text(view, 0.0, known=HISTORY_FRAMES + 49))["picture"] is None
-
-
 def message_of(load: Attachment | None = None, alarm: str = "", number: int = 7) -> Message:
     """A frame of 2 × 3 cells under a load, and what is said of it."""
     change, panel = np.arange(6.0).reshape(2, 3) - 4, Panel(2, 3)
@@ -124,27 +81,6 @@ def message_of(load: Attachment | None = None, alarm: str = "", number: int = 7)
     detected = None if load is None else Detected.of("here", (load,), 4.0)
     view = View("here", "LSM", "receiving", panel, picture=picture, detected=detected, alarm=alarm, deviation=0.25)
     return Message(panel, picture, view)
-
-
-def test_equal_messages_are_told_by_their_signature() -> None:
-    silent = message_of()
-    assert np.isnan(silent.row()[-len(ANSWER) :]).all() and silent.signature == (7, "", "")
-    assert len(message_of(LAMPREY).row()) == len(message_of().channels()) == len(silent.row())
-    signatures = [message_of(*given).signature for given in ((LAMPREY,), (CUP,), (CUP, "alarm"), (CUP, "alarm", 8))]
-    assert len({silent.signature, *signatures}) == 5 and message_of(CUP).signature == signatures[1]
-    gone = dataclasses.replace(silent, picture=dataclasses.replace(silent.picture, verdict="unsolved"))
-    assert not gone.solved and gone.row()[3] == 0.0
-
-
-def test_a_message_describes_the_panel_of_its_frame() -> None:
-    listed, modules = Panel(2, 2, cells=((0, 0, 1.5, 2.0), (1, 1, 9.0, 8.0))), Modules(1, 2, EachModule(2, 3, 5.0), 4.0)
-    for panel, known in (
-        (Panel(1, 2, 8.0), {"rows": 1, "columns": 2, "pitch_mm": 8.0}),
-        (listed, {"x_mm": [1.5, None, None, 9.0], "y_mm": [2.0, None, None, 8.0]}),
-        (Panel(modules=modules), {"rows": 2, "columns": 6, "pitch_mm": 5.0, "modules": [2, 3], "seam_mm": 4.0}),
-    ):
-        told = json.loads(view_text(View("here", "LSM", "receiving", panel), 0.0))["panel"]
-        assert known.items() <= told.items() and ("modules" in told) == (panel.modules is not None)
 
 
 def test_osc_has_a_message_for_every_number_and_map() -> None:
@@ -285,35 +221,6 @@ def test_a_new_zero_ends_what_was_attached_and_the_latest_of_what_has_left_is_re
     assert here.watch is not None and here.watch.rest_s == recording.time[6]
 
 
-def test_an_alarm_stays_until_it_is_acknowledged_and_rises_once_for_each_lamprey() -> None:
-    view = View("here", "LSM", "receiving", Panel(2, 3))
-    cup, lamprey = (Detected.of("here", (one,), 4.0) for one in (CUP, LAMPREY))
-    assert with_detected(view, cup).alarm == ""
-    raised = with_detected(view, lamprey)
-    assert raised.alarm == lamprey.sentence
-    gone = Detected.of("here", (dataclasses.replace(LAMPREY, until_s=9.0),), 4.0)
-    left = with_detected(raised, gone)
-    assert "to 9.0 s" in left.alarm and with_detected(left, Detected.of("here", (), 4.0)).alarm == left.alarm
-    seen = acknowledged(left)
-    assert seen.alarm == "" and with_detected(seen, gone).alarm == ""
-    another = Detected.of("here", (LAMPREY, dataclasses.replace(LAMPREY, since_s=20.0)), 4.0)
-    assert with_detected(seen, another).alarm == another.sentence
-    slow = Detected.of("here", (dataclasses.replace(LAMPREY, breath=Breathing()),), 1.0)
-    assert with_detected(view, slow).alarm == slow.sentence, "nothing more will be known"
-
-
-def test_more_than_can_be_watched_is_watched_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(watcher_module, "MAX_WAITING", 4)
-    (unloaded, *scans), waiting = news(taken(8)), []
-    for one in (unloaded, *scans):
-        waiting = in_one_batch([one], waiting)
-    (batch,) = waiting
-    assert batch[0] is unloaded and batch[-1] is scans[-1] and len(batch) <= 5
-    for more, left in ((3, [0, 1, 2]), (4, [1, 3]), (5, [0, 2, 4])):
-        (batch,) = in_one_batch(scans[2:more], [[unloaded, *scans[:2]]])
-        assert batch == [unloaded, *(scans[number] for number in left)]
-
-
 @pytest.mark.slow
 def test_a_process_of_its_own_answers_and_its_death_is_said() -> None:
     answers: list[Detected] = []
@@ -329,18 +236,6 @@ def test_a_process_of_its_own_answers_and_its_death_is_said() -> None:
     beside.finish()
     assert answers[-1].answer == "cannot say" and "has died" in answers[-1].why
     beside.close()
-
-
-def test_an_address_has_the_usual_host_port_and_path_of_its_protocol() -> None:
-    wheres = {"mqtt": "mqtt://localhost:1883/lampest", "mqtt://a/b/": "mqtt://a:1883/b", "osc://:7/x": None}
-    for where, whole in wheres.items():
-        found = publish_at(where)
-        assert found.where == (whole or f"osc://{type(found).host}:7/x")
-    way = publish_at("mqtt://me:p%40ss@h:5/t", "key")
-    assert (way.user, way.password, way.token, way.where) == ("me", "p@ss", "key", "mqtt://h:5/t")
-    for wrong, words in (("mqtt://h:99999", "is no address"), ("mqtt://h?x=1", "question mark"), ("up", "begins with")):
-        with pytest.raises(InputError, match=words):
-            publish_at(wrong)
 
 
 def test_a_wait_ends_with_its_condition_or_its_time() -> None:

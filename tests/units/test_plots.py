@@ -25,7 +25,7 @@ from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.report.detect.answer import Detected
 from lampest.report.plots import PLOTS, Plot, picture, plot_of, plot_results
 from lampest.report.plots.maps import MapPainter, Scale, Tile, banded_scale
-from lampest.report.plots.style import change_text, new_figure, save
+from lampest.report.plots.style import new_figure, save
 from lampest.report.plots.timeline import timeline
 from lampest.runs.case import COLUMNS
 from lampest.runs.columns import FRAMES, Column
@@ -206,8 +206,3 @@ def test_of_loads_that_have_all_left_a_timeline_shows_every_one() -> None:
         assert [band.get_width() for band in axes.patches] == widths and len(places.lines) == crosses
     bare = timeline(Detected.of("none", (), 4.0, course=course)).get_axes()[1]
     assert [text.get_text() for text in bare.texts] == ["nothing was there"] and not bare.axison
-
-
-def test_changes_beyond_all_measure_are_powers_of_ten() -> None:
-    texts = {3.71: "+3.7", -82.4: "−82", 9502050701.0: "+9.5·10⁹", -1.0e5: "−1.0·10⁵", 99999.0: "+99999"}
-    assert {value: change_text(value, 10.0) for value in texts} == texts

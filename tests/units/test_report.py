@@ -1,6 +1,5 @@
 """What is said of results: a page that needs nothing else, and tables of what presses."""
 
-import csv
 import dataclasses
 import logging
 import warnings
@@ -13,13 +12,12 @@ import numpy as np
 import pytest
 from support import METHODS, invented_case
 
-from lampest import CaseResult, InputError, Results, write_results
-from lampest.files.process import ALLOWED, in_bytes, libraries_to_the_log, memory_limit
-from lampest.report.detect.pressed import figure, pressed, pressed_of, pressed_table, write_pressed
+from lampest import CaseResult, InputError, write_results
+from lampest.files.process import ALLOWED, libraries_to_the_log, memory_limit
+from lampest.report.detect.pressed import pressed_of
 from lampest.report.page import page as page_module
 from lampest.report.page.compared import Batch, read_batch
-from lampest.report.page.page import case_table, differences, report, write_report
-from lampest.report.words import digits, median_text, no_formula, spanned, text_of
+from lampest.report.page.page import differences, report, write_report
 from lampest.runs.case import about
 
 EMPTY = {"meta", "link", "img", "br"}
@@ -80,28 +78,6 @@ class Page(HTMLParser):
         return [str(given[attribute]) for _, given in self.tags if attribute in given]
 
 
-WORDS: tuple[tuple[Any, dict[Any, str]], ...] = (
-    (digits, {9.9e-5: "9.90e−5", 1e-4: "0.000100", 999999.0: "999,999", 1e6: "1.00e6", 0.0: "0"}),
-    (digits, {np.nan: "not a number", np.inf: "∞", -np.inf: "−∞", (-3050.4, 2): "−3,050"}),
-    (digits, {(12.3456, 3, 0.0123): "12.3456"}),
-    (text_of, {None: "", np.nan: "", 0.5: "0.500", (0.5, ".1f"): "0.5"}),
-    (figure, {(12.345, 0.0): "12.3", (-12.345, 0.56): "−12.35 ± 0.56", (12.345, 56.0): "12 ± 56"}),
-    (figure, {(1.23456, 1e-4): "1.235 ± 0.000"}),
-    (in_bytes, {999: "999 bytes", 1000: "0.977 KiB", 3 * 2**20: "3 MiB", 26.8 * 2**30: "26.8 GiB"}),
-    (no_formula, {**{text: f"'{text}" for text in ("=1", "+1", "-1", "@a", "\ta", "\ra")}, "a=1": "a=1", -1: -1}),
-)  # fmt: skip
-
-
-def test_numbers_in_words() -> None:
-    for words, texts in WORDS:
-        for value, text in texts.items():
-            assert words(*value if isinstance(value, tuple) else (value,)) == text
-    assert median_text(np.array([3.0, np.nan, 1.0, 8.0])) == "3.00 (1.00 to 8.00)"
-    assert (median_text(np.array([2.0, 2.0])), median_text(np.array([np.nan]))) == ("2.00", "")
-    assert spanned(np.array([672.91, np.nan, 219.5]), "ohm") == "219.5 to 672.9 ohm"
-    assert spanned(np.array([np.nan]), "ohm") == "unknown"
-
-
 def test_memory_that_may_be_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     for setting, size in (("8GB", 8 * 2**30), ("1.5 m", 1.5 * 2**20), ("7KiB", 7 * 2**10), ("12", 12.0)):
         monkeypatch.setenv(ALLOWED, setting)
@@ -143,14 +119,6 @@ def test_maps_of_differences_show_the_nine_pairs_that_differ_most(monkeypatch: p
         assert [(tile.title, tile.note) for tile in tiles[:2]] == [("pair 0", "0.12 %"), ("pair 1", "1.1 %")][:pairs]
         assert len(tiles) == min(pairs, 9) and more == {"width": page_module.WIDTH_INCH / 2}
     assert differences([invented_case()], 0, []) == []
-
-
-def test_optima_are_counted_with_their_starts() -> None:
-    sought = invented_case(status=("optimum verified",) * 3, starts=np.array([1, 7, 3]))
-    single = dataclasses.replace(sought, starts=np.ones(3, dtype=int))
-    rough = invented_case("naive", status=("approximate, as the formulation asks",) * 3)
-    optima = case_table({"several": [sought, sought], "single": [single], "naive": [rough]}).cells[0]
-    assert optima == ("frames at a verified optimum", "6 of 6 (1 to 7 starts each)", "3 of 3 (1 start each)", "–")
 
 
 def test_texts_of_a_case_are_those_that_it_has() -> None:
@@ -252,16 +220,3 @@ def test_forces_of_noisy_maps_scatter_as_they_say() -> None:
         one = pressed_of(pressing(pressure=noisy, pressure_own=errors))
         forces.append(one.values[1, -1])
     assert np.std(forces) == pytest.approx(one.errors[1, -1], rel=0.2)
-
-
-def test_every_frame_is_written_and_the_strongest_shown(tmp_path: Path) -> None:
-    pressure, errors = maps()
-    saturated = (pressure > 11).astype(np.uint8)
-    cases = (pressing(pressure=pressure, pressure_own=errors, saturated=saturated), invented_case("bare", shape=SHAPE))
-    found = pressed(Results(cases))
-    assert [one.case.estimator for one in found] == ["LSM"]
-    lines = list(csv.DictReader(write_pressed(tmp_path / "pressed.csv", found).read_text("utf-8").splitlines()))
-    assert lines[0]["force [N]"] == "" and float(lines[1]["force [N]"]) == pytest.approx(6.4)
-    assert [line["saturated cells"] for line in lines] == ["0", "2", "0"]
-    (row,) = pressed_table(found).cells
-    assert row[:4] == ("mouth", "LSM", "6", "6") and "≥\N{NO-BREAK SPACE}6.400 ± 0.049" in row and row[-1] == "2"

@@ -1,0 +1,315 @@
+"""Rows of studies."""
+
+import re
+import tempfile
+from collections.abc import Callable
+from contextlib import chdir
+from dataclasses import replace
+from functools import cache, partial
+from itertools import product
+from math import nan
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+import h5py
+import numpy as np
+from golden.circuits import Rows, cells_of
+from golden.estimates import simulated
+from golden.outputs import command, drawn_row, refusal
+from support import invented_case
+
+import lampest as lp
+from lampest.estimate.estimator import Estimator
+from lampest.runs import config
+from lampest.studies import bench, common, extremes, paper, tradeoff, weights
+from lampest.studies.bench import Bench, BenchFile, BenchFrame, BenchPart, run_bench
+from lampest.studies.certified import correct_digits, fifty_digits
+from lampest.studies.common import StudyMethod
+from lampest.studies.study import Cases, Study, read_settings
+from lampest.studies.weights import Curves, WeightSubject, l_curve, morozov, solve_at, tune, why_not
+
+
+def timed(made: type[Any], **known: Any) -> list[Any]:
+    """Frames that took some time, of two solvers, two methods and four panels."""
+    frames = []
+    for side, method, solver, frame in product((32, 48, 64, 8), ("LSM", "LSR-CR"), ("reduced", "nodal"), (0, 1, 2)):
+        seconds = 1e-3 * side**1.5 * (1 + frame / 10) * (3 if solver == "nodal" else 1) * (
+            1.2 if method == "LSM" else 1
+        )  # fmt: skip
+        about = {
+            "rows": side, "columns": side, "recording": "0", "method": method, "solver": solver, "frame": frame,
+            "seconds": seconds,
+        }  # fmt: skip
+        about |= {
+            "objective": 1.0, "gap": 1e-7 * frame * (solver == "nodal"), "iterations": 4 + frame,
+            "status": "optimum verified", "memory_mb": None if frame else 10.0 + side,
+        }  # fmt: skip
+        frames.append(
+            made(
+                **about, solved=frame < 2 or solver == "reduced",
+                **{name: value(side, frame) for name, value in known.items()},
+            )
+        )  # fmt: skip
+    return frames
+
+
+def timed_bench() -> Bench:
+    """A benchmark in which methods, memory and time were left out, and frames failed or have no gap."""
+    frames = timed(
+        BenchFrame, kind=lambda side, frame: "later" if frame else "first", inverse_s=lambda side,
+        frame: 1e-6 * side**2,
+    )  # fmt: skip
+    frames += [replace(frames[0], rows=9, kind="pair"), replace(frames[0], rows=9), replace(frames[1], rows=9, gap=nan)]
+    left_out = ((8, 8), "LSM", "recording 2"), ((8, 8), "LSR-CR", "recording 2"), ((9, 8), "LSM", "memory of nodal")
+    settings = BenchFile(schema=1, sizes=(8, 16, (30, 20)), budget_s=9.0, frames=2)
+    return Bench(settings, tuple(frames), left_out)
+
+
+def timed_tradeoff() -> list[tradeoff.TradeoffFrame]:
+    """Frames of formulations, also of a panel whose errors are unknown and of a frame that failed."""
+    frames = timed(
+        tradeoff.TradeoffFrame, baseline_s=lambda side, frame: 0.1, cell_error=lambda side, frame: side / 9 + frame,
+        changed_error=lambda side, frame: side / 5,
+    )  # fmt: skip
+    bare = [replace(frame, rows=3, changed_error=nan, cell_error=nan, gap=0.0, seconds=0.1) for frame in frames[:6]]
+    return [*frames, *bare, replace(frames[1], recording="1", gap=nan, cell_error=nan, solved=False)]
+
+
+def judged_solves() -> list[extremes.Solve]:
+    """Solves that are verified, doubtful, worse than the truth, refused and crashed."""
+    known = {
+        "case": extremes.GRID, "rows": 3, "columns": 4, "decades": 6.0, "noise": 0.01, "seed": 0, "part": "frame",
+        "method": "LSM", "formulation": "reduced", "solved": True, "status": "optimum verified", "iterations": 4,
+        "residual": 1e-9, "audited": 2e-9, "excess": -1.0, "model_digits": 11.0, "forward_digits": 12.0,
+    }  # fmt: skip
+    changes: tuple[dict[str, Any], ...] = (
+        {}, {"audited": 1e-3, "residual": 1e-10, "excess": 1e-3, "model_digits": 9.5, "iterations": 10},
+        {"solved": False, "status": "stopped", "model_digits": nan, "forward_digits": 9.0, "iterations": 7},
+        {"solved": False, "status": f"{extremes.CRASHED}KeyError: no", "residual": 1.0},
+        {"solved": False, "status": f"{extremes.REFUSED}a number: 3"}, {"decades": 7.0},
+        {"case": "open cell", "decades": 0.0}, {"case": "open cell", "decades": 0.0, "noise": 0.1},
+    )  # fmt: skip
+    return [extremes.Solve(**known | change) for change in changes]
+
+
+def stored(path: Path) -> dict[str, Any]:
+    """Attributes and values of a file, without versions."""
+    held: dict[str, Any] = {}
+
+    def noted(name: str, node: Any) -> None:
+        held[name] = {key: str(value) for key, value in sorted(node.attrs.items()) if not key.endswith("_version")}
+        if hasattr(node, "shape"):
+            values = node[()]
+            held[name]["values"] = np.char.decode(values) if values.dtype.kind == "S" else values
+
+    with h5py.File(path) as file:
+        file.visititems(noted)
+    return {name: {key: each for key, each in about.items() if "LIST" not in key} for name, about in held.items()}
+
+
+MEASURED: dict[str, tuple[Study[Any, Any], Callable[[], Any]]] = {
+    "bench": (bench.STUDY, timed_bench), "tradeoff": (tradeoff.STUDY, timed_tradeoff),
+    "extremes": (extremes.STUDY, judged_solves),
+    "weights": (weights.STUDY, lambda: Cases([tuned_curves()], ["a/b left out: it was solved for no weight"])),
+}  # fmt: skip
+
+
+def study_files_row(name: str) -> dict[str, Any]:
+    """Every file of a study of given measurements, and the words of its command."""
+    study, measured = MEASURED[name][0], MEASURED[name][1]()
+    known = replace(study, read=lambda *_: None, measure=lambda *_: measured, figures=lambda _: {})
+    module = {"bench": bench, "tradeoff": tradeoff, "extremes": extremes, "weights": weights}[name]
+    with tempfile.TemporaryDirectory() as folder, chdir(folder), patch.object(module, "STUDY", known):
+        Path("file.yaml").touch()
+        printed = command("study", name, "file.yaml")
+        files = sorted(Path("results/file").iterdir())
+        return {"printed": printed} | {
+            path.name: stored(path) if path.suffix == ".h5" else path.read_text() for path in files
+        }  # fmt: skip
+
+
+def bench_row() -> dict[str, Any]:
+    frames, settings, part = timed_bench().frames, timed_bench().settings, BenchPart(0, (64, 64), "LSM")
+    return {
+        "rows": [vars(row) for row in bench.bench_rows(frames)], "solvers": settings.solvers((16, 16)),
+        "wired": replace(settings, lines=lp.Lines(1.0)).solvers((16, 16)),
+        "expected": [each.expected_s(settings, frames[:number]) for number in (0, 2, 30) for each in (
+            part, part._replace(shape=(8, 8)), part._replace(method="LSR-CR"),
+        )],
+        "recorded": [settings.recording((4, 5), number).recorded for number in (0, 1)],
+        "loads": [bench.loads(number, (9, 9)) for number in range(4)],
+    }  # fmt: skip
+
+
+def tradeoff_row() -> dict[str, Any]:
+    frames, recording = timed_tradeoff(), simulated()
+    measured, factors = recording.measured_frames(), 1 + np.arange(20.0).reshape(4, 5) / 100
+    cells = factors * recording.truth_cell_resistance[measured]
+    untared = replace(recording, role=np.ones_like(recording.role))
+    known = [
+        SimpleNamespace(recording=each, frame=measured, cell_resistance=cells)
+        for each in (recording, untared, replace(recording, truth_cell_resistance=None))
+    ]
+    return {
+        "figure": drawn_row(tradeoff.tradeoff_figure(tradeoff.ladder_rows(frames, "method"))),
+        "pareto": tradeoff.front([(1.0, 3.0), (2.0, 1.0), (3.0, 2.0), (0.5, 9.0)]),
+        "errors": [tradeoff.errors(each) for each in known],
+    }  # fmt: skip
+
+
+def runs_row() -> dict[str, Any]:
+    """Tiny runs of the studies of solvers and of formulations, without their times."""
+    settings = {"LSM": StudyMethod(config.Terms(misfit=lp.Misfit()))}
+    file = BenchFile(schema=1, sizes=(3,), frames=2, repeats=1, estimators=settings)
+    steps: list[tuple[int, int]] = []
+    measured = run_bench(file, lambda done, total, *_: steps.append((done, total)))
+    plan = tradeoff.Plan(tradeoff.TradeoffFile(1, ("r.h5",), frames=2, repeats=1, patience_s=1e3), [simulated()])
+    plan = plan._replace(
+        settings=replace(
+            plan.settings, formulations=("naive", "reduced"), estimators={"LSM": StudyMethod(settings["LSM"].terms)}
+        )
+    )
+    names = ("frame", "solver", "kind", "objective", "gap", "solved", "cell_error", "changed_error")
+    frames = [*measured.frames, *tradeoff.run_tradeoff(plan)]
+    return {
+        "frames": [{name: getattr(each, name) for name in names if hasattr(each, name)} for each in frames],
+        "steps": steps,
+        "left": measured.left_out,
+    }
+
+
+def extremes_row(case: str) -> dict[str, Any]:
+    shape = (extremes.CASES[case].shapes or ((3, 4),))[0]
+    sample = extremes.AtlasSample(case, *shape, 5.0 * extremes.CASES[case].contrasted, 0.01, 3)
+    recording, cells = extremes.recording_of(sample)
+    if shape[0] * shape[1] > 20:
+        return {"recorded": recording.recorded, "cells": cells}
+    method = {"mine": StudyMethod(config.Terms(misfit=lp.Misfit(), gradient=lp.Gradient(weight=1e-3)))}
+    atlas = extremes.AtlasFile(1, extremes.Grid((3,)), extremes.Grid(()), estimators=method)
+    solves = extremes.solves_of(atlas, sample)
+    outcomes = [
+        (each.part, each.status, each.verified, each.forward_digits > 9, each.excess < 1e-6, extremes.mild(each))
+        for each in solves
+    ]
+    return {
+        "recorded": recording.recorded, "sigma": recording.sigma, "cells": cells, "solves": outcomes,
+        "remarks": extremes.atlas_remarks(solves),
+    }  # fmt: skip
+
+
+@cache
+def weight_subject() -> Any:
+    estimator = Estimator((lp.Misfit(weighting="noise"), lp.LogGradient(weight=3.0)), "reduced")
+    return WeightSubject.of(SimpleNamespace(recording="r", name="e", estimator=estimator), simulated())
+
+
+@cache
+def tuned_curves() -> Curves:
+    return tune(weight_subject())
+
+
+SIDES = ((10, 9), (11, 3), (3, 16), (16, 16), (17, 3), (4, 17), (1000, 1000), (1001, 1))
+NO_GRID = extremes.Grid(())
+REFUSED: tuple[tuple[Callable[..., Any], tuple[Any, ...], tuple[dict[str, Any], ...]], ...] = (
+    (tradeoff.TradeoffFile, (1,), ({},)),
+    (
+        partial(tradeoff.TradeoffFile, recordings=("a.h5",)), (1,), (
+            {}, {"estimators": {}}, {"formulations": ("naive",)}, {"formulations": ("reduced", "reduced")},
+            {"memory": "mine"}, {"frames": 1}, {"repeats": 0}, {"patience_s": -1.0}, {"patience_s": 0.0},
+        ),
+    ),
+    (
+        tradeoff.Simulated, (), (
+            {"sizes": ()}, {"sizes": (7,)}, {"sizes": (1001,)}, {"sizes": (8, (8, 8))}, {"sizes": (8,), "seed": -1},
+            {"sizes": (8, (8, 1000)), "seed": 0}, {"sizes": (8,), "noise": {}}, {"sizes": (8,), "diameter_mm": 0.0},
+        ),
+    ),
+    (BenchFile, (1,), (
+        {"sizes": ()}, {"sizes": (1,)}, {"sizes": (2, 1000)}, {"sizes": (3,), "memory": (1,)},
+        {"sizes": (3,), "limits": bench.BenchLimits(2, 2)}, {"sizes": (3,), "frames": 0},
+        {"sizes": (3,), "budget_s": 0.0},
+    )),
+    (extremes.Grid, (), (
+        {"sizes": (0,)}, {"sizes": (65,)}, {"sizes": (1, 64), "decades": (0, 15)}, {"sizes": (2,), "noise": (101,)},
+    )),
+    (extremes.AtlasFile, (1,), (
+        {"grid": NO_GRID, "structured": NO_GRID},
+        {"grid": extremes.Grid((2,)), "structured": NO_GRID, "estimators": {}},
+    )),
+)  # fmt: skip
+
+
+def settings_row() -> dict[str, Any]:
+    """Panels, methods and scenes that files of studies name, and files that are refused."""
+    file = tradeoff.TradeoffFile(1, ("a.h5",))
+    atlas = extremes.AtlasFile(
+        1, extremes.Grid((2, (3, 4)), (1.0, 9.0), (0.0, 10.0), seeds=2), extremes.Grid((3,), (6.0,), (1.0,)),
+        nodal=extremes.Grid((2, 3), (1.0,), (0.0, 1.0)),
+    )  # fmt: skip
+    scenes = tradeoff.Simulated(sizes=(8, (9, 10)), diameter_mm=28.0, seed=5).simulations(2)
+    return {
+        "rungs": [[*file.rungs(shape)] for shape in SIDES], "methods": [file.methods(shape) for shape in SIDES],
+        "scenes": [(name, each.scene.panel.shape, each.loads, each.seed, each.frames) for name, each in scenes],
+        "first": [common.first_frames(simulated(), number).time for number in (2, 3)],
+        "too few": refusal(common.first_frames, simulated(), 1),
+        "shipped": len(read_settings(extremes.AtlasFile)(common.CONFIGS / "extremes.yaml").samples),
+        "atlas": [(*vars(each).values(), *atlas.formulations(each)) for each in atlas.samples],
+        "refused": [refusal(made, *known, **each) for made, known, changes in REFUSED for each in changes],
+    }  # fmt: skip
+
+
+def digits_row() -> dict[str, Any]:
+    """Numbers of fifty digits, and how many digits others have in common with them."""
+    cells = np.array([[1.0, 2.0], [3.0, np.inf]])
+    pairs = ((1.0, 1.0), (1.0, 1 + 1e-6), (1.0, 3.0), (np.inf, np.inf), (0.0, 0.0), (np.nan, 1.0), (1.0, np.nan))
+    return {
+        "readings": [fifty_digits(each) for each in (cells, np.where(cells == 2, 0.0, cells), np.diag([1.0, np.nan]))],
+        "digits": [correct_digits(np.array([1.0, value]), np.array([1.0, known])) for known, value in pairs],
+    }
+
+
+def weights_study_row() -> dict[str, Any]:
+    subject, curves = weight_subject(), tuned_curves()
+    points = [solve_at(subject, 10.0**n, None) for n in np.linspace(-4, 5, 10)]
+    return {
+        "points": points, "morozov": morozov(points, subject.count), "corner": l_curve(points),
+        "units": subject.units, "count": subject.count,
+        "tuned": [(each.rule, each.weight, each.error, each.excess, each.in_use) for each in curves.choices],
+        "finer": [point.weight for point in Curves(subject, tuple(points[2:6])).finer().points],
+        "why": why_not(subject.case.estimator, 9),
+        "traced": [weights.trace(subject, [mark]).values("weight")[[0, 1, -1]] for mark in (1e-9, 1e9)],
+    }  # fmt: skip
+
+
+def paper_row() -> dict[str, Any]:
+    """The paper beside one side: two mouths of a rod's frames, with estimates that no solver made."""
+    published = paper.read_published(paper.FILE)
+    mouths = [replace(simulated(), name=name) for name in ("large", "small")]
+    shape, methods = mouths[0].recorded[4:].shape, {row.method for row in published.ranges} - {paper.MEASURED}
+    cases = [
+        invented_case(method, mouth.name, shape, joint_start="d" in method)
+        for method in sorted(methods) for mouth in mouths
+    ]  # fmt: skip
+    loads = {load.letter: paper.load_of(mouths[0]) for load in published.loads}
+    optima = paper.optima(lp.Results(tuple(cases)), mouths)
+    sides = [paper.shown(paper.Side(f"{word} scenes", word, mouths, loads, *optima)) for word in ("clean", "panel")]
+    numbers = [*paper.published_beside(sides, published)]
+    names = tuple(side.name for side in sides)
+    known = paper.Paper(published, names, numbers, {})
+    page = paper.page_of(known)
+    return {
+        "response": drawn_row(paper.response_figure(published)),
+        "bending": drawn_row(paper.bending_figure(published)), "covered": paper.covered(cells_of((4, 5)) - 3000),
+        "numbers": [vars(row) for row in paper.rows(known)], "counts": paper.counts(numbers, names),
+        "sheet": paper.sheet(numbers[:30], names), "tiles": paper.tiles_of(sides[0], published),
+        "page": re.findall(r"<p>(?:Of|Numbers)[^<]*|<caption>[^<]*|<td>[^<]*time", page),
+    }  # fmt: skip
+
+
+def of_studies() -> Rows:
+    rows: Rows = {f"extremes {case}": partial(extremes_row, case) for case in extremes.CASES}
+    rows |= {f"files of {name}": partial(study_files_row, name) for name in MEASURED}
+    rows |= {"bench": bench_row, "tradeoff": tradeoff_row, "weights": weights_study_row, "settings": settings_row}
+    return rows | {"paper": paper_row, "runs": runs_row, "digits": digits_row}
