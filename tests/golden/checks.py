@@ -68,6 +68,27 @@ def tiled() -> lp.Recording:
     return replace(recording, recorded=recording.recorded * factor)
 
 
+def disconnected() -> lp.Recording:
+    """Modules without a value, at a rail, dead, and with larger readings than the others."""
+    values = tiled().recorded.copy()
+    values[:, :4, :4], values[:, :4, 8:] = np.nan, TWO.recorded_from_volt(np.array(4.995))
+    return replace(tiled(), recorded=values)
+
+
+def without_values(share: float) -> lp.Recording:
+    """Readings that are missing at random."""
+    missing = np.random.default_rng(3).random(recorded().recorded.shape) < share
+    return replace(recorded(), recorded=np.where(missing, np.nan, recorded().recorded))
+
+
+def open_column() -> lp.Recording:
+    """A column of cells that are open, which the scene does not say."""
+    scene = lp.Scene(WIDE, TWO, 140.0)
+    cells = np.where(np.arange(8) == 4, 1e12, recorded().truth_cell_resistance)
+    exact = scene.circuit.to_recorded(scene.circuit.exact_reading(cells), scene)
+    return replace(recorded(), recorded=exact + 0.1 * np.random.default_rng(2).standard_normal(exact.shape))
+
+
 RECORDED: dict[str, Callable[[], lp.Recording]] = {
     "plain": recorded,
     **{effect: partial(simulated, effect) for effect in ("begins_s", "drift_per_minute", "outlier_probability")},
@@ -85,7 +106,11 @@ RECORDED: dict[str, Callable[[], lp.Recording]] = {
         recorded, lp.VirtualGroundReadout(noise_lsb=0.7, feedback_ohm=400.0), lp.Scene(WIDE, ON_GROUND),
     ),
     "estimated": partial(recorded, lp.TwoPointReadout(noise_lsb="estimated"), noise_factor=3.0), "modules": tiled,
-    "coarse": partial(recorded, lp.TwoPointReadout(adc_bits=8, readings=1)),
+    "coarse": partial(recorded, lp.TwoPointReadout(adc_bits=8, readings=1)), "disconnected": disconnected,
+    "loud": partial(recorded, noise_factor=3.0), "half missing": partial(without_values, 0.5),
+    "few missing": partial(without_values, 0.05), "open column": open_column,
+    "no series": partial(recorded, TWO, lp.Scene(WIDE, TWO, 140.0), series=0.0),
+    "less than series": partial(recorded, TWO, lp.Scene(WIDE, TWO, 1200.0), series=0.0),
 }  # fmt: skip
 
 
@@ -102,6 +127,32 @@ def prepared_row(recording: lp.Recording) -> dict[str, Any]:
         "check": [check.sentence, check.mark, check.better, check.common_change, check.noise],
         "known": known.sigma if isinstance(known, detection.Known) else known.why,
     }  # fmt: skip
+
+
+def mistakes_row() -> dict[str, Any]:
+    """Warnings of recordings with wrong roles, times or units, with copied frames, or from one unloaded frame on."""
+    fine, rows = simulated(), {}
+    order, first = fine.recorded, np.arange(len(fine.role))
+    variants: dict[str, dict[str, Any]] = {
+        **{f"{count} unloaded": {"role": (first >= count).astype(np.uint8)} for count in (0, 1, 11)},
+        "swapped": {"role": (first < 4).astype(np.uint8)},
+        "loaded": {"recorded": order[[5, 6, 5, 6, 4, 1, 2, 3, 0, 1, 2]]}, "kohm": {"recorded": 1e3 * order},
+        "copies": {"recorded": order[[0, 0, 0, 0, *range(4, 11)]]}, "no readout": {"scene": lp.Scene(PANEL)},
+        "coarse": {"recorded": 40 * np.round(order / 40)}, "sigma": {"sigma": 0.02 * order}, **{
+            f"every {step} s": {"time": step * first, "simulation": None} for step in (0.0, 50.0)
+        },
+    }  # fmt: skip
+    for name, changes in variants.items():
+        prepared = Prepared(replace(fine, **changes))
+        rows[name] = prepared.warnings, prepared.noise.factor, prepared.check.mark
+    return rows
+
+
+def odd_modules(count: int) -> dict[int, float]:
+    """The factors of some modules in a row, of which the second reads four times as much."""
+    layout, scales = Modules(1, count, EachModule(2, 2), 4.0), np.where(np.arange(2 * count) // 2 == 1, 4e3, 1e3)
+    scene, role = lp.Scene(lp.Panel(modules=layout), TWO), np.array([0, 0, 1], dtype=np.uint8)
+    return module_factors(lp.Recording(scene, scales * np.ones((3, 2, 1)), np.arange(3.0), role), layout)
 
 
 def outliers_row() -> dict[str, Any]:
@@ -144,18 +195,21 @@ def scatter_row() -> dict[str, Any]:
         "common": plain + 3 * np.sin(np.arange(8) + 6 * rng.random((9, 1, 1))),
         "lines": plain + 4 * rng.standard_normal((9, 10, 1)),
     }  # fmt: skip
+    single = [rng.standard_normal((6, *shape)) for shape in ((1, 1), (1, 12), (12, 1))]
     recording = recorded()
     measured, readings = recording.measured_frames(), recording.readings()
     resting = baseline_readings(recording, readings)
     frame = deciding_frame(recording, readings, resting)
     return {
         "scatter": [noise.scatter(part - part.mean(axis=0), loud, 8) for part in parts.values()],
+        "few frames": [noise.scatter(part[:4] - part[:4].mean(axis=0), loud, 3) for part in parts.values()],
+        "single": [noise.scatter(part - part.mean(axis=0), np.full(part[0].shape, 3e3), 5) for part in single],
         "steps": noise.steps_within_scan(recording.scene, readings, measured),
         "repeated": noise.repeated_scatter(readings[measured]),
         "excess": [noise.noted_excess(*pair) for pair in ((500.0, 300.0), (310.0, 300.0), (0.0, 0.0))],
         "shown": [noise.shown_noise(recording.scene.circuit, factor) for factor in (0.0, 0.5, 3.0)], "frame": frame,
         "unknown": noise_factor(replace(readings, sigma=None)), "factor": noise_factor(readings[:4]),
-        "single": frames_beside(replace(recording, role=(recording.time == 4).astype(np.uint8)), readings, resting, 4),
+        "lonely": frames_beside(replace(recording, role=(recording.time == 4).astype(np.uint8)), readings, resting, 4),
         "beside": frames_beside(recording, readings, resting, frame),
         "possible": [str(each) for each in possible_effects((3, 4))],
     }  # fmt: skip
@@ -187,6 +241,7 @@ def contacts_row() -> dict[str, Any]:
     return {
         "beside": [beside_a_load(contact, loaded) for contact in contacts],
         "modules": [factors_of_modules(factor) for factor in (1.01, 1.1, 1.3, 1.6, 2.5)], "warnings": shared,
+        "odd modules": [odd_modules(count) for count in (2, 3)],
         "scores": [explanation.score, explanation.beyond_noise],
         "corrections": CircuitEffects(pair=effects).corrections,
         "usual": outliers.detect_outliers(calm, np.full(calm.shape, 2.0))[0].nonzero(),
@@ -219,6 +274,7 @@ def of_checks() -> Rows:
         "scatter": scatter_row,
         "changed cells": changed_row,
         "contacts": contacts_row,
+        "mistakes": mistakes_row,
     }
 
 

@@ -20,6 +20,8 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.prepared import Prepared
+from lampest.files.errors import InputError
+from lampest.panel.readouts.readout import with_memory
 from lampest.recording.readings import (
     Readings,
     mean_change,
@@ -29,6 +31,7 @@ from lampest.recording.readings import (
     touching_columns,
     touching_rows,
 )
+from lampest.recording.simulation.measure import OPEN_OHM
 from lampest.report.info import understood_lines
 from lampest.report.reconstruction import Reconstruction
 from lampest.runs.filling import frame_noise_of
@@ -256,16 +259,73 @@ def calibration_row(calibration: Any) -> dict[str, Any]:
 def resistors_row(scene: lp.Scene, more: float = 0.0) -> dict[str, Any]:
     """Known resistors of several values on every cell, with other circuit numbers than the scene has."""
     printed = np.random.default_rng(4).choice([220.0, 470, 1000, 2200, 4700], PANEL.shape)
-    rows, columns = np.linspace(-9, 9, 4) + more, np.linspace(-4, 8, 5) + more
-    if scene.circuit.unit == "volt":
-        scene = replace(scene, readout=replace(scene.circuit, drive_ohm=90.0))
-    volt = scene.circuit.simulated(np.repeat(printed[None], 6, axis=0), scene, rows, columns)
-    noise = 1 + 1e-4 * np.random.default_rng(5).standard_normal(volt.shape)
-    recording = lp.Recording(scene, volt * noise, np.arange(6.0), np.zeros(6, dtype=np.uint8))
-    calibration = calibrate_resistors([recording], [printed], tolerance=1e-3)
+    calibration = calibrate_resistors([on_resistors(scene, printed, more)], [printed], tolerance=1e-3)
     return calibration_row(calibration) | {
         "numbers": [(each.label, each.value, each.sigma, each.lines) for each in calibration.numbers]
     }  # fmt: skip
+
+
+def on_resistors(
+    scene: lp.Scene, printed: lp.Array, more: float = 0.0, spread: float = 9.0, **true: Any
+) -> lp.Recording:
+    """Six frames of known resistors, infinite where there is none, with other channels and these other parts."""
+    made, memory = replace(scene, **true), true.get("converter_memory")
+    rows, columns = np.linspace(-spread, spread, 4) + more, np.linspace(-4, 8, 5) + more
+    if scene.circuit.unit == "volt" and "readout" not in true:
+        made = replace(made, readout=replace(made.circuit, drive_ohm=90.0))
+    volt = made.circuit.simulated(np.repeat(np.minimum(printed, OPEN_OHM)[None], 6, axis=0), made, rows, columns)
+    volt = with_memory(made.circuit, memory, volt) if memory else volt
+    noise = 1 + 1e-4 * np.random.default_rng(5).standard_normal(volt.shape)
+    return lp.Recording(scene, volt * noise, np.arange(6.0), np.zeros(6, dtype=np.uint8))
+
+
+def moved_resistors_row() -> dict[str, Any]:
+    """Resistors that are moved from cell to cell, none at a row and a column: of diodes, wires and a memory, too."""
+    pull_ups = scenes()["wired pull-ups"]
+    diode = replace(scenes()["diodes"].circuit, diode=lp.Diode(drop_volt=0.63), drive_ohm=20.0)
+    cases: dict[str, tuple[lp.Scene, dict[str, Any]]] = {
+        "diodes": (scenes()["diodes"], {"readout": diode}), "wires": (pull_ups, {"lines": lp.Lines(12.0, 5.0)}),
+        "memory": (replace(pull_ups, lines=None, converter_memory=0.0), {"converter_memory": 0.03}),
+        "two point": (scenes()["noisy"], {}),
+    }  # fmt: skip
+    tables = [np.random.default_rng(seed).choice([100.0, 470, 1000, 2200, 9000], PANEL.shape) for seed in (4, 5)]
+    for table in tables:
+        table[1], table[:, 3] = np.inf, np.inf
+    rows = {}
+    for name, (scene, true) in cases.items():
+        recordings = [on_resistors(scene, table, **true) for table in tables]
+        rows[name] = calibration_row(calibrate_resistors(recordings, tables, 1e-3))
+    return rows
+
+
+def refused_resistors_row() -> list[str]:
+    """Why recordings are no calibration: other resistors, none, equal ones, one, drift, hum; and some that are one."""
+    scene, known, noisy = scenes()["LoadedColumnsReadout"], np.full(PANEL.shape, np.inf), scenes()["noisy"]
+    known[0, :3] = 1000.0, 3300.0, 9000.0
+    single, equal = np.where(known == 1000, known, np.inf), np.where(known < 9e9, 2e3, known)
+    recording, foam = on_resistors(scene, known), on_resistors(scene, 3000 + 9 * np.arange(20.0).reshape(4, 5))
+    volt = np.repeat(recording.recorded, 3, axis=0) * np.linspace(1, 1.1, 18)[:, None, None]
+    drift = lp.Recording(scene, volt, np.arange(18.0), np.zeros(18, dtype=np.uint8))
+    spikes, wild = (drift.recorded[:1] * np.ones((18, 1, 1)) for _ in range(2))
+    spikes[3, 0, 1], spikes[9, 0, 2], wild[::2, 0, 1] = 0.1, 4.9, 0.3
+    expected, wired = replace(noisy, series_resistance_ohm=800.0), replace(noisy, lines=lp.Lines())
+    larger = on_resistors(noisy, known, 400.0)
+    cases = [
+        (recording, known[:, ::-1]), (recording, 0.5 * known), (recording, np.full(PANEL.shape, np.nan)),
+        (recording, -1.0), (recording, 0.0), (foam, 3000.0), (on_resistors(scene, single), single),
+        (on_resistors(scene, equal), equal), (drift, known), (replace(drift, recorded=spikes), known),
+        (replace(drift, recorded=wild), known), (on_resistors(scene, known, 400.0), known),
+        (larger, known), (replace(larger, scene=expected), known),
+        (on_resistors(noisy, np.ones(PANEL.shape), spread=99.0), 1.0), (on_resistors(wired, 10 * known), 10 * known),
+        (on_resistors(scene, known, readout=replace(scene.circuit, drive_ohm=9.001)), known),
+    ]  # fmt: skip
+    answers = []
+    for each, table in cases:
+        try:
+            answers.append(calibrate_resistors([each], [table], tolerance=1e-3).summary)
+        except InputError as error:
+            answers.append(str(error))
+    return answers
 
 
 def repeats_row() -> list[Any]:
@@ -304,8 +364,8 @@ def stored_noise_row() -> list[Any]:
     return rows
 
 
-def channels_row() -> dict[str, Any]:
-    scene = lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0, systematic=lp.Systematic(0.01, 5.0))
+def channels_row(scene: lp.Scene) -> dict[str, Any]:
+    scene = replace(scene, systematic=lp.Systematic(0.01, 5.0))
     calibration = calibrate_channels([simulated("channel_spread_ohm", scene)])
     return calibration_row(calibration) | {
         "errors": calibration.errors, "covariance": calibration.covariance,
@@ -365,8 +425,13 @@ def of_estimate() -> Rows:
         | {f"resistors {name}": partial(resistors_row, scene) for name, scene in resistors.items()}
         | {
             "repeats": repeats_row,
+            "moved resistors": moved_resistors_row,
+            "no resistors": refused_resistors_row,
             "stored noise": stored_noise_row,
-            "channels": channels_row,
+            "channels": partial(channels_row, lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0)),
+            "channels of drives": partial(
+                channels_row, lp.Scene(PANEL, lp.LoadedColumnsReadout(adc_bits=12, drive_ohm=100.0))
+            ),
             "resistors of bad channels": partial(resistors_row, scenes()["noisy"], 87.9),
             "known loads": loads_row,
         }
