@@ -175,6 +175,9 @@ def outliers_row() -> dict[str, Any]:
         readings = lp.Readings.of(scene, frame)
         live.append(frames.without_outliers(readings, scene, resting, cells))
         frames = frames.after(readings)
+    touched = np.full((7, 8, 8), 2000.0)
+    touched[3, 4, 4] = 500.0
+    touched = lp.two_point_resistance(touched)
     apart = np.stack([value, 1000 + 5 * (value - 1000)], axis=1)
     pair = lp.Readings(apart, np.full(apart.shape, 9.0), np.zeros(apart.shape), np.ones(apart.shape))
     impossible = lp.Readings.of(scene, lp.two_point_resistance(cells)[None] * np.where(cells == cells.max(), 9.0, 1.0))
@@ -182,7 +185,7 @@ def outliers_row() -> dict[str, Any]:
         "whole": outliers.detect_outliers(value, scale), "few": outliers.detect_outliers(value[:4], scale[:4], 0.1),
         "panels": outliers.without_outliers(np.zeros(pair.value.shape, dtype=bool), pair, np.arange(16) < 8),
         "live": live, "impossible": outliers.impossible_readings(scene.circuit, impossible),
-        "median": outliers.median(value),
+        "median": outliers.median(value), "touch": outliers.detect_outliers(touched, 1e-3 * touched)[0].sum(),
     }  # fmt: skip
 
 
@@ -248,6 +251,23 @@ def contacts_row() -> dict[str, Any]:
     }  # fmt: skip
 
 
+def values_row() -> dict[str, Any]:
+    """What single values and deviations say, with a readout and without: a number, a bound, or nothing."""
+    values, rows = np.full((2, 4, 5), 720.0), {}
+    values[0].flat[:9] = np.nan, np.inf, 1e9, 100.0, 0.0, -5.0, -np.inf, 140.0, 200.0
+    sigma = np.full((4, 5), 2.0)
+    sigma[3, 1:3] = np.nan, np.inf
+    for name, readout in (("readout", TWO), ("none", None)):
+        scene = lp.Scene(PANEL, readout, 140.0)
+        for given in (None, sigma, np.stack([sigma, 2 * sigma])):
+            read = lp.Readings.of(scene, values, given)
+            parts = read, read.mean(), read[0].together(read[1])
+            rows[f"{name} {None if given is None else given.ndim}"] = [
+                (each.value, each.side, each.seen, each.sigma) for each in parts
+            ]
+    return rows
+
+
 def changed_row() -> dict[str, Any]:
     """Cells that moved, found from their changes and a precision."""
     rng = np.random.default_rng(7)
@@ -275,6 +295,7 @@ def of_checks() -> Rows:
         "changed cells": changed_row,
         "contacts": contacts_row,
         "mistakes": mistakes_row,
+        "values": values_row,
     }
 
 

@@ -26,19 +26,3 @@ def test_an_interval_ends_at_the_bounds_but_for_the_noise_of_the_reading() -> No
     assert_allclose(found.below, [[[reach, np.log(100 / 99) + noise, reach, noise, noise, tail]]], rtol=1e-6)
     assert_allclose(found.above, [[[reach, reach, np.inf, reach, tail, np.inf]]], rtol=1e-6)
     assert_allclose((found.resolution, found.data_share), np.multiply.outer([0.7, 0.91], [[[1, 1, 1, 1, 0, 0]]]))
-
-
-def test_a_cell_held_at_its_bound_reaches_at_least_as_far_as_given() -> None:
-    certainty = Certainty(*np.full((6, 1, 2, 3), 0.1))
-    reaching = certainty.reaching(np.array([1, 5]), np.array([0.3, 0.05]), np.array([0.02, 0.4]))
-    assert_allclose(reaching.below, [[[0.1, 0.3, 0.1], [0.1, 0.1, 0.1]]])
-    assert_allclose(reaching.above, [[[0.1, 0.1, 0.1], [0.1, 0.1, 0.4]]])
-    assert_allclose(certainty.below, 0.1)
-
-
-def test_independent_errors_widen_intervals_by_their_squares() -> None:
-    certainty = Certainty(*np.full((6, 1, 1, 2), 0.3))
-    widened = certainty.widened(np.array([[0.4, 0.3], [0.4, -0.3]]))  # the second error moves the cells apart
-    assert_allclose(widened.deviation, np.sqrt([[[0.34, 0.34]]]))
-    assert_allclose(widened.common, [[[0.5, 0.5]]])
-    assert_allclose((widened.below, widened.above), np.hypot(0.3, 1.959964 * 0.5), rtol=1e-6)

@@ -1,7 +1,6 @@
 """Error bars against definitions, numerical integration, and what errors do when the noise is drawn again and again."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,15 +15,15 @@ from lampest import (
     two_point_resistance,
 )
 from lampest.cost.given import Background
-from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
+from lampest.cost.terms import CellResistance, Gradient, Misfit, Term
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
 from lampest.panel.scene import Systematic
 from lampest.posterior.certainty import Certainty
-from lampest.posterior.covariance import DenseErrors, SampledErrors
+from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel
-from lampest.solvers.multistart import best_solution, evaluated
+from lampest.solvers.multistart import best_solution
 from tests.estimates import in_intervals, recording_of, rms
 
 SHAPE = (7, 8)
@@ -115,18 +114,6 @@ def test_a_penalty_that_does_not_suit_leaves_wider_bars() -> None:
     assert np.median(np.concatenate(blind)) < 0.9
 
 
-def test_samples_of_a_pair_are_those_of_its_baseline_and_of_its_frame() -> None:
-    rng, scene = np.random.default_rng(3), Scene(Panel(3, 4))
-    cells = 3000 * np.exp(0.1 * rng.standard_normal((2, 3, 4)))
-    exact = two_point_resistance(cells)
-    estimator = Estimator((Misfit(), RelativeChange(weight=10.0)), "reduced")
-    data = estimator.data(Readings.of(scene, exact, 0.15 * exact), Background(scene))
-    at = evaluated(estimator.cost(scene, 2, partial=data.partial), data, cells)
-    samples = SampledErrors(LinearModel(at, np.zeros(0)), samples=3)
-    memory = samples.memory()
-    assert np.array_equal(np.hstack(memory.samples[::-1]), samples._samples[0]) and memory.frames == 1
-
-
 def recorded(scene: Scene, cells: Array, resistance: Array, noise: float) -> Recording:
     return recording_of(scene, resistance, 1, sigma=noise * resistance, truth_cell_resistance=cells)
 
@@ -142,22 +129,6 @@ def test_what_cells_share_of_a_change_cancels_as_far_as_both_frames_have_it() ->
     assert np.all(estimate.change.common < 1e-3) and np.allclose(
         estimate.change.own, estimate.change.deviation, rtol=1e-3
     )
-
-
-def test_what_nobody_sees_has_no_bounds() -> None:
-    cells = panel_cells()
-    measured = two_point_resistance(cells)
-    estimator = Estimator((Misfit(),), formulation="reduced")
-    readings = Readings.of(Scene(Panel(*SHAPE)), measured[None], 0.003 * measured[None])
-    seen = np.ones((1, *SHAPE))
-    seen[0, 0, :] = 0
-    data = estimator.data(replace(readings, seen=seen), Background(Scene(Panel(*SHAPE))))
-    problem = estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0, partial=data.partial)
-    solution = best_solution(problem, data, cells[None])
-    assert solution.solved
-    certainty = DenseErrors(model_of(solution)).certainty
-    assert np.all(certainty.deviation[0, 0] > 1)
-    assert np.all(certainty.above[0, 0] > 2)
 
 
 @pytest.mark.slow

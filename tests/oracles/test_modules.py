@@ -9,12 +9,9 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 import lampest
-from lampest import InputError, LogGradient, Readings, Recording, Rod, Stream, TwoPointReadout
-from lampest.cost.given import Background
-from lampest.cost.problem import Evaluation
-from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
+from lampest import InputError, LogGradient, Recording, Rod, Stream, TwoPointReadout
+from lampest.cost.terms import Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.model_check import module_factors
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream, reconstruct
@@ -26,13 +23,6 @@ from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.scene import Scene
 from lampest.posterior.covariance import SampledMemory
 from lampest.recording.simulation import Simulation, simulate
-from lampest.solvers.hessian import Hessian
-from lampest.solvers.multistart import best_solution
-from lampest.solvers.projected_lbfgs import BatchOutcome, InverseHessians, Secants, _advanced, serves, solve
-from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.smoothing import Smoothing
-from lampest.solvers.solution import Settings
-from tests.estimates import recording_of
 
 SCENE = """
 panel: {modules: {rows: 2, columns: 3, each: {rows: 3, columns: 4, pitch_mm: 10}, seam_mm: 3}}
@@ -218,63 +208,6 @@ def test_a_sequence_goes_on_from_the_arrays_that_are_kept_of_it(panel: str) -> N
     assert_allclose([track.memory.samples, track.answers], pairs)
 
 
-def disturbed(change: str) -> Recording:
-    """Four modules of 6 × 6, of which [0, 1] is not as the scene says."""
-    readout = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=10, readings=20, noise_lsb=0.7)
-    scene = Scene(lampest.Panel(modules=Modules(2, 2, EachModule(6, 6), 4.0)), readout, 140.0)
-    rods = [lampest.Rod(centre_mm=(x, 30), diameter_mm=30, mass_g=500) for x in (30, 94)]
-    made = simulate(Simulation(schema=1, seed=5, scene=scene, frames=2, baseline_frames=5, loads=tuple(rods)))
-    recorded, own = made.recorded.copy(), (..., *scene.panel.modules.cells(1)) if scene.panel.modules else ...
-    volt = scene.circuit.volt_from_recorded(recorded[own])
-    stuck = np.random.default_rng(1).normal(1022.6, 0.1, volt.shape)  # codes
-    recorded[own] = {
-        "stuck": scene.circuit.recorded_from_volt(np.minimum(stuck, 1023) * readout.lsb_volt),
-        "missing": np.full(volt.shape, np.nan),
-        "scaled": 1.2 * recorded[own],
-        "reference": recorded[own] / 1.2,
-    }.get(change, recorded[own])
-    return replace(made, recorded=recorded, raw_sums=None, raw_readings=None)
-
-
-@pytest.mark.parametrize(
-    ("change", "said", "factor"),
-    [
-        ("stuck", "every reading is at a rail of the converter, or beyond: is it connected?", np.nan),
-        ("missing", "no reading is a value: is it connected?", np.nan),
-        ("scaled", "readings at rest are 1.18 times those of the other modules", 1.17655),
-        ("reference", "readings at rest are 0.772 times those of the other modules", 0.77224),
-        ("nothing", "", None),
-    ],
-)
-def test_a_module_that_is_stuck_or_miscalibrated_is_named_and_the_others_are_estimated(
-    change: str, said: str, factor: float | None
-) -> None:
-    recording = disturbed(change)
-    named = [line for line in Prepared(recording).warnings if "module [0, 1]" in line]
-    assert len(named) == bool(said) and all(line.startswith(f"module [0, 1]: {said}") for line in named)
-    assert recording.scene.panel.modules is not None
-    factors = {} if factor is None else {1: pytest.approx(factor, nan_ok=True, rel=1e-4)}
-    assert module_factors(recording, recording.scene.panel.modules) == factors
-    estimate = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
-    assert np.isnan(estimate.cell_resistance[:, :6, 6:]).all() == (change in ("stuck", "missing"))
-    assert np.isfinite(np.delete(estimate.cell_resistance, np.s_[6:12], axis=2)).all()
-
-
-@pytest.mark.parametrize(("modules", "named"), [(2, {}), (3, {1: pytest.approx(4.0)})])
-def test_of_two_modules_that_differ_neither_is_the_odd_one(modules: int, named: dict[int, float]) -> None:
-    layout = Modules(1, modules, EachModule(2, 2), 4.0)
-    scene = Scene(lampest.Panel(modules=layout), lampest.TwoPointReadout(), 0.0)
-    recorded = np.full((3, *layout.shape), 1000.0)
-    recorded[:, :, 2:4] *= 4.0
-    assert module_factors(recording_of(scene, recorded, 2), layout) == named
-
-
-def test_a_recording_of_few_modules_in_kohm_is_still_refused() -> None:
-    made = disturbed("nothing")
-    with pytest.raises(InputError, match="are these kohm"):
-        replace(made, recorded=made.recorded / 1000)
-
-
 COUPLED = Modules(2, 2, EachModule(3, 4), 4.0, coupled=True)
 READOUT = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
 DEAD = lampest.Faults(dead_modules=((1, 1),))
@@ -352,81 +285,6 @@ def test_coupled_modules_have_no_error_bars_and_no_wire() -> None:
         coupled(replace(recording, scene=wired), lampest.Gradient(weight=1e-6))
 
 
-ALIKE = Scene(Panel(4, 5), TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7))
-PANELS = 6
-
-
-def frames_of_panels(noise: float, seed: int = 1) -> Readings:
-    """One frame of each of six panels, of cells that differ by a factor of ten."""
-    random = np.random.default_rng(seed)
-    cells = 3000 * np.exp(random.uniform(-1.2, 1.2, (PANELS, 4, 5)))
-    exact = np.stack([two_point_resistance(one) for one in cells])
-    return Readings.of(ALIKE, exact * np.exp(noise * random.standard_normal(exact.shape)))
-
-
-def batch_of(terms: tuple[Term, ...], readings: Readings) -> Evaluation:
-    """The panels' problems at equal cells, with which they are compared."""
-    estimator = Estimator(terms, "reduced")
-    rest = np.full(readings.value.shape, 3000.0)
-    data = estimator.data(readings, Background(ALIKE, 1.0, rest, None, rest))
-    cost = estimator.cost(ALIKE, 1, partial=data.partial)
-    data = data.of_panels(0)
-    cells = np.clip(np.full(data.measured.shape, 3000.0), data.lower, data.upper)
-    return Evaluation.at(cost, data, cells, np.tile(cost.weights, (len(rest), 1)))
-
-
-def solved_together(batch: Evaluation) -> BatchOutcome:
-    """From equal cells."""
-    return solve(batch, InverseHessians.nothing(PANELS, 20), np.arange(PANELS), Settings())
-
-
-@pytest.mark.parametrize(
-    "terms",
-    [
-        (Misfit(),),
-        (Misfit(), CellResistance(weight=1e-4)),
-        (Misfit(weighting="noise"), Gradient(weight=1e-7)),
-        (Misfit(), RelativeChange(weight=0.1)),
-    ],
-)
-@pytest.mark.parametrize("noise", [0.0, 1e-3, 2e-2])
-def test_each_panel_ends_where_the_solver_for_one_ends(terms: tuple[Term, ...], noise: float) -> None:
-    batch = batch_of(terms, frames_of_panels(noise))
-    assert serves(batch.cost, batch.data)
-    inverses = InverseHessians.nothing(PANELS, 20)
-    outcome = solve(batch, inverses, np.arange(PANELS), Settings())
-    assert outcome.solved.sum() >= PANELS - 2
-    for number in np.flatnonzero(outcome.solved):
-        data = batch.data.some(int(number))
-        alone = best_solution(ProjectedNewton(batch.cost, Settings()), data, np.full(data.measured.shape, 3000.0))
-        assert alone.strict
-        scale = float(np.sum((data.measured / 1e3) ** 2))
-        assert abs(outcome.points.at.objectives[number] - alone.objective) <= 1e-6 * alone.objective + 1e-6 * scale
-        assert_allclose(outcome.points.at.cell_resistance[number], alone.cell_resistance, rtol=1e-5)
-    again = solve(outcome.points.at, inverses, np.arange(PANELS), Settings())
-    assert again.solved[outcome.solved].all() and again.iterations[outcome.solved].max() == 0
-
-
-def test_a_panel_that_readings_leave_open_is_handed_back_and_costs_no_other() -> None:
-    readings = frames_of_panels(1e-3)
-    readings.seen[2, 1] = 0.0
-    batch = batch_of((Misfit(),), Readings(readings.value, readings.sigma, readings.side, readings.seen))
-    batch.data.given.seen[2, :, 1] = 0.0
-    outcome = solved_together(batch)
-    assert not outcome.solved[2] and outcome.solved.sum() >= PANELS - 2
-
-
-def test_inputs_that_nobody_gives_stand_as_absent_for_every_panel() -> None:
-    estimator, readings = Estimator((Misfit(),), "reduced"), frames_of_panels(0.0)
-    data = estimator.data(readings, Background(ALIKE, 1.0))
-    named = data.of_panels(0).flat
-    sources, given = dict(data.given.sources()), dict(data.given.named())
-    missing = sources.keys() - given.keys()
-    assert missing
-    for name in missing:
-        assert named[name].size and np.all(named[name] == sources[name].absent), name
-
-
 @pytest.mark.parametrize("terms", [(Misfit(),), (Misfit(weighting="noise"), LogGradient(weight=0.1))])
 def test_frames_that_are_solved_in_blocks_are_those_that_are_solved_one_by_one(
     terms: tuple[Term, ...], monkeypatch: pytest.MonkeyPatch
@@ -457,25 +315,3 @@ def test_frames_that_are_solved_in_blocks_are_those_that_are_solved_one_by_one(
             assert_allclose(getattr(together.bars.frame, name), expected, rtol=10 * tolerance, atol=1e-9)
         assert_allclose(together.bars.change.deviation, step.bars.change.deviation, rtol=10 * tolerance)
         assert_allclose(together.bars.reading, step.bars.reading, rtol=10 * tolerance)
-
-
-@pytest.mark.parametrize("factor", [3.0, 40.0])
-def test_a_step_that_is_too_long_for_some_panels_is_shortened_for_these_alone(
-    factor: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    batch = batch_of((Misfit(), CellResistance(weight=1e-4)), frames_of_panels(1e-3))
-    points = Hessian(batch, Smoothing.start(batch))
-    inverses = InverseHessians.nothing(PANELS, 20)
-    inverses.renew(np.arange(PANELS), points)
-    step = 0.1 * Secants().direction(points, inverses, np.arange(PANELS))
-    step[1::2] *= 10 * factor
-    monkeypatch.setattr(Secants, "direction", lambda *_: step)
-    after, secants, moved = _advanced(points, Secants(), inverses, np.arange(PANELS))
-    assert moved.all() and (after.at.objectives < batch.objectives).all()
-    assert_allclose(after.position[::2], points.position[::2] - np.log1p(-step[::2]), rtol=1e-12)
-    lengths, far = 0.25 ** np.arange(1, 8)[:, None, None], -np.expm1(-np.log(4))
-    shorter = np.clip(-np.log1p(-np.minimum(lengths * step[1::2], far)), -np.log(4), np.log(4))
-    change = after.position[1::2] - points.position[1::2]
-    assert_allclose(np.abs(shorter - change).max(axis=2).min(axis=0), 0.0, atol=1e-9)
-    assert inverses.worn[1::2].all() and not inverses.worn[::2].any()
-    assert len(secants.pairs) == 1

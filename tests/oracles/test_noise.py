@@ -11,12 +11,11 @@ import lampest
 from docs.studies.audit import AuditFile, AuditTask
 from lampest import Estimator, Misfit, TwoPointReadout, Unmodelled, two_point_resistance
 from lampest.estimate.noise import scatter
-from lampest.estimate.outliers import detect_outliers, without_outliers
+from lampest.estimate.outliers import detect_outliers
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Systematic
-from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.studies.study import read_settings
@@ -41,13 +40,6 @@ def parts(rng: np.random.Generator, frames: int, **sizes: float) -> lampest.esti
     return scatter(drawn(rng, frames, **sizes), np.full((LINES, CHANNELS), 3000.0), frames - 1)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 12), (12, 1)])
-def test_noise_of_a_single_line_is_its_own(shape: tuple[int, int]) -> None:
-    noise = np.random.default_rng(5).standard_normal((40, 6, *shape))
-    sizes = [scatter(each - each.mean(axis=0), np.full(shape, 3000.0), 5).own for each in noise]
-    assert np.mean(np.square(sizes)) == pytest.approx(1, abs=0.2)
-
-
 def test_parts_of_noise_are_estimated_with_their_sizes_and_none_in_noise_alone() -> None:
     for frames in (2, 3, 5, 10):
         alone = [parts(np.random.default_rng(100 * frames + number), frames) for number in range(60)]
@@ -62,17 +54,6 @@ def test_parts_of_noise_are_estimated_with_their_sizes_and_none_in_noise_alone()
     assert np.mean([(one.common_ripple**2).sum() / CHANNELS for one in wave]) == pytest.approx(4.5, rel=0.5)
 
 
-def test_what_few_frames_share_has_no_quiet_directions() -> None:
-    """Every column ripples by 3 σ on its own: in any direction of ten columns, also those that five frames lack."""
-    rng = np.random.default_rng(3)
-    for _ in range(20):
-        columns = 3.0 * rng.standard_normal((5, 1, CHANNELS))
-        deviation = rng.standard_normal((5, LINES, CHANNELS)) + columns
-        ripple = scatter(deviation - deviation.mean(axis=0), np.full((LINES, CHANNELS), 3000.0), 4).common_ripple
-        loudness = np.linalg.eigvalsh(ripple @ ripple.T)
-        assert loudness[0] > 1 and 4 < loudness.mean() < 25
-
-
 def test_loads_and_wrong_noise_make_no_outliers() -> None:
     """Cells under a mouth overshoot in the first frame: by 50 σ, after a step of 1,450. Readings over their own σ vary
     five times less than they scatter. Under a foot predictions miss by as much in most frames."""
@@ -80,41 +61,6 @@ def test_loads_and_wrong_noise_make_no_outliers() -> None:
     mouth, foot = AuditTask(audit, "as specified", 702).recording(), lampest.datasets.load("insole_standing")
     for recording in (mouth, foot, *(recorded(seed, scene_of(0.7, None), 3.0) for seed in range(8))):
         assert not Prepared(recording).cleaned.outliers.any()
-
-
-def test_a_converter_coarser_than_its_noise_is_not_called_free_of_noise() -> None:
-    """One unloaded frame, and steps so coarse that most readings repeat."""
-    scene = Scene(Panel(6, 5), TwoPointReadout(reference_ohm=2000.0, adc_bits=8, noise_lsb=0.2))
-    settings = Simulation(1, 3, scene, baseline_frames=1, frames=9)
-    assert Prepared(simulate(settings)).noise.sigma_factor == 1
-
-
-def test_no_reading_that_equals_the_unloaded_one_is_an_outlier() -> None:
-    """A load arrives in the third measured frame and stays; each reading is that of its own cell."""
-    rng = np.random.default_rng(4)
-    values = np.full((11, 9, 7), 1000.0)
-    values[5:, 3:5, 2] = 500.0
-    outlying = [
-        without_outliers(
-            np.zeros(values.shape, dtype=bool),
-            Readings.of(Scene(Panel(9, 7)), values + rng.standard_normal(values.shape), np.ones(values.shape)),
-            np.arange(11) < 3,
-        )[0].sum()
-        for _ in range(10)
-    ]
-    assert not any(outlying)
-
-
-def test_a_lone_leap_is_one_and_a_touch_of_one_frame_is_none() -> None:
-    cells = np.full((7, 8, 8), 2000.0)
-    cells[3, 4, 4] = 500.0
-    touched = two_point_resistance(cells)
-    assert not detect_outliers(touched, 1e-3 * touched)[0].any()
-    hit = two_point_resistance(np.full((7, 8, 8), 2000.0))
-    hit[3, 2, 6] *= 1.05
-    outlying, instead, _ = detect_outliers(hit, 1e-3 * hit)
-    assert np.argwhere(outlying).tolist() == [[3, 2, 6]]
-    assert instead[3, 2, 6] == pytest.approx(hit[2, 2, 6])
 
 
 def test_leaps_are_seen_while_a_load_breathes() -> None:
@@ -344,22 +290,3 @@ def test_noisy_cells_are_not_taken_for_a_static_error() -> None:
     for seed in (7, 8, 13):
         recording = simulate(Simulation(1, seed, scene, frames=3, loads=(rod,)))
         assert not Prepared(recording).noise.possible_errors.sizes.reading_error
-
-
-def test_what_users_get_wrong_is_one_plain_line() -> None:
-    """Roles, units, noise, and a load on the baseline; nothing of a recording as it should be."""
-    fine = recorded(6, scene_of(0.7, None))
-    assert Prepared(fine).warnings == ()
-    none = replace(fine, role=np.full(8, MEASURED, dtype=np.uint8))
-    alone = replace(fine, role=np.where(np.arange(8) < 1, UNLOADED, MEASURED).astype(np.uint8))
-    swapped = replace(fine, role=np.where(np.arange(8) < 5, MEASURED, UNLOADED).astype(np.uint8))
-    copied = replace(fine, recorded=fine.recorded[[0, 0, 0, 0, 0, 5, 6, 7]])
-    for wrong, line in (
-        (none, "no frame is unloaded"),
-        (alone, "only one frame is unloaded"),
-        (replace(fine, recorded=1000 * fine.recorded), "of the converter from a rail"),
-        (swapped, "did something lie on the panel"),
-        (copied, "readings at rest scatter 0 times as much"),
-        (replace(fine, recorded=fine.recorded[[5, 6, 7, 5, 6, 7, 6, 5]]), "a load may lie on the panel"),
-    ):
-        assert sum(line in one for one in Prepared(wrong).warnings) == 1

@@ -10,7 +10,6 @@ import lampest
 from docs.studies.audit import AuditFile, AuditTask
 from lampest import Block, Cells, Course, Recording, Scene, Simulation, TwoPointReadout, simulate
 from lampest.estimate.prepared import Prepared
-from lampest.estimate.saturation import saturated
 from lampest.report.detect.detection import Known, known_of, measured_frames
 from lampest.studies.study import read_settings
 from tests.estimates import recording_of
@@ -49,16 +48,6 @@ def test_nothing_is_said_and_taken_off_where_nothing_is(seed: int) -> None:
     prepared = Prepared(recording)
     assert prepared.warnings == () and prepared.noise.corrected_effects is None
     assert np.array_equal(prepared.noise.readings.value, recording.readings().value)
-
-
-def test_channels_that_end_together_by_chance_are_no_stage_that_saturates() -> None:
-    """Five of the unloaded panel's channels within the noise of the largest voltage, six a little below, others far."""
-    recording = panel(3)
-    steps = np.r_[np.linspace(0, 0.9, 5), np.linspace(3, 9, 6), np.linspace(12, 300, ROWS * COLUMNS - 11)]
-    for below, ended in ((steps, False), (np.where(steps < 10, 0.1 * steps, steps), True)):
-        volt = 2.97 - 0.0024 * np.random.default_rng(4).permutation(below).reshape(ROWS, COLUMNS)
-        ends = np.broadcast_to((5 - volt) / volt * 1000, recording.recorded.shape)
-        assert (saturated(replace(recording, recorded=ends)) is not None) == ended
 
 
 @pytest.mark.parametrize("seed", [3, 4])
@@ -105,18 +94,6 @@ def test_a_contact_that_another_one_explains_as_well_is_named_but_not_taken_off(
     recording = panel(8, contact=(3, 200.0, 0))
     prepared = Prepared(recording).effects
     assert prepared.name and prepared.pair is None and Prepared(recording).noise.corrected_effects is None
-
-
-def test_readings_of_a_saturated_stage_are_bounds_as_if_the_scene_stated_it() -> None:
-    recording = panel(1, saturated=0.62)
-    readings = Prepared(recording).noise.readings
-    volt = recording.scene.circuit.volt_from_recorded(recording.recorded)
-    assert readings.bounds.any() and np.all(readings.bounds[volt > 3.096]) and not np.any(readings.bounds[volt < 3.094])
-    assert not recording.readings().bounds.any()
-    stated = replace(recording.scene, readout=TwoPointReadout(readings=20, noise_lsb=0.7, passes_volt=(0.0, 3.098)))
-    specified = replace(recording, scene=stated)
-    assert np.mean(specified.readings().bounds != readings.bounds) < 0.01
-    assert not any("saturate" in line for line in Prepared(specified).warnings)
 
 
 def test_the_size_of_a_leak_is_estimated_and_the_curve_of_a_converter_is_none() -> None:

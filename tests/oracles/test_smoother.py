@@ -16,7 +16,6 @@ from lampest import (
     Readings,
     Recording,
     Settings,
-    SmootherMethod,
     Status,
     Stream,
     Student,
@@ -65,15 +64,6 @@ def test_stiffness_is_the_slope_of_what_the_walk_costs() -> None:
     assert_allclose(walk.stiffness(np.full((5, 4), 1e-4)), 1e4 + 1)
 
 
-def test_a_walk_is_drawn_down_while_still_cells_step_less() -> None:
-    rng, walk = np.random.default_rng(2), Walk(0.01, 3.0)
-    lesser, larger = 1e-6 * rng.chisquare(1, (40, 9)), 9e-4 * rng.chisquare(1, (40, 9))
-    assert walk.drawn_down(lesser, walk.stiffness(lesser), 0.001) == (Walk(0.006, 3.0), True)
-    assert walk.drawn_down(lesser, walk.stiffness(lesser), 0.008) == (Walk(0.008, 3.0), True)
-    assert walk.drawn_down(larger, np.full((40, 9), 1e4), 0.001) == (walk, False)
-    assert walk.drawn_down(lesser, walk.stiffness(lesser), 0.01) == (walk, False)
-
-
 def ended(made: Recording) -> tuple[Joint, Array]:
     """(Φ of six frames at its end, log r where it began: the truth)."""
     estimator, readings = Estimator(ROBUST, "smoother"), made.readings()
@@ -82,22 +72,6 @@ def ended(made: Recording) -> tuple[Joint, Array]:
     start = np.log(made.truth_cell_resistance[2:8]).reshape(len(data), -1)
     begun = Joint.of(cost, data, Shared.of(made.scene), start)
     return smoothed(begun, Walk(0.2, 3.0), Settings(tolerance=1e-10))[0], start
-
-
-def test_errors_that_the_cost_knows_nothing_of_move_its_end_as_told() -> None:
-    """Readings moved by a hundredth of σ, and Φ minimised anew with the same ties."""
-    joint, _ = ended(panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
-    sigma = np.stack([one.given.sigma.reshape(-1, 1) for one in joint.data])
-    columns = 0.01 * sigma * np.random.default_rng(0).standard_normal((6, 9, 1))
-    moved = []
-    for one, column in zip(joint.data, columns, strict=True):
-        measured = one.given.measured + column.reshape(one.given.measured.shape)
-        moved.append(replace(one, given=replace(one.given, measured=measured)))
-    there = replace(joint, data=tuple(moved))
-    for _ in range(20):
-        there = there.stepped()
-    answer = joint.answer(columns)[:, :, 0]
-    assert np.abs(there.position - joint.position - answer).max() < 0.1 * np.abs(answer).max()
 
 
 def beside_its_end(chance: int) -> Joint:
@@ -237,21 +211,6 @@ def test_a_gain_of_each_frame_widens_its_bars() -> None:
     silent = found_of(made)
     assert told.noise.frame is not None
     assert np.median(told.cell_resistance_errors) > 1.5 * np.median(silent.cell_resistance_errors)
-
-
-@pytest.mark.slow
-def test_frames_as_they_come_are_estimated_with_those_before() -> None:
-    made = panel(4)
-    readings = made.readings()
-    stream = Stream.begin(Estimator(ROBUST, SmootherMethod(lag=4)), made.scene, 1.0, readings[:RESTING].mean())
-    steps = []
-    for frame in made.measured_frames():
-        stream, step = stream.push(readings[frame])
-        steps.append(step)
-    assert all(step.solution.optimum and step.bars is not None for step in steps)
-    assert len(stream.prepared[0]) == 5
-    live = np.log(np.stack([step.cell_resistance for step in steps]) / made.truth_cell_resistance[RESTING:])
-    assert np.median(np.abs(live)) < 0.8 * np.median(np.abs(log_errors(found_of(made, (Misfit(),)))))
 
 
 def blind_at_rest(recording: Recording) -> Readings:

@@ -12,17 +12,16 @@ from scipy.integrate import quad
 
 import lampest
 from docs.studies import real
-from docs.studies.simulated_calibration import PRIORS, SETTINGS, calibration, prior_root, uniform_tail
+from docs.studies.simulated_calibration import PRIORS, SETTINGS, calibration, uniform_tail
 from docs.studies.withheld import predictions
 from lampest import Array, Bounds, InputError, Misfit, Panel, Readings, Recording, Scene, read_run, two_point_resistance
 from lampest.cost.given import Background
 from lampest.cost.losses import Huber
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import CellResistance, Gradient, LogRatio, Term
-from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.estimate.weights import WeightSearch, converter_and_faults, residual_scale, strongest, with_chosen_weights
+from lampest.estimate.weights import WeightSearch, residual_scale, with_chosen_weights
 from lampest.panel.readouts import TwoPointReadout
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel
@@ -30,7 +29,7 @@ from lampest.posterior.spectrum import Spectrum, best_weight, settled_weights
 from lampest.runs.config import Case
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings
-from lampest.studies.weights import CurvePoint, WeightSubject, bound_evidence, l_curve, solve_at
+from lampest.studies.weights import WeightSubject, bound_evidence, solve_at
 from tests.estimates import recording_of, rms
 from tests.oracles import paper
 
@@ -137,14 +136,6 @@ def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights
         assert sigma[number] == pytest.approx(information**-0.5, rel=0.05)
 
 
-def test_the_networks_that_differ_most_from_rest_choose_the_weight() -> None:
-    changes = [0.1, 0.7, 0.3, 0.9, 0.2, 0.5, 0.6]
-    assert strongest(changes) == [3, 1, 6, 5, 2][: 1 + MAX_NEIGHBOURS]
-    scene = Scene(Panel(2, 2), TwoPointReadout(adc_bits=10))
-    assert converter_and_faults(scene) == converter_and_faults(replace(scene, series_resistance_ohm=5.0))
-    assert converter_and_faults(scene) != converter_and_faults(replace(scene, readout=TwoPointReadout(adc_bits=12)))
-
-
 def error(estimator: Estimator, data: Data, cells: Array) -> float:
     solution = best_solution(estimator.problem(Scene(Panel(*cells.shape)), 1, 1.0), data, None)
     assert solution.solved
@@ -214,16 +205,6 @@ def test_uniform_values_lie_within_their_bands_and_others_do_not() -> None:
     assert uniform_tail(rng.uniform(size=100) ** 2) < 0.01, "biased"
     assert uniform_tail(0.5 + 0.4 * (rng.uniform(size=100) - 0.5)) < 0.01, "bars that are too wide"
     assert uniform_tail(np.round(rng.uniform(size=100))) < 0.01, "bars that are too narrow"
-
-
-@pytest.mark.parametrize("name", PRIORS)
-def test_draws_have_the_prior_that_the_penalty_implies(name: str) -> None:
-    """E λ Σ x² = rank."""
-    root = prior_root(PRIORS[name])
-    assert root.shape == (36, 35) and np.allclose(root.sum(axis=0), 0, atol=1e-8)
-    if name == "log_gradient":
-        steps = np.diff(root.reshape(6, 6, 35), axis=0), np.diff(root.reshape(6, 6, 35), axis=1)
-        assert sum(float(np.sum(step**2)) for step in steps) == pytest.approx(35)
 
 
 @pytest.mark.slow
@@ -310,18 +291,6 @@ def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> Wei
     return WeightSubject.of(Case(Path("bump.h5"), "", "bump", "one", estimator, "", ""), held)
 
 
-def test_point_has_the_papers_misfit_and_penalty_and_the_true_error() -> None:
-    made = bump()
-    point = solve_at(subject(Gradient(weight="auto"), made), 2e-5, None)
-    cells = point.cells[0]
-    misfit = paper.forward(cells).resistance - made.resistance[2]
-    penalty = np.concatenate([part.ravel() for part in paper.nabla(cells)])
-    assert_allclose(point.misfit, np.sum(misfit**2) / np.mean(made.sigma[2] ** 2))
-    assert_allclose(point.penalty, np.sum(penalty**2))
-    error = np.log(cells / made.truth_cell_resistance[2])
-    assert_allclose(point.error, np.sqrt(np.mean(error**2)))
-
-
 def test_evidence_is_laplaces_at_each_estimate() -> None:
     """−2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1, up to what λ does not change."""
     made = bump()
@@ -368,17 +337,3 @@ def test_what_a_held_cell_leaves_is_the_integral_of_its_density() -> None:
         density, _ = quad(lambda t, g=slope, a=curvature: np.exp(-(g * t + a * t * t) / 2), 0, reach, epsabs=0)
         expected += np.log(2 * np.pi) - 2 * np.log(density)
     assert_allclose(bound_evidence(model), expected, rtol=1e-5)
-
-
-def test_l_curve_finds_the_corner_of_a_hyperbola() -> None:
-    """x = √(1 + t²) + t, y = √(1 + t²) − t with t = log(λ/10) is curved most at t = 0."""
-    weights = np.geomspace(1e-3, 1e5, 41)
-    t = np.log(weights / 10)
-    away = np.sqrt(1 + t**2)
-    points = [CurvePoint(*both) for both in zip(weights, [1] * 41, np.exp(away + t), np.exp(away - t), strict=True)]
-    assert_allclose(l_curve(tuple(points)), 10, rtol=1e-6)
-    turned = tuple(replace(point, misfit=1 / point.penalty, penalty=1 / point.misfit) for point in points)
-    assert l_curve(turned) is None
-    wavy = [replace(point, penalty=float(np.exp(-0.1 * t - np.tanh(t)))) for point, t in zip(points, t, strict=True)]
-    bent = l_curve([replace(point, misfit=point.weight) for point in wavy])
-    assert 10 < bent < 100, "where it bends the other way counts for nothing"

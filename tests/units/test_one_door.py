@@ -1,22 +1,35 @@
 """File, live replay, a board's frames and the user's own loop: the same cells, whatever the scene names."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from support import live_pictures
 
-from lampest import UNLOADED, Array, Estimator, InputError, OralDisc, Panel, Recording, Stream, TwoPointReadout
-from lampest.cost.terms import Arrival, Misfit, RelativeChange
+from lampest import (
+    UNLOADED,
+    Array,
+    Estimator,
+    InputError,
+    OralDisc,
+    Panel,
+    Recording,
+    Stream,
+    TwoPointReadout,
+    datasets,
+)
+from lampest.cost.terms import Arrival, LogGradient, Misfit, RelativeChange
+from lampest.estimate import prepared as preparation
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.scene import Faults, Scene, Systematic, Water
 from lampest.recording.board.protocol import Frame, Hello
 from lampest.recording.board.stream import Sample
-from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
+from lampest.recording.readings import Readings
 from lampest.recording.simulation.measure import Unmodelled, measured, raw_sums
 from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.report.detect.detection import known_of
 from lampest.report.live.engine import Engine
 from lampest.report.live.run import from_recording, take_sample
 
@@ -137,53 +150,24 @@ def test_what_does_not_fit_is_named() -> None:
     ):
         with pytest.raises(InputError, match=sentence):
             Readings.of(WHOLE, *given)
+    with pytest.raises(InputError, match="recording must be a Recording"):
+        Prepared.of("mine.h5")
     with pytest.raises(InputError, match=r"^mine: /entry/two_point/sigma\[0, 0\] is -1 ohm; it must be positive$"):
         Recording(WHOLE, good, np.arange(2.0), role, np.full(SHAPE, -1.0), name="mine")
 
 
-NO_READOUT = replace(WHOLE, readout=None)
-# A reading, its scene, whether it says something, and which side of a bound it is on.
-WRONG: tuple[tuple[float, Scene, int, float], ...] = (
-    (np.nan, WHOLE, 0, 0),
-    *((value, WHOLE, 1, AT_LEAST) for value in (np.inf, 1e9)),
-    *((value, WHOLE, 1, AT_MOST) for value in (100.0, 0.0, -5.0, -np.inf)),
-    (np.nan, NO_READOUT, 0, 0),
-    (np.inf, NO_READOUT, 1, AT_LEAST),
-    (1e9, NO_READOUT, 1, 0),
-    *((value, NO_READOUT, 1, AT_MOST) for value in (100.0, -5.0)),
-)
+STEPS = ("cleaned_together", "estimate_noise", "with_still_cells", "warnings_of")
 
 
-def test_no_value_is_refused(tmp_path: Path) -> None:
-    """Each says nothing, or is a bound, and leaves the others as they are; a file keeps it as it came."""
-    for wrong, scene, seen, side in WRONG:
-        values = np.full((2, *SHAPE), 700.0)
-        values[:, 0, 0], values[0, 3, 5] = 720.0, wrong
-        Recording(scene, values, np.arange(2.0), np.array([0, 1], dtype=np.uint8)).save(tmp_path / "mine.h5")
-        recording = Recording.load(tmp_path / "mine.h5")
-        assert_array_equal(recording.recorded, values)
-        readings = recording.readings()
-        assert (readings.seen[0, 3, 5], readings.side[0, 3, 5]) == (seen, side)
-        assert np.all(np.isfinite(readings.value) & (readings.value > 0))
-        remaining = np.ones((2, *SHAPE), dtype=bool)
-        remaining[0, 3, 5] = False
-        assert np.all(readings.seen[remaining] == 1) and np.all(readings.side[remaining] == 0)
-        assert_array_equal(readings.value[remaining], values[remaining] - 140.0)
-        if scene.readout is None and side:
-            assert readings.value[0, 3, 5] == (580.0 if side == AT_LEAST else 560.0)
-
-
-def test_sigma_is_the_given_one_else_that_of_the_readout_else_unknown() -> None:
-    """A reading whose σ is not finite says nothing, nor does a frame of holes."""
-    holes, sigma = Readings.of(WHOLE, np.full(SHAPE, np.nan)), np.full(SHAPE, 2.0)
-    assert not holes.seen.any() and np.all(holes.value == 1)
-    resistance = np.full((2, *SHAPE), 700.0)
-    assert_array_equal(Readings.of(WHOLE, resistance, sigma).sigma, np.full((2, *SHAPE), 2.0))
-    sigma[1, 1], sigma[2, 2] = np.nan, np.inf
-    readings = Readings.of(WHOLE, resistance[0], sigma)
-    assert_array_equal(readings.seen == 0, ~np.isfinite(sigma))
-    assert readings.sigma is not None and np.all(np.isfinite(readings.sigma))
-    told, unknown = Readings.of(WHOLE, resistance), Readings.of(NO_READOUT, resistance)
-    assert told.sigma is not None and np.all(told.sigma > 0) and unknown.sigma is None
-    assert told[0].together(unknown[1]).sigma is None
-    assert_array_equal(told[0].together(told[1]).sigma, told.sigma)
+def test_estimates_detection_and_warnings_share_one_preparation(monkeypatch: pytest.MonkeyPatch) -> None:
+    taken = list[str]()
+    for name in STEPS:
+        step = getattr(preparation, name)
+        monkeypatch.setattr(preparation, name, lambda *given, at=name, step=step: taken.append(at) or step(*given))
+    prepared = Prepared(datasets.load("lamprey_35mm"))
+    for terms in ((Misfit(),), (Misfit(), LogGradient(weight=1.0))):
+        estimates = reconstruct(prepared, Estimator(terms, "reduced"))
+        assert estimates.checks == prepared.warnings and estimates.noise is prepared.noise
+        assert estimates.model_check is prepared.check
+    known_of(prepared)
+    assert sorted(taken) == sorted(STEPS)
