@@ -218,7 +218,9 @@ ESTIMATORS: dict[str, Estimator] = {
     "truncated": Estimator((lp.Misfit(), lp.LogGradient(weight=0.05)), lp.TruncatedMethod(steps=4)),
     "tared": Estimator((lp.Misfit(),), "reduced", tare=lp.Tare(frames=5)),
 }  # fmt: skip
-MISSING_READINGS = "missing"
+SHARED_ERRORS = lp.Scene(
+    PANEL, lp.TwoPointReadout(noise_lsb=0.7, adc_bits=12), 140.0, systematic=lp.Systematic(0.01, 3.0),
+)  # fmt: skip
 
 
 def case_row(case: lp.CaseResult) -> dict[str, Any]:
@@ -311,7 +313,7 @@ def refused_resistors_row() -> list[str]:
     expected, wired = replace(noisy, series_resistance_ohm=800.0), replace(noisy, lines=lp.Lines())
     larger = on_resistors(noisy, known, 400.0)
     cases = [
-        (recording, known[:, ::-1]), (recording, 0.5 * known), (recording, np.full(PANEL.shape, np.nan)),
+        (recording, known[:, ::-1]), (recording, np.full(PANEL.shape, np.nan)),
         (recording, -1.0), (recording, 0.0), (foam, 3000.0), (on_resistors(scene, single), single),
         (on_resistors(scene, equal), equal), (drift, known), (replace(drift, recorded=spikes), known),
         (replace(drift, recorded=wild), known), (on_resistors(scene, known, 400.0), known),
@@ -424,6 +426,10 @@ def of_estimate() -> Rows:
         | {f"estimate with {name}": partial(estimate_row, made, usual) for name, made in recordings.items()}
         | {f"resistors {name}": partial(resistors_row, scene) for name, scene in resistors.items()}
         | {
+            "estimate auto on modules": partial(estimate_row, partial(in_scene, "modules"), ESTIMATORS["auto"]),
+            "smoother of shared errors": partial(
+                estimate_row, partial(simulated, "gain_spread", SHARED_ERRORS), ESTIMATORS["smoother"]
+            ),
             "repeats": repeats_row,
             "moved resistors": moved_resistors_row,
             "no resistors": refused_resistors_row,
