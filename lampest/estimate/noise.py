@@ -398,10 +398,6 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
     else:
         volt = circuit.volt_from_recorded(circuit.to_recorded(middle, scene))
         loud = np.asarray(volt / np.broadcast_to(scene.readout.sigma_volt(), volt.shape))
-        # From readings to volts, so that an offset of the converter is one number for all channels.
-        step = 1e-3 * scene.readout.lsb_volt
-        ends = [circuit.from_recorded(circuit.recorded_from_volt(volt + sign * step), scene) for sign in (1, -1)]
-        deviation = deviation * np.sign(ends[0] - ends[1])
     if circuit.by_columns:
         deviation, loud = deviation.swapaxes(1, 2), loud.T
     return scatter(deviation, loud, len(value) - 1)

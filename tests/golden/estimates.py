@@ -21,6 +21,7 @@ from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
+from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts.readout import with_memory
 from lampest.recording.readings import (
     Readings,
@@ -251,6 +252,17 @@ def in_scene(name: str) -> lp.Recording:
     return simulated(scene=replace(scenes()[name], response=lp.PublishedResponse()))
 
 
+def coupled() -> lp.Recording:
+    """A rod over the seams of modules that one penalty couples; one is dead, one is not read for a frame."""
+    panel = lp.Panel(modules=Modules(2, 2, EachModule(3, 4), 4.0, coupled=True))
+    faults = lp.Faults(dead_modules=((1, 1),))
+    scene = lp.Scene(panel, lp.TwoPointReadout(noise_lsb=0.7, adc_bits=12), 140.0, faults=faults)
+    recording = simulated(scene=scene, frames=2, loads=(replace(ROD, centre_mm=(36.0, 24.0), diameter_mm=45.0),))
+    values = recording.recorded.copy()
+    values[5, :3, 4:] = np.nan
+    return replace(recording, recorded=values)
+
+
 def calibration_row(calibration: Any) -> dict[str, Any]:
     return {
         "text": calibration.text(), "summary": calibration.summary, "remarks": calibration.remarks,
@@ -426,6 +438,15 @@ def of_estimate() -> Rows:
         | {f"estimate with {name}": partial(estimate_row, made, usual) for name, made in recordings.items()}
         | {f"resistors {name}": partial(resistors_row, scene) for name, scene in resistors.items()}
         | {
+            "estimate of coupled modules": partial(
+                estimate_row, coupled, Estimator((lp.Misfit(), lp.LogGradient(weight=3e4)), "reduced", error_bars=False)
+            ),
+            "effort": lambda: [
+                each.effort(panel) for each in ESTIMATORS.values() for panel in (PANEL, scenes()["modules"].panel)
+            ],
+            "estimate auto per frame on modules": partial(
+                estimate_row, partial(in_scene, "modules"), ESTIMATORS["auto per frame"]
+            ),
             "estimate auto on modules": partial(estimate_row, partial(in_scene, "modules"), ESTIMATORS["auto"]),
             "smoother of shared errors": partial(
                 estimate_row, partial(simulated, "gain_spread", SHARED_ERRORS), ESTIMATORS["smoother"]
