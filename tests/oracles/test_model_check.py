@@ -1,7 +1,6 @@
 """A right circuit is not called wrong, a wrong one is noticed and the right one named, where the data can show it."""
 
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,34 +15,12 @@ from lampest.estimate.prepared import Prepared
 from lampest.files.typed import members_of
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
-from lampest.panel.readouts.two_point import four_point_excess
 from lampest.posterior.reference import MAX_CELLS
 from tests.estimates import recording_of
 
 SHAPE = (5, 7)
 GENERATOR = np.random.default_rng(4)
 CELLS = 3000 * np.exp(GENERATOR.standard_normal(SHAPE))
-
-
-def by_loops(resistance: np.ndarray, sigma: np.ndarray) -> float:
-    """The shortest way from every row to every column over two others, way by way."""
-    rows, columns = resistance.shape
-    worst = -np.inf
-    for row, column in product(range(rows), range(columns)):
-        ways = {
-            (over, through): resistance[row, over] + resistance[through, over] + resistance[through, column]
-            for over in range(columns)
-            for through in range(rows)
-        }
-        over, through = min(ways, key=lambda way: ways[way])
-        noise = [sigma[row, column], sigma[row, over], sigma[through, over], sigma[through, column]]
-        worst = max(worst, (resistance[row, column] - ways[over, through]) / float(np.sqrt(np.sum(np.square(noise)))))
-    return worst
-
-
-def test_the_four_point_inequality_is_that_of_every_way() -> None:
-    resistance, sigma = GENERATOR.uniform(100, 1000, SHAPE), GENERATOR.uniform(1, 2, SHAPE)
-    assert np.isclose(four_point_excess(resistance[None], sigma[None]).max(), by_loops(resistance, sigma))
 
 
 # An amplifier's rails keep readings from breaking its laws unless the resistances at its lines are large.

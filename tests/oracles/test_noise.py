@@ -16,7 +16,7 @@ from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Systematic
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.recording import Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.studies.study import read_settings
 from tests.estimates import in_intervals, log_errors, recording_of
@@ -190,14 +190,6 @@ def test_own_parts_cover_errors_that_move_cells_differently(effect: dict[str, fl
 
 def test_the_rim_of_a_mouth_is_no_error_of_the_model() -> None:
     assert all(Prepared(pressed(seed)).warnings == () for seed in (43, 50))
-
-
-def test_the_mean_of_unloaded_frames_has_all_of_an_error_that_repeats_do_not_reduce() -> None:
-    recording = pressed(2, reading_error=0.04)
-    noise = Prepared(recording).noise
-    resting = noise.readings[recording.role == UNLOADED].mean()
-    measured = noise.readings.sigma[recording.role == MEASURED][0]
-    assert resting.sigma[9, 9] == pytest.approx(measured[9, 9], rel=0.05)  # untouched
 
 
 @pytest.mark.parametrize(("series", "reference"), [(50, 0.0), (-50, 0.0), (0, 0.05), (0, -0.05), (30, -0.04)])

@@ -203,16 +203,6 @@ def test_what_each_line_of_a_scan_has_anew_is_averaged_over_frames() -> None:
     assert together < 0.4 * alone
 
 
-def test_a_gain_of_each_frame_widens_its_bars() -> None:
-    made, rng = panel(5, systematic="none"), np.random.default_rng(5)
-    readout = TwoPointReadout()
-    volt = readout.volt_from_recorded(made.recorded) * (1 + 5e-3 * rng.standard_normal((len(made.recorded), 1, 1)))
-    told = found_of(replace(made, recorded=readout.recorded_from_volt(volt)))
-    silent = found_of(made)
-    assert told.noise.frame is not None
-    assert np.median(told.cell_resistance_errors) > 1.5 * np.median(silent.cell_resistance_errors)
-
-
 def blind_at_rest(recording: Recording) -> Readings:
     """The mean of unloaded frames without any value."""
     return replace(recording, recorded=np.full(recording.recorded.shape, np.nan)).readings()[:RESTING].mean()
