@@ -15,16 +15,18 @@ from unittest.mock import patch
 import h5py
 import numpy as np
 from golden.checks import recorded
-from golden.circuits import PANEL, Rows
+from golden.circuits import PANEL, Rows, cells_of
 from golden.estimates import case_row, simulated
-from golden.numerics import COSTS, certificate_row, point, solver_row
-from golden.outputs import command, drawn_row, invented
-from golden.studies import tuned_curves
+from golden.numerics import COSTS, TINY, certificate_row, point, solver_row
+from golden.outputs import command, drawn_row, invented, tuned_curves
 from support import invented_case
 from typer.main import get_command
 
 import lampest as lp
 from lampest import cli
+from lampest.cost import problem
+from lampest.cost.cost import Cost
+from lampest.cost.given import Background
 from lampest.estimate import model_error
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.prepared import Prepared
@@ -34,7 +36,7 @@ from lampest.report.info import checked_sentence, describe
 from lampest.report.page import compared, page
 from lampest.runs.case import ATTRIBUTES, COLUMNS, REQUIRED
 from lampest.runs.columns import FRAMES, Column
-from lampest.solvers import interior_point
+from lampest.solvers import interior_point, multistart
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.certificate import certificate
 from lampest.solvers.hessian import Hessian
@@ -87,8 +89,18 @@ def exact_row() -> Any:
     return [proof.definiteness, bool(np.abs(proof.step).max() < 1e-9), held]
 
 
+def noisy_start(seed: int) -> problem.Evaluation:
+    """The readings' own start where their noise is three times their size, so that most cells stand at a bound."""
+    scene, rng = TINY["whole"], np.random.default_rng(seed)
+    exact = scene.circuit.exact_reading(cells_of(PANEL.shape))
+    value = np.maximum(exact * (1 + 3 * rng.standard_normal(PANEL.shape)), 10.0)[None]
+    estimator = Estimator((lp.Misfit(),), "reduced")
+    data = estimator.data(lp.Readings.of(scene, value, 3 * exact[None]), Background(scene))
+    return problem.Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, multistart.convex(data, None))
+
+
 def barrier_row() -> Any:
-    """The interior-point method from a start with most cells at a bound."""
+    """The interior-point method from starts with most cells at a bound, by given bounds or by noise."""
     with large():
         begin = point("plain")
         data = replace(
@@ -99,12 +111,24 @@ def barrier_row() -> Any:
         barrier = interior_point.Barrier.of(start)
         ahead = [barrier := barrier.advanced() or barrier for _ in range(3)]
         end, steps = interior_point.by_interior_point(start)
+        noisy, way = interior_point.Barrier.of(noisy_start(6)), []
+        while len(way) < 21:
+            noisy = noisy.advanced() or noisy
+            way.append((noisy.mean, noisy.length, noisy.added))
+        own = barrier.hessian.own.reshape(PANEL.shape) / barrier.conductance**2
+        pressed = np.where(np.indices((2, *PANEL.shape)).sum(axis=0) % 4 > 0, 0.9, 1.1) * own * barrier.distances
+        few = [np.where(np.arange(20).reshape(cells.shape) < count, 1200.0, 2000.0) for count in (9, 10)]
+        open_end = replace(data, upper=np.full(cells.shape, np.inf))
+        others = [start.elsewhere(each) for each in few] + [replace(start, data=open_end), end]
+        others += [problem.Evaluation.at(point(cost).cost, data, cells) for cost in ("ohm", "absolute")]
+        others += [problem.Evaluation.at(Cost(PANEL, (lp.Misfit(loss=lp.Huber(corner=30.0)),)), data, cells)]
         return {
-            "crowded": [interior_point.crowds_bounds(at) for at in (begin, start)], "steps": steps,
+            "crowded": [interior_point.crowds_bounds(at) for at in (begin, start, *others)], "steps": steps,
             "cells": end.cell_resistance, "objective": end.objective, "mean": [each.mean for each in ahead],
             "multipliers": [each.multipliers for each in ahead], "length": [each.length for each in ahead],
             "merit": [each.merit(0.1) for each in ahead], "added": [each.added for each in ahead],
-            "bounds": ahead[0].put_at_bounds().cell_resistance,
+            "bounds": [at.put_at_bounds().cell_resistance for at in (barrier, replace(barrier, multipliers=pressed))],
+            "noisy": way, "of noise": interior_point.by_interior_point(noisy_start(4))[0].cell_resistance,
         }  # fmt: skip
 
 

@@ -4,11 +4,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
-from unittest.mock import ANY
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from scipy import linalg, sparse
 
 from lampest import (
@@ -31,7 +30,7 @@ from lampest.estimate.sequence import reconstruct
 from lampest.panel.readouts import TwoPointReadout, floating
 from lampest.panel.readouts.floating import Stencil
 from lampest.solvers import certificate, hessian, interior_point, projected_newton
-from lampest.solvers.interior_point import METHOD, SIDES, Barrier, by_interior_point, crowds_bounds, over, reach
+from lampest.solvers.interior_point import METHOD, SIDES, Barrier, by_interior_point, over
 from lampest.solvers.multistart import convex, solved_from
 from lampest.solvers.preconditioners import TwoLevel, sparse_inverse
 from lampest.solvers.smoothing import Smoothing
@@ -180,94 +179,6 @@ def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: Barrier) -> 
     for point, matrix in zip((barrier, later), matrices, strict=True):
         expected = np.linalg.solve(matrix + np.diag(point.stiffness.ravel()), push.ravel())
         assert_allclose(point.newton_step(push).ravel() / expected, 1, atol=1e-5)
-
-
-@pytest.mark.usefixtures("by_products")
-def test_the_interior_point_method_has_its_stored_steps() -> None:
-    """μ, length, and what the barrier adds, step by step; one cell cannot move, one lies between close bounds."""
-    start = crowded(0.6, 4)
-    upper = start.data.upper.copy()
-    upper[0, 1, 1:3] = start.data.lower[0, 1, 1:3] * [1, 1.001]
-    cells = np.minimum(start.cell_resistance, upper)
-    point, taken = Barrier.of(Evaluation.at(start.cost, replace(start.data, upper=upper), cells)), []
-    while len(taken) < 10:
-        taken.append([point.mean, point.length, point.added])
-        assert point.multipliers.min() >= 0 and np.isfinite(point.merit(point.mean))
-        later = point.advanced()
-        assert later is not None
-        point = later
-    means, lengths, added = np.array(taken).T
-    assert_allclose(means, np.repeat(14483.0, 10) / 5.0 ** np.array([0, 1, 1, 1, 1, 2, 2, 3, 3, 3]), rtol=1e-3)
-    assert_allclose(
-        lengths, [1, 0.16185, 0.16319, 0.26621, 0.53448, 0.0504, 0.5086, 0.20825, 0.02123, 0.0108], rtol=0.01
-    )
-    assert_allclose(
-        added[:8], 1e4 * np.array([118.76, 97.667, 82.347, 57.003, 34.871, 31.148, 10.944, 4.7535]), rtol=1e-3
-    )
-
-
-def test_a_step_of_the_barrier_is_halved_until_the_merit_falls(
-    barrier: Barrier, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole, usual, calls, fails = barrier.advanced(), Barrier.merit, list[Barrier](), 3
-    assert whole is not None
-
-    def merit(point: Barrier, mean: float) -> float:
-        calls.append(point)
-        return np.inf if 1 < len(calls) <= 1 + fails else usual(point, mean)
-
-    monkeypatch.setattr(Barrier, "merit", merit)
-    point = barrier.advanced()
-    assert point is not None
-    ahead, short = whole.conductance - barrier.conductance, point.conductance - barrier.conductance
-    assert_allclose(short, ahead / 8, rtol=1e-6)
-    fails = 99
-    calls.clear()
-    assert barrier.advanced() is None and len(calls) == 13
-
-
-def test_cells_go_to_the_bound_whose_barrier_outweighs_their_own_reading(barrier: Barrier) -> None:
-    own = barrier.hessian.own.reshape(6, 7) / barrier.conductance**2
-    shares = np.full((2, 6, 7), 0.99)
-    shares[0, 2, 3] = shares[1, 4, 5] = 1.01
-    ended = replace(barrier, multipliers=shares * own * barrier.distances)
-    cells = barrier.at.cell_resistance[0].copy()
-    cells[2, 3], cells[4, 5] = barrier.at.data.upper[0, 2, 3], barrier.at.data.lower[0, 4, 5]
-    assert_array_equal(ended.put_at_bounds().cell_resistance[0], cells)
-
-
-def test_a_change_reaches_a_share_of_the_way_to_the_nearest_end() -> None:
-    room = np.array([1.0, 2.0, 0.0, 3.0])
-    assert reach(room, np.array([-2.0, -8.0, -9.0, 5.0])) == pytest.approx(0.99 / 4)
-    assert reach(room, np.array([-0.5, 0.0, -9.0, 5.0])) == reach(room, np.zeros(4)) == 1
-
-
-@pytest.mark.usefixtures("by_products")
-def test_the_interior_point_method_begins_where_more_cells_than_lines_stand_at_a_bound() -> None:
-    start = crowded(0.3, 3)
-    data, inside = start.data, start.data.uniform_start
-    for count, crowds in ((13, False), (14, True)):
-        cells = inside.copy()
-        cells.flat[:7], cells.flat[7:count] = data.lower.flat[:7], data.upper.flat[7:count]
-        assert crowds_bounds(start.elsewhere(cells)) is crowds
-    at = start.elsewhere(cells)
-    assert by_interior_point(replace(at, data=replace(data, upper=np.full_like(data.upper, np.inf)))) == (ANY, 0)
-    solved = solved_from(projected_newton.ProjectedNewton(start.cost, Settings()), start)
-    for share, crowds in ((0.001, False), (0.003, True)):  # of the way to the start: gradients of 7e-4 and of 2e-3
-        nearer = solved.cell_resistance * (start.cell_resistance / solved.cell_resistance) ** share
-        assert crowds_bounds(start.elsewhere(nearer)) is crowds
-
-
-def test_the_interior_point_method_serves_the_plain_squares_of_large_panels_alone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    start = crowded(0.3, 3)
-    assert not crowds_bounds(start)
-    monkeypatch.setattr(hessian, "DENSE_CELLS", 0)
-    assert crowds_bounds(start)
-    for terms in ((Misfit(loss=Huber(corner=1.0)),), (Misfit(), Gradient(weight=1e-9))):
-        cost = replace(start.cost, terms=terms)
-        assert not crowds_bounds(Evaluation.at(cost, start.data, start.cell_resistance))
 
 
 def pressed_patch(rows: int = 18, columns: int = 20) -> Evaluation:
