@@ -204,8 +204,6 @@ def newton_step(matrix: Array, slope: Array, least: Array) -> tuple[Definiteness
     lowest : array, shape (cells,)
         Eigenvector of the lowest eigenvalue, in u.
     """
-    if not len(slope):
-        return Definiteness.POSITIVE, slope, 0.0, slope
     size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), least))
     # H = D B D with a unit diagonal of B = V diag(λ) Vᵀ
     unit = matrix / size[:, None] / size

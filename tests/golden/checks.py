@@ -22,8 +22,10 @@ from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition import breathing, observation
 from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import Verdict
+from lampest.loads.recognition.fit import Verdict, prior_cost
+from lampest.loads.recognition.image import ImageWatch, Window
 from lampest.loads.recognition.pumping import Pumping
+from lampest.loads.recognition.watch import Panelled
 from lampest.panel.effects import LineLeak, LooseContact
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.scene import OwnOfModule
@@ -368,7 +370,7 @@ def answer_row(answer: Detected) -> dict[str, Any]:
 
 
 @cache
-def verdict_of(name: str) -> Verdict:
+def verdict_of(name: str) -> tuple[Verdict, observation.Observation]:
     """One frame under a load, against three without."""
     loads, _, _, _ = ON_FILM[name]
     readings = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=1, loads=loads)).readings()
@@ -377,17 +379,17 @@ def verdict_of(name: str) -> Verdict:
         resting.value, resting.sigma, WATCHED, observation.ModelErrors(reading_error=0.01),
     )  # fmt: skip
     frame = observation.Observation(readings.value[3], readings.sigma[3], baseline, np.zeros((6, 7)), 30.0)
-    return Detector(6.0).verdict(frame)
+    return Detector(6.0).verdict(frame), frame
 
 
 def verdict_row(name: str) -> dict[str, Any]:
-    verdict = verdict_of(name)
+    verdict, frame = verdict_of(name)
     best = verdict.best
     return {
         "fits": [(fit.candidate.label, fit.evidence, fit.chi2, fit.cost, fit.volume) for fit in verdict.fits],
         "shares": verdict.shares, "goodness": verdict.goodness, "evidence": verdict.evidence,
         "nothing": verdict.nothing, "parameters": best.parameters, "covariance": best.covariance,
-        "change": best.change, "discs": best.discs,
+        "change": best.change, "discs": best.discs, "prior": [prior_cost(fit, frame) for fit in verdict.fits],
     }  # fmt: skip
 
 
@@ -413,14 +415,116 @@ def breathing_row() -> dict[str, Any]:
     }  # fmt: skip
 
 
+WATCH = ("resting", "rested", "rest_s", "mean", "begun", "recent", "film_sd", "window", "present", "size", "left")
+WATCH += ("known", "left_s", "next_s", "breath_s", "sample_s", "judged_s", "uncovered_s", "uneven", "stands_out")
+
+
+def image_row() -> list[Any]:
+    """A panel of modules, one of them dead: a load over a seam comes, leaves, and another one comes to its place."""
+    layout = Modules(1, 4, EachModule(4, 4), seam_mm=4.0)
+    scene = lp.Scene(lp.Panel(modules=layout), TWO, 140.0)
+    resting = np.repeat([3000.0, 2000.0, 1500.0, 2500.0], 4) * np.ones((4, 1))
+    loaded, small = resting.copy(), resting.copy()
+    loaded[1:3, 2:6], small[1:3, 5:7] = 700.0, 800.0
+    images = [
+        layout.joined(lp.two_point_resistance(layout.split(cells))) * np.exp(0.001 * noise)
+        for cells, noise in zip(
+            (resting, loaded, small), np.random.default_rng(2).standard_normal((3, 4, 16)), strict=True
+        )
+    ]
+    sigma = 0.002 * images[0]
+    sigma[:, 12:] = np.inf
+    panelled = Panelled(scene, Detector(6.0), np.zeros(layout.shape), observation.ModelErrors())
+    watch = ImageWatch.begin(panelled, images[0], sigma, np.stack(images[:1] * 3), 0.0)
+    rows: list[Any] = [[watch.touched(np.stack([image] * 3)) for image in images], watch.change]
+    times = (0.5, 1.0, 1.25, 1.5, 2.5, 5.0, 5.25, 65.0, 65.6, 66.0, 66.25, 66.5)
+    for time, number in zip(times, (0, 1, 1, 1, 1, 0, 0, 0, 0, 2, 2, 2), strict=True):
+        watch = watch.push(images[number], sigma, time)
+        if time in (1.0, 1.25, 5.25, 65.6, 66.5):
+            states = [*watch.modules.values(), *(inside for _, inside, _ in watch.opened)]
+            rows.append([[getattr(state, name) for name in WATCH] for state in states])
+        rows.append([[window.numbers, touched_s] for window, _, touched_s in watch.opened])
+        rows += [watch.doubt, watch.stands_out, watch.change]
+    return [*rows, watch.attachments, watch.ended().attachments]
+
+
+def windows_row() -> Any:
+    """Windows about places of a panel of modules, and loads that two of them see, or that left before."""
+    scene, rng = lp.Scene(lp.Panel(modules=Modules(2, 3, EachModule(6, 7), 4.0)), TWO, 140.0), np.random.default_rng(9)
+    places = ((69.0, 100.0), (143.0, 100.0), (140.0, 60.0), (-5.0, 400.0), (80.0, 45.0), (27.0, 57.0))
+    windows = [Window.about(scene, np.array(place)) for place in places]
+
+    def loads(window: Window, count: int) -> tuple[Attachment, ...]:
+        drawn = zip(rng.uniform(50, 160, count), rng.uniform(20, 110, count), rng.integers(4, size=count), strict=True)
+        return tuple(
+            Attachment(
+                0.9, float(kind), (x - window.x_mm, 0.5), (y - window.y_mm, 0.5), (30.0, 1.0) if kind else None,
+                area_mm2=(900.0, 90.0), until_s=None if kind < 2 else kind + 0.5,
+            ) for x, y, kind in drawn
+        )  # fmt: skip
+
+    def opened(window: Window) -> Any:
+        return window, SimpleNamespace(attachments=loads(window, 3)), 0.0
+
+    cases = [ImageWatch(None, {}, tuple(map(opened, windows[:2])), loads(windows[3], 4)) for _ in range(12)]  # type: ignore[arg-type]
+    numbers = [[window.numbers, window.x_mm, window.y_mm, window.middle, str(window.cells)] for window in windows]
+    circuit, cells = windows[2].scene.circuit, cells_of((12, 14))
+    network = circuit.network(cells, circuit.ties(cells), None)
+    offsets = observation.ModelErrors().offsets(cells, windows[2].scene)
+    return {
+        "windows": numbers, "series": circuit.series_ohm,
+        "merged": [[(*load.place, load.since_s, load.present) for load in case._merged()] for case in cases],
+        "unit": circuit.unit, "start": circuit.uniform_start(cells), "reading": network.reading(),
+        "sensitivity": network.sensitivity(), "offsets": offsets, "offset of cell": np.abs(offsets).sum(axis=1),
+    }  # fmt: skip
+
+
+def answers_row() -> dict[str, Any]:
+    """What is said of loads: alone, together, gone, with breath and pumps of every probability, at two frame rates."""
+    seen = Attachment(
+        0.99, 6.0, (44.1, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), cells=12, area_mm2=(1200.0, 100.0),
+    )  # fmt: skip
+    breath = breathing.Breathing(6.0, hertz=(1.1, 0.05), depth=(0.08, 0.01))
+    mouth = replace(seen, sucks_s=8.0, moved_s=(12.0,), breath=breath)
+    rod, gone = replace(seen, sucks=0.0, suction_kpa=None), replace(mouth, since_s=5.0, until_s=30.0)
+    still = Pumping.begin(np.ones(1), np.zeros(1), 0.0, 0)
+    pumping = replace(still, logarithm=still.logarithm + np.array([0, 0, 6.0]).reshape(3, 1, 1, 1, 1))
+    contacts = [replace(rod, diameter_mm=None, x_mm=(float(x), 1.0)) for x in range(8)]
+    changes: tuple[dict[str, Any], ...] = (
+        {"odds": 9.0}, {"odds": -4.0, "previous_odds": -4.0}, {"odds": -4.0}, {"odds": 1.0}, {"odds": 0.0},
+        {"odds": 4.0, "suction": 0.02}, {"odds": 0.0, "hertz": None},
+    )  # fmt: skip
+    breaths = [replace(mouth, breath=replace(breath, **change)) for change in changes]
+    alone = [mouth, gone, rod, replace(mouth, sucks=1.0), replace(mouth, sucks=0.02), *breaths]
+    alone += [replace(each, track=track) for each in (seen, breaths[2]) for track in (still, pumping)]
+    groups = [[load] for load in alone] + [[mouth, gone], [gone, mouth], [rod, mouth], [mouth, mouth], contacts, []]
+    answers = [Detected.of("mouth", tuple(loads), rate) for loads in groups for rate in (1.0, 4.0)]
+    return {"answers": list(map(answer_row, answers)), "lives": [[load.lives, load.pumps] for load in alone]}
+
+
 def attachments_row() -> Any:
-    """Loads of one recognition after another: one that stays, one that leaves, one that comes."""
+    """Loads of one recognition after another, which stay, leave, come or fade, alone and many drawn at random."""
+    rng, courses = np.random.default_rng(5), []
+    for _ in range(20):
+        present: tuple[Attachment, ...] = ()
+        for time, again in ((1.0, False), (4.0, False), (4.0, True), (6.0, False)):
+            drawn = zip(rng.uniform(0, 60, 3), rng.integers(8, size=3), strict=True)
+            loads = [
+                Attachment(
+                    0.9 if kind < 4 else 0.1, time, (x, 0.6), (0.0, 0.6), None if kind % 2 else (15.0, 1.0),
+                    clear=float(900 * (kind % 3)),
+                ) for x, kind in drawn
+            ]  # fmt: skip
+            present = continued_by(present, loads, time, again=again)
+        courses.append(
+            [(*load.place, load.since_s, load.until_s or 0.0, load.sucks, len(load.moved_s)) for load in present]
+        )
     loads = [Attachment(0.2, float(k), (20.0 * k, 0.6), (9.0 * k, 0.6), (15.0, 1.0), cells=5) for k in range(4)]
     present = continued_by((), loads[:2], 1.0)
     present = continued_by(present, [replace(loads[1], x_mm=(24.0, 0.6), sucks=0.9, since_s=3.0), loads[3]], 3.0)
     again = continued_by(present, [replace(loads[3], y_mm=(30.0, 0.5), diameter_mm=(20.0, 2.0))], 3.0, again=True)
     return {
-        "attachments": [present, again, continued_by(again, [], 8.0)],
+        "attachments": [present, again, continued_by(again, [], 8.0)], "courses": courses,
         "sizes": [[load.size, load.width, load.lives] for load in present],
     }  # fmt: skip
 
@@ -431,6 +535,7 @@ def of_recognition() -> Rows:
     return rows | {
         "detected without a readout": bare_row,
         "detected on a mat": partial(detected_row, "block", "mat"), "breathing": breathing_row,
-        "attachments": attachments_row,
+        "answers": answers_row, "attachments": attachments_row, "watch over modules": image_row,
+        "windows over modules": windows_row,
         "detected on modules": lambda: answer_row(detection.known_of(Prepared(tiled())).answer(frames_of(tiled()))),
     }  # fmt: skip

@@ -162,8 +162,13 @@ def errors_row(scene: lp.Scene) -> dict[str, Any]:
     shared, every = systematic.Shared.of(scene), replace(
         sizes, series_ohm=9.0, inl_lsb=0.5, wire_ohm_per_cell=0.2, reading_error=0.02,
     )  # fmt: skip
+    known = [None, *(systematic.Shared(replace(sizes, reading_error=size), scene) for size in (None, 0.01, 0.05))]
     return {
         "usual": sizes,
+        "beyond": [
+            beyond and (beyond.systematic, beyond.contact_root) for each in known for beyond in [shared.beyond(each)]
+        ]
+        + [each.beyond(known[2]) is None for each in known[1:]],
         "columns": systematic.error_columns(systematic.SHARED_ERRORS, network, reading, scene, every),
         "shared": shared.columns(network, reading),
         "own": shared.own_error(reading),

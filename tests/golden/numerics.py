@@ -80,11 +80,13 @@ def term_row(term: type[lp.Term], words: dict[str, str], loss: lp.Loss) -> list[
 
 def loss_row(loss: lp.Loss) -> dict[str, Any]:
     x = np.array([-90.0, -41, -39, -3, 0, 0.5, 20, 45, 300])
+    values = loss.curvature, loss.stiffness, loss.steady_pull, lambda far: float(DM(loss.cost(DM(far))))
     evidence = losses.PenaltyEvidence(x, 500.0, 7.0, lambda: 2.5)
     return {
         "cost": float(DM(loss.cost(DM(x)))), "curvature": loss.curvature(x), "stiffness": loss.stiffness(x),
         "data": loss.data_curvature(x, np.full(9, 3.0)), "penalty": loss.penalty_curvature(x, 2.0, 3.0),
         "pull": loss.steady_pull(x), "size": loss.size(evidence), "determined": loss.determined(evidence),
+        "far": [[value(np.array([far])) for far in (-1e8, -1e4, 1e8)] for value in values],
     }  # fmt: skip
 
 

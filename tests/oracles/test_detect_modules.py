@@ -2,22 +2,18 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from laws.recognised import PATCH_MM, answered, frame_under, verdict_on
 
-import lampest
 from docs.studies.attachments import CURVES, SLIDES_S, SLIDING, TOUCH_S, UNLOADED, recording, seen
 from lampest import Array, Course, Faults, OralDisc, Panel, Rod, Scene, Simulation, TwoPointReadout, simulate
-from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fitting, along_diameter
-from lampest.loads.recognition.image import ImageWatch, Window
+from lampest.loads.recognition.image import Window
 from lampest.loads.recognition.observation import ModelErrors, Observation, Whitening
-from lampest.loads.recognition.watch import Panelled
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.response import ratio_from_pressure
 from lampest.report.detect.answer import CUP, LAMPREY
@@ -70,156 +66,6 @@ def test_a_window_is_the_network_of_its_modules() -> None:
     lines = offsets[:, : 4 * 13].reshape(*cells.shape, -1)
     assert lines.sum(axis=2).max() == 2 and (lines[0, 0] & lines[0, 8]).sum() == 0 == (lines[0, 0] & lines[7, 0]).sum()
     assert (lines[0, 0] & lines[0, 6]).sum() == 1 == (lines[0, 0] & lines[5, 0]).sum()
-
-
-def test_a_load_that_two_windows_see_is_that_of_the_window_around_it_and_loads_stand_in_order_of_time() -> None:
-    """Among them those that left before; a load that came back where one ended is that one."""
-    windows = [Window.about(SCENE, np.array(place)) for place in ([69.0, 100.0], [143.0, 100.0])]
-    for nearest, window in enumerate(windows):
-        place = float(window.middle[0])
-        loads = [
-            Attachment(0.9, 1.0, (place + seen - own.x_mm, 0.5), (float(own.middle[1] - own.y_mm), 0.5), (40.0, 1.0))
-            for seen, own in enumerate(windows)
-        ]
-        first = replace(loads[nearest], since_s=0.0, x_mm=(place - 60.0 - window.x_mm, 0.5))
-        seen_by = [(load, first) if number == nearest else (load,) for number, load in enumerate(loads)]
-        every = merged(windows, *seen_by)
-        assert [(load.since_s, load.place) for load in every] == [
-            (0.0, (place - 60.0, 89)),
-            (1.0, (place + nearest, 89)),
-        ]
-        gone = replace(every[1], x_mm=(place - 5.0, 0.5), since_s=0.5, until_s=0.9)
-        again = replace(gone, until_s=1.1)
-        past = merged(windows, *seen_by, past=(every[1], gone, again))
-        assert past == (every[0], gone, every[1]), "one that is present is another's, or a window closed over it"
-
-
-def test_one_load_hides_none_that_stands_apart_from_it_or_in_the_same_window() -> None:
-    windows = [Window.about(SCENE, np.array(place)) for place in ([69.0, 57.0], [143.0, 57.0])]
-    blot = Attachment(0.0, 1.0, (40.0, 5.0), (62.0, 5.0), area_mm2=(2000.0, 400.0))  # of no shape: without a diameter
-    mouth, rod = (Attachment(0.9, 1.0, (x, 0.5), (62.0, 0.5), (30.0, 1.0)) for x in (150.0, 175.0))
-    again = replace(mouth, x_mm=(150.0 - windows[1].x_mm, 0.5))
-    assert [load.x_mm[0] for load in merged(windows, (blot, mouth), (again,))] == [150, 40]
-    assert len(merged(windows, (mouth, rod), ())) == 2
-
-
-def merged(
-    windows: list[Window], *loads: tuple[Attachment, ...], past: tuple[Attachment, ...] = ()
-) -> tuple[Attachment, ...]:
-    """The loads of several windows, each once."""
-    watches: Any = [SimpleNamespace(attachments=own) for own in loads]
-    opened = tuple((window, watch, 0.0) for window, watch in zip(windows, watches, strict=True))
-    return ImageWatch(None, {}, opened, past)._merged()
-
-
-def image_of(layout: Modules, cells: Array) -> Array:
-    """Readings of modules, each a network of its own."""
-    return layout.joined(np.stack([lampest.two_point_resistance(own) for own in layout.split(cells)]))
-
-
-def begun(layout: Modules, cells: Array, dead: tuple[int, ...] = ()) -> tuple[ImageWatch, Array]:
-    """A panel of modules with some unread ones after three unloaded frames at 0 s, and σ of its readings."""
-    scene = Scene(Panel(modules=layout), READOUT, 140.0)
-    measured, water = image_of(layout, cells), np.zeros(layout.shape)
-    sigma = 0.002 * measured
-    for number in dead:
-        sigma[layout.cells(number)] = np.inf
-    panelled = Panelled(scene, Detector(6.0), water, ModelErrors())
-    return ImageWatch.begin(panelled, measured, sigma, np.stack([measured] * 3), 0.0), sigma
-
-
-def test_a_window_opens_where_a_load_comes_and_closes_when_it_has_been_calm() -> None:
-    """A quarter of the middle of three modules, x 44 to 74 mm, falls to 0.4 of its resistance from 1 s to 1.5 s."""
-    layout, resting = Modules(1, 3, EachModule(4, 4), 4.0), np.full((4, 12), 3000.0)
-    loaded = resting.copy()
-    loaded[1:3, 5:7] *= 0.4
-    watch, sigma = begun(layout, resting, dead=(2,))
-    assert set(watch.modules) == {0, 1} and not watch.touched(np.stack([image_of(layout, resting)] * 3))
-    assert watch.touched(np.stack([image_of(layout, loaded)] * 3)) and watch.change is None
-    for time, cells in [(0.5, resting), (1.0, loaded), (1.25, loaded), (1.5, loaded)]:
-        before, watch = watch, watch.push(image_of(layout, cells), sigma, time)
-        assert len(watch.opened) == (time > 1.0), "a frame of its own may be an outlier"
-    ((window, inside, touched_s),) = watch.opened
-    assert (window.numbers, inside.begun, touched_s, inside.present) == ((1,), 1.0, 1.5, True)
-    assert watch.modules[1] is before.modules[1] and watch.modules[0] is not before.modules[0]
-    seen_there = replace(before.modules[1], mean=np.log(image_of(layout, loaded)[:, 4:8]).ravel())
-    assert watch._place(1, seen_there) == pytest.approx((59, 15), abs=1)
-    assert watch.doubt == "something touched the panel at 1.0 s, and has not been still for long enough"
-    assert watch.stands_out == inside.stands_out > 100 > watch.modules[0].stands_out
-    watch = watch.ended()
-    (load,) = watch.attachments
-    assert load.place == pytest.approx((59, 15), abs=0.1) and load.since_s == 1.0
-    assert load.present and watch.doubt == ""
-    np.testing.assert_allclose(watch.change[loaded < resting], np.log(0.4), atol=0.1)
-    assert not watch.change[:, :4].any() and not watch.change[:, 8:].any()
-    for time in (1.75, 2.0, 61.4, 62.4):
-        assert len(watch.opened) == 1
-        watch = watch.push(image_of(layout, resting), sigma, time)
-    (load,) = watch.attachments
-    assert not watch.opened and not load.present and load.until_s == 1.75 and set(watch.modules) == {0, 1}
-    np.testing.assert_allclose(watch.modules[1].resting, watch.modules[0].resting, atol=1e-3)
-    for time in (63.0, 63.25, 63.5):
-        watch = watch.push(image_of(layout, loaded), sigma, time)
-    assert [(load.since_s, load.present) for load in watch.ended().attachments] == [(1.0, False), (63.0, True)]
-
-
-def test_a_watch_over_modules_begins_where_theirs_stand_and_they_go_on_from_there() -> None:
-    """The fourth module is not read: there, what is usual of the others stands in."""
-    layout = Modules(2, 2, EachModule(3, 3))
-    watch, sigma = begun(
-        layout, layout.joined(np.array([3.0, 2.0, 1.5, 1.0])[:, None, None] * np.full((3, 3), 1e3)), (3,)
-    )
-    parts, ones, times = [], np.ones(9), ((5.0, 1.0), (3.0, 2.5), (4.0, 2.0))
-    for number, (part, (rested, rest_s)) in enumerate(zip(watch.modules.values(), times, strict=True), 1):
-        recent, test = (0.1 * number * ones, 0.2 * number * ones), replace(part.test, loud=part.test.loud * 0 + number)
-        means = {"mean": -number * ones, "recent": recent, "window": ((rest_s + 0.25, ones),) if number > 1 else ()}
-        parts.append(replace(part, test=test, rested=rested, rest_s=rest_s, **means))
-    watch = replace(watch, modules=dict(enumerate(parts)))
-    window = Window.about(watch.panelled.scene, np.array([20.0, 20.0]))
-    assert window.numbers == (0, 1, 2, 3)
-    inside = watch._begun(window, sigma)
-    assert (inside.rested, inside.rest_s, inside.begun, inside.uneven) == (3.0, 2.5, 2.75, False)
-    assert np.all(inside.test.loud == 3) and inside.window[0][0] == 2.75 and len(inside.window) == 1
-    usual = np.log(2e3 * 5 / 9)
-    for values, expected in (
-        (inside.resting, np.log(np.array([3e3, 2e3, 1.5e3]) * 5 / 9)),
-        (inside.window[0][1], np.log(np.array([3e3, 2e3, 1.5e3]) * 5 / 9)),
-        (inside.mean, [-1, -2, -3]),
-        (inside.recent[0], [0.1, 0.2, 0.3]),
-        (inside.recent[1], [0.2, 0.4, 0.6]),
-    ):
-        each = layout.split(values.reshape(6, 6))
-        np.testing.assert_allclose(each[:, 1, 1], [*expected, usual], rtol=1e-9)
-        assert np.ptp(each, axis=(1, 2)).max() < 1e-9
-    numbers = np.arange(36.0)
-    later = {"resting": numbers, "mean": numbers + 40, "recent": (numbers + 80, numbers + 120), "rest_s": 7.0}
-    left = replace(inside, **later, rested=8.0, begun=9.0, window=((9.5, numbers),), uncovered_s=6.0)
-    whole, corner = (replace(window, numbers=numbers) for numbers in (window.numbers, (1,)))
-    opened = replace(watch, opened=((whole, left, 20.0), (corner, left, 21.0)))
-    assert len(opened._closed(79.9).opened) == 2 and opened._closed(79.9).modules == opened.modules
-    closed = opened._closed(80.0)
-    assert [at for *_, at in closed.opened] == [21.0] and closed.modules[1] is parts[1] and 3 not in closed.modules
-    for number in (0, 2):
-        own, cells = closed.modules[number], layout.split(numbers.reshape(6, 6))[number].ravel()
-        for place, values in enumerate((own.resting, own.mean, *own.recent)):
-            np.testing.assert_array_equal(values, cells + 40 * place)
-        assert (own.rest_s, own.rested, own.begun, own.uncovered_s, own.window) == (7, 8, 9, 6, left.window)
-        assert own.test is parts[number].test
-
-
-def test_a_window_covers_the_modules_that_a_load_may_reach() -> None:
-    """Cells of 10 × 10 modules are at 0 to 90, 104 to 194 … mm."""
-    layout = Modules(4, 4, EachModule(10, 10), 4.0)
-    scene = replace(SCENE, panel=Panel(modules=layout))
-    for place, numbers in (
-        ((45, 45), (0,)),
-        ((80, 45), (0, 1)),
-        ((45, 97), (0, 4)),
-        ((97, 97), (0, 1, 4, 5)),
-        ((150, 150), (5,)),
-        ((-5, 400), (12,)),
-    ):
-        assert Window.about(scene, np.array(place, dtype=float)).numbers == numbers
 
 
 @pytest.mark.slow

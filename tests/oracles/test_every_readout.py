@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 import lampest
 from lampest import Array, Diode, Estimator, Faults, InputError, Panel, Recording, Settings, Squared, simulate
-from lampest.cost.terms import Gradient, LogRatio, Misfit
+from lampest.cost.terms import LogRatio, Misfit
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
 from lampest.panel.scene import Scene, SeriesPerLine, Systematic
@@ -59,7 +59,6 @@ READOUTS: dict[str, Any] = {
     "virtual, ideal": replace(VIRTUAL, drive_ohm=0.0, sense_ohm=0.0),
 }
 every_readout = pytest.mark.parametrize("readout", READOUTS.values(), ids=READOUTS)
-every_kind = pytest.mark.parametrize("readout", [LOADED, ALL, ONE, VIRTUAL], ids=["loaded", "all", "one", "virtual"])
 LSM = (Misfit(weighting="noise"),)
 SMOOTH = (*LSM, LogRatio(weight=10.0, loss=Squared()))
 
@@ -171,14 +170,6 @@ def test_nodal_and_reduced_reach_one_optimum(readout: Any, terms: Any) -> None:
     assert all(step.solution.solved for step in (*nodal.steps, *reduced.steps))
     held = isinstance(readout, GroundedReadout | VirtualGroundReadout)
     assert_allclose(nodal.cell_resistance, reduced.cell_resistance, rtol=1e-6 if held else 1e-5)
-
-
-@every_kind
-@pytest.mark.parametrize("penalty", [Gradient(weight="auto"), LogRatio(weight="auto")], ids=["gradient", "log_ratio"])
-def test_a_weight_is_chosen(readout: Any, penalty: Any) -> None:
-    recording = panel_of(readout, 1.0)
-    done = reconstruct(recording, Estimator((*LSM, penalty), "reduced"))
-    assert np.median(np.abs(done.cell_resistance / truth_of(recording) - 1)) < 0.02
 
 
 @pytest.mark.parametrize(

@@ -15,27 +15,19 @@ from support import invented_case
 
 from lampest import Block, Faults, InputError, OralDisc, Panel, Recording, Rod, Scene
 from lampest.estimate.prepared import Prepared
-from lampest.loads.recognition.attachment import Attachment, continued_by
+from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.breathing import Breathing
-from lampest.loads.recognition.candidates import Several
-from lampest.loads.recognition.fit import Fit, prior_cost
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
-from lampest.loads.recognition.pumping import Pumping
-from lampest.loads.shapes.disc import Disc
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.response import ratio_from_pressure
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
 from lampest.report.detect.answer import (
     CANNOT_SAY,
-    CUP,
     LAMPREY,
     PRESSES,
     SUCKS,
     Detected,
-    answer_of,
-    event_table,
-    load_table,
     write_detections,
 )
 from lampest.report.detect.detection import Known, _scattered, detect_recording, detect_results, frame_rate, known_of
@@ -90,132 +82,6 @@ def test_a_change_is_that_of_the_response_under_water_and_ends_where_a_cell_is_o
     np.testing.assert_allclose(slope, (frame.change(pressure + 1e-4)[0] - change) / 1e-4, rtol=0.05, atol=1e-6)
     far, flat = frame.change(np.full((2, 3), -1e4))
     assert np.all(far == 12) and np.all(flat == 0)
-
-
-def fit_of(candidate: Any, disc: Disc, change: float = 3.0) -> Fit:
-    """A fit that begins with a disc; ln r/r0 of all cells is the same."""
-    parameters, nothing = candidate.start(disc), np.zeros(0)
-    cells = np.full(PANEL.shape, change)
-    return Fit(candidate, parameters, nothing, cells, nothing, nothing, 80.0, 0.0, 0.0, 0.0)
-
-
-DISC = Disc(40.0, 30.0, 30.0, 18.0, -6.0, 40.0, 0.0, 0.0)
-
-
-def rising(change: float = 3.0) -> Any:
-    """A frame whose map lets every cell rise by that."""
-    shape = PANEL.shape
-    return SimpleNamespace(
-        measured=np.zeros(shape), highest=np.full(shape, change), panel=PANEL, baseline=at_rest().baseline
-    )
-
-
-def test_rare_loads_cost_beforehand() -> None:
-    """One in twenty each further load; impossible are loads in one place, and suction that raises no cell."""
-    assert prior_cost(fit_of(Rod.candidate, DISC, change=-1.0), rising()) == 0
-    twice = Several.of((Rod.candidate, Rod.candidate))
-    for apart in (0.0, 20.0, 27.0, 31.0):
-        fit = replace(
-            fit_of(twice, DISC),
-            parameters=np.concatenate([twice.parts[0].start(disc) for disc in (DISC, DISC._replace(y_mm=30 + apart))]),
-        )
-        share = max(30 - apart, 0) / 30
-        assert prior_cost(fit, rising()) == pytest.approx(np.log(20) + 60 * (1 - np.exp(-((share / 0.25) ** 2))))
-    full = np.log(ratio_from_pressure(-6.0))
-    for rise in (0.0, 0.1, 0.5):
-        costs = [
-            prior_cost(fit_of(OralDisc.candidate, DISC, change=own), rising(seen))
-            for own, seen in ((rise, 3.0), (3.0, rise))
-        ]
-        assert costs == pytest.approx(2 * [60 * np.exp(-((rise / max(0.2, 0.25 * full)) ** 2))])
-
-
-def test_the_sentence_says_what_where_since_when_and_how_strong() -> None:
-    answer = Detected.of("mouth", (BREATHES,), 4.0)
-    assert answer.answer == LAMPREY and answer.probability == pytest.approx(0.9875, abs=1e-3)
-    assert answer.sentence == (
-        "lamprey attached since 6.0 s, 35 ± 2 mm at (44, 46) mm, −11 ± 2 kPa, breathing 1.1 Hz, 8 ± 1 % (P = 0.99)"
-    )
-    rod, gone = replace(SEEN, sucks=0.0, suction_kpa=None), replace(BREATHES, since_s=5.0, until_s=30.0)
-    sure = replace(BREATHES, sucks=1.0, breath=replace(BREATHES.breath, odds=9.0))
-    contacts = [replace(rod, diameter_mm=None, x_mm=(float(x), 1.0)) for x in range(8)]
-    for loads, begin, end in (
-        ((gone,), "lamprey attached from 5.0 s to 30.0 s", ""),
-        ((BREATHES, BREATHES), "lamprey", "and 1 more (P = 0.99)"),
-        ((sure,), "lamprey", "(P > 0.99)"),
-        ((BREATHES, gone), "lamprey attached since 6.0 s", ""),  # a present load comes first
-        ((BREATHES, rod), "lamprey attached since 6.0 s", ""),  # the most alarming one is the answer
-        ((rod,), "contact since 6.0 s, 35 ± 2 mm at (44, 46) mm", ""),
-        (contacts, "8 contacts: ", "; 2 more (P > 0.99)"),
-        ((), "nothing", ""),
-    ):
-        sentence = Detected.of("mouth", loads, 4.0).sentence
-        assert sentence.startswith(begin) and sentence.endswith(end)
-        assert sentence.count("; ") == 6 * (loads is contacts)
-    assert Detected.of("none", (), 4.0).probability < 1, "a load may be too weak for a step"
-
-
-UNCLEAR: tuple[tuple[dict[str, Any] | None, float, str, str], ...] = (
-    ({}, 1.0, SUCKS, "breathing shows at four frames a second or more, here there are 1"),
-    ({"odds": -4.0, "previous_odds": -4.0}, 4.0, CUP, ""),
-    ({"odds": -4.0}, 4.0, SUCKS, "whether it breathes is not clear"),
-    ({"odds": 1.0}, 4.0, SUCKS, "whether it breathes is not clear (P = 0.73)"),
-    ({"odds": 4.0, "suction": 0.02}, 4.0, SUCKS, "it moves at a breathing rate, but probably not by its suction"),
-    ({"odds": 0.0, "hertz": None}, 4.0, SUCKS, "breathing shows after 4.5 s at the earliest"),
-    ({"suction": 1.0}, 4.0, LAMPREY, ""),
-    (None, 4.0, PRESSES, ""),
-)
-
-
-def test_the_answer_follows_from_two_probabilities() -> None:
-    for change, rate, answer, why in UNCLEAR:
-        breath = replace(BREATHES.breath, **({"odds": 0.0} if rate == 1.0 else {}) | (change or {}))
-        load = replace(BREATHES, breath=breath, sucks=0.02 if change is None else BREATHES.sucks)
-        said, probability, reason = answer_of(load, rate)
-        assert said == answer and 0.5 <= probability <= 1 and reason.startswith(why) and bool(reason) == bool(why)
-
-
-def test_loads_go_on_and_leave_by_steps_alone() -> None:
-    """A part of another load that was seen since the last step alone has not left; each contact has its own history."""
-    fin, part = SEEN, replace(SEEN, x_mm=(80.0, 0.6))
-    old = replace(part, since_s=2.0)
-    for before, again, kept in (((fin, part), True, (None,)), ((fin, old), True, (None, None))):
-        assert tuple(one.until_s for one in continued_by(before, [fin], 6.0, again=again)) == kept
-    assert [one.until_s for one in continued_by((fin, part), [fin], 9.0)] == [None, 9.0]
-    left, right = (replace(SEEN, sucks=0.0, diameter_mm=None, x_mm=(x, 1.0)) for x in (10.0, 90.0))
-    new = replace(left, x_mm=(60.0, 1.0), since_s=9.0)
-    found = continued_by((left, right), [new, left, right], 9.0)
-    assert sorted((one.x_mm[0], one.since_s) for one in found) == [(10.0, 6.0), (60.0, 9.0), (90.0, 6.0)]
-    # A look in which a load stands out less says how it fades; one in which it stands out more says what it is.
-    cup = replace(SEEN, clear=900.0)
-    for clear, sucks in ((200.0, 0.99), (2000.0, 0.01)):
-        rest = replace(SEEN, sucks=0.01, diameter_mm=None, clear=clear)
-        (one,) = continued_by((cup,), [rest], 400.0, again=True)
-        assert one.sucks == sucks and (one.diameter_mm is None) == (sucks < 0.5)
-
-
-def test_the_signs_add_up_and_the_sentence_says_which_decided() -> None:
-    """Odds of pumps and of breath are independent; a pause of one does not outweigh the other."""
-    flat = Pumping.begin(np.ones(1), np.zeros(1), 0.0, 0)
-    pumps = replace(flat, logarithm=flat.logarithm + np.array([0, 0, 6.0]).reshape(3, 1, 1, 1, 1))
-    still = replace(SEEN, track=pumps)
-    answer = Detected.of("mouth", (still,), 1.0)
-    assert answer.answer == LAMPREY and "pumping up its suction" in answer.sentence
-    assert answer.content()["attachments"][0]["pumps"] == pytest.approx(still.pumps, abs=1e-4)
-    silent, both = (replace(still, breath=Breathing(odds)) for odds in (-3.0, 2.0))
-    assert answer_of(silent, 4.0)[0] == LAMPREY and both.lives > max(both.breathes, both.pumps)
-    assert replace(SEEN, breath=Breathing(2.0)).lives == pytest.approx(1 / (1 + np.exp(-2)))
-
-
-def test_events_say_when_it_touched_sucked_moved_and_left() -> None:
-    one = replace(BREATHES, sucks_s=8.0, moved_s=(12.0,), until_s=20.0)
-    answer = Detected.of("mouth", (one,), 4.0)
-    kinds = [("touched", 6.0), ("attached", 8.0), ("moved", 12.0), ("released", 20.0)]
-    assert [(event.kind, event.time_s) for event in answer.events] == kinds
-    called = "lamprey", "44, 46", "35 ± 2", "−11 ± 2", "1.1 ± 0.1"
-    assert event_table([answer]).cells[1] == ("mouth", "8.0", "attached", *called)
-    assert [row[2] for row in event_table([answer]).cells] == [kind for kind, _ in kinds]
-    assert load_table([answer]).cells == (("mouth", "6.0", "0.990", "0.998", "0.500", "12", "1200", ""),)
 
 
 def test_the_file_has_the_names_of_the_json(tmp_path: Path) -> None:

@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from golden.numerics import point
 from numpy.typing import NDArray
 from scipy.stats import norm
 
 from lampest import InputError, Panel, Scene, TwoPointReadout
-from lampest.cost.given import Given
 from lampest.estimate.calibration.loads import _answers
 from lampest.estimate.calibration.trials import known_resistors
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
@@ -24,7 +22,6 @@ from lampest.files import levels
 from lampest.panel import compiled
 from lampest.panel.panel import Array
 from lampest.recording.recording import MEASURED, UNLOADED
-from lampest.solvers.bounds import lower_along
 
 
 def drawn(cells: int, seed: int) -> tuple[Array, Array]:
@@ -65,13 +62,6 @@ def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> 
     assert score[0] > evidence(change, covariance, moved) - 1e-9
 
 
-def test_loaded_cells_have_moved_in_any_case() -> None:
-    change, covariance = drawn(8, 3)
-    precision, loaded = np.linalg.inv(covariance), np.arange(8) == 6
-    lost, moved = select_changed(precision @ change, precision, [np.zeros(8, dtype=bool)], loaded)
-    assert moved[6] and change @ precision @ change + lost == pytest.approx(evidence(change, covariance, moved))
-
-
 def test_a_circuit_explains_means_of_widened_readings_that_noise_leaves_nearly_gaussian() -> None:
     recorded, sigma = np.repeat([900.0, 800.0], 2)[:, None, None] * np.ones((3, 3)), np.full((3, 3), 2.0)
     sigma[1, 2] = 600.0
@@ -98,31 +88,6 @@ def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypa
     loads: list[Any] = [SimpleNamespace(frames=frames) for frames in ((2, 3), (4, 5))]
     *_, within = _answers(recording, loads)
     np.testing.assert_allclose(within, [0.25, 0])
-
-
-def test_a_lower_cost_is_looked_for_forth_and_back_along_a_direction_from_far_to_near(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    steps, along = list[Array](), np.linspace(-4.0, 2.0, 20)
-    monkeypatch.setattr("lampest.solvers.bounds.moved_by", lambda _, step: steps.append(step))
-    assert lower_along(point("plain"), along) is None
-    lengths = [1.0, -1.0, 0.3, -0.3, 0.1, -0.1, 0.03, -0.03, 0.01, -0.01]
-    np.testing.assert_allclose(steps, np.multiply.outer(lengths, along / 4))
-
-
-def test_readings_that_are_all_values_are_told_to_a_cost_without_sides() -> None:
-    """Of each part of the data: its value where it is absent, whether every frame has one, and whether it may lack."""
-    declared = {name: (source.absent, source.per_frame, source.partial) for name, source in Given.sources().items()}
-    values = dict.fromkeys(("measured", "sigma"), (1.0, True, False))
-    compared = dict.fromkeys(("previous", "baseline"), (1.0, False, False)) | {
-        "previous_deviation": (0.0, False, False)
-    }
-    assert declared == values | {"side": (0.0, True, True), "seen": (1.0, True, True)} | compared
-    whole, partial = (dict(Given.symbols(4, 2, partial=partial).named()) for partial in (False, True))
-    assert partial.keys() - whole.keys() == {"side", "seen"}
-    assert {name: part.shape[1] for name, part in partial.items()} == {
-        name: 1 + made[1] for name, made in declared.items()
-    }
 
 
 def test_known_resistors_are_a_number_or_a_table_with_gaps(tmp_path: Path) -> None:
