@@ -419,30 +419,61 @@ WATCH = ("resting", "rested", "rest_s", "mean", "begun", "recent", "film_sd", "w
 WATCH += ("known", "left_s", "next_s", "breath_s", "sample_s", "judged_s", "uncovered_s", "uneven", "stands_out")
 
 
+def watch_over(layout: Modules, cells: lp.Array, dead: int) -> tuple[ImageWatch, lp.Array]:
+    """A panel of modules after three unloaded frames at 0 s, with one that is not read, and σ of its readings."""
+    scene = lp.Scene(lp.Panel(modules=layout), TWO, 140.0)
+    measured = image_of(layout, cells)
+    sigma = 0.002 * measured
+    sigma[layout.cells(dead)] = np.inf
+    panelled = Panelled(scene, Detector(6.0), np.zeros(layout.shape), observation.ModelErrors())
+    return ImageWatch.begin(panelled, measured, sigma, np.stack([measured] * 3), 0.0), sigma
+
+
+def image_of(layout: Modules, cells: lp.Array) -> lp.Array:
+    return layout.joined(lp.two_point_resistance(layout.split(cells)))
+
+
+def states_of(watch: ImageWatch) -> list[Any]:
+    states = [*watch.modules.values(), *(inside for _, inside, _ in watch.opened)]
+    return [[getattr(state, name) for name in WATCH] for state in states]
+
+
+def opened_row() -> list[Any]:
+    """A watch over modules of different pasts, one of them dead, and the states that it leaves when windows close."""
+    layout = Modules(2, 2, EachModule(3, 3))
+    levels = np.array([3.0, 2.0, 1.5, 1.0])[:, None, None]
+    watch, sigma = watch_over(layout, layout.joined(1e3 * levels * np.ones((4, 3, 3))), 3)
+    parts = {
+        number: replace(
+            part, rested=float((5, 3, 4)[number]), rest_s=(1.0, 2.5, 2.0)[number], mean=part.mean - number,
+            recent=(part.mean + number, part.mean + 2 * number), test=replace(part.test, loud=part.test.loud + number),
+            window=((3.5 - number, part.resting),) if number else (),
+        ) for number, part in watch.modules.items()
+    }  # fmt: skip
+    whole, corner = (Window.about(watch.panelled.scene, np.array(place)) for place in ((20.0, 20.0), (55.0, -9.0)))
+    watch = replace(watch, modules=parts)
+    begun = watch._begun(whole, sigma)
+    numbers = np.arange(36.0)
+    left = replace(begun, resting=numbers, mean=numbers + 40, recent=(numbers + 80, numbers + 120), uncovered_s=6.0)
+    opened = replace(watch, opened=((whole, left, 20.0), (corner, left, 21.0)))
+    rows: list[Any] = [[getattr(begun, name) for name in WATCH], begun.test.loud, whole.numbers, corner.numbers]
+    return rows + [states_of(opened._closed(time)) for time in (79.9, 80.0)]
+
+
 def image_row() -> list[Any]:
     """A panel of modules, one of them dead: a load over a seam comes, leaves, and another one comes to its place."""
     layout = Modules(1, 4, EachModule(4, 4), seam_mm=4.0)
-    scene = lp.Scene(lp.Panel(modules=layout), TWO, 140.0)
     resting = np.repeat([3000.0, 2000.0, 1500.0, 2500.0], 4) * np.ones((4, 1))
     loaded, small = resting.copy(), resting.copy()
     loaded[1:3, 2:6], small[1:3, 5:7] = 700.0, 800.0
-    images = [
-        layout.joined(lp.two_point_resistance(layout.split(cells))) * np.exp(0.001 * noise)
-        for cells, noise in zip(
-            (resting, loaded, small), np.random.default_rng(2).standard_normal((3, 4, 16)), strict=True
-        )
-    ]
-    sigma = 0.002 * images[0]
-    sigma[:, 12:] = np.inf
-    panelled = Panelled(scene, Detector(6.0), np.zeros(layout.shape), observation.ModelErrors())
-    watch = ImageWatch.begin(panelled, images[0], sigma, np.stack(images[:1] * 3), 0.0)
+    images = [image_of(layout, cells) for cells in (resting, loaded, small)]
+    watch, sigma = watch_over(layout, resting, 3)
     rows: list[Any] = [[watch.touched(np.stack([image] * 3)) for image in images], watch.change]
     times = (0.5, 1.0, 1.25, 1.5, 2.5, 5.0, 5.25, 65.0, 65.6, 66.0, 66.25, 66.5)
     for time, number in zip(times, (0, 1, 1, 1, 1, 0, 0, 0, 0, 2, 2, 2), strict=True):
         watch = watch.push(images[number], sigma, time)
         if time in (1.0, 1.25, 5.25, 65.6, 66.5):
-            states = [*watch.modules.values(), *(inside for _, inside, _ in watch.opened)]
-            rows.append([[getattr(state, name) for name in WATCH] for state in states])
+            rows.append(states_of(watch))
         rows.append([[window.numbers, touched_s] for window, _, touched_s in watch.opened])
         rows += [watch.doubt, watch.stands_out, watch.change]
     return [*rows, watch.attachments, watch.ended().attachments]
@@ -536,6 +567,6 @@ def of_recognition() -> Rows:
         "detected without a readout": bare_row,
         "detected on a mat": partial(detected_row, "block", "mat"), "breathing": breathing_row,
         "answers": answers_row, "attachments": attachments_row, "watch over modules": image_row,
-        "windows over modules": windows_row,
+        "windows over modules": windows_row, "states over modules": opened_row,
         "detected on modules": lambda: answer_row(detection.known_of(Prepared(tiled())).answer(frames_of(tiled()))),
     }  # fmt: skip

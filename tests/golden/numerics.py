@@ -29,7 +29,7 @@ from lampest.solvers.certificate import certificate
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
-from lampest.solvers.solution import Settings, check
+from lampest.solvers.solution import Outcome, Settings, Status, check
 
 # Costs
 
@@ -202,6 +202,25 @@ def certificate_row(cost: str, circuit: str, decades: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def verdicts_row() -> dict[str, Any]:
+    """What a check makes of outcomes of every status, at the start, an optimum, worse points and no numbers."""
+    plain, blind = point("plain"), point("penalty")
+    heavy = Cost(PANEL, (lp.Misfit(), lp.Gradient(weight=1e12)))
+    starts = {
+        "plain": plain, "absolute": point("absolute"),
+        "blind": problem.Evaluation.at(Cost(PANEL, (lp.Misfit(),), partial=True), blind.data, blind.cell_resistance),
+        "heavy": problem.Evaluation.at(heavy, plain.data, plain.cell_resistance),
+        "even": problem.Evaluation.at(heavy, plain.data, np.full(plain.cell_resistance.shape, 2950.0)),
+    }  # fmt: skip
+    rows = {}
+    for name, start in starts.items():
+        end = ProjectedNewton(start.cost, Settings(max_iterations=40)).solve(start.data, start)
+        known = start.cell_resistance, end.cell_resistance, 0.7 * start.cell_resistance, np.nan * end.cell_resistance
+        for (number, cells), status in product(enumerate(known), (Status.OPTIMUM, Status.STALLED, Status.TIME)):
+            rows[f"{name} {number} {status.name}"] = check(start, Outcome(cells, end.dual, status, 1)).status
+    return rows
+
+
 def search_row() -> dict[str, Any]:
     """Steps within a radius, and the loop of Levenberg and Marquardt."""
     matrix, slope = np.diag(np.r_[-1.0, np.linspace(0.5, 9, 7)]), np.linspace(1, 2, 8)
@@ -232,6 +251,7 @@ def of_solvers() -> Rows:
         | {"point " + " ".join(map(str, case)): partial(certificate_row, *case) for case in places}
         | {
             "searches": search_row,
+            "verdicts": verdicts_row,
         }
     )
 
