@@ -18,7 +18,8 @@ from golden.checks import recorded
 from golden.circuits import PANEL, Rows, cells_of
 from golden.estimates import case_row, simulated
 from golden.numerics import COSTS, TINY, certificate_row, point, solver_row
-from golden.outputs import command, drawn_row, invented, tuned_curves
+from golden.outputs import command, drawn_row, invented
+from golden.studies import tuned_curves
 from support import invented_case
 from typer.main import get_command
 
