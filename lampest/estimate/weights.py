@@ -33,7 +33,7 @@ from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
-MAX_SOLVES, SETTLED = 4, 0.2  # half the largest number of solves; change of ln λ that changes no reported figure
+MAX_SOLVES, SETTLED = 16, 0.2  # largest number of solves; change of ln λ that changes no reported figure
 MAX_SWEEPS = 6  # over several penalties: each converges within a few
 MIN_FREEDOM = 0.05  # degrees of freedom of a residual: with fewer, the scale of the residuals is not determined
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
@@ -176,34 +176,38 @@ class WeightSearch:
         return first_weights(LinearModel(at, NO_DUAL), self.begun, self.open_terms)
 
     def by_evidence(self, first: Array) -> Weights:
-        """Return the weights at the fixed point of the evidence.
+        """Return the weights at the fixed point of the evidence, from those of least risk where these are defined.
 
         The standard deviation of ln λ is √(2/γ), with γ the degrees of freedom that the data determine. If the
-        residuals exceed the noise (`residual_scale`), or if that is unknown, their scale multiplies σ.
+        residuals exceed the noise (`residual_scale`), or if that is unknown, their scale multiplies σ. Solves for the
+        cells alternate with updates of σ and λ; the step of a weight is halved whenever its direction reverses.
 
         Parameters
         ----------
         first : array, shape (frames, rows, columns)
             Cells in ohm to start from.
         """
-        weights, near, data, scale = self.suggested(first), first, self.solves[0], 1.0
-        least = 1.0 if data.noise_known else 0.0
-        sigma = [np.nan] * len(weights)
+        data, near, scale = self.solves[0], first, 1.0
+        large = data.measured.size > MAX_CELLS
+        weights = self.suggested(first) if large else self.by_risk(first)[0]
+        errors_of, updated = (SampledErrors, next_weights) if large else (DenseErrors, settled_weights)
+        step, share, sigma = np.zeros(len(weights)), np.ones(len(weights)), [np.nan] * len(weights)
         with suppress(*BROKEN):
-            for _ in range(2 * MAX_SOLVES):
+            for _ in range(MAX_SOLVES):
                 solution = best_solution(ProjectedNewton(self.weighted(weights), self.settings), data, near)
                 if solution.at is None or solution.dual is None:
                     break
-                # alternate: solve for the cells, update λ at the solution, rescale σ by the residuals
-                model = LinearModel(solution.at, solution.dual, deviation=scale * data.deviation)
-                large = data.measured.size > MAX_CELLS
-                errors = (SampledErrors if large else DenseErrors)(model)
-                previous, near = (*weights, scale), solution.cell_resistance
-                weights = (next_weights if large else settled_weights)(model, self.open_terms)
+                near, model = solution.cell_resistance, LinearModel(solution.at, solution.dual)
+                factor = residual_scale(errors_of(replace(model, deviation=scale * data.deviation)))
+                before, scale = scale, max(1.0 if data.noise_known else 0.0, scale * factor)
+                model = replace(model, deviation=scale * data.deviation)
+                errors = errors_of(model)
                 for number in self.open_terms:
                     sigma[number] = np.sqrt(2 / max(errors.determined(number), 1.0))
-                scale = max(least, scale * residual_scale(errors))
-                if np.abs(np.log(np.array((*weights, scale)) / np.array(previous))).max() < SETTLED:
+                previous, step = step, np.log(updated(model, self.open_terms)) - np.log(weights)
+                share = np.where(step * previous < 0, share / 2, share)
+                weights = [float(weight) for weight in np.exp(np.log(weights) + share * step)]
+                if np.abs([*step, np.log(scale / before)]).max() < SETTLED:
                     break
         return weights, tuple(sigma)
 

@@ -45,11 +45,11 @@ def cells_of(seed: int, shape: tuple[int, int] = SHAPE) -> Array:
     return cells
 
 
-def measured_data(estimator: Estimator, cells: Array, noise: float, seed: int) -> Data:
+def measured_data(estimator: Estimator, cells: Array, noise: float, seed: int, specified: float | None = None) -> Data:
     exact = two_point_resistance(cells)
     measured = exact * (1 + noise * np.random.default_rng(seed).standard_normal(exact.shape))
     scene = Scene(Panel(*cells.shape))
-    return estimator.data(Readings.of(scene, measured[None], noise * exact[None]), Background(scene))
+    return estimator.data(Readings.of(scene, measured[None], (specified or noise) * exact[None]), Background(scene))
 
 
 def model_with(*terms: Term, noise: float = 0.003) -> LinearModel:
@@ -84,11 +84,11 @@ def test_the_evidence_chooses_its_fixed_point_and_says_how_sure_it_is(
     monkeypatch.setattr("lampest.estimate.weights.MAX_CELLS", most_cells)
     auto = AutoWeight(rule="evidence" if most_cells > 56 else None)
     estimator, scene = Estimator((Misfit(), Gradient(weight=AUTO)), "reduced", auto_weight=auto), Scene(Panel(*SHAPE))
-    data = measured_data(estimator, cells_of(1), 0.01, 2)
+    data = measured_data(estimator, np.linspace(2800, 3300, 56).reshape(SHAPE), 0.01, 2, specified=0.007)
     chosen = with_chosen_weights(estimator, scene, data, None)
     solution = best_solution(chosen.problem(scene, 1, 1.0), data, None)
     scale = max(1.0, residual_scale(DenseErrors(LinearModel(solution.at, solution.dual))))
-    assert 1 < scale < 1.3
+    assert 1.2 < scale < 1.6
     model = LinearModel(solution.at, solution.dual, deviation=scale * data.deviation)
     assert float(chosen.terms[1].weight) == pytest.approx(settled_weights(model, [1])[1], rel=0.2)
     assert np.isnan(chosen.weight_sigma[0])
@@ -108,6 +108,19 @@ def test_an_absolute_penalty_that_no_cell_contradicts_has_a_finite_weight(monkey
         chosen.append(float(with_chosen_weights(estimator, scene, data, cells[None]).terms[1].weight))
     assert_allclose(chosen[1], chosen[0], rtol=0.25)
     assert 0.3 < chosen[0] < 10
+
+
+@pytest.mark.parametrize("frame", [0, 17])
+def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -> None:
+    """Open cells differ from their neighbours by megohms, and the estimate must not swing with the weight."""
+    recording, weights = Recording.load("data/insole_standing.h5", slice(frame, frame + 3)), []
+    for rule in ("risk", "evidence"):
+        auto = AutoWeight(rule=rule)
+        estimator = Estimator((Misfit(weighting="noise"), Gradient(weight=AUTO)), auto_weight=auto, error_bars=False)
+        step = reconstruct(recording, estimator).steps[0]
+        assert 0 < step.weight_sigma[1] < 0.5
+        weights.append(step.weights[1])
+    assert abs(np.log(weights[1] / weights[0])) < 2
 
 
 def test_a_large_panel_without_noise_has_a_weight_from_its_residuals() -> None:
