@@ -51,7 +51,7 @@ from lampest.report.live.publish import publish_at
 from lampest.report.live.state import PanelState, solved_scan, verdict_of
 from lampest.report.live.watcher import Scan, Unloaded, in_one_batch
 from lampest.report.page import compared, page
-from lampest.report.plots import PLOTS, maps, style
+from lampest.report.plots import PLOTS, maps, plot_of, style
 from lampest.report.plots.timeline import timeline
 from lampest.report.reconstruction import Reconstruction
 from lampest.report.strongest import strongest_index
@@ -485,6 +485,35 @@ def described_results() -> list[str]:
         return describe("r.h5")
 
 
+SQUARE = ((0, 0, 0, 0), (0, 1, 10, 0), (1, 0, 0, 10), (1, 1, 10, 10))
+
+
+def variants_row() -> list[Any]:
+    """Pictures of other circuits, without noise, of frames that failed, and of cells that lie apart or alone."""
+    case = invented_case(shape=(1, 2, 3))
+    pull_ups = lp.LoadedColumnsReadout(polarity="down", supply_volt=5.0, load_ohm=35e3, drive_ohm=30.0)
+    scenes = (
+        replace(case.scene, readout=lp.TwoPointReadout(reference_ohm=1.0)),
+        replace(case.scene, readout=pull_ups, series_resistance_ohm=0.0),
+    )
+    volts = replace(case, measured=np.full_like(case.measured, 1.5))
+    square, single = invented_case(shape=(1, 2, 2)), replace(invented()[0], recording="single")
+    apart = [lp.Panel(2, 2, cells=tuple((j, k, x * far, y * far) for j, k, x, y in SQUARE)) for far in (1, 50)]
+    return [
+        *(drawn_row(plot_of("resistance").draw((replace(volts, scene=scene),))) for scene in scenes),
+        *(
+            drawn_row(plot_of("residuals").draw((replace(case, reading_model=case.measured * factor),)))
+            for factor in (1.03, 1.0)
+        ),
+        *(
+            [len(axes.collections) for axes in lp.ContourPlot().draw((each,)).axes]
+            for each in (replace(square, scene=lp.Scene(panel)) for panel in apart)
+        ),
+        drawn_row(lp.ContourPlot(6).draw(invented()[:3])), drawn_row(lp.PressurePlot(6).draw((single,))),
+        *(drawn_row(lp.ContourPlot().draw((invented_case(shape=each),))) for each in ((2, 1, 1), (1, 1, 7), (2, 5, 1))),
+    ]  # fmt: skip
+
+
 def fit_row() -> list[str]:
     fit = Reconstruction.of(simulated(), ESTIMATORS["auto"])
     return [re.sub(r"solve time .*", "", fit.fit_report()), repr(fit), repr(simulated())]
@@ -510,6 +539,7 @@ def of_report() -> Rows:
             "long columns": lambda: {name: series.values for name, series in invented()[0].long_columns().items()},
             "schema": lambda: sorted(config.json_schema()["$defs"]),
             "report of a fit": fit_row,
+            "pictures of variants": variants_row,
         }
         | {f"live {name}": partial(live_row, name) for name in ("auto", "by nodal", "tared", "smoother")}
     )

@@ -11,20 +11,17 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from matplotlib import colormaps
-from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from numpy.testing import assert_allclose
 from support import METHODS, invented_case
 
-from lampest import CaseResult, ContourPlot, InputError, Panel, PressurePlot, Scene, Water, write_results
+from lampest import CaseResult, InputError, Panel, PressurePlot, Scene, Water, write_results
 from lampest.loads.pressure import pressure_of
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.breathing import Breathing
-from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.report.detect.answer import Detected
 from lampest.report.plots import PLOTS, Plot, picture, plot_of, plot_results
-from lampest.report.plots.maps import MapPainter, Scale, Tile, banded_scale
+from lampest.report.plots.maps import MapPainter, Scale, Tile
 from lampest.report.plots.style import new_figure, save
 from lampest.report.plots.timeline import timeline
 from lampest.runs.case import COLUMNS
@@ -52,21 +49,18 @@ TWICE = type("Twice", (Steps,), {"kind": "contours"})()
 """
 
 
-@pytest.mark.parametrize("plot", PLOTS, ids=lambda plot: plot.kind)
-def test_every_kind_is_drawn_by_its_word(
-    plot: Plot, disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace]
-) -> None:
-    assert plot_of(plot.kind) is plot and set(plot.needs) <= {column.name for column in COLUMNS}
+def test_every_kind_is_drawn_by_its_word(disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace]) -> None:
     disk.recording(disk.folder / "small.h5", disk.scene + "response: {kind: published}\n")
     sweep = "sweep: {estimators.bare.solver.tolerance: [1e-8, 1e-6]}\n"
     run = disk.run(disk.text + "  bare: {terms: {misfit: {}}, error_bars: false}\n" + sweep)
     assert lampest("run", run, "--out", disk.folder / "out", "--jobs", "1").code == 0
-    ended = lampest("plot", disk.folder / "out" / "results.h5", "--show", plot.kind)
-    progress = [re.match(r"lampest: \d+ of \d+ ", line) for line in ended.err.splitlines()]  # of a slow machine
-    assert ended.code == 0 and all(progress), ended.err
-    files = [Path(line) for line in ended.out.splitlines()]
-    assert all(file.read_bytes().startswith(b"\x89PNG") for file in files)
-    assert [file.name for file in files] == [f"{plot.kind}_small.png"]
+    for plot in PLOTS:
+        assert plot_of(plot.kind) is plot and set(plot.needs) <= {column.name for column in COLUMNS}
+        ended = lampest("plot", disk.folder / "out" / "results.h5", "--show", plot.kind)
+        progress = [re.match(r"lampest: \d+ of \d+ ", line) for line in ended.err.splitlines()]  # of a slow machine
+        assert ended.code == 0 and all(progress), ended.err
+        (file,) = map(Path, ended.out.splitlines())
+        assert file.name == f"{plot.kind}_small.png" and file.read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_plot_of_a_package_is_asked_for_by_its_word(package: Callable[..., None], tmp_path: Path) -> None:
@@ -102,59 +96,13 @@ def test_a_plot_of_a_script_draws_a_column_of_a_script(tmp_path: Path) -> None:
         plot_results(tmp_path / "r.h5", show=SharePlot())
 
 
-def painted(painter: MapPainter, tile: Tile) -> Axes:
-    axes = new_figure(3.0).subplots()
-    painter.draw(axes, tile)
-    return axes
-
-
-def maps_of(figure: Figure) -> list[Axes]:
-    return [axes for axes in figure.axes if axes.get_title()]
-
-
-def test_maps_of_resistance_say_their_unit_and_show_readings_as_they_were_recorded() -> None:
-    case = invented_case()
-    for reference, unit in ((1.0, "in reference resistors"), (1000.0, "[ohm]")):
-        scene = replace(case.scene, readout=TwoPointReadout(reference_ohm=reference))
-        figure = plot_of("resistance").draw((replace(case, scene=scene),))
-        assert {f"reading {unit}", f"resistance {unit}"} <= {axes.get_ylabel() for axes in figure.axes}
-    readout = LoadedColumnsReadout(polarity="down", supply_volt=5.0, load_ohm=35e3, drive_ohm=30)
-    scene = replace(case.scene, readout=readout, series_resistance_ohm=0.0)
-    pulled_up = replace(case, scene=scene, measured=np.full_like(case.measured, 1.5))
-    shown = maps_of(plot_of("resistance").draw((pulled_up,)))[0]
-    assert_allclose(shown.collections[1].get_array(), 3.5)
-
-
-def test_residuals_without_noise_are_percent_of_the_readings() -> None:
-    case = replace(invented_case(), sigma=None, sigma_baseline=None)
-    for factor, note in ((1.03, "rms 3.0 %"), (1.0, "rms < 0.001 %")):
-        (axes,) = maps_of(plot_of("residuals").draw((replace(case, reading_model=case.measured * factor),)))
-        assert axes.get_title() == f"LSM\n{note}"
-        assert_allclose(axes.collections[1].get_array(), 100 * (factor - 1), atol=1e-9)
-
-
-def test_contours_of_listed_cells_end_where_cells_are_apart() -> None:
-    values, square = np.array([[-40.0, 20.0], [60.0, -80.0]]), ((0, 0, 0, 0), (0, 1, 10, 0), (1, 0, 0, 10))
-    for far, contours in ((10, 1), (100, 1), (-1000, 0)):
-        places = square if far > 0 else tuple((row, column, 50 * x, 50 * y) for row, column, x, y in square)
-        panel = Panel(2, 2, cells=(*places, (1, 1, abs(far), abs(far))))
-        drawn, plain = (
-            painted(MapPainter(panel, banded_scale([values], "x"), contoured), Tile("", values)).collections
-            for contoured in (True, False)
-        )
-        assert len(drawn) - len(plain) == contours
-
-
-def test_what_is_no_number_is_grey_and_what_was_not_solved_says_so() -> None:
+def test_what_is_no_number_is_grey() -> None:
     painter = MapPainter(Panel(1, 2), Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution"))
-    _, cells = painted(painter, Tile("", np.array([[0.5, np.nan]]))).collections
+    axes = new_figure(3.0).subplots()
+    painter.draw(axes, Tile("", np.array([[0.5, np.nan]])))
+    _, cells = axes.collections
     assert cells.get_array().mask.tolist() == [False, True]
     assert cells.get_cmap().get_bad().tolist() == pytest.approx([0.88, 0.88, 0.88, 1.0])
-    axes = painted(painter, Tile("", None))
-    assert [text.get_text() for text in axes.texts] == ["not solved"] and not axes.collections
-    figure = new_figure(3.0)
-    painter.bar(figure, figure.subplots(), "right")
-    assert figure.axes[1].get_ylabel() == "resolution"
 
 
 def case_with_pressure(shape: tuple[int, int, int] = (3, 10, 10), sd: float = 0.1) -> CaseResult:
@@ -190,10 +138,6 @@ def test_panels_of_every_shape_are_drawn_with_units_and_frame(
     for wrong, sentence in ((PressurePlot(99), "frame 99 has no results"), (PressurePlot(), "holds no pressure")):
         with pytest.raises(InputError, match=sentence):
             picture((case if wrong.frame else invented_case(),), wrong)
-    for truth in (True, False):
-        cases = tuple(invented_case(name, shape=shape, truth=truth) for name in METHODS[:2])
-        titles = [axes.get_title().split("\n")[0] for axes in ContourPlot().draw(cases).axes if axes.get_title()]
-        assert titles == ["measured", "LSM", "LSR-CR"] + ["truth"] * truth
 
 
 def test_of_loads_that_have_all_left_a_timeline_shows_every_one() -> None:
