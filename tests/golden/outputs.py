@@ -22,7 +22,7 @@ from golden.estimates import ESTIMATORS, case_row, gapped, in_scene, simulated
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from support import invented_case
+from support import Patient, invented_case
 
 import lampest as lp
 from lampest import cli
@@ -48,6 +48,8 @@ from lampest.report.live.message import (
     with_detected,
 )
 from lampest.report.live.publish import publish_at
+from lampest.report.live.run import METHODS as LIVE
+from lampest.report.live.run import chosen, from_recording
 from lampest.report.live.state import PanelState, solved_scan, verdict_of
 from lampest.report.live.watcher import Scan, Unloaded, in_one_batch
 from lampest.report.page import compared, page
@@ -334,6 +336,20 @@ def live_row(estimator: str) -> dict[str, Any]:
     return {"pictures": pictures, "looks": looks}
 
 
+def replayed_row(roles: bool, changes: dict[str, Any]) -> dict[str, Any]:
+    """The last view of a recording that the engine is fed with, without times."""
+    recording = simulated("outlier_probability")
+    recording = recording if roles else replace(recording, role=np.ones_like(recording.role))
+    with Patient(replace(ESTIMATORS["auto"], **changes), 3) as engine:
+        from_recording(engine, recording, 1e9, 5, lambda seconds: None)
+        engine.finish()
+        view = engine.shown.item
+    content = json.loads(view_text(view, 0.0))
+    for name in ("arrived", "solve_seconds"):
+        del content["picture"]["health"][name]
+    return content
+
+
 VERDICTS_ON: tuple[dict[tuple[int, int], float], ...] = (
     {}, {(1, 1): 0.4}, {(1, 1): 0.4, (1, 2): 1.1}, {(1, 1): 3.0}, {(1, 1): 0.1, (2, 2): 6.0}, {(1, 1): 0.9},
 )  # fmt: skip
@@ -369,9 +385,24 @@ def live_words_row() -> dict[str, Any]:
     with patch.object(watcher, "MAX_WAITING", 4):
         waiting = [[scans.index(each) for each in in_one_batch(scans[n:], [scans[:n]])[0]] for n in (2, 3)]
         waiting += [[scans.index(each) for each in in_one_batch(scans[1:n], [])[0]] for n in (5, 6, 7)]
+    scene, still = lp.Scene(lp.Panel(3, 4), lp.TwoPointReadout(), 140.0), np.full((3, 4), 1000.0)
+    resting, nothing = (lp.Readings.of(scene, factor * still) for factor in (1.0, np.nan))
+    methods = product(("smooth", "relative_change"), (True, False))
+    states = [PanelState.begin(LIVE[name], scene, 1.0, resting, hasty=hasty) for name, hasty in methods]
+    ways = (1, resting), (2, resting), (1, nothing)
+    states += [replace(each, missing=count).after(zero, None, 1.0) for each in states for count, zero in ways]
+    for coupled in (True, False):
+        scene = lp.Scene(lp.Panel(modules=Modules(1, 2, EachModule(3, 2), coupled=coupled)))
+        states.append(PanelState.begin(LIVE["smooth"], scene, 1.0, lp.Readings.of(scene, still), hasty=True))
     listed = lp.Panel(2, 2, cells=((0, 0, 1.5, 2.0), (1, 1, 9.0, 8.0)))
     panels = (lp.Panel(1, 2, 8.0), listed, lp.Panel(modules=Modules(1, 2, EachModule(2, 3, 5.0), 4.0)))
     return {
+        "states": [
+            (each.missing, each.zeroed, len(each.recent), each.track is None, each.stream.track is None,
+             each.stream.keeps_weights) for each in states
+        ],
+        "methods": [(name, method.terms, method.method) for name, method in LIVE.items()],
+        "chosen": [chosen(name, None)[0] for name in (None, "LSM")], "unknown": refusal(chosen, "LSX", None),
         "verdicts": verdicts, "alarms": alarms, "waiting": waiting,
         "history": (len(view.history), view.history[0].number),
         "shown": [json.loads(view_text(view, 0.0, HISTORY_FRAMES + n))["history"] for n in (-1, 2)],
@@ -534,6 +565,8 @@ def of_report() -> Rows:
             "scales": scales_row,
             "message": message_row,
             "words of live": live_words_row,
+            "replayed": partial(replayed_row, True, {}),
+            "replayed without roles": partial(replayed_row, False, {"solver": lp.Settings(max_iterations=1)}),
             "commands": commands_row,
             "descriptions": described_row,
             "long columns": lambda: {name: series.values for name, series in invented()[0].long_columns().items()},

@@ -14,12 +14,12 @@ import pytest
 from support import live_pictures
 from wild_board import IDLE
 
-from lampest import Arrival, InputError, Misfit, Readings, Rod, Scene, Settings, two_point_resistance
+from lampest import Arrival, InputError, Misfit, Readings, Rod, Scene, two_point_resistance
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.loads.pressure import Pressure, total_force
-from lampest.panel.panel import EachModule, Modules, Panel
+from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
 from lampest.panel.response import Film, PublishedResponse
 from lampest.recording.board import record as record_module
@@ -41,7 +41,7 @@ from lampest.report.live.run import (
     recorded_from_board,
     recorder_of,
 )
-from lampest.report.live.state import ASKED, PanelState
+from lampest.report.live.state import PanelState
 from lampest.report.live.watcher import Scan
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
@@ -179,13 +179,6 @@ def test_the_baseline_is_the_unloaded_frames_without_a_reading_that_leaps_as_in_
     assert [picture.number for picture in unsaid] == [4, 5, 6, 7, 8, 9], "the first frames, where none is said to be"
 
 
-def test_coupled_modules_leave_weights_to_second_looks_and_modules_by_themselves_nothing() -> None:
-    for coupled in (True, False):
-        scene = Scene(Panel(modules=Modules(1, 2, EachModule(4, 4), coupled=coupled)))
-        resting = Readings.of(scene, np.full((4, 8), 1000.0))
-        assert PanelState.begin(METHODS["smooth"], scene, 0.25, resting, hasty=True).stream.keeps_weights == coupled
-
-
 def test_a_reading_that_leaps_alone_stands_as_before_and_a_touch_does_not(lamprey: Recording) -> None:
     """Nobody knows yet whether it comes back: a touch of one cell moves its row and column, a lost bit does not."""
     scene = lamprey.scene
@@ -278,17 +271,6 @@ def test_a_frame_that_fails_shows_no_number_and_the_next_one_goes_on(lamprey: Re
         assert np.isnan(picture.relative_change).all() and np.isnan(picture.force.newton)
 
 
-def test_a_solver_that_gives_up_shows_its_sentence(lamprey: Recording) -> None:
-    hasty = dataclasses.replace(METHODS["smooth"], solver=Settings(max_iterations=1))
-    given_up = [picture for picture in pictures(hasty, lamprey) if picture.status != "optimum verified"]
-    assert given_up
-    for picture in given_up:
-        assert picture.status == "no baseline: the iteration limit was reached before an optimum" or (
-            picture.status == "the iteration limit was reached before an optimum"
-        )
-        assert np.isnan(picture.relative_change).all() and np.isnan(picture.force.newton)
-
-
 @pytest.mark.parametrize("frames", [None, 1])
 def test_what_stops_the_solver_stops_live(lamprey: Recording, frames: int | None) -> None:
     narrow = dataclasses.replace(LSM, bounds=Bounds(upper=1.0))
@@ -309,8 +291,6 @@ def test_a_replay_takes_its_time(lamprey: Recording) -> None:
 
 
 def test_methods_and_those_of_a_file(disk: SimpleNamespace) -> None:
-    assert chosen(None, None) == ("smooth", METHODS["smooth"])
-    assert METHODS["smooth"].formulation == "reduced"
     assert chosen(None, disk.run())[0] == "LSM"
     name, found = chosen("LSR-dCR", disk.run())
     assert (name, found.formulation, found.relative) == ("LSR-dCR", "auto", True)
@@ -354,37 +334,6 @@ def resting_panel(estimator: Estimator = LSM, *, hasty: bool = False) -> PanelSt
     cells = np.full((3, 4), 3000.0)
     resting = Readings.of(SMALL, two_point_resistance(cells) + 140)
     return PanelState.begin(estimator, SMALL, 1.0, resting, hasty=hasty)
-
-
-def test_a_zero_that_is_asked_for_is_the_mean_of_the_next_frames() -> None:
-    loaded = np.full((3, 4), 3000.0)
-    loaded[1, 2] = 1500.0
-    state, (before,) = shown_frames(resting_panel(), loaded)
-    assert before.relative_change[1, 2] == pytest.approx(-50, abs=1e-3) and before.verdict == "pressing"
-    waiting, _ = shown_frames(dataclasses.replace(state, missing=2, recent=()), loaded)
-    assert (waiting.missing, waiting.zeroed, len(waiting.recent)) == (1, "", 1)
-    zeroed, _ = shown_frames(waiting, loaded)
-    assert (zeroed.missing, zeroed.zeroed, zeroed.recent) == (None, ASKED, ())
-    after, (same, eased) = shown_frames(zeroed, loaded, 3000.0)
-    np.testing.assert_allclose(same.relative_change, 0, atol=1e-3)
-    assert eased.relative_change[1, 2] == pytest.approx(100, abs=1e-2) and after.zeroed == ""
-    none, _ = shown_frames(dataclasses.replace(state, missing=1, recent=()), np.full((3, 4), 1e-3))
-    assert none.missing is None
-
-
-def test_a_zero_leaves_error_bars_to_who_had_them() -> None:
-    """To second looks, in haste; to the frames themselves where the method compares frames, or nothing is hasty."""
-    resting = Readings.of(SMALL, two_point_resistance(np.full((3, 4), 3000.0)) + 140)
-    for method, hasty, second_looks in (
-        ("smooth", True, True),
-        ("smooth", False, False),
-        ("relative_change", True, False),
-    ):
-        state = resting_panel(METHODS[method], hasty=hasty)
-        zeroed = dataclasses.replace(state, missing=1).after(resting, None, 1.0)
-        assert zeroed.zeroed == ASKED and state.stream.keeps_weights == zeroed.stream.keeps_weights == hasty
-        for each in (state, zeroed):
-            assert (each.track is not None) == second_looks and (each.stream.track is None) == second_looks, method
 
 
 def test_cells_of_a_second_look_are_told_where_weights_or_the_minimum_differ() -> None:
