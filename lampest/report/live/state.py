@@ -182,11 +182,10 @@ class PanelState:
     def _zeroed(self, frames: tuple[Readings, ...], time: float, why: str) -> "PanelState":
         """Return the state with the mean of some frames as its zero, unchanged if they have too few readings."""
         first, *following = frames
-        try:
-            stream = replace(self.stream, track=self.track or self.stream.track)
-            stream = stream.tared(first.together(*following).mean())
-        except InputError:
+        zero = first.together(*following).mean()
+        if not zero.enough(self.stream.scene):
             return replace(self, missing=None, recent=())
+        stream = replace(self.stream, track=self.track or self.stream.track).tared(zero)
         start = PanelState(stream, self.load.rebased(time), zeroed=why)
         return start.in_haste() if stream.keeps_weights else start
 
