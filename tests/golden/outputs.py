@@ -49,9 +49,9 @@ from lampest.report.live.message import (
 )
 from lampest.report.live.publish import publish_at
 from lampest.report.live.run import METHODS as LIVE
-from lampest.report.live.run import chosen, from_recording
+from lampest.report.live.run import chosen, from_recording, scan_of
 from lampest.report.live.state import PanelState, solved_scan, verdict_of
-from lampest.report.live.watcher import Scan, Unloaded, in_one_batch
+from lampest.report.live.watcher import Scan, Unloaded, Watched, in_one_batch
 from lampest.report.page import compared, page
 from lampest.report.plots import PLOTS, maps, plot_of, style
 from lampest.report.plots.timeline import timeline
@@ -235,6 +235,7 @@ def drawn_row(figure: Figure) -> dict[str, Any]:
                     for line in each.lines
                 ],
                 "widths": [image.get_linewidths() for image in each.collections],
+                "shapes": [path.vertices[:5] for image in each.collections for path in image.get_paths()[:1]],
                 "place": each.get_position().bounds,
                 "values": [
                     np.ma.filled(np.ma.asarray(image.get_array(), dtype=float), np.nan)
@@ -354,7 +355,33 @@ VERDICTS_ON: tuple[dict[tuple[int, int], float], ...] = (
     {}, {(1, 1): 0.4}, {(1, 1): 0.4, (1, 2): 1.1}, {(1, 1): 3.0}, {(1, 1): 0.1, (2, 2): 6.0}, {(1, 1): 0.9},
 )  # fmt: skip
 PLACES = ("mqtt://localhost", "mqtt://a/b/", "osc://:7/x", "mqtt://me:p%40ss@h:5/t", "lsl://panel", "websocket://:0",
-          "mqtt://h:99999", "mqtt://h?x=1", "up")  # fmt: skip
+          "mqtt://h/a#b", "mqtt://h:99999", "mqtt://h?x=1", "up")  # fmt: skip
+
+
+LAMPREY = Attachment(
+    0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), breath=breathing.Breathing(6.0),
+)  # fmt: skip
+CUP = replace(LAMPREY, breath=breathing.Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
+
+
+def watched_row() -> list[Any]:
+    """Answers while nothing touches a panel, of a broken frame, with loads that left, and about a new zero."""
+    recording, said = simulated(frames=6, baseline_frames=3), []
+    scans = [scan_of(recording, frame) for frame in range(9)]
+    left = [replace(LAMPREY, since_s=since, until_s=8.0) for since in (1.0, 2.0)]
+    mat = replace(recording.scene, panel=lp.Panel(33, 32))
+    wide, broken = (replace(scans[3], recorded=np.full(shape, 1000.0)) for shape in ((33, 32), (2, 2)))
+    news: list[Any] = [scans[3], Unloaded(recording.scene, tuple(scans[:3])), *scans[3:5], broken, scans[5]]
+    news += [(CUP, *left), scans[6], (LAMPREY,), 2, *scans[7:], Unloaded(mat, (wide,) * 3)]
+    watched = Watched("rod")
+    with patch.object(watcher, "MAX_REMEMBERED", 1):
+        for each in news:
+            loads = isinstance(each, tuple)
+            watched = replace(watched, watch=replace(watched.watch, attachments=each)) if loads else watched.after(each)
+            answer, begun = watched.detected, getattr(watched.watch, "rest_s", None)
+            times = [(load.since_s, load.until_s) for load in answer.attachments]
+            said.append([answer.answer, answer.why, answer.frames_per_second, watched.missing, begun, times])
+    return said
 
 
 def live_words_row() -> dict[str, Any]:
@@ -367,13 +394,9 @@ def live_words_row() -> dict[str, Any]:
         resting, now = (lp.Readings.of(scene, lp.two_point_resistance(each)) for each in (cells, cells * ratio))
         ratio[3, 4], open_cell[3, 4] = (1e6, True) if broken else (1.0, False)
         verdicts.append(verdict_of(now, resting, ratio, open_cell))
-    lamprey = Attachment(
-        0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), breath=breathing.Breathing(6.0)
-    )
-    cup = replace(lamprey, breath=breathing.Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
-    gone, later = replace(lamprey, until_s=9.0), replace(lamprey, since_s=20.0)
+    gone, later = replace(LAMPREY, until_s=9.0), replace(LAMPREY, since_s=20.0)
     view, alarms = View("here", "LSM", "receiving", lp.Panel(2, 3)), []
-    for loads, seen in (((cup,), 0), ((lamprey,), 0), ((gone,), 0), ((), 1), ((gone,), 0), ((lamprey, later), 0)):
+    for loads, seen in (((CUP,), 0), ((LAMPREY,), 0), ((gone,), 0), ((), 1), ((gone,), 0), ((LAMPREY, later), 0)):
         view = with_detected(view, Detected.of("here", loads, 4.0))
         alarms.append((view.alarm, sorted(view.acknowledged)))
         view = acknowledged(view) if seen else view
@@ -565,6 +588,7 @@ def of_report() -> Rows:
             "scales": scales_row,
             "message": message_row,
             "words of live": live_words_row,
+            "watched": watched_row,
             "replayed": partial(replayed_row, True, {}),
             "replayed without roles": partial(replayed_row, False, {"solver": lp.Settings(max_iterations=1)}),
             "commands": commands_row,

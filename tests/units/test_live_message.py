@@ -30,7 +30,6 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, simulate
 from lampest.report.detect.answer import Detected
 from lampest.report.detect.detection import detect_recording
-from lampest.report.live import watcher as watcher_module
 from lampest.report.live.engine import Engine
 from lampest.report.live.handover import Errand
 from lampest.report.live.message import (
@@ -185,40 +184,6 @@ def test_live_answers_as_detect_does(tmp_path: Path) -> None:
     assert live.frames_per_second == batch.frames_per_second == 4.0
     (one,), (other,) = live.attachments, batch.attachments
     assert one.since_s == other.since_s and one.place == pytest.approx(other.place, abs=0.3)
-
-
-def test_a_panel_that_nothing_has_touched_is_answered_with_nothing() -> None:
-    assert Watched("mouth").detected.answer == "cannot say"
-    here = watched(taken(4))
-    assert here.detected.answer == "nothing"
-    broken = dataclasses.replace(scan_of(taken(4), 6), recorded=np.full((2, 2), np.nan))
-    told = here.after(broken).detected
-    assert told.answer == "cannot say" and told.why
-    assert here.after(broken).after(scan_of(taken(4), 6)).detected.answer == "nothing"
-    scan = dataclasses.replace(scan_of(taken(4), 3), recorded=np.full((33, 32), 1000.0))
-    told = Watched("mat").after(Unloaded(dataclasses.replace(SCENE, panel=Panel(33, 32)), (scan,) * 3)).detected
-    assert told.answer == "cannot say" and "up to 1024 cells" in told.why
-
-
-def test_a_new_zero_ends_what_was_attached_and_the_latest_of_what_has_left_is_remembered(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(watcher_module, "MAX_REMEMBERED", 1)
-    recording = taken(8)
-
-    def with_attached(*attachments: Attachment) -> Watched:
-        return dataclasses.replace(here, watch=dataclasses.replace(here.watch, attachments=attachments))
-
-    here = watched(recording)
-    left = [dataclasses.replace(LAMPREY, since_s=float(since), until_s=8.0) for since in (1, 2)]
-    after = with_attached(CUP, *left).after(scan_of(recording, 6))
-    assert after.detected.attachments == (CUP, left[1])
-    here = with_attached(LAMPREY).after(2)
-    for frame in (5, 6):
-        assert here.detected.attachments[0].present
-        here = here.after(scan_of(recording, frame))
-    assert here.detected.attachments[0].until_s == recording.time[5] and not here.missing
-    assert here.watch is not None and here.watch.rest_s == recording.time[6]
 
 
 @pytest.mark.slow
