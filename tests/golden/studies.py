@@ -1,5 +1,6 @@
 """Rows of studies."""
 
+import csv
 import re
 import tempfile
 from collections.abc import Callable
@@ -109,6 +110,19 @@ def stored(path: Path) -> dict[str, Any]:
     return {name: {key: each for key, each in about.items() if "LIST" not in key} for name, about in held.items()}
 
 
+def numbers_of(path: Path) -> list[list[Any]]:
+    """Lines of a table as text, numbers as numbers."""
+
+    def field(text: str) -> Any:
+        try:
+            return float(text)
+        except ValueError:
+            return text
+
+    with path.open(encoding="utf-8", newline="") as lines:
+        return [[field(text) for text in line] for line in csv.reader(lines)]
+
+
 MEASURED: dict[str, tuple[Study[Any, Any], Callable[[], Any]]] = {
     "bench": (bench.STUDY, timed_bench), "tradeoff": (tradeoff.STUDY, timed_tradeoff),
     "extremes": (extremes.STUDY, judged_solves),
@@ -125,9 +139,8 @@ def study_files_row(name: str) -> dict[str, Any]:
         Path("file.yaml").touch()
         printed = command("study", name, "file.yaml")
         files = sorted(Path("results/file").iterdir())
-        return {"printed": printed} | {
-            path.name: stored(path) if path.suffix == ".h5" else path.read_text() for path in files
-        }  # fmt: skip
+        kinds = {".h5": stored, ".csv": numbers_of, ".md": Path.read_text}
+        return {"printed": printed} | {path.name: kinds[path.suffix](path) for path in files}
 
 
 def bench_row() -> dict[str, Any]:
