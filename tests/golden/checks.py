@@ -201,6 +201,8 @@ def scatter_row() -> dict[str, Any]:
         "lines": plain + 4 * rng.standard_normal((9, 10, 1)),
     }  # fmt: skip
     single = [rng.standard_normal((6, *shape)) for shape in ((1, 1), (1, 12), (12, 1))]
+    few = 500 * np.exp(0.01 * plain[:, :2, :3])
+    few[:, 0, 0], few[1:, 0, 1], few[:, 0, 2] = 500.0, np.nan, np.nan
     recording = recorded()
     measured, readings = recording.measured_frames(), recording.readings()
     resting = baseline_readings(recording, readings)
@@ -216,7 +218,7 @@ def scatter_row() -> dict[str, Any]:
         "unknown": noise_factor(replace(readings, sigma=None)), "factor": noise_factor(readings[:4]),
         "lonely": frames_beside(replace(recording, role=(recording.time == 4).astype(np.uint8)), readings, resting, 4),
         "beside": frames_beside(recording, readings, resting, frame),
-        "possible": [str(each) for each in possible_effects((3, 4))],
+        "possible": [str(each) for each in possible_effects((3, 4))], "scattered": detection._scattered(few),
     }  # fmt: skip
 
 
@@ -384,8 +386,9 @@ def verdict_of(name: str) -> tuple[Verdict, observation.Observation]:
 
 def verdict_row(name: str) -> dict[str, Any]:
     verdict, frame = verdict_of(name)
-    best = verdict.best
+    best, pressures = verdict.best, np.r_[-1e4, np.linspace(-12.0, 60.0, 40), 500.0].reshape(6, 7)
     return {
+        "under water": replace(frame, water=np.full((6, 7), 2.0)).change(pressures),
         "fits": [(fit.candidate.label, fit.evidence, fit.chi2, fit.cost, fit.volume) for fit in verdict.fits],
         "shares": verdict.shares, "goodness": verdict.goodness, "evidence": verdict.evidence,
         "nothing": verdict.nothing, "parameters": best.parameters, "covariance": best.covariance,

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 import lampest as lp
 from lampest.files.typed import members_of
 from lampest.loads.film import ERRORS, FilmKnown, FilmMemory
-from lampest.loads.pressure import pressure_of, response_sd, scatter_sd, total_force, water_pressure
+from lampest.loads.pressure import TareWatch, pressure_of, response_sd, scatter_sd, total_force, water_pressure
 from lampest.loads.recognition import candidates
 from lampest.loads.shapes import shape_types
 from lampest.loads.shapes.disc import annulus_mm2, bearing_kpa, contact_of_weight
@@ -297,6 +298,20 @@ def pressure_row(scene: lp.Scene, tare: lp.Tare | None = None) -> Any:
     }  # fmt: skip
 
 
+def tare_row() -> list[Any]:
+    """When zero is taken anew, and by what, for deviations and memories of several sizes; a frame has no estimate."""
+    rng, rows = np.random.default_rng(2), list[Any]()
+    for size, kept in product((0.0, 0.003, 0.02, 0.07, 0.1), (0.0, 0.1, 0.5)):
+        zero, memory = size * (1 + 0.4 * rng.standard_normal((4, 5))), kept * rng.uniform(size=(4, 5))
+        watch = TareWatch(lp.Tare(frames=6))
+        for number in range(40):
+            left = zero + 0.002 * rng.standard_normal((4, 5)) + 0.2 * (number == 13)
+            left[1, 2] = np.nan if number > 9 else left[1, 2]
+            watch, mean, why = watch.after(left * (np.nan if number == 4 else 1.0), memory, 20.0 * number)
+            rows += [[size, kept, number, mean, why]] if why else []
+    return rows
+
+
 def shape_row(load: lp.Shape) -> dict[str, Any]:
     row = {"maps": [load.mean_pressure(panel, 6.0) for panel in (PANEL, LISTED)], "reach": load.reach_mm}
     if isinstance(load, RoundShape):
@@ -331,6 +346,7 @@ def of_loads() -> Rows:
             "pressure tared": partial(pressure_row, LOADED["air"], lp.Tare(frames=5)),
             "pressure tared on a film": partial(pressure_row, LOADED["film"], lp.Tare(frames=5)),
             "memory of a film": film_row,
+            "tare": tare_row,
             "starts of discs": lambda: (
                 list(search.starts(normal, pull).values()),
                 search.faint,

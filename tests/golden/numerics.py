@@ -15,6 +15,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.weights import residual_scale
+from lampest.files.errors import InputError
 from lampest.files.typed import members_of
 from lampest.panel import least_squares
 from lampest.panel.trust_region import steihaug
@@ -27,7 +28,7 @@ from lampest.recording.readings import Readings
 from lampest.solvers import bounds, ipopt, multistart, preconditioners
 from lampest.solvers.certificate import certificate
 from lampest.solvers.hessian import Hessian
-from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.projected_newton import Iterate, ProjectedNewton, descent_step, levenberg_step
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status, check
 
@@ -102,10 +103,29 @@ def program_row(formulation: str, loss: lp.Loss) -> dict[str, Any]:
     return {"values": [np.asarray(value) for value in values], "hessian": np.asarray(DM(hessian))}
 
 
+def formulation_row(name: str) -> list[Any]:
+    """Unknown potentials of a solved network, and the multipliers of its equations for some slopes."""
+    form, rows = ipopt.FORMULATIONS[name], list[Any]()
+    for readout in (lp.TwoPointReadout(), lp.GroundedReadout(), lp.LoadedColumnsReadout(driven="columns")):
+        for shape in ((4, 5), (5, 3), (1, 4)):
+            cells = cells_of((5, 5))[: shape[0], : shape[1]]
+            try:
+                form.check(readout)
+            except InputError as error:
+                rows.append(str(error))
+                continue
+            tie = readout.ties(readout.exact_reading(cells))
+            potentials = form.potentials(readout, readout.network(cells, tie, None))
+            slope = np.random.default_rng(3).normal(size=len(potentials))
+            rows.append([potentials, form.multipliers(readout, readout.network(cells, tie, None), tie, slope)])
+    return rows
+
+
 def of_cost() -> Rows:
     variants = [(kind, term, words) for kind, term in lp.term_types().items() for words in options(term)]
     return (
         {f"loss {loss.kind}": partial(loss_row, loss) for loss in LOSSES}
+        | {f"formulation {name}": partial(formulation_row, name) for name in ipopt.FORMULATIONS}
         | {
             " ".join([kind, *words.values(), loss.kind]): partial(term_row, term, words, loss)
             for kind, term, words in variants
@@ -202,6 +222,25 @@ def certificate_row(cost: str, circuit: str, decades: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def steps_row() -> dict[str, Any]:
+    """One step of each kind from points near and far, at several dampings."""
+    rows: dict[str, Any] = {}
+    for cost, circuit, decades in (
+        ("plain", "whole", 0.0), ("plain", "whole", 4.0), ("plain", "driven", 4.0), ("student", "whole", 0.0),
+        ("penalty", "whole", 6.0), ("absolute", "driven", 4.0), ("ohm", "whole", 6.0),
+    ):  # fmt: skip
+        begin = Iterate.of((at := point(cost, circuit, decades=decades)), Smoothing.start(at))
+        trials = [levenberg_step(replace(begin, damping=damping)) for damping in (1e-15, 1e-3, 10.0)]
+        trials += [descent_step(replace(begin, gauss_newton=patience)) for patience in (0, 3)]
+        rows[f"{cost} {circuit} {decades}"] = [
+            trial and [
+                trial.at.cell_resistance, trial.objective, trial.damping, trial.gauss_newton, trial.convex,
+                trial.expected,
+            ] for trial in trials
+        ]  # fmt: skip
+    return rows
+
+
 def verdicts_row() -> dict[str, Any]:
     """What a check makes of outcomes of every status, at the start, an optimum, worse points and no numbers."""
     plain, blind = point("plain"), point("penalty")
@@ -252,6 +291,7 @@ def of_solvers() -> Rows:
         | {
             "searches": search_row,
             "verdicts": verdicts_row,
+            "steps": steps_row,
         }
     )
 

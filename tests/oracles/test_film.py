@@ -12,7 +12,7 @@ from lampest.cost.terms import Misfit, RelativeChange, Term
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import to_yaml
 from lampest.loads.film import Creep, FilmKnown, FilmMemory, Plays
-from lampest.loads.pressure import Pressure, Tare, TareWatch, pressure_of
+from lampest.loads.pressure import Pressure, Tare, pressure_of
 from lampest.loads.shapes import OralDisc, Rod, Shape, SuctionCup
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import Film, PublishedResponse
@@ -239,22 +239,6 @@ def test_nothing_attached_is_never_taken_for_zero(load: Shape, approach: float, 
     pressed = np.abs(truth[3:]).max(axis=(1, 2)) > 0.1
     assert len(at) >= 1 and not any(pressed[last - 9 : last - 4].any() for last in at)
     assert not pressed[at[(at > ARRIVES + approach) & (at < LEAVES)]].any()
-
-
-def test_watch_waits_for_frames_in_a_row_that_moved_and_forgets_at_a_gap() -> None:
-    rng, shape = np.random.default_rng(2), (4, 5)
-    zero = 0.004 * rng.standard_normal(shape)
-    watch, said = TareWatch(Tare(6)), []
-    for number in range(14):
-        left = zero + 0.001 * rng.standard_normal(shape) if number != 4 else np.full(shape, np.nan)
-        watch, mean, why = watch.after(left, np.zeros(shape), float(number))
-        said.append(bool(why))
-        assert mean is None or np.abs(mean - zero).max() < 0.003
-    assert np.flatnonzero(said).tolist() == [10]
-    rng, still = np.random.default_rng(3), TareWatch(Tare(6))
-    for number in range(40):
-        still, mean, _ = still.after(0.01 * rng.standard_normal((4, 4)), np.zeros((4, 4)), float(number))
-        assert mean is None
 
 
 @pytest.mark.parametrize("terms", [(Misfit(),), (Misfit(), RelativeChange(weight=10))], ids=["absolute", "relative"])

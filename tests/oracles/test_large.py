@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -237,48 +236,3 @@ def test_what_the_last_digits_of_the_cost_hide_is_no_way_down(
     monkeypatch.setattr(hessian.Hessian, "gradient", np.where(np.arange(len(diagonal)) == 7, 1e-9, 0.0))
     preconditioner = TwoLevel(at.cell_resistance, lambda values: values)
     assert certificate.certificate(curved, preconditioner).definiteness is certificate.Definiteness[named]
-
-
-@pytest.mark.parametrize(
-    ("aside", "seed", "fails", "begun", "taken", "eased"),
-    [(0.1, 0, 2, 1e-15, 1e-3, 1e-4), (0.1, 0, 0, 1e-15, 1e-15, 1e-15), (1.5, 3, 0, 1e-3, 1e-3, 1e-3)],
-)
-def test_levenbergs_step_is_damped_until_the_cost_falls(
-    aside: float,
-    seed: int,
-    fails: int,
-    begun: float,
-    taken: float,
-    eased: float,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Where it falls by half as much as predicted, the next step is damped less."""
-    start = crowded(0.01, 2, (5, 6))
-    optimum = solved_from(projected_newton.ProjectedNewton(start.cost, Settings()), start).cell_resistance
-    drawn = np.exp(aside * np.random.default_rng(seed).standard_normal(optimum.shape))
-    at = start.elsewhere(np.clip(drawn * optimum, 1.001 * start.data.lower, start.data.upper / 1.001))
-    point = replace(projected_newton.Iterate.of(at, Smoothing.start(at)), damping=begun)
-    matrix, gradient = point.hessian.gauss_newton_matrix, point.hessian.gradient
-    step = np.linalg.solve(matrix + taken * np.diag(np.diag(matrix)), -gradient)
-    expected = point.at_step(np.clip(step, -np.log(4), np.log(4)))
-    usual, tries = projected_newton.Iterate.at_step, list[Array]()
-
-    def refused(point: projected_newton.Iterate, step: Array) -> projected_newton.Iterate | None:
-        tries.append(step)
-        return None if len(tries) <= fails else usual(point, step)
-
-    monkeypatch.setattr(projected_newton.Iterate, "at_step", refused)
-    trial = projected_newton.levenberg_step(point)
-    assert trial is not None and expected is not None and trial.damping == pytest.approx(eased)
-    assert_allclose(trial.at.cell_resistance, expected.at.cell_resistance, rtol=1e-6)
-    fails = 100
-    tries.clear()
-    assert projected_newton.levenberg_step(replace(point, damping=1e-15)) is None
-    assert len(tries) == 9, "1e-15, 1e-4, and so on to 1e3"
-
-
-def test_negative_curvature_is_followed_where_no_step_lowers_the_cost(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("trust_region_step", "levenberg_step"):
-        monkeypatch.setattr(projected_newton, name, lambda point: None)
-    point: Any = SimpleNamespace(below_saddle=SimpleNamespace())
-    assert projected_newton.descent_step(point) is point.below_saddle

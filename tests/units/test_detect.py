@@ -17,9 +17,7 @@ from lampest import Block, Faults, InputError, OralDisc, Panel, Recording, Rod, 
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.breathing import Breathing
-from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
-from lampest.panel.response import ratio_from_pressure
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
 from lampest.report.detect.answer import (
@@ -30,7 +28,7 @@ from lampest.report.detect.answer import (
     Detected,
     write_detections,
 )
-from lampest.report.detect.detection import Known, _scattered, detect_recording, detect_results, frame_rate, known_of
+from lampest.report.detect.detection import Known, detect_recording, detect_results, known_of
 from lampest.runs.filling import _arrays_of, frame_noise_of
 from lampest.runs.results import CaseResult, Results
 
@@ -65,23 +63,6 @@ def solved_case(faults: Faults | None = None, **known: Any) -> CaseResult:
         truth=None,
         truth_baseline=None,
     )
-
-
-def at_rest() -> Observation:
-    """A frame of 2 × 3 cells of 3 kohm that read 2 kohm; 540 s after the baseline."""
-    measured, scene = np.full((2, 3), 2000.0), Scene(Panel(2, 3), TwoPointReadout(noise_lsb=0.7), 140.0)
-    baseline = Baseline.of(measured, np.ones((2, 3)), scene, ModelErrors())
-    return Observation(measured, np.ones((2, 3)), baseline, 0 * measured, 540.0)
-
-
-def test_a_change_is_that_of_the_response_under_water_and_ends_where_a_cell_is_open() -> None:
-    frame = replace(at_rest(), water=np.full((2, 3), 2.0))
-    pressure = np.array([[0.0, 5.0, 20.0], [-3.0, -8.0, 500.0]])
-    change, slope = frame.change(pressure)
-    np.testing.assert_allclose(change, np.log(ratio_from_pressure(pressure + 2) / ratio_from_pressure(2.0)))
-    np.testing.assert_allclose(slope, (frame.change(pressure + 1e-4)[0] - change) / 1e-4, rtol=0.05, atol=1e-6)
-    far, flat = frame.change(np.full((2, 3), -1e4))
-    assert np.all(far == 12) and np.all(flat == 0)
 
 
 def test_the_file_has_the_names_of_the_json(tmp_path: Path) -> None:
@@ -123,19 +104,6 @@ def test_results_are_answered_from_their_readings() -> None:
         assert answer.answer == SUCKS and answer.attachments[0].diameter_mm is not None
         assert answer.attachments[0].diameter_mm[0] == pytest.approx(33, abs=2)
         assert (case.sigma is None) == any("the noise is unknown" in note for note in answer.notes)
-
-
-def test_noise_that_is_unknown_comes_from_neighbouring_frames() -> None:
-    """Readings that alternate by ±1 % have steps of 2 %, and each frame half of their variance."""
-    value = 500 * np.exp(0.01 * np.array([-1, 1, -1, 1, -1.0]))[:, None, None] * np.ones((5, 2, 3))
-    value[:, 0, 0], value[1:, 0, 1], value[:, 0, 2] = 500.0, np.nan, np.nan
-    sigma, notes = _scattered(value)
-    each = 0.02 * 1.4826 / np.sqrt(2)
-    expected = 500 * np.exp(-0.01) * each * np.ones((2, 3))
-    expected[0] = 500 * each, 500 * np.exp(-0.01) * each, np.nan
-    np.testing.assert_allclose(sigma, expected, rtol=1e-4)
-    assert notes == ("the noise is unknown: 2.1 % a reading, from differences of neighbouring frames",)
-    assert frame_rate([0.0, 0.25, 0.5, 9.0]) == 4.0 and frame_rate([1.0]) == 0.0
 
 
 @pytest.mark.parametrize("readout", [TwoPointReadout(), LoadedColumnsReadout(load_ohm=1000.0)])
