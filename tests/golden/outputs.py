@@ -31,7 +31,7 @@ from lampest.loads.pressure import Force
 from lampest.loads.recognition import breathing
 from lampest.loads.recognition.attachment import Attachment
 from lampest.panel.panel import EachModule, Modules
-from lampest.report import compare, words
+from lampest.report import compare, plots, words
 from lampest.report.detect import pressed
 from lampest.report.detect.answer import Detected
 from lampest.report.info import describe, shaded_map, text_map, understood_lines
@@ -62,7 +62,7 @@ from lampest.runs import config
 
 # Results, tables, pictures and messages
 
-SPOKEN = ("noisy", "contacts", "faults", "diodes")
+SPOKEN = ("noisy", "contacts", "faults", "diodes", "holes")
 METHODS = ("LSM", "LSR-dCR", "LSR-gCR")
 
 
@@ -236,7 +236,7 @@ def drawn_row(figure: Figure) -> dict[str, Any]:
                 ],
                 "widths": [image.get_linewidths() for image in each.collections],
                 "shapes": [path.vertices[:5] for image in each.collections for path in image.get_paths()[:1]],
-                "place": each.get_position().bounds,
+                "place": [*each.get_position().bounds, each.get_visible()],
                 "values": [
                     np.ma.filled(np.ma.asarray(image.get_array(), dtype=float), np.nan)
                     for image in images
@@ -254,7 +254,7 @@ def scales_row() -> dict[str, Any]:
     values = [np.array([0.02, 3.0, 45.0, -70.0, 900.0, np.nan])]
     scales = [
         maps.change_scale(values, "a"), maps.banded_scale(values, "b"), maps.signed_scale(values, "c", 1.0, 100.0),
-        maps.log_scale([np.abs(values[0])], "d"),
+        maps.log_scale([np.abs(values[0])], "d"), maps.log_scale([np.array([1e-5, 2e-4])], "e"),
     ]  # fmt: skip
     return {
         "scales": [
@@ -539,6 +539,31 @@ def described_results() -> list[str]:
         return describe("r.h5")
 
 
+PICTURED: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
+    (("two.h5",), {}), (("two.h5", "new"), {"frame": 6}), (("two.h5", "x.png"), {}), (("one.h5", "x.svg"), {}),
+    (("two.h5", "x.png"), {"recordings": ["second"]}), (("two.h5",), {"recordings": ["c"]}),
+    (("two.h5",), {"estimators": ["LSMx"]}), (("one.h5", "x.bmp"), {}), (("one.h5",), {"frame": 99}),
+    (("swept.h5",), {}), (("swept.h5",), {"frame": 6}), (("one.h5",), {"show": "sweep"}), (("one.h5",), {"show": 3}),
+    (("one.h5",), {"show": "contour"}), (("bare.h5",), {"show": "pressure"}), (("one.h5",), {"show": "certainty"}),
+)  # fmt: skip
+
+
+def pictured_row() -> list[Any]:
+    """Where pictures of results go, or why none is drawn."""
+    told: list[Any] = []
+    cases = {"one": invented()[:1], "two": invented()[:4], "swept": swept_cases(), "bare": (invented_case(),)}
+    drawn = patch.object(plots, "write_all", lambda figures, files, *_, **__: files)
+    with tempfile.TemporaryDirectory() as folder, chdir(folder), drawn:
+        for name, of in cases.items():
+            lp.write_results(Path(f"{name}.h5"), of)
+        for way, known in PICTURED:
+            try:
+                told.append([str(path) for path in lp.plot_results(*way, **known)])
+            except lp.InputError as error:
+                told.append(str(error))
+    return told
+
+
 SQUARE = ((0, 0, 0, 0), (0, 1, 10, 0), (1, 0, 0, 10), (1, 1, 10, 10))
 
 
@@ -550,7 +575,7 @@ def variants_row() -> list[Any]:
         replace(case.scene, readout=lp.TwoPointReadout(reference_ohm=1.0)),
         replace(case.scene, readout=pull_ups, series_resistance_ohm=0.0),
     )
-    volts = replace(case, measured=np.full_like(case.measured, 1.5))
+    volts = replace(case, measured=np.full_like(case.measured, 1.5), cell_resistance=1e-6 * case.cell_resistance)
     square, single = invented_case(shape=(1, 2, 2)), replace(invented()[0], recording="single")
     apart = [lp.Panel(2, 2, cells=tuple((j, k, x * far, y * far) for j, k, x, y in SQUARE)) for far in (1, 50)]
     return [
@@ -597,6 +622,7 @@ def of_report() -> Rows:
             "schema": lambda: sorted(config.json_schema()["$defs"]),
             "report of a fit": fit_row,
             "pictures of variants": variants_row,
+            "pictures of files": pictured_row,
         }
         | {f"live {name}": partial(live_row, name) for name in ("auto", "by nodal", "tared", "smoother")}
     )

@@ -13,7 +13,9 @@ import pytest
 from support import METHODS, invented_case
 
 from lampest import CaseResult, InputError, write_results
+from lampest.cli.screen import print_table
 from lampest.files.process import ALLOWED, libraries_to_the_log, memory_limit
+from lampest.report.compare import Table
 from lampest.report.detect.pressed import pressed_of
 from lampest.report.page import page as page_module
 from lampest.report.page.compared import Batch, read_batch
@@ -220,3 +222,21 @@ def test_forces_of_noisy_maps_scatter_as_they_say() -> None:
         one = pressed_of(pressing(pressure=noisy, pressure_own=errors))
         forces.append(one.values[1, -1])
     assert np.std(forces) == pytest.approx(one.errors[1, -1], rel=0.2)
+
+
+@pytest.mark.parametrize("sources", [1, 3])
+def test_a_wide_table_folds_its_texts_and_keeps_its_figures(sources: int, capsys: pytest.CaptureFixture[str]) -> None:
+    numbers = range(5 if sources == 1 else 7)
+    headers = ("recording", "what", "nothing", *(f"number {number} [kPa]" for number in numbers))
+    figures = [f"{-1.5 * number:.1f} ± {number}.25" for number in range(len(headers) - 3)]
+    rows = tuple((f"panel_{source}", "ring or rod or lamprey or cup", "", *figures) for source in range(sources))
+    print_table(Table(headers, rows))
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 100 and "nothing" not in text and "…" not in text
+    assert all(text.count(figure) >= sources for figure in figures), "figures are whole"
+    assert text.count("lamprey") == sources and "or lamprey or cup" not in text
+    titles = [line for line in text.splitlines() if line.endswith(":")]
+    assert titles == ([f"panel_{source}:" for source in range(sources)] if sources > 1 else [])
+    print_table(Table(("", "figure", "a"), (("x", "1 ± 2", ""), ("two words", "3", ""))))
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert lines == ["", "figure", "─" * 17, "x          1 ± 2", "two words  3", ""]
