@@ -97,16 +97,6 @@ def test_csv_is_what_pandas_reads(lampest: Run, results: Path, monkeypatch: pyte
     written = path.read_bytes()
     monkeypatch.setitem(sys.modules, "pandas", None)
     assert export_results(results, "csv")[0].read_bytes() == written, "nor is pandas needed to write it"
-    told = json.loads(path.with_name("r.csv-metadata.json").read_text())
-    assert told["url"] == "r.csv"
-    columns = {column["name"]: column for column in told["tableSchema"]["columns"]}
-    assert list(columns) == list(table.columns)
-    assert columns["pressure_kPa"]["schema:unitText"] == "kPa"
-    assert columns["open_cell"]["schema:valueReference"]["1"] == "cannot_be_told_from_open"
-    noted = [(note["recording"], note["estimator"]) for note in told["notes"]]
-    assert noted == [("mouth", "LSM"), ("mouth", "LSR-gCR"), ("other", "LSM")]
-    assert told["notes"][0]["start_time"] == START and "start_time" not in told["notes"][2]
-    assert "rows: 4" in told["notes"][0]["scene"] and "misfit" in told["notes"][0]["case"]
 
 
 def test_names_that_spreadsheets_would_compute_are_texts_in_csv(lampest: Run, tmp_path: Path) -> None:

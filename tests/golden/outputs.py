@@ -485,6 +485,7 @@ def commands_row() -> dict[str, Any]:
         texts["compare"] = command("compare", "invented.h5", "--csv", "table.csv")
         texts["export"] = command("export", "invented.h5", "--to", "csv", "--recording", "mouth")
         texts["csv"] = (folder / "table.csv").read_text()
+        texts["metadata"] = next(folder.glob("invented*-metadata.json")).read_text()
         exported = next(folder.glob("invented*.csv")).read_text().splitlines()
         texts["exported"] = "\n".join([*exported[:4], str(len(exported))])
         texts["starter"] = "\n".join(path.read_text() for path in sorted((folder / "mine").glob("*.yaml")))

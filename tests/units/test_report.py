@@ -20,7 +20,6 @@ from lampest.report.detect.pressed import pressed_of
 from lampest.report.page import page as page_module
 from lampest.report.page.compared import Batch, read_batch
 from lampest.report.page.page import differences, report, write_report
-from lampest.runs.case import about
 
 EMPTY = {"meta", "link", "img", "br"}
 
@@ -121,15 +120,6 @@ def test_maps_of_differences_show_the_nine_pairs_that_differ_most(monkeypatch: p
         assert [(tile.title, tile.note) for tile in tiles[:2]] == [("pair 0", "0.12 %"), ("pair 1", "1.1 %")][:pairs]
         assert len(tiles) == min(pairs, 9) and more == {"width": page_module.WIDTH_INCH / 2}
     assert differences([invented_case()], 0, []) == []
-
-
-def test_texts_of_a_case_are_those_that_it_has() -> None:
-    case = invented_case(warnings="one\ntwo", start_time="2026-05-04T09:30:00+02:00")
-    found = about(case)
-    assert {"recording", "estimator", "scene"} <= found.keys() and found["start_time"] == case.start_time
-    assert all(text and isinstance(text, str) for text in found.values())
-    assert "one\ntwo" in found.values() and found["lampest_version"] == "0.1.0"
-    assert "start_time" not in about(invented_case()) and "one\ntwo" not in about(invented_case()).values()
 
 
 def test_a_page_needs_nothing_else_and_recommends_nothing_without_truth_and_noise() -> None:
