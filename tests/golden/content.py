@@ -1,6 +1,7 @@
 """Results as JSON, and their comparison."""
 
 import dataclasses
+import re
 from collections.abc import Iterator, Mapping
 from enum import Enum
 from typing import Any
@@ -50,6 +51,13 @@ def rounded(number: float) -> float:
     return float(f"{number:.{DIGITS}g}")
 
 
+def shortened(value: Any) -> Any:
+    """Return a text with its long numbers rounded, since their last digits are rounding; anything else as it is."""
+    if not isinstance(value, str):
+        return value
+    return re.sub(r"\d+\.\d{9,}(e[+-]?\d+)?", lambda number: f"{float(number[0]):.{DIGITS - 1}g}", value)
+
+
 def difference(stored: Any, computed: Any, relative: float = RELATIVE, place: str = "") -> str:
     """Return the first place at which two contents differ, and how; '' where there is none."""
     if isinstance(stored, dict) and isinstance(computed, dict):
@@ -63,7 +71,11 @@ def difference(stored: Any, computed: Any, relative: float = RELATIVE, place: st
             pairs = enumerate(zip(stored, computed, strict=True))
             return next(filter(None, (difference(*pair, relative, f"{place}[{k}]") for k, pair in pairs)), "")
     elif not (isinstance(stored, int | float) and isinstance(computed, int | float)):
-        return "" if stored == computed else f"{place}: {stored!r} was stored, {computed!r} is computed"
+        return (
+            ""
+            if shortened(stored) == shortened(computed)
+            else f"{place}: {stored!r} was stored, {computed!r} is computed"
+        )
     before, now = np.atleast_1d(np.array(stored, dtype=float)), np.atleast_1d(np.array(computed, dtype=float))
     largest = np.max(np.abs(before), initial=0.0, where=np.isfinite(before))
     far = ~np.isclose(now, before, rtol=relative, atol=ABSOLUTE * largest, equal_nan=True)
