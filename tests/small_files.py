@@ -24,6 +24,18 @@ estimators:
       cell_resistance: {weight: 1e-3}
   LSR-dCR: {terms: {misfit: {}, relative_change: {weight: 10}}}
 """
+SIMULATION = """\
+schema: 1
+seed: 4
+scene:
+  panel: {rows: 4, columns: 3, pitch_mm: 10}
+  readout: {kind: two_point}
+  series_resistance_ohm: 140
+frames: 2
+loads:
+  - {kind: oral_disc, centre_mm: [10, 10], diameter_mm: 25, rim_width_mm: 4, pressure_kpa: -10}
+  - {kind: rod, centre_mm: [20, 0], diameter_mm: 10, mass_g: 50}
+"""
 TRADEOFF = """\
 schema: 1
 simulated:

@@ -254,20 +254,33 @@ def conformed(validator: TypeAdapter[Any], value: Any) -> Any:
 
 
 def _known_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> set[str]:
-    """Return the keys that may replace an unknown key: those of the object types most similar to the content."""
+    """Return the keys that may replace an unknown key: those of the objects that may stand at its place."""
+    schema = adapter(kind).json_schema()
+    nodes = _alternatives(schema, schema)
     for part in location[:-1]:
         content = content[part]
-    present = {key: value for key, value in content.items() if key != location[-1]}
-    schema = adapter(kind).json_schema()
-    objects = [item.get("properties", {}) for item in (schema, *schema.get("$defs", {}).values())]
+        inner = (
+            node.get("properties", {}).get(part) or node.get("additionalProperties") or node.get("items")
+            for node in nodes
+        )
+        nodes = [each for node in inner if isinstance(node, dict) for each in _alternatives(node, schema)]
+    objects = [node["properties"] for node in nodes if "properties" in node]
     # Objects of another kind have another constant for a shared key.
-    similar = [
-        -1 if any(known[key].get("const", present[key]) != present[key] for key in shared) else len(shared)
-        for known in objects
-        for shared in [known.keys() & present.keys()]
-    ]
-    keys = {key for known, like in zip(objects, similar, strict=True) if like == max(similar) for key in known}
-    return keys - {*present, location[-1]}
+    fitting = [known for known in objects if all(_fits(known.get(key, {}), value) for key, value in content.items())]
+    return {key for known in fitting for key in known} - {*content}
+
+
+def _alternatives(node: Any, schema: Any) -> list[Any]:
+    """Return the schemas of which a value fulfils one, without references."""
+    while "$ref" in node:
+        node = schema["$defs"][node["$ref"].rpartition("/")[2]]
+    inner = node.get("anyOf", node.get("oneOf", ()))
+    return [each for part in inner for each in _alternatives(part, schema)] or [node]
+
+
+def _fits(node: Any, value: Any) -> bool:
+    """Return whether a constant, or one of several, is the value."""
+    return value in node.get("enum", [node.get("const", value)])
 
 
 def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
@@ -277,7 +290,7 @@ def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
     several types, the deepest fault belongs to the intended type.
     """
     for fault in faults:
-        if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        if fault["type"] == "unexpected_keyword_argument":
             return _location(fault, content), UNKNOWN
     within = _location(faults[0], content)
     inside = [(_location(fault, content), fault) for fault in faults]

@@ -1,18 +1,13 @@
 """Numbers that no panel has, and panels of which next to nothing is left: sentences about the panel, no traceback."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 from attack.attack import HELD, SIMULATION, Ended, Outcomes, Rng, attack, called, drawn
 from fuzz.batches import write_recording
-from support import invented_case
-
-from lampest import write_results
 
 pytestmark = pytest.mark.slow
 EXTREME = (1e300, 1e-300, 5e-324, -1e300, 1e160, 1e29, 1e-29, 0.0, -0.0, 1e12, np.inf, -np.inf, np.nan)
@@ -76,27 +71,6 @@ def test_scenes_with_impossible_numbers_end_in_a_sentence(rng: Rng, folder: Path
         what = f"{new.splitlines()[-1]} of {value}"
         yield from _tried(what, place, simulate)
         yield from _tried(what, place, RUNS + LOOKS if (place / "small.h5").is_file() else ())
-
-
-@attack(3, 60)
-def test_results_with_impossible_numbers_end_in_a_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
-    names = ("cell_resistance", "relative_change", "measured", "measured_baseline", "baseline_resistance", "truth",
-             "time", "sigma", "sigma_baseline", "reading_model", "objective", "solve_time")  # fmt: skip
-    looks = (("info",), ("compare", "--report", "r.html"), ("plot",), ("plot", "--show", "profiles"), ("detect",))
-    tries = [(name, value, whole) for name in names for value in EXTREME for whole in (True, False)]
-    for number, (name, value, whole) in drawn(rng, tries, count):
-        case, place = invented_case("LSM", "small", (3, 5, 6)), folder / f"results{number}"
-        place.mkdir()
-        values: Any = np.array(getattr(case, name) if getattr(case, name) is not None else 0.01 * case.measured)
-        values = values[0] if name == "sigma_baseline" and values.ndim == 3 else values
-        values[np.ones(values.shape, bool) if whole else rng.random(values.shape) < 0.1] = value
-        try:
-            write_results(place / "results.h5", [replace(case, **{name: values})])
-        except ValueError as error:
-            yield _words(str(error))
-            continue
-        commands = tuple((command, "results.h5", *words) for command, *words in looks)
-        yield from _tried(f"{name} with {'all' if whole else 'some'} {value}", place, commands)
 
 
 @attack(1, 6)

@@ -35,14 +35,3 @@ def test_shorted_lines_and_some_known_resistors_give_the_two_multiplexers(tmp_pa
         assert series(estimate) == pytest.approx(140, abs=0.5 if cells is few else 0.3)
         assert estimate.readings == known.sum() and not estimate.numbers[0].differ
         np.testing.assert_array_equal(np.isfinite(rows), known.any(axis=1))
-
-
-def test_channels_that_differ_are_found_and_written(tmp_path: Path) -> None:
-    rows, columns = np.array([60, 70, 80, 65.0]), np.array([100, 70, 85.0])
-    options = ("--row-ohm", ",".join(map(str, rows)), "--column-ohm", ",".join(map(str, columns)))
-    found = calibrate_resistors([from_board(tmp_path, np.full((4, 3), 1e-6), *options, frames=10)])
-    assert found.numbers[0].differ
-    assert series(found) == pytest.approx(rows.mean() + columns.mean(), abs=0.5)
-    for lines, true in zip(found.numbers[0].lines, (rows, columns), strict=True):
-        np.testing.assert_allclose(lines.off_ohm, true - true.mean(), atol=5 * np.max(lines.sigma_ohm))
-    np.testing.assert_allclose(found.scene.series_ohm, rows[:, None] + columns, atol=1)

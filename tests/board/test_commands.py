@@ -60,37 +60,6 @@ def test_shorted_lines_calibrate_the_scene_that_records_next(tmp_path: Path) -> 
     assert Recording.load(tmp_path / "r.h5").scene == found
 
 
-RECORD = ("record", "--out", "{}", "--port")
-KNOWN = ("calibrate", LAMPREY, "--out", "{}", "--known")
-WRONG = (
-    ((*RECORD, "/nowhere/port"), "/nowhere/port: cannot be opened"),
-    ((*RECORD, "loop://", "--count", 1, "--seconds", 1), "--count and --seconds"),
-    ((*RECORD, "loop://", "--seconds", "nan"), "--seconds must be positive and finite"),
-    ((*RECORD, "loop://", "--period", -1), "--period must be positive and finite"),
-    ((*RECORD, "loop://", "--scene", "nowhere.yaml"), "nowhere.yaml"),
-    (("record", "--out", LAMPREY, "--port", "loop://"), "exists already; a recording is never written over"),
-    (("check", "nowhere.h5", "--repair"), "nowhere.h5"),
-    (("calibrate", "nowhere.h5"), "nowhere.h5"),
-    ((*KNOWN, "nothing.csv"), "--known: 'nothing.csv' is neither a number of ohm nor a file"),
-    ((*KNOWN, "1,2\n3,4\n"), "the panel has 10 × 10 cells, but the table holds 2 × 2 numbers"),
-    ((*KNOWN, "1,2\n3\n"), "no table of resistances"),
-    ((*KNOWN, "1e9"), "no calibration: 11 % of its readings change from frame to frame"),
-    ((*KNOWN, "-5"), "known resistors must be zero or positive"),
-)
-
-
-@pytest.mark.parametrize(("words", "sentence"), WRONG, ids=lambda part: str(part)[:40])
-def test_wrong_input_is_one_sentence_and_leaves_nothing(
-    tmp_path: Path, words: tuple[object, ...], sentence: str
-) -> None:
-    if "\n" in str(words[-1]):
-        (tmp_path / "known.csv").write_text(str(words[-1]))
-        words = (*words[:-1], tmp_path / "known.csv")
-    _, complained = lampest(*(tmp_path / "made" if word == "{}" else word for word in words), code=2)
-    assert sentence in complained and complained.count("\n") == 1
-    assert {path.name for path in tmp_path.iterdir()} <= {"known.csv"}
-
-
 def test_ports_are_listed_or_said_to_be_none() -> None:
     said, complained = lampest("record", "--list")
     assert bool(said) != ("there is no serial port" in complained)

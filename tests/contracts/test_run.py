@@ -1,7 +1,6 @@
 """A run from end to end: what is skipped, resumed, overridden and kept, in this process and in others."""
 
 import fcntl
-import json
 import os
 import re
 import signal
@@ -15,7 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lampest import CaseResult, InputError, read_results, read_run, term_types
+from lampest import CaseResult, read_results, read_run, term_types
 from tests.small_files import COMMAND
 
 ROOT = Path(__file__).parents[2]
@@ -78,15 +77,6 @@ def test_what_changed_is_solved_again(disk: SimpleNamespace, lampest: Command) -
         assert "1 case solved, 2 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
 
 
-def test_order_of_keys_and_comments_change_nothing(disk: SimpleNamespace) -> None:
-    other = (
-        disk.text.replace("  LSM: {terms: {misfit: {}}}\n", "") + "  LSM: # plain\n    terms: {misfit: {weight: 1}}\n"
-    )
-    first = {case.name: case.case_id for case in read_run(disk.folder / "run.yaml").cases}
-    assert {case.name: case.case_id for case in read_run(disk.run(other, "other.yaml")).cases} == first
-    assert len(set(first.values())) == 3
-
-
 def test_frame_that_fails_is_no_number_and_stops_nothing(disk: SimpleNamespace, lampest: Command) -> None:
     """One iteration is too few: NaN and a sentence, in a finished case."""
     few = "  penalised: {solver: {max_iterations: 1}, terms: {misfit: {}, cell_resistance: {weight: 0.1}}}\n  LSM: {"
@@ -111,45 +101,7 @@ def test_one_run_at_a_time_in_a_folder(disk: SimpleNamespace, lampest: Command) 
     assert lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1").code == 0
 
 
-def test_a_sweep_varies_an_estimator_over_its_own_keys_and_all_over_the_others(disk: SimpleNamespace) -> None:
-    sweep = "sweep: {estimators.LSR-CR.terms.cell_resistance.weight: [1e-4, 1e-2], bounds.lower: [measured, 1]}\n"
-    run = read_run(disk.run(disk.text + sweep))
-    lower = [{"bounds.lower": bound} for bound in ("measured", 1)]
-    weights = [{"cell_resistance.weight": weight} for weight in (1e-4, 1e-2)]
-    varied = [weight | bound for weight in weights for bound in lower]
-    assert [case.swept for case in run.cases] == [*lower, *varied, *lower]
-    assert [case.name for case in run.cases][1:3] == [
-        "LSM@bounds.lower=1",
-        "LSR-CR@cell_resistance.weight=0.0001,bounds.lower=measured",
-    ]
-    found = [(case.estimator.terms[1].weight, case.estimator.bounds.lower) for case in run.cases[2:6]]
-    assert found == [tuple(values.values()) for values in varied] and len({case.case_id for case in run.cases}) == 8
-    keys = {"LSR-CR.terms.cell_resistance": [1e-4, 1e-3, 1e-2], "LSR-dCR.terms.relative_change": [1, 10]}
-    own = {f"estimators.{key}.weight": values for key, values in keys.items()}
-    run = read_run(disk.run(disk.text + f"sweep: {json.dumps(own)}\n"))
-    swept = [(key.partition(".")[0], [value]) for key, values in keys.items() for value in values]
-    assert [(case.name.partition("@")[0], [*case.swept.values()]) for case in run.cases] == [("LSM", []), *swept]
-    for key, sentence in (
-        ("estimators: [{LSM: {terms: {misfit: {}}}}]", "a sweep varies keys below, or beside, this one"),
-        ("estimators.LSR-XX.terms.misfit.weight: [1, 2]", "LSR-XX"),
-    ):
-        with pytest.raises(InputError, match=sentence):
-            read_run(disk.run(disk.text + f"sweep: {{{key}}}\n"))
-
-
-def test_estimators_override_the_run_and_settings_the_file_key_by_key(disk: SimpleNamespace, lampest: Command) -> None:
-    shared = "formulation: per_pixel\nsolver: {tolerance: 1e-9, max_iterations: 77}\nbounds: {upper: none}\n"
-    own = "  LSM: {formulation: nodal, solver: {max_iterations: 5}, bounds: {lower: 2}, "
-    path = disk.run(disk.text.replace("  LSM: {", own) + shared)
-    first, second, _ = (case.estimator for case in read_run(path).cases)
-    assert (first.formulation, second.formulation) == ("nodal", "per_pixel")
-    assert (first.solver.tolerance, first.solver.max_iterations) == (1e-9, 5)
-    assert (second.solver.tolerance, second.solver.max_iterations) == (1e-9, 77)
-    assert (first.bounds.lower, first.bounds.upper) == (2, "none")
-    assert (second.bounds.lower, second.bounds.upper) == ("measured", "none")
-    settings = ("solver.max_iterations=9", "estimators.LSR-CR.terms.cell_resistance.weight=5e-2")
-    _, second, _ = read_run(path, settings).cases
-    assert (second.estimator.solver.max_iterations, second.estimator.terms[1].weight) == (9, 0.05)
+def test_settings_of_the_command_override_the_file(disk: SimpleNamespace, lampest: Command) -> None:
     arguments = ("--set", "formulation=per_pixel", "--set", "estimators.LSM.terms.misfit.weight=3")
     assert lampest("run", disk.run(disk.text), "--out", disk.folder / "out", "--jobs", "1", *arguments).code == 0
     first, second, _ = cases(disk.folder / "out")

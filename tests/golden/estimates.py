@@ -10,6 +10,7 @@ from typing import Any, get_args
 
 import numpy as np
 from golden.circuits import COLD, FILM, PANEL, RESPONSES, Rows, scenes
+from unclosed import unclosed_recording
 
 import lampest as lp
 from lampest.estimate.calibration import known_loads
@@ -158,6 +159,17 @@ def import_row(text: str, how: dict[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def killed_row() -> list[Any]:
+    """What a killed recorder leaves, and date and time at 0 s by a board's clock of the host."""
+    with tempfile.TemporaryDirectory() as folder:
+        left = unclosed_recording(Path(folder) / "r.h5", lp.Scene(PANEL, lp.TwoPointReadout(noise_lsb=0.7)), 6, 3)
+        recording = lp.Recording.load(left)
+    board = recording.acquisition
+    assert board is not None
+    hosts = [replace(board, host_time=board.host_time + moved) for moved in (3600.5, -1.7e9, np.inf, 1e15)]
+    return [recording.recorded, recording.start_time, vars(board), [host.start(0.25) for host in hosts]]
+
+
 def of_recording() -> Rows:
     assert {field.name for field in fields(lp.Unmodelled)} == EFFECTS_OF.keys()
     kinds = {f"of {name}": scene for name, scene in scenes().items() if scene.panel.modules is None}
@@ -177,6 +189,7 @@ def of_recording() -> Rows:
             "of modules": lambda: recording_row(simulated(scene=scenes()["modules"])),
             "course": lambda: [course.contact_and_suction(np.linspace(-1, 8, 40)) for course in (COURSE, PUMPS)],
             "readings": readings_row,
+            "killed recorder": killed_row,
         }
     )
 

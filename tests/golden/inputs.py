@@ -59,6 +59,7 @@ TEXTS: dict[str, str] = {
     "rows by numbers": named_rows("{}", header="row,c3,c1,c2"), "no such row": named_rows("R{}", 4),
     "columns as rows": named_rows("col {}"), "rows by columns' names": named_rows("{}", header="row,r1,r2,r3"),
     "titled blocks": frames_text(title="Frame {0}, t = {1} s"), "plain titles": frames_text(title="Frame"),
+    "two titles": frames_text(title="Frame {0}, t = {1} s\nlast scan t = 7 s"),
     "blocks by numbers": frames_text(title="{0}"), "stamped titles": frames_text(title="2025-01-31 12:00:0{0}"),
     "another first title": frames_text(title="Frame {0}, t = {1} s").replace("Frame 0,", "Start:"),
     "titles and blank lines": "\n" + frames_text(title="\nframe {0}\n\n").replace("frame 2", "#\nframe 2"),

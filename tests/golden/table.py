@@ -10,6 +10,7 @@ from golden.estimates import of_estimate, of_recording
 from golden.inputs import of_inputs
 from golden.numerics import COSTS, of_cost, of_posterior, of_solvers
 from golden.outputs import of_report
+from golden.runs import of_runs
 from golden.studies import of_studies
 from golden.whole import of_whole
 
@@ -26,6 +27,7 @@ ROOMS = (
     of_recognition,
     of_report,
     of_studies,
+    of_runs,
     of_whole,
 )
 # name → tolerance, where products alone lead to an answer

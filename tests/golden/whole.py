@@ -4,7 +4,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, chdir, contextmanager
+from contextlib import ExitStack, chdir, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -14,11 +14,13 @@ from unittest.mock import patch
 
 import h5py
 import numpy as np
+from attack.attack import called
 from golden.checks import recorded
 from golden.circuits import PANEL, Rows, cells_of
 from golden.estimates import case_row, simulated
 from golden.numerics import COSTS, TINY, certificate_row, point, solver_row
 from golden.outputs import command, drawn_row, invented
+from golden.runs import reason
 from golden.studies import tuned_curves
 from support import invented_case
 from typer.main import get_command
@@ -31,12 +33,16 @@ from lampest.cost.given import Background
 from lampest.estimate import model_error
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.prepared import Prepared
+from lampest.files import hdf5
+from lampest.files.checksums import lookup3
 from lampest.files.errors import InputError
 from lampest.recording.simulation import simulation
 from lampest.report.info import checked_sentence, describe
 from lampest.report.page import compared, page
+from lampest.runs import batch
 from lampest.runs.case import ATTRIBUTES, COLUMNS, REQUIRED
 from lampest.runs.columns import FRAMES, Column
+from lampest.runs.executors import Serial
 from lampest.solvers import interior_point, multistart
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.certificate import certificate
@@ -137,13 +143,14 @@ RUN_OF_PARTS = """
 schema: 1
 recordings: [long.h5]
 estimators:
+  apart: {terms: {misfit: {}, gradient: {weight: 1e-3}}, formulation: reduced, error_bars: false}
   alone: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 3.0}}, formulation: linearised}
   following: {terms: {misfit: {}, log_ratio: {weight: 100.0, reference: previous}}, formulation: {kind: reduced}}
 """
 
 
 def parts_row() -> dict[str, Any]:
-    """A recording that is read and solved in parts of sixteen frames."""
+    """A recording that is solved in parts of sixteen frames, by a run that is broken off before these are joined."""
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         simulated(frames=19, baseline_frames=3).save("long.h5")
         Path("run.yaml").write_text(RUN_OF_PARTS)
@@ -151,14 +158,32 @@ def parts_row() -> dict[str, Any]:
             recording__recording__MAX_READINGS=200, recording__recording__PART_READINGS=20,
             report__info__PART_READINGS=300,
         ):  # fmt: skip
+            tasks = [batch.Task(case, Path("out").absolute()) for case in lp.read_run(Path("run.yaml")).cases]
+            with suppress(KeyboardInterrupt), patch.object(batch, "join_case", side_effect=KeyboardInterrupt):
+                batch.run_batch(lp.read_run(Path("run.yaml")), Path("out"), Serial())
+            broken_off = [(task.frames_done, task.whole_parts, batch.parts_to_solve(task)) for task in tasks]
+            tasks[0].carried(1).unlink()
+            broken_off += [(task.frames_done, task.whole_parts, batch.parts_to_solve(task)) for task in tasks]
             printed = command("run", "run.yaml", "--jobs", "1", "--out", "out")
             again = command("run", "run.yaml", "--jobs", "1", "--out", "out")
             told = command("info", "long.h5"), command("tare", "long.h5", "--frames", "16:18", "--out", "t.h5")
             told += (command("info", "out/results.h5"),)
             roles = lp.Recording.load("t.h5").role
+            with limits(files__hdf5__MAX_VALUES=15_000, report__info__MAX_READINGS=200):
+                results = str(Path("out", "results.h5"))
+                looks = [called(*words, folder=Path()).err for words in (
+                    ("compare", results), ("detect", results), ("plot", results), ("check", results),
+                    ("export", results, "--to", "csv"), ("compare", results, "--frames", "0:3"),
+                    ("compare", results, "--csv", results),
+                    ("export", results, "--to", "csv", "--frames", "4:5"),
+                )]  # fmt: skip
+                exported = len(Path("out", "results.csv").read_text().splitlines())
         cases = lp.read_results("out/results.h5", frames=range(3, 20)).cases
     words = [re.sub(r"in \d.* s\b|\d+ bytes|case [0-9a-f]+", "…", text) for text in (printed, again, *told)]
-    return {"cases": [case_row(case) for case in cases], "words": words, "roles": roles}
+    return {
+        "cases": [case_row(case) for case in cases], "words": words, "roles": roles, "broken off": broken_off,
+        "looks": looks, "exported": exported,
+    }  # fmt: skip
 
 
 # Errors of the model
@@ -273,6 +298,9 @@ def is_made_again(recording: lp.Recording) -> bool:
 # Declarations
 
 
+PROBED = (1.0, 0.0, -1.0, np.nan, np.inf, 1e300)
+
+
 def columns_row() -> dict[str, Any]:
     """Every column of results, and how figures and attributes are stored."""
     rows: dict[str, Any] = {"required": REQUIRED, "attributes": str(ATTRIBUTES), "refused": []}
@@ -284,7 +312,8 @@ def columns_row() -> dict[str, Any]:
         except InputError as error:
             rows["refused"].append(str(error))
     for column in COLUMNS:
-        checks = [check.__name__ for check in column.checks]
+        tried = [(np.array([value]), np.array([solved])) for value, solved in product(PROBED, (True, False))]
+        checks = [[check(*values) for check in column.checks] for values in tried if np.dtype(column.dtype).kind == "f"]
         rows[column.name] = checks, {key: re.sub(" at 0x[^>]*", "", str(value)) for key, value in vars(column).items()}
     return rows
 
@@ -309,11 +338,14 @@ STORED = ("shape", "dtype", "chunks", "compression", "shuffle", "fletcher32", "m
 
 def files_row() -> dict[str, Any]:
     """How recordings and results are stored: types, chunks, filters and attributes; files that others added to."""
-    stored: dict[str, Any] = {}
+    stored: dict[str, Any] = {"superblock": lookup3(bytes(range(48)))}
 
     def noted(path: str, node: Any) -> None:
         known = {key: str(value) for key, value in sorted(node.attrs.items()) if "LIST" not in key and "crc" not in key}
-        stored[node.file.filename + " " + path] = [*(str(getattr(node, part, "")) for part in STORED), known]
+        scales = [[scale.name for scale in axis.values()] for axis in getattr(node, "dims", ())]
+        places = node[()] if path[-2:] in ("/x", "/y") else None
+        how = [str(getattr(node, part, "")) for part in STORED]
+        stored[node.file.filename + " " + path] = [*how, known, scales, places]
 
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         simulated(frames=30).save("recording.h5")
@@ -327,11 +359,35 @@ def files_row() -> dict[str, Any]:
                 file["beside"] = "not by lampest"
             with h5py.File("changed.h5", "a") as file:
                 file.create_group("beside")
+            Path("longer.h5").write_bytes(Path("changed.h5").read_bytes() + b"x")
+            stored[f"{name} longer"] = reason(partial(checked_sentence, Path("longer.h5")))
             stored[f"{name} changed"] = (
                 checked_sentence(Path(name)),
                 describe(name),
                 checked_sentence(Path("changed.h5")),
             )
+    return stored
+
+
+def chunks_row() -> dict[str, Any]:
+    """How values are packed: few and many, smooth and noisy ones, by their first 16 frames and 512 values of each."""
+    rng = np.random.default_rng(1)
+    noise, halves = rng.standard_normal((9, 4, 8)), np.round(rng.standard_normal((9, 4, 8)), 1)
+    halves[:, ::2] = 0.0
+    values = {
+        "few": np.zeros(64), "none": np.float64(3.0), "long": np.zeros(65), "frames": noise[:, :, :5], "noise": noise,
+        "wide": np.ones((3, 100)), "halves": halves, "counts": rng.integers(0, 2**40, 100),
+        "first frames": np.zeros((160, 7)), "first values": np.zeros((2, 2048)), "plain": np.ones((8000, 0)),
+    }  # fmt: skip
+    values["first frames"][:16] = noise[:4].reshape(-1, 8)[:16, :7]
+    values["first values"][:, :512] = rng.standard_normal((2, 512))
+    stored: dict[str, Any] = {}
+    with h5py.File("memory", "w", driver="core", backing_store=False) as file, limits(files__hdf5__CHUNK=70):
+        for name, each in values.items():
+            hdf5.write_dataset(file, name, each, "1", name, further="w" * 4000, more="w" * 4001)
+            node = file[name]
+            same = np.array_equal(node, each)
+            stored[name] = [same, *(str(getattr(node, part)) for part in STORED), sorted(node.attrs)]
     return stored
 
 
@@ -343,7 +399,7 @@ def of_whole() -> Rows:
         | {
             "exact readings": exact_row, "exact readings large": partial(as_large, exact_row), "files": files_row,
             "interior point": barrier_row, "parts": parts_row, "model error": model_error_row, "report": report_row,
-            "columns": columns_row,
+            "columns": columns_row, "chunks": chunks_row,
             "command line": lambda: command_line_row(get_command(cli.app)),
             "weights figure": weights_figure_row,
         }

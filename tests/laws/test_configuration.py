@@ -14,7 +14,7 @@ from lampest import Course, Estimator, Huber, InputError, OralDisc, Panel, Simul
 from lampest.cost.terms import Arrival, Gradient, Misfit, term_types
 from lampest.estimate.methods import AnyMethod, MethodName, named_method
 from lampest.files import typed
-from lampest.files.document import UNKNOWN, Document, _worst, parse_document, plain_content, to_yaml, validated
+from lampest.files.document import Document, parse_document, plain_content, to_yaml, validated
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.readouts.wiring import ContactPrior, Contacts
 from lampest.panel.response import Film, PowerResponse, TableResponse
@@ -225,28 +225,3 @@ def test_what_cannot_be_is_refused_in_one_sentence(make: Callable[[], object], w
     with pytest.raises(ValueError, match=words) as refusal:
         make()
     assert isinstance(refusal.value, InputError) or "\n" not in str(refusal.value)
-
-
-def test_of_several_faults_the_misspelt_key_is_named_and_then_the_deepest() -> None:
-    """Faults of the same value are alternatives in one sentence; a check of ours says more than the types."""
-    content = {"a": {"b": [1, 2]}, "c": 3}
-
-    def fault(*place: Any, kind: str = "missing_argument", message: str = "Input should be a number") -> dict[str, Any]:
-        return {"type": kind, "loc": place, "msg": message}
-
-    deep, low = fault("a", "b", 1), fault("a", "b")
-    key, ours = (
-        fault("c", "x", kind="extra_forbidden"),
-        fault("a", "b", 1, kind="value_error", message="Value error, no"),
-    )
-    text = fault("a", "b", 1, message="Input should be a text")
-    for faults, place, sentence in (
-        ([deep, key], ("c",), UNKNOWN),
-        ([low, deep], ("a", "b", 1), "Input should be a number"),
-        ([deep, low], ("a", "b", 1), "Input should be a number"),
-        ([deep, text, deep], ("a", "b", 1), "Input should be a number or a text"),
-        ([low, deep, ours], ("a", "b", 1), "no"),
-        ([deep, fault("c")], ("a", "b", 1), "Input should be a number"),
-        ([fault("c"), deep], ("c",), "Input should be a number"),
-    ):
-        assert _worst(faults, content) == (place, sentence)

@@ -11,12 +11,10 @@ import pytest
 from support import invented_case
 
 import lampest
-from lampest import Bounds, Estimates, Estimator, InputError, read_results, write_results
-from lampest.estimate.sequence import reconstruct
+from lampest import InputError, read_results, write_results
 from lampest.runs.case import COLUMNS, REQUIRED, all_columns
-from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, of_steps, positive
+from lampest.runs.columns import CELLS, FRAMES, Column, of_steps, positive
 
-DATA = Path(__file__).parents[2] / "data"
 LEAST = Column(
     "least_resistance",
     FRAMES,
@@ -34,23 +32,6 @@ LEAST = Column(
     "least_resistance", FRAMES, "ohm", "smallest cell", of_steps(lambda step: step.solution.cell_resistance[-1].min())
 )
 """
-
-
-@pytest.fixture(scope="module")
-def reconstruction() -> Estimates:
-    few = lampest.Recording.load(DATA / "cup_air_10kpa.h5", slice(8))
-    terms = (lampest.Misfit(weighting="noise"),)
-    return reconstruct(few, Estimator(terms, "reduced", bounds=Bounds(), tare=lampest.Tare()))
-
-
-@pytest.mark.parametrize("column", COLUMNS, ids=lambda column: column.name)
-def test_every_column_is_filled_from_a_reconstruction(column: Column, reconstruction: Estimates) -> None:
-    values = column.filled(reconstruction)
-    sizes = dict(zip(MAPS, reconstruction.cell_resistance.shape, strict=True))
-    assert np.shape(values) == tuple(sizes[axis] for axis in column.axes)
-    assert not isinstance(values, np.ndarray) or values.dtype == column.dtype
-    assert not any(check(values, np.ones(np.shape(values), dtype=bool)) for check in column.checks)
-    assert column.units.isascii() and column.long_name.isascii() and column.long_name
 
 
 def test_columns_have_names_of_their_own() -> None:

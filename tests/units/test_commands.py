@@ -353,14 +353,3 @@ def test_what_a_killed_writer_left_goes_with_the_next_export(tmp_path: Path) -> 
     assert names(tmp_path) == {"r.h5", "r.mat", foreign.name}
     write_whole(tmp_path / "other.txt", "x")
     assert foreign.exists()
-
-
-def test_bytes_behind_the_end_are_not_as_written(disk: SimpleNamespace, lampest: Command) -> None:
-    path = disk.folder / "sealed.h5"
-    Recording.load(disk.folder / "small.h5").save(path)
-    whole = path.read_bytes()
-    assert lampest("check", path).code == 0
-    for appended in (b"\0", b"x" * 1000, whole):
-        path.write_bytes(whole + appended)
-        done = lampest("check", path)
-        assert done.code == 2 and "behind the end of the file as it was written" in done.err

@@ -272,64 +272,6 @@ def test_parts_are_joined_as_they_are_packed(tmp_path: Path, monkeypatch: pytest
     assert checked_sentence(tmp_path / "joined.h5").count("agree with their checksums") == 1
 
 
-def test_chunks_hold_whole_frames_and_few_values_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hdf5, "CHUNK", 70)
-    rng = np.random.default_rng(1)
-    noise, halves = rng.standard_normal((9, 4, 8)), np.round(rng.standard_normal((9, 4, 8)), 1)
-    halves[:, ::2] = 0.0
-    values = {"few": np.zeros(64), "none": np.float64(3.0), "long": np.zeros(65), "frames": noise[:, :, :5]}
-    values |= {"wide": np.ones((3, 100)), "noise": noise, "halves": halves, "counts": rng.integers(0, 2**40, 100)}
-    # The first 16 frames and 512 values of each decide.
-    values |= {"first frames": np.zeros((160, 7)), "first values": np.zeros((2, 2048))}
-    values["first frames"][:16], values["first values"][:, :512] = (
-        noise[:4].reshape(-1, 8)[:16, :7],
-        rng.standard_normal((2, 512)),
-    )
-    with h5py.File(tmp_path / "x.h5", "w") as file:
-        for name, each in values.items():
-            hdf5.write_dataset(file, name, each, "1", name, further="word")
-            assert np.array_equal(file[name], each) and file[name].attrs["further"] == b"word"
-        found = {name: (file[name].chunks, file[name].compression) for name in values}
-    assert found == {
-        "few": (None, None),
-        "none": (None, None),
-        "long": ((65,), "gzip"),
-        "frames": ((3, 4, 5), None),
-        "wide": ((1, 100), "gzip"),
-        "noise": ((2, 4, 8), None),
-        "halves": ((2, 4, 8), "gzip"),
-        "counts": ((70,), "gzip"),
-        "first frames": ((10, 7), None),
-        "first values": ((1, 2048), None),
-    }
-
-
-@pytest.mark.slow
-def test_commands_read_long_files_by_parts(tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`info` and `check` of all; one frame is drawn, and some are compared, exported and looked at."""
-    for module in ("lampest.recording.recording", "lampest.report.info"):
-        for name, readings in (("MAX_READINGS", 600), ("PART_READINGS", 400)):
-            monkeypatch.setattr(f"{module}.{name}", readings, raising=False)
-    save(tmp_path, frames(60))
-    (tmp_path / "run.yaml").write_text(RUN.replace("relative:", "r:").split("  r:")[0])
-    results = tmp_path / "out" / "results.h5"
-    assert lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1").code == 0
-    monkeypatch.setattr("lampest.files.hdf5.MAX_VALUES", 15_000)
-    for file in (tmp_path / "long.h5", results):
-        assert lampest("check", file).code == 0
-        told = lampest("info", file)
-        assert told.code == 0 and "too long for memory; frames" in told.out
-    assert "60: 6 unloaded, 54 measured; 0 to 5.9 s" in lampest("info", tmp_path / "long.h5").out
-    for command in (("compare",), ("detect",), ("export", "--to", "csv"), ("plot",)):
-        whole = lampest(command[0], results, *command[1:])
-        assert whole.code == 2 and "--frames 0:1000 names some" in whole.err
-        some = lampest(command[0], results, *command[1:], "--frames", "20:30")
-        assert (some.code, some.err) == (0, "")
-    assert lampest("plot", results, "--frame", "21").code == 0
-    assert lampest("compare", results, "--frames", "0:3").err.count("holds none of the frames") == 1
-    assert len((tmp_path / "out" / "results.csv").read_text().splitlines()) == 1 + 10 * 20
-
-
 def test_what_holds_all_of_a_recording_asks_for_its_memory(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -65,12 +65,6 @@ def test_crc_and_cobs_are_those_of_their_catalogues() -> None:
         assert protocol.stuffed(body).hex() == wire and protocol.unstuffed(bytes.fromhex(wire)) == body
 
 
-@given(st.binary(min_size=1, max_size=900))
-def test_cobs_takes_all_zeros_away_and_gives_them_back(body: bytes) -> None:
-    wire = protocol.stuffed(body)
-    assert 0 not in wire and len(wire) <= len(body) + len(body) // 254 + 1 and protocol.unstuffed(wire) == body
-
-
 def test_hello_and_answer_come_back_and_commands_are_no_messages() -> None:
     for running in (False, True):
         hello = Hello(*(16, 3, 1, 16, 16, 64, (2, 9), 4, 5, 6, 3300, 7, 12, "sensor", running))
@@ -86,7 +80,7 @@ def test_cuts_and_garbage_around_do_not_matter(
 ) -> None:
     """However the line is cut into pieces, all frames arrive; the garbage before has no zero in it or it may be cut."""
     wire = before + b"".join(message(frame_body(frame)) for frame in sent) + b"\0" + after
-    receiver, found = Receiver(), []
+    receiver, found = Receiver(), list[Frame]()
     while wire:
         cut = data.draw(st.sampled_from([1, 2, 17, 300, len(wire)]))
         receiver, items = receiver.feed(wire[:cut])
@@ -94,16 +88,6 @@ def test_cuts_and_garbage_around_do_not_matter(
         wire = wire[cut:]
     assert len(found) == len(sent)
     assert all(same(got, want) for got, want in zip(found, sent, strict=True))
-
-
-def test_byte_by_byte_a_frame_is_complete_at_its_last_byte_and_not_before() -> None:
-    frame, receiver, came = Frame(20, 5, 5000, 0, np.full((10, 10), 9_000, dtype=np.uint16)), Receiver(), []
-    wire = message(frame_body(frame))
-    assert len(wire) - 2 <= protocol.MAX_STUFFED
-    for byte in wire:
-        receiver, items = receiver.feed(bytes([byte]))
-        came.append(items)
-    assert not any(came[:-1]) and same(came[-1][0], frame) and receiver == Receiver()
 
 
 @given(frames(), st.data())

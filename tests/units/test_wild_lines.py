@@ -7,7 +7,6 @@ import re
 import signal
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,9 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from wild_board import IDLE, Script, WildBoard, hundred_a_second, wild_board, wire
+from wild_board import IDLE, Script, hundred_a_second, wild_board, wire
 
 from lampest import Faults, InputError, Panel, Recording, Scene, TwoPointReadout
+from lampest.files import process
 from lampest.panel.panel import EachModule, Modules
 from lampest.recording.acquisition import Acquisition
 from lampest.recording.board import several, stream
@@ -265,6 +265,30 @@ def test_an_interrupted_recording_is_a_clean_file(tmp_path: Path, number: signal
     assert [path.name for path in tmp_path.iterdir()] == ["r.h5"]
 
 
+def test_signals_of_a_second_are_one_request_and_a_later_one_ends_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "time", SimpleNamespace(monotonic=iter((0.0, 0.9, 1.1)).__next__))
+    with process.ending_signals(lambda: True) as ended_by:
+        for number in (signal.SIGHUP, signal.SIGINT):
+            signal.raise_signal(number)
+        assert ended_by() == "SIGHUP"
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+
+
+def test_a_signal_that_was_ignored_stays_so_unless_it_is_one_of_those_that_end_a_program() -> None:
+    """As nohup ignores SIGHUP, and shells Ctrl-C for their background jobs."""
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGHUP, signal.SIGINT)}
+    try:
+        with process.ending_signals(lambda: True) as ended_by:
+            signal.raise_signal(signal.SIGHUP)
+            assert ended_by() == ""
+            signal.raise_signal(signal.SIGINT)
+            assert ended_by() == "SIGINT"
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def test_a_scene_beyond_the_board_or_against_it_is_refused() -> None:
     for panel, changes, words in (
         (Panel(17, 10), {}, r"panel\.rows is 17, but the board can do at most 16"),
@@ -285,40 +309,6 @@ PERIOD = 0.05
 LAYOUT = Modules(2, 2, EachModule(3, 4), 4.0)
 SCENE = Scene(Panel(modules=LAYOUT), TwoPointReadout(readings=2))
 AT = replace(IDLE, period_us=round(1e6 * PERIOD))
-
-
-def steady(hello: Hello) -> Iterator[tuple[float, bytes]]:
-    for number in itertools.count():
-        yield PERIOD, wire(hello, number)
-
-
-def opened(stack: ExitStack, *scripts: Script) -> list[WildBoard]:
-    return [stack.enter_context(wild_board(script)) for script in scripts]
-
-
-@pytest.mark.slow
-def test_a_board_that_answers_without_frames_for_long_comes_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of one board alone that is an error; beside others it is opened anew, and its clock compared anew."""
-    monkeypatch.setattr("lampest.recording.board.stream.UNFIT_SECONDS", 0.4)
-    monkeypatch.setattr("lampest.recording.board.stream.SILENCE_SECONDS", 0.2)
-    runs = itertools.count()
-
-    def hanging(hello: Hello) -> Iterator[tuple[float, bytes]]:
-        if next(runs) == 0:
-            yield from itertools.islice(steady(hello), 10)
-            yield 60.0, b""
-        yield from steady(hello)
-
-    with ExitStack() as stack:
-        ports = [board.port for board in opened(stack, steady, hanging, steady, steady)]
-        done = record(ports, tmp_path / "r.h5", frames=140, scene=SCENE, period=PERIOD, baseline=3)
-    found = Recording.load(tmp_path / "r.h5")
-    gone = np.isnan(LAYOUT.split(found.recorded)).all(axis=(2, 3))
-    assert done.frames == 140 and done.lost == 0 and not gone[:, [0, 2, 3]].any()
-    assert 5 <= gone[:, 1].sum() == done.parted <= 110 and not gone[-3:, 1].any()
-    assert np.diff(found.time) == pytest.approx(PERIOD, abs=0.6 * PERIOD) and found.readings().enough(SCENE).any()
 
 
 def test_ports_and_modules_must_be_as_many() -> None:
@@ -418,10 +408,10 @@ def test_a_boards_clock_is_set_by_the_quickest_of_fifty_frames() -> None:
 
 def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> tuple[list[Sample], list[str]]:
     """The image of four boards that send these samples and then fall silent, and what is said meanwhile."""
-    states, silent = list[str](), set[str]()
+    states, silent, waiting = list[str](), set[str](), {port: iter(samples) for port, samples in boards.items()}
 
     def samples(port: str, *rest: Any) -> Samples:
-        for sample in boards[port]:
+        for sample in waiting[port]:
             if isinstance(sample, InputError):
                 raise sample
             yield (sample,)
@@ -431,15 +421,17 @@ def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> t
 
     monkeypatch.setattr(several, "board_samples", samples)
     monkeypatch.setattr(several, "time", lambda: 0.0)
+    monkeypatch.setattr(several, "RETRY_SECONDS", 0.0)
     batches = samples_of([*boards], SCENE, PERIOD, states.append, lambda: len(silent) == len(boards))
     return [sample for batch in batches for sample in batch], states
 
 
 def test_boards_are_one_image_that_names_who_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The second board lacks the frames 2 and 3, the third restarts and says that it lost two frames."""
+    """The second board lacks the frames 2 and 3, the third hangs, is opened anew and says that it lost two frames."""
     boards = {name: [sent(number, 5 + number * PERIOD) for number in range(6)] for name in "abcd"}
     del boards["b"][2:4]
-    boards["c"][4:] = [replace(sample, session=1, lost=2, events=(CLOCK_JUMPED,)) for sample in boards["c"][4:]]
+    later = [replace(sample, lost=2, events=(CLOCK_JUMPED,)) for sample in boards["c"][4:]]
+    boards["c"][4:] = [InputError("nothing fit"), *later]
     boards["d"] = [
         replace(sent(number, at, at + 0.01), frame=replace(sent(number, at).frame, missed=3))
         for number, at in enumerate(5 + PERIOD * np.arange(6))
@@ -515,6 +507,7 @@ def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytes
     def arriving(urls: object, scene: object, period: object, on_state: Any, ending: Any) -> Samples:
         asked.append((urls, scene, period, ending()))
         yield tuple(samples[:2])
+        on_state("the board does not answer")
         on_state("the board is gone")
         yield ()
         yield tuple(samples[2:])
