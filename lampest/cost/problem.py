@@ -96,7 +96,7 @@ class Data:
     @property
     def overdue(self) -> bool:
         """Whether the time limit has passed."""
-        return self.until < math.inf and monotonic() > self.until
+        return monotonic() > self.until
 
     @property
     def measured(self) -> Array:

@@ -232,6 +232,9 @@ LOADED = {
     "creep": lp.Scene(
         lp.Panel(2, 3), response=lp.PublishedResponse(), film=lp.Film(creep_per_decade="auto", hysteresis="auto"),
     ),
+    "gains of a table": lp.Scene(
+        lp.Panel(2, 3), response=replace(RESPONSES["table"], gain=((0.7, 1.0, 1.4),) * 2),
+    ),
     "gains": lp.Scene(
         lp.Panel(2, 3), response=RESPONSES["power"], systematic=lp.Systematic(response_sd=0.1),
         faults=lp.Faults(open=((1, 1),)),
@@ -299,13 +302,14 @@ def pressure_row(scene: lp.Scene, tare: lp.Tare | None = None) -> Any:
 
 
 def tare_row() -> list[Any]:
-    """When zero is taken anew, and by what, for deviations and memories of several sizes; a frame has no estimate."""
+    """When zero is taken anew, and by what, for deviations and memories of several sizes that grow; a frame fails."""
     rng, rows = np.random.default_rng(2), list[Any]()
     for size, kept in product((0.0, 0.003, 0.02, 0.07, 0.1), (0.0, 0.1, 0.5)):
-        zero, memory = size * (1 + 0.4 * rng.standard_normal((4, 5))), kept * rng.uniform(size=(4, 5))
+        uneven = np.ones((4, 5)) if kept else (-1.0) ** np.indices((4, 5)).sum(axis=0)
+        zero, memory = size * uneven * (1 + 0.4 * rng.standard_normal((4, 5))), kept * rng.uniform(size=(4, 5))
         watch = TareWatch(lp.Tare(frames=6))
         for number in range(40):
-            left = zero + 0.002 * rng.standard_normal((4, 5)) + 0.2 * (number == 13)
+            left = zero * (1 + number / 8) + 0.002 * rng.standard_normal((4, 5)) + 0.2 * (number == 13)
             left[1, 2] = np.nan if number > 9 else left[1, 2]
             watch, mean, why = watch.after(left * (np.nan if number == 4 else 1.0), memory, 20.0 * number)
             rows += [[size, kept, number, mean, why]] if why else []

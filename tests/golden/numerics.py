@@ -1,10 +1,12 @@
 """Rows of costs, solvers and error bars."""
 
-from dataclasses import MISSING, fields, replace
+import re
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache, partial
 from itertools import product
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+import casadi
 import numpy as np
 from casadi import DM, Function
 from golden.circuits import LISTED, PANEL, Rows, cells_of
@@ -103,6 +105,40 @@ def program_row(formulation: str, loss: lp.Loss) -> dict[str, Any]:
     return {"values": [np.asarray(value) for value in values], "hessian": np.asarray(DM(hessian))}
 
 
+FORMS: dict[str, Any] = {
+    "steps": lambda state, r: casadi.vec(state.grid(r)[1:, :] - state.grid(r)[:-1, :]),
+    "slices": lambda state, r: r[:, 1:] - r[:, :-1], "none": lambda state, r: r[0:0],
+    "matrix": lambda state, r: state.grid(r), "constant": lambda state, r: DM.ones(20),
+    "measured": lambda state, r: state.measured, "change": lambda state, r: r / state.previous,
+    "gradient": lambda state, r: DM.eye(40) @ state.gradient(r),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Own(lp.Term):
+    """A user's own penalty; `form` : how its residual is written."""
+
+    unit = "ohm"
+    form: str = "steps"
+
+    def residual(self, state: lp.State) -> Any:
+        return FORMS[self.form](state, state.cell_resistance)
+
+
+def own_terms_row() -> dict[str, Any]:
+    """Costs of a user's own terms, or why they are refused; a panel of one cell has no pairs."""
+    rows: dict[str, Any] = {}
+    data, cells = example(1)
+    for form, (name, panel) in product(FORMS, {"whole": PANEL, "listed": LISTED, "one": lp.Panel(1, 1)}.items()):
+        try:
+            cost = Cost(panel, (lp.Misfit(), Own(form=form)), partial=True)
+            assert cost.functions
+            rows[f"{form} {name}"] = problem.Evaluation.at(cost, data, cells).costs if panel is PANEL else None
+        except InputError as error:
+            rows[f"{form} {name}"] = re.sub(r"(raises \w+ )\(.*\):", r"\1…:", str(error))
+    return rows
+
+
 def formulation_row(name: str) -> list[Any]:
     """Unknown potentials of a solved network, and the multipliers of its equations for some slopes."""
     form, rows = ipopt.FORMULATIONS[name], list[Any]()
@@ -126,6 +162,7 @@ def of_cost() -> Rows:
     return (
         {f"loss {loss.kind}": partial(loss_row, loss) for loss in LOSSES}
         | {f"formulation {name}": partial(formulation_row, name) for name in ipopt.FORMULATIONS}
+        | {"own terms": own_terms_row}
         | {
             " ".join([kind, *words.values(), loss.kind]): partial(term_row, term, words, loss)
             for kind, term, words in variants

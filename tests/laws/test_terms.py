@@ -11,7 +11,7 @@ from golden.numerics import options
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import t
 
-from lampest import Array, InputError, Panel, TwoPointReadout, two_point_resistance
+from lampest import Array, Panel, TwoPointReadout, two_point_resistance
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, Huber, Loss, Squared, Student
@@ -73,61 +73,6 @@ def residual(term: Term, where: State) -> Array:
     return np.asarray(casadi.DM(term.residual(where))).ravel()
 
 
-OUTLINE = Panel(3, 4, cells=tuple((row, column, 10.0 * column, 10.0 * row) for row, column in np.ndindex(3, 4))[1:-2])
-
-
-@dataclasses.dataclass(frozen=True)
-class Own(Term):
-    """A user's own penalty; `form` : how its residual is written."""
-
-    unit = "ohm"
-    form: str = "steps"
-
-    def residual(self, state: State) -> Any:
-        r = state.cell_resistance
-        forms = {
-            "steps": lambda: casadi.vec(state.grid(r)[1:, :] - state.grid(r)[:-1, :]),
-            "slices": lambda: r[:, 1:] - r[:, :-1],
-            "none": lambda: r[0:0],
-            "matrix": lambda: state.grid(r),
-            "constant": lambda: casadi.DM.ones(PANEL.crossings),
-            "measured": lambda: state.measured,
-            "change": lambda: r / state.previous,
-            "gradient": lambda: casadi.DM.eye(2 * PANEL.crossings) @ state.gradient(r),
-        }
-        return forms[self.form]()
-
-
-def test_grid_is_the_matrix_of_rows_and_columns() -> None:
-    data, cells = example(1)
-    where = state(data, cells)
-    assert_array_equal(np.asarray(where.grid(where.cell_resistance)), cells[0])
-    assert_allclose(residual(Own(), where), np.diff(cells[0], axis=0).ravel(order="F"), rtol=1e-13)
-    assert Evaluation.at(Cost(PANEL, (Own(),)), data, cells).objective > 0
-
-
-@pytest.mark.parametrize(
-    ("form", "words"),
-    [
-        ("slices", r"is 12 × 0, not a column of one or more rows; .*state.grid\(state.cell_resistance\) is the"),
-        ("none", "is 0 × 1, not a column of one or more rows"),
-        ("matrix", "is 3 × 4, not a column"),
-        ("constant", "is constant: it must depend on state.cell_resistance or state.reading"),
-        ("measured", "is constant"),
-        ("change", "raises TypeError .*a term that reads state.previous or state.baseline says needs_previous"),
-    ],
-)
-def test_a_residual_that_is_no_column_of_the_cells_is_refused(form: str, words: str) -> None:
-    with pytest.raises(InputError, match=rf"term Own: residual\(state\) {words}"):
-        Cost(PANEL, (Misfit(), Own(form=form))).functions  # noqa: B018
-
-
-def test_a_shape_that_fits_a_rectangle_alone_is_refused_on_listed_cells() -> None:
-    assert Cost(PANEL, (Own(form="gradient"),)).functions
-    with pytest.raises(InputError, match=r"term Own: .*gradients of listed cells have a row for each pair"):
-        Cost(OUTLINE, (Own(form="gradient"),)).functions  # noqa: B018
-
-
 def test_a_term_without_a_unit_or_with_the_kind_of_another_is_refused() -> None:
     @dataclasses.dataclass(frozen=True)
     class Unitless(Term):
@@ -135,7 +80,8 @@ def test_a_term_without_a_unit_or_with_the_kind_of_another_is_refused() -> None:
             return state.cell_resistance
 
     @dataclasses.dataclass(frozen=True)
-    class Second(Own):
+    class Second(Unitless):
+        unit = "ohm"
         kind: Literal["gradient"] = "gradient"
 
     with pytest.raises(ValueError, match=r"Unitless has no unit: declare it in the class, such as unit: ClassVar"):
