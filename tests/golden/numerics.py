@@ -278,6 +278,19 @@ def steps_row() -> dict[str, Any]:
     return rows
 
 
+def minima_row() -> dict[str, Any]:
+    """The lowest of several minima and its starts, with an estimate of an earlier frame and without."""
+    begin, rows = point("student", decades=2.0), dict[str, Any]()
+    readings, steps = lp.Misfit(loss=lp.Student(corner=1.0)), lp.LogGradient(weight=3e4, loss=lp.Student(corner=0.05))
+    for name, terms in {"readings": (readings, lp.LogGradient(weight=2.0)), "steps": (lp.Misfit(), steps)}.items():
+        for number, previous in product((None, 1, 4), (None, begin.cell_resistance)):
+            solver = ProjectedNewton(Cost(PANEL, terms), Settings(starts=number))
+            data = replace(begin.data, first=number is None)
+            solution = multistart.best_solution(solver, data, previous)
+            rows[f"{name} {number} {previous is None}"] = solution.objective, solution.starts, solution.convex
+    return rows
+
+
 def verdicts_row() -> dict[str, Any]:
     """What a check makes of outcomes of every status, at the start, an optimum, worse points and no numbers."""
     plain, blind = point("plain"), point("penalty")
@@ -328,6 +341,7 @@ def of_solvers() -> Rows:
         | {
             "searches": search_row,
             "verdicts": verdicts_row,
+            "minima": minima_row,
             "steps": steps_row,
         }
     )
