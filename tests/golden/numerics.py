@@ -283,7 +283,7 @@ def minima_row() -> dict[str, Any]:
     begin, rows = point("student", decades=2.0), dict[str, Any]()
     readings, steps = lp.Misfit(loss=lp.Student(corner=1.0)), lp.LogGradient(weight=3e4, loss=lp.Student(corner=0.05))
     for name, terms in {"readings": (readings, lp.LogGradient(weight=2.0)), "steps": (lp.Misfit(), steps)}.items():
-        for number, previous in product((None, 1, 4), (None, begin.cell_resistance)):
+        for number, previous in product((None, 3), (None, begin.cell_resistance)):
             solver = ProjectedNewton(Cost(PANEL, terms), Settings(starts=number))
             data = replace(begin.data, first=number is None)
             solution = multistart.best_solution(solver, data, previous)
