@@ -562,6 +562,8 @@ def pictured_row() -> list[Any]:
                 told.append([str(path) for path in lp.plot_results(*way, **known)])
             except lp.InputError as error:
                 told.append(str(error))
+        batch = compared.read_batch([Path(f"{name}.h5") for name in ("one", "two", "swept", "bare")])
+        told += [{name: [*of] for name, of in batch.recordings.items()}, batch.estimators, batch.frames]
     return told
 
 

@@ -18,7 +18,7 @@ from lampest.files.process import ALLOWED, libraries_to_the_log, memory_limit
 from lampest.report.compare import Table
 from lampest.report.detect.pressed import pressed_of
 from lampest.report.page import page as page_module
-from lampest.report.page.compared import Batch, read_batch
+from lampest.report.page.compared import Batch
 from lampest.report.page.page import differences, report, write_report
 
 EMPTY = {"meta", "link", "img", "br"}
@@ -160,16 +160,6 @@ def test_many_recordings_are_shown_in_part_and_the_page_says_which() -> None:
     assert all(f"r{number}" in page.text for number in range(8)) and "units with the smallest error, of 8" in page.text
 
 
-def test_files_are_put_together(tmp_path: Path) -> None:
-    write_results(tmp_path / "one.h5", [invented_case("LSM"), invented_case("LSR-CR")])
-    write_results(tmp_path / "two.h5", [invented_case("LSM"), invented_case("LSR-dCR")])
-    other = invented_case("LSM")
-    write_results(tmp_path / "three.h5", [dataclasses.replace(other, measured=other.measured * 2)])
-    found = read_batch([tmp_path / name for name in ("one.h5", "two.h5", "three.h5")])
-    assert [*found.recordings] == ["mouth", "mouth [3]"]
-    assert found.estimators == ("LSM", "LSR-CR", "LSM [2]", "LSR-dCR")
-
-
 @pytest.mark.slow
 def test_same_bytes_twice_and_wrong_input_in_a_sentence(tmp_path: Path) -> None:
     source, out = tmp_path / "results.h5", tmp_path / "report.html"
@@ -230,3 +220,5 @@ def test_a_wide_table_folds_its_texts_and_keeps_its_figures(sources: int, capsys
     print_table(Table(("", "figure", "a"), (("x", "1 ± 2", ""), ("two words", "3", ""))))
     lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
     assert lines == ["", "figure", "─" * 17, "x          1 ± 2", "two words  3", ""]
+    print_table(Table(("", *map(str, range(30))), (("x", *["1.25 ± 0.25"] * 30),)))
+    assert capsys.readouterr().out.count("1.25 ± 0.25") == 30, "whole where no terminal is wide enough, too"
