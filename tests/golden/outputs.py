@@ -171,6 +171,15 @@ def page_row() -> dict[str, Any]:
     cases = [invented_case(name, "long", (40, 2, 2), failed=failed) for name, failed in failing.items()]
     cases += [invented_case(name, recording, (2, 2, 2)) for recording in ("second", "third") for name in "AB"]
     uneven = [*cases, invented_case("A", "fourth", (2, 2, 2)), replace(cases[3], recording="copy")]
+    half = np.where(np.arange(2)[:, None, None] < 1, cases[3].measured, 1.0)
+    uneven += [replace(case, recording="half", measured=half) for case in cases[3:5]]
+    pairs, tiles = [page.Disagreement(f"pair {n}", np.ones((4, 4, 5)), n + 0.123) for n in range(15)], list[Any]()
+
+    def noted(shown: Sequence[maps.Tile], *_: Any, **look: Any) -> None:
+        tiles.append([[(tile.title, tile.note) for tile in shown], look])
+
+    with patch.object(page, "maps_figure", noted), patch.object(page, "data_uri", lambda _: "data:"):
+        differences = [page.differences(invented()[:1], 0, pairs[:count]) for count in (15, 9, 1, 0)]
     alone = [invented_case("A", "r1", (2, 2, 2)), invented_case("B", "r2", (2, 2, 2))]
     ranked = [(each, compared.Batch.of(("c.h5",), each)) for each in (cases[:3], uneven, alone)]
     judged = [compared.comparison_of(each, np.random.default_rng(3)) for _, each in ranked]
@@ -185,6 +194,7 @@ def page_row() -> dict[str, Any]:
         ],
         "tables": [page.standing_table(standing), page.unit_table(standing)],
         "cases": [page.case_table(by_estimator), page.case_table(starts)],
+        "differences": differences, "tiles": tiles,
         "figures": page.figures(invented()[0]), "failed": page.failures(invented()),
         "disagreements": page.disagreements(invented()[:3]),
         "doubts": page.doubts("LSM", [page.figures(case) for case in invented()[::3]]),

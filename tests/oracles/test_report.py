@@ -17,7 +17,6 @@ from lampest.report.page.compared import (
     advise,
     block_length,
     comparison_of,
-    matched,
     mean_interval,
     picks,
     predicted,
@@ -180,17 +179,3 @@ def test_without_truth_the_prediction_decides_and_without_noise_nothing_does() -
     bare = batch(*(invented_case(name, "r", SHAPE, truth=False) for name in ("A", "B")))
     untold = advise(bare, compared(bare))
     assert untold.estimator is None and "cannot rank" in untold.headline
-
-
-def test_copies_of_a_recording_are_no_further_recordings() -> None:
-    """Two recordings and a copy of one, under another name and without its last frame, are two; two frames are none."""
-    cases = [invented_case(name, recording, SHAPE) for recording in ("r0", "r1") for name in ("A", "B")]
-    copies = [invented_case(name, "again", (3, 3, 3), measured=cases[0].measured[:3]) for name in ("A", "B")]
-    match = matched(batch(*cases, *copies).recordings)
-    assert [*match.recordings] == ["r0", "r1"] and match.frames == 8
-    assert match.left_out == ("again, whose readings are those of r0: a copy does not count again",)
-    results = batch(*cases, *copies)
-    assert f"Not compared: {match.left_out[0]}." in advise(results, compared(results)).warnings
-    half = [np.where(np.arange(4)[:, None, None] < 2, case.measured, 1.0) for case in cases[:2]]
-    others = [dataclasses.replace(case, recording="half", measured=own) for case, own in zip(cases, half, strict=False)]
-    assert [*matched(batch(*cases, *others).recordings).recordings] == ["r0", "r1", "half"]

@@ -17,9 +17,8 @@ from lampest.cli.screen import print_table
 from lampest.files.process import ALLOWED, libraries_to_the_log, memory_limit
 from lampest.report.compare import Table
 from lampest.report.detect.pressed import pressed_of
-from lampest.report.page import page as page_module
 from lampest.report.page.compared import Batch
-from lampest.report.page.page import differences, report, write_report
+from lampest.report.page.page import report, write_report
 
 EMPTY = {"meta", "link", "img", "br"}
 
@@ -102,24 +101,6 @@ def test_warnings_go_to_the_log_alone(tmp_path: Path, monkeypatch: pytest.Monkey
             warnings.warn("what a library says", stacklevel=1)
     assert "what a library says" in (tmp_path / "log.txt").read_text()
     assert logger.propagate and not [one for one in logger.handlers if isinstance(one, logging.FileHandler)]
-
-
-def test_maps_of_differences_show_the_nine_pairs_that_differ_most(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn: list[Any] = []
-    monkeypatch.setattr(page_module, "maps_figure", lambda tiles, *rest, **more: drawn.append((tiles, more)))
-    monkeypatch.setattr(page_module, "data_uri", lambda figure: "uri")
-    case = invented_case()
-    for pairs in (15, 9, 1):
-        disagreements: Any = [
-            SimpleNamespace(title=f"pair {number}", significant=np.ones((1, 10, 10)), share=number + 0.123)
-            for number in range(pairs)
-        ]
-        (found,) = differences([case], 0, disagreements)
-        assert (found.kind, found.uri, found.pairs) == ("differences", "uri", pairs)
-        tiles, more = drawn.pop()
-        assert [(tile.title, tile.note) for tile in tiles[:2]] == [("pair 0", "0.12 %"), ("pair 1", "1.1 %")][:pairs]
-        assert len(tiles) == min(pairs, 9) and more == {"width": page_module.WIDTH_INCH / 2}
-    assert differences([invented_case()], 0, []) == []
 
 
 def test_a_page_needs_nothing_else_and_recommends_nothing_without_truth_and_noise() -> None:
