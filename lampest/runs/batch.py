@@ -124,11 +124,10 @@ class Task:
     def carried_over(self, number: int) -> CarriedOver | None:
         """Return the memory after a part; None if the part is incomplete, so that it is solved again."""
         with suppress(InputError):
-            if self.part(number).is_file() and self.carried(number).is_file():
-                hdf5.checked(self.part(number))
-                [held] = stored_cases(self.part(number))
-                if held.case_id == self.case.case_id:
-                    return read_carried(self.carried(number))
+            hdf5.checked(self.part(number))
+            [held] = stored_cases(self.part(number))
+            if held.case_id == self.case.case_id:
+                return read_carried(self.carried(number))
         return None
 
     def write_parts(self, solved: Iterable[tuple[int, Estimates, CarriedOver]]) -> Iterator[int]:
