@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from unittest import mock
 
@@ -173,59 +172,6 @@ def test_the_scene_is_kept_whole(tmp_path: Path) -> None:
         assert group["scene"].shape == () and group["scene"].dtype.kind == "S"
     with pytest.raises(InputError, match=r"/entry/mouth/recording/resistance does not have the 4 × 5 cells"):
         invented_case(scene=Scene(Panel(4, 5)))
-
-
-Change = Callable[[h5py.File], None]
-
-
-def replaced(path: str, data: object) -> Change:
-    def change(file: h5py.File) -> None:
-        del file[path]
-        file[path] = data
-
-    return change
-
-
-def removed(path: str) -> Change:
-    return lambda file: file.__delitem__(path)
-
-
-def marked(path: str, name: str, value: object) -> Change:
-    return lambda file: file[path].attrs.__setitem__(name, value)
-
-
-def claim(file: h5py.File) -> None:
-    del file["/entry/a/recording/resistance"]
-    file.create_dataset("/entry/a/recording/resistance", (10**6, 5, 7), "f8", chunks=(1, 5, 7))
-
-
-MAPS = np.zeros((4, 5, 7))
-DAMAGES: list[tuple[Change, str]] = [
-    (marked("/", "lampest_format", b"recording/1"), "no results file"),
-    (removed("entry"), "/entry is missing"),
-    (removed("/entry/a/recording/scene"), "/entry/a/recording/scene is missing or no text"),
-    (removed("/entry/a/LSM/cell_resistance"), "/entry/a/LSM/cell_resistance is missing"),
-    (removed("/entry/a/LSM/status"), "/entry/a/LSM/status is missing or not 4 texts"),
-    (replaced("/entry/a/LSM/objective", np.zeros(3)), "/entry/a/LSM/objective is 3, not 4"),
-    (replaced("/entry/a/LSM/solve_time", b"text"), "/entry/a/LSM/solve_time must be numeric"),
-    (replaced("/entry/a/LSM/cost/misfit", np.zeros((4, 2))), "/entry/a/LSM/cost/misfit must be numeric with 1"),
-    (replaced("/entry/a/recording/resistance", MAPS), "/entry/a/recording/resistance must be pos"),
-    (replaced("/entry/a/recording/scene", b"panel: {rows: 5, colums: 7}"), "scene:1:18: panel.colums: no such key"),
-    (replaced("/entry/a/recording/scene", b"panel: {rows: 5, columns: 5}"), "have the 5 × 5 cells of the scene"),
-    (claim, "/entry/a/recording/resistance claims 280000000 bytes"),
-    (marked("/entry/a/LSM", "joint_start", b"x"), "/entry/a/LSM@joint_start is missing"),
-    (marked("/entry", "published", b'{"LSM": 3}'), "/entry@published"),
-    (lambda file: file.__setitem__("/entry/a/LSM/cost/bad", h5py.SoftLink("/no")), "/entry/a/LSM/cost/bad is a link"),
-]
-
-
-@pytest.mark.parametrize(("change", "message"), DAMAGES)
-def test_a_mutated_file_is_one_sentence(written: Path, change: Callable[[h5py.File], None], message: str) -> None:
-    with h5py.File(written, "r+") as file:
-        change(file)
-    with pytest.raises(InputError) as caught:
-        read_results(written)
-    assert message in str(caught.value) and str(written) in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_no_file_no_hdf5_and_a_cut_file(written: Path) -> None:

@@ -8,8 +8,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import h5py
-import numpy as np
 import pytest
 from contracts.test_studies import BENCH, EXTREMES
 
@@ -38,71 +36,6 @@ def refused(lampest: Command) -> Callable[..., None]:
         assert content(folder) == before
 
     return check
-
-
-def recorded(**changes: Any) -> Callable[[SimpleNamespace], Any]:
-    return lambda disk: disk.recording(disk.folder / "small.h5", **changes)
-
-
-def without(dataset: str) -> Callable[[SimpleNamespace], Any]:
-    def delete(disk: SimpleNamespace) -> None:
-        with h5py.File(disk.folder / "small.h5", "a") as file:
-            del file[dataset]
-
-    return delete
-
-
-def scene_with(old: str, new: str) -> Callable[[SimpleNamespace], Any]:
-    return lambda disk: disk.recording(disk.folder / "small.h5", scene=disk.scene.replace(old, new))
-
-
-def written(content: bytes | None) -> Callable[[SimpleNamespace], Any]:
-    """Something else in place of the recording: bytes, or None for a folder."""
-
-    def replace(disk: SimpleNamespace) -> None:
-        path = disk.folder / "small.h5"
-        path.unlink()
-        path.mkdir() if content is None else path.write_bytes(content)
-
-    return replace
-
-
-def truncated(disk: SimpleNamespace) -> None:
-    path = disk.folder / "small.h5"
-    os.truncate(path, path.stat().st_size // 2)
-
-
-MEASURED = "/entry/two_point"
-NOTHING = {"resistance": np.empty((0, 3, 4)), "time": np.empty(0), "role": np.empty(0, np.uint8)}
-RECORDINGS: dict[str, tuple[Callable[[SimpleNamespace], Any], tuple[str, ...]]] = {
-    "no such file": (lambda disk: (disk.folder / "small.h5").unlink(), ("no such file",)),
-    "not HDF5": (written(b"12, 13\n"), ("not a readable HDF5 file",)),
-    "no frames": (recorded(**NOTHING), (f"{MEASURED}/resistance", "at least one frame")),
-    "no measured frame": (recorded(role=np.zeros(3, np.uint8)), ("small", "measured")),
-    "another panel": (
-        recorded(resistance=np.full((3, 4, 3), 1500.0)),
-        (f"{MEASURED}/resistance is 3 × 4 × 3", "3 × 4"),
-    ),
-    "text for numbers": (recorded(resistance=np.full((3, 3, 4), b"many")), (f"{MEASURED}/resistance",)),
-    "times of other length": (recorded(time=np.arange(4.0)), (f"{MEASURED}/time",)),
-    "roles beyond 0 and 1": (recorded(role=np.array([0, 1, 2], np.uint8)), (f"{MEASURED}/role",)),
-    "sigma of zero": (recorded(sigma=np.zeros((3, 4))), (f"{MEASURED}/sigma[0, 0]", "positive")),
-    "no scene": (without("/entry/scene"), ("/entry/scene",)),
-    "misspelt scene": (scene_with("pitch_mm", "pich_mm"), ("/entry/scene:1:", "pich_mm", "no such key")),
-    "impossible scene": (scene_with("140", "-140"), ("/entry/scene:", "series_resistance_ohm must be")),
-}
-
-
-@pytest.mark.parametrize(("spoil", "words"), RECORDINGS.values(), ids=RECORDINGS)
-def test_a_fault_in_a_recording_is_one_sentence(
-    disk: SimpleNamespace,
-    refused: Callable[..., None],
-    spoil: Callable[[SimpleNamespace], Any],
-    words: tuple[str, ...],
-) -> None:
-    spoil(disk)
-    refused(disk.folder, "run", disk.folder / "run.yaml", "--out", disk.folder / "out", "--jobs", "1", words=words)
-    assert not (disk.folder / "out").exists()
 
 
 # A command, its file in order, what is replaced by what, and line:column of the complaint with its words.

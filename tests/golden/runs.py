@@ -1,5 +1,7 @@
 """Rows of run files, of faults in documents, and of executors."""
 
+import logging
+import os
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -7,16 +9,30 @@ from contextlib import chdir
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
+import h5py
+import numpy as np
 from attack.attack import called, everything
 from contracts.test_studies import BENCH, EXTREMES, GRADIENT_ALONE
 from golden.circuits import Rows
-from small_files import RUN, SIMULATION, TRADEOFF, on_disk
+from small_files import RUN, SCENE, SIMULATION, TRADEOFF, on_disk
 from support import invented_case
 
 import lampest as lp
 from lampest.files.document import plain_content
 from lampest.files.errors import InputError
+from lampest.files.process import (
+    ALLOWED,
+    check_memory,
+    in_bytes,
+    interrupted,
+    libraries_to_the_log,
+    logged_reason,
+    memory_limit,
+)
+from lampest.files.typed import check_range
+from lampest.files.whole import check_output, sparing
 from lampest.recording.simulation import simulation
 from lampest.runs.executors import Dask, Serial, Tls, each_of, local
 
@@ -142,8 +158,8 @@ def reason(function: Callable[[], Any]) -> Any:
     """Return a result, or why there is none."""
     try:
         return function()
-    except (InputError, ValueError) as error:
-        return str(error)
+    except ValueError as error:
+        return str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
 
 
 def faults_row(command: str) -> dict[str, str]:
@@ -158,6 +174,61 @@ def faults_row(command: str) -> dict[str, str]:
                 rows[f"{old}: {new}"] = str(reason(lambda path=path: READERS[command](path)))
             else:
                 rows[f"{old}: {new}"] = called(*command.split(), str(path), "--out", "out", folder=Path()).err
+    return rows
+
+
+# Datasets of a recording that are replaced, or left out; '' is its scene.
+RECORDINGS: tuple[dict[str, Any], ...] = (
+    {"resistance": np.empty((0, 3, 4)), "time": np.empty(0), "role": np.empty(0, np.uint8)}, {"resistance": None},
+    {"role": np.zeros(3, np.uint8)}, {"resistance": np.full((3, 4, 3), 1500.0)}, {"time": np.arange(4.0)},
+    {"resistance": np.full((3, 3, 4), b"many")}, {"role": np.array([0, 1, 2], np.uint8)}, {"": ("140", "-140")},
+    {"sigma": np.zeros((3, 4))}, {"sigma": np.ones((2, 3, 4))}, {"time": np.array([0, 2, 1.0])}, {"": (SCENE, "")},
+    {"": ("pitch_mm", "pich_mm")}, {"": ("panel", "panels")}, {"": ("rows: 3", "rows: 0")},
+)  # fmt: skip
+MAPS, LARGE = np.zeros((4, 5, 7)), (10**6, 5, 7)
+# Paths in results, with other values or nothing, and attributes: path@name.
+RESULTS: tuple[tuple[str, Any], ...] = (
+    ("/@lampest_format", b"recording/1"), ("entry", None), ("/entry/a/recording/scene", None), ("/entry/a/LSM", None),
+    *((f"/entry/a/LSM/{name}", value) for name, value in (
+        ("cell_resistance", None), ("cell_resistance", -MAPS - 1), ("cell_resistance", MAPS[:, 1:]), ("status", None),
+        ("status", np.zeros(4)), ("objective", np.zeros(3)), ("open_cell", MAPS), ("two_point_model", MAPS - 1),
+        ("solve_time", b"text"), ("cost/misfit", np.zeros((4, 2))), ("solved", np.zeros(4, np.uint8)), ("time", None),
+        ("relative_change", MAPS + np.inf), ("frame", np.zeros(4)), ("cost/bad", h5py.SoftLink("/no")),
+    )),
+    *((f"/entry/a/recording/{name}", value) for name, value in (
+        ("resistance", MAPS), ("resistance", LARGE), ("time", np.full(4, np.nan)), ("baseline", None),
+        ("scene", b"panel: {rows: 5, colums: 7}"), ("scene", b"panel: {rows: 5, columns: 5}"),
+    )),
+    ("/entry/a/LSM@joint_start", b"x"), ("/entry/a/LSM@order", b"x"), ("/entry@published", b'{"LSM": 3}'),
+)  # fmt: skip
+
+
+def damaged_row() -> dict[str, Any]:
+    """Sentences on recordings and results with other content; neither is read, nor is anything written."""
+    rows: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        disk = on_disk(Path())
+        for number, changes in enumerate(RECORDINGS):
+            scene = SCENE.replace(*changes.get("", ("", "")))
+            disk.recording(Path("small.h5"), scene, **{name: part for name, part in changes.items() if name})
+            ended = called("run", "run.yaml", "--jobs", "1", "--out", "out", folder=Path())
+            rows[f"recording {number}"] = [ended.code, ended.out, ended.err, Path("out").exists()]
+        cases = [invented_case(name, recording, (4, 5, 7)) for recording in "ba" for name in ("LSM", "LSR-CR")]
+        lp.write_results("good.h5", cases)
+        for path, value in RESULTS:
+            shutil.copy("good.h5", "results.h5")
+            node, _, attribute = path.partition("@")
+            with h5py.File("results.h5", "r+") as file:
+                if attribute:
+                    file[node].attrs[attribute] = value
+                elif node in file:
+                    del file[node]
+                if value is LARGE:
+                    file.create_dataset(node, LARGE, "f8", chunks=(1, 5, 7))
+                elif not attribute and value is not None:
+                    file[node] = value
+            found = reason(lambda: lp.read_results("results.h5").recordings())
+            rows[f"{path} {np.shape(value)} {str(value)[:30]}"] = str(found)
     return rows
 
 
@@ -231,6 +302,43 @@ def executors_row() -> dict[str, Any]:
     }  # fmt: skip
 
 
+RAISED: tuple[Callable[[], Any], ...] = (
+    lambda: lp.Huber(corner=-1.0), lambda: check_range("share", 3.0, 0, 1),
+    lambda: lp.Recording.load("none.h5"), lambda: np.linalg.inv(np.zeros((2, 2))),
+    lambda: 1 / 0, lambda: float("no number"), lambda: {}["key"], lambda: Path("none").read_text(),
+    lambda: interrupted_by(KeyboardInterrupt()), lambda: interrupted_by(OSError()),
+)  # fmt: skip
+
+
+def interrupted_by(cause: BaseException) -> None:
+    raise SystemError("in compiled code") from cause
+
+
+def process_row() -> dict[str, Any]:
+    """Words on errors and sizes, errors in a log, memory that may be taken, and outputs beside inputs."""
+    rows: dict[str, Any] = {"sizes": [in_bytes(10.0**n) for n in range(14)], "reasons": [], "memory": []}
+    with tempfile.TemporaryDirectory() as folder, chdir(folder), patch.dict(os.environ, {"LAMPEST_LOG": "log"}):
+        with libraries_to_the_log():
+            for function in RAISED:
+                try:
+                    function()
+                except Exception as error:
+                    rows["reasons"].append([logged_reason(error, "a case"), interrupted(error)])
+        log = Path("log").read_text().splitlines()
+        rows["log"] = [line for line in log if "Error: " in line]
+        ours = logging.getLogger("lampest")
+        rows["after"] = [ours.propagate, len(ours.handlers)]
+        for setting in ("8GB", "500", "1.5 MiB", "3t", "0", "x", "-1", "1 GB 2"):
+            with patch.dict(os.environ, {ALLOWED: setting}):
+                rows["memory"].append([reason(memory_limit), reason(partial(check_memory, 2e9, "all cells"))])
+        Path("mine").touch()
+        with sparing([Path("gone"), Path("read"), Path("\0")]):
+            Path("read").touch()
+            rows["outputs"] = [reason(partial(check_output, Path(name))) for name in ("mine", "read", "new", "", "..")]
+    return rows
+
+
 def of_runs() -> Rows:
     rows: Rows = {f"faults of {command}": partial(faults_row, command) for command in FAULTS}
-    return rows | {"refused commands": commands_row, "run files": runs_row, "executors": executors_row}
+    rows |= {"refused commands": commands_row, "processes": process_row, "damaged files": damaged_row}
+    return rows | {"run files": runs_row, "executors": executors_row}
