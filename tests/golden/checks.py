@@ -4,6 +4,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,8 +22,9 @@ from lampest.estimate.nuisances import candidates as possible_effects
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition import breathing, observation
 from lampest.loads.recognition.attachment import Attachment, continued_by
+from lampest.loads.recognition.candidates import Several
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import Verdict, prior_cost
+from lampest.loads.recognition.fit import Fit, Verdict, prior_cost, rises
 from lampest.loads.recognition.image import ImageWatch, Window
 from lampest.loads.recognition.pumping import Pumping
 from lampest.loads.recognition.watch import Panelled
@@ -396,6 +398,23 @@ def verdict_row(name: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def prior_row() -> list[Any]:
+    """What loads cost beforehand: further ones, ones in one place, and suction where no cell rises, or another one."""
+    frame, nothing, costs = verdict_of("nothing")[1], np.zeros(0), []
+    mouth, rod = lp.OralDisc.candidate, lp.Rod.candidate
+    disc = SHAPES["oral_disc"].disc()._replace(x_mm=20.0, y_mm=20.0)
+    for parts, away in product(((rod,), (mouth,), (rod, rod), (mouth, rod), (mouth, mouth)), (0.0, 20.0, 27.0, 40.0)):
+        candidate = parts[0] if len(parts) == 1 else Several.of(parts)
+        places = (disc, disc._replace(y_mm=20.0 + away, diameter_mm=20.0))
+        parameters = np.concatenate([part.start(place) for part, place in zip(parts, places, strict=False)])
+        for change, rise in ((0.1, 3.0), (3.0, 0.15), (3.0, 0.1), (0.5, 0.5)):
+            maps = np.full((2, 6, 7), [[[change]], [[rise]]]) * np.arange(7) / 6
+            fit = Fit(candidate, parameters, nothing, maps[0], nothing, nothing, 80.0, 0.0, 0.0, 0.0)
+            known: Any = SimpleNamespace(highest=maps[1], panel=frame.panel, baseline=frame.baseline)
+            costs.append([prior_cost(fit, known), rises(known)])
+    return costs
+
+
 def breathing_row() -> dict[str, Any]:
     """Readings that swing with suction and rim, and the belief that they make over three windows."""
     rng, times = np.random.default_rng(1), np.arange(32) / 4
@@ -570,6 +589,6 @@ def of_recognition() -> Rows:
         "detected without a readout": bare_row,
         "detected on a mat": partial(detected_row, "block", "mat"), "breathing": breathing_row,
         "answers": answers_row, "attachments": attachments_row, "watch over modules": image_row,
-        "windows over modules": windows_row, "states over modules": opened_row,
+        "loads beforehand": prior_row, "windows over modules": windows_row, "states over modules": opened_row,
         "detected on modules": lambda: answer_row(detection.known_of(Prepared(tiled())).answer(frames_of(tiled()))),
     }  # fmt: skip
