@@ -22,6 +22,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.prepared import Prepared
+from lampest.estimate.sequence import default_terms
 from lampest.files.errors import InputError
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts.readout import with_memory
@@ -266,14 +267,14 @@ def in_scene(name: str) -> lp.Recording:
     return simulated(scene=replace(scenes()[name], response=lp.PublishedResponse()))
 
 
-def coupled() -> lp.Recording:
-    """A rod over the seams of modules that one penalty couples; one is dead, one is not read for a frame."""
-    panel = lp.Panel(modules=Modules(2, 2, EachModule(3, 4), 4.0, coupled=True))
+def dropping_out(coupled: bool) -> lp.Recording:
+    """A rod over the seams of modules; one is dead, one is not read in the first frame, and none in the last."""
+    panel = lp.Panel(modules=Modules(2, 2, EachModule(3, 4), 4.0, coupled=coupled))
     faults = lp.Faults(dead_modules=((1, 1),))
     scene = lp.Scene(panel, lp.TwoPointReadout(noise_lsb=0.7, adc_bits=12), 140.0, faults=faults)
-    recording = simulated(scene=scene, frames=2, loads=(replace(ROD, centre_mm=(36.0, 24.0), diameter_mm=45.0),))
+    recording = simulated(scene=scene, frames=3, loads=(replace(ROD, centre_mm=(36.0, 24.0), diameter_mm=45.0),))
     values = recording.recorded.copy()
-    values[5, :3, 4:] = np.nan
+    values[4, :3, 4:], values[6] = np.nan, np.nan
     return replace(recording, recorded=values)
 
 
@@ -454,7 +455,15 @@ def of_estimate() -> Rows:
         | {f"resistors {name}": partial(resistors_row, scene) for name, scene in resistors.items()}
         | {
             "estimate of coupled modules": partial(
-                estimate_row, coupled, Estimator((lp.Misfit(), lp.LogGradient(weight=3e4)), "reduced", error_bars=False)
+                estimate_row,
+                partial(dropping_out, True),
+                Estimator((lp.Misfit(), lp.LogGradient(weight=3e4)), "reduced", error_bars=False),
+            ),
+            "estimate bare with gaps": partial(estimate_row, gapped, ESTIMATORS["bare"]),
+            "smoother of modules": partial(estimate_row, partial(dropping_out, False), ESTIMATORS["smoother"]),
+            "default terms": lambda: [default_terms(each) for each in (simulated(), simulated(scene=lp.Scene(PANEL)))],
+            "estimate of modules that drop out": partial(
+                estimate_row, partial(dropping_out, False), ESTIMATORS["total_variation"]
             ),
             "effort": lambda: [
                 each.effort(panel) for each in ESTIMATORS.values() for panel in (PANEL, scenes()["modules"].panel)

@@ -416,11 +416,11 @@ def chain_row() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def profile_row(known: bool) -> Any:
-    """A cell without a reading, with a penalty; or solved again by a readout's start."""
-    at = point("penalty")
-    model, missing = LinearModel(at, np.zeros(0)), np.zeros(PANEL.shape, dtype=bool)
-    missing[1, 3] = True
+def profile_row(known: bool, cost: str = "penalty") -> Any:
+    """Cells without a reading, with a penalty or without; or solved again by a readout's start."""
+    at = point(cost)
+    model, missing = LinearModel(at, np.zeros(len(at.nonsmooth))), np.zeros(PANEL.shape, dtype=bool)
+    missing[1, 3], missing[0, 0] = True, cost != "penalty"
     readings = Readings(at.data.measured[0], at.data.sigma[0], np.zeros(PANEL.shape), (~missing).astype(float))
     return beyond_tangents(
         model, readings, missing, (lambda moved: np.log(moved.value / readings.value)) if known else None,
@@ -437,6 +437,7 @@ def of_posterior() -> Rows:
         }
         | {f"weights {cost}": partial(weights_row, cost) for cost in list(COSTS)[1:] if cost != "huber"}
         | {f"profile {known}": partial(profile_row, known) for known in (False, True)}
+        | {f"profile {cost}": partial(profile_row, False, cost) for cost in ("plain", "absolute", "change")}
         | {
             "chain": chain_row,
             "reference at bounds": bounded_row,

@@ -263,11 +263,6 @@ class Walk:
     deviation: float
     most: float
 
-    def cost(self, squares: Array) -> float:
-        """Return the cost of E x², (frames − 1, cells)."""
-        jumps = len(squares) * self._scale * np.sum(np.log1p(self.unrest(squares)))
-        return float(jumps + np.sum(squares) / ASSUMED.jump**2)
-
     def stiffness(self, squares: Array) -> Array:
         """Return λ = ∂cost/∂(E x²), (frames − 1, cells).
 
