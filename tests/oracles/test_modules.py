@@ -112,19 +112,6 @@ def test_other_shapes_readouts_and_methods(
     assert float(np.median(np.abs(estimate.cell_resistance / truth - 1))) < 0.02
 
 
-def test_a_module_that_drops_out_is_missing_alone_and_comes_back() -> None:
-    recording = simulated(scene_of(SCENE), frames=4)
-    gone = recording.recorded.copy()
-    gone[5, :3, :4] = np.nan
-    terms = [lampest.Misfit(), lampest.Gradient(weight=1e-7)]
-    whole, parted = (
-        lampest.reconstruct(one, terms, formulation="reduced") for one in (recording, replace(recording, recorded=gone))
-    )
-    assert np.isnan(parted.cell_resistance[2, :3, :4]).all() and np.isfinite(parted.cell_resistance[2, 3:]).all()
-    assert "module [0, 0]: too few" in parted.status[2] and parted.solved.all()
-    np.testing.assert_allclose(parted.cell_resistance[3], whole.cell_resistance[3], rtol=1e-5)
-
-
 def test_modules_of_a_single_line_have_the_errors_that_all_readings_share() -> None:
     """Each cell is at its bound, which is its reading: bars were 0.02 % where the reference may be 6 % off."""
     text = "panel: {modules: {rows: 2, columns: 2, each: {rows: 1, columns: 6}}}\n" + SCENE[SCENE.index("readout") :]
