@@ -20,6 +20,7 @@ from lampest.estimate.model_check import Explanation, module_factors, noise_fact
 from lampest.estimate.nuisances import CircuitEffects, beside_a_load
 from lampest.estimate.nuisances import candidates as possible_effects
 from lampest.estimate.prepared import Prepared
+from lampest.estimate.saturation import saturated
 from lampest.loads.recognition import breathing, observation
 from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.candidates import Several
@@ -141,8 +142,9 @@ def mistakes_row() -> dict[str, Any]:
         **{f"{count} unloaded": {"role": (first >= count).astype(np.uint8)} for count in (0, 1, 11)},
         "swapped": {"role": (first < 4).astype(np.uint8)},
         "loaded": {"recorded": order[[5, 6, 5, 6, 4, 1, 2, 3, 0, 1, 2]]}, "kohm": {"recorded": 1e3 * order},
-        "copies": {"recorded": order[[0, 0, 0, 0, *range(4, 11)]]}, "no readout": {"scene": lp.Scene(PANEL)},
-        "coarse": {"recorded": 40 * np.round(order / 40)}, "sigma": {"sigma": 0.02 * order}, **{
+        "copies": {"recorded": order[[0, 0, 0, 0, *range(4, 11)]]}, "sigma": {"sigma": 0.02 * order},
+        "no readout": {"scene": lp.Scene(PANEL)},
+        "coarse": {"recorded": 40 * np.round(order / 40), "role": (first >= 1).astype(np.uint8)}, **{
             f"every {step} s": {"time": step * first, "simulation": None} for step in (0.0, 50.0)
         },
     }  # fmt: skip
@@ -183,11 +185,14 @@ def outliers_row() -> dict[str, Any]:
     touched[3, 4, 4] = 500.0
     touched = lp.two_point_resistance(touched)
     apart = np.stack([value, 1000 + 5 * (value - 1000)], axis=1)
+    none, rest = np.zeros(apart.shape, dtype=bool), np.arange(16) < 8
     pair = lp.Readings(apart, np.full(apart.shape, 9.0), np.zeros(apart.shape), np.ones(apart.shape))
+    sizes = None, 5 * pair.sigma, 0.2 * pair.sigma
     impossible = lp.Readings.of(scene, lp.two_point_resistance(cells)[None] * np.where(cells == cells.max(), 9.0, 1.0))
     return {
         "whole": outliers.detect_outliers(value, scale), "few": outliers.detect_outliers(value[:4], scale[:4], 0.1),
-        "panels": outliers.without_outliers(np.zeros(pair.value.shape, dtype=bool), pair, np.arange(16) < 8),
+        "scales": [outliers.without_outliers(none, replace(pair, sigma=each), rest)[0] for each in sizes],
+        "panels": outliers.without_outliers(none, pair, rest),
         "live": live, "impossible": outliers.impossible_readings(scene.circuit, impossible),
         "median": outliers.median(value), "touch": outliers.detect_outliers(touched, 1e-3 * touched)[0].sum(),
     }  # fmt: skip
@@ -257,6 +262,19 @@ def contacts_row() -> dict[str, Any]:
     }  # fmt: skip
 
 
+def ends_row() -> list[Any]:
+    """Channels that end together: some by chance, with others a little below, all of them, or those of one row."""
+    steps, rows = np.r_[np.linspace(0, 0.9, 5), np.linspace(3, 9, 6), np.linspace(12, 300, 45)], list[Any]()
+    row = np.r_[np.linspace(0, 0.5, 8), np.linspace(60, 300, 48)]
+    for below in (steps, np.where(steps < 10, 0.1 * steps, steps), steps / 40, row):
+        for order in (np.random.default_rng(4).permutation(below), below):
+            for sign in (1, -1):
+                volt = (2.5 + sign * (0.47 - 0.0024 * order)).reshape(WIDE.shape)
+                ends = np.broadcast_to((5 - volt) / volt * 1000, (9, *WIDE.shape))
+                rows.append(saturated(replace(recorded(), recorded=ends)))
+    return rows
+
+
 def values_row() -> dict[str, Any]:
     """What single values and deviations say, with a readout and without: a number, a bound, or nothing."""
     values, rows = np.full((2, 4, 5), 720.0), {}
@@ -302,6 +320,7 @@ def of_checks() -> Rows:
         "contacts": contacts_row,
         "mistakes": mistakes_row,
         "values": values_row,
+        "ends": ends_row,
     }
 
 
