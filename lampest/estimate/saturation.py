@@ -14,9 +14,8 @@ from lampest.posterior.interval import binomial_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-# In widths within which voltages count as equal: up to this distance from the end fewer channels lie than at the end.
-NEIGHBOUR_WIDTH = 8.0 / 3.0
-MIN_EXTENT = 10.0  # in the same widths: least range of the channels; within a smaller one all channels are alike
+# In widths within which voltages count as equal: least range of the channels; within a smaller one all are alike.
+MIN_EXTENT = 10.0
 
 
 @dataclass(frozen=True)
@@ -70,15 +69,14 @@ def saturated(recording: Recording) -> Saturated | None:
         for channels, counted in ((most, moved), (resting, np.isfinite(resting))):
             end = float(np.nanmax(channels, initial=-np.inf))
             below = np.where(counted, end - channels, np.inf)
-            # channels at the end, within one width of it, and those beyond up to NEIGHBOUR_WIDTH
-            piled, near = below <= width, (below > width) & (below <= NEIGHBOUR_WIDTH * width)
+            piled = below <= width  # at the end
             apart = end - float(np.nanmin(channels, initial=end)) > MIN_EXTENT * float(np.mean(width))
             lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
             several, around = int(piled.sum()), int((below <= MIN_EXTENT * width).sum())
             # Binomial test: if the other channels within MIN_EXTENT were evenly spread, each would lie within the first
             # width with probability 1/MIN_EXTENT.
             rare = binomial_tail(several - 1, around - 1, 1 / MIN_EXTENT) < SIGNIFICANCE
-            if apart and lines > 1 and rare and several > near.sum():
+            if apart and lines > 1 and rare:
                 level = float(np.median(volt[np.broadcast_to(piled, volt.shape) & (end - volt <= 2 * width)]))
                 resting_too = int((np.abs(resting - level) <= width).sum())
                 return Saturated(sign * level, int((piled & moved).sum()), resting_too, sign > 0)

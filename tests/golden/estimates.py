@@ -23,6 +23,7 @@ from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import default_terms
+from lampest.estimate.weights import converter_and_faults, strongest
 from lampest.files.errors import InputError
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts.readout import with_memory
@@ -461,6 +462,10 @@ def of_estimate() -> Rows:
             ),
             "estimate bare with gaps": partial(estimate_row, gapped, ESTIMATORS["bare"]),
             "smoother of modules": partial(estimate_row, partial(dropping_out, False), ESTIMATORS["smoother"]),
+            "deciding networks": lambda: [
+                strongest([0.1, 0.7, 0.3, 0.9, 0.2, 0.5]),
+                [str(converter_and_faults(scene)) for scene in scenes().values()],
+            ],
             "default terms": lambda: [default_terms(each) for each in (simulated(), simulated(scene=lp.Scene(PANEL)))],
             "estimate of modules that drop out": partial(
                 estimate_row, partial(dropping_out, False), ESTIMATORS["total_variation"]

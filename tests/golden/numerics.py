@@ -393,6 +393,20 @@ def weights_row(cost: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def pair_row() -> Any:
+    """Errors of a frame and of its baseline that are solved together, as matrices and as samples."""
+    model = LinearModel(point("change", frames=2), np.zeros(len(point("change", frames=2).nonsmooth)))
+    memories = covariance.DenseErrors(model).memory(), covariance.SampledErrors(model, samples=20).memory()
+    return [[each.shared(), each.variance(), each.resting().shared()] for each in memories]
+
+
+def certainty_row() -> Any:
+    """Intervals that further errors and bounds extend."""
+    wide, apart = certainty.Certainty(*np.full((6, 1, 2, 3), 0.3)), np.array([[0.4, 0.3], [0.4, -0.3], [0.1, 0.2]] * 2)
+    reaching = wide.reaching(np.array([1, 5]), np.array([0.5, 0.05]), np.array([0.02, 0.4]))
+    return reaching, wide.widened(apart), wide.less(reaching, np.full(6, 0.01).reshape(1, 2, 3)), wide.by_conductance()
+
+
 def bounded_row() -> Any:
     """The reference estimate of data whose bounds hold some cells."""
     data = point("ohm").data
@@ -441,6 +455,8 @@ def of_posterior() -> Rows:
         | {
             "chain": chain_row,
             "reference at bounds": bounded_row,
+            "pair": pair_row,
+            "certainty": certainty_row,
             "intervals": lambda: (
                 interval.one_sided(slopes, wide),
                 interval.chi_square_tail(slopes, wide),
