@@ -11,7 +11,7 @@ where b = BELIEVED is the share of the information that is used.
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.joint import BELIEVED
 from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.estimate.prepared import Prepared
+from lampest.estimate.rivals import RESISTORS
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
@@ -127,13 +128,19 @@ def _corrected(scene: Scene, errors: Array) -> Scene:
     more = np.split(errors[1:], [scene.panel.rows])
     if isinstance(readout, DrivenReadout):
         driven: Any = readout.with_channels(*more)
-        return replace(scene, readout=driven)
+        return replace(scene, readout=_rounded(driven))
     known = scene.series_resistance_ohm
     both = (known.rows, known.columns) if isinstance(known, SeriesPerLine) else (known / 2, known / 2)
     lines = (np.round(np.maximum(np.add(ohm, off), 0.0), DIGITS) for ohm, off in zip(both, more, strict=True))
     series = SeriesPerLine(*(tuple(map(float, line)) for line in lines))
-    readout = replace(readout, reference_ohm=round(readout.reference_ohm, DIGITS))
-    return replace(scene, readout=readout, series_resistance_ohm=series)
+    return replace(scene, readout=_rounded(readout), series_resistance_ohm=series)
+
+
+def _rounded(readout: Any) -> Any:
+    """Return the readout with resistances to a milliohm."""
+    names = {"drive_ohm", "sense_ohm", *RESISTORS}.intersection(field.name for field in fields(readout))
+    values = {name: np.round(getattr(readout, name), DIGITS).tolist() for name in names}
+    return replace(readout, **{name: tuple(ohm) if isinstance(ohm, list) else ohm for name, ohm in values.items()})
 
 
 def _circuit(scene: Scene) -> Scene:
