@@ -1,6 +1,5 @@
 """Rows of recordings, imports, estimates, calibration and recognition."""
 
-import re
 import tempfile
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -280,9 +279,8 @@ def dropping_out(coupled: bool) -> lp.Recording:
 
 
 def calibration_row(calibration: Any) -> dict[str, Any]:
-    text = re.sub(r"\d+\.\d{9,}", lambda number: f"{float(number[0]):.8g}", calibration.text())
     return {
-        "text": text, "summary": calibration.summary, "remarks": calibration.remarks,
+        "text": calibration.text(), "summary": calibration.summary, "remarks": calibration.remarks,
         "warnings": calibration.warnings,
     }  # fmt: skip
 
