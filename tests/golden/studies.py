@@ -286,7 +286,10 @@ def digits_row() -> dict[str, Any]:
 def weights_study_row() -> dict[str, Any]:
     subject, curves = weight_subject(), tuned_curves()
     points = [solve_at(subject, 10.0**n, None) for n in np.linspace(-4, 5, 10)]
+    estimator = replace(subject.case.estimator, bounds=lp.Bounds(upper=3000.0))
+    case = SimpleNamespace(recording="r", name="e", estimator=estimator)
     return {
+        "bounded": solve_at(WeightSubject.of(case, simulated()), 1.0, None),
         "points": points, "morozov": morozov(points, subject.count), "corner": l_curve(points),
         "units": subject.units, "count": subject.count,
         "tuned": [(each.rule, each.weight, each.error, each.excess, each.in_use) for each in curves.choices],
