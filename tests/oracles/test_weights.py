@@ -18,10 +18,10 @@ from lampest import Array, Bounds, InputError, Misfit, Panel, Readings, Recordin
 from lampest.cost.given import Background
 from lampest.cost.losses import Huber
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import CellResistance, Gradient, LogRatio, Term
+from lampest.cost.terms import CellResistance, Gradient, LogGradient, LogRatio, Term
 from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.estimate.weights import WeightSearch, residual_scale, with_chosen_weights
+from lampest.estimate.weights import Settled, WeightSearch, with_chosen_weights
 from lampest.panel.readouts import TwoPointReadout
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel
@@ -87,7 +87,8 @@ def test_the_evidence_chooses_its_fixed_point_and_says_how_sure_it_is(
     data = measured_data(estimator, np.linspace(2800, 3300, 56).reshape(SHAPE), 0.01, 2, specified=0.007)
     chosen = with_chosen_weights(estimator, scene, data, None)
     solution = best_solution(chosen.problem(scene, 1, 1.0), data, None)
-    scale = max(1.0, residual_scale(DenseErrors(LinearModel(solution.at, solution.dual))))
+    errors = DenseErrors(LinearModel(solution.at, solution.dual))
+    scale = Settled(1.0, [], solution.cell_resistance, errors).residual_scale
     assert 1.2 < scale < 1.6
     model = LinearModel(solution.at, solution.dual, deviation=scale * data.deviation)
     assert float(chosen.terms[1].weight) == pytest.approx(settled_weights(model, [1])[1], rel=0.2)
@@ -106,7 +107,7 @@ def test_an_absolute_penalty_that_no_cell_contradicts_has_a_finite_weight(monkey
     for most_cells in (1000, 10):
         monkeypatch.setattr("lampest.estimate.weights.MAX_CELLS", most_cells)
         chosen.append(float(with_chosen_weights(estimator, scene, data, cells[None]).terms[1].weight))
-    assert_allclose(chosen[1], chosen[0], rtol=0.25)
+    assert_allclose(chosen[1], chosen[0], rtol=0.4)  # samples scatter, and so does the factor on the noise
     assert 0.3 < chosen[0] < 10
 
 
@@ -121,6 +122,25 @@ def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -
         assert 0 < step.weight_sigma[1] < 0.5
         weights.append(step.weights[1])
     assert abs(np.log(weights[1] / weights[0])) < 2
+
+
+@pytest.mark.parametrize("static", [0.0, 5.0], ids=["rough cells", "static errors"])
+def test_a_large_panel_tells_rough_cells_from_static_errors(static: float) -> None:
+    """Cells that differ at random by 30 %, and readings that err by five times their noise in the same way always."""
+    rng, shape = np.random.default_rng(3), (24, 20)
+    readout = TwoPointReadout(adc_bits=10, noise_lsb=2.0, readings=1, reference_ohm=300.0)
+    cells = 3000 * np.exp(0.3 * rng.standard_normal(shape))
+    cells[6:12, 5:11] *= 0.3
+    codes = readout.volt_from_recorded(two_point_resistance(cells)) / readout.lsb_volt
+    codes = np.round(codes + 2.0 * static * rng.standard_normal(shape) + 2.0 * rng.standard_normal((2, *shape)))
+    recorded = readout.recorded_from_volt(codes * readout.lsb_volt)
+    recording = Recording(Scene(Panel(*shape), readout), recorded, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
+
+    def error(weight: float | str) -> float:
+        terms = [Misfit(weighting="noise"), LogGradient(weight=weight)]
+        return rms(np.log(lampest.reconstruct(recording, terms, error_bars=False).cell_resistance[0] / cells))
+
+    assert error(AUTO) < 1.4 * min(error(weight) for weight in (0.1, 3.0, 30.0, 300.0))
 
 
 def test_a_large_panel_without_noise_has_a_weight_from_its_residuals() -> None:
