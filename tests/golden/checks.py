@@ -408,13 +408,14 @@ def verdict_of(name: str) -> tuple[Verdict, observation.Observation]:
 
 def verdict_row(name: str) -> dict[str, Any]:
     verdict, frame = verdict_of(name)
+    fits = [fit for fit in verdict.fits if fit.evidence > verdict.evidence - 100]  # others end where rounding decides
     best, pressures = verdict.best, np.r_[-1e4, np.linspace(-12.0, 60.0, 40), 500.0].reshape(6, 7)
     return {
         "under water": replace(frame, water=np.full((6, 7), 2.0)).change(pressures),
-        "fits": [(fit.candidate.label, fit.evidence, fit.chi2, fit.cost, fit.volume) for fit in verdict.fits],
+        "fits": [(fit.candidate.label, fit.evidence, fit.chi2, fit.cost, fit.volume) for fit in fits],
         "shares": verdict.shares, "goodness": verdict.goodness, "evidence": verdict.evidence,
         "nothing": verdict.nothing, "parameters": best.parameters, "covariance": best.covariance,
-        "change": best.change, "discs": best.discs, "prior": [prior_cost(fit, frame) for fit in verdict.fits],
+        "change": best.change, "discs": best.discs, "prior": [prior_cost(fit, frame) for fit in fits],
     }  # fmt: skip
 
 

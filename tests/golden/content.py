@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
 from typing import Any
 
@@ -10,7 +10,8 @@ import numpy as np
 from scipy import sparse
 
 DIGITS, LONG, CHOSEN = 9, 40, 16  # significant digits; numbers of an array that is stored whole, and of a longer one
-RELATIVE, ABSOLUTE = 1e-8, 1e-9  # of a number, and of the largest of its array
+RELATIVE, ABSOLUTE = 1e-6, 1e-7  # of a number, and of the largest of its array
+MARGIN = 100.0  # factor on the differences between processors, as others differ from these
 
 
 def content(value: Any) -> Any:
@@ -55,31 +56,66 @@ def shortened(value: Any) -> Any:
     """Return a text with its long numbers rounded, since their last digits are rounding; anything else as it is."""
     if not isinstance(value, str):
         return value
-    return re.sub(r"\d+\.\d{9,}(e[+-]?\d+)?", lambda number: f"{float(number[0]):.{DIGITS - 1}g}", value)
+    return re.sub(r"\d+\.\d{9,}(e[+-]?\d+)?", lambda number: f"{float(number[0]):.{DIGITS - 3}g}", value)
 
 
-def difference(stored: Any, computed: Any, relative: float = RELATIVE, place: str = "") -> str:
-    """Return the first place at which two contents differ, and how; '' where there is none."""
-    if isinstance(stored, dict) and isinstance(computed, dict):
-        if stored.keys() != computed.keys():
-            return f"{place}: {sorted(stored.keys() ^ computed.keys())} stands on one side alone"
-        return next(
-            filter(None, (difference(stored[key], computed[key], relative, f"{place}.{key}") for key in stored)), ""
-        )
+Tolerances = Mapping[str, float | None]  # place, with [] for any index → share of an array's largest number, or None
+
+
+def difference(stored: Any, computed: Any, tolerances: Tolerances, place: str = "") -> str:
+    """Return the first place at which two contents differ, and how; '' where there is none.
+
+    What stands at a place whose tolerance is None is not compared.
+    """
+    anywhere = re.sub(r"\[\d+\]", "[]", place)
+    if tolerances.get(anywhere, 0.0) is None:
+        return ""
+    if isinstance(stored, dict) and isinstance(computed, dict) and stored.keys() == computed.keys():
+        pairs = ((stored[key], computed[key], f"{place}.{key}") for key in stored)
+        return next(filter(None, (difference(*two, tolerances, where) for *two, where in pairs)), "")
     if isinstance(stored, list) and isinstance(computed, list) and len(stored) == len(computed):
-        if not all(isinstance(value, int | float) for value in stored + computed):
-            pairs = enumerate(zip(stored, computed, strict=True))
-            return next(filter(None, (difference(*pair, relative, f"{place}[{k}]") for k, pair in pairs)), "")
-    elif not (isinstance(stored, int | float) and isinstance(computed, int | float)):
-        return (
-            ""
-            if shortened(stored) == shortened(computed)
-            else f"{place}: {stored!r} was stored, {computed!r} is computed"
-        )
+        if not is_numbers(stored + computed):
+            pairs = ((*two, f"{place}[{k}]") for k, two in enumerate(zip(stored, computed, strict=True)))
+            return next(filter(None, (difference(*two, tolerances, where) for *two, where in pairs)), "")
+    elif not is_numbers([stored, computed]):
+        if shortened(stored) == shortened(computed):
+            return ""
+        return f"{place}: {stored!r} was stored, {computed!r} is computed"
     before, now = np.atleast_1d(np.array(stored, dtype=float)), np.atleast_1d(np.array(computed, dtype=float))
-    largest = np.max(np.abs(before), initial=0.0, where=np.isfinite(before))
-    far = ~np.isclose(now, before, rtol=relative, atol=ABSOLUTE * largest, equal_nan=True)
+    far = ~np.isclose(
+        now, before, rtol=RELATIVE, atol=(tolerances.get(anywhere) or ABSOLUTE) * largest(before), equal_nan=True
+    )
     if not far.any():
         return ""
     first = int(np.argmax(far))
     return f"{place}[{first}]: {before[first]:.10g} was stored, {now[first]:.10g} is computed"
+
+
+def is_numbers(values: Sequence[Any]) -> bool:
+    return all(isinstance(value, int | float) for value in values)
+
+
+def largest(values: np.ndarray[Any, Any]) -> float:
+    return float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+
+
+def unsteady(stored: Any, computed: Any, place: str = "") -> Iterator[tuple[str, float | None]]:
+    """Yield the places at which two computations of the same differ, each with the tolerance that it takes."""
+    if isinstance(stored, dict) and isinstance(computed, dict) and stored.keys() == computed.keys():
+        for key in stored:
+            yield from unsteady(stored[key], computed[key], f"{place}.{key}")
+        return
+    lists = isinstance(stored, list) and isinstance(computed, list) and len(stored) == len(computed)
+    if lists and not is_numbers(stored + computed):
+        for inner in zip(stored, computed, strict=True):
+            yield from unsteady(*inner, f"{place}[]")
+        return
+    if not difference(stored, computed, {}):
+        return
+    if not lists and not is_numbers([stored, computed]):
+        yield place, None
+        return
+    before, now = np.atleast_1d(np.array(stored, dtype=float)), np.atleast_1d(np.array(computed, dtype=float))
+    share = MARGIN * largest(now - before) / max(largest(before), np.finfo(float).tiny)
+    same = np.array_equal(np.isfinite(before), np.isfinite(now))
+    yield place, 10.0 ** np.ceil(np.log10(share)) if same and share < 0.1 else None

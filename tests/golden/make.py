@@ -5,6 +5,9 @@ python -m tests.golden.make table            # public results of every room, see
 python -m tests.golden.make table report     # those of one room
 python -m tests.golden.make defaults         # defaults of public classes, and constants of all modules
 
+Rounding differs from processor to processor. The table is computed on several of them, which this one emulates, and
+numbers that differ take a tolerance. One with AVX-512 is needed.
+
 Do so only where numbers are meant to change, and say in the commit why.
 """
 
@@ -12,16 +15,31 @@ import dataclasses
 import importlib
 import inspect
 import json
+import os
 import pkgutil
+import subprocess
 import sys
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from itertools import count
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import lampest
+from tests.golden.content import content, unsteady
 
 HERE = Path(__file__).parent
 DEFAULTS = HERE / "defaults.json"
 DATA = HERE / "data"
 CONSTANTS = HERE / "constants.json"
+TOLERANCES = HERE / "tolerances.json"
+# Other processors, as environment variables: kernels of OpenBLAS, instructions of NumPy, and a second thread
+OLD = {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL"}
+PROCESSORS = (
+    *({"OPENBLAS_CORETYPE": kernel} for kernel in ("Prescott", "Nehalem", "SkylakeX")),
+    *({"OPENBLAS_CORETYPE": kernel} | OLD for kernel in ("Sandybridge", "Haswell", "Cooperlake")),
+    {"OPENBLAS_NUM_THREADS": "2"},
+)
 LONGEST = 400  # characters of a constant; longer ones are lists whose entries have rows
 
 
@@ -75,22 +93,52 @@ def is_record(value: object) -> bool:
 
 
 def write_table(*rooms: str) -> None:
-    """Write the results of rooms, or of all, a line a row."""
+    """Write the results of rooms, or of all, a line a row, and the tolerances of those that other processors change."""
+    tolerances = json.loads(TOLERANCES.read_text()) if TOLERANCES.exists() else {}
+    with TemporaryDirectory() as folder:
+
+        def compute(number: int, variables: dict[str, str]) -> None:
+            command = [sys.executable, "-m", "tests.golden.make", "rows", f"{folder}/{number}.json", *rooms]
+            subprocess.run(command, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"} | variables, check=True)
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            list(pool.map(compute, count(), ({}, *PROCESSORS)))
+        stored, *variants = (
+            json.loads(Path(folder, f"{number}.json").read_text()) for number in range(1 + len(PROCESSORS))
+        )
+    for room, rows in stored.items():
+        lines = (f"{json.dumps(name)}: {json.dumps(row, ensure_ascii=False)}" for name, row in rows.items())
+        (DATA / f"{room}.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+        tolerances[room] = {}
+        for name, row in rows.items():
+            places: dict[str, float | None] = {}
+            for variant in variants:
+                for place, share in unsteady(row, variant[room][name]):
+                    widest = places.get(place, 0.0)
+                    places[place] = None if share is None or widest is None else max(share, widest)
+            if places:
+                tolerances[room][name] = places
+    TOLERANCES.write_text(json.dumps(tolerances, indent=1) + "\n")
+
+
+def write_rows(path: str, *rooms: str) -> None:
+    """Write the rows of rooms, or of all, as this process computes them."""
     sys.path.insert(0, str(HERE.parent))
-    from golden.content import content
     from golden.table import table
 
-    for room, rows in table().items():
-        if room in rooms or not rooms:
-            lines = (
-                f"{json.dumps(name)}: {json.dumps(content(row()), ensure_ascii=False)}" for name, row in rows.items()
-            )
-            (DATA / f"{room}.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    chosen = {room: rows for room, rows in table().items() if room in rooms or not rooms}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        results = {room: {name: content(row()) for name, row in rows.items()} for room, rows in chosen.items()}
+    Path(path).write_text(json.dumps(results))
 
 
 def main() -> None:
     """Replace the files of this folder."""
     what, *rooms = sys.argv[1:] or ["all"]
+    if what == "rows":
+        write_rows(*rooms)
+        return
     if what != "table":
         DEFAULTS.write_text(json.dumps(defaults(), indent=1) + "\n")
         rooms = (f"{json.dumps(room)}: {json.dumps(values)}" for room, values in constants().items())

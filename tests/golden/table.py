@@ -8,7 +8,7 @@ from golden.checks import of_checks, of_recognition
 from golden.circuits import Rows, of_loads, of_panel
 from golden.estimates import of_estimate, of_recording
 from golden.inputs import of_inputs
-from golden.numerics import COSTS, of_cost, of_posterior, of_solvers
+from golden.numerics import of_cost, of_posterior, of_solvers
 from golden.outputs import of_report
 from golden.runs import of_runs
 from golden.studies import of_studies
@@ -30,9 +30,6 @@ ROOMS = (
     of_runs,
     of_whole,
 )
-# name → tolerance, where products alone lead to an answer
-RELATIVE = {f"whole {kind} large {cost}": 1e-5 for kind in ("solve", "point") for cost in COSTS}
-RELATIVE |= dict.fromkeys(("whole interior point", "whole parts"), 1e-6)
 
 
 def table() -> dict[str, Rows]:

@@ -5,12 +5,17 @@ import warnings
 
 import pytest
 from golden.content import content, difference
-from golden.make import DATA
-from golden.table import RELATIVE, table
+from golden.make import DATA, TOLERANCES
+from golden.table import table
 
 TABLE = {f"{room} {name}": row for room, rows in table().items() for name, row in rows.items()}
 STORED = {
     f"{path.stem} {name}": row for path in DATA.glob("*.json") for name, row in json.loads(path.read_text()).items()
+}
+TOLERANT = {
+    f"{room} {name}": places
+    for room, rows in json.loads(TOLERANCES.read_text()).items()
+    for name, places in rows.items()
 }
 INTENDED = "an intended change, or a new row: python -m tests.golden.make table"
 
@@ -18,7 +23,7 @@ INTENDED = "an intended change, or a new row: python -m tests.golden.make table"
 def difference_of(name: str) -> str:
     """Return where a row differs from the stored one; '' where it does not."""
     computed = json.loads(json.dumps(content(TABLE[name]())))
-    return difference(STORED.get(name), computed, RELATIVE.get(name, 1e-8))
+    return difference(STORED.get(name), computed, TOLERANT.get(name, {}))
 
 
 def agree(names: list[str]) -> bool:
