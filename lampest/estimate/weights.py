@@ -40,7 +40,7 @@ SCALE_RATIO, MAX_SCALES = 1.5, 8  # ratio of successive factors on σ, and their
 MAX_SWEEPS = 6  # over several penalties: each converges within a few
 # Degrees of freedom of known noise per reading. On ten arrays of 500 to 1,140 cells that differ at random by 30 %, more
 # noise gains up to 0.09 per reading with a penalty of differences; where static errors of five times the noise ruin the
-# estimate, it gains 0.6 to 12.
+# estimate, it gains 0.6 to 12 (docs/studies/weights.md).
 NOISE_BELIEF = 0.1
 MIN_FREEDOM = 0.05  # degrees of freedom of a residual: fewer do not determine its scale
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
