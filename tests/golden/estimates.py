@@ -95,6 +95,7 @@ def readings_row() -> dict[str, Any]:
         "rows": touching_rows(readings), "columns": touching_columns(readings),
         "change": mean_change(readings.value, readings.value[0]),
         "strongest": strongest_frame(readings.value, readings.value[0], np.arange(3)),
+        "memory": Readings.of(replace(scene, converter_memory=0.03), np.where(recorded == 100.0, 1e5, recorded)),
     }  # fmt: skip
 
 

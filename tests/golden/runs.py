@@ -260,6 +260,7 @@ def runs_row() -> dict[str, Any]:
         disk = on_disk(Path(folder))
         (disk.folder / "second").mkdir()
         disk.recording(disk.folder / "second" / "other.h5", shape=(4, 3, 4))
+        disk.recording(disk.folder / "s2.h5", shape=(4, 3, 4))
         for name, (text, settings) in RUNS.items():
             run = lp.read_run(disk.run(text), settings)
             first = run.cases[0]
