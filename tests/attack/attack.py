@@ -128,6 +128,16 @@ def environment(**changes: str) -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(HOUSE), "OMP_NUM_THREADS": "1"} | changes
 
 
+# Writes the peak of resident memory in kB at the end: the system's figure includes memory from before exec.
+PEAK = """import atexit, pathlib, re, resource
+def peak():
+    own = int(re.search("VmHWM: *\\t* *([0-9]+)", pathlib.Path("/proc/self/status").read_text())[1])
+    there.write_text(str(max(own, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)))
+there = pathlib.Path(".peak").absolute()
+atexit.register(peak)
+"""
+
+
 def command(
     *arguments: str | Path,
     folder: Path,
@@ -139,7 +149,7 @@ def command(
 
     without : libraries, apart by commas, that are as if not installed. memory : the variable LAMPEST_MEMORY.
     """
-    script = f"import sys; sys.modules.update(dict.fromkeys({[*filter(None, without.split(','))]}))\n"
+    script = PEAK + f"import sys; sys.modules.update(dict.fromkeys({[*filter(None, without.split(','))]}))\n"
     script += "from lampest.cli import main; main()"
 
     begin, peak = time.monotonic(), 0
@@ -160,6 +170,9 @@ def command(
             elif time.monotonic() > begin + seconds:
                 os.killpg(process.pid, signal.SIGKILL)
             time.sleep(0.01)
+    if (folder / ".peak").exists():  # else the process was killed, and the peak includes that of this process
+        peak = 1024 * int((folder / ".peak").read_text())
+        (folder / ".peak").unlink()
     texts = [(folder / name).read_bytes().decode("utf-8", "replace") for name in (".out", ".err")]
     for name in (".out", ".err"):
         (folder / name).unlink()

@@ -212,7 +212,9 @@ class MqttPublish(Publish):
                 waiting.popleft()
             now = time.monotonic()
             if client.is_connected() and (not waiting or now - waiting[0][1] < LATEST_SECONDS):
-                waiting.append((client.publish(self.path, message.text(), qos=1), now))
+                info = client.publish(self.path, message.text(), qos=1)
+                if info.rc == 0:  # else the connection has just ended; such a message is never confirmed
+                    waiting.append((info, now))
 
         try:
             client.on_connect = client.on_disconnect = lambda *event: answers.append(event[3])
