@@ -3,8 +3,7 @@
 Risk: the weight minimises the expected squared error of log r, with the reference estimate
 (`lampest.posterior.reference`) as the truth and its error scale as the noise. The cost is linearised at the reference
 estimate, and the weight minimises `Spectrum.risk`; several penalties are optimised in turn. Evidence: on panels of
-more than `MAX_CELLS` cells, and on request, the weights are the fixed point of the evidence, with the noise that the
-residuals show.
+more than `MAX_CELLS` cells, and on request, the weights have the largest evidence, jointly with a factor on the noise.
 """
 
 from collections.abc import Hashable, Sequence
@@ -185,10 +184,10 @@ class WeightSearch:
     def by_evidence(self, first: Array) -> Weights:
         """Return the weights of the largest evidence, jointly with a factor s on σ.
 
-        Rough cells with little noise and smooth cells with much of it may both be local maxima. The weights λ(s) of a
+        Uneven cells with little noise and even cells with much of it may both be local maxima. The weights λ(s) of a
         grid of factors are therefore settled, and −2 ln posterior of s is the integral of its derivative by ln s²
-        (`Settled.slope`). Known noise has the prior s⁻² ~ χ²_ν/ν with ν = NOISE_BELIEF·n, and s is at least 1. The
-        standard deviation of ln λ is √(2/γ), with γ the degrees of freedom that the data determine.
+        (`EvidencePoint.slope`). Known noise has the prior s⁻² ~ χ²_ν/ν with ν = NOISE_BELIEF·n, and s is at least 1.
+        The standard deviation of ln λ is √(2/γ), with γ the degrees of freedom that the data determine.
 
         Parameters
         ----------
@@ -202,11 +201,12 @@ class WeightSearch:
             begun = self._solved(weights, first, 1.0)
             least = 1.0 if data.noise_known else begun.residual_scale * SCALE_RATIO**-MAX_SCALES
             # from the first factor of the grid above the residuals down to the least one
-            number = max(int(np.ceil(np.log(begun.residual_scale / least) / np.log(SCALE_RATIO))), 0)
-            points = [self._settled(begun, least * SCALE_RATIO**number)]
+            excess = max(begun.residual_scale / least, 1.0)
+            steps = int(np.ceil(np.log(excess) / np.log(SCALE_RATIO)))
+            points = [self._settled(begun, least * SCALE_RATIO**steps)]
             while points[-1].slope < 0 and len(points) < MAX_SCALES:
                 points.append(self._settled(points[-1], points[-1].scale * SCALE_RATIO))
-            for _ in range(number):
+            for _ in range(steps):
                 points.insert(0, self._settled(points[0], points[0].scale / SCALE_RATIO))
             best = most_evident(points)
             nearest = min(points, key=lambda point: abs(np.log(point.scale / best)))
@@ -216,11 +216,11 @@ class WeightSearch:
                 sigma[number] = np.sqrt(2 / max(chosen.errors.determined(number), 1.0))
         return weights, tuple(sigma)
 
-    def _settled(self, near: "Settled", scale: float) -> "Settled":
+    def _settled(self, near: "EvidencePoint", scale: float) -> "EvidencePoint":
         """Return the weights settled for a factor on σ, from those of a near factor."""
         # λ is proportional to s² where the estimate stays
         ratio = (scale / near.scale) ** 2
-        weights = [w * ratio if number in self.open_terms else w for number, w in enumerate(near.weights)]
+        weights = [weight * ratio if n in self.open_terms else weight for n, weight in enumerate(near.weights)]
         moved, previous = np.zeros(len(weights)), np.zeros(len(weights))
         for _ in range(MAX_SOLVES):
             near = self._solved(weights, near.cells, scale)
@@ -236,7 +236,7 @@ class WeightSearch:
             weights = [float(weight) for weight in np.exp(np.log(weights) + moved)]
         return near
 
-    def _solved(self, weights: list[float], near: Array, scale: float) -> "Settled":
+    def _solved(self, weights: list[float], near: Array, scale: float) -> "EvidencePoint":
         """Return the estimate with these weights. Raises ArithmeticError where there is none."""
         data = self.solves[0]
         solution = best_solution(ProjectedNewton(self.weighted(weights), self.settings), data, near)
@@ -244,11 +244,11 @@ class WeightSearch:
             raise ArithmeticError(solution.status)
         model = LinearModel(solution.at, solution.dual, deviation=scale * data.deviation)
         errors = (SampledErrors if data.measured.size > MAX_CELLS else DenseErrors)(model)
-        return Settled(scale, weights, solution.cell_resistance, errors)
+        return EvidencePoint(scale, weights, solution.cell_resistance, errors)
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class EvidencePoint:
     """Estimate with the weights that suit a factor on σ.
 
     Attributes
@@ -294,7 +294,7 @@ class Settled:
         return self.scale * float(np.sqrt(squares / max(freedom, MIN_FREEDOM * count)))
 
 
-def most_evident(points: Sequence[Settled]) -> float:
+def most_evident(points: Sequence[EvidencePoint]) -> float:
     """Return the factor s of the largest evidence, given points of ascending s."""
     level, best = 0.0, (0.0, points[0].scale)  # −2 ln evidence less that of the first point, and the factor
     for below, above in pairwise(points):

@@ -16,7 +16,7 @@ from lampest.cost import losses, problem
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.weights import Settled
+from lampest.estimate.weights import EvidencePoint
 from lampest.files.errors import InputError
 from lampest.files.typed import members_of
 from lampest.panel import least_squares
@@ -389,7 +389,9 @@ def weights_row(cost: str) -> dict[str, Any]:
         "settled": spectrum.settled_weights(model, terms),
         "best": [spectrum.best_weight([each]) for each in spectra],
         "risk": [(each.risk(0.1), each.risk(10.0), each.information(1.0), each.extent) for each in spectra],
-        "residual scale": Settled(1.0, [], model.at.cell_resistance, covariance.DenseErrors(model)).residual_scale,
+        "residual scale": EvidencePoint(
+            1.0, [], model.at.cell_resistance, covariance.DenseErrors(model)
+        ).residual_scale,
     }  # fmt: skip
 
 

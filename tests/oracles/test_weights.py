@@ -21,7 +21,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import CellResistance, Gradient, LogGradient, LogRatio, Term
 from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.estimate.weights import Settled, WeightSearch, with_chosen_weights
+from lampest.estimate.weights import EvidencePoint, WeightSearch, with_chosen_weights
 from lampest.panel.readouts import TwoPointReadout
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel
@@ -88,7 +88,7 @@ def test_the_evidence_chooses_its_fixed_point_and_says_how_sure_it_is(
     chosen = with_chosen_weights(estimator, scene, data, None)
     solution = best_solution(chosen.problem(scene, 1, 1.0), data, None)
     errors = DenseErrors(LinearModel(solution.at, solution.dual))
-    scale = Settled(1.0, [], solution.cell_resistance, errors).residual_scale
+    scale = EvidencePoint(1.0, [], solution.cell_resistance, errors).residual_scale
     assert 1.2 < scale < 1.6
     model = LinearModel(solution.at, solution.dual, deviation=scale * data.deviation)
     assert float(chosen.terms[1].weight) == pytest.approx(settled_weights(model, [1])[1], rel=0.2)
@@ -124,8 +124,8 @@ def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -
     assert abs(np.log(weights[1] / weights[0])) < 2
 
 
-@pytest.mark.parametrize("static", [0.0, 5.0], ids=["rough cells", "static errors"])
-def test_a_large_panel_tells_rough_cells_from_static_errors(static: float) -> None:
+@pytest.mark.parametrize("static", [0.0, 5.0], ids=["uneven cells", "static errors"])
+def test_a_large_panel_tells_uneven_cells_from_static_errors(static: float) -> None:
     """Cells that differ at random by 30 %, and readings that err by five times their noise in the same way always."""
     rng, shape = np.random.default_rng(3), (24, 20)
     readout = TwoPointReadout(adc_bits=10, noise_lsb=2.0, readings=1, reference_ohm=300.0)
