@@ -8,7 +8,7 @@
 #   make mutants   60 random changes of the package, and which of them no fast test notices: an hour or more
 #   make lint      style and types
 #   make docs      set-up, then the pages as a site: docs/_build/html/index.html; what they show is run for it
-#   make studies  every command of docs/studies, page by page: hours; PAGES="bench real" names some. Output: results/studies/
+#   make studies  every command of docs/studies, page by page: over an hour; PAGES="bench real" names some. Output: results/studies/
 #   make lock      after a change of dependencies: the locks with hashes, from pyproject.toml and constraints.txt
 #   make licences  what the dependencies' licences are, as docs/reference/licences.md
 #   make audit     known vulnerabilities of everything in the locks

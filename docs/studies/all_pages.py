@@ -1,7 +1,7 @@
-"""Every command that the pages in docs/studies name, page by page: `make studies`; PAGES="bench real" names some.
+"""Every command that pages in docs/studies and of the model check name: `make studies`; PAGES="bench real" names some.
 
-All pages take hours. Output goes to results/studies/PAGE.log, with the commit. A command that fails does not stop the
-others. A page whose commands all succeed says at its end by which commit, and when.
+All pages take more than an hour on one core. Output goes to results/studies/PAGE.log, with the commit. A command that
+fails does not stop the others. A page whose commands all succeed says at its end by which commit, and when.
 """
 
 import argparse
@@ -15,7 +15,8 @@ from itertools import takewhile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PAGES = {page.stem: page for page in sorted((ROOT / "docs" / "studies").glob("*.md"))}
+MEASURED = (*sorted((ROOT / "docs" / "studies").glob("*.md")), ROOT / "docs" / "theory" / "model_check.md")
+PAGES = {page.stem: page for page in MEASURED}
 LOGS = ROOT / "results" / "studies"
 COMMAND = re.compile(r"^    ((?:\w+=\w+ )*(?:lampest|python -m (?:docs|tests))\b[^#\n]*?) *(?:#.*)?$", re.MULTILINE)
 RUN = re.compile(r"\n*<!-- run -->\n.*\Z", re.DOTALL)

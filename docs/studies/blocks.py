@@ -1,7 +1,7 @@
 """Time of frames that are solved in blocks of many or of one, one by one, and of the whole `lampest.reconstruct`.
 
-python -m docs.studies.blocks [--sides 10 16 20] [--period 0.25]: processor time of a frame with error bars in inverses
-of a matrix of all lines but one, medians of turns A B A B, of 24 frames under a rod.
+python -m docs.studies.blocks [--sides 10 16 20] [--period 0.25] [--turns 5]: processor time of a frame with error bars
+in inverses of a matrix of all lines but one, medians of turns A B A B, of 24 frames under a rod.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from lampest.files.process import ONE_BLAS_THREAD
 from lampest.solvers.projected_lbfgs import InverseHessians
 from lampest.studies.common import inverse_time
 
-FRAMES, TURNS = 24, 5
+FRAMES = 24
 METHODS: dict[str, tuple[lampest.Term, ...]] = {
     "plain least squares": (lampest.Misfit(),),
     "gradient": (lampest.Misfit(), lampest.Gradient()),
@@ -30,6 +30,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sides", type=int, nargs="+", default=[10, 16, 20])
     parser.add_argument("--period", type=float, default=0.25, help="s between frames")
+    parser.add_argument("--turns", type=int, default=5, help="of which the median counts")
     options = parser.parse_args()
     titles = "panel", "terms", "frame by frame", "in blocks of one", "in blocks", "the whole call, a frame"
     print(f"| {' | '.join(titles)} | largest difference of ln r |")
@@ -41,7 +42,7 @@ def main() -> None:
                 np.random.default_rng(0).random((2 * side - 1, 2 * side - 1)) + side * np.eye(2 * side - 1)
             )
             for name, terms in METHODS.items():
-                *times, difference = _measured(recording, terms)
+                *times, difference = _measured(recording, terms, options.turns)
                 figures = " | ".join(f"{1e3 * time:.1f} ms, {time / unit:.0f}" for time in times)
                 print(f"| {side} × {side} | {name} | {figures} | {difference:.0e} |", flush=True)
 
@@ -55,14 +56,14 @@ def _recording(side: int, period: float) -> lampest.Recording:
     return lampest.simulate(simulation)
 
 
-def _measured(recording: lampest.Recording, terms: tuple[lampest.Term, ...]) -> tuple[float, ...]:
+def _measured(recording: lampest.Recording, terms: tuple[lampest.Term, ...], turns: int) -> tuple[float, ...]:
     """Seconds of a frame alone, in a block of one and of many, and of the whole call; the largest difference."""
     prepared = Prepared(recording)
     readings, frames = prepared.noise.readings, recording.measured_frames()
     stream = first_stream(recording, readings, lampest.Estimator(terms, "reduced"), prepared.noise)
     stream, _ = stream.push(readings[int(frames[0])])
     times = list[tuple[float, ...]]()
-    for _ in range(TURNS):
+    for _ in range(turns):
         begin, later, cells = process_time(), stream, []
         for frame in frames[1:]:
             later, step = later.push(readings[int(frame)])
