@@ -7,6 +7,7 @@ computation is inverted.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from itertools import product
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -129,18 +130,24 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
             )
 
 
+@cache
+def types_of(kind: Any) -> dict[str, Any]:
+    """Return the types of the settings of a kind by name."""
+    return get_type_hints(kind)
+
+
 def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
     """Return the words that each literal setting of a kind may have; the first setting is its name."""
-    hints = {field.name: get_type_hints(kind)[field.name] for field in fields(kind)}
-    return {name: get_args(hint) for name, hint in hints.items() if get_origin(hint) is Literal}
+    types = {field.name: types_of(kind)[field.name] for field in fields(kind)}
+    return {name: get_args(type_) for name, type_ in types.items() if get_origin(type_) is Literal}
 
 
-def _variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
+def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
     """Generate circuits of a kind, one for every choice of words.
 
     The converter, the resistor and all other common settings are those of the specified circuit.
     """
-    words, hints = choices(kind), get_type_hints(kind)
+    words, types = choices(kind), types_of(kind)
     names = {field.name for field in fields(kind)} - words.keys()
     shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
     if "converter_volt" not in names:
@@ -148,7 +155,7 @@ def _variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
     known = [getattr(specified, name) for name in RESISTORS if hasattr(specified, name)]
     for name in names.intersection(RESISTORS) if known else ():
         # the specified resistor takes the role of the kind's own; a list for lines becomes its mean where one is needed
-        shared[name] = float(np.mean(known[0])) if hints[name] is float else known[0]
+        shared[name] = float(np.mean(known[0])) if types[name] is float else known[0]
     for chosen in product(*words.values()):
         yield kind(**shared, **dict(zip(words, chosen, strict=True)))
 

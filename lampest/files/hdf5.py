@@ -358,10 +358,11 @@ def _node_or_none(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
     """Return the group or dataset at a path, None if absent or of another kind. Raises InputError for links."""
     node: Any = file
     for part in filter(None, path.split("/")):
+        name = part.encode("utf-8")
         # `exists` raises for a damaged group, for which `get` would return None.
-        if not isinstance(node, h5py.Group) or not node.id.links.exists(part.encode("utf-8")):
+        if not isinstance(node, h5py.Group) or not node.id.links.exists(name):
             return None
-        if not isinstance(node.get(part, getlink=True), h5py.HardLink):
+        if node.id.links.get_info(name).type != h5py.h5l.TYPE_HARD:
             raise InputError(f"{file.filename}: {path} is a link, perhaps to another file, which is not followed")
         node = node[part]
     if isinstance(node, h5py.Dataset) and (node.is_virtual or node.external):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lampest.panel.panel import MAX_UNCHECKED_LINES, Array, Panel
+from lampest.panel.panel import Array, check_line_memory
 
 
 def current_balance(conductance: Any, row_potential: Any, column_potential: Any) -> tuple[Any, Any]:
@@ -32,8 +32,7 @@ def current_balance(conductance: Any, row_potential: Any, column_potential: Any)
 def laplacian(conductance: Array) -> Array:
     """Return L with L·(u, v) = current_balance(g, u, v): (…, lines, lines) siemens, singular; paper, equation (3)."""
     rows, columns = conductance.shape[-2:]
-    if rows + columns > MAX_UNCHECKED_LINES:
-        Panel(rows, columns).check_memory()
+    check_line_memory(rows, columns)
     return bipartite_matrix(line_sums(conductance), -conductance)
 
 

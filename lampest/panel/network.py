@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.kirchhoff import bipartite, bipartite_matrix, injected, line_sums
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, check_line_memory
 
 Numbers = NDArray[np.intp]
 Entries = tuple[Array, Array, Array]  # values for (p, q, t), to be broadcast to (…, rows, columns)
@@ -295,7 +295,7 @@ def inverse_of(conductance: Array, ties: Array) -> Array:
     10 × 10. A single network is inverted whole, with pivots, which keeps more digits where cells are decades apart.
     """
     rows, columns = conductance.shape[-2:]
-    Panel(rows, columns).check_memory()
+    check_line_memory(rows, columns)
     total = line_sums(conductance) + ties
     if not total.all():
         raise np.linalg.LinAlgError("a line is not connected")
@@ -316,7 +316,7 @@ def inverse_of(conductance: Array, ties: Array) -> Array:
     return inverse
 
 
-# Outputs of `equation_derivatives` for h(p, q, t), p = Z_jj, q = Z_kk, t = Z_jk, in this order.
+# First and second derivatives of h(p, q, t), p = Z_jj, q = Z_kk, t = Z_jk.
 SLOPES = ("p", "q", "t")
 CURVATURES = ("pp", "pq", "pt", "qq", "qt", "tt")
 
@@ -336,37 +336,39 @@ class TiedNetwork(Network):
     def read(self, entries: Entries) -> Array:
         return np.asarray(np.broadcast_to(self.readout.reading(*entries), self.conductance.shape))
 
-    @cached_property
-    def _derivatives(self) -> dict[str, Array]:
-        """First and second derivatives of h by name, (rows, columns) each."""
+    def _derivatives(self, names: tuple[str, ...]) -> Array:
+        """Return derivatives of h, (names, rows, columns)."""
         shape = self.conductance.shape
         entries = (np.broadcast_to(part, shape).ravel() for part in self.entries(self._impedance))
-        values = equation_derivatives(self.readout, *shape)(*entries).reshape(-1, *shape)
-        return dict(zip((*SLOPES, *CURVATURES), values, strict=True))
+        return equation_derivatives(self.readout, *shape, names)(*entries).reshape(-1, *shape)
 
-    @property
+    @cached_property
     def slopes(self) -> Entries:
-        return self._derivatives["p"], self._derivatives["q"], self._derivatives["t"]
+        row, column, mutual = self._derivatives(SLOPES)
+        return row, column, mutual
 
     @cached_property
     def curvatures(self) -> dict[str, Array]:
-        return {name: self._derivatives[name] for name in CURVATURES if self._derivatives[name].any()}
+        values = zip(CURVATURES, self._derivatives(CURVATURES), strict=True)
+        return {name: derivative for name, derivative in values if derivative.any()}
 
 
 @guarded
 @lru_cache(maxsize=64)
-def equation_derivatives(readout: ReadCircuit, rows: int, columns: int) -> Compiled:
-    """Return the function of p, q and t, flat (rows · columns) each, with the outputs SLOPES and CURVATURES, flat."""
+def equation_derivatives(readout: ReadCircuit, rows: int, columns: int, names: tuple[str, ...]) -> Compiled:
+    """Return the function of p, q and t, flat (rows · columns) each, with the named derivatives of h, flat."""
     import casadi
 
     flat = {name: casadi.SX.sym(name, rows * columns) for name in SLOPES}
     reading = readout.reading(*(casadi.reshape(entry, columns, rows).T for entry in flat.values()))
-    # Every reading depends on its own entries only, so the gradient of the sum contains the elementwise derivatives.
-    total = casadi.sum1(casadi.vec(casadi.densify(reading).T))
-    slopes = {name: casadi.gradient(total, entry) for name, entry in flat.items()}
-    seconds = [casadi.gradient(casadi.sum1(slopes[name[0]]), flat[name[1]]) for name in CURVATURES]
-    parts = casadi.vertcat(*(casadi.densify(part) for part in (*slopes.values(), *seconds)))
-    return Compiled(casadi.Function("derivatives", list(flat.values()), [parts]))
+    derivatives = []
+    for name in names:
+        # Every reading depends on its own entries only, so the gradient of the sum is the elementwise derivative.
+        derivative = casadi.vec(casadi.densify(reading).T)
+        for entry in name:
+            derivative = casadi.gradient(casadi.sum1(derivative), flat[entry])
+        derivatives.append(casadi.densify(derivative))
+    return Compiled(casadi.Function("derivatives", list(flat.values()), [casadi.vertcat(*derivatives)]))
 
 
 @guarded

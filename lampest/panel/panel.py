@@ -17,6 +17,13 @@ MAX_UNCHECKED_LINES = 2000  # lines: matrices over fewer lines fit into 100 MB, 
 CellPlace = tuple[int, int, float, float]
 
 
+def check_line_memory(rows: int, columns: int) -> None:
+    """Raise InputError if memory does not suffice for three matrices (lines, lines), such as L, Z and a product."""
+    lines = rows + columns
+    if lines > MAX_UNCHECKED_LINES:
+        check_memory(24.0 * lines**2, f"a panel of {rows} × {columns} cells ({lines} lines)")
+
+
 @dataclass(frozen=True)
 class EachModule(Configuration):
     """Size of one module: numbers of row and column lines, and pitch_mm between its cells."""
@@ -160,13 +167,6 @@ class Panel(Configuration):
         for row, column, *_ in self.cells or ():
             present[row, column] = True
         return present
-
-    def check_memory(self, matrices: int = 3) -> None:
-        """Raise InputError if memory does not suffice for `matrices` matrices (lines, lines)."""
-        lines = self.rows + self.columns
-        if lines > MAX_UNCHECKED_LINES:
-            label = f"a panel of {self.rows} × {self.columns} cells ({lines} lines)"
-            check_memory(8.0 * matrices * lines**2, label)
 
     def centres_mm(self) -> tuple[Array, Array]:
         """Return the positions of columns, x_k = k·pitch, and of rows, y_j = j·pitch, in mm, including seams."""

@@ -518,7 +518,7 @@ class Scene(Configuration):
         texts = ((name, f"{value:g}" if isinstance(value, float) else value) for name, value in named)
         return ", ".join(f"{name}: {text}" for name, text in texts if text is not None)
 
-    @property
+    @cached_property
     def circuit(self) -> Readout:
         """Circuit by which readings follow from cells: the readout, or two-point resistances without one."""
         return TwoPointReadout() if self.readout is None else self.readout

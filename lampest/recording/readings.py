@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError, in_words
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT, UNUSUAL
 from lampest.files.typed import real_array
-from lampest.panel.panel import Array, Modules, Panel, beyond_any_panel
+from lampest.panel.panel import Array, Modules, beyond_any_panel, check_line_memory
 from lampest.panel.readouts.readout import without_memory
 from lampest.panel.scene import Scene
 
@@ -381,7 +381,7 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     sigma, rows = readings.sigma_of_values, readings.value.shape[-2]
     if sigma is None:
         return ()
-    Panel(rows, 1).check_memory()
+    check_line_memory(rows, 1)
     value, noise = (part.swapaxes(-1, -2).reshape(-1, rows) for part in (readings.value, sigma))
     unlike, count = np.zeros((rows, rows)), np.zeros((rows, rows), dtype=np.intp)
     for row in range(rows):  # mean square difference from every other row in units of their noise, and number of values
