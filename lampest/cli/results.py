@@ -81,7 +81,8 @@ def plot(
     out
         Output folder, or one picture such as x.svg. Default: beside the results.
     show
-        contours, change, resistance, residuals, pressure, certainty, sweep. Default: contours, of sweeps errors.
+        contours, change, resistance, residuals, pressure, certainty, sweep, or an added plot. Default: contours, of
+        sweeps errors.
     frame
         Frame index, such as 12. Default: a frame of strong change.
     recording
@@ -113,7 +114,7 @@ def export(
     results
         A results file.
     to
-        csv, parquet, mat, zarr or nwb.
+        csv, parquet, mat, zarr, nwb, or an added format.
     out
         Output file. Default: beside the results.
     recording

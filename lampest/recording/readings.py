@@ -108,9 +108,9 @@ class Readings:
         """Return the network's readings of recorded values; one frame (rows, columns) or many.
 
         Missing readings are NaN, readings whose σ is not finite, and those without information because of faults.
-        Bounds are values at or beyond a rail of the converter, infinity, and resistances that are below NOISE_REACH σ
-        after subtraction of the series resistance. A bound without a finite number has the largest or smallest value of
-        its frame.
+        Bounds are values at or beyond a rail of the converter, infinity, resistances that are below NOISE_REACH σ
+        after subtraction of the series resistance, and voltages of the network that are not positive. A bound without
+        a finite number has the largest or smallest value of its frame.
 
         Parameters
         ----------
@@ -148,14 +148,15 @@ class Readings:
         if noise is not None:
             seen = np.where(np.isfinite(noise), seen, 0.0)
         seen[..., scene.blind] = 0.0
-        # Resistances within their noise of zero are upper bounds.
-        if scene.circuit.unit == "ohm":
-            reach = least = np.zeros_like(network) if noise is None else NOISE_REACH * noise
-            if scene.readout is not None:  # noise of a reading that consists of the series resistance alone
-                series = scene.readout.sigma(np.broadcast_to(scene.series_ohm, scene.panel.shape))
-                least = np.minimum(reach, NOISE_REACH * series)
-            small = (network <= least) & (side != AT_LEAST)
-            side, network = np.where(small, AT_MOST, side), np.where(small, np.maximum(network, 0) + reach, network)
+        # Resistances within their noise of zero, and voltages below zero, are upper bounds.
+        reach = np.zeros_like(network) if noise is None else NOISE_REACH * noise
+        least = reach if scene.circuit.unit == "ohm" else np.zeros_like(network)
+        if scene.circuit.unit == "ohm" and scene.readout is not None:
+            # Noise of a reading that consists of the series resistance alone
+            series = scene.readout.sigma(np.broadcast_to(scene.series_ohm, scene.panel.shape))
+            least = np.minimum(reach, NOISE_REACH * series)
+        small = (network <= least) & (side != AT_LEAST)
+        side, network = np.where(small, AT_MOST, side), np.where(small, np.maximum(network, 0) + reach, network)
         # Finite numbers for bounds, and substitutes for missing readings.
         network, seen = _numbered(network, seen)
         side = np.where(seen > 0, side, VALUE)

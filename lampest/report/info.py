@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lampest.files import hdf5
 from lampest.files.document import plain_content
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, first_and_more
 from lampest.panel.panel import Array
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.readings import touching_columns, touching_rows
@@ -238,7 +238,8 @@ def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str
     frames = int(np.sum((missing | bounds).any(axis=(1, 2))))
     empty = (("row", missing.all(axis=(0, 2))), ("column", missing.all(axis=(0, 1))))
     lines = [f"{name} {number}" for name, blank in empty for number in np.flatnonzero(blank)]
-    none = f"; {' and '.join(lines)} {'has' if len(lines) == 1 else 'have'} none" if lines else ""
+    named = " and ".join(lines) if len(lines) < 3 else first_and_more(lines)
+    none = f"; {named} {'has' if len(lines) == 1 else 'have'} none" if lines else ""
     return f"{', '.join(parts)}, in {frames} of {len(missing)} frames{none}"
 
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import lampest
 from lampest.panel.effects import EFFECTS, Effect, LooseContact, effect_on_readings
-from lampest.panel.systematic import HIDDEN_ERRORS, SHARED_ERRORS, error_columns
+from lampest.panel.systematic import HIDDEN_ERRORS, SHARED_ERRORS, SharedError, error_columns
 
 SCENE = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
 CELLS = np.random.default_rng(1).uniform(500.0, 5000.0, (3, 4))
@@ -32,10 +32,21 @@ def test_an_effect_is_smooth_in_its_size_and_nothing_at_zero(kind: type[Effect])
 
 @pytest.mark.parametrize("kind", EFFECTS)
 def test_an_effect_has_a_sentence_with_its_line_and_its_time(kind: type[Effect]) -> None:
-    effect = kind((4,), since=True, size=kind.prior)
-    assert "column 1" in effect.sentence(3) and "since the unloaded frames" in effect.sentence(3)
-    assert "row" in kind((2,), size=kind.prior).sentence(3)
+    for lines in kind.places(3, 4):
+        sentence = kind(lines, since=True, size=kind.prior).sentence(3)
+        assert "since the unloaded frames" in sentence
+        assert len(lines) > 1 or (f"row {lines[0]}" if lines[0] < 3 else f"column {lines[0] - 3}") in sentence
     assert LooseContact((4,), size=-12.345).sentence(3).startswith("12 ohm less at the contact of column 1")
+
+
+@pytest.mark.parametrize("error", SHARED_ERRORS, ids=lambda error: error.setting)
+def test_columns_of_a_shared_error_are_proportional_to_its_setting(error: SharedError) -> None:
+    network = SCENE.circuit.network(CELLS, SCENE.circuit.ties(CELLS), SCENE.wiring)
+    sizes = [lampest.Systematic(**{error.setting: size}) for size in (1e-3, 2e-3)]
+    once, twice = (error_columns([error], network, network.reading(), SCENE, size) for size in sizes)
+    assert once.shape[1:] == (3, 4) and np.all(np.abs(once).max(axis=(1, 2)) > 0)
+    assert_allclose(twice, 2 * once, rtol=1e-2, atol=1e-9)
+    assert error not in HIDDEN_ERRORS or len(once) == error.count
 
 
 def test_a_reference_without_an_error_keeps_its_column_and_leaves_error_bars() -> None:

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 from lampest import CellResistance, Estimator, Gradient, Misfit, Panel, Readings, Scene, Term, TwoPointReadout
 from lampest.cost.given import Background
+from lampest.panel.trust_region import steihaug
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.preconditioners import Cholesky, Preconditioner, TwoLevel, Woodbury, preconditioner
@@ -55,6 +56,17 @@ def test_inverse_is_symmetric_and_positive_definite(kind: type[Preconditioner], 
         assert np.linalg.eigvalsh(inverse).min() > 0
         values = rng.standard_normal(int(free.sum()))
         assert_allclose(solve(values), inverse @ values, atol=1e-5 * np.abs(inverse).max())
+
+
+@pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("kind", Preconditioner.__subclasses__(), ids=lambda kind: kind.__name__)
+def test_conjugate_gradients_take_no_more_products_with_it_than_without(kind: type[Preconditioner], cost: str) -> None:
+    hessian = hessian_of(COSTS[cost])
+    inverses = made(kind, COSTS[cost]).over(EVERY, hessian.at.cell_resistance), lambda values: values
+    preconditioned, plain = (
+        steihaug(hessian.gauss_newton_product, inverse, hessian.gradient, 1e-6) for inverse in inverses
+    )
+    assert preconditioned.products <= plain.products
 
 
 def test_it_serves_no_other_panel() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest import Array, Bounds, Contacts, Faults, Panel, Scene
+from lampest import Array, Bounds, Contacts, Faults, LoadedColumnsReadout, Panel, Readings, Scene
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.typed import members_of
 from lampest.panel.network import Network
@@ -181,7 +181,9 @@ def test_a_simulation_records_the_reading_of_the_network(scene: Scene) -> None:
 
 @every_scene
 def test_recorded_readings_and_volts_lead_back_to_the_reading(scene: Scene) -> None:
-    """network ↔ recorded ↔ volt; what is recorded moves as `direction` says; σ is positive; bounds hold the cells."""
+    """network ↔ recorded ↔ volt; readings are positive; recorded values move as `direction` says, σ by the slope of
+    `from_recorded`; bounds hold the cells.
+    """
     readout, cells = scene.circuit, np.exp(cells_of(scene))
     reading = readout.exact_reading(cells, scene.wiring)
     recorded = readout.to_recorded(reading, scene)
@@ -190,10 +192,32 @@ def test_recorded_readings_and_volts_lead_back_to_the_reading(scene: Scene) -> N
     assert_allclose(readout.recorded_from_volt(readout.volt_from_recorded(recorded)), recorded, rtol=1e-6, atol=near)
     more = readout.from_recorded(recorded * (1 + 1e-6), scene) - reading
     assert np.all(np.sign(more) == readout.direction)
-    assert np.all(readout.sigma(recorded) >= 0)
+    assert np.all(reading > 0) and np.all(readout.sigma(recorded) >= 0)
+    step = 1e-6 * recorded
+    ends = [readout.from_recorded(recorded + sign * step, scene) for sign in (1, -1)]
+    slope = np.abs(ends[0] - ends[1]) / (2 * step)
+    assert_allclose(readout.sigma_of_reading(recorded, 0.01 * recorded), 0.01 * recorded * slope, rtol=1e-6)
     least, _ = Bounds(upper="none").limits(readout, reading, None, scene.wiring)
     assert np.all(least <= cells * (1 + 1e-9))
     assert np.all(readout.start(reading, np.full(cells.shape, np.inf)) > 0)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_the_apparent_resistance_of_a_lone_cell_is_its_resistance(kind: Any) -> None:
+    cell = np.array([[700.0]])
+    readout = next(each for each in examples(kind) if fits((Panel(1, 1), each)) is not None)
+    assert_allclose(readout.apparent_resistance(readout.exact_reading(cell)), cell, rtol=1e-6)
+
+
+def test_a_voltage_that_noise_makes_negative_is_an_upper_bound() -> None:
+    class Shifted(LoadedColumnsReadout):
+        def from_recorded(self, recorded: Array, scene: Any) -> Array:
+            return recorded - 1.0
+
+    recorded = np.array([[2.0, 0.999], [1.5, 1.2]])
+    readings = Readings.of(Scene(Panel(2, 2), Shifted()), recorded)
+    assert readings.side.tolist() == [[0, -1], [0, 0]]
+    assert 0 < readings.value[0, 1] < 0.01
 
 
 @every_scene

@@ -123,7 +123,7 @@ class Readout(Converter, ABC):
 
     @abstractmethod
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """Return y = h(Z_jj, Z_kk, Z_jk) of impedances (rows, columns) ohm, elementwise; NumPy and CasADi."""
+        """Return y = h(Z_jj, Z_kk, Z_jk) > 0 of impedances (rows, columns) ohm, elementwise; NumPy and CasADi."""
 
     @abstractmethod
     def apparent_resistance(self, measured: Array) -> Array:
@@ -243,7 +243,7 @@ class Readout(Converter, ABC):
         return f"the converter's rail{plural} of {' and '.join(reached)} {self.unit}" if reached else ""
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
-        """Return σ of the network's readings from that of recorded ones, the same shape."""
+        """Return σ·|∂y/∂(recorded)|, the σ of the network's readings y from that of recorded ones; the same shape."""
         return sigma
 
     def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:

@@ -427,7 +427,8 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     if layout is not None:
         names = [name.strip() for name in layout.split(",")]
         if len(names) != width:
-            raise InputError(f"{source.source}: {width} columns, but `layout` names {len(names)}")
+            single = "" if len(names) > 1 else f", {layout!r}, which is no import format either"
+            raise InputError(f"{source.source}: {width} columns, but `layout` names {len(names)}{single}")
     every = np.arange(len(data)), np.arange(fields.shape[1]), fields, values, words
     table = ReadingsTable(source, *every, comma, ("",) * fields.shape[1], tuple(notes)).only(data, slice(width))
     return replace(table, names=tuple(names))
