@@ -1,4 +1,4 @@
-"""Cell resistances of passive resistive matrix sensors from two-point measurements.
+"""Cell resistances of passive resistive matrix sensors from readings with crosstalk.
 
     import lampest
     recording = lampest.Recording.load("data/lamprey_35mm.h5")
@@ -166,24 +166,44 @@ def reconstruct(
     tare: Tare | None = None,
     progress: bool | Callable[[int, int], None] = False,
 ) -> Reconstruction:
-    """r̂ = argmin Σ weight·loss(residual) within the bounds, for every measured frame of a recording.
+    """Estimate the cells of every measured frame, r̂ = argmin Σ weight·loss(residual) within the bounds.
 
     Parameters
     ----------
-    recording : frames and scene, as `Recording.load`, `simulate` and `import_file` give them.
-    terms : the cost terms, such as [Misfit(), Gradient(weight=1e-3)]; a penalty without a weight has 'auto'. None
-        stands for [Misfit(weighting="noise"), LogGradient()], with a plain misfit where the noise is unknown.
-    formulation : how the estimate is computed, a word or a method with its options: TruncatedMethod(steps=4);
-        by default nodal or reduced, by the panel's size and the time between frames.
-    solver, bounds, auto_weight : None stands for Settings(), Bounds() and AutoWeight().
-    tare : when the zero of pressures is taken anew; None: never.
-    error_bars : 'auto' gives them to panels of up to 600 cells whose noise is known.
-    progress : True draws a bar with the frames done of all and the time left; a function is called after every frame
-        with both numbers.
+    recording : Recording
+        Frames and scene, as `Recording.load`, `simulate` and `import_file` return them.
+    terms : sequence of Term, or None
+        Cost terms, such as [Misfit(), Gradient(weight=1e-3)]; a penalty without a weight has 'auto'. None stands for
+        [Misfit(weighting="noise"), LogGradient()], with a plain misfit where the noise is unknown.
+    formulation : str or Method
+        Computation of the estimate: a word, or a method with its options such as TruncatedMethod(steps=4). 'auto':
+        nodal or reduced, by the panel's size and the time between frames.
+    solver : Settings, or None
+        None stands for Settings().
+    bounds : Bounds, or None
+        None stands for Bounds().
+    error_bars : 'auto' or bool
+        'auto' computes them for panels of up to 600 cells whose noise is known.
+    auto_weight : AutoWeight, or None
+        None stands for AutoWeight().
+    tare : Tare, or None
+        When the zero of pressures is taken anew; None: never.
+    progress : bool or callable
+        True draws a bar with the numbers of finished and of all frames and the remaining time. A function is called
+        after every frame with both numbers.
 
-    Returns a Reconstruction; `cell_resistance` (frames, rows, columns) ohm and `relative_change` percent are arrays.
-    Raises InputError where an argument is of another kind, or the recording and the estimator do not fit.
+    Returns
+    -------
+    Reconstruction
+        With arrays such as `cell_resistance`, (frames, rows, columns) ohm, and `relative_change`, percent.
 
+    Raises
+    ------
+    InputError
+        If an argument is of another type, or recording and estimator do not fit.
+
+    Examples
+    --------
     >>> found = lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)])
     >>> found.cell_resistance.shape
     (2, 2, 3)

@@ -5,25 +5,26 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Assumptions:
-    """Standard deviations before anything is read, of log r where no unit is given.
+    """Prior standard deviations; of log r unless a unit is given.
 
     Attributes
     ----------
     common_change : float
-        Of all cells alike since rest: by so much temperature moves them.
+        Change of all cells alike since the unloaded frames, as by temperature.
     common_step : float
-        Of all cells alike from frame to frame: by some percent temperature and supply move them, not by more.
+        Change of all cells alike from frame to frame, as by temperature and supply: some percent.
     creep : float
-        Of each cell on its own, by which films creep in seconds.
-    skirt, skirt_cells : float
-        Of changes in the skirt of a load, or under a load that covers many cells, and the distance in cells over which
-        they are alike.
+        Change of each untouched cell since the unloaded frames: creep of a film within seconds.
+    skirt : float
+        Change in the skirt of a load, or under a load that covers many cells.
+    skirt_cells : float
+        Distance over which changes in a skirt are correlated, in cells.
     jump : float
-        Of jumps between frames, and of cells that no reading determines.
+        Change between frames under a load, and value of a cell that no reading determines.
     scatters : tuple of float
-        Of unloaded cells, all likely: films of one batch scatter by a tenth, worn ones by 0.4.
+        Scatter of unloaded cells, equally probable values: films of one batch scatter by a tenth, worn ones by 0.4.
     channel_ohm : float
-        Of a multiplexer's channels, ohm (CD74HC4067, data sheet: any two differ by 10 ohm).
+        Resistance of a multiplexer's channel, ohm (CD74HC4067, data sheet: any two differ by 10 ohm).
     """
 
     common_change: float = 0.05

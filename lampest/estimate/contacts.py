@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lampest.estimate.state import S, SequenceState, Step
+from lampest.estimate.state import AnyState, SequenceState, Step
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts, contact_responses
@@ -95,8 +95,8 @@ class SolvedContacts:
 
 
 def with_contacts(
-    state: S, readings: Readings, solved: Step, solve: Callable[[SequenceState, Readings, Array], Step]
-) -> tuple[S, Step]:
+    state: AnyState, readings: Readings, solved: Step, solve: Callable[[SequenceState, Readings, Array], Step]
+) -> tuple[AnyState, Step]:
     """Return the state with estimated contacts, and the step that was solved for them.
 
     Both are unchanged where the scene names no contacts, or where the estimate has no error bars: these determine how

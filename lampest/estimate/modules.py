@@ -28,7 +28,7 @@ from lampest.recording.readings import Readings
 from lampest.solvers.projected_lbfgs import InverseHessians
 from lampest.solvers.solution import OPTIMA, Status
 
-WORST = (*OPTIMA, Status.APPROXIMATE)  # statuses that count as estimates; the last is the weakest
+WEAKEST_LAST = (*OPTIMA, Status.APPROXIMATE)  # statuses that count as estimates; the last is the weakest
 Network = tuple[Estimator, Scene, Readings]
 
 
@@ -222,8 +222,8 @@ def _joined(layout: Modules, parts: Sequence[Any], name: str, missing: float, la
     known = [values[last] for values in maps if values is not None]
     if not known:
         return None
-    blank, every = np.full(known[0].shape, missing, dtype=known[0].dtype), iter(known)
-    return np.asarray(layout.joined(np.stack([blank if part is None else next(every) for part in maps], axis=-3)))
+    blank = np.full(known[0].shape, missing, dtype=known[0].dtype)
+    return np.asarray(layout.joined(np.stack([blank if part is None else part[last] for part in maps], axis=-3)))
 
 
 def _joined_certainty(layout: Modules, parts: Sequence[Certainty | None]) -> Certainty | None:
@@ -247,7 +247,7 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     present = [step for step in steps if step is not None]
     solved = [step for step in present if step.solution.solved]
     counted, first = solved or present[:1], present[0].solution
-    status = max((step.solution.status for step in solved), key=WORST.index, default=first.status)
+    status = max((step.solution.status for step in solved), key=WEAKEST_LAST.index, default=first.status)
     missing = {"cell_resistance": np.nan, "reading": np.nan, "open_cell": False, "at_lower": False}
     solutions, bars = ([getattr(step, name, None) for step in steps] for name in ("solution", "bars"))
     parts: dict[str, Any] = {"at": None, "dual": None, "preconditioner": None}
@@ -273,14 +273,14 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
 
 def _sentence(layout: Modules, steps: Sequence[Step | None], status: Status) -> str:
     """Return the weakest status of the modules, and the reasons why modules have no estimate, in words."""
-    why: dict[str, list[int]] = {}
+    reasons: dict[str, list[int]] = {}
     for number, step in enumerate(steps):
         if step is None or not step.solution.solved:
-            why.setdefault("dead" if step is None else step.status, []).append(number)
-    if sum(map(len, why.values())) == len(steps):
+            reasons.setdefault("dead" if step is None else step.status, []).append(number)
+    if sum(map(len, reasons.values())) == len(steps):
         return status.value
     messages = [status.value]
-    for reason, numbers in why.items():
+    for reason, numbers in reasons.items():
         named = ", ".join(str(list(layout.place(number))) for number in numbers[:MAX_NAMED])
         more = f" and {len(numbers) - MAX_NAMED} more" if len(numbers) > MAX_NAMED else ""
         messages.append(f"module{'s' if len(numbers) > 1 else ''} {named}{more}: {reason}")

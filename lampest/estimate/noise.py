@@ -46,7 +46,7 @@ MIN_SAMPLES_PER_CHANNEL = 1.5
 MEDIAN_EFFICIENCY = 0.37  # of the median size as an estimate of σ, as a share of the readings (Hampel, 1974)
 PAIR_MEDIAN = 0.7960  # of the root mean square of two differences that share a frame, over √2 σ (by simulation)
 MIN_MEDIAN_NOISE = 0.5  # LSB: with less, most codes repeat, and the median of their differences shows no noise
-QUIET_SHARE = 0.25  # of the triples: loads that come and go make the others restless
+QUIET_SHARE = 0.25  # of the triples of frames, the quietest: loads that come and go disturb the remaining ones
 
 # Errors that the readings of a frame share: the texts of the summary and of warnings.
 SHARED = (
@@ -133,9 +133,9 @@ class NoiseEstimate:
         )
         return "; ".join(filter(None, messages))
 
-    def with_warnings(self, *said: str) -> "NoiseEstimate":
+    def with_warnings(self, *sentences: str) -> "NoiseEstimate":
         """Return the noise with further warnings; empty ones are ignored."""
-        return replace(self, warnings=(*self.warnings, *filter(None, said)))
+        return replace(self, warnings=(*self.warnings, *filter(None, sentences)))
 
     def with_sigma(self, sigma: Array) -> "NoiseEstimate":
         """Return the noise with other σ of the readings."""
@@ -161,25 +161,25 @@ class NoiseEstimate:
         return replace(self.with_sigma(np.hypot(sigma, moved)), in_motion=True).with_warnings(message)
 
 
-def with_still_cells(seen: NoiseEstimate, recording: Recording, sizes: Systematic) -> NoiseEstimate:
+def with_still_cells(noise: NoiseEstimate, recording: Recording, sizes: Systematic) -> NoiseEstimate:
     """Return the noise with the motion within scans and the shared errors that still cells of one network show.
 
     Parameters
     ----------
-    seen : NoiseEstimate
+    noise : NoiseEstimate
     recording : Recording
         It has unloaded and measured frames.
     sizes : Systematic
         Sizes of shared errors that the scene specifies or leaves possible.
     """
     unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
-    scene, resting, still = recording.scene, seen.readings[unloaded].mean(), seen
-    if moves_within_scan(scene, resting, seen.readings, measured):
-        still = seen.with_motion(scene, measured)
+    scene, resting, still = recording.scene, noise.readings[unloaded].mean(), noise
+    if moves_within_scan(scene, resting, noise.readings, measured):
+        still = noise.with_motion(scene, measured)
     strongest = strongest_frame(still.readings.plain_values, resting.value, measured)
     # two frames: the strongest, and the first or the last
     chosen = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
-    hidden = possible_errors(scene, sizes, resting, still.readings[chosen], seen.frame)
+    hidden = possible_errors(scene, sizes, resting, still.readings[chosen], noise.frame)
     own = hidden.sizes.reading_error or 0.0 if hidden is not None and hidden.certain else 0.0
     message = (
         f"cells that nobody touched seem to move as if each reading were off by {100 * own:.2g} %, the same in all "
@@ -188,17 +188,17 @@ def with_still_cells(seen: NoiseEstimate, recording: Recording, sizes: Systemati
     return replace(still, possible_errors=hidden).with_warnings(message if own > (sizes.reading_error or 0.0) else "")
 
 
-def without_effects(seen: NoiseEstimate, recording: Recording, besides: CircuitEffects | None) -> NoiseEstimate:
+def without_effects(noise: NoiseEstimate, recording: Recording, besides: CircuitEffects | None) -> NoiseEstimate:
     """Return the noise with the effects of leaks and contacts taken off the readings."""
     if besides is None or besides.pair is None:
-        return seen
+        return noise
     unloaded = recording.role == UNLOADED
-    frame, nothing = seen.frame, np.zeros((recording.scene.panel.shape[1 - recording.scene.circuit.by_columns], 0))
+    frame, nothing = noise.frame, np.zeros((recording.scene.panel.shape[1 - recording.scene.circuit.by_columns], 0))
     if frame is None:
         frame = FrameNoise(recording.scene, int(unloaded.sum()), 0.0, nothing, nothing)
-    readings = without_effects_of(besides.pair, seen.readings, unloaded)
+    readings = without_effects_of(besides.pair, noise.readings, unloaded)
     frame = replace(frame, effect_errors=remaining_errors(besides.pair))
-    return replace(seen, readings=readings, frame=frame, corrected_effects=besides)
+    return replace(noise, readings=readings, frame=frame, corrected_effects=besides)
 
 
 def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: Readings) -> NoiseEstimate:
@@ -215,27 +215,9 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
         Readings of all frames without outliers.
     """
     readout, resting = recording.scene.readout, recording.role == UNLOADED
-    unloaded, messages = int(resting.sum()), list[str]()
-    impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
-    if count := int(impossible.sum()):
-        many = "reading is" if count == 1 else "readings are"
-        messages.append(f"{count} {many} larger than any cells allow beside the others, and left out")
-    if count := int((outliers & ~impossible).sum()):
-        # Beyond MAX_SHARE neighbours in time are outliers, too, and replace them badly.
-        counted = outliers[resting] if unloaded >= MIN_FRAMES and cleaned.sigma is not None else outliers
-        rate = float(counted.mean())
-        unseen = f"; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not cover them"
-        message = f"{count} of {outliers.size} readings are outliers of one frame, replaced by their neighbours in time"
-        messages.append(message + unseen * (rate > MAX_SHARE))
-    plain = NoiseEstimate(outliers, tuple(messages), cleaned)
-    if cleaned.sigma is None:
-        return plain
-    parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 else None
-    if parts is None:
-        parts = repeated_scatter(cleaned[~resting])
-        coarse = parts and readout and shown_noise(readout, parts.own)[0] < MIN_MEDIAN_NOISE
-        parts = None if coarse else parts
-    if parts is None:
+    unloaded = int(resting.sum())
+    plain = NoiseEstimate(outliers, _outlier_messages(outliers, cleaned, resting), cleaned)
+    if cleaned.sigma is None or (parts := _scatter_of(recording, cleaned)) is None:
         return plain
     own, message, used = parts.own, "", 1.0
     squares, error = own**2 * parts.own_freedom, own / np.sqrt(2 * parts.own_freedom)
@@ -247,11 +229,11 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
         if readout is None:
             message = f"noise {own:.2g} times the recording's sigma, measured in {where}"
         else:
-            noise, factor = shown_noise(readout, own)
+            noise_lsb, factor = shown_noise(readout, own)
             # Only of a converter it is known how small the noise may be: its step.
             used = factor if less and recording.sigma is None else used
             assumed = float(np.mean(readout.assumed_noise))
-            message = f"noise {noise:.2g} LSB, measured in {where}; the scene specifies {assumed:.3g} LSB"
+            message = f"noise {noise_lsb:.2g} LSB, measured in {where}; the scene specifies {assumed:.3g} LSB"
     elif readout is not None and unloaded >= (MIN_UNLOADED_FRAMES if readout.noise_lsb is None else 2):
         used = shown_noise(readout, own)[1]
     frame = None
@@ -259,21 +241,51 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
         volt = float(np.mean(readout.sigma_volt()))
         frame = FrameNoise(recording.scene, unloaded, parts.gain, parts.common_ripple * volt, parts.line_ripple * volt)
     scaled = replace(cleaned, sigma=used * cleaned.sigma)
-    seen = replace(plain, readings=scaled, factor=own, factor_error=error, sigma_factor=used, frame=frame)
-    shared = [text.format(size) for (_, text), size in zip(SHARED, seen.shared_sizes, strict=True) if size]
-    return seen.with_warnings(
+    noise = replace(plain, readings=scaled, factor=own, factor_error=error, sigma_factor=used, frame=frame)
+    shared = [text.format(size) for (_, text), size in zip(SHARED, noise.shared_sizes, strict=True) if size]
+    return noise.with_warnings(
         message if used != 1 else "", f"{', '.join(shared)}, which error bars allow for" if shared else ""
     )
+
+
+def _outlier_messages(outliers: NDArray[np.bool_], cleaned: Readings, resting: NDArray[np.bool_]) -> tuple[str, ...]:
+    """Return sentences on impossible readings and on outliers; `resting` are the unloaded frames, (frames,)."""
+    messages, impossible = list[str](), outliers & (cleaned.seen == 0) & ~resting[:, None, None]
+    if count := int(impossible.sum()):
+        many = "reading is" if count == 1 else "readings are"
+        messages.append(f"{count} {many} larger than any cells allow beside the others, and left out")
+    if count := int((outliers & ~impossible).sum()):
+        # Beyond MAX_SHARE neighbours in time are outliers, too, and replace them badly.
+        counted = outliers[resting] if resting.sum() >= MIN_FRAMES and cleaned.sigma is not None else outliers
+        rate = float(counted.mean())
+        unseen = f"; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not cover them"
+        message = f"{count} of {outliers.size} readings are outliers of one frame, replaced by their neighbours in time"
+        messages.append(message + unseen * (rate > MAX_SHARE))
+    return tuple(messages)
+
+
+def _scatter_of(recording: Recording, cleaned: Readings) -> "Scatter | None":
+    """Return the scatter of the unloaded frames, or of readings at rest without these; None where neither shows it.
+
+    A scatter at rest below MIN_MEDIAN_NOISE of a converter is not used.
+    """
+    resting, readout = recording.role == UNLOADED, recording.scene.readout
+    parts = unloaded_scatter(recording, cleaned[resting]) if resting.sum() > 1 else None
+    if parts is None:
+        parts = repeated_scatter(cleaned[~resting])
+        coarse = parts and readout and shown_noise(readout, parts.own)[0] < MIN_MEDIAN_NOISE
+        parts = None if coarse else parts
+    return parts
 
 
 def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[NoiseEstimate | None]) -> NoiseEstimate:
     """Return the noise of a panel of modules from the noise of each module; None stands for a dead one."""
     given = recording.readings()
-    readings = [given.of_module(layout, n) if seen is None else seen.readings for n, seen in enumerate(every)]
+    readings = [given.of_module(layout, n) if noise is None else noise.readings for n, noise in enumerate(every)]
     nothing = np.zeros(recording.modules[0].recorded.shape, dtype=bool)
-    outliers = np.stack([nothing if seen is None else seen.outliers for seen in every], axis=-3)
+    outliers = np.stack([nothing if noise is None else noise.outliers for noise in every], axis=-3)
     messages = [
-        f"module {list(layout.place(n))}: {seen.sentence}" for n, seen in enumerate(every) if seen and seen.warnings
+        f"module {list(layout.place(n))}: {noise.sentence}" for n, noise in enumerate(every) if noise and noise.warnings
     ]
     more = f"and {len(messages) - MAX_NAMED} modules more" if len(messages) > MAX_NAMED else ""
     joined = Readings.of_parts(layout, readings)
@@ -394,13 +406,13 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
     middle = np.where(count > 1, np.nansum(value, axis=0) / np.maximum(count, 1), resting.value[0])
     deviation = (value - middle) / resting.sigma
     if scene.readout is None:
-        loud = middle / np.exp(np.log(resting.sigma).mean(axis=0))
+        loudness = middle / np.exp(np.log(resting.sigma).mean(axis=0))
     else:
         volt = circuit.volt_from_recorded(circuit.to_recorded(middle, scene))
-        loud = np.asarray(volt / np.broadcast_to(scene.readout.sigma_volt(), volt.shape))
+        loudness = np.asarray(volt / np.broadcast_to(scene.readout.sigma_volt(), volt.shape))
     if circuit.by_columns:
-        deviation, loud = deviation.swapaxes(1, 2), loud.T
-    return scatter(deviation, loud, len(value) - 1)
+        deviation, loudness = deviation.swapaxes(1, 2), loudness.T
+    return scatter(deviation, loudness, len(value) - 1)
 
 
 def repeated_scatter(measured: Readings) -> Scatter | None:

@@ -186,8 +186,8 @@ class Prepared:
 def cleaned_together(recordings: Sequence[Recording]) -> list[Cleaned]:
     """Return the cleaned readings of networks of one shape that were recorded together, such as modules."""
     passed = [with_saturated_stage(recording) for recording in recordings]
-    first, *others = [recording.readings() for recording in passed]
-    together, similar = first.together(*others, axis=-3), dict[Readout, list[int]]()
+    first, *further = [recording.readings() for recording in passed]
+    together, similar = first.together(*further, axis=-3), dict[Readout, list[int]]()
     for place, recording in enumerate(passed):
         similar.setdefault(recording.scene.circuit, []).append(place)
     impossible = np.zeros(together.value.shape, dtype=bool)

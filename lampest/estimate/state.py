@@ -149,4 +149,4 @@ class SequenceState:
         return Step(blank((1, *self.scene.panel.shape), len(terms), status), 0.0, weights)
 
 
-S = TypeVar("S", bound=SequenceState)
+AnyState = TypeVar("AnyState", bound=SequenceState)

@@ -92,16 +92,10 @@ def steihaug(
         # ‖s + αp‖²_M = ‖s‖² + 2α sᵀMp + α²‖p‖², without a product with M
         further = inner + 2 * length * mixed + length * length * outer if isfinite(length) else inf
         if not further < radius**2:
-            negative, length = not curvature > 0, inf
-            if radius < inf:
-                # Positive root t of ‖p‖² t² + 2 sᵀMp t − (radius² − ‖s‖²) = 0, without cancellation
-                room = max(radius**2 - inner, 0.0)
-                length = room / ((mixed + float(np.sqrt(mixed**2 + outer * room))) or 1.0)
+            negative = not curvature > 0
+            length = _length_to_radius(radius, inner, mixed, outer)
             if negative:
-                # Least t at which an entry of s + t p can reach MAX_RELATIVE_CHANGE
-                with np.errstate(divide="ignore"):
-                    reached = np.maximum(MAX_RELATIVE_CHANGE - np.abs(step), 0.0) / np.abs(search)
-                length = min(length, float(np.fmin.reduce(reached, initial=inf)))
+                length = min(length, _length_to_largest_change(step, search))
             ended = np.sqrt(inner + 2 * length * mixed + length * length * outer)
             step, residual = step + length * search, residual + length * image
             # −gᵀs − ½ sᵀHs = −½ sᵀ(g + r) with the residual r = g + Hs
@@ -120,6 +114,22 @@ def steihaug(
     return SubproblemStep(
         step, float(np.sqrt(inner)), -0.5 * float(step @ (gradient + residual)), negative=False, products=count
     )
+
+
+def _length_to_radius(radius: float, inner: float, mixed: float, outer: float) -> float:
+    """Return t ≥ 0 with ‖s + t p‖_M = radius, for ‖s‖², sᵀMp and ‖p‖² in the norm of M; infinite without a radius."""
+    if radius == inf:
+        return inf
+    # Positive root of ‖p‖² t² + 2 sᵀMp t − (radius² − ‖s‖²) = 0, without cancellation
+    room = max(radius**2 - inner, 0.0)
+    return room / ((mixed + float(np.sqrt(mixed**2 + outer * room))) or 1.0)
+
+
+def _length_to_largest_change(step: Array, search: Array) -> float:
+    """Return the least t at which an entry of s + t p can reach MAX_RELATIVE_CHANGE."""
+    with np.errstate(divide="ignore"):
+        reached = np.maximum(MAX_RELATIVE_CHANGE - np.abs(step), 0.0) / np.abs(search)
+    return float(np.fmin.reduce(reached, initial=inf))
 
 
 def restricted(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:

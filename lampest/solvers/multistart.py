@@ -132,7 +132,7 @@ def convex(data: Data, near: Array | None) -> Array:
     """
     places = [None] * len(data.measured) if near is None else list(near)
     with suppress(*BROKEN):
-        return np.stack([data.readout.start(*three) for three in zip(data.measured, data.upper, places, strict=True)])
+        return np.stack([data.readout.start(*frame) for frame in zip(data.measured, data.upper, places, strict=True)])
     return data.uniform_start
 
 

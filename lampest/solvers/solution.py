@@ -260,16 +260,16 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
     residual = at.kkt_residual(dual, gradient)
     # First order: the cost is not above that of the start, and the KKT residual is small.
     worse = at.objective - start.objective > VERIFIED * start.cost_scale + at.rounding
-    level = residual <= VERIFIED
+    stationary = residual <= VERIFIED
     # Where the KKT residual is too large, the certificate's step can still be within rounding.
     ended = outcome.status is not Status.TIME and np.all(np.isfinite(gradient))
-    if not worse and not level and ended and at.dual_gap(dual) <= VERIFIED * at.cost_scale:
+    if not worse and not stationary and ended and at.dual_gap(dual) <= VERIFIED * at.cost_scale:
         hessian = _sharp(at, outcome)
         verdict = outcome.certificate or certificate(hessian, outcome.preconditioner)
-        level = verdict.converged(at.cost_scale) and _balanced(hessian)
+        stationary = verdict.converged(at.cost_scale) and _balanced(hessian)
         outcome = replace(outcome, certificate=verdict)
-    if worse or not level:
-        fault = Status.WORSE if level else Status.UNVERIFIED
+    if worse or not stationary:
+        fault = Status.WORSE if stationary else Status.UNVERIFIED
         fault = fault if outcome.status is Status.OPTIMUM else outcome.status
         return failure(cost, data, _cause(at, gradient, outcome, fault), residual, outcome)
     # Second order: definiteness of the Hessian and length of the next Newton step.

@@ -49,7 +49,12 @@ REFERENCE = "reduced"
 class TradeoffLimits(Configuration):
     """Largest side, max(rows, columns), of panels for each formulation; 0: none. `reduced` is always measured.
 
-    joint : largest side for methods that compare frames, whose joint first pair takes minutes on larger panels.
+    Attributes
+    ----------
+    naive, scaled, linearised, truncated, nodal, per_pixel : int
+        Largest side for the formulation of this name.
+    joint : int
+        Largest side for methods that compare frames, whose joint first pair takes minutes on larger panels.
     """
 
     naive: int = common.MAX_SIDE
@@ -75,6 +80,8 @@ class Simulated(Configuration):
         Unmodelled effects by name.
     diameter_mm
         Diameter of the mouth.
+    seed
+        Seed of all random numbers.
     """
 
     sizes: common.Sizes
@@ -214,8 +221,9 @@ def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
 class TradeoffFrame(TimedFrame):
     """A frame of a method and a formulation.
 
-    objective : cost as in the module's docstring; NaN of a failed frame. gap : (φ − φ_best)/(φ_best + φ_noise), where
-    φ_noise is the cost of residuals of one standard deviation; a gap far below 1 is invisible in the readings.
+    The objective is the cost that the module describes, NaN of a failed frame. The gap is
+    (φ − φ_best)/(φ_best + φ_noise), where φ_noise is the cost of residuals of one standard deviation; a gap far below
+    1 is invisible in the readings.
     """
 
     baseline_s: float = column("s", "time of the unloaded baseline; 0 where it is solved with the first frame")
@@ -224,7 +232,7 @@ class TradeoffFrame(TimedFrame):
 
 
 def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list[TradeoffFrame]:
-    """Measure everything; on_step : receives the numbers of finished and of all parts."""
+    """Measure all methods and formulations; `on_step` receives the numbers of finished and of all parts."""
     settings, done, measured = plan.settings, count(1), list[TradeoffFrame]()
     first = {recording.scene.panel.shape: recording for recording in reversed(plan.recordings)}
     pairs = [(each, method) for each in plan.recordings for method in settings.methods(each.scene.panel.shape)]
@@ -289,7 +297,7 @@ def errors(estimates: Estimates) -> tuple[Array, Array]:
     resting = np.median(truth[unloaded], axis=0) if len(unloaded) else truth[0]
     error = relative_error(estimates.cell_resistance, truth[estimates.frame])
     changed = np.abs(truth[estimates.frame] / resting - 1) > 0.05  # as `TradeoffFrame.changed_error` says
-    inside = [np.median(part[which]) if which.any() else np.nan for part, which in zip(error, changed, strict=True)]
+    inside = [np.median(part[cells]) if cells.any() else np.nan for part, cells in zip(error, changed, strict=True)]
     return np.median(error, axis=(1, 2)), np.array(inside)
 
 
@@ -298,8 +306,8 @@ def _costs(reference: Estimates) -> Iterator[tuple[Cost, Data]]:
     recording, estimator = reference.recording, reference.estimator
     readings = recording.readings()
     stream = replace(first_stream(recording, readings, estimator), baseline=reference.baseline)
-    before = np.concatenate([reference.baseline_resistance[None], reference.cell_resistance[:-1]])
-    for frame, previous in zip(reference.frame, before, strict=True):
+    estimates = np.concatenate([reference.baseline_resistance[None], reference.cell_resistance[:-1]])
+    for frame, previous in zip(reference.frame, estimates, strict=True):
         data, _ = replace(stream, previous=previous).given(readings[frame])
         yield estimator.cost(recording.scene, len(data.measured), partial=data.partial), data
 
@@ -341,7 +349,7 @@ def ladder_rows(frames: Sequence[TradeoffFrame], *names: str) -> list[study.Row]
 
 
 def _row(own: Sequence[TradeoffFrame]) -> study.Row:
-    """Return medians over frames. first_ms : with the baseline. reached : share of frames with a gap up to 1e-6."""
+    """Return medians over frames; `first_ms` includes the baseline, `reached` is the share of gaps up to 1e-6."""
     names = {name: {getattr(frame, name) for frame in own} for name in ("recording", "method")}
     errors = {name: [getattr(frame, name) for frame in own] for name in ("cell_error", "changed_error")}
     known = {name: [value for value in values if np.isfinite(value)] for name, values in errors.items()}
@@ -384,7 +392,7 @@ def tradeoff_figure(rows: Sequence[study.Row]) -> Figure:
     """Draw the error of changed cells and the gap over time, for every panel size.
 
     Numbers are the formulations of the first method, the line is their Pareto front, small dots are further methods.
-    Gaps below 1e-12 are drawn there. rows : of all methods, recordings of a size together.
+    Gaps below MIN_GAP are drawn at MIN_GAP. `rows` are those of all methods, with the recordings of a size together.
     """
     sizes = grouped(rows, attrgetter("rows", "columns"))
     methods, rungs = (list(dict.fromkeys(getattr(row, name) for row in rows)) for name in ("method", "formulation"))

@@ -41,8 +41,8 @@ class Calibration:
 
 def common_scene(recordings: Sequence[Recording], relevant: Callable[[Scene], Scene] = lambda scene: scene) -> Scene:
     """Return the scene of the first recording. Raises InputError where the `relevant` part of another differs."""
-    first, *others = recordings
-    for recording in others:
+    first, *further = recordings
+    for recording in further:
         if relevant(recording.scene) != relevant(first.scene):
             raise InputError(f"{recording.name}: its scene is another than that of {first.name}")
     return first.scene

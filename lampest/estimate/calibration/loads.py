@@ -86,20 +86,20 @@ class Loaded:
 
     def expected(self, fitted: "FittedResponse") -> tuple[Array, Array]:
         """Return x, the expected ln(r/r0), and the variance by the estimate and the load's position, (n,) each."""
-        answer, place = (fitted.parts(part).sum(axis=-1)[self.felt] for part in self.falls)
-        return answer, np.maximum(self.sd[self.felt], MIN_SD) ** 2 + place**2
+        response, position = (fitted.parts(part).sum(axis=-1)[self.felt] for part in self.falls)
+        return response, np.maximum(self.sd[self.felt], MIN_SD) ** 2 + position**2
 
     def weight(self, fitted: "FittedResponse") -> Array:
         """Return 1/σ of every response, (n,), with σ² = sd² + position² + scatter² x²."""
-        answer, known = self.expected(fitted)
-        return np.asarray(1 / np.sqrt(known + fitted.scatter**2 * answer**2))
+        response, known = self.expected(fitted)
+        return np.asarray(1 / np.sqrt(known + fitted.scatter**2 * response**2))
 
     def rows(self, fitted: "FittedResponse", weight: Array) -> tuple[Array, Array]:
         """Return the residuals of a fit times the weight, (n,), and their Jacobian, (n, cells + pieces)."""
         parts = weight[:, None] * fitted.parts(self.falls[0])[self.felt]
-        answer = parts.sum(axis=1)
-        own = np.where(self.felt[1][:, None] == np.arange(len(fitted.gains)), answer[:, None], 0.0)
-        return answer - weight * self.change[self.felt], np.hstack([own, parts])
+        response = parts.sum(axis=1)
+        own = np.where(self.felt[1][:, None] == np.arange(len(fitted.gains)), response[:, None], 0.0)
+        return response - weight * self.change[self.felt], np.hstack([own, parts])
 
 
 def _falls(pressure: Array, base: Response) -> Array:
@@ -197,14 +197,16 @@ def with_evidence(loaded: Loaded, fitted: FittedResponse) -> FittedResponse:
 
     The residuals of each cell, without its own gain, are N(0, V + spread² x xᵀ) with a diagonal V.
     """
-    (answer, known), cell = loaded.expected(fitted), loaded.felt[1]
-    residual = loaded.change[loaded.felt] - answer + answer * fitted.gains[cell]
+    (response, known), cell = loaded.expected(fitted), loaded.felt[1]
+    residual = loaded.change[loaded.felt] - response + response * fitted.gains[cell]
 
     def cost(logarithms: Array) -> float:
         spread, scatter = np.exp(np.clip(logarithms, *np.log(RANGE)))
-        variance = known + scatter**2 * answer**2
+        variance = known + scatter**2 * response**2
         # −2 ln N of each cell by Woodbury: Σ e²/V − (Σ x e/V)²/(spread⁻² + Σ x²/V) + Σ ln V + ln(1 + spread² Σ x²/V)
-        most, shared = (np.bincount(cell, answer * part / variance, len(fitted.gains)) for part in (answer, residual))
+        most, shared = (
+            np.bincount(cell, response * part / variance, len(fitted.gains)) for part in (response, residual)
+        )
         volume = np.log(variance).sum() + np.log1p(spread**2 * most).sum()
         # A single cell does not determine the spread; the last summand keeps it finite.
         return float((residual**2 / variance).sum() - (shared**2 / (1 / spread**2 + most)).sum() + volume + spread)
@@ -304,15 +306,11 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     (change, sd), within = np.empty((2, len(loads), *scene.panel.shape)), np.empty(len(loads))
     for index in np.unique(place):
         own = np.flatnonzero(place == index)
-        change[own], sd[own], within[own] = _answers(recordings[index], [loads[number] for number in own])
-    # Loads have to lie on the film, and not on the same cells at the same time.
+        change[own], sd[own], within[own] = _responses(recordings[index], [loads[number] for number in own])
     pressure, pressure_sd = known.pressures(scene.panel)
-    felt = pressure != 0
+    felt, together = pressure != 0, _together(loads, place)
     for number in np.flatnonzero(~felt.any(axis=(1, 2))):
         raise InputError(f"load {number + 1}: its foot misses the film of every cell")
-    begin, end = np.array([load.frames for load in loads]).T
-    overlap = np.maximum(begin[:, None], begin) <= np.minimum(end[:, None], end)
-    together = (place[:, None] == place) & overlap
     common = np.any(felt[:, None] & felt, axis=(2, 3))
     for first, second in 1 + np.argwhere(np.triu(together & common, 1)):
         raise InputError(f"loads {first} and {second} lie on the same cells in the same frames: give one line")
@@ -345,15 +343,33 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
         if odd.any():
             numbers = (np.flatnonzero(odd) + 1).tolist()
             doubts.append(sentence.format(f"load{'s' if len(numbers) > 1 else ''} {first_and_more(numbers)}"))
+    summary, *remarks = _result_in_words(fitted, len(loads))
+    return LoadCalibration(
+        scene=replace(scene, response=response),
+        summary=summary,
+        remarks=(summary, *remarks),
+        warnings=tuple(filter(None, doubts)),
+        fitted=fitted,
+    )
+
+
+def _together(loads: Sequence[KnownLoad], place: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Return whether two loads lie on the panel at the same time, (loads, loads); `place` are their recordings."""
+    begin, end = np.array([load.frames for load in loads]).T
+    overlap = np.maximum(begin[:, None], begin) <= np.minimum(end[:, None], end)
+    return np.asarray((place[:, None] == place) & overlap)
+
+
+def _result_in_words(fitted: FittedResponse, loads: int) -> Iterator[str]:
+    """Yield the summary of a fit to a number of loads, and remarks on its numbers."""
     touched, blank = fitted.touched.sum(), (~fitted.touched).sum()
-    summary = (
-        f"response from {len(loads)} loads on {touched} of {fitted.touched.size} cells: gains spread by "
+    yield (
+        f"response from {loads} loads on {touched} of {fitted.touched.size} cells: gains spread by "
         f"{100 * fitted.spread:.1f} %, a cell answers alike within {100 * fitted.scatter:.1f} %"
     )
-    sds = "response.sd: relative standard deviation of ln(r/r0), of all cells alike; response.gain_sd: of each cell"
-    felt_none = [f"{blank} cells felt no load: they have the common curve and the spread"] if blank else []
-    known_film, remarks, warnings = replace(scene, response=response), (summary, sds, *felt_none), filter(None, doubts)
-    return LoadCalibration(scene=known_film, summary=summary, remarks=remarks, warnings=tuple(warnings), fitted=fitted)
+    yield "response.sd: relative standard deviation of ln(r/r0), of all cells alike; response.gain_sd: of each cell"
+    if blank:
+        yield f"{blank} cells felt no load: they have the common curve and the spread"
 
 
 def _odd_loads(loaded: Loaded, fitted: FittedResponse) -> NDArray[np.bool_]:
@@ -414,7 +430,7 @@ def _places(names: Sequence[str], loads: Sequence[KnownLoad]) -> NDArray[np.intp
     return np.array(places, dtype=np.intp)
 
 
-def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> Iterator[Array]:
+def _responses(recording: Recording, loads: Sequence[KnownLoad]) -> Iterator[Array]:
     """Return the mean response to each load, its standard deviation, and its relative change within the frames.
 
     The first two are ln(r/r0), (loads, rows, columns), the last is (loads,).

@@ -11,7 +11,7 @@ import numpy as np
 
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.methods.method import Method, OptimalMethod
-from lampest.estimate.state import S
+from lampest.estimate.state import AnyState
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, steihaug
 from lampest.solvers.hessian import Hessian
@@ -82,7 +82,7 @@ class LinearisedMethod(Method):
 
     kind: Literal["linearised"] = "linearised"
 
-    def begin(self, state: S) -> S:
+    def begin(self, state: AnyState) -> AnyState:
         """Return the state with its baseline and the factor of H_b; without a factor where the baseline failed."""
         alone, reduced = state.without_comparisons(), OptimalMethod("reduced")
         start = state.with_baseline(reduced.solve(alone, *reduced.given(alone, state.resting)))

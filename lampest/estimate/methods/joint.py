@@ -319,8 +319,8 @@ class Joint:
         cells, shift = self.chain.solve(-np.where(self.pressed, 0.0, self.gradient)[..., None], -slope[:, None])
         return cells[..., 0], shift[:, 0]
 
-    def agreeing(self, others: Array) -> "Joint":
-        """Return the problem with z fixed, if cells near loads contradict all others; else unchanged.
+    def agreeing(self, stiffness: Array) -> "Joint":
+        """Return the problem with z fixed, if cells near loads contradict all other cells; else unchanged.
 
         Cells near a load move a little with it, are taken for still, and so bias z. Let ẑ, C be the estimate of z with
         its covariance, and ẑ', C' those without cells near loads. If both agree, the mean of |ẑ − ẑ'|² is tr D with
@@ -329,16 +329,16 @@ class Joint:
 
         Parameters
         ----------
-        others : array, shape (frames − 1, cells)
+        stiffness : array, shape (frames − 1, cells)
             λ with which the cells near loads are free.
         """
-        count, alone = self._sharing, replace(self, stiffness=others)
-        covariance, without = (first.chain.border_covariance[:count, :count] for first in (self, alone))
-        shift, shift_alone = (self.shift[:count] + first.newton()[1][:count] for first in (self, alone))
+        count, alone = self._sharing, replace(self, stiffness=stiffness)
+        covariance, without = (problem.chain.border_covariance[:count, :count] for problem in (self, alone))
+        shift, shift_alone = (self.shift[:count] + problem.newton()[1][:count] for problem in (self, alone))
         expected, apart = float(np.trace(without - covariance)), float(np.sum((shift_alone - shift) ** 2))
         if apart <= expected:
             return self
-        precision, less = (positive_inverse(first) for first in (covariance, without))
+        precision, less = (positive_inverse(matrix) for matrix in (covariance, without))
         # precision = share · C⁻¹ + (1 − share) · C'⁻¹, and ẑ is the mean weighted by these precisions
         ratio, between = apart / expected, without - covariance
         share = (ratio * np.exp(1 - ratio)) ** (expected**2 / np.sum(between**2) / 2)

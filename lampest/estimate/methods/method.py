@@ -15,7 +15,7 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Term
 from lampest.estimate.contacts import with_contacts
 from lampest.estimate.objective import Objective
-from lampest.estimate.state import UNKNOWN_SD, S, SequenceState, Step
+from lampest.estimate.state import UNKNOWN_SD, AnyState, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.errors import InputError
 from lampest.files.process import delayed_interrupt, ended_where_hung
@@ -147,7 +147,7 @@ class Method(Configuration):
             weights = tuple(float(weight) for weight in solver.cost.weights)
             return Step(solution, choice + perf_counter() - begin, weights, weight_sigma=objective.weight_sigma)
 
-    def begin(self, state: S) -> S:
+    def begin(self, state: AnyState) -> AnyState:
         """Return the state with its baseline, which is solved alone."""
         alone = state.without_comparisons() if state.estimator.relative else state
         first = self.solve(alone, *self.given(alone, state.resting))
@@ -162,7 +162,7 @@ class Method(Configuration):
                 state = replace(state, track=track)
         return state.with_baseline(baseline)
 
-    def push(self, state: S, readings: Readings) -> tuple[S, Step]:
+    def push(self, state: AnyState, readings: Readings) -> tuple[AnyState, Step]:
         """Return the state after one frame's readings (rows, columns), and the frame's step."""
         data, start = self.given(state, readings)
         step = self.solve(state, data, start)
@@ -170,7 +170,7 @@ class Method(Configuration):
             state, step = with_contacts(state, readings, step, self._elsewhere)
         return self.after(state, step, readings)
 
-    def after(self, state: S, step: Step, readings: Readings) -> tuple[S, Step]:
+    def after(self, state: AnyState, step: Step, readings: Readings) -> tuple[AnyState, Step]:
         """Return the state after a solved frame, and its step with error bars where the state requests them."""
         track, model, begin = state.track, step.surroundings(), perf_counter()
         if track is not None and model is not None:
@@ -189,8 +189,8 @@ class Method(Configuration):
         return state, step
 
     def sequence(
-        self, state: S, resting: Readings, readings: Readings, on_frame: Callable[[], None]
-    ) -> tuple[S, list[Step]]:
+        self, state: AnyState, resting: Readings, readings: Readings, on_frame: Callable[[], None]
+    ) -> tuple[AnyState, list[Step]]:
         """Return the state after all measured frames of a recording, and their steps.
 
         Only methods with `needs_all_frames` have it.

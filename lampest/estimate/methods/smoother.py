@@ -30,7 +30,7 @@ from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.changed_cells import touching
 from lampest.estimate.methods.joint import Joint, error_bars
 from lampest.estimate.methods.method import Method, OptimalMethod
-from lampest.estimate.state import NO_DUAL, S, SequenceState, Step
+from lampest.estimate.state import NO_DUAL, AnyState, SequenceState, Step
 from lampest.files.errors import InputError
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import delayed_interrupt
@@ -91,9 +91,9 @@ class SmootherMethod(Method):
 
     def check(self, terms: tuple[Term, ...]) -> None:
         """Raise InputError unless the misfit, in units of its noise and with a robust smooth loss, is the only term."""
-        [first, *others] = terms
+        [first, *further] = terms
         fits = isinstance(first, Misfit) and first.weighting == "noise" and first.weight == 1
-        if others or not fits or first.loss.squared or first.loss.enters == "dual":
+        if further or not fits or first.loss.squared or first.loss.enters == "dual":
             raise InputError(
                 "formulation: smoother has one term, misfit: {weighting: noise, loss: {kind: student, corner: 4}}, of "
                 "weight 1; its loss may be huber or a smooth one of your own, but not squared, with which one wrong "
@@ -105,8 +105,8 @@ class SmootherMethod(Method):
         return OptimalMethod("reduced").solution(solver, data, previous, None)
 
     def sequence(
-        self, state: S, resting: Readings, readings: Readings, on_frame: Callable[[], None]
-    ) -> tuple[S, list[Step]]:
+        self, state: AnyState, resting: Readings, readings: Readings, on_frame: Callable[[], None]
+    ) -> tuple[AnyState, list[Step]]:
         """Solve all frames together; frames with too few readings are left out."""
         rested = state.resting.enough(state.scene)
         enough = readings.enough(state.scene) & rested
@@ -119,7 +119,7 @@ class SmootherMethod(Method):
         missing, solved = state.unsolved(Status.UNREAD if rested else Status.UNRESTED), iter(steps)
         return state, [next(solved) if read_enough else missing for read_enough in enough]
 
-    def push(self, state: S, readings: Readings) -> tuple[S, Step]:
+    def push(self, state: AnyState, readings: Readings) -> tuple[AnyState, Step]:
         """Return the state after one frame, and its step, solved together with the `lag` frames before it."""
         before, estimates = state.prepared or ((), ())  # readings of the last frames, and their cells
         read, cells = (*before, readings)[-1 - self.lag :], estimates[-self.lag :]
@@ -130,12 +130,12 @@ class SmootherMethod(Method):
 
     def _together(
         self,
-        state: S,
+        state: AnyState,
         resting: Sequence[Readings],
         readings: Sequence[Readings],
         cells: Sequence[Array],
         on_frame: Callable[[], None],
-    ) -> tuple[S, list[Step]]:
+    ) -> tuple[AnyState, list[Step]]:
         """Return the state with the joint estimate of the baseline, and the steps of the frames.
 
         Parameters

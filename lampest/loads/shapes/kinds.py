@@ -110,8 +110,8 @@ class RoundCandidate(Candidate):
             "rim": log(max(disc.rim_kpa if hollow else mean, 0.1)),
             "push": log(max(disc.rim_kpa - bearing, 0.5)),
         }
-        others = (values[name] for name in self.numbers)
-        return np.array([disc.x_mm, disc.y_mm, *others, disc.tilt_x, disc.tilt_y, *EVEN])
+        numbers = (values[name] for name in self.numbers)
+        return np.array([disc.x_mm, disc.y_mm, *numbers, disc.tilt_x, disc.tilt_y, *EVEN])
 
     def blind(self, parameters: Array) -> Array:
         """Return the standard deviation that readings cannot reduce: edge_mm/d of ln d, 0 of all others."""

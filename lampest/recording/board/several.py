@@ -202,8 +202,8 @@ def _image(
     missed = max(sample.frame.missed for sample in parts.values())
     fresh = [sample for board, sample in parts.items() if before.shown[board] != after.shown[board]]
     events = [event for sample in fresh for event in sample.events]
-    for word, some, others in (("gone", after.missing, before.missing), ("back", before.missing, after.missing)):
-        places = [layout.place(numbers[board]) for board in some if board not in others]
+    for word, inside, outside in (("gone", after.missing, before.missing), ("back", before.missing, after.missing)):
+        places = [layout.place(numbers[board]) for board in inside if board not in outside]
         events += [f"{word}: {','.join(map(str, place))}" for place in places]
     return Sample(
         replace(first.frame, sequence=before.frames, missed=missed, sums=layout.joined(sums)),

@@ -153,21 +153,13 @@ def measured(
         recorded[..., list(scene.dead_modules), :, :] = np.nan
         codes = [sums for _, sums in modules if sums is not None]
         return layout.joined(recorded), layout.joined(np.stack(codes, axis=-3)) if codes else None
-    # The true circuit: reference, contacts and wire differ from those of the scene.
-    off = unmodelled.reference_tolerance * random_stream(seed, "reference").uniform(-1, 1)
-    actual = scene.circuit.off_by(off)
-    if scene.contacts is not None:
-        scene = replace(scene, contacts=true_contacts(scene, seed))
-    if unmodelled.wire_ohm_per_cell:
-        lines, more = scene.lines or Lines(), unmodelled.wire_ohm_per_cell
-        row, column = lines.row_ohm_per_cell + more, lines.column_ohm_per_cell + more
-        scene = replace(scene, lines=replace(lines, row_ohm_per_cell=row, column_ohm_per_cell=column))
-    # Exact readings of the true circuit, line by line for moving loads, with an error of each reading.
+    actual, scene = _true_circuit(scene, unmodelled, seed)
+    # Exact readings, line by line for moving loads, with an error of each reading.
     total, *passes = [_read(actual, scene, part, unmodelled, seed, period_s) for part in scanned or [cells]]
     if passes:  # every line from the pass in which it was read
         axis = 2 if actual.by_columns else 1
-        each = [part.take(line, axis) for line, part in enumerate([total, *passes])]
-        total = np.stack(each, axis=axis)
+        lines = [part.take(line, axis) for line, part in enumerate([total, *passes])]
+        total = np.stack(lines, axis=axis)
     if unmodelled.reading_error:
         normal = random_stream(seed, "readings").standard_normal(scene.panel.shape)
         total = total * np.exp(unmodelled.reading_error * normal)
@@ -184,6 +176,19 @@ def measured(
         total = actual.recorded_from_volt(volt)
     sums = sums_of_codes(actual, total, unmodelled, seed, on_frame)
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
+
+
+def _true_circuit(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Readout, Scene]:
+    """Return the true circuit, and the scene with the true contacts and wire."""
+    off = unmodelled.reference_tolerance * random_stream(seed, "reference").uniform(-1, 1)
+    actual = scene.circuit.off_by(off)
+    if scene.contacts is not None:
+        scene = replace(scene, contacts=true_contacts(scene, seed))
+    if unmodelled.wire_ohm_per_cell:
+        lines, more = scene.lines or Lines(), unmodelled.wire_ohm_per_cell
+        row, column = lines.row_ohm_per_cell + more, lines.column_ohm_per_cell + more
+        scene = replace(scene, lines=replace(lines, row_ohm_per_cell=row, column_ohm_per_cell=column))
+    return actual, scene
 
 
 def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:

@@ -116,7 +116,24 @@ class PageActions:
 
 
 class PageServer(ThreadingHTTPServer):
-    """Server of the views of `shown` and of visitors' requests; `local`: whether only this computer can reach it."""
+    """Server of views and of visitors' requests.
+
+    Attributes
+    ----------
+    shown : Newest of View
+        The newest view.
+    actions : PageActions
+        Requests that visitors may send.
+    page : bytes
+        HTML of the page.
+    seats : BoundedSemaphore
+        Streams that may still begin.
+    refused : Event
+        Whether a visitor found no seat.
+    local : bool
+        Whether only this computer can reach the server.
+    access : Access
+    """
 
     daemon_threads, block_on_close = True, False
     request_queue_size = 64
@@ -279,6 +296,12 @@ def serving(
 
     Parameters
     ----------
+    host : str
+        Address at which it listens.
+    port : int
+        Port; 0 for any free one.
+    shown : Newest of View
+        The newest view.
     token : str or None
         Required of visitors; by default none on the loopback address and a generated one elsewhere.
     actions : PageActions or None

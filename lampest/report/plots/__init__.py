@@ -152,10 +152,9 @@ def plot_file(path: Path, picture: Path) -> Path:
 
 
 def picture(cases: Sequence[CaseResult], show: str | Plot, frame: int | None = None) -> Figure:
-    """Draw the cases of a recording.
+    """Draw the cases of a recording; `frame` is an index into it, by default that of the plot.
 
-    frame : index into the recording; by default that of the plot. Raises InputError for an unknown plot or frame and if
-    there is nothing to draw.
+    Raises InputError for an unknown plot or frame and if there is nothing to draw.
     """
     plot = _chosen(show, frame)
     drawable = plot.drawable(cases)
