@@ -1,21 +1,21 @@
 """Files whose writer was killed: read as far as they are whole; damage in them is found, and repair drops it."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 from unclosed import unclosed_recording
 
-import lampest
-from lampest import InputError, Recording
-from lampest.cli.results import _repaired
+from lampest import InputError, Panel, Recording, Scene, TwoPointReadout
 from lampest.files.checksums import is_left_open
 from lampest.recording.acquisition import EVENTS
 from lampest.recording.board.record import repair
 from lampest.recording.recording import StoredRecording
 
-SCENE = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
+SCENE = Scene(Panel(3, 4), TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
 FRAMES = 12
 PLACES = ("two_point/resistance", "two_point/time", "two_point/role", "raw/sums", "acquisition/host_time")
 PLACES += ("acquisition/device_ms", "acquisition/sequence", "acquisition/lost", "acquisition/session")
@@ -37,13 +37,15 @@ def flip(path: Path, place: str, row: int) -> None:
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_a_damaged_frame_is_named_and_repair_drops_it(killed: Path, place: str) -> None:
+def test_a_damaged_frame_is_named_and_repair_drops_it(killed: Path, place: str, lampest: Callable[..., Any]) -> None:
     meant = Recording.load(killed)
     flip(killed, place, 5)
     for reader in (Recording.load, StoredRecording.of):
-        with pytest.raises(lampest.InputError, match=r"killed.h5: 1 of 12 frames .* frame 5; .*check --repair"):
+        with pytest.raises(InputError, match=r"killed.h5: 1 of 12 frames .* frame 5; .*check --repair"):
             reader(killed)
-    assert _repaired(killed) == f"11 frames: {killed}; 1 damaged frame is dropped and counts as lost"
+    ended = lampest("check", "--repair", killed)
+    assert (ended.code, ended.err) == (0, "")
+    assert ended.out == f"11 frames: {killed}; 1 damaged frame is dropped and counts as lost\n"
     found, left = Recording.load(killed), np.delete(np.arange(FRAMES), 5)
     np.testing.assert_array_equal(found.recorded, meant.recorded[left])
     np.testing.assert_array_equal(found.raw_sums, np.asarray(meant.raw_sums)[left])
@@ -56,7 +58,7 @@ def test_a_damaged_frame_is_named_and_repair_drops_it(killed: Path, place: str) 
 
 def test_a_damaged_event_is_dropped(killed: Path) -> None:
     flip(killed, "acquisition/event_label", 0)
-    with pytest.raises(lampest.InputError, match=r"killed.h5: an event is damaged; .*check --repair"):
+    with pytest.raises(InputError, match=r"killed.h5: an event is damaged; .*check --repair"):
         Recording.load(killed)
     assert repair(killed) == (FRAMES, 0)
     found = Recording.load(killed).acquisition
@@ -76,7 +78,7 @@ def test_all_damaged_is_refused_and_stays(killed: Path) -> None:
     for row in range(FRAMES):
         flip(killed, "raw/sums", row)
     left = killed.read_bytes()
-    with pytest.raises(lampest.InputError, match="every frame is damaged"):
+    with pytest.raises(InputError, match="every frame is damaged"):
         repair(killed)
     assert killed.read_bytes() == left
 
