@@ -8,6 +8,7 @@ from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from golden.circuits import PANEL, SHAPES, Rows, cells_of
@@ -28,7 +29,7 @@ from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fit, Verdict, prior_cost, rises
 from lampest.loads.recognition.image import ImageWatch, Window
 from lampest.loads.recognition.pumping import Pumping
-from lampest.loads.recognition.watch import Panelled
+from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.panel.effects import LineLeak, LooseContact
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.scene import OwnOfModule
@@ -458,6 +459,43 @@ def breathing_row() -> dict[str, Any]:
     }  # fmt: skip
 
 
+def recognised_row() -> list[Any]:
+    """A watch that recognises a rod, a faint one or nothing, at once or again, and a rod that has left before."""
+    (verdict, frame), rows = verdict_of("rod"), list[Any]()
+    readings = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=1, loads=ON_FILM["rod"][0])).readings()
+    panelled = Panelled(WATCHED, Detector(6.0), np.zeros((6, 7)), observation.ModelErrors(reading_error=0.01))
+    begun = Watch.begin(panelled, readings.value[0], readings.sigma[0], readings.value[:3], 2.0)
+    begun = replace(begun, present=True, begun=3.0)
+    loaded, best = np.log(readings.value[3].ravel()), np.eye(len(verdict.fits))[int(np.argmax(verdict.shares))]
+    states = [replace(begun, seen=seen, verdict=seen and verdict, known=known) for seen, known in product(
+        (None, frame), (False, True),
+    )]  # fmt: skip
+    cases = [*product(states, (0.4, 0.3), (1.0, 0.05, 0.04), (1.0, 0.0), ((0.0, 0.0),))]
+    cases += product(states[:1], (0.4,), (0.0,), (0.0,), product((-59.0, -61.0), (2.9, 3.1)))
+    for state, faint, nothing, share, (field, gain) in cases:
+        shown = share * begun.resting + (1 - share) * loaded
+        fits = tuple(replace(fit, change=faint * fit.change) for fit in verdict.fits)
+        fits = (*fits[:-1], replace(fits[-1], evidence=verdict.best.evidence + field))
+        shares = tuple((1 - nothing) * best + nothing * np.eye(len(best))[0])
+        seen = replace(verdict, fits=fits, shares=shares, goodness=1.0)
+        again = replace(seen, evidence=seen.evidence + gain)
+        watch = replace(state, mean=shown, window=tuple((3.0 + k, shown) for k in range(3)))
+        with patch.object(Detector, "verdict", side_effect=(seen, again)):
+            watch = watch._recognised(5.0)
+        times = [(load.since_s, load.until_s or 0.0) for load in watch.attachments]
+        rows.append([watch.present, watch.known, watch.next_s, watch.uncovered_s, watch.left_s, watch.rested, times])
+        rows.append([np.sum(part) for part in (watch.left, watch.size, watch.resting, watch.film_sd)])
+    return rows
+
+
+def outlying_row() -> list[Any]:
+    """Outliers among readings whose errors are like those of their neighbours: one or five, of several sizes."""
+    root = np.linalg.cholesky(0.95 ** np.abs(np.subtract.outer(np.arange(120), np.arange(120))))
+    noise, wrong = root @ np.random.default_rng(1).standard_normal(120), np.eye(120)[[7, 8, 50, 90, 92]]
+    cases = product((1.0, 1.5, 3.0, 60.0), (wrong[0], wrong[:2].sum(axis=0), wrong.T @ [1.0, -1.0, 3.0, 2.0, 2.0]))
+    return [observation.outliers(observation.Whitening(root), noise + size * each) for size, each in cases]
+
+
 WATCH = ("resting", "rested", "rest_s", "mean", "begun", "recent", "film_sd", "window", "present", "size", "left")
 WATCH += ("known", "left_s", "next_s", "breath_s", "sample_s", "judged_s", "uncovered_s", "uneven", "stands_out")
 
@@ -609,6 +647,11 @@ def of_recognition() -> Rows:
     return rows | {
         "detected without a readout": bare_row,
         "detected on a mat": partial(detected_row, "block", "mat"), "breathing": breathing_row,
+        "recognitions": recognised_row, "outliers": outlying_row,
+        "errors": lambda: [
+            observation.ModelErrors().of_scene(replace(WATCHED, systematic=each), 0.02)
+            for each in (None, "none", lp.Systematic(reference_tolerance=0.05, channel_spread_ohm=7.0))
+        ],
         "answers": answers_row, "attachments": attachments_row, "watch over modules": image_row,
         "loads beforehand": prior_row, "windows over modules": windows_row, "states over modules": opened_row,
         "detected on modules": lambda: answer_row(detection.known_of(Prepared(tiled())).answer(frames_of(tiled()))),

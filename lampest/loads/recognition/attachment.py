@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
-from math import exp, hypot, inf, log
+from math import exp, hypot, inf
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.special import logit
 
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
 from lampest.loads.recognition.breathing import MAX_LOG_ODDS, Breathing, Patterns
@@ -93,7 +94,7 @@ class Attachment:
     def lives(self) -> float:
         """Probability that it is a mouth, given that it sucks: the product of the odds of breath and of pumps."""
         # ln odds of breath, at least −ln 20, because one mouth in twenty never shows its breath; ln odds of pumps add
-        breathes = max(log(max(self.breathes, 1e-9) / max(1 - self.breathes, 1e-9)), -RARE_LOG_ODDS)
+        breathes = max(float(logit(self.breathes)), -RARE_LOG_ODDS)
         return 1 / (1 + exp(-breathes - self._pumping))
 
     @property

@@ -115,7 +115,7 @@ class Breathing:
         described = replace(breathing, hertz=seen.hertz, depth=seen.depth, last=seen.suction)
         if not full:
             return replace(described, suction=min(seen.suction, self.last))
-        window = logit(np.clip(seen.suction, 1e-9, 1 - 1e-9)) - RARE_LOG_ODDS
+        window = logit(seen.suction) - RARE_LOG_ODDS
         causes = float(np.clip(self.causes + window, -MAX_LOG_ODDS, MAX_LOG_ODDS))
         return replace(described, suction=float(expit(causes + RARE_LOG_ODDS)), causes=causes)
 
@@ -248,16 +248,15 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
         Whitened changes of ln y.
     patterns : Patterns
     """
-    lasted = times[-1] - times[0]
-    rate = (len(times) - 1) / max(lasted, 1e-9)
-    if lasted < MIN_WINDOW_S or rate < MIN_RATE_HZ:
+    lasted, intervals = times[-1] - times[0], len(times) - 1
+    if lasted < MIN_WINDOW_S or intervals < MIN_RATE_HZ * lasted:
         return None
     # Remove the trend 1, t, t², ln(1 + t), the last for creep, and the changes of `others`.
     at = (times - times[0]) / lasted
     trend = np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at)]))[0]
     patterns, changes = patterns.beside_others(changes - trend @ (trend.T @ changes))
     # Sine and cosine at every rate without their trend, as orthonormal axes (rates, 2, frames) with their gains.
-    hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], rate / 2) + 1e-9, 0.25 / lasted)
+    hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], intervals / lasted / 2) + 1e-9, 0.25 / lasted)
     waves = np.exp(2j * np.pi * hertz[:, None] * times)
     waves = np.stack([waves.real, waves.imag], axis=2)
     axes, sizes, _ = np.linalg.svd(waves - trend @ (trend.T @ waves), full_matrices=False)

@@ -447,9 +447,9 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
     precision = inverse.T @ inverse
     pull, left = precision @ residual, np.ones(len(residual), dtype=bool)
     for _ in range(max(1, int(OUTLIER_SHARE * len(residual)))):
-        score = np.where(left, np.abs(pull) / np.sqrt(np.where(left, np.diag(precision), 1.0)), 0.0)
+        score = np.divide(pull**2, np.diag(precision), out=np.zeros(len(pull)), where=left)  # z²
         worst = int(np.argmax(score))
-        if score[worst] <= SIGNIFICANT:
+        if score[worst] <= SIGNIFICANT**2:
             break
         left[worst] = False
         # marginalise reading w: C⁻¹ ← C⁻¹ − C⁻¹_·w C⁻¹_w·/C⁻¹_ww

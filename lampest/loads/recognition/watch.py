@@ -441,7 +441,7 @@ class Watch:
 
         It is tested by exchanging the roles of the unloaded and the present readings, and comparing the evidence.
         """
-        field = max(fit.evidence for fit in verdict.fits if fit.candidate is FIELD)
+        field = next(fit.evidence for fit in verdict.fits if fit.candidate is FIELD)
         if field < verdict.best.evidence - IMPOSSIBLE:
             return False
         watch = replace(self, resting=median, rested=float(len(self.window)), rest_s=time)
