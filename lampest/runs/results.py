@@ -215,7 +215,7 @@ def _write_case(group: h5py.Group, case: CaseResult, table: Sequence[Column], *,
     estimate = _group_of_data(group, case.estimator, "cell_resistance")
     held = {name: (getattr(case, item), default) for name, (item, default) in ATTRIBUTES.items()}
     attributes = {name: value for name, (value, default) in held.items() if value != default}
-    attributes |= {f"{library}_version": text for library, text in sorted(case.versions.items())}
+    attributes |= {f"{library}_version": text for library, text in case.versions.items()}
     attributes |= {f"frame_{name}": noise for name, noise in case.frame_noise.items()}
     attributes["joint_start"] = np.uint8(case.joint_start)
     hdf5.set_attributes(estimate, **attributes)

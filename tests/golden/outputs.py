@@ -12,8 +12,9 @@ from functools import cache, partial
 from itertools import product
 from math import nan
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
-from unittest.mock import patch
+from unittest.mock import MagicMock, patch
 
 import numpy as np
 from golden.checks import detected, tiled
@@ -35,8 +36,9 @@ from lampest.report import compare, plots, words
 from lampest.report.detect import pressed
 from lampest.report.detect.answer import Detected
 from lampest.report.info import describe, shaded_map, text_map, understood_lines
-from lampest.report.live import watcher
+from lampest.report.live import publish, watcher
 from lampest.report.live.engine import with_picture
+from lampest.report.live.handover import News
 from lampest.report.live.message import (
     HISTORY_FRAMES,
     Message,
@@ -115,7 +117,8 @@ def swept_cases() -> tuple[lp.CaseResult, ...]:
 
 
 def table_row() -> dict[str, Any]:
-    published = {"LSM": lp.PublishedFigures(all=lp.StepFigures(0.2, 0.1, 3.0, 1.0))}
+    each = lp.StepFigures(0.2, 0.1, 3.0, 1.0)
+    published = {"LSM": lp.PublishedFigures(all=each)}
     rows = compare.compare(lp.Results(invented(), published), "a.h5") + compare.compare(
         lp.Results(swept_cases()), "b.h5",
     )  # fmt: skip
@@ -126,7 +129,12 @@ def table_row() -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         written = pressed.write_pressed(Path(folder, "p.csv"), pressed.pressed(lp.Results(invented()[:1]))).read_text()
     lines = compare.table_lines(rows)
+    quoted = [
+        compare.compare(lp.Results((replace(invented()[0], joint_start=joint),), {"LSM": lp.PublishedFigures(**known)}))
+        for joint, known in product((False, True), ({"all": each}, {"initial": each}, {"following": each}))
+    ]
     return {
+        "quoted": [[[text for key, text in row.items() if "published" in key] for row in some] for some in quoted],
         "rows": rows, "blocks": blocks, "legend": compare.legend(rows, blocks), "notes": compare.model_notes(rows),
         "many": compare.screen_blocks(many),
         "csv": compare.comma_separated([lines[0], *(line.values() for line in lines[:1])]),
@@ -212,13 +220,7 @@ def drawn_row(figure: Figure) -> dict[str, Any]:
         images = [*each.images, *each.collections]
         axes.append(
             {
-                "labels": [
-                    each.get_xlabel(),
-                    each.get_ylabel(),
-                    each.get_title(),
-                    each.get_xscale(),
-                    each.get_yscale(),
-                ],
+                "labels": [getattr(each, f"get_{of}")() for of in ("xlabel", "ylabel", "title", "xscale", "yscale")],
                 "limits": [*each.get_xlim(), *each.get_ylim()],
                 "ticks": [each.get_xticks(), each.get_yticks()],
                 "texts": [
@@ -227,31 +229,24 @@ def drawn_row(figure: Figure) -> dict[str, Any]:
                 ],
                 "lines": [np.asarray(line.get_xydata(), dtype=float) for line in each.lines],
                 "looks": [
-                    (
-                        line.get_linewidth(),
-                        line.get_markersize(),
-                        line.zorder,
-                        line.get_alpha(),
-                        *map(
-                            str,
-                            (
-                                line.get_color(),
-                                line.get_linestyle(),
-                                line.get_marker(),
-                                line.get_markerfacecolor(),
-                            ),
-                        ),
-                    )
+                    [getattr(line, f"get_{of}")() for of in ("linewidth", "markersize", "zorder", "alpha")]
+                    + [str(getattr(line, f"get_{of}")()) for of in ("color", "linestyle", "marker", "markerfacecolor")]
                     for line in each.lines
                 ],
+                "offsets": [np.asarray(image.get_offsets(), dtype=float) for image in each.collections],
                 "widths": [image.get_linewidths() for image in each.collections],
-                "shapes": [path.vertices[:5] for image in each.collections for path in image.get_paths()[:1]],
-                "place": [*each.get_position().bounds, each.get_visible()],
+                "shapes": [
+                    np.concatenate([path.vertices for path in image.get_paths()] or [np.zeros((0, 2))])
+                    for image in each.collections
+                ],
+                "patches": [[str(patch), patch.get_linewidth(), patch.get_alpha()] for patch in each.patches],
+                "place": [*each.get_position().bounds, each.get_visible(), each.axison],
                 "values": [
                     np.ma.filled(np.ma.asarray(image.get_array(), dtype=float), np.nan)
                     for image in images
                     if image.get_array() is not None
                 ],
+                "missing": [image.get_cmap().get_bad() for image in images if image.get_array() is not None],
                 "range": [image.get_clim() for image in images if image.get_array() is not None],
                 "legend": [text.get_text() for text in each.get_legend().get_texts()] if each.get_legend() else [],
             }
@@ -290,29 +285,28 @@ def scales_row() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def message_row() -> dict[str, Any]:
+def shown_views() -> tuple[View, View, View]:
+    """A picture, the same with an answer, and the next picture with it."""
     rng, panel = np.random.default_rng(2), lp.Panel(2, 3)
     change, kpa = rng.normal(0, 30, (2, 3)), np.array([[0, 10, 30], [-5, 2, 0]]) / 1.0
     picture = Picture(
         7, 7.5, 50.0, change, change / 2, change > 20, Force(1.25, 0.1, 1), "fine", 0.02, 2, 1000 + change, kpa,
         (kpa > 20).astype(np.uint8), "pressing", 1,
     )  # fmt: skip
-    answer = Detected.of(
-        "here",
-        (
-            Attachment(
-                0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9),
-                breath=breathing.Breathing(6.0, hertz=(1.1, 0.05)),
-            ),
-        ),
-        4.0,
-    )  # fmt: skip
     view = View(
         "here", "LSM", "receiving", panel, 9, 1, 2, history=tuple(Point(n, n / 2, float(n)) for n in range(9)),
         deviation=0.25, deviation_of=6, model="w",
     )  # fmt: skip
-    view = with_detected(with_picture(view, picture, "zero"), answer)
-    message, blank = Message.of(view), View("here", "LSM", "waiting", panel)
+    breath = breathing.Breathing(6.0, hertz=(1.1, 0.05))
+    answer = Detected.of("here", (replace(LAMPREY, breath=breath),), 4.0)
+    first = with_picture(view, picture, "zero")
+    second = with_detected(first, answer)
+    return first, second, with_picture(second, replace(picture, number=8), "zero")
+
+
+def message_row() -> dict[str, Any]:
+    view = shown_views()[1]
+    message, blank = Message.of(view), View("here", "LSM", "waiting", view.panel)
     return {
         "blank": json.loads(view_text(blank, 9.0)),
         "errors": [pressed.figure(1.234, sd) for sd in (0.0, 0.1, 12.0, np.nan)],
@@ -320,6 +314,66 @@ def message_row() -> dict[str, Any]:
         "page": json.loads(view_text(view, 60.0, 3)), "signature": message.signature,
         "alarm": [view.alarm, acknowledged(view).alarm],
         "seen": [acknowledged(each).acknowledged for each in (view, blank)],
+    }  # fmt: skip
+
+
+class Element:
+    """An XML element, a stream or an outlet of liblsl: a list of its parts."""
+
+    def __init__(self, *known: Any) -> None:
+        self.parts = [known[0].parts if known and isinstance(known[0], Element) else list(known)]
+
+    def desc(self) -> "Element":
+        return self
+
+    def append_child(self, name: str) -> "Element":
+        child = Element()
+        self.parts.append([name, child.parts])
+        return child
+
+    def push_sample(self, *values: Any) -> None:
+        self.parts.append(list(values))
+
+    append_child_value = push_sample
+
+
+def published_row() -> dict[str, Any]:
+    """Messages as each protocol sends them, and sentences on those that do not get through."""
+    views, outlets, tried, said = shown_views(), list[Any](), list[Any](), list[str]()
+    messages = [Message.of(views[number]) for number in (0, 1, 1, 2, 2, 2)]
+    lsl = SimpleNamespace(
+        set_config_content=str, IRREGULAR_RATE=0.0, StreamInfo=Element, local_clock=lambda: 5.0,
+        StreamOutlet=lambda info: outlets.append(Element(info)) or outlets[-1],
+    )  # fmt: skip
+    clock = SimpleNamespace(time=lambda: 60.0, monotonic=iter((0.0, 0.1, 0.2, 0.3, 0.45, 0.7)).__next__)
+    client, answer = MagicMock(connect_timeout=1.0), SimpleNamespace(is_failure=False)
+    ends = [
+        SimpleNamespace(rc=rc, is_published=lambda done=done: done) for rc, done in ((0, 1), (1, 1), (0, 0), (0, 0))
+    ]
+    client.publish.side_effect, client.socket.return_value = ends, None
+    client.loop_start.side_effect = lambda: client.on_connect(None, None, None, answer)
+    packets = patch("pythonosc.udp_client.UDPClient.send", lambda _, bundle: outlets.append(bundle.dgram))
+    broker, waits = (
+        patch("paho.mqtt.client.Client", lambda _: client), patch.object(publish, "waited", lambda done, _: done())
+    )  # fmt: skip
+    with patch.dict(sys.modules, pylsl=lsl), packets, patch.object(publish, "time", clock), broker, waits:
+        for where in ("lsl://panel", "osc://127.0.0.1:9", "mqtt://me:no@h/t"):
+            with publish_at(where).opened(said.append) as (_, send):
+                for message in messages:
+                    tried.append([client.publish.call_count, send(message)])
+
+    def send_sometimes(message: Message) -> None:
+        tried.append(message.signature)
+        if len(tried) % 5 < 3:
+            raise OSError(5, "no way")
+
+    news = [replace(views[number % 3], alarm=str(number // 2)) for number in range(12)]
+    shown: Any = SimpleNamespace(after=lambda number: News(number + 1, news[number]) if number < 12 else None)
+    publish._forward(shown, send_sometimes, "here", said.append)
+    return {
+        "outlets": [each.parts if isinstance(each, Element) else repr(each) for each in outlets], "said": said,
+        "tried": tried, "broker": [[call.args[0], call.kwargs] for call in client.publish.mock_calls],
+        "client": [client.connect.call_args.args, client.username_pw_set.call_args.args],
     }  # fmt: skip
 
 
@@ -489,6 +543,7 @@ def commands_row() -> dict[str, Any]:
                 "detect": ("detect", "rod.h5", "--json"),
                 "detect results": ("detect", "out/results.h5", "--all", "--out", "out"),
                 "check": ("check", "rod.h5"),
+                "repair": ("repair", "rod.h5"),
             }.items()
         }
         lp.write_results(folder / "invented.h5", invented())
@@ -577,6 +632,20 @@ def pictured_row() -> list[Any]:
     return told
 
 
+def timeline_row() -> dict[str, Any]:
+    """Timelines of a mouth, of nothing, of a mouth beside a contact that has left, and after both have left."""
+    here = replace(LAMPREY, since_s=2.0)
+    gone = replace(here, since_s=1.0, until_s=1.5, sucks=0.1, x_mm=(5.0, 1.0), diameter_mm=None)
+    known = {"course": np.stack([np.linspace(0.5, 4, 8), np.arange(8.0)]), "panel": lp.Panel(4, 6)}
+    change = np.full((4, 6), np.log(1.5))
+    answers = {
+        "mouth": detected("mouth"), "none": Detected.of("none", (), 4.0, **known),
+        "one left": Detected.of("mouth", (gone, here), 4.0, **known, change=change),
+        "both left": Detected.of("mouth", (gone, replace(here, until_s=3.0)), 4.0, **known, change=change),
+    }  # fmt: skip
+    return {name: drawn_row(timeline(answer)) for name, answer in answers.items()}
+
+
 SQUARE = ((0, 0, 0, 0), (0, 1, 10, 0), (1, 0, 0, 10), (1, 1, 10, 10))
 
 
@@ -602,6 +671,7 @@ def variants_row() -> list[Any]:
             for each in (replace(square, scene=lp.Scene(panel)) for panel in apart)
         ),
         drawn_row(lp.ContourPlot(6).draw(invented()[:3])), drawn_row(lp.PressurePlot(6).draw((single,))),
+        [refusal(plots.picture, (single,), lp.PressurePlot(frame)) for frame in (6, 99)],
         *(drawn_row(lp.ContourPlot().draw((invented_case(shape=each),))) for each in ((2, 1, 1), (1, 1, 7), (2, 5, 1))),
     ]  # fmt: skip
 
@@ -620,11 +690,12 @@ def of_report() -> Rows:
     return (
         plots
         | {
-            "timeline": lambda: drawn_row(timeline(detected("mouth"))),
+            "timeline": timeline_row,
             "tables": table_row,
             "page": page_row,
             "scales": scales_row,
             "message": message_row,
+            "published": published_row,
             "words of live": live_words_row,
             "watched": watched_row,
             "replayed": partial(replayed_row, True, {}),

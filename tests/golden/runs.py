@@ -4,10 +4,12 @@ import logging
 import os
 import shutil
 import tempfile
+import warnings
 from collections.abc import Callable
 from contextlib import chdir
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
@@ -325,13 +327,25 @@ def process_row() -> dict[str, Any]:
                     function()
                 except Exception as error:
                     rows["reasons"].append([logged_reason(error, "a case"), interrupted(error)])
+            with warnings.catch_warnings():
+                warnings.simplefilter("default")
+                warnings.warn("of a library", stacklevel=1)
+            rows["during"] = logging.getLogger("py.warnings").propagate
         log = Path("log").read_text().splitlines()
         rows["log"] = [line for line in log if "Error: " in line]
-        ours = logging.getLogger("lampest")
-        rows["after"] = [ours.propagate, len(ours.handlers)]
+        rows["during"] = rows["during"], sum("of a library" in line for line in log)
+        ours = logging.getLogger("lampest"), logging.getLogger("py.warnings")
+        rows["after"] = [(each.propagate, len(each.handlers)) for each in ours]
         for setting in ("8GB", "500", "1.5 MiB", "3t", "0", "x", "-1", "1 GB 2"):
             with patch.dict(os.environ, {ALLOWED: setting}):
                 rows["memory"].append([reason(memory_limit), reason(partial(check_memory, 2e9, "all cells"))])
+        with patch.dict(os.environ, clear=True), patch("psutil.virtual_memory", lambda: SimpleNamespace(available=9e4)):
+            rows["memory"].append(memory_limit())
+        scene = lp.Scene(lp.Panel(2, 3), lp.TwoPointReadout())
+        for speed in (None, 9.0):
+            moving = lp.Simulation(1, 2, scene, frames=2, unmodelled=lp.Unmodelled(load_speed_mm_s=speed))
+            with patch.dict(os.environ, {ALLOWED: "1"}):
+                rows["memory"].append(reason(partial(lp.simulate, moving)))
         Path("mine").touch()
         with sparing([Path("gone"), Path("read"), Path("\0")]):
             Path("read").touch()

@@ -36,11 +36,12 @@ from lampest.estimate.prepared import Prepared
 from lampest.files import hdf5
 from lampest.files.checksums import lookup3
 from lampest.files.errors import InputError
+from lampest.recording.recording import save_parts
 from lampest.recording.simulation import simulation
 from lampest.report.info import checked_sentence, describe
 from lampest.report.page import compared, page
 from lampest.runs import batch
-from lampest.runs.case import ATTRIBUTES, COLUMNS, REQUIRED
+from lampest.runs.case import ATTRIBUTES, COLUMNS, REQUIRED, all_columns
 from lampest.runs.columns import FRAMES, Column
 from lampest.runs.executors import Serial
 from lampest.solvers import interior_point, multistart
@@ -169,6 +170,7 @@ def parts_row() -> dict[str, Any]:
             told = command("info", "long.h5"), command("tare", "long.h5", "--frames", "16:18", "--out", "t.h5")
             told += (command("info", "out/results.h5"),)
             roles = lp.Recording.load("t.h5").role
+            save_parts(Path("one.h5"), (simulated() for _ in range(1)))
             with limits(files__hdf5__MAX_VALUES=15_000, report__info__MAX_READINGS=200):
                 results = str(Path("out", "results.h5"))
                 looks = [called(*words, folder=Path()).err for words in (
@@ -179,10 +181,12 @@ def parts_row() -> dict[str, Any]:
                 )]  # fmt: skip
                 exported = len(Path("out", "results.csv").read_text().splitlines())
         cases = lp.read_results("out/results.h5", frames=range(3, 20)).cases
+        with h5py.File("one.h5") as file:
+            one = sorted(file.attrs), str(file["entry"].attrs["default"]), lp.Recording.load("one.h5").time
     words = [re.sub(r"in \d.* s\b|\d+ bytes|case [0-9a-f]+", "…", text) for text in (printed, again, *told)]
     return {
         "cases": [case_row(case) for case in cases], "words": words, "roles": roles, "broken off": broken_off,
-        "looks": looks, "exported": exported,
+        "looks": looks, "exported": exported, "one part": one,
     }  # fmt: skip
 
 
@@ -212,6 +216,7 @@ def report_row() -> dict[str, Any]:
     batches = {
         "two": compared.Batch(("a.h5",) * 6, recordings),
         "one": compared.Batch(("b.h5",), {"a0": {"LSM": invented_case("LSM", "a0", (3, 4, 5))}}),
+        "many": compared.Batch.of(("c.h5",), [invented_case(*of, (2, 2, 2)) for of in product("AB", "abcdefgh")]),
     }
     drawn: list[Any] = []
 
@@ -281,7 +286,10 @@ def simulation_files_row(text: str) -> dict[str, Any]:
             try:
                 written = [(path, lp.Recording.load(path)) for path in simulation.run(file, out and Path(out))]
                 rows[str(out)] = [
-                    (str(path).replace(folder, ""), made.recorded, is_made_again(made)) for path, made in written
+                    (
+                        str(path).replace(folder, ""), made.recorded, is_made_again(made),
+                        re.findall(r".*\d\.\d{3}.*", str(made.simulation)),
+                    ) for path, made in written
                 ]  # fmt: skip
             except InputError as error:
                 rows[str(out)] = str(error)
@@ -305,12 +313,15 @@ def columns_row() -> dict[str, Any]:
     """Every column of results, and how figures and attributes are stored."""
     rows: dict[str, Any] = {"required": REQUIRED, "attributes": str(ATTRIBUTES), "refused": []}
     for name, axes, flag in product(
-        ("mine", "my own", "größe", "time"), (FRAMES, ("time", "row")), ("yes", "not so", "größer")
+        ("mine", "my own", "größe", "time", "", "scene", "row", "cost", "a/b"),
+        (FRAMES, ("time", "row"), ("column", "row")),
+        ("yes", "not so", "größer"),
     ):
         try:
             Column(name, axes, "1", "a value", flags=((1, flag),))
         except InputError as error:
             rows["refused"].append(str(error))
+    rows["twice"] = reason(lambda: all_columns((Column("cell_resistance", FRAMES, "1", "a value"),)))
     for column in COLUMNS:
         tried = [(np.array([value]), np.array([solved])) for value, solved in product(PROBED, (True, False))]
         checks = [[check(*values) for check in column.checks] for values in tried if np.dtype(column.dtype).kind == "f"]

@@ -12,7 +12,7 @@ from support import invented_case
 
 import lampest
 from lampest import InputError, read_results, write_results
-from lampest.runs.case import COLUMNS, REQUIRED, all_columns
+from lampest.runs.case import COLUMNS, REQUIRED
 from lampest.runs.columns import CELLS, FRAMES, Column, of_steps, positive
 
 LEAST = Column(
@@ -57,16 +57,6 @@ def test_what_a_package_names_wrongly_is_one_sentence(
     package("lampest.columns", named, ADDON)
     with pytest.raises(InputError, match=f"lampest.columns: extra = {named} of an installed package {fault}"):
         read_results(tmp_path / "r.h5")
-
-
-def test_what_a_column_cannot_be() -> None:
-    for name in ("", "two words", "scene", "row", "cost", "a/b"):
-        with pytest.raises(InputError, match="cannot name a column"):
-            dataclasses.replace(LEAST, name=name)
-    with pytest.raises(InputError, match="cannot lie along"):
-        dataclasses.replace(LEAST, axes=("column", "row"))
-    with pytest.raises(InputError, match="two columns of results are called cell_resistance"):
-        all_columns((dataclasses.replace(LEAST, name="cell_resistance"),))
 
 
 def test_values_that_do_not_fit_their_column(tmp_path: Path) -> None:

@@ -1,14 +1,9 @@
 """What live says: forces, the word for the panel's state, the history, attachments and alarms."""
 
 import dataclasses
-import json
-import socket
-import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
-from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -32,12 +27,7 @@ from lampest.report.detect.answer import Detected
 from lampest.report.detect.detection import detect_recording
 from lampest.report.live.engine import Engine
 from lampest.report.live.handover import Errand
-from lampest.report.live.message import (
-    Message,
-    Picture,
-    View,
-)
-from lampest.report.live.publish import LslPublish, publish_at, waited
+from lampest.report.live.publish import waited
 from lampest.report.live.run import METHODS, scan_of
 from lampest.report.live.state import read_load
 from lampest.report.live.watcher import Unloaded, Watched, watcher
@@ -65,77 +55,6 @@ def test_the_total_pressure_of_the_cells_is_a_force() -> None:
     assert force.saturated == 1
     pressed, unknown = read_load(PressureTrack.begin(Scene(Panel(2, 2))), np.full((2, 2), 0.5), None, 0.0)
     assert pressed is None and np.isnan(unknown.newton), "a scene without a response has no force"
-
-
-def drawn(change: Array, force: Force, *maps: Array, number: int = 1) -> Picture:
-    """The picture of a frame; maps : cells, pressure, saturated."""
-    return Picture(number, float(number), 0.0, change, change, change > 0, force, "fine", 0.0, 0, *maps)
-
-
-def message_of(load: Attachment | None = None, alarm: str = "", number: int = 7) -> Message:
-    """A frame of 2 × 3 cells under a load, and what is said of it."""
-    change, panel = np.arange(6.0).reshape(2, 3) - 4, Panel(2, 3)
-    picture = drawn(change, Force(1.5, 0.1), 1000 + change, change / 2, change > 1, number=number)
-    picture = dataclasses.replace(picture, verdict="pressing", status="fine", arrived=50.0)
-    detected = None if load is None else Detected.of("here", (load,), 4.0)
-    view = View("here", "LSM", "receiving", panel, picture=picture, detected=detected, alarm=alarm, deviation=0.25)
-    return Message(panel, picture, view)
-
-
-def test_osc_has_a_message_for_every_number_and_map() -> None:
-    from pythonosc.osc_bundle import OscBundle
-
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
-        ear.bind(("127.0.0.1", 0))
-        ear.settimeout(10)
-        way = publish_at(f"osc://127.0.0.1:{ear.getsockname()[1]}/panel")
-        with way.opened(print) as (where, send):
-            send(message_of())
-            send(message_of(LAMPREY))
-        sent = [ear.recv(65536) for _ in range(2)]
-    assert where == way.where and where.startswith("osc://127.0.0.1:")
-    silent, told = ({part.address.removeprefix("/panel/"): part.params for part in OscBundle(each)} for each in sent)
-    assert set(told) - set(silent) == {"answer", "probability", "sentence", "detection"}
-    known = {"sequence": [7], "time": [7.0], "size": [2, 3], "force": [1.5], "force_sd": [0.25], "solved": [True]}
-    known |= {"verdict": ["pressing"], "status": ["fine"], "alarm": [""], "change": [-4, -3, -2, -1, 0, 1]}
-    known |= {"pressure": [-2, -1.5, -1, -0.5, 0, 0.5], "cells": [996, 997, 998, 999, 1000, 1001]}
-    assert silent == known
-    assert told["answer"] == ["lamprey"] and told["sentence"][0].startswith("lamprey attached since 6.0 s")
-    assert json.loads(told["detection"][0])["answer"] == "lamprey"
-
-
-def test_lsl_stamps_a_frame_once_and_tells_an_answer_when_it_changes(monkeypatch: pytest.MonkeyPatch) -> None:
-    streams: dict[str, list[Any]] = {}
-
-    def outlet(info: Any) -> SimpleNamespace:
-        streams[info.name] = [info]
-        return SimpleNamespace(push_sample=lambda *sample: streams[info.name].append(sample))
-
-    def info(name: str, kind: str, channels: int, rate: float, form: str, source: str) -> SimpleNamespace:
-        return SimpleNamespace(name=name, about=(kind, channels, rate, form, source), desc=lambda: Described())
-
-    monkeypatch.setattr("time.time", lambda: 52.0)
-    stub = {"StreamInfo": info, "StreamOutlet": outlet, "local_clock": lambda: 10.0, "IRREGULAR_RATE": 0.0}
-    monkeypatch.setitem(sys.modules, "pylsl", SimpleNamespace(set_config_content=lambda text: None, **stub))
-    with LslPublish.at(urlsplit("lsl://panel"), None).opened(print) as (where, send):
-        for message in (message_of(), message_of(CUP), message_of(CUP, "alarm"), message_of(CUP, "alarm", 8)):
-            send(message)
-    (numbers, *rows), (texts, *answers) = streams["panel"], streams["panel-answer"]
-    size = len(message_of().row())
-    assert where == "lsl://panel" and numbers.about == ("Pressure", size, 0.0, "float32", "panel")
-    assert texts.about == ("Markers", 1, 0.0, "string", "panel-answer")
-    assert [(row[0], stamp) for row, stamp in rows] == [(7.0, 8.0), (8.0, 8.0)]
-    assert [json.loads(text)["alarm"] for ((text,),) in answers] == ["", "alarm"]
-
-
-class Described:
-    """What a stream is described by."""
-
-    def append_child(self, name: str) -> "Described":
-        return self
-
-    def append_child_value(self, name: str, value: str) -> None:
-        assert isinstance(value, str)
 
 
 def test_an_urgent_errand_waits_for_urgent_ones_alone() -> None:

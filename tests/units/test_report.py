@@ -1,11 +1,8 @@
 """What is said of results: a page that needs nothing else, and tables of what presses."""
 
 import dataclasses
-import logging
-import warnings
 from html.parser import HTMLParser
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +11,6 @@ from support import METHODS, invented_case
 
 from lampest import CaseResult, InputError, write_results
 from lampest.cli.screen import print_table
-from lampest.files.process import ALLOWED, libraries_to_the_log, memory_limit
 from lampest.report.compare import Table
 from lampest.report.detect.pressed import pressed_of
 from lampest.report.page.compared import Batch
@@ -78,31 +74,6 @@ class Page(HTMLParser):
         return [str(given[attribute]) for _, given in self.tags if attribute in given]
 
 
-def test_memory_that_may_be_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    for setting, size in (("8GB", 8 * 2**30), ("1.5 m", 1.5 * 2**20), ("7KiB", 7 * 2**10), ("12", 12.0)):
-        monkeypatch.setenv(ALLOWED, setting)
-        assert memory_limit() == size
-    for wrong in ("0", "GB", "1X", "-1"):
-        monkeypatch.setenv(ALLOWED, wrong)
-        with pytest.raises(InputError, match="is no size such as 8GB"):
-            memory_limit()
-    monkeypatch.delenv(ALLOWED)
-    monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=10_000))
-    assert memory_limit() == 9_000
-
-
-def test_warnings_go_to_the_log_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LAMPEST_LOG", str(tmp_path / "log.txt"))
-    logger = logging.getLogger("py.warnings")
-    with libraries_to_the_log():
-        assert not (tmp_path / "log.txt").exists() and not logger.propagate
-        with warnings.catch_warnings():
-            warnings.simplefilter("default")
-            warnings.warn("what a library says", stacklevel=1)
-    assert "what a library says" in (tmp_path / "log.txt").read_text()
-    assert logger.propagate and not [one for one in logger.handlers if isinstance(one, logging.FileHandler)]
-
-
 def test_a_page_needs_nothing_else_and_recommends_nothing_without_truth_and_noise() -> None:
     """Texts that come from files are text."""
     names = ("<script>alert(1)&", "a\"b'c", "$\\frac$ x^2", "{{ 7 * 191 }}", "y" * 190)
@@ -130,15 +101,6 @@ def test_a_report_of_every_shape_is_written_whatever_failed(shape: tuple[int, in
     assert all(case.estimator in page.text for case in cases)
     for word in ("95 % intervals: mean width", "resolution", "saturated cells", "pressure", "gradient λ = 0.5", "[ms]"):
         assert word in page.text, word
-
-
-@pytest.mark.slow
-def test_many_recordings_are_shown_in_part_and_the_page_says_which() -> None:
-    cases = [invented_case(name, f"r{number}", (2, 3, 3)) for number in range(8) for name in ("A", "B")]
-    page = Page(report(batch(*cases)))
-    assert "All figures for the first 6 of 8 recordings." in page.text
-    assert sum(tag == "details" for tag, _ in page.tags) == 1 + 2 + 2  # recordings compared, others, what was run
-    assert all(f"r{number}" in page.text for number in range(8)) and "units with the smallest error, of 8" in page.text
 
 
 @pytest.mark.slow
