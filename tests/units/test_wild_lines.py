@@ -470,7 +470,8 @@ def test_a_request_records_behind_the_unloaded_frames(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, 2, lambda sentence, runs: said.append((sentence, runs)))
     with pytest.raises(InputError, match="up to 64 letters"):
         recorder.ask("a/b")
-    recorder.ask("one")
+    for name in ("earlier", "one"):  # the last request counts
+        recorder.ask(name)
     for number in range(8):
         if number == 4:
             recorder.zero()

@@ -294,7 +294,9 @@ class Recorder:
         self._asked: deque[str] = deque(maxlen=1)
         self._zeroed = Event()
         self._journal: Journal | None = None  # that grows
-        self._path, self._open, self._frames = folder, contextlib.ExitStack(), 0  # of it
+        self._open = contextlib.ExitStack()
+        self._path: Path  # of the journal, with its frames
+        self._frames: int
         self._finishing: list[Thread] = []
 
     def ask(self, name: str) -> None:
