@@ -68,6 +68,8 @@ class Alignment:
         Recent delays of each board in s; the least of these relates the two clocks.
     moment, began : float or None
         Times of the newest and of the first frame of the image in s on the host's clock.
+    elapsed : float
+        Time between these in s, once there is a frame.
     missing : tuple of int
         Boards that are missing from the newest frame.
     frames : int
@@ -78,6 +80,7 @@ class Alignment:
         self.boards, self.frames = boards, 0
         self.moment: float | None = None
         self.began: float | None = None
+        self.elapsed: float
         self.missing: tuple[int, ...] = ()
         self.waiting: list[list[Stamped]] = [[] for _ in range(boards)]
         self.shown: list[Stamped | None] = [None] * boards
@@ -119,7 +122,9 @@ class Alignment:
         ]
         self.shown = [parts.get(board, last) for board, last in enumerate(self.shown)]
         self.missing = tuple(board for board in range(self.boards) if board not in parts)
-        self.moment, self.began, self.frames = at, at if self.began is None else self.began, self.frames + 1
+        self.moment, self.frames = at, self.frames + 1
+        self.began = at if self.began is None else self.began
+        self.elapsed = at - self.began
         return {board: sample for board, (_, sample) in parts.items()}
 
     def _led(self, now: float) -> Stamped | None:
@@ -209,7 +214,7 @@ def _image(
         replace(first.frame, sequence=before.frames, missed=missed, sums=layout.joined(sums)),
         replace(first.hello, rows=rows, columns=columns),
         scene,
-        (after.moment or 0.0) - (after.began or 0.0),
+        after.elapsed,
         max(sample.host_time for sample in parts.values()),
         min(sample.lost for sample in fresh) if before.frames else 0,
         sum(last[1].session for last in after.shown if last is not None),
