@@ -348,7 +348,7 @@ def published_row() -> dict[str, Any]:
     clock = SimpleNamespace(time=lambda: 60.0, monotonic=iter((0.0, 0.1, 0.2, 0.3, 0.45, 0.7)).__next__)
     client, answer = MagicMock(connect_timeout=1.0), SimpleNamespace(is_failure=False)
     ends = [
-        SimpleNamespace(rc=rc, is_published=lambda done=done: done) for rc, done in ((0, 1), (1, 1), (0, 0), (0, 0))
+        SimpleNamespace(rc=rc, is_published=lambda done=done: done) for rc, done in ((0, 1), (1, 0), (0, 0), (0, 0))
     ]
     client.publish.side_effect, client.socket.return_value = ends, None
     client.loop_start.side_effect = lambda: client.on_connect(None, None, None, answer)

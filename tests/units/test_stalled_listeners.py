@@ -7,15 +7,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
-from types import SimpleNamespace
-from typing import cast
-from unittest.mock import MagicMock
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from paho.mqtt.client import Client, MQTTMessageInfo
-from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.client import Client
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -172,16 +168,3 @@ def test_a_websocket_is_for_this_computer_and_elsewhere_asks_for_a_token() -> No
             except InvalidStatus as refused:
                 answer = refused.response.status_code
         assert answer == status
-
-
-def test_frames_after_a_connection_has_ended_unnoticed_are_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The client calls itself connected until its thread has read the end; what it sends meanwhile is not confirmed."""
-    client, lost, answer = MagicMock(connect_timeout=1.0), MQTTMessageInfo(1), SimpleNamespace(is_failure=False)
-    lost.rc = MQTTErrorCode.MQTT_ERR_NO_CONN
-    client.publish.return_value, client.socket.return_value = lost, None
-    client.loop_start.side_effect = lambda: client.on_connect(None, None, None, answer)
-    monkeypatch.setattr("paho.mqtt.client.Client", lambda version: client)
-    with publish_at("mqtt://localhost/panel").opened(print) as (_, send):
-        for _ in range(3):
-            send(cast(Message, SimpleNamespace(text=lambda: "{}")))
-    assert client.publish.call_count == 3

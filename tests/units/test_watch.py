@@ -2,8 +2,6 @@
 
 import dataclasses
 import pickle
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from laws.recognised import answered
 from lampest import OralDisc, Panel, Readout, Recording, Rod, Scene, Shape, Simulation, Unmodelled, simulate
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.watch import Watch
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.recording.simulation.measure import measured
 from lampest.report.detect.answer import CANNOT_SAY, NOTHING, PRESSES, SUCKS
@@ -152,13 +149,3 @@ def test_live_takes_a_new_zero_where_the_first_was_touched() -> None:
     for frame in range(10, 20):
         live = live.after(scan_of(recording, frame))
     assert live.detected.answer == NOTHING
-
-
-def test_films_are_expected_where_a_step_has_made_the_recognised_load_less() -> None:
-    change = np.array([[0.0, -1.0], [0.5, -0.2]])
-    frame: Any = SimpleNamespace(map=np.array([[0.3, -0.4], [0.5, -0.4]]))
-    panelled = SimpleNamespace(errors=SimpleNamespace(residue=0.1))
-    kinds = {"known": False, "seen": "a load", "film_sd": 0.02, "_before": change, "panelled": panelled}
-    unknown, known, nothing = (SimpleNamespace(**kinds | more) for more in ({}, {"known": True}, {"seen": None}))
-    np.testing.assert_allclose(Watch._keeps(cast(Any, unknown), frame), [0.02, 0.06, 0.02, 0.02])
-    assert Watch._keeps(cast(Any, known), frame) == 0.02 == Watch._keeps(cast(Any, nothing), frame)
