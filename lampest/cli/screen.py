@@ -72,7 +72,7 @@ def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
     about, _, section = (inspect.getdoc(command) or "").partition("\n\nParameters\n----------\n")
     help_of = {name: " ".join(text.split()) for name, text in re.findall(r"(?m)^(\w+)\n((?:    .*\n?)+)", section)}
     parameters = []
-    for name, each in (signature := inspect.signature(command, eval_str=True)).parameters.items():
+    for name, each in (signature := inspect.signature(command)).parameters.items():
         kind, *notes = get_args(each.annotation) if get_origin(each.annotation) is Annotated else (each.annotation,)
         if kind is bool:
             notes = [option("", f"--{name.strip('_').replace('_', '-')}")]

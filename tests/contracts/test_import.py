@@ -1,7 +1,6 @@
 """Tables of text as people have them: frames, times and sentences, or a refusal with its place."""
 
 import itertools
-from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -224,84 +223,11 @@ taken("three columns", "\n\n".join("\n".join(lines(frame)) for frame in SMALL), 
 WIDER = lines(np.ones((14, 7)))
 refused("a table of the panel's columns", WIDER, "7 fields; 7 × 5 cells need", "with `transpose` it would", rows=7)
 
-# Times.
+# Lines of a sketch.
 
-
-def stamped_table(name: str, stamps: Sequence[object]) -> list[str]:
-    rows = (f'"{stamp}";{line}' for stamp, line in zip(stamps, lines(FRAMES, ";"), strict=True))
-    return [f"{name};{names('r{r}c{c}', 0, ';')}", *rows]
-
-
-for name, stamps, times, start in (
-    ("t", (0, 0.5, 1.25, 2), (0, 0.5, 1.25, 2), None),
-    ("time [ms]", (500, 750, 1000, 1500), (0.5, 0.75, 1, 1.5), None),
-    ("micros", (0, 10, 20, 40), (0, 1e-5, 2e-5, 4e-5), None),
-    ("millis", (4294967000, 4294967250, 204, 454), (4294967, 4294967.25, 4294967.5, 4294967.75), None),
-    ("t_min", (0, 1, 2, 3), (0, 60, 120, 180), None),
-    ("timestamp", [1738324800 + n / 2 for n in range(4)], (0, 0.5, 1, 1.5), "2025-01-31T12:00:00Z"),
-    ("time", [1738324800250 + 500 * n for n in range(4)], (0, 0.5, 1, 1.5), "2025-01-31T12:00:00.250000Z"),
-    ("date", [f"2025-01-31T12:00:0{n}.5" for n in range(4)], FOUR, "2025-01-31T12:00:00.5"),
-    ("time", [f"2025-01-31 12:00:0{n}+01:00" for n in range(4)], FOUR, "2025-01-31T12:00:00+01:00"),
-    ("time", ["2025-01-31T23:59:59Z", *(f"2025-02-01T00:00:0{n}Z" for n in range(3))], FOUR, "2025-01-31T23:59:59Z"),
-    ("Zeit", [f"31.01.2025 9:00:0{n},250" for n in range(4)], FOUR, "2025-01-31T09:00:00.250"),
-    ("time", [f"1/31/2025 12:00:0{n}" for n in range(4)], FOUR, "2025-01-31T12:00:00"),
-    ("time", [f"1/31/2025 {n}:00:00 PM" for n in (12, 1, 2, 3)], 3600 * FOUR, "2025-01-31T12:00:00"),
-    ("Uhrzeit", ("23:59:59.5", "0:00:00.5", "0:00:01.5", "0:00:02.5"), FOUR, None),
-):
-    text = stamped_table(name, stamps)
-    taken(f"{name} from {stamps[0]}", text, f"time: column '{name}' in ", times=times, start=start)
-    unused = "those of the file are not used"
-    taken(f"{name} from {stamps[0]} with a period", text, unused, times=FOUR / 10, period=0.1)
-for stamps, message in (
-    ((0, 2, 1, 3), "m.csv:4:1: times must be finite and grow; `period` sets them"),
-    ((0, "", 1, 3), "m.csv:3:1: times must be finite and grow"),
-    (("1/2/2025", "2/2/2025", "3/2/2025", "4/2/2025"), "may be day/month/year or month/day/year"),
-    (("2025-01-01", "soon", "2025-01-03", "2025-01-04"), "m.csv:3:1: 'soon' is no time"),
-):
-    refused(f"times {stamps}", stamped_table("time", stamps), message)
-    taken(f"times {stamps} with a period", stamped_table("time", stamps), times=FOUR, period=1.0)
-DATES = [f"Datum;Uhrzeit;{names('r{r}c{c}', 0, ';')}"]
-DATES += [f"31.01.2025;12:00:0{n};{line}" for n, line in enumerate(lines(FRAMES, ";", ","))]
-taken("date and time of day in two columns", DATES, times=FOUR, start="2025-01-31T12:00:00")
-SENTENCE = "holds no times that could be in ms; `period` sets them"
-refused("a unit of times that are none", lines(FRAMES), SENTENCE, time_unit="ms")
-DAYS, SENTENCE = [f"2025-01-0{n}" for n in range(1, 5)], "is no number, so that it has no time unit ms"
-refused("a unit of dates", stamped_table("time", DAYS), SENTENCE, time_unit="ms")
 SKETCH = [*[line for frame in lines(FRAMES) for line in (frame, "DEBUG heap ok")] * 5, ""]
 SENTENCE = f"left out: lines {', '.join(map(str, range(2, 22, 2)))} and 10 more (the first: 'DEBUG heap ok')"
 taken("lines of a sketch between frames", SKETCH, SENTENCE, expected=np.tile(FRAMES, (5, 1, 1)))
-
-# Units.
-
-MEANS = np.random.default_rng(2).integers(4000, 18000, (4, ROWS, COLUMNS)) / 20  # of 20 codes
-VOLTS = (MEANS + 0.5) * 5 / 1024
-MIXED = [names("r{r}c{c} [ohm]").replace("r2c4 [ohm]", "r2c4 [kohm]"), *lines(FRAMES)]
-ROUND, FINE = lines(VOLTS.round(2)), lines((FRAMES / 100).round(3))
-APPARENT = {"expected": 1000 * (5 / VOLTS.round(2) - 1), "scene": DIVIDER}
-GUESSED = {"kohm": FRAMES / 1000, "volt": VOLTS, "mV": 1000 * VOLTS, "code": MEANS}
-for unit, values in GUESSED.items():
-    scene, expected = (None, FRAMES) if unit == "kohm" else (DIVIDER, 1000 * (5 / VOLTS - 1))
-    taken(f"{unit} that is guessed", lines(values), f"unit {unit}, guessed: values", scene=scene, expected=expected)
-taken("a unit as specified", ROUND, "unit volt, as specified", unit="volt", **APPARENT)
-taken("units of a header that are overridden", MIXED, unit="ohm")
-refused("ohm and kohm", FINE, "may be ohm or kohm; say which with `unit='ohm'` or `unit='kohm'`")
-refused("kohm and volt", ROUND, "may be kohm or volt", scene=DIVIDER)
-MEGOHM, OHM = ([names(f"r{{r}}c{{c}} [{unit}]"), *lines(FRAMES)] for unit in ("MΩ", "ohm"))
-SENTENCE = "the header's unit 'MΩ' is none of ohm, kohm, volt, mV and code; `unit` overrides"
-refused("a unit that is none", MEGOHM, SENTENCE, absent="m.csv")
-refused("two units", MIXED, "name both ohm and kohm", absent="m.csv")
-refused("ohm of a readout in volt", OHM, "the scene's readout gives volt; say unit volt, mV or code", scene=LOADED)
-for header, factor, unit in (
-    ("R{r}C{c} [kOhm]", 1e3, "kohm"), ("R{r}C{c} (Ω)", 1, "ohm"), ("R{r}C{c} [mV]", None, "mV"),
-    ("adc_{r}_{c}", None, "code"),
-    ("R{r}C{c} [V]", None, "volt"), ("R{r}C{c} in kOhm", 1e3, "kohm"), ("R{r}C{c}/kΩ", 1e3, "kohm"),
-):  # fmt: skip
-    text = [names(header), *lines(CODES / 400 if unit == "volt" else CODES)]
-    volt = {"mV": CODES / 1000, "volt": CODES / 400, "code": VOLT_OF_CODES}
-    expected, scene = CODES * factor if factor else volt[unit], None if factor else LOADED
-    taken(f"the unit of {header}", text, f"unit {unit}, as the header says", expected=expected, scene=scene)
-    if not factor:
-        refused(f"the unit of {header}", text, f"{unit} values need a scene with a readout")
 
 # Missing readings.
 

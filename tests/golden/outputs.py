@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import re
 import sys
 import tempfile
@@ -345,11 +346,9 @@ def published_row() -> dict[str, Any]:
         set_config_content=str, IRREGULAR_RATE=0.0, StreamInfo=Element, local_clock=lambda: 5.0,
         StreamOutlet=lambda info: outlets.append(Element(info)) or outlets[-1],
     )  # fmt: skip
-    clock = SimpleNamespace(time=lambda: 60.0, monotonic=iter((0.0, 0.1, 0.2, 0.3, 0.45, 0.7)).__next__)
+    clock = SimpleNamespace(time=lambda: 60.0, monotonic=iter((0.0, 0.1, 0.35, 0.4, 0.5, 0.7)).__next__)
     client, answer = MagicMock(connect_timeout=1.0), SimpleNamespace(is_failure=False)
-    ends = [
-        SimpleNamespace(rc=rc, is_published=lambda done=done: done) for rc, done in ((0, 1), (1, 0), (0, 0), (0, 0))
-    ]
+    ends = [SimpleNamespace(rc=rc, is_published=lambda done=done: done) for rc, done in ((0, 1), (1, 0), *[(0, 0)] * 3)]
     client.publish.side_effect, client.socket.return_value = ends, None
     client.loop_start.side_effect = lambda: client.on_connect(None, None, None, answer)
     packets = patch("pythonosc.udp_client.UDPClient.send", lambda _, bundle: outlets.append(bundle.dgram))
@@ -362,18 +361,26 @@ def published_row() -> dict[str, Any]:
                 for message in messages:
                     tried.append([client.publish.call_count, send(message)])
 
+    connected, attempts = MagicMock(), list[str]()
+    client.on_socket_open(None, None, connected)
+
     def send_sometimes(message: Message) -> None:
-        tried.append(message.signature)
-        if len(tried) % 5 < 3:
+        attempts.append(message.signature)
+        if len(attempts) % 4 < 3:
             raise OSError(5, "no way")
 
-    news = [replace(views[number % 3], alarm=str(number // 2)) for number in range(12)]
-    shown: Any = SimpleNamespace(after=lambda number: News(number + 1, news[number]) if number < 12 else None)
+    news = [*views, views[2], views[0], replace(views[0], picture=None), *(replace(view, alarm="a") for view in views)]
+    shown: Any = SimpleNamespace(after=lambda seen: News(seen + 1, news[seen]) if seen < len(news) else None)
     publish._forward(shown, send_sometimes, "here", said.append)
     return {
         "outlets": [each.parts if isinstance(each, Element) else repr(each) for each in outlets], "said": said,
-        "tried": tried, "broker": [[call.args[0], call.kwargs] for call in client.publish.mock_calls],
-        "client": [client.connect.call_args.args, client.username_pw_set.call_args.args],
+        "tried": tried, "attempts": attempts,
+        "broker": [[call.args[0], call.kwargs] for call in client.publish.mock_calls],
+        "client": [
+            each.call_args.args for each in (
+                client.connect, client.username_pw_set, client.reconnect_delay_set, connected.setsockopt,
+            )
+        ],
     }  # fmt: skip
 
 
@@ -567,7 +574,11 @@ def described_row() -> dict[str, Any]:
     texts = {}
     for name, recording in {"gaps": gapped(), "modules": tiled(), **{name: in_scene(name) for name in SPOKEN}}.items():
         readings = recording.recorded.copy()
-        readings[:, 2] = readings[:, 1] if name == "noisy" else readings[:, 2]
+        if name == "noisy":  # rows that are known to touch, and columns that are not
+            readings[:, 2] = readings[:, 1]
+            readings[:, :, 1] = readings[:, :, 0]
+            joined = lp.Faults(joined_rows=((1, 2, 3),))
+            recording = replace(recording, scene=replace(recording.scene, faults=joined))
         with tempfile.TemporaryDirectory() as folder, chdir(folder):
             replace(recording, recorded=readings).save("r.h5")
             texts[name] = describe("r.h5")
@@ -575,7 +586,8 @@ def described_row() -> dict[str, Any]:
         simulated(), scene=replace(simulated().scene, film=FILM, water=lp.Water(9.0), purpose="mat", temperature=COLD)
     )
     drawn = (shaded_map, lambda change: text_map(change // 7))
-    with patch.dict("os.environ", COLUMNS="100"):
+    with patch.dict("os.environ"), patch("os.get_terminal_size", side_effect=OSError):
+        os.environ.pop("COLUMNS", None)
         large = [
             draw(np.linspace(-50, 90, np.prod(size)).reshape(size))[-3:]
             for size, draw in product(((30, 14), (60, 300), (2, 40)), drawn)
@@ -659,7 +671,9 @@ def variants_row() -> list[Any]:
     )
     volts = replace(case, measured=np.full_like(case.measured, 1.5), cell_resistance=1e-6 * case.cell_resistance)
     square, single = invented_case(shape=(1, 2, 2)), replace(invented()[0], recording="single")
-    apart = [lp.Panel(2, 2, cells=tuple((j, k, x * far, y * far) for j, k, x, y in SQUARE)) for far in (1, 50)]
+    ones = np.ones((2, 2))
+    tiles = [maps.Tile(f"a long name of an estimator, the number {n} of them", n * ones) for n in range(7)]
+    apart = [lp.Panel(2, 2, cells=tuple((j, k, x * far, y * far) for j, k, x, y in SQUARE)) for far in (1, 5)]
     return [
         *(drawn_row(plot_of("resistance").draw((replace(volts, scene=scene),))) for scene in scenes),
         *(
@@ -670,6 +684,7 @@ def variants_row() -> list[Any]:
             [len(axes.collections) for axes in lp.ContourPlot().draw((each,)).axes]
             for each in (replace(square, scene=lp.Scene(panel)) for panel in apart)
         ),
+        drawn_row(maps.maps_figure(tiles, square.scene.panel, maps.change_scale([ones], "a"))),
         drawn_row(lp.ContourPlot(6).draw(invented()[:3])), drawn_row(lp.PressurePlot(6).draw((single,))),
         [refusal(plots.picture, (single,), lp.PressurePlot(frame)) for frame in (6, 99)],
         *(drawn_row(lp.ContourPlot().draw((invented_case(shape=each),))) for each in ((2, 1, 1), (1, 1, 7), (2, 5, 1))),

@@ -269,7 +269,7 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     power = (amplitude**2).sum(axis=1)
     freedom, best = len(times) - trend.shape[1], int(np.argmax(power))
     breathing, steady = (logsumexp(_evidence(total, amplitude, gain, sd, freedom)) for sd in (BREATHING_SD, TREMBLE_SD))
-    left = max(total - power[best], 1e-12) / max(freedom - 2, 1)
+    left = max(total - power[best], 1e-12) / (freedom - 2)
     spread = np.sqrt(3 * left / max(power[best], 1e-12)) / (np.pi * lasted)  # Rife, Boorstyn, IEEE Trans. IT-20, 1974
     return Breath(
         float(breathing - steady),

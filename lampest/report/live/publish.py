@@ -357,7 +357,7 @@ def publishing(ways: Sequence[Publish], shown: Newest[View], say: Say) -> Iterat
 
 def _forward(shown: Newest[View], send: Send, where: str, say: Say) -> None:
     """Send the newest picture, skipping older ones; report a failure once until sending works again."""
-    seen, sent, failed = 0, (0, "", ""), False
+    seen, failed, sent = 0, False, None
     while (news := shown.after(seen)) is not None:
         seen, message = news.number, Message.of(news.item)
         if message is None or message.signature == sent:
