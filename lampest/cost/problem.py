@@ -22,6 +22,7 @@ from lampest.panel.readouts.floating import FloatingNetwork
 from lampest.panel.readouts.wiring import Wiring
 
 ROUNDING = 1e-15  # relative rounding error of a residual: four last bits of double precision
+NO_DUAL = np.zeros(0)  # dual variables of a cost without absolute losses
 Panels = NDArray[np.intp] | int
 
 

@@ -12,10 +12,10 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.cost.problem import Evaluation
+from lampest.cost.problem import NO_DUAL, Evaluation
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import OptimalMethod
-from lampest.estimate.state import NO_DUAL, Step
+from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
 from lampest.panel.readouts import TwoPointReadout

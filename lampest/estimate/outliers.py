@@ -230,7 +230,7 @@ class FramesBefore:
             return readings, count
         value = np.stack([frame.plain_values for frame in self.frames])
         scale = readings.sigma * np.fmax(_pair_scale(value, np.broadcast_to(readings.sigma, value.shape))[0], 1.0)
-        middle, spread, _ = _by_median(value, np.zeros(0, dtype=int))
+        middle, spread, _ = _by_median(value)
         expected = middle[None], spread[None], np.ones((1, *middle.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
             outlying = _exceeds_threshold(readings.plain_values[None], scale[None], expected)[0]
@@ -290,7 +290,7 @@ def _is_usual(
     return np.asarray((usual > 0) & (away <= largest * usual))
 
 
-def _by_median(beside: Array, offset: NDArray[np.intp]) -> Expected:
+def _by_median(beside: Array, offset: NDArray[np.intp] | None = None) -> Expected:
     """Return the median of the neighbours, (frames, …), with their scatter.
 
     Parameters

@@ -341,7 +341,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
     if lead is None:
         lead = joined((opening := stored.part(range(min(OPENING_FRAMES, stored.frames))),), opening.role == MEASURED)
     resting = baseline_readings(lead, lead.readings())
-    best: tuple[float, int] = (-1.0, -1)
+    candidates = list[tuple[float, int]]()
     for frames in stored.blocks:
         part = measured_part(stored, frames, WINDOW)
         if part is None:
@@ -354,10 +354,11 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
         )
         at = int(np.argmax(size))
         assert recording.number is not None
-        best = max(best, (float(size[at]), int(recording.number[own[at]])))
-    if best[1] < 0:
+        candidates.append((float(size[at]), int(recording.number[own[at]])))
+    if not candidates:
         raise InputError(f"{stored.path}: no frame is measured (role 1)")
-    around = stored.part(range(best[1], best[1] + 1), min(LEAD_FRAMES // 2, stored.length))
+    number = max(candidates)[1]
+    around = stored.part(range(number, number + 1), min(LEAD_FRAMES // 2, stored.length))
     return lead, Prepared(joined((lead, joined((around,), around.role == MEASURED))))
 
 

@@ -15,7 +15,6 @@ from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
 from lampest.solvers.solution import Solution, Status, blank
 
-NO_DUAL = np.zeros(0)  # dual variables of a cost without absolute losses
 UNKNOWN_SD = 10.0  # standard deviation of log r0 where nothing is known of it
 
 

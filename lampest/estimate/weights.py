@@ -16,10 +16,9 @@ from typing import TypeVar
 import numpy as np
 
 from lampest.cost.cost import Cost
-from lampest.cost.problem import Data
+from lampest.cost.problem import NO_DUAL, Data
 from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.objective import Objective
-from lampest.estimate.state import NO_DUAL
 from lampest.files.errors import InputError
 from lampest.files.levels import MAD_TO_SIGMA
 from lampest.panel.panel import Array

@@ -15,7 +15,7 @@ import casadi
 import numpy as np
 
 from lampest.cost.cost import Cost, Symbols, lowered, program_groups, summands
-from lampest.cost.problem import Data, Evaluation
+from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.files.errors import InputError
 from lampest.panel.compiled import CasadiOwner, Compiled, guarded
 from lampest.panel.kirchhoff import current_balance
@@ -456,7 +456,7 @@ class Ipopt:
             balance = [self.formulation.multipliers(self.readout, *frame) for frame in frames]
         except np.linalg.LinAlgError:
             return {}
-        gradient, conductance = start.log_gradient(np.zeros(0)), x0[: start.cell_resistance.size]
+        gradient, conductance = start.log_gradient(NO_DUAL), x0[: start.cell_resistance.size]
         # Barrier parameter: the gradient that a Newton step leaves (quadratic convergence), at most IPOPT's mu_init.
         barrier = min(float(start.projected_gradients(gradient)) ** 2, 0.1)
         pull = gradient.ravel() / (conductance * start.cost_scale)

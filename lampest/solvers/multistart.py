@@ -13,7 +13,7 @@ from itertools import chain, count, islice
 import numpy as np
 
 from lampest.cost.cost import Cost
-from lampest.cost.problem import Data, Evaluation
+from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.preconditioners import Preconditioner
@@ -176,5 +176,5 @@ def solved_from(solver: Solver, start: Evaluation) -> Solution:
 
 def _broken(cost: Cost, data: Data) -> Solution:
     """Return a solution of NaN with the status BREAKDOWN."""
-    outcome = Outcome(data.measured, np.zeros(0), Status.BREAKDOWN, 0)
+    outcome = Outcome(data.measured, NO_DUAL, Status.BREAKDOWN, 0)
     return failure(cost, data, Status.BREAKDOWN, float("nan"), outcome)

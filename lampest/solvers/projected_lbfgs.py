@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
-from lampest.cost.problem import Data, Evaluation
+from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.trust_region import SUFFICIENT_DECREASE
@@ -152,7 +152,7 @@ def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settin
         Numbers of these panels in `inverses`.
     settings : Settings
     """
-    whole = points = Hessian(start, Smoothing(1.0, np.zeros(0)))
+    whole = points = Hessian(start, Smoothing(1.0, NO_DUAL))
     ends, (count,) = whole.position.copy(), start.data.panels
     solved, iterations = np.zeros(count, dtype=bool), np.zeros(count, dtype=np.int64)
     panels, secants = np.arange(count), Secants()

@@ -1,11 +1,13 @@
 """Certified values: 50-digit arithmetic, and a second test of optimality, which share no code with the solvers."""
 
+from typing import Any
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from lampest.cost.cost import Cost
-from lampest.cost.problem import Data, Evaluation
+from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.files.errors import extra
 from lampest.panel.panel import Array
 from lampest.panel.readouts.floating import exact_two_point_resistance
@@ -24,13 +26,19 @@ def correct_digits(values: Array, certified: Array) -> float:
         return float(np.clip(-np.log10(worst), 0.0, 15.0))
 
 
+def fifty_digit_library() -> Any:
+    """Return mpmath. Raises InputError if it is not installed."""
+    with extra("extremes"):
+        import mpmath
+    return mpmath
+
+
 def fifty_digits(cells: Array) -> Array:
     """Return R = f(r), (rows, columns) ohm, with 50 digits; infinite cells are open, zeros are shorts.
 
     Unconnected lines have R = inf. Raises InputError if mpmath is not installed.
     """
-    with extra("extremes"):
-        import mpmath
+    mpmath = fifty_digit_library()
     rows, columns = cells.shape
     conducting = coo_array(np.isfinite(cells))
     lines = (conducting.row, rows + conducting.col)
@@ -73,11 +81,11 @@ def exact_residual(cost: Cost, data: Data, cells: Array) -> float:
     the terms' part is subtracted: under a penalty of 10¹² no u in double precision is closer to an optimum.
     """
     step, readings = 1e-4, exact_two_point_resistance(cells)
-    direct, through = Evaluation(cost, data, cells, readings, ()).partials(np.zeros(0))
+    direct, through = Evaluation(cost, data, cells, readings, ()).partials(NO_DUAL)
     slope = direct * cells
     odd = np.indices(cells.shape).sum(axis=0) % 2 == 1
     beside = cells * np.exp(np.where(odd, 1, -1) * np.spacing(np.abs(np.log(cells))))
-    blur = np.abs(Evaluation(cost, data, beside, readings, ()).partials(np.zeros(0))[0] * beside - slope)
+    blur = np.abs(Evaluation(cost, data, beside, readings, ()).partials(NO_DUAL)[0] * beside - slope)
     for place in np.ndindex(cells.shape):
         sides = []
         for factor in (np.exp(step), np.exp(-step)):

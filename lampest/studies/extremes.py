@@ -27,7 +27,14 @@ from lampest.report.compare import Columns, grouped
 from lampest.runs.executors import AnyExecutor, Processes, each_of
 from lampest.solvers.solution import VERIFIED, Settings
 from lampest.studies import study
-from lampest.studies.certified import correct_digits, exact_cost, exact_residual, exact_scale, fifty_digits
+from lampest.studies.certified import (
+    correct_digits,
+    exact_cost,
+    exact_residual,
+    exact_scale,
+    fifty_digit_library,
+    fifty_digits,
+)
 from lampest.studies.common import Shape, Sizes, StudyMethod, paper_methods, shapes_of
 from lampest.studies.study import OnStep, column
 
@@ -313,7 +320,7 @@ def run_atlas(atlas: AtlasFile, on_step: OnStep = lambda done, total: None) -> t
 
     Raises InputError if mpmath is not installed.
     """
-    fifty_digits(np.ones((1, 1)))
+    fifty_digit_library()
 
     def lost(sample: AtlasSample, error: BaseException) -> tuple[Solve]:
         return (_failed(sample, "", "", "", error),)

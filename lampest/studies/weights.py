@@ -18,14 +18,13 @@ from matplotlib.ticker import LogLocator, NullLocator
 from scipy.special import erfcx
 
 from lampest.cost.cost import Cost
-from lampest.cost.problem import Data
+from lampest.cost.problem import NO_DUAL, Data
 from lampest.cost.terms import Term, term_kind
 from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import named_method
 from lampest.estimate.objective import Rule
 from lampest.estimate.sequence import deciding_data
-from lampest.estimate.state import NO_DUAL
 from lampest.estimate.weights import WeightSearch, with_chosen_weights
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array

@@ -4,6 +4,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
@@ -13,19 +14,25 @@ from golden.circuits import COLD, FILM, PANEL, RESPONSES, Rows, scenes
 from unclosed import unclosed_recording
 
 import lampest as lp
+from lampest.cost.given import Background
+from lampest.estimate.batch import push_streams
 from lampest.estimate.calibration import known_loads
 from lampest.estimate.calibration.channels import calibrate_channels
 from lampest.estimate.calibration.loads import calibrate_loads
 from lampest.estimate.calibration.resistors import calibrate_resistors, noise_of
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
+from lampest.estimate.methods.joint import Joint
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import default_terms
+from lampest.estimate.stream import Stream
 from lampest.estimate.weights import converter_and_faults, strongest
 from lampest.files.errors import InputError
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts.readout import with_memory
+from lampest.panel.systematic import Shared
+from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import (
     Readings,
     mean_change,
@@ -39,6 +46,8 @@ from lampest.recording.simulation.measure import OPEN_OHM
 from lampest.report.info import understood_lines
 from lampest.report.reconstruction import Reconstruction
 from lampest.runs.filling import frame_noise_of
+from lampest.solvers.projected_lbfgs import InverseHessians
+from lampest.solvers.solution import Settings
 from lampest.studies.common import CONFIGS, paper_methods
 
 # Recordings
@@ -394,6 +403,67 @@ def stored_noise_row() -> list[Any]:
     return rows
 
 
+def frame_noise_row() -> list[Any]:
+    """What frames share by chance, of readings near the ends of the converter's range too."""
+    rng, rows = np.random.default_rng(2), list[Any]()
+    volt = np.r_[0.002, 0.03, np.linspace(0.2, 4.8, 16), 4.97, 4.998].reshape(4, 5)
+    for scene, channels in ((scenes()["noisy"], 5), (scenes()["floating"], 4)):
+        ripple, errors = 0.02 * rng.standard_normal((2, channels, 2)), 0.01 * rng.standard_normal((2, 3, 4, 5))
+        measured = scene.circuit.from_recorded(scene.circuit.recorded_from_volt(np.stack([volt, volt[::-1]])), scene)
+        for held, baseline in product((None, errors), (True, False)):
+            columns = FrameNoise(scene, 4, 0.01, *ripple, held).columns(measured, baseline=baseline)
+            rows += [columns.sum(axis=1), np.abs(columns).sum(axis=0)]
+    return rows
+
+
+def joint_row() -> list[Any]:
+    """All frames as one problem, with errors that all share and some that each has, at three points."""
+    made, rng, rows = simulated("gain_spread", SHARED_ERRORS), np.random.default_rng(2), list[Any]()
+    robust = (lp.Misfit(weighting="noise", loss=lp.Student(corner=4.0)),)
+    estimator = Estimator(robust, "reduced", bounds=lp.Bounds(lower=2500.0))
+    data = [estimator.data(made.readings()[frame].alone(), Background(made.scene)) for frame in range(3, 7)]
+    cells = np.log(made.truth_cell_resistance[3:7]).reshape(4, -1) + 0.01 * rng.standard_normal((4, 20))
+    noise = FrameNoise(made.scene, 4, 0.004, *np.zeros((2, 5, 0)))
+    begun = Joint.of([estimator.cost(made.scene, 1)] * 4, data, Shared.of(made.scene), cells, noise, 2)
+    stiffness = rng.uniform(10, 1e4, (3, 20))
+    begun = replace(begun, stiffness=stiffness, shift=0.2 * rng.standard_normal(len(begun.shift)))
+    for joint in (begun, begun.stepped().sharing(), begun.stepped().stepped()):
+        held = [
+            joint.agreeing(joint.stiffness * np.where(np.arange(20) < count, 0.1, 1.0)) for count in (1, 4, 15)
+        ]  # fmt: skip
+        rows += [
+            joint.value, joint.gradient, joint.kkt_residual, joint.pressed, joint.newton(), joint.expected_squares(),
+            joint.shared_estimate, [each.held for each in held], held[-1].value, held[-1].newton()[1],
+            joint.answer(joint.shared[:, :, :2]), [each.uncertain.variance for each in (joint, held[-1])],
+        ]  # fmt: skip
+    return rows
+
+
+def batches_row() -> dict[str, Any]:
+    """Which frames of streams are solved together, by estimator and by readings that are missing, and their cells."""
+    misfit, penalty, made, rows = lp.Misfit(weighting="noise"), lp.LogGradient(weight=3.0), simulated(), {}
+    bare = partial(Estimator, (misfit, penalty), "reduced", error_bars=False)
+    frame, change = lp.AutoWeight(per="frame"), (misfit, lp.LogRatio(weight=0.3))
+    cases = {
+        "bars": Estimator((misfit, penalty), "auto"), "bare": bare(),
+        "limited": bare(solver=Settings(time_limit_s=60.0)),
+        "starts": bare(solver=Settings(starts=2)), "auto": Estimator((misfit, AUTO), "reduced", error_bars=False),
+        "per frame": Estimator((misfit, AUTO), "reduced", error_bars=False, auto_weight=frame),
+        "joint": Estimator(change, OptimalMethod("reduced", joint=True)), "change": Estimator(
+            change, OptimalMethod("reduced", joint=False),
+        ), "previous": Estimator((misfit, lp.LogRatio(weight=0.3, reference="previous")), "reduced"),
+        "truncated": Estimator((misfit, penalty), "truncated"),
+    }  # fmt: skip
+    for name, estimator in cases.items():
+        stream = Stream.begin(estimator, made.scene, 1.0, made.readings()[:4].mean())
+        recorded, inverses = made.recorded[4:7].copy(), InverseHessians.nothing(3, 20)
+        recorded[0, 1, 2] = np.nan if name in ("bars", "bare") else recorded[0, 1, 2]
+        pairs = push_streams([stream, None, stream], lp.Readings.of(made.scene, recorded), inverses)
+        steps = [step and step.cell_resistance for _, step in pairs]
+        rows[name] = [inverses.positive, np.isnan(inverses.position).any(axis=1), steps]
+    return rows
+
+
 def channels_row(scene: lp.Scene) -> dict[str, Any]:
     scene = replace(scene, systematic=lp.Systematic(0.01, 5.0))
     calibration = calibrate_channels([simulated("channel_spread_ohm", scene)])
@@ -483,6 +553,9 @@ def of_estimate() -> Rows:
             "moved resistors": moved_resistors_row,
             "no resistors": refused_resistors_row,
             "stored noise": stored_noise_row,
+            "noise of frames": frame_noise_row,
+            "frames as one": joint_row,
+            "streams together": batches_row,
             "channels": partial(channels_row, lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0)),
             "channels of drives": partial(
                 channels_row, lp.Scene(PANEL, lp.LoadedColumnsReadout(adc_bits=12, drive_ohm=100.0))

@@ -30,6 +30,8 @@ from lampest.recording.readings import Readings
 from lampest.solvers import bounds, ipopt, multistart, preconditioners
 from lampest.solvers.certificate import certificate
 from lampest.solvers.hessian import Hessian
+from lampest.solvers.projected_lbfgs import InverseHessians
+from lampest.solvers.projected_lbfgs import solve as solve_panels
 from lampest.solvers.projected_newton import Iterate, ProjectedNewton, descent_step, levenberg_step
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status, check
@@ -278,6 +280,28 @@ def steps_row() -> dict[str, Any]:
     return rows
 
 
+def batch_row() -> dict[str, Any]:
+    """Panels that are solved together, some of them at bounds, after few steps and at the end."""
+    rows, numbers, scene = dict[str, Any](), np.array([0, 1, 3, 4, 6]), TINY["whole"]
+    cells = cells_of((5, *PANEL.shape), 5, 0.3)
+    for cost, steps in (("plain", 6), ("penalty", 2), ("penalty", 99), ("student", 6), ("student", 99)):
+        rng = np.random.default_rng(6)
+        recorded = lp.two_point_resistance(cells) * (1 + 0.01 * rng.standard_normal(cells.shape))
+        estimator = Estimator(COSTS[cost], "reduced", bounds=lp.Bounds(lower=1000.0, upper=5000.0))
+        data = estimator.data(Readings.of(scene, recorded), Background(scene)).of_panels(2)
+        begin = np.clip(cells * np.exp(0.3 * rng.standard_normal(cells.shape)), 1000.0, 5000.0)[[0, 1, 2, 4, 4], None]
+        weights = rng.uniform(0.5, 2, (5, len(COSTS[cost])))
+        start = problem.Evaluation.at(estimator.cost(scene, 1), data, begin, weights)
+        inverses = InverseHessians.nothing(7, 20)
+        end = solve_panels(start, inverses, numbers, Settings(max_iterations=steps))
+        rows[f"{cost} {steps}"] = [
+            end.points.position, end.solved, end.iterations, inverses.positive, inverses.worn,
+            inverses.free.sum(axis=1), inverses.distance(numbers, end.points.position),
+            np.linalg.norm(inverses.inverse, axis=(1, 2)),
+        ]  # fmt: skip
+    return rows
+
+
 def minima_row() -> dict[str, Any]:
     """The lowest of several minima and its starts, with an estimate of an earlier frame and without."""
     begin, rows = point("student", decades=2.0), dict[str, Any]()
@@ -342,6 +366,7 @@ def of_solvers() -> Rows:
             "searches": search_row,
             "verdicts": verdicts_row,
             "minima": minima_row,
+            "panels together": batch_row,
             "steps": steps_row,
         }
     )

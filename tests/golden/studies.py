@@ -18,6 +18,7 @@ import h5py
 import numpy as np
 from golden.circuits import Rows, cells_of
 from golden.estimates import simulated
+from golden.numerics import point
 from golden.outputs import command, drawn_row, refusal
 from support import invented_case
 
@@ -26,7 +27,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.runs import config
 from lampest.studies import bench, common, extremes, paper, tradeoff, weights
 from lampest.studies.bench import Bench, BenchFile, BenchFrame, BenchPart, run_bench
-from lampest.studies.certified import correct_digits, fifty_digits
+from lampest.studies.certified import correct_digits, exact_cost, exact_residual, exact_scale, fifty_digits
 from lampest.studies.common import StudyMethod
 from lampest.studies.study import Cases, Study, read_settings
 from lampest.studies.weights import Curves, WeightSubject, l_curve, morozov, solve_at, tune, why_not
@@ -276,8 +277,12 @@ def settings_row() -> dict[str, Any]:
 def digits_row() -> dict[str, Any]:
     """Numbers of fifty digits, and how many digits others have in common with them."""
     cells = np.array([[1.0, 2.0], [3.0, np.inf]])
+    points = [
+        (at.cost, at.data, at.cell_resistance) for at in (point("plain"), point("ohm"), point("change", frames=2))
+    ]
     pairs = ((1.0, 1.0), (1.0, 1 + 1e-6), (1.0, 3.0), (np.inf, np.inf), (0.0, 0.0), (np.nan, 1.0), (1.0, np.nan))
     return {
+        "costs": [[each(*at) for at in points] for each in (exact_cost, exact_scale, exact_residual)],
         "readings": [fifty_digits(each) for each in (cells, np.where(cells == 2, 0.0, cells), np.diag([1.0, np.nan]))],
         "digits": [correct_digits(np.array([1.0, value]), np.array([1.0, known])) for known, value in pairs],
     }

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
-from lampest.cost.problem import Data, Evaluation
+from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.estimate.assumptions import ASSUMED
-from lampest.estimate.state import NO_DUAL
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.certainty import Certainty

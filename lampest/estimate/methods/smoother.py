@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.losses import Squared
-from lampest.cost.problem import Data
+from lampest.cost.problem import NO_DUAL, Data
 from lampest.cost.terms import Misfit, Term
 from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.changed_cells import touching
 from lampest.estimate.methods.joint import Joint, error_bars
 from lampest.estimate.methods.method import Method, OptimalMethod
-from lampest.estimate.state import NO_DUAL, AnyState, SequenceState, Step
+from lampest.estimate.state import AnyState, SequenceState, Step
 from lampest.files.errors import InputError
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import delayed_interrupt
