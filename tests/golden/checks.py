@@ -177,9 +177,11 @@ def outliers_row() -> dict[str, Any]:
     resting, cells = lp.Readings.of(scene, value[:3]).mean(), cells_of(PANEL.shape, spread=0.1)
     live = []
     for frame in lp.two_point_resistance(np.repeat(cells[None], 7, axis=0)) * (
-        1 + 1e-3 * rng.standard_normal((7, 4, 5))
+        1 + 4e-3 * rng.standard_normal((7, 4, 5))
     ):
-        frame[2, 3] *= 1.3 if len(live) == 5 else 1.0
+        frame[2, 3] *= 1.3 if len(live) >= 5 else 1.0
+        frame[3, 0] *= 1.015 if len(live) == 4 else 1.0
+        frame[0, 1] *= 0.7 if len(live) == 6 else 1.0
         readings = lp.Readings.of(scene, frame)
         live.append(frames.without_outliers(readings, scene, resting, cells))
         frames = frames.after(readings)
@@ -190,11 +192,18 @@ def outliers_row() -> dict[str, Any]:
     none, rest = np.zeros(apart.shape, dtype=bool), np.arange(16) < 8
     pair = lp.Readings(apart, np.full(apart.shape, 9.0), np.zeros(apart.shape), np.ones(apart.shape))
     sizes = None, 5 * pair.sigma, 0.2 * pair.sigma
+    course = value + np.where(rest, 0.0, 3.0)[:, None, None] * (value - np.median(value, axis=0))
+    course[np.arange(8, 15), np.arange(7) % 4, np.arange(7) % 5] += (90, 150, 250, 400, -150, -250, 900)
+    course[np.arange(8) % 7, np.arange(8) % 4, np.arange(8) % 5] += (120, -120) * 4
+    course[[10, 10, 12, 12, 12], [0, 3, 1, 2, 3], [1, 3, 0, 4, 1]] += 500.0
+    loaded = lp.Readings.of(scene, course)
     impossible = lp.Readings.of(scene, lp.two_point_resistance(cells)[None] * np.where(cells == cells.max(), 9.0, 1.0))
     return {
         "whole": outliers.detect_outliers(value, scale), "few": outliers.detect_outliers(value[:4], scale[:4], 0.1),
         "scales": [outliers.without_outliers(none, replace(pair, sigma=each), rest)[0] for each in sizes],
         "panels": outliers.without_outliers(none, pair, rest),
+        "loaded": outliers.without_outliers(course > 16000, loaded, rest),
+        "two frames": outliers.without_outliers(none[:2, 0], loaded[7:9], rest[7:9])[0].sum(),
         "live": live, "impossible": outliers.impossible_readings(scene.circuit, impossible),
         "median": outliers.median(value), "touch": outliers.detect_outliers(touched, 1e-3 * touched)[0].sum(),
     }  # fmt: skip
@@ -254,6 +263,7 @@ def contacts_row() -> dict[str, Any]:
     explanation = Explanation(None, tuple(fits), SimpleNamespace(beyond_noise=30.0, density=70.0))  # type: ignore[arg-type]
     calm = 1000 + np.where(np.arange(60) < 30, 2.0, 30.0)[:, None, None] * rng.standard_normal((60, 3, 4))
     calm[[8, 20, 33, 59], 1, 2] += 90.0
+    wild = rng.standard_t(2, (41, 9, 11)) * np.exp(np.arange(41) / 9)[:, None, None]
     return {
         "beside": [beside_a_load(contact, loaded) for contact in contacts],
         "modules": [factors_of_modules(factor) for factor in (1.01, 1.1, 1.3, 1.6, 2.5)], "warnings": shared,
@@ -261,6 +271,7 @@ def contacts_row() -> dict[str, Any]:
         "scores": [explanation.score, explanation.beyond_noise],
         "corrections": CircuitEffects(pair=effects).corrections,
         "usual": outliers.detect_outliers(calm, np.full(calm.shape, 2.0))[0].nonzero(),
+        "wild": outliers.detect_outliers(wild, np.full(wild.shape, 0.3))[0].sum(axis=(1, 2)),
     }  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from lampest.estimate.calibration.loads import calibrate_loads
 from lampest.estimate.calibration.resistors import calibrate_resistors, noise_of
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
-from lampest.estimate.methods.joint import Joint
+from lampest.estimate.methods.joint import Joint, error_bars
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import default_terms
@@ -251,6 +251,8 @@ SHARED_ERRORS = lp.Scene(
 
 def case_row(case: lp.CaseResult) -> dict[str, Any]:
     """All columns and texts of a case, but for times and versions."""
+    for seconds in (case.solve_time, case.error_bar_time, case.baseline_solve_time):
+        assert not np.any((np.asarray(seconds) < 0) | (np.asarray(seconds) > 600)), "a time that no solve takes"
     names = [field.name for field in fields(case) if field.name not in ASIDE]
     return {name: getattr(case, name) for name in names}
 
@@ -436,7 +438,7 @@ def joint_row() -> list[Any]:
             joint.shared_estimate, [each.held for each in held], held[-1].value, held[-1].newton()[1],
             joint.answer(joint.shared[:, :, :2]), [each.uncertain.variance for each in (joint, held[-1])],
         ]  # fmt: skip
-    return rows
+    return [*rows, error_bars(begun.stepped(), 2, Shared.of(made.scene))]
 
 
 def batches_row() -> dict[str, Any]:
