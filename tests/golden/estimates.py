@@ -24,6 +24,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.joint import Joint, error_bars
 from lampest.estimate.methods.method import OptimalMethod
+from lampest.estimate.modules import begin_stream
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import default_terms
 from lampest.estimate.stream import Stream
@@ -31,6 +32,7 @@ from lampest.estimate.weights import converter_and_faults, strongest
 from lampest.files.errors import InputError
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts.readout import with_memory
+from lampest.panel.scene import OwnOfModule
 from lampest.panel.systematic import Shared
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import (
@@ -252,7 +254,8 @@ SHARED_ERRORS = lp.Scene(
 def case_row(case: lp.CaseResult) -> dict[str, Any]:
     """All columns and texts of a case, but for times and versions."""
     for seconds in (case.solve_time, case.error_bar_time, case.baseline_solve_time):
-        assert not np.any((np.asarray(seconds) < 0) | (np.asarray(seconds) > 600)), "a time that no solve takes"
+        taken = np.asarray(seconds, dtype=float)
+        assert not np.any((taken < 0) | (taken > 600)), "a time that no solve takes"
     names = [field.name for field in fields(case) if field.name not in ASIDE]
     return {name: getattr(case, name) for name in names}
 
@@ -466,6 +469,28 @@ def batches_row() -> dict[str, Any]:
     return rows
 
 
+def modules_row() -> list[Any]:
+    """Weights that modules choose together while a load comes; one has another converter, and one is dead."""
+    layout, rng = Modules(1, 5, EachModule(3, 4), seam_mm=4.0), np.random.default_rng(3)
+    own = (OwnOfModule((0, 1), readout=lp.TwoPointReadout(noise_lsb=0.7, adc_bits=14)),)
+    scene = lp.Scene(
+        lp.Panel(modules=layout), lp.TwoPointReadout(noise_lsb=0.7), 140.0, modules=own,
+        faults=lp.Faults(dead_modules=((0, 3),)),
+    )  # fmt: skip
+    cells = 3000 * np.exp(0.1 * rng.standard_normal((5, *layout.shape)))
+    cells[2:, 1, 1:9] *= np.array([0.9, 0.4, 0.2])[:, None]
+    exact = np.stack([layout.joined(lp.two_point_resistance(layout.split(frame))) for frame in cells])
+    readings, rows = lp.Readings.of(scene, exact + 140 + rng.standard_normal(exact.shape)), list[Any]()
+    for terms in ((lp.Misfit(), AUTO), (lp.Misfit(weighting="noise"), lp.LogRatio(weight="auto"))):
+        estimator = Estimator(terms, "reduced", error_bars=False)
+        stream = begin_stream(estimator, scene, 0.1, readings[:2].mean())
+        for number in range(2, 5):
+            stream, step = stream.push(readings[number])
+            parts = [part and (part.weights, part.weight_sigma, part.weighed_at) for part in stream.modules]
+            rows.append([step.cell_resistance, parts])
+    return rows
+
+
 def channels_row(scene: lp.Scene) -> dict[str, Any]:
     scene = replace(scene, systematic=lp.Systematic(0.01, 5.0))
     calibration = calibrate_channels([simulated("channel_spread_ohm", scene)])
@@ -558,6 +583,7 @@ def of_estimate() -> Rows:
             "noise of frames": frame_noise_row,
             "frames as one": joint_row,
             "streams together": batches_row,
+            "modules that choose together": modules_row,
             "channels": partial(channels_row, lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0)),
             "channels of drives": partial(
                 channels_row, lp.Scene(PANEL, lp.LoadedColumnsReadout(adc_bits=12, drive_ohm=100.0))

@@ -347,9 +347,21 @@ def search_row() -> dict[str, Any]:
             1e-3,
         )  # fmt: skip
 
+    def valley(x: lp.Array) -> least_squares.SumOfSquares:
+        tried.append(x)
+        residual = np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]]) if x[0] < 1.6 else np.full(2, np.nan)
+        return least_squares.SumOfSquares(residual, np.array([[-20 * x[0], 10.0, 0.0], [-1.0, 0.0, 0.0]]), 1e-9)
+
     loop = least_squares.LevenbergMarquardt(60, 1e-16, longest=0.5)
     position, squares = loop.minimum(decay, np.array([1.0, 0.5]), (0.0, 1.4))
-    return {"steps": solved, "position": position, "cost": squares.cost}
+    few, far, tried = replace(loop, evaluations=7, longest=np.array([0.1, 0.4, 1.0])), np.array([-1.2, 1, 7.0]), []
+    few.minimum(valley, far)
+    ends = [each.minimum(valley, far)[0] for each in (loop, replace(loop, damping=0.0), replace(loop, longest=9.0))]
+    _, ended = loop.minimum(valley, far, ended=lambda at, count: at.cost < 1 or count > 30)
+    return {
+        "steps": solved, "position": position, "cost": squares.cost, "few": tried[:7], "tried": len(tried),
+        "ends": ends, "ended": ended.cost,
+    }  # fmt: skip
 
 
 def of_solvers() -> Rows:

@@ -178,6 +178,13 @@ def runs_row() -> dict[str, Any]:
     settings = {"LSM": StudyMethod(config.Terms(misfit=lp.Misfit()))}
     file = BenchFile(schema=1, sizes=(3,), frames=2, repeats=1, estimators=settings)
     steps: list[tuple[int, int]] = []
+    alone, told = bench.BenchLimits(nodal=0), list[tuple[int, int, str]]()
+    hasty = replace(file, sizes=(3, 40), recordings=2, frames=3, budget_s=1e-3, limits=alone, memory=(3,))
+    late = run_bench(hasty, lambda *about: told.append(about))
+    few = replace(file, sizes=(3, (3, 4)), frames=4, memory=(3,), limits=bench.BenchLimits(nodal=3))
+    peaks = {"reduced": 7.0, "nodal": 9.0}
+    with patch.object(bench, "peak_memory", lambda _, estimator: peaks[estimator.method.kind]):
+        memory = {str((each.shape, each.solver, each.memory_mb)) for each in run_bench(few, lambda *_: None).frames}
     measured = run_bench(file, lambda done, total, *_: steps.append((done, total)))
     plan = tradeoff.Plan(tradeoff.TradeoffFile(1, ("r.h5",), frames=2, repeats=1, patience_s=1e3), [simulated()])
     plan = plan._replace(
@@ -190,7 +197,11 @@ def runs_row() -> dict[str, Any]:
     return {
         "frames": [{name: getattr(each, name) for name in names if hasattr(each, name)} for each in frames],
         "steps": steps,
-        "left": measured.left_out,
+        "left": [measured.left_out, late.left_out],
+        "told": told,
+        "memory": memory,
+        "late": [(each.shape, each.recording, each.frame) for each in late.frames],
+        "remarks": bench.bench_remarks(late),
     }
 
 

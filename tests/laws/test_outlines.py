@@ -10,7 +10,6 @@ import lampest
 from lampest import Cells, Panel, Scene, Simulation
 from lampest.estimate.outliers import impossible_readings
 from lampest.estimate.prepared import Prepared
-from lampest.estimate.sequence import first_stream
 from lampest.panel.readouts.floating import exact_two_point_resistance
 from lampest.panel.response import PUBLISHED
 from lampest.report.detect.detection import detect_recording
@@ -136,25 +135,6 @@ def test_the_weight_suits_readings_that_are_off_by_more_than_their_noise() -> No
         return float(np.sqrt(np.mean(np.log(estimate.cell_resistance[0] / cells)[panel.present] ** 2)))
 
     assert error("auto") < 0.6 * error(1.0)
-
-
-def test_frames_of_like_loads_choose_the_weight_together() -> None:
-    """A frame with half the load of the strongest one counts; one without load does not."""
-    rng = np.random.default_rng(8)
-    unevenness = np.array([0.05, 0.05, 1.0, 1.2])[:, None, None] * rng.standard_normal((4, 6, 6))
-    frames = [exact_two_point_resistance(cells) for cells in 500 * np.exp(unevenness)]
-    whole = np.array(frames) * np.exp(0.01 * rng.standard_normal((4, 6, 6)))
-
-    def chosen(readings: np.ndarray) -> float:
-        recording = recording_of(Scene(Panel(6, 6)), readings, sigma=0.01 * np.nan_to_num(readings, posinf=1e3))
-        terms = (lampest.Misfit(weighting="noise"), lampest.LogGradient(weight="auto"))
-        return float(first_stream(recording, recording.readings(), lampest.Estimator(terms)).estimator.terms[1].weight)
-
-    assert chosen(whole[[0, 1, 3]]) == chosen(whole[[0, 3]])
-    assert chosen(whole) != chosen(whole[[0, 3]])
-    bounds = whole.copy()
-    bounds[:, 1, 2] = np.inf
-    assert chosen(bounds) != chosen(bounds[[0, 3]])
 
 
 @pytest.mark.parametrize("outline", ["glove", "ring"])

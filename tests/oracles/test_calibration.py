@@ -145,24 +145,6 @@ def test_good_calibrations_are_never_refused_and_as_good_as_they_say(kind: str) 
     assert 0.7 < np.std(scores) < 1.25
 
 
-def test_noise_of_every_driven_line_is_found() -> None:
-    rng, shape, noisy = np.random.default_rng(7), (6, 5), (0.7, 7.0, 0.7, 0.7, 7.0, 0.7)
-    board, (printed, true) = some_board("loaded_columns", shape, rng), some_resistors(shape, rng)
-    made = recording(told("loaded_columns", shape, noise_lsb=noisy, readings=4), board, true, rng, frames=40)
-    calibration = calibrate_resistors([replace(made, scene=told("loaded_columns", shape, readings=4))], [printed])
-    np.testing.assert_allclose(calibration.scene.circuit.noise_lsb, noisy, rtol=0.25)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_panel_in_place_of_the_resistors_and_a_turned_table_are_refused(kind: str) -> None:
-    rng = np.random.default_rng(9)
-    board, scene, (printed, true) = some_board(kind, (4, 4), rng), told(kind, (4, 4)), some_resistors((4, 4), rng)
-    foam = np.exp(rng.normal(np.log(3050), 0.3, (4, 4)))
-    for cells, known in ((foam, 0.0), (foam, 3050.0), (foam, printed), (true, printed.T)):
-        with pytest.raises(InputError, match=r"^r: no calibration: "):
-            calibrate_resistors([recording(scene, board, cells, rng)], [known])
-
-
 SIDE, LOADS, SPREAD = 4, 8, 5.0
 TOLD = Systematic(reference_tolerance=0.01, channel_spread_ohm=SPREAD)
 

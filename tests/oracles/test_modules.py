@@ -120,24 +120,6 @@ def test_modules_of_a_single_line_have_the_errors_that_all_readings_share() -> N
     assert (estimate.cell_resistance_errors > 0.06 / np.sqrt(3) * estimate.cell_resistance).all()
 
 
-def test_modules_that_are_alike_share_their_weights() -> None:
-    """Chosen from those that differ most from rest, again when one of them does more; another converter, others."""
-    own = "modules: [{at: [0, 1], readout: {kind: two_point, reference_ohm: 1000, adc_bits: 10, readings: 5}}]\n"
-    recording = simulated(scene_of(SCENE + "faults: {dead_modules: [[1, 2]]}\n" + own))
-    estimator = lampest.Estimator((lampest.Misfit(), lampest.Gradient(weight="auto")), "reduced", error_bars=False)
-    readings, steps = recording.readings(), list[list[float]]()
-    stream = begin_stream(estimator, recording.scene, 0.1, readings[recording.role == 0].mean())
-    known = first_stream(recording, readings, estimator)
-    steps.append([part.estimator.terms[1].weight for part in known.modules if part is not None])
-    for frame in recording.measured_frames():
-        stream, step = stream.push(readings[frame])
-        assert step.solution.solved
-        steps.append([part.weights[1] for part in stream.modules if part is not None])
-    assert stream.tared(readings[0]).modules[0].weights == stream.modules[0].weights
-    for weights in steps:
-        assert len(weights) == 5 and len(set(weights)) == 2 and weights.count(weights[1]) == 1
-
-
 def test_modules_in_threads_beside_each_other_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = simulated(scene_of(SCENE + FAULTS))
     terms = [lampest.Misfit(), lampest.CellResistance(weight=1e-7)]

@@ -18,7 +18,6 @@ from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
 from lampest.loads.shapes import OralDisc, Rod, Shape, SuctionCup
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.floating import two_point_resistance
@@ -229,20 +228,6 @@ def test_beats_the_best_single_weight(kind: str, margin: float) -> None:
     assert rms(ours) < margin * rms(theirs)
 
 
-def test_sudden_load_is_not_smeared() -> None:
-    """The frame in which a disc attaches is hardly worse than without any memory; three frames later it is better."""
-    pairs = []
-    for seed in range(4):
-        recording = arriving("attachment", seed)
-        pairs.append(
-            [np.square(log_errors(with_bars(recording, *terms))).mean(axis=(1, 2)) for terms in ([Arrival()], [])]
-        )
-    ours, alone = np.sqrt(np.mean(pairs, axis=0))
-    assert ours[5] < 1.4 * alone[5]
-    assert ours[8] < 0.9 * alone[8]
-    assert np.all(ours[1:5] < 0.8 * alone[1:5])
-
-
 def walk(seed: int, percent: float, frames: int = 12) -> Recording:
     """Cells that walk at random."""
     rng, panel = np.random.default_rng(seed), (6, 6)
@@ -266,21 +251,3 @@ def test_error_bars_say_what_errors_are(
         inside.append(np.mean(np.abs(away) < 1.96))
     assert ratio[0] < rms(spread) < ratio[1]
     assert coverage[0] < np.mean(inside) < coverage[1]
-
-
-def test_bars_know_what_huber_holds_back() -> None:
-    """Cells that breathe faster than they are expected to walk lag behind: their bars must say so."""
-    inside = []
-    for seed in range(6):
-        estimate = with_bars(arriving("disc", seed), Arrival())
-        truth = estimate.recording.truth_cell_resistance
-        loaded = np.abs(np.log(truth[estimate.frame] / truth[0])) > 0.05
-        inside.append(np.mean((np.abs(log_errors(estimate)) < 1.96 * deviation(estimate))[loaded]))
-    assert np.mean(inside) > 0.8
-
-
-def test_an_arrival_needs_the_noise() -> None:
-    recording = replace(arriving("rod", 0, 3), sigma=None)
-    for misfit in (Misfit(), Misfit(weighting="noise")):
-        with pytest.raises(InputError, match="needs"):
-            reconstruct(recording, Estimator((misfit, Arrival()), "reduced"))

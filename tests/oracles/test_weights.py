@@ -14,9 +14,8 @@ import lampest
 from docs.studies import real
 from docs.studies.simulated_calibration import PRIORS, SETTINGS, calibration, uniform_tail
 from docs.studies.withheld import predictions
-from lampest import Array, Bounds, InputError, Misfit, Panel, Readings, Recording, Scene, read_run, two_point_resistance
+from lampest import Array, Bounds, Misfit, Panel, Readings, Recording, Scene, read_run, two_point_resistance
 from lampest.cost.given import Background
-from lampest.cost.losses import Huber
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import CellResistance, Gradient, LogGradient, LogRatio, Term
 from lampest.estimate.estimator import AutoWeight, Estimator
@@ -143,19 +142,6 @@ def test_a_large_panel_tells_uneven_cells_from_static_errors(static: float) -> N
     assert error(AUTO) < 1.4 * min(error(weight) for weight in (0.1, 3.0, 30.0, 300.0))
 
 
-def test_a_large_panel_without_noise_has_a_weight_from_its_residuals() -> None:
-    cells = np.repeat(cells_of(3, (22, 20))[None], 2, axis=0)
-    cells[1, 8:14, 5:9] *= 0.3
-    exact = two_point_resistance(cells)
-    noisy = exact * (1 + 0.02 * np.random.default_rng(4).standard_normal(exact.shape))
-    recorded, truth = Recording.from_array(noisy, baseline=1), np.log(cells[1])
-    smooth, plain = (
-        rms(np.log(lampest.reconstruct(recorded, terms, error_bars=False).cell_resistance[0]) - truth)
-        for terms in (None, [Misfit()])
-    )
-    assert smooth < 0.7 * plain
-
-
 def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights() -> None:
     estimator = Estimator((Misfit(), Gradient(weight=AUTO), CellResistance(weight=AUTO)), "reduced")
     data = [measured_data(estimator, cells_of(seed), 0.01, 2) for seed in (1, 2)]
@@ -169,48 +155,12 @@ def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights
         assert sigma[number] == pytest.approx(information**-0.5, rel=0.05)
 
 
-def error(estimator: Estimator, data: Data, cells: Array) -> float:
-    solution = best_solution(estimator.problem(Scene(Panel(*cells.shape)), 1, 1.0), data, None)
-    assert solution.solved
-    return rms(np.log(solution.cell_resistance[0] / cells))
-
-
-def test_an_absolute_change_of_few_cells_is_weighed_as_well() -> None:
-    estimator = Estimator((Misfit(), LogRatio(weight=AUTO)), "reduced")
-    resting = 3050 * np.exp(0.2 * np.random.default_rng(4).standard_normal((6, 6)))
-    cells = resting.copy()
-    cells[2:4, 3:5] *= 0.5
-    exact = two_point_resistance(cells)
-    measured = exact * (1 + 0.003 * np.random.default_rng(5).standard_normal(cells.shape))
-    scene = Scene(Panel(*cells.shape))
-    behind = Background(scene, previous=resting, baseline=resting)
-    data = estimator.data(Readings.of(scene, measured[None], 0.003 * exact[None]), behind)
-    chosen = with_chosen_weights(estimator, scene, data, None)
-    weights = float(chosen.terms[1].weight) * np.array([1.0, 0.1, 0.3, 3.0, 10.0, 30.0])
-    errors = [error(chosen.with_weights([1.0, each]), data, cells) for each in weights]
-    assert errors[0] < 1.8 * min(errors)
-
-
 def recording(noise: float | None, frames: int = 4) -> Recording:
     cells = np.stack([cells_of(3)] * frames)
     cells[2:, 3:5, 3:5] *= 0.3
     exact = two_point_resistance(cells)
     measured = exact * (1 + (noise or 0.002) * np.random.default_rng(1).standard_normal(exact.shape))
     return recording_of(Scene(Panel(*SHAPE)), measured, 1, sigma=None if noise is None else noise * exact)
-
-
-def test_without_noise_weights_are_chosen_too() -> None:
-    estimator = Estimator(
-        (Misfit(), Gradient(weight=AUTO)), "reduced", bounds=replace(Estimator((Misfit(),)).bounds, upper="none")
-    )
-    assert reconstruct(recording(None), estimator).steps[0].weights[1] > 0
-    by_evidence = replace(estimator, auto_weight=AutoWeight(rule="evidence"))
-    with pytest.raises(InputError, match="evidence needs the noise"):
-        reconstruct(recording(None), by_evidence)
-    huber = replace(estimator, terms=(Misfit(), Gradient(weight=AUTO, loss=Huber(corner=300.0))))
-    assert reconstruct(recording(None), huber).steps[0].weights[1] > 0
-    two = replace(estimator, terms=(*estimator.terms, CellResistance(weight=AUTO)))
-    assert all(step.solution.solved for step in reconstruct(recording(None), two).steps)
 
 
 def test_a_chosen_weight_that_keeps_readings_from_being_met_is_warned_of() -> None:

@@ -105,29 +105,6 @@ def test_frames_after_the_first_are_solved_in_turns_until_they_take_a_second(mon
     assert [frame.kind for frame in found.frames] == ["first", "later", "later"] and not found.left_out
 
 
-def test_memory_is_measured_of_each_solver_on_square_panels_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    few = BenchFile(1, (3, (3, 4)), LSM, frames=4, repeats=1, memory=(3,), limits=BenchLimits(nodal=3))
-    peaks = {"reduced": 7.0, "nodal": 9.0}
-    monkeypatch.setattr(bench_module, "peak_memory", lambda recording, estimator: peaks[estimator.method.kind])
-    measured = {(frame.shape, frame.solver, frame.memory_mb) for frame in run_bench(few, quiet).frames}
-    assert measured == {((3, 3), "reduced", 7.0), ((3, 3), "nodal", 9.0), ((3, 4), "reduced", None)}
-
-
-def test_what_there_is_no_time_for_is_left_out_and_named() -> None:
-    bench = BenchFile(1, (3, 40), recordings=2, frames=3, repeats=1, budget_s=1e-3, limits=ALONE)
-    bench, told = replace(bench, memory=(3,)), list[tuple[int, int, str]]()
-    found = run_bench(bench, lambda *about: told.append(about))
-    assert told[0] == (0, 20, "3 × 3 LSM, recording 1") and told[-1] == (19, 20, "40 × 40 LSR-gdCR, recording 2")
-    # The first task of every method knows nothing of its time: it is begun, and stops after its first frame.
-    assert {(one.shape, one.recording, one.frame, one.memory_mb) for one in found.frames} == {((3, 3), "0", 0, None)}
-    named = {(shape, what) for shape, _, what in found.left_out}
-    assert {((3, 3), "recording 1 after 1 of 4 frames"), ((40, 40), "recording 1"), ((3, 3), "recording 2")} <= named
-    assert ((3, 3), "memory of reduced") in named
-    remarks = bench_remarks(found)
-    assert "left out, would not end within 0.001 s: recording 2: all methods at 3 × 3, 40 × 40" in remarks
-    assert any(line.startswith("not run beyond these sides (limits): nodal 0, ") for line in remarks)
-
-
 def test_pages_show_tables_that_the_bench_writes() -> None:
     both = Bench(read_bench(ROOT / "configs" / "bench.yaml"), (*timed(32, [1.0, 1.0]), *timed(64, [1.0, 1.0])))
     written = sections(page(STUDY.name, tables(both), bench_remarks(both)))

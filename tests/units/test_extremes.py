@@ -7,19 +7,16 @@ import numpy as np
 import pytest
 
 from docs.studies.extremes import extremes_figure
-from lampest import Data, Estimator, Panel, Scene, Status, two_point_resistance
-from lampest.cost.given import Background, Given
-from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
-from lampest.estimate.methods.method import OptimalMethod
+from lampest import Estimator, Panel, Scene, Status
+from lampest.cost.given import Background
+from lampest.cost.terms import Gradient, Misfit
 from lampest.runs.executors import Serial
-from lampest.solvers.multistart import best_solution, evaluated
-from lampest.studies.certified import exact_residual
+from lampest.solvers.multistart import best_solution
 from lampest.studies.extremes import (
     AtlasFile,
     AtlasSample,
     Grid,
     atlas_remarks,
-    judged,
     recording_of,
     run_atlas,
     solves_of,
@@ -43,28 +40,6 @@ def test_baselines_are_judged_by_the_cost_that_they_minimise_and_crashes_are_sho
     solves = run_atlas(atlas)
     assert all(solve.crashed and "KeyError" in solve.status for solve in solves)
     assert atlas_remarks(solves)[0].startswith("0 of ")
-
-
-def test_parts_of_a_solve_are_judged_by_their_own_frames() -> None:
-    """Of cells that are true in one frame alone, the excess of the other one's estimate is far from nothing."""
-    sample = AtlasSample("two clusters", 2, 3, 1.0, 0.0, 3)
-    recording, cells = recording_of(sample)
-    misfit = Misfit(weighting="noise")
-    for terms, parts in (((misfit,), ["baseline", "frame"]), ((misfit, RelativeChange(weight=10.0)), ["pair"])):
-        estimator = Estimator(terms, OptimalMethod("reduced", joint=True))
-        right, wrong = (judged(sample, "mine", estimator, recording, truth, 64) for truth in (cells, cells[::-1]))
-        assert [solve.part for solve in right] == parts
-        assert all(abs(a.excess) < abs(b.excess) for a, b in zip(right, wrong, strict=True)), (right, wrong)
-
-
-def test_audit_is_the_kkt_residual() -> None:
-    rng = np.random.default_rng(2)
-    cells = 3000 * np.exp(0.5 * rng.standard_normal((1, 3, 4)))
-    measured = two_point_resistance(cells) * 1.1
-    data = Data(Given(measured=measured, sigma=np.ones_like(measured)), measured / 2, 1.2 * cells)
-    cost = Estimator((Misfit(), CellResistance(weight=0.1))).cost(Scene(Panel(3, 4)), 1)
-    here = evaluated(cost, data, cells * 1.15)
-    assert exact_residual(cost, data, here.cell_resistance) == pytest.approx(here.kkt_residual(np.zeros(0)), rel=1e-5)
 
 
 @pytest.mark.parametrize("error", [np.linalg.LinAlgError, ValueError, FloatingPointError, RuntimeError])
