@@ -466,7 +466,7 @@ def breathing_row() -> dict[str, Any]:
         pumping = pumping.after(0.02 * rng.standard_normal(4) + 0.3 * (number % 10 > 6), 0.5 * number)
     return {
         "breath": swing_breath, "belief": belief, "probability": [each.probability for each in belief],
-        "slow": breathing.too_slow(1.5), "pumping": pumping.odds,
+        "slow": breathing.too_slow(1.5), "pumping": [pumping.odds, np.sort(pumping.logarithm, axis=-1)],
     }  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import openpyxl
@@ -17,6 +18,7 @@ from scipy.io import savemat
 
 import lampest as lp
 from lampest.files.errors import InputError
+from lampest.recording.foreign import table
 from lampest.report.info import understood_lines
 from lampest.runs import executors
 from lampest.studies import bench, extremes, tradeoff
@@ -59,6 +61,8 @@ TEXTS: dict[str, str] = {
     "rows by numbers": named_rows("{}", header="row,c3,c1,c2"), "no such row": named_rows("R{}", 4),
     "columns as rows": named_rows("col {}"), "rows by columns' names": named_rows("{}", header="row,r1,r2,r3"),
     "titled blocks": frames_text(title="Frame {0}, t = {1} s"), "plain titles": frames_text(title="Frame"),
+    "columns from two": "ch2,ch3,ch4,ch5,ch6,ch7\n300,301,302,303,304,305\n400,401,402,403,404,405\n",
+    "counted columns": timed_lines(5, 6).replace("time,a,b,c,d,e,f", "frame,0,1,2,3,4,5"),
     "two titles": frames_text(title="Frame {0}, t = {1} s\nlast scan t = 7 s"),
     "blocks by numbers": frames_text(title="{0}"), "stamped titles": frames_text(title="2025-01-31 12:00:0{0}"),
     "another first title": frames_text(title="Frame {0}, t = {1} s").replace("Frame 0,", "Start:"),
@@ -210,6 +214,8 @@ def arrays_row() -> dict[str, Any]:
             np.savetxt(Path(folder) / "l.csv", flat[:, :4], delimiter=",")
             rows[f"listed {cells}"] = read_anew(Path(folder) / "l.csv", scene=lp.Scene(lp.Panel(2, 3, cells=listed)))
     text = frames_text()
+    with patch.object(table, "MAX_FIELDS", 5):
+        rows |= {f"many lines by {end!r}": imported("m.csv", text.replace("\n", end)) for end in ("\n", "\r", "\r\n")}
     for name, content in {"utf-16": text.encode("utf-16"), "latin": "300,é".encode("latin1"), "zero": b"1,\0"}.items():
         rows[name] = imported("m.csv", content)
     return rows

@@ -639,6 +639,7 @@ def pictured_row() -> list[Any]:
                 told.append([str(path) for path in lp.plot_results(*way, **known)])
             except lp.InputError as error:
                 told.append(str(error))
+        told += strongest_of_files()
         batch = compared.read_batch([Path(f"{name}.h5") for name in ("one", "two", "swept", "bare")])
         told += [{name: [*of] for name, of in batch.recordings.items()}, batch.estimators, batch.frames]
     return told
@@ -656,6 +657,22 @@ def timeline_row() -> dict[str, Any]:
         "both left": Detected.of("mouth", (gone, replace(here, until_s=3.0)), 4.0, **known, change=change),
     }  # fmt: skip
     return {name: drawn_row(timeline(answer)) for name, answer in answers.items()}
+
+
+def strongest_of_files() -> list[Any]:
+    """Pictures of the strongest frame of a recording, of results, and of a recording without unloaded frames."""
+    values, told = np.full((4, 2, 3), 500.0), list[Any]()
+    values[1, 0, 0], values[3, 1, 2] = 490.0, 400.0
+    recording = lp.Recording(lp.Scene(lp.Panel(2, 3)), values, 0.5 * np.arange(4.0), np.array([0, 1, 1, 1], np.uint8))
+    recording.save("r.h5")
+    replace(recording, role=np.ones(4, dtype=np.uint8)).save("u.h5")
+    with (
+        patch.object(plots, "save", lambda figure, path: told.append([*figure, path.name])),
+        patch.object(plots, "maps_figure", lambda tiles, *_, **look: [list(map(vars, tiles)), look]),
+    ):
+        for name in ("r", "two"):
+            told.append(str(plots.plot_file(Path(f"{name}.h5"), Path("x.png"))))
+    return [*told, refusal(plots.plot_file, Path("u.h5"), Path("x.png"))]
 
 
 SQUARE = ((0, 0, 0, 0), (0, 1, 10, 0), (1, 0, 0, 10), (1, 1, 10, 10))

@@ -68,7 +68,9 @@ FAULTS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
     "simulate": (SIMULATION, {
         "rim_width_mm: 4": ("rim_width_mm: 4, tlit: 0.1", "rim_width_mm: 14"), "kind: rod": ("kind: rodd",),
         "mass_g: 50": ("mass_g: 50, weight: 3", "mass_g: -50", "mass_g: {uniform: [5]}", "mass_g: {uniform: [9, 5]}"),
-        "pressure_kpa: -10": ("pressure_kpa: 10",), "seed: 4": ("seed: -4",), SERIES: (
+        "pressure_kpa: -10": ("pressure_kpa: 10",), "seed: 4": (
+            "seed: -4", "seed: -4\nframe_period_s: {uniform: [1, 2]}", "seed: soon\nframe_period_s: {uniform: [1, 2]}",
+        ), SERIES: (
             f"{SERIES}  film: {{hysteresis: 0.2, creep: 0.06}}\n", f"{SERIES}  film: {{hysteresis: 0.9}}\n",
             f"{SERIES}  film: {{creep_per_decade: often}}\n", f"{SERIES}  subject: {{length_mm: 0}}\n",
             f"{SERIES}  experiment: {{water_temperature_celsius: 290}}\n",
@@ -110,7 +112,8 @@ COMMANDS = (
     *(f"run run.yaml --out {place}" for place in ("small.h5", "small.h5/below", "/proc/none")),
     *(f"{command} {file}" for command in ("info", "compare", "plot", "check", "detect", "export --to csv")
       for file in ("none.h5", "run.yaml")), "compare small.h5", "plot small.h5", "export small.h5 --to csv",
-    "import m.csv --out m.h5", *(f"import m.csv --out m.h5 {NUMBERS} {more}" for more in (
+    "import m.csv --out m.h5", "import m.csv --out m.h5 --rows 3",
+    *(f"import m.csv --out m.h5 {NUMBERS} {more}" for more in (
         "--period 0", "--unit farad", "--missing drop", "--variable R", "--scene none.yaml", "--baseline 9",
     )),
     *(f"export results.h5 --to {more}" for more in (

@@ -11,7 +11,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from support import invented_case
 from typer.main import get_command
@@ -36,8 +35,6 @@ from lampest.recording.board.record import Progress, Recorded
 from lampest.report.compare import compare
 from lampest.report.live.engine import Engine
 from lampest.report.live.run import from_recording
-from lampest.report.plots import plot_file
-from lampest.report.plots.style import WIDTH_INCH
 from lampest.runs.batch import run_batch
 from lampest.runs.executors import Serial
 from lampest.studies.study import Row, Study
@@ -195,31 +192,6 @@ def test_a_recording_ends_with_a_line_and_its_warnings(lampest: Command, monkeyp
         warnings = [line for line in done.err.splitlines() if "interrupted" not in line]
         assert len(warnings) == bool(said) and all(line.startswith(f"lampest: {said}") for line in warnings)
         assert done.code == (130 if "ended_by" in ended else 0)
-
-
-def test_the_strongest_frame_of_a_file_is_drawn(
-    tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    values = np.full((4, 2, 3), 500.0)
-    values[1, 0, 0], values[3, 1, 2] = 490.0, 400.0
-    role = np.array([0, 1, 1, 1], dtype=np.uint8)
-    drawn: list[Any] = []
-    monkeypatch.setattr("lampest.report.plots.maps_figure", lambda tiles, *rest, **more: drawn.append((*tiles, more)))
-    monkeypatch.setattr("lampest.report.plots.save", lambda figure, path: None)
-    recording = Recording(Scene(Panel(2, 3)), values, 0.5 * np.arange(4.0), role)
-    recording.save(tmp_path / "r.h5")
-    done = lampest("info", tmp_path / "r.h5", "--picture", tmp_path / "x.png")
-    assert done.code == 0 and done.out.endswith("x.png\n")
-    ((tile, width),) = drawn
-    assert (tile.title, tile.note) == ("r", "readings of frame 3 at 1.5 s")
-    assert tile.values[1, 2] == pytest.approx(-20) and width == {"width": WIDTH_INCH / 2}
-    write_results(tmp_path / "results.h5", [invented_case("LSM", "mouth", (2, 2, 3))])
-    monkeypatch.setattr("lampest.report.plots.plot_results", lambda path, out, **named: drawn.append(named) or [out])
-    assert plot_file(tmp_path / "results.h5", tmp_path / "x.png") == tmp_path / "x.png"
-    assert drawn.pop() == {"recordings": ["mouth"]}
-    replace(recording, role=np.ones(4, dtype=np.uint8)).save(tmp_path / "bare.h5")
-    done = lampest("info", tmp_path / "bare.h5", "--picture", tmp_path / "x.png")
-    assert done.code == 2 and "has no unloaded frames to compare with; lampest tare names some" in done.err
 
 
 def test_a_simulation_is_overridden_and_asks_for_its_room_beforehand(
