@@ -63,7 +63,7 @@ def systematic_of(scene: Scene) -> Systematic | None:
 def unobservable_numbers(scene: Scene) -> str:
     """Return a sentence on the numbers of a circuit that frames cannot determine, with their assumed tolerances.
 
-    The text is ASCII. It is '' for a scene without a readout.
+    The text is ASCII. It is '' for a scene without a readout, and for a readout that states no such numbers.
     """
     if scene.readout is None:
         return ""
@@ -72,6 +72,8 @@ def unobservable_numbers(scene: Scene) -> str:
     known = {number.name: within[number.channel] for number in scene.circuit.line_numbers()}
     further = {"reference_ohm": within[0], "drive_volt": "exact", "converter_volt": "exact"}
     known |= {name: size for name, size in further.items() if hasattr(scene.readout, name)}
+    if not known:
+        return ""
     named = ", ".join(f"{name} ({size})" for name, size in known.items())
     return (
         f"no frame shows the numbers with which all cells scale, assumed {named}; changes in percent hardly depend on "

@@ -25,6 +25,7 @@ from lampest.files.document import parse_document, validated
 from lampest.loads.pressure import pressure_of
 from lampest.panel.readouts import AnyReadout, GroundedReadout, LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.readouts.floating import two_point_resistance
+from lampest.panel.readouts.lines import LineNumber
 from lampest.panel.response import PUBLISHED, PowerResponse
 from lampest.panel.scene import MeasuredSubject, Systematic
 from tests.estimates import recording_of, rms
@@ -203,10 +204,19 @@ def test_without_loads_the_command_says_that_nothing_is_known(
     assert "these loads determine hardly any channel" in ended.err and "rows are off by " in scene.read_text()
 
 
+class Numberless(TwoPointReadout):
+    """Readout that states no numbers of its lines."""
+
+    def line_numbers(self) -> tuple[LineNumber, ...]:
+        return ()
+
+
 def test_recordings_that_tell_nothing_of_a_circuit_are_refused() -> None:
     made = channel_recording(1, np.zeros(2 * SIDE), loads=0)
     with pytest.raises(InputError, match="names no readout"):
         calibrate_channels([replace(made, scene=Scene(made.scene.panel))])
+    with pytest.raises(InputError, match="recordings tell nothing of this readout"):
+        calibrate_channels([replace(made, scene=Scene(made.scene.panel, Numberless()))])
     with pytest.raises(InputError, match="its scene is another"):
         calibrate_channels([made, replace(made, scene=replace(made.scene, series_resistance_ohm=100.0))])
     with pytest.raises(InputError, match="no frame could be estimated"):

@@ -67,13 +67,17 @@ class ChannelCalibration(Calibration):
 def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     """Estimate the electronics' errors that explain the cells that nobody touches, in recordings of one circuit.
 
-    The scene is corrected by them, and its systematic errors are their posterior uncertainty. Raises InputError without
-    a readout, for panels of modules, where scenes differ, or where no frame can be estimated.
+    The scene is corrected by them, and its systematic errors are their posterior uncertainty.
+
+    Raises InputError without a readout, for a readout that states no numbers of its lines, for panels of modules, where
+    scenes differ, or where no frame can be estimated.
     """
     common_scene(recordings, _circuit)
     scene, name = recordings[0].scene, recordings[0].name
     if scene.readout is None:
         raise InputError(f"{name}: its scene names no readout, whose numbers a calibration could find")
+    if not scene.circuit.line_numbers():
+        raise InputError(f"{name}: recordings tell nothing of this readout ({scene.circuit.description()})")
     if scene.panel.modules is not None:
         raise InputError(f"{name}: calibrate a panel of modules by recordings of each")
     # prior sizes of all errors, channels included

@@ -211,12 +211,12 @@ class Detector:
         explains, scatter = field, self.response_levels[-1] * frame.baseline.model_errors.response
         for _ in range(len(fits)):
             best = min(fits, key=attrgetter("score"))
-            others = [fit for fit in fits if fit is not best]
+            rivals = [fit for fit in fits if fit is not best]
             calm, best = self._sharpened(frame, best, explains, calm, scatter)
             best, whitening = self._own(calm, best)
             # equal errors for all candidates: otherwise a poor candidate would excuse its misfit by its own errors
             most = best.cost + MAX_LOG_RATIO
-            besides = [self.fitting(fit.candidate, calm).best(fit.parameters, whitening, most) for fit in others]
+            besides = [self.fitting(fit.candidate, calm).best(fit.parameters, whitening, most) for fit in rivals]
             fits = [best, *(self._own(calm, fit)[0] if fit.cost < most else fit for fit in besides)]
             explains = best
             if min(fits, key=attrgetter("score")) is best:

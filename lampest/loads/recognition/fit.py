@@ -270,7 +270,7 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
     if "diameter" not in names:
         return fit
     place = names.index("diameter")
-    others = np.ix_(*2 * [np.arange(len(names)) != place])
+    remaining = np.ix_(*2 * [np.arange(len(names)) != place])
     # Profile: step ln d in both directions until P(δ) is negligible, all other parameters fitted.
     points = [fitting.best(fit.parameters, whitening, held=place)]
     apart = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))  # as points of a patch are
@@ -282,14 +282,14 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
             points.append(point)
     # Prior precision of a centre that is uniform within a pitch: beyond, it would touch other patches.
     centred = np.diag(fitting.centred * 12 / fitting.frame.panel.pitch_mm**2)
-    precisions = [(point.normal + centred)[others] for point in points]
+    precisions = [(point.normal + centred)[remaining] for point in points]
     # P(δ) ∝ e^(−cost) |H|^(−½), with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ − φ̂)(φ − φ̂)ᵀ)
     share = softmax(
         [-point.cost - np.linalg.slogdet(own)[1] / 2 for point, own in zip(points, precisions, strict=True)]
     )
     away = np.array([point.parameters for point in points]) - fit.parameters
     covariance = (share[:, None] * away).T @ away + np.diag(fit.candidate.blind(fit.parameters) ** 2)
-    covariance[others] += np.tensordot(share, np.linalg.inv(precisions), 1)
+    covariance[remaining] += np.tensordot(share, np.linalg.inv(precisions), 1)
     wider = covariance[place, place] > fit.covariance[place, place]
     return replace(fit, covariance=covariance) if wider else fit
 
