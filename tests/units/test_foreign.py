@@ -35,5 +35,7 @@ def test_a_layout_is_named_or_known_by_the_suffix_of_its_files(tmp_path: Path, m
         assert any(note.startswith("time: ms (guessed") for note in notes)
     with pytest.raises(InputError, match="layout numbers gives 2 × 3 × 2, not frames × 2 × 3"):
         import_file(tmp_path / "m.dat", 2, 3, layout=Turned())
+    with pytest.raises(InputError, match="layout='number'` is no import format; did you mean numbers"):
+        import_file(tmp_path / "m.dat", 2, 3, layout="number")
     (tmp_path / "m.num").write_text("1,2,3\n")
     assert import_file(tmp_path / "m.num", 1, 3, unit="ohm", layout="r0c0,r0c2,r0c1")[0].recorded[0, 0, 1] == 3

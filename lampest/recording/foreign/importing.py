@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError, printable
+from lampest.files.errors import InputError, meant, printable
 from lampest.files.typed import installed, typed
 from lampest.files.whole import note_read
 from lampest.panel.panel import Panel
@@ -95,6 +95,8 @@ def import_file(  # noqa: PLR0913 # the options of a command
     check_unit(unit, scene, path)
     layouts = (*LAYOUTS, *installed("lampest.layouts", Layout))
     own = {name: known for known in layouts for name in (known.kind, *known.suffixes)}
+    if isinstance(layout, str) and layout not in own and (hint := meant(layout, own)):
+        raise InputError(f"`layout='{layout}'` is no import format{hint}")
     layout = own.get(path.suffix.lower()) if layout is None else own.get(str(layout), layout)
     frames = _frames(path, panel, transpose=transpose, variable=variable, layout=layout)
     values, count = frames.values, len(frames.values)
