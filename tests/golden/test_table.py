@@ -17,6 +17,12 @@ TOLERANT = {
     for room, rows in json.loads(TOLERANCES.read_text()).items()
     for name, places in rows.items()
 }
+LONG = {  # rows of a second or more
+    "checks mistakes", "recognition detected mouth", "recognition detected two", "report commands",
+    "report descriptions", "report pictures of files", "report pictures of variants", "report timeline",
+    "runs damaged files", "runs refused commands", "studies tradeoff", "whole parts", "whole weights figure",
+}  # fmt: skip
+ROWS = [pytest.param(name, marks=pytest.mark.long if name in LONG else ()) for name in TABLE]
 INTENDED = "an intended change, or a new row: python -m tests.golden.make table"
 
 
@@ -38,6 +44,6 @@ def test_the_table_has_the_stored_rows() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", ROWS)
 def test_a_row_has_its_stored_results(name: str) -> None:
     assert not difference_of(name), INTENDED
