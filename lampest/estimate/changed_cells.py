@@ -89,10 +89,19 @@ class Changes:
         lost, moved = select_changed(slope, precision, starts, loaded)
         return lost + float(self.change @ slope) - volume, moved
 
+    def part(self, cells: Chosen) -> "Changes":
+        """Return the changes of these cells alone."""
+        return Changes(self.change[cells], self.noise[np.ix_(cells, cells)], self.columns[cells])
+
+    @property
+    def misfit(self) -> float:
+        """χ² of the changes, dᵀ C⁻¹ d."""
+        return float(self.change @ np.linalg.solve(self.covariance, self.change))
+
     def cost_of(self, still: Chosen) -> float:
         """Return −2 ln likelihood of the changes of the still cells alone."""
-        covariance, change = self.covariance[np.ix_(still, still)], self.change[still]
-        return float(change @ np.linalg.solve(covariance, change) + np.linalg.slogdet(covariance)[1])
+        alone = self.part(still)
+        return alone.misfit + float(np.linalg.slogdet(alone.covariance)[1])
 
     def posterior(self, still: Chosen) -> tuple[Array, Array]:
         """Return mean (errors,) and covariance (errors, errors) of z given the changes d_s of the still cells."""

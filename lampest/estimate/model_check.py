@@ -427,7 +427,9 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
     if specified is None or best.pair is None:
         return BetterExplanation(best.rival.name)
     gain = specified.beyond_noise - best.beyond_noise
-    if specified.pair is None or gain <= MIN_EVIDENCE_GAIN * best.pair.excess:
+    if specified.pair is None or gain <= MIN_EVIDENCE_GAIN * best.pair.excess or not best.pair.moved.any():
+        return BetterExplanation()
+    if specified.pair.gain_apart(best.pair) <= PARAMETER_COST:
         return BetterExplanation()
     moved, as_specified = (int(known.moved.sum()) for known in (best.pair, specified.pair))
     return BetterExplanation(best.rival.name, question.loaded, moved, as_specified)

@@ -25,6 +25,7 @@ from lampest.estimate.changed_cells import (
     away_from_changed,
     mostly_still,
     scores_with_errors,
+    touching,
     usual_starts,
 )
 from lampest.files.levels import SIGNIFICANCE, SIGNIFICANT
@@ -242,13 +243,27 @@ class FittedPair:
     def _misfit(self) -> tuple[float, int]:
         """χ² of the changes of the still cells, and the number of these cells."""
         still = ~self.evidence.moved
-        change, covariance = self.change[still], self.covariance[np.ix_(still, still)] + ASSUMED.common_change**2
-        return float(change @ np.linalg.solve(covariance, change)), int(still.sum())
+        return self.with_columns(self.columns(())).part(still).misfit, int(still.sum())
 
     @property
     def beyond_noise(self) -> float:
         """The score less the misfit of the still cells as far as noise is expected to have it."""
         return self.evidence.score - min(self._misfit)
+
+    def beyond_noise_of(self, cells: NDArray[np.bool_]) -> float:
+        """Return −2 ln evidence of these cells alone, beyond that of noise."""
+        changes = self.with_columns(self.columns(())).part(cells)
+        score, moved = changes.selected(usual_starts(changes.change))
+        score += self._prior + self._volume - float(np.linalg.slogdet(changes.noise)[1])
+        return score - min(changes.part(~moved).misfit, int((~moved).sum()))
+
+    def gain_apart(self, better: "FittedPair") -> float:
+        """Return the gain of another explanation in −2 ln evidence, by cells that touch none of its moved cells.
+
+        The skirt of a load looks like another circuit or an effect, so its cells do not count; 0 without two others.
+        """
+        apart = ~touching(better.moved[None]).ravel()
+        return self.beyond_noise_of(apart) - better.beyond_noise_of(apart) if apart.sum() > 1 else 0.0
 
     @property
     def excess(self) -> float:
@@ -383,7 +398,7 @@ def find_effects(pairs: Sequence[tuple[str, FittedPair]]) -> CircuitEffects:
         off_by_one = pair.scores_with((), LooseContact.prior * pair.frames[1].gain).min()
         if off_by_one < whole.evidence.score + MIN_EVIDENCE_GAIN:
             continue
-        if any(beside_a_load(effect, whole.moved) for effect in whole.effects):
+        if any(beside_a_load(effect, whole.moved) for effect in whole.effects) or pair.gain_apart(whole) <= 0:
             continue
         most, fits_noise = gain, min(fit.tail for fit in whole.frames) >= SIGNIFICANCE
         names = " and ".join(effect.sentence(pair.shape[0]) for effect in whole.effects)
