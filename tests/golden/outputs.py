@@ -36,6 +36,7 @@ from lampest.panel.panel import EachModule, Modules
 from lampest.report import compare, plots, words
 from lampest.report.detect import pressed
 from lampest.report.detect.answer import Detected
+from lampest.report.export import nwb
 from lampest.report.info import describe, shaded_map, text_map, understood_lines
 from lampest.report.live import publish, watcher
 from lampest.report.live.engine import with_picture
@@ -670,8 +671,10 @@ def strongest_of_files() -> list[Any]:
         patch.object(plots, "save", lambda figure, path: told.append([*figure, path.name])),
         patch.object(plots, "maps_figure", lambda tiles, *_, **look: [list(map(vars, tiles)), look]),
     ):
-        for name in ("r", "two"):
-            told.append(str(plots.plot_file(Path(f"{name}.h5"), Path("x.png"))))
+        plots.plot_file(Path("r.h5"), Path("x.png"))
+    lp.write_results(Path("pair.h5"), invented()[2:4])
+    with patch.object(plots, "plot_results", lambda *known, **more: told.append([*map(str, known), more]) or known[1:]):
+        plots.plot_file(Path("pair.h5"), Path("x.png"))
     return [*told, refusal(plots.plot_file, Path("u.h5"), Path("x.png"))]
 
 
@@ -708,6 +711,22 @@ def variants_row() -> list[Any]:
     ]  # fmt: skip
 
 
+def nwb_row() -> list[Any]:
+    """What sessions of NWB hold, as its library is given it; of somebody who was measured, and of nobody."""
+    subject = lp.MeasuredSubject(id="L7", species="Petromyzon marinus", length_mm=420.0, mass_g=150.0, note="calm")
+    people: tuple[dict[str, Any], ...] = (
+        {"subject": subject, "experiment": lp.Experiment("attached", "Doe, Jane", water_temperature_celsius=12.5)},
+        {"subject": lp.MeasuredSubject(), "experiment": lp.Experiment(institution="a lake", note="early")}, {},
+    )  # fmt: skip
+    library = SimpleNamespace(NWBFile=dict, TimeSeries=dict, Subject=dict, DynamicTable=dict, VectorData=dict)
+    known, sessions = replace(invented()[0], start_time="2026-05-04T09:30:00+02:00"), list[Any]()
+    with patch.dict(sys.modules, dict.fromkeys(("pynwb", "pynwb.file", "hdmf.common"), library)):
+        for named in people:
+            session = nwb._session([replace(known, scene=replace(known.scene, **named))])
+            sessions.append({name: str(value) for name, value in session.items() if name != "notes"})
+        return [sessions, *(list(nwb._elements(known, shared=shared)) for shared in (True, False))]
+
+
 def fit_row() -> list[str]:
     fit = Reconstruction.of(simulated(), ESTIMATORS["auto"])
     return [re.sub(r"solve time .*", "", fit.fit_report()), repr(fit), repr(simulated())]
@@ -727,6 +746,7 @@ def of_report() -> Rows:
             "page": page_row,
             "scales": scales_row,
             "message": message_row,
+            "nwb": nwb_row,
             "published": published_row,
             "words of live": live_words_row,
             "watched": watched_row,
