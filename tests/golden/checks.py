@@ -185,6 +185,8 @@ def outliers_row() -> dict[str, Any]:
         readings = lp.Readings.of(scene, frame)
         live.append(frames.without_outliers(readings, scene, resting, cells))
         frames = frames.after(readings)
+    single = lp.two_point_resistance(cells) * np.where(cells == cells.max(), 9.0, 1.0)
+    live.append(frames.without_outliers(lp.Readings.of(scene, single), scene, resting, cells))
     touched = np.full((7, 8, 8), 2000.0)
     touched[3, 4, 4] = 500.0
     touched = lp.two_point_resistance(touched)

@@ -20,6 +20,7 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.panel import effects, systematic
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts import AnyReadout, readout, wiring
+from lampest.panel.readouts.floating import Stencil
 from lampest.panel.response import BentSuction, ratio_from_pressure
 from lampest.panel.scene import OwnOfModule, scene_text
 from lampest.recording.readings import Readings
@@ -186,8 +187,18 @@ def errors_row(scene: lp.Scene) -> dict[str, Any]:
     }
 
 
+def stencil_row() -> list[lp.Array]:
+    """The inverse over some free cells, and over all, of a network's crosstalk by lines."""
+    cells, rng = cells_of(PANEL.shape), np.random.default_rng(2)
+    readings, values = lp.two_point_resistance(cells), rng.standard_normal(PANEL.shape)
+    return [Stencil.of(1 / cells, readings, rng.random(PANEL.shape) < share).solve(values) for share in (0.7, 1.1)]
+
+
 def of_panel() -> Rows:
-    rows = {}
+    rows: Rows = {"stencil": stencil_row}
+    for across in ("reference", "sensor"):
+        readout = lp.TwoPointReadout(noise_lsb=0.7, input_ohm=3e4, measured_across=across)
+        rows[f"readout with an input {across}"] = partial(readout_row, lp.Scene(PANEL, readout, 140.0))
     for name, scene in scenes().items():
         kinds = [network_row, readout_row, scene_row] + [errors_row] * (scene.panel.modules is None)
         for kind in kinds:

@@ -27,7 +27,7 @@ from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import default_terms
-from lampest.estimate.stream import Stream
+from lampest.estimate.stream import CarriedOver, Stream
 from lampest.estimate.weights import converter_and_faults, strongest
 from lampest.files.errors import InputError
 from lampest.panel.panel import EachModule, Modules
@@ -488,6 +488,9 @@ def modules_row() -> list[Any]:
             stream, step = stream.push(readings[number])
             parts = [part and (part.weights, part.weight_sigma, part.weighed_at) for part in stream.modules]
             rows.append([step.cell_resistance, parts])
+        fresh, kept = begin_stream(estimator, scene, 0.1, readings[:2].mean()), CarriedOver.of(stream)
+        rows += [kept.arrays, *(each.push(readings[3])[1].cell_resistance for each in (kept.onto(fresh), stream))]
+        rows.append(stream.tared(readings[4]).push(readings[3])[1].cell_resistance)
     return rows
 
 
@@ -526,7 +529,12 @@ def loads_row() -> dict[str, Any]:
             known_loads.KnownLoad(frames=(2, 3), pressure_kpa=7.0),
         ),
     )  # fmt: skip
+    doubled = [replace(each, mass_g=500.0 * (1 + (n == 2)), diameter_mm=16.0) for n, each in enumerate(known)]
+    late = [replace(known[0], frames=(5, 6)), *doubled[1:]]
+    lists = [known_loads.KnownLoads(schema=1, loads=tuple(loads)) for loads in (doubled, late)]
+    odd = [calibrate_loads(recordings, each, 0.0) for each in lists]
     return calibration_row(calibration) | {
+        "odd": [[each.warnings, each.remarks, each.fitted.spread, each.fitted.scatter] for each in odd],
         "fitted": calibration.fitted, "pressures": blocks.pressures(PANEL),
         "moved": known[0].pressure(PANEL, 6.0, 3.0, -2.0),
         "read": [known_loads.read_known_loads(CONFIGS / f"known_loads.{kind}") for kind in ("csv",)],

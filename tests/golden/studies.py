@@ -329,13 +329,15 @@ def paper_row() -> dict[str, Any]:
     sides = [paper.shown(paper.Side(f"{word} scenes", word, mouths, loads, *optima)) for word in ("clean", "panel")]
     numbers = [*paper.published_beside(sides, published)]
     names = tuple(side.name for side in sides)
+    ours = paper.tiles_of(sides[0], published)
     known = paper.Paper(published, names, numbers, {})
     page = paper.page_of(known)
     return {
         "response": drawn_row(paper.response_figure(published)),
         "bending": drawn_row(paper.bending_figure(published)), "covered": paper.covered(cells_of((4, 5)) - 3000),
         "numbers": [vars(row) for row in paper.rows(known)], "counts": paper.counts(numbers, names),
-        "sheet": paper.sheet(numbers[:30], names), "tiles": paper.tiles_of(sides[0], published),
+        "map": drawn_row(paper.tiles_figure(ours["fig9"], mouths[0].scene.panel, "ours")),
+        "sheet": paper.sheet(numbers[:30], names), "tiles": ours,
         "page": re.findall(r"<p>(?:Of|Numbers)[^<]*|<caption>[^<]*|<td>[^<]*time", page),
     }  # fmt: skip
 
