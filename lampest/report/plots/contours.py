@@ -211,13 +211,13 @@ class ResidualPlot(MapsPlot):
     def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale, list[maps.Tile]]:
         """Return the maps and their scale."""
         unit, label, least = "σ", "(model − measured) / noise σ", 3.0
-        residuals = [weighted_residual(case) for case in cases]
-        if any(residual is None for residual in residuals):
+        residuals = [residual for case in cases if (residual := weighted_residual(case)) is not None]
+        if len(residuals) < len(cases):
             unit, label, least = "%", "(model − measured) / measured [%]", 0.1
             residuals = [percent_change(case.reading_model, case.measured) for case in cases]
         tiles = []
         for case, residual in zip(cases, residuals, strict=True):
-            shown = None if residual is None or not case.solved[index] else residual[index]
+            shown = residual[index] if case.solved[index] else None
             rms = np.nan if shown is None else float(np.sqrt(np.nanmean(shown**2)))
             size = f"< {MIN_DIFFERENCE}" if rms < MIN_DIFFERENCE else digits(rms, 2)
             tiles.append(maps.Tile(case.estimator, shown, "" if shown is None else f"rms {size} {unit}"))
