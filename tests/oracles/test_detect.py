@@ -293,20 +293,6 @@ def test_what_is_attached_stays_until_the_readings_step(load: Shape, drift: floa
     assert (one.sucks > 0.5) == (load is STRONG)
 
 
-def test_a_known_load_ends_by_a_step_and_not_by_an_opinion(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However probable drift makes it afterwards that nothing is there."""
-    first, verdicts = Detector.verdict, list[Verdict]()
-
-    def judged(self: Detector, frame: Observation, before: Verdict | None = None) -> Verdict:
-        verdicts.append(first(self, frame, before))
-        nothing = (1.0, *(0.0 for _ in verdicts[-1].fits[1:]))
-        return verdicts[-1] if len(verdicts) == 1 else replace(verdicts[-1], shares=nothing)
-
-    monkeypatch.setattr(Detector, "verdict", judged)
-    (one,) = watched([load_that_leaves(None)])
-    assert len(verdicts) > 1 and one.since_s == pytest.approx(5, abs=2) and one.until_s == pytest.approx(16, abs=2)
-
-
 def test_a_weaker_lamprey_that_comes_back_to_its_place_is_seen() -> None:
     again = load_that_leaves(None, replace(STRONG, pressure_kpa=-4, rim_kpa=30))
     answer = watched([load_that_leaves(None), again])
