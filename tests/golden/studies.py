@@ -302,6 +302,8 @@ def digits_row() -> dict[str, Any]:
 def weights_study_row() -> dict[str, Any]:
     subject, curves = weight_subject(), tuned_curves()
     points = [solve_at(subject, 10.0**n, None) for n in np.linspace(-4, 5, 10)]
+    known = [replace(point, error=abs(n - 2.0)) for n, point in enumerate(points[2:8])]
+    parts = (tuple(points[2:6]), tuple(known), tuple(known[2:]), (replace(known[0], error=np.nan),))
     estimator = replace(subject.case.estimator, bounds=lp.Bounds(upper=3000.0))
     case = SimpleNamespace(recording="r", name="e", estimator=estimator)
     return {
@@ -309,7 +311,7 @@ def weights_study_row() -> dict[str, Any]:
         "points": points, "morozov": morozov(points, subject.count), "corner": l_curve(points),
         "units": subject.units, "count": subject.count,
         "tuned": [(each.rule, each.weight, each.error, each.excess, each.in_use) for each in curves.choices],
-        "finer": [point.weight for point in Curves(subject, tuple(points[2:6])).finer().points],
+        "finer": [[point.weight for point in Curves(subject, each).finer().points] for each in parts],
         "why": why_not(subject.case.estimator, 9),
         "traced": [weights.trace(subject, [mark]).values("weight")[[0, 1, -1]] for mark in (1e-9, 1e9)],
     }  # fmt: skip

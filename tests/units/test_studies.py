@@ -15,10 +15,10 @@ from lampest import InputError, Recording
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
 from lampest.solvers.solution import Settings
-from lampest.studies import common, tradeoff, weights
+from lampest.studies import common, tradeoff
 from lampest.studies.paper import FILE, Side, read_published
 from lampest.studies.tradeoff import Plan, read_plan, run_tradeoff
-from lampest.studies.weights import CurvePoint, why_not
+from lampest.studies.weights import why_not
 from tests.small_files import write_recording
 
 RUNGS = ["naive", "scaled", "linearised", "truncated 2", "reduced", "nodal"]
@@ -101,27 +101,6 @@ def test_peak_memory_is_that_of_two_frames_and_unknown_if_the_process_died(
     monkeypatch.setattr(common, "STATUS", tmp_path / "status")
     assert common.peak_memory(longer, estimator) == pytest.approx(2.56) and solved == [2]
     assert np.isnan(common.peak_memory(longer, estimator))
-
-
-def test_curves_are_refined_about_the_least_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each new weight is solved from its nearest neighbour that was; between the best and the two beside it."""
-    starts = list[tuple[float, Any]]()
-
-    def solved(subject: Any, weight: float, start: Any) -> CurvePoint:
-        starts.append((round(weight), start))
-        return CurvePoint(weight, 1, error=abs(np.log10(weight) - 1.6), cells=round(weight))
-
-    monkeypatch.setattr(weights, "solve_at", solved)
-    curves = weights.Curves(None, ()).extended([10.0, 1.0, 100.0, 1e3])
-    assert starts == [(10, None), (1, 10), (100, 10), (1000, 100)]
-    assert curves.extended([40.0]).at(40.0).solved and starts[-1] == (40, 100)
-    finer = curves.finer()
-    assert finer.best().weight == pytest.approx(31.623, rel=1e-4) and finer.at(10.0).cells == 10
-    assert [round(weight) for weight in finer.values("weight")] == [1, 10, 32, 100, 316, 1000]
-    first = weights.Curves(None, tuple(replace(point, error=point.weight) for point in curves.points)).finer()
-    assert [round(weight) for weight in first.values("weight")] == [1, 3, 10, 32, 100, 1000]
-    unknown = weights.Curves(None, (CurvePoint(1.0),))
-    assert unknown.finer() is unknown and unknown.best() is None
 
 
 @pytest.mark.slow
