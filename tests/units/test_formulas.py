@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from lampest import InputError, Panel, Scene, TwoPointReadout
-from lampest.estimate.calibration.loads import _answers
+from lampest.estimate.calibration.loads import _responses
 from lampest.estimate.calibration.trials import known_resistors
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
 from lampest.estimate.model_check import Question
@@ -86,7 +86,7 @@ def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypa
     monkeypatch.setattr("lampest.estimate.calibration.loads.log_change", lambda _: (logarithm, 0 * logarithm + 0.04))
     recording: Any = SimpleNamespace(name="mine", role=np.arange(6))
     loads: list[Any] = [SimpleNamespace(frames=frames) for frames in ((2, 3), (4, 5))]
-    *_, within = _answers(recording, loads)
+    *_, within = _responses(recording, loads)
     np.testing.assert_allclose(within, [0.25, 0])
 
 
