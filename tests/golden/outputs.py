@@ -547,7 +547,7 @@ def commands_row() -> dict[str, Any]:
                 "info": ("info", "rod.h5"),
                 "info of results": ("info", "out/results.h5"),
                 "terms": ("show", "terms"),
-                "init": ("init", "mine", "--rows", "4", "--columns", "5"),
+                "init": ("init", "mine", "--rows", "5", "--columns", "8"),
                 "detect": ("detect", "rod.h5", "--json"),
                 "detect results": ("detect", "out/results.h5", "--all", "--out", "out"),
                 "check": ("check", "rod.h5"),

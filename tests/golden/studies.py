@@ -304,11 +304,16 @@ def weights_study_row() -> dict[str, Any]:
     points = [solve_at(subject, 10.0**n, None) for n in np.linspace(-4, 5, 10)]
     known = [replace(point, error=abs(n - 2.0)) for n, point in enumerate(points[2:8])]
     parts = (tuple(points[2:6]), tuple(known), tuple(known[2:]), (replace(known[0], error=np.nan),))
+    # misfit 20 + λ and penalty 1/λ + η₀ make an L whose corner depends on η₀
+    bent = [
+        [replace(points[0], weight=w, misfit=20 + w, penalty=least + 1 / w) for w in np.geomspace(1e-3, 1e3, 13)]
+        for least in (0.3, 3.0)
+    ]
     estimator = replace(subject.case.estimator, bounds=lp.Bounds(upper=3000.0))
     case = SimpleNamespace(recording="r", name="e", estimator=estimator)
     return {
         "bounded": solve_at(WeightSubject.of(case, simulated()), 1.0, None),
-        "points": points, "morozov": morozov(points, subject.count), "corner": l_curve(points),
+        "points": points, "morozov": morozov(points, subject.count), "corner": [l_curve(each) for each in (points, *bent)],
         "units": subject.units, "count": subject.count,
         "tuned": [(each.rule, each.weight, each.error, each.excess, each.in_use) for each in curves.choices],
         "finer": [[point.weight for point in Curves(subject, each).finer().points] for each in parts],

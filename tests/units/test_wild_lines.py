@@ -268,9 +268,9 @@ def test_an_interrupted_recording_is_a_clean_file(tmp_path: Path, number: signal
 def test_signals_of_a_second_are_one_request_and_a_later_one_ends_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(process, "time", SimpleNamespace(monotonic=iter((0.0, 0.9, 1.1)).__next__))
     with process.ending_signals(lambda: True) as ended_by:
-        for number in (signal.SIGHUP, signal.SIGINT):
+        for number in (signal.SIGTERM, signal.SIGINT):
             signal.raise_signal(number)
-        assert ended_by() == "SIGHUP"
+        assert ended_by() == "SIGTERM"
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGTERM)
 
