@@ -84,7 +84,8 @@ def copy(tmp_path: Path) -> Path:
             shutil.copytree(source, target)  # with what is compiled, which stays true of the copy
         else:
             shutil.copy(source, target)
-    (tmp_path / "data").symlink_to(REPOSITORY / "data")
+    for name in ("configs", "data"):
+        (tmp_path / name).symlink_to(REPOSITORY / name)
     (tmp_path / "bin").mkdir()
     for name, command in TOOLS.items():
         tool = tmp_path / "bin" / name
@@ -158,7 +159,8 @@ def test_python_of_a_page_runs(page: Path, tmp_path: Path) -> None:
     blocks = [block for language, block in fences(page) if language == "python"]
     blocks += [block for block in indented(page) if block.startswith("import lampest")]
     assert blocks
-    (tmp_path / "data").symlink_to(REPOSITORY / "data")
+    for name in ("configs", "data"):
+        (tmp_path / name).symlink_to(REPOSITORY / name)
     (tmp_path / "lampest").symlink_to(REPOSITORY / "lampest")
     (tmp_path / "page.py").write_text("\n".join(blocks), encoding="utf-8")
     run(tmp_path, f"{sys.executable} page.py")

@@ -313,7 +313,8 @@ def weights_study_row() -> dict[str, Any]:
     case = SimpleNamespace(recording="r", name="e", estimator=estimator)
     return {
         "bounded": solve_at(WeightSubject.of(case, simulated()), 1.0, None),
-        "points": points, "morozov": morozov(points, subject.count), "corner": [l_curve(each) for each in (points, *bent)],
+        "points": points, "morozov": morozov(points, subject.count),
+        "corner": [l_curve(each) for each in (points, *bent)],
         "units": subject.units, "count": subject.count,
         "tuned": [(each.rule, each.weight, each.error, each.excess, each.in_use) for each in curves.choices],
         "finer": [[point.weight for point in Curves(subject, each).finer().points] for each in parts],
