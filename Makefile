@@ -22,7 +22,7 @@ LOCKED = $(BIN)/python -m pip install $(QUIETLY) --require-hashes --no-deps --re
 APT = export DEBIAN_FRONTEND=noninteractive; apt-get update -qq && apt-get install -y -qq --no-install-recommends
 OUT = results/table1
 # Chosen by the functions that a second of each test file calls, of a record of the fast tests (python -m tests.mutation --guards),
-# four variants of each test: laws, defaults and golden results but those that take a second, then import, wrong input, pressure.
+# four variants of each test: laws, defaults and golden results but the longest, then import, wrong input, pressure.
 QUICK = --variants 4 tests/laws tests/golden tests/contracts/test_import.py tests/contracts/test_wrong_input.py \
         tests/oracles/test_pressure.py
 PYTEST = $(BIN)/python -m pytest -q
