@@ -17,11 +17,11 @@ MAX_UNCHECKED_LINES = 2000  # lines: matrices over fewer lines fit into 100 MB, 
 CellPlace = tuple[int, int, float, float]
 
 
-def check_line_memory(rows: int, columns: int) -> None:
-    """Raise InputError if memory does not suffice for three matrices (lines, lines), such as L, Z and a product."""
+def check_line_memory(rows: int, columns: int, matrices: int = 3) -> None:
+    """Raise InputError if memory does not suffice for `matrices` matrices (lines, lines), such as L, Z and a product."""
     lines = rows + columns
     if lines > MAX_UNCHECKED_LINES:
-        check_memory(24.0 * lines**2, f"a panel of {rows} × {columns} cells ({lines} lines)")
+        check_memory(8.0 * matrices * lines**2, f"a panel of {rows} × {columns} cells ({lines} lines)")
 
 
 @dataclass(frozen=True)
@@ -167,6 +167,10 @@ class Panel(Configuration):
         for row, column, *_ in self.cells or ():
             present[row, column] = True
         return present
+
+    def check_memory(self, matrices: int = 3) -> None:
+        """Raise InputError if memory does not suffice for `matrices` matrices (lines, lines)."""
+        check_line_memory(self.rows, self.columns, matrices)
 
     def centres_mm(self) -> tuple[Array, Array]:
         """Return the positions of columns, x_k = k·pitch, and of rows, y_j = j·pitch, in mm, including seams."""
