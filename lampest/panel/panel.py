@@ -18,7 +18,7 @@ CellPlace = tuple[int, int, float, float]
 
 
 def check_line_memory(rows: int, columns: int, matrices: int = 3) -> None:
-    """Raise InputError if memory does not suffice for `matrices` matrices (lines, lines), such as L, Z and a product."""
+    """Raise InputError if memory does not suffice for `matrices` matrices (lines, lines), such as L and Z."""
     lines = rows + columns
     if lines > MAX_UNCHECKED_LINES:
         check_memory(8.0 * matrices * lines**2, f"a panel of {rows} × {columns} cells ({lines} lines)")
