@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lampest.estimate.cells_fit import fitted
 from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.nuisances import CircuitEffects, remaining_errors, without_effects_of
-from lampest.estimate.outliers import MAX_SHARE, MIN_FRAMES
+from lampest.estimate.outliers import MAX_SHARE, MIN_FRAMES, QUIET_SHARE
 from lampest.estimate.still_cells import possible_errors
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
 from lampest.panel.panel import Array, Modules
@@ -46,7 +46,6 @@ MIN_SAMPLES_PER_CHANNEL = 1.5
 MEDIAN_EFFICIENCY = 0.37  # of the median size as an estimate of σ, as a share of the readings (Hampel, 1974)
 PAIR_MEDIAN = 0.7960  # of the root mean square of two differences that share a frame, over √2 σ (by simulation)
 MIN_MEDIAN_NOISE = 0.5  # LSB: with less, most codes repeat, and the median of their differences shows no noise
-QUIET_SHARE = 0.25  # of the triples of frames, the quietest: loads that come and go disturb the remaining ones
 
 # Errors that the readings of a frame share: the texts of the summary and of warnings.
 SHARED = (

@@ -18,7 +18,7 @@ from lampest.estimate.noise import (
     without_effects,
 )
 from lampest.estimate.nuisances import CircuitEffects
-from lampest.estimate.outliers import impossible_readings, without_outliers
+from lampest.estimate.outliers import frozen_readings, impossible_readings, without_outliers, without_readings
 from lampest.estimate.saturation import with_saturated_stage
 from lampest.estimate.warnings import warnings_of
 from lampest.files.errors import InputError, in_words
@@ -38,13 +38,15 @@ class Cleaned:
     Attributes
     ----------
     recording : Recording
-        Its scene includes a saturated stage where the readings show one.
+        Its scene includes a saturated stage where the readings show one; frozen readings are missing.
+    frozen : boolean array, shape (rows, columns)
     outliers : boolean array, shape (frames, rows, columns)
     readings : Readings
         Unloaded outliers are missing, measured ones are replaced by the prediction of neighbouring frames.
     """
 
     recording: Recording
+    frozen: NDArray[np.bool_]
     outliers: NDArray[np.bool_]
     readings: Readings
 
@@ -106,7 +108,10 @@ class Prepared:
         if self.layout is not None:
             every = [None if module is None else module.frame_noise for module in self.modules]
             return noise_of_modules(self.recording, self.layout, every)
-        return estimate_noise(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
+        noise = estimate_noise(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
+        places = [f"row {row}, column {column}" for row, column in np.argwhere(self.cleaned.frozen)]
+        same = f"one value in all frames at {' and at '.join(places)}, while noise changes the other readings: left out"
+        return noise.with_warnings(same if places else "")
 
     @cached_property
     @ONE_BLAS_THREAD
@@ -185,7 +190,9 @@ class Prepared:
 
 def cleaned_together(recordings: Sequence[Recording]) -> list[Cleaned]:
     """Return the cleaned readings of networks of one shape that were recorded together, such as modules."""
-    passed = [with_saturated_stage(recording) for recording in recordings]
+    frozen = [frozen_readings(recording) for recording in recordings]
+    measured = map(without_readings, recordings, frozen)
+    passed = [with_saturated_stage(recording) for recording in measured]
     first, *further = [recording.readings() for recording in passed]
     together, similar = first.together(*further, axis=-3), dict[Readout, list[int]]()
     for place, recording in enumerate(passed):
@@ -194,4 +201,7 @@ def cleaned_together(recordings: Sequence[Recording]) -> list[Cleaned]:
     for circuit, places in similar.items():
         impossible[:, places] = impossible_readings(circuit, together[:, places])
     outliers, readings = without_outliers(impossible, together, passed[0].role == UNLOADED)
-    return [Cleaned(recording, outliers[:, place], readings[:, place]) for place, recording in enumerate(passed)]
+    return [
+        Cleaned(recording, frozen[place], outliers[:, place], readings[:, place])
+        for place, recording in enumerate(passed)
+    ]

@@ -11,7 +11,7 @@ import lampest
 from docs.studies.audit import AuditFile, AuditTask
 from lampest import Estimator, Misfit, TwoPointReadout, Unmodelled, two_point_resistance
 from lampest.estimate.noise import scatter
-from lampest.estimate.outliers import detect_outliers
+from lampest.estimate.outliers import detect_outliers, frozen_readings
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
@@ -21,6 +21,7 @@ from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.studies.study import read_settings
 from tests.estimates import in_intervals, log_errors, recording_of
 
+DATA = Path(__file__).parents[2] / "data"
 LINES, CHANNELS = 10, 10
 LSM = Estimator((Misfit(),), "reduced", error_bars=True)
 
@@ -61,6 +62,31 @@ def test_loads_and_wrong_noise_make_no_outliers() -> None:
     mouth, foot = AuditTask(audit, "as specified", 702).recording(), lampest.datasets.load("insole_standing")
     for recording in (mouth, foot, *(recorded(seed, scene_of(0.7, None), 3.0) for seed in range(8))):
         assert not Prepared(recording).cleaned.outliers.any()
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 1.3])
+def test_a_frozen_reading_is_left_out_and_named_and_costs_no_more_than_a_missing_one(factor: float) -> None:
+    """Under the load it would move the cells of its row and column by a tenth and more, whatever its value is."""
+    whole = Recording.load(DATA / "lamprey_35mm.h5", slice(9))
+    frozen, missing = whole.recorded.copy(), whole.recorded.copy()
+    frozen[:, 4, 5], missing[:, 4, 5] = factor * whole.recorded[0, 4, 5], np.nan
+    froze, missed = (Prepared(replace(whole, recorded=values, raw_sums=None)) for values in (frozen, missing))
+    plain = replace(LSM, error_bars=False)
+    np.testing.assert_array_equal(*(reconstruct(one, plain).cell_resistance for one in (froze, missed)))
+    assert "one value in all frames at row 4, column 5" in froze.frame_noise.sentence
+    assert "one value" not in missed.frame_noise.sentence
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.2, 0.4, 0.6, 1.0, 3.0])
+def test_readings_that_a_converter_repeats_are_not_frozen(noise: float) -> None:
+    """`noise` is in steps of the converter; a load moves half of the rows and none of the others."""
+    rng, flagged = np.random.default_rng(int(100 * noise)), 0
+    for frames in (4, 8, 20, 100):
+        for _ in range(10):
+            codes = rng.uniform(100, 900, (6, 6)) + noise * rng.standard_normal((frames, 6, 6))
+            codes[frames // 2 :, :3] += rng.uniform(5, 60, (3, 6))
+            flagged += int(frozen_readings(Recording.from_array(codes.round())).sum())
+    assert flagged == 0
 
 
 def test_leaps_are_seen_while_a_load_breathes() -> None:

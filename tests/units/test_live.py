@@ -179,6 +179,21 @@ def test_the_baseline_is_the_unloaded_frames_without_a_reading_that_leaps_as_in_
     assert [picture.number for picture in unsaid] == [4, 5, 6, 7, 8, 9], "the first frames, where none is said to be"
 
 
+def test_a_reading_that_is_frozen_in_the_unloaded_frames_stays_missing_and_is_said() -> None:
+    rng = np.random.default_rng(3)
+    recorded = two_point_resistance(3000 * np.exp(0.001 * rng.standard_normal((11, 5, 6))))
+    recorded[8:, 2] *= 0.9
+    recorded[:, 2, 3] = recorded[0, 1, 1]
+    frozen = Recording(Scene(Panel(5, 6), TwoPointReadout()), recorded, np.arange(11.0), np.repeat([0, 1], [8, 3]))
+    with Engine("test", "test", LSM, 8) as engine:
+        from_recording(engine, frozen, 1e9, None)
+        engine.finish()
+        view = engine.shown.item
+    assert view.picture is not None
+    assert np.argwhere(np.isnan(view.picture.measured_change)).tolist() == [[2, 3]]
+    assert "one value in all frames at row 2, column 3" in view.model
+
+
 def test_a_reading_that_leaps_alone_stands_as_before_and_a_touch_does_not(lamprey: Recording) -> None:
     """Nobody knows yet whether it comes back: a touch of one cell moves its row and column, a lost bit does not."""
     scene = lamprey.scene

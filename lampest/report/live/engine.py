@@ -12,9 +12,10 @@ from threading import Event
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.outliers import impossible_readings, without_outliers
+from lampest.estimate.outliers import frozen_readings, impossible_readings, without_outliers, without_readings
 from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
 from lampest.panel.scene import Scene
@@ -59,6 +60,7 @@ class Engine:
         self.shown = Newest(View(name, method, "starting"))
         self._estimator, self._baseline = estimator, baseline
         self._unloaded: list[Scan] = []
+        self._frozen: NDArray[np.bool_] = np.zeros((), dtype=bool)
         self._arrivals: Newest[Scan | None] = Newest(None)
         self._pool = ThreadPoolExecutor(1, "lampest-solver")
         self._solving: Future[None] | None = None
@@ -114,7 +116,9 @@ class Engine:
         """Solve against the mean of unloaded frames without outliers. Raises InputError where one has no readings."""
         panel = Unloaded(source.scene, tuple(unloaded))
         try:
-            every = panel.recording().readings()
+            recording = panel.recording()
+            self._frozen = frozen_readings(recording)
+            every = without_readings(recording, self._frozen).readings()
         except InputError as error:
             raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
         impossible = impossible_readings(source.scene.circuit, every)
@@ -129,6 +133,7 @@ class Engine:
             self._solving.result()
         self.shown.change(lambda view: replace(view, frames=view.frames + 1, lost=view.lost + scan.lost))
         if self._solving is not None:
+            scan = replace(scan, recorded=np.where(self._frozen, np.nan, scan.recorded))
             self._arrivals.put(scan)
             self._watch(scan)
             if self.shown.item.state != source.state:
