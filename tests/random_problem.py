@@ -5,6 +5,8 @@ A problem is drawn from two numbers, a seed and its own: 1 × N and N × 1 to 24
 first pair, or a frame after others.
 """
 
+import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -12,10 +14,14 @@ from typing import Any
 import numpy as np
 
 from lampest import Absolute, Data, Faults, Huber, Misfit, OptimalMethod, Panel, Readings, Squared, Step, term_types
+from lampest.cost.cost import Cost
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.stream import Stream
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
 from lampest.panel.scene import Scene
+from lampest.solvers.ipopt import FORMULATIONS, Ipopt
+from lampest.solvers.multistart import BROKEN, convex, evaluated
+from lampest.solvers.projected_newton import ProjectedNewton
 from tests.least_cost import Array, Circuit, LeastCost, Penalty
 
 SIZES = {"line": 0.1, "to 6": 0.3, "to 10": 0.3, "to 16": 0.2, "to 24": 0.1}
@@ -126,6 +132,12 @@ class RandomProblem:
         stream, readings = self.asked
         return stream.given(readings)[0]
 
+    @cached_property
+    def cost(self) -> Cost:
+        """The cost of that solve."""
+        estimator = self.alone if self.asked is None else self.estimator
+        return estimator.cost(self.scene, len(self.data.measured), partial=self.data.partial)
+
     def solved(self) -> Step:
         """That solve."""
         if self.asked is None:
@@ -143,8 +155,51 @@ class RandomProblem:
         broken = None if faults is None else faults.open_cells(panel) | faults.shorted_cells(panel)
         return LeastCost.of(self.data, *terms, circuit=self.circuit, faulty=broken)
 
+    def excess(self, solution: Any) -> float:
+        """Share of the cost of an estimate that another solver saves; negative where each of them costs more.
+
+        Misfits of exact readings are rounding, which is small against the cost of readings of zero.
+        """
+        warnings.simplefilter("ignore")
+        own, estimate = self.oracle.value(np.log(solution.cell_resistance).ravel()), solution.cell_resistance
+        with np.errstate(all="ignore"):
+            costs = [self.oracle.value(place) for place in self._ends(estimate) if np.all(np.isfinite(place))]
+        least = min((cost for cost in costs if np.isfinite(cost)), default=np.inf)
+        return (own - least - ROUNDING * self.oracle.blank()) / own
+
+    def _ends(self, estimate: Array) -> Iterator[Array]:
+        """Where other solvers end, u within the bounds: from the estimate, truth, equal cells and random starts."""
+        data, random = self.data, np.random.default_rng([self.seed, self.number, 1])
+        truth = self.cells[:2] if len(data.measured) == 2 else self.cells[self.pushed][None]
+        low, high, size = np.log(data.lower).ravel(), np.log(data.upper).ravel(), truth.size
+        scattered = [np.log(data.apparent_resistance).ravel() + random.uniform(0, 3, size) for _ in range(2)]
+        starts = [np.log(cells).ravel() for cells in (estimate, truth, data.uniform_start)]
+        for start in [*starts, *scattered[: 1 if size <= SEVERAL_CELLS else 0]]:
+            try:
+                if size <= REGION_CELLS:
+                    yield self.oracle.minimised(start, 100 if size <= SEVERAL_CELLS else 20)
+                else:
+                    yield self.oracle.descended(start)
+            except (ValueError, ArithmeticError):
+                continue
+        solvers: list[tuple[Any, list[Array]]] = [(ProjectedNewton(self.cost, self.estimator.solver), scattered)]
+        if size <= NODAL_CELLS and self.scene.wiring is None:
+            nodal = Ipopt(self.cost, self.scene.circuit, FORMULATIONS["nodal"], self.estimator.solver)
+            solvers.append((nodal, [starts[1], np.log(convex(data, None)).ravel()]))
+        for solver, places in solvers:
+            for place in places:
+                try:
+                    cells = np.exp(np.clip(place, low, high)).reshape(data.measured.shape)
+                    outcome = solver.solve(data, evaluated(self.cost, data, cells))
+                except BROKEN:
+                    continue
+                yield np.clip(np.log(outcome.cell_resistance).ravel(), low, high)
+
 
 ABSOLUTE = ("misfit", "cell_resistance", "gradient", "total_variation")
+ROUNDING = 1e-12
+NODAL_CELLS, SEVERAL_CELLS = 64, 100  # beyond, building a nodal program takes seconds, and so does a trust region
+REGION_CELLS = 150  # a step of the trust region takes a second beyond
 
 
 def _shape(random: np.random.Generator) -> tuple[int, int]:

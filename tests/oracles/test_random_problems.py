@@ -1,7 +1,7 @@
 """No other solver finds less: random problems, heavy weights, absolute losses, joint pairs, two minima, far-off models.
 
-The costs are those of a second statement of the equations, `tests/least_cost.py`.
-`python -m tests.studies.random_problems` compares a thousand random problems.
+The costs are those of a second statement of the equations, `tests/least_cost.py`. Under the mark `soak` a thousand
+random problems are compared.
 """
 
 from dataclasses import replace
@@ -15,6 +15,7 @@ from lampest.cost.losses import Absolute, Loss, Squared, Student
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, Misfit, Term, TotalVariation, term_types
 from lampest.estimate.sequence import first_stream
+from lampest.files.errors import InputError
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, TwoPointReadout, VirtualGroundReadout
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
@@ -22,37 +23,55 @@ from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Status, check
 from tests.least_cost import LeastCost, Penalty
 from tests.random_problem import RandomProblem
-from tests.studies.random_problems import examine
 
 SMALL = 40  # cells: problems that are solved in every way within a second
 FEW = [number for number in range(110) if np.prod(RandomProblem.drawn(11, number).cells.shape[1:]) <= SMALL][:40]
 # Ended without an estimate once, as (seed, number): gradients that a heavy penalty multiplies are rounding; kinks of
 # readings and of penalties at once; cells tied loosely by a heavy penalty that met their bounds one by one; a plateau
 # across which nothing but rounding is left of the gradient.
-UNSOLVED = [(1, 17), (1, 21), (2, 19), (2, 28), (2, 35), (2, 45), (31, 28), (31, 36), (31, 183), (31, 576), (31, 714)]
-UNSOLVED += [(31, 173), (31, 218), (53, 61)]
+ONCE_UNSOLVED = [(1, 17), (1, 21), (2, 19), (2, 28), (2, 35), (2, 45), (31, 28), (31, 36), (31, 183), (31, 576)]
+ONCE_UNSOLVED += [(31, 714), (31, 173), (31, 218), (53, 61)]
+PROBLEMS = [pytest.param(11, n, marks=pytest.mark.slow) for n in FEW if n != 6]
+PROBLEMS += [pytest.param(*numbers, marks=pytest.mark.slow) for numbers in ONCE_UNSOLVED]
+PROBLEMS += [pytest.param(1, number, marks=pytest.mark.soak) for number in range(1000)]
+# Every term, loss and readout, holes and rails, joined rows; of relative terms first frames, which may be joint pairs.
+STATED = [1, 5, 10, 12, 16, 17, 21, 30, 31, 36, 40, 61, 62, 73, 79, 86, 172, 207]
+NO_ESTIMATE = (Status.UNREAD, Status.UNRESTED, Status.ROUNDED, Status.DRIFT)
 SHAPE = (6, 5)
 
 
-@pytest.mark.parametrize("number", [0, 3, 17, 36, 60])
-def test_the_cost_is_that_of_the_second_statement(number: int) -> None:
-    """At a point that is no optimum, and its derivatives by differences."""
-    problem = RandomProblem.drawn(11, number)
-    start, random = np.log(problem.data.uniform_start).ravel(), np.random.default_rng(number)
-    place = start + 0.1 * random.standard_normal(problem.data.measured.size)
-    value, slope = problem.oracle.as_squares(place, 0.0)
-    assert np.sum(value**2) == pytest.approx(problem.oracle.value(place), rel=1e-12)
-    step = 1e-6 * np.random.default_rng(1).standard_normal(len(place))
-    sides = [problem.oracle.as_squares(place + sign * step, 0.0)[0] for sign in (1, -1)]
-    by_differences = (sides[0] - sides[1]) / 2
-    np.testing.assert_allclose(slope @ step, by_differences, atol=1e-5 * np.abs(by_differences).max())
+@pytest.mark.parametrize("joint", [False, True])
+def test_the_cost_and_its_gradient_are_those_of_the_second_statement(joint: bool) -> None:
+    """At points that are no optima; the statement's own derivatives by differences."""
+    for number in STATED:
+        problem, random = replace(RandomProblem.drawn(11, number), joint=joint), np.random.default_rng(number)
+        place = np.log(problem.data.uniform_start).ravel() + 0.1 * random.standard_normal(problem.data.measured.size)
+        value, slope = problem.oracle.as_squares(place, 0.0)
+        stated = problem.oracle.value(place)
+        assert np.sum(value**2) == pytest.approx(stated, rel=1e-12), problem.about
+        step = 1e-6 * np.random.default_rng(1).standard_normal(len(place))
+        sides = [problem.oracle.as_squares(place + sign * step, 0.0)[0] for sign in (1, -1)]
+        by_differences = (sides[0] - sides[1]) / 2
+        np.testing.assert_allclose(slope @ step, by_differences, atol=1e-5 * np.abs(by_differences).max())
+        at = Evaluation.at(problem.cost, problem.data, np.exp(place).reshape(problem.data.measured.shape))
+        assert at.objective == pytest.approx(stated, rel=1e-11), problem.about
+        if not at.cost.slope.size:  # no absolute loss, which enters through duals
+            gradient = at.log_gradient(np.zeros(0)).ravel()
+            np.testing.assert_allclose(gradient, 2 * value @ slope, atol=1e-9 * np.abs(gradient).max())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("seed", "number"), [*((11, number) for number in FEW if number != 6), *UNSOLVED])
+@pytest.mark.parametrize(("seed", "number"), PROBLEMS)
 def test_no_other_solver_finds_less(seed: int, number: int) -> None:
-    finding = examine(seed, number)
-    assert not finding.asked or finding.verdict in ("equal", "better") or finding.status == Status.ROUNDED.name, finding
+    """There may be no estimate where too little is read, or where the sentence says that arithmetic is at its end."""
+    problem = RandomProblem.drawn(seed, number)
+    try:
+        solution = problem.solved().solution
+    except InputError:
+        return
+    if solution.solved:
+        assert problem.excess(solution) <= 1e-6, problem.about
+    else:
+        assert solution.status in NO_ESTIMATE, (solution.status, problem.about)
 
 
 @pytest.mark.slow

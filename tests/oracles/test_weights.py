@@ -1,4 +1,4 @@
-"""Weights chosen by the data, their curves and rules, against definitions, the paper's equations and hindsight.
+"""Weights chosen by the data, their curves and rules, against definitions, the cost stated anew, and hindsight.
 
 Error bars of draws of the prior are calibrated, and withheld readings are predicted."""
 
@@ -30,7 +30,7 @@ from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings
 from lampest.studies.weights import WeightSubject, bound_evidence, solve_at
 from tests.estimates import recording_of, rms
-from tests.oracles import paper
+from tests.least_cost import LeastCost, Penalty
 
 SHAPE = (8, 7)
 AUTO = "auto"
@@ -269,7 +269,7 @@ def bump() -> Recording:
 
 
 def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> WeightSubject:
-    """One penalty beside the paper's misfit."""
+    """One penalty beside the misfit."""
     estimator = Estimator((Misfit(), penalty), "reduced", bounds=bounds or Bounds())
     return WeightSubject.of(Case(Path("bump.h5"), "", "bump", "one", estimator, "", ""), held)
 
@@ -282,12 +282,11 @@ def test_evidence_is_laplaces_at_each_estimate() -> None:
 
     def laplace(weight: float) -> tuple[float, float]:
         point = solve_at(one, weight, None)
-        cells = point.cells[0]
-        jacobian = paper.misfits_jacobian(cells, "gradient", weight, None) * cells.ravel()
-        cost = np.sum(paper.misfits(cells, made.resistance[2], "gradient", weight, None) ** 2)
-        curvature = jacobian.T @ jacobian / scale + 1e-4 * np.eye(cells.size)
-        volume = np.linalg.slogdet(curvature)[1] - (cells.size - 1) * np.log(weight / scale)
-        return point.evidence, cost / scale + volume
+        stated = LeastCost.of(one.data, Penalty("misfit", 1.0), Penalty("gradient", weight))
+        residuals, jacobian = stated.as_squares(np.log(point.cells[0]).ravel(), 0.0)
+        curvature = jacobian.T @ jacobian / scale + 1e-4 * np.eye(jacobian.shape[1])
+        volume = np.linalg.slogdet(curvature)[1] - (jacobian.shape[1] - 1) * np.log(weight / scale)
+        return point.evidence, residuals @ residuals / scale + volume
 
     first, second = laplace(1e-6), laplace(1e-4)
     assert abs(first[1] - second[1]) > 1
