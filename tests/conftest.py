@@ -74,19 +74,25 @@ def lampest(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 
 
 @pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str, str], None]]:
-    """Installs a package of one module, `addon`, which names something in a group of entry points."""
-    from lampest.files.typed import installed
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Installs a package of one module, `addon`, which names something in each given group of entry points."""
 
-    def install(group: str, named: str, module: str) -> None:
+    def install(module: str, **named: str) -> None:
         about = tmp_path / "site" / "addon-1.dist-info"
         about.mkdir(parents=True)
         (about / "METADATA").write_text("Metadata-Version: 2.1\nName: addon\nVersion: 1\n")
-        (about / "entry_points.txt").write_text(f"[{group}]\nextra = {named}\n")
+        points = (f"[lampest.{group}]\nextra = {name}\n" for group, name in named.items())
+        (about / "entry_points.txt").write_text("\n".join(points))
         (tmp_path / "site" / "addon.py").write_text(module)
         monkeypatch.syspath_prepend(tmp_path / "site")
-        installed.cache_clear()
+        forget()
+
+    def forget() -> None:
+        modules = [module for name, module in sys.modules.items() if name.startswith("lampest.")]
+        for member in [member for module in modules for member in vars(module).values()]:
+            if hasattr(member, "cache_clear"):
+                member.cache_clear()
 
     yield install
     sys.modules.pop("addon", None)
-    installed.cache_clear()
+    forget()

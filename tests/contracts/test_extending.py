@@ -1,20 +1,19 @@
 """What a user derives works through Python as it is, and through YAML once a package names it."""
 
-import os
-import shutil
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
 from contracts.extensions import CONTRAST, Cushion, Divider, Ellipse, Even, Histogram, Leash
 from numpy.testing import assert_allclose, assert_array_equal
+from support import invented_case
 
 import lampest
-from lampest import Gradient, Misfit, Panel, Recording, Scene, Simulation
-from tests.small_files import run_command
+from lampest import Gradient, Misfit, Panel, Recording, Scene, Simulation, write_results
 
-EXTENSIONS = Path(__file__).with_name("extensions.py")
 ELLIPSE = Ellipse(centre_mm=(25.0, 20.0), long_mm=40.0, short_mm=20.0, pressure_kpa=15.0)
 GROUPS = {"terms": "Leash", "losses": "Cushion", "readouts": "Divider", "methods": "Even", "shapes": "Ellipse"}
 GROUPS |= {"columns": "CONTRAST", "plots": "HISTOGRAM"}
@@ -121,37 +120,30 @@ def test_a_plot_joins_with_one_file_and_one_name(recording: Recording, tmp_path:
     assert file.name == "histogram_ellipse.png"
 
 
-def installed(folder: Path, groups: dict[str, str]) -> dict[str, str]:
-    """The environment of a process for which a package of the extensions is installed."""
-    about = folder / "site" / "addon-1.dist-info"
-    about.mkdir(parents=True)
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: addon\nVersion: 1\n")
-    points = (f"[lampest.{group}]\nextra = addon:{name}\n" for group, name in groups.items())
-    (about / "entry_points.txt").write_text("\n".join(points))
-    shutil.copy(EXTENSIONS, folder / "site" / "addon.py")
-    paths = (str(folder / "site"), os.environ.get("PYTHONPATH", ""))
-    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+EXTENSIONS = Path(__file__).with_name("extensions.py").read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
-def test_a_package_brings_all_of_them_to_yaml(tmp_path: Path) -> None:
-    environment = installed(tmp_path, GROUPS)
+def test_a_package_brings_all_of_them_to_yaml(
+    tmp_path: Path, package: Callable[..., None], lampest: Callable[..., SimpleNamespace]
+) -> None:
+    package(EXTENSIONS, **{group: f"addon:{name}" for group, name in GROUPS.items()})
 
-    def command(*arguments: str) -> str:
-        ended = run_command(*arguments, cwd=tmp_path, env=environment)
-        assert (ended.returncode, ended.stderr) == (0, ""), arguments
-        return ended.stdout
+    def command(*arguments: str | Path) -> str:
+        ended = lampest(*arguments)
+        assert (ended.code, ended.err) == (0, ""), arguments
+        return str(ended.out)
 
     (tmp_path / "simulation.yaml").write_text(SIMULATION)
     (tmp_path / "run.yaml").write_text(RUN)
-    command("simulate", "simulation.yaml")
-    command("run", "run.yaml", "--out", "out", "--jobs", "1")
-    command("plot", "out/results.h5", "--show", "histogram")
-    assert (tmp_path / "out" / "histogram_ellipse.png").is_file()
+    out = tmp_path / "out"
+    command("simulate", tmp_path / "simulation.yaml", "--out", tmp_path / "ellipse.h5")
+    command("run", tmp_path / "run.yaml", "--out", out, "--jobs", "1")
+    command("plot", out / "results.h5", "--show", "histogram", "--out", out)
+    assert (out / "histogram_ellipse.png").is_file()
     assert "leash" in command("show", "terms")
     schema = command("show", "schema")
     assert '"leash"' in schema and '"even"' in schema
-    with h5py.File(tmp_path / "out" / "results.h5") as file:
+    with h5py.File(out / "results.h5") as file:
         case = file["entry/ellipse/leashed"]
         free = ~case["at_lower_bound"][()].astype(bool)
         assert_allclose(case["cell_resistance"][()][free], 1234, rtol=0.05)
@@ -160,19 +152,31 @@ def test_a_package_brings_all_of_them_to_yaml(tmp_path: Path) -> None:
         assert_allclose(soft, plain, rtol=1e-4)
 
 
-SLOW = {"marks": pytest.mark.slow}
+# A group of entry points, what a package names in it, and how the sentence begins; "terms" are asked for by a run.
 WRONG = (
-    pytest.param("terms", "Even", "Even of an installed package is no Term"),
-    pytest.param("methods", "Leash", "Leash of an installed package is no Method", **SLOW),
-    pytest.param("terms", "contrast", "extra = addon:contrast of an installed package is no type", **SLOW),
-    pytest.param("terms", "lampest.Misfit", "Misfit of an installed package needs kind: Literal['...'] with", **SLOW),
+    ("terms", "addon:Even", "lampest.terms: Even of an installed package is no Term"),
+    ("methods", "addon:Leash", "lampest.methods: Leash of an installed package is no Method"),
+    ("terms", "addon:contrast", "lampest.terms: extra = addon:contrast of an installed package is no type"),
+    ("terms", "lampest:Misfit", "lampest.terms: Misfit of an installed package needs kind: Literal['...'] with"),
+    ("columns", "addon:MOST", "lampest.columns: extra = addon:MOST of an installed package cannot be loaded"),
+    ("columns", "math:pi", "lampest.columns: extra = math:pi of an installed package is no Column"),
+    ("plots", "addon:TWICE", "there are two plots 'contours'"),
 )
 
 
 @pytest.mark.parametrize(("group", "name", "sentence"), WRONG)
-def test_what_a_package_names_wrongly_is_one_sentence(tmp_path: Path, group: str, name: str, sentence: str) -> None:
-    environment = installed(tmp_path, {group: name})
+def test_what_a_package_names_wrongly_is_one_sentence(
+    tmp_path: Path,
+    package: Callable[..., None],
+    lampest: Callable[..., SimpleNamespace],
+    group: str,
+    name: str,
+    sentence: str,
+) -> None:
+    write_results(tmp_path / "r.h5", [invented_case()])
+    package(EXTENSIONS + 'TWICE = type("Twice", (Histogram,), {"kind": "contours"})()\n', **{group: name})
     (tmp_path / "run.yaml").write_text(RUN)
-    ended = run_command("run", "run.yaml", cwd=tmp_path, env=environment)
-    assert ended.returncode == 2 and ended.stderr.startswith(f"lampest: lampest.{group}: {sentence}"), ended.stderr
-    assert ended.stderr.count("\n") == 1
+    words = ("run", tmp_path / "run.yaml") if group in ("terms", "methods") else ("plot", tmp_path / "r.h5")
+    ended = lampest(*words, *(("--show", "contours") if group == "plots" else ()))
+    assert ended.code == 2 and ended.err.startswith(f"lampest: {sentence}"), ended.err
+    assert ended.err.count("\n") == 1

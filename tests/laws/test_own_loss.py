@@ -1,6 +1,5 @@
 """Losses of a user's own, in no union, which say what they cost and nothing else."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -12,7 +11,6 @@ from numpy.testing import assert_allclose
 
 from lampest import Array, Gradient, InputError, Misfit, Panel, Reconstruction, Recording, Scene, Term, reconstruct
 from lampest.cost.losses import Absolute, Huber, Loss, PenaltyEvidence, Squared
-from lampest.files.document import adapter
 from lampest.panel.readouts.floating import two_point_resistance
 from tests.estimates import recording_of
 
@@ -148,34 +146,3 @@ def test_a_loss_that_does_not_sum_is_told_so() -> None:
 
     with pytest.raises(InputError, match=r"loss Forgetful: cost gives 40×1 numbers; it must give one, the sum"):
         estimated(with_gradient(Forgetful(), 1.0))
-
-
-ADDON = """
-from dataclasses import dataclass
-from typing import Any, Literal
-
-import casadi
-
-from lampest.cost.losses import Loss
-
-
-@dataclass(frozen=True)
-class LogCosh(Loss):
-    width: float
-    kind: Literal["log_cosh"] = "log_cosh"
-
-    def cost(self, residual: Any) -> Any:
-        return 2 * self.width**2 * casadi.sum1(casadi.log(casadi.cosh(residual / self.width)))
-"""
-
-
-def test_an_installed_package_adds_a_loss(package: Callable[[str, str, str], None]) -> None:
-    package("lampest.losses", "addon:LogCosh", ADDON)
-    adapter.cache_clear()
-    try:
-        term = adapter(Gradient).validate_json('{"weight": 1e-5, "loss": {"kind": "log_cosh", "width": 50}}')
-    finally:
-        adapter.cache_clear()
-    assert term.loss.width == 50
-    assert_allclose(term.loss.curvature(np.zeros(1)), 1.0)
-    estimated((Misfit(weighting="noise"), term))

@@ -1,9 +1,7 @@
 """Columns of results: the union is walked, and a further one is a line in a script or a name in a package."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -25,38 +23,9 @@ LEAST = Column(
 )
 
 
-ADDON = """\
-from lampest.runs.columns import FRAMES, Column, of_steps
-
-LEAST = Column(
-    "least_resistance", FRAMES, "ohm", "smallest cell", of_steps(lambda step: step.solution.cell_resistance[-1].min())
-)
-"""
-
-
 def test_columns_have_names_of_their_own() -> None:
     assert {column.name for column in COLUMNS} > REQUIRED >= {"measured", "cell_resistance", "solved"}
     assert len({column.path for column in COLUMNS}) == len(COLUMNS)
-
-
-def test_a_column_of_a_package_is_in_every_run(
-    package: Callable[..., None], disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace]
-) -> None:
-    package("lampest.columns", "addon:LEAST", ADDON)
-    ended = lampest("run", disk.folder / "run.yaml", "--out", disk.folder / "out", "--jobs", "1")
-    assert (ended.code, ended.err) == (0, "")
-    for case in read_results(disk.folder / "out" / "results.h5").cases:
-        np.testing.assert_array_equal(case.extra["least_resistance"], case.cell_resistance.min(axis=(1, 2)))
-
-
-@pytest.mark.parametrize(("named", "fault"), [("addon:MOST", "cannot be loaded"), ("math:pi", "is no Column")])
-def test_what_a_package_names_wrongly_is_one_sentence(
-    package: Callable[..., None], tmp_path: Path, named: str, fault: str
-) -> None:
-    write_results(tmp_path / "r.h5", [invented_case()])
-    package("lampest.columns", named, ADDON)
-    with pytest.raises(InputError, match=f"lampest.columns: extra = {named} of an installed package {fault}"):
-        read_results(tmp_path / "r.h5")
 
 
 def test_values_that_do_not_fit_their_column(tmp_path: Path) -> None:

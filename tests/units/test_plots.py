@@ -1,6 +1,6 @@
 """Kinds of pictures: the union is walked, a further one is a class in a script or a name in a package."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -9,34 +9,13 @@ import numpy as np
 import pytest
 from golden.outputs import invented
 from matplotlib.figure import Figure
-from support import METHODS, invented_case
+from support import invented_case
 
 from lampest import CaseResult, InputError, write_results
 from lampest.report.plots import PLOTS, Plot, plot_of, plot_results
 from lampest.report.plots.style import new_figure
 from lampest.runs.case import COLUMNS
 from lampest.runs.columns import FRAMES, Column
-
-ADDON = """\
-from dataclasses import dataclass
-from lampest.report.plots import Plot
-from lampest.report.plots.style import new_figure
-
-@dataclass(frozen=True)
-class Steps(Plot):
-    kind = "steps"
-
-    def draw(self, cases):
-        figure = new_figure(3.0)
-        axes = figure.subplots()
-        for case in cases:
-            axes.plot(case.time, case.iterations, label=case.estimator)
-        axes.set_xlabel("time [s]")
-        return figure
-
-STEPS = Steps()
-TWICE = type("Twice", (Steps,), {"kind": "contours"})()
-"""
 
 
 def test_every_kind_is_drawn_by_its_word(tmp_path: Path) -> None:
@@ -46,20 +25,6 @@ def test_every_kind_is_drawn_by_its_word(tmp_path: Path) -> None:
         assert plot_of(plot.kind) is plot and set(plot.needs) <= {column.name for column in COLUMNS}
         (file,) = plot_results(tmp_path / "r.h5", show=plot.kind)
         assert file.name == f"{plot.kind}_mouth.png" and file.read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_plot_of_a_package_is_asked_for_by_its_word(package: Callable[..., None], tmp_path: Path) -> None:
-    write_results(tmp_path / "r.h5", [invented_case(method) for method in METHODS])
-    package("lampest.plots", "addon:STEPS", ADDON)
-    assert [file.name for file in plot_results(tmp_path / "r.h5", show="steps")] == ["steps_mouth.png"]
-    with pytest.raises(InputError, match=r"no plot 'step'; there are contours, change, .*certainty, sweep, steps"):
-        plot_results(tmp_path / "r.h5", show="step")
-
-
-def test_two_plots_of_one_word_are_refused(package: Callable[..., None]) -> None:
-    package("lampest.plots", "addon:TWICE", ADDON)
-    with pytest.raises(InputError, match="there are two plots 'contours'"):
-        plot_of("contours")
 
 
 @dataclass(frozen=True)
