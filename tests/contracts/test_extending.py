@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import h5py
 import numpy as np
@@ -70,6 +71,17 @@ def test_a_loss_joins_with_one_file_and_one_name(recording: Recording) -> None:
     residual = (model - hard.measured) / hard.sigma
     costs = 0.5 * (np.sqrt(1 + 4 * residual**2) - 1).sum(axis=(1, 2))
     assert_allclose(hard.result().costs["misfit"], costs, rtol=1e-6)
+    nodal = lampest.reconstruct(
+        recording, [Misfit(weighting="noise", loss=Cushion(softness=0.5)), penalty], formulation="nodal"
+    )
+    assert_allclose(nodal.cell_resistance, hard.cell_resistance, rtol=1e-5)
+
+    class Forgetful(Cushion):
+        def cost(self, residual: Any) -> Any:
+            return residual**2
+
+    with pytest.raises(lampest.InputError, match=r"loss Forgetful: cost gives 30×1 numbers; it must give one, the sum"):
+        lampest.reconstruct(recording, [Misfit(loss=Forgetful())], formulation="reduced")
 
 
 def test_a_readout_joins_with_one_file_and_one_name() -> None:

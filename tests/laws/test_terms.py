@@ -14,7 +14,7 @@ from scipy.stats import t
 from lampest import Array, Panel, TwoPointReadout, two_point_resistance
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
-from lampest.cost.losses import Absolute, Huber, Loss, Squared, Student
+from lampest.cost.losses import Absolute, Huber, Loss, PenaltyEvidence, Squared, Student
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Misfit, State, Term, term_types
 from lampest.solvers.hessian import Hessian
@@ -36,6 +36,17 @@ class GemanMcClure(Loss):
 
     def cost(self, residual: Any) -> Any:
         return casadi.sum1(residual**2 / (1 + (residual / self.corner) ** 2))
+
+
+@dataclasses.dataclass(frozen=True)
+class OnlyCost(Loss):
+    """Another loss, of which nothing but its formula is known."""
+
+    of: Loss
+    kind: Literal["only_cost"] = "only_cost"
+
+    def cost(self, residual: Any) -> Any:
+        return self.of.cost(residual)
 
 
 LOSSES = [*UNION_LOSSES, GemanMcClure(CORNER)]
@@ -258,3 +269,27 @@ def test_the_least_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
     assert float(found["f"]) == pytest.approx(cost, rel=1e-6)
     if loss.enters == "dual":
         assert_allclose(np.asarray(found["lam_g"]).ravel() / (weight * unit), slopes(loss, x), atol=1e-6)
+
+
+SMOOTH = [loss for loss in LOSSES if loss.enters != "dual"]
+
+
+@pytest.mark.parametrize("loss", SMOOTH, ids=lambda loss: loss.kind)
+def test_what_follows_from_the_formula_is_what_the_losses_say(loss: Loss) -> None:
+    """ω, the pull beyond it and η, from derivatives of the cost and from the closed forms."""
+    plain, grid = OnlyCost(loss), GRID + 0.1
+    assert_allclose(plain.curvature(grid), loss.curvature(grid), atol=1e-12)
+    assert_allclose(plain.steady_pull(grid), loss.steady_pull(grid), atol=1e-6 * CORNER)
+    inside = grid[np.abs(grid) < CORNER]
+    evidence = PenaltyEvidence(inside, 0.0, 5.0, lambda: 2.0)
+    assert plain.size(evidence) == pytest.approx(loss.size(evidence))
+    assert plain.determined(evidence) == loss.determined(evidence) == 3.0
+
+
+def test_slope_is_explained_by_curvature_and_pull() -> None:
+    """(ω x)² + H² = (½ρ')² wherever the loss is convex, ω = ½ρ'' against differences."""
+    step, loss, grid = 1e-3 * CORNER, GemanMcClure(CORNER), GRID + 0.1
+    low, here, high = (values(loss, grid + move) for move in (-step, 0.0, step))
+    slope, curvature = (high - low) / (4 * step), (high - 2 * here + low) / (2 * step**2)
+    assert_allclose(loss.curvature(grid), np.maximum(curvature, 0), atol=1e-5)
+    assert_allclose((loss.curvature(grid) * grid) ** 2 + loss.steady_pull(grid) ** 2, slope**2, rtol=1e-4)
