@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lampest import Array, Course, Panel, Recording, Rod, Scene, Shape, TwoPointReadout, Unmodelled
+from lampest import Course, Panel, Recording, Rod, Scene, Shape, TwoPointReadout, Unmodelled
 from lampest.estimate.calibration.known_loads import KnownLoad
 from lampest.panel.response import AnyResponse
 from lampest.recording.simulation.measure import measured
@@ -82,26 +82,3 @@ def moved_over(
         mass = rod(x, y, diameter, pressure).mass_g
         known.append(KnownLoad(frames=bench.frames_of(number), mass_g=mass, x_mm=x, y_mm=y, diameter_mm=diameter))
     return groups, known
-
-
-def touches(rng: np.random.Generator, panel: Panel, count: int) -> list[Shape]:
-    """Rods that do not overlap, of 15 to 25 mm and 2 to 20 kPa."""
-    found: list[Rod] = []
-    while len(found) < count:
-        diameter = float(rng.uniform(15, 25))
-        ends = [(10.0 * (count - 1) - diameter / 2) for count in panel.shape[::-1]]
-        x, y = (float(rng.uniform(diameter / 2, end)) for end in ends)
-        apart = [np.hypot(x - other.centre_mm[0], y - other.centre_mm[1]) for other in found]
-        if all(far > (diameter + other.diameter_mm) / 2 + 10 for far, other in zip(apart, found, strict=True)):
-            found.append(rod(x, y, diameter, float(np.exp(rng.uniform(np.log(2), np.log(20))))))
-    return list(found)
-
-
-def forces(pressure: Array, loads: Sequence[Shape], panel: Panel) -> Array:
-    """Σ p·pitch² over the cells within 6 mm of each load, newton."""
-    columns, rows = panel.centres_mm()
-    found = []
-    for load in loads:
-        far = np.hypot(columns[None] - load.centre_mm[0], rows[:, None] - load.centre_mm[1])
-        found.append(pressure[far < load.reach_mm + 6].sum() * panel.pitch_mm**2 * 1e-3)
-    return np.array(found)

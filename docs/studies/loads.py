@@ -10,6 +10,7 @@ see only samples. `held` is how many pressures of touched cells lie within their
 """
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,15 +22,38 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.loads.shapes import Rod
 from lampest.loads.shapes.shape import Shape
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PowerResponse, PublishedResponse
 from lampest.panel.scene import Scene
-from tests.known_loads import RESTING, Bench, forces, moved_over, touches
+from tests.known_loads import RESTING, Bench, moved_over, rod
 
 FILMS = {"published": None, "power 0.8": PowerResponse(exponent=0.8, scale_kpa=2.0)}
 LOADS = {"one point": ([5.0], 10.0), "four pressures": ([1.0, 3.0, 9.0, 20.0], 17.5)}
 FRESH = 10
 COLUMNS = ("mean", "median", "90 %", "weight", "held")
+
+
+def touches(rng: np.random.Generator, panel: Panel, count: int) -> list[Shape]:
+    """Rods that do not overlap, of 15 to 25 mm and 2 to 20 kPa."""
+    found: list[Rod] = []
+    while len(found) < count:
+        diameter = float(rng.uniform(15, 25))
+        ends = [(10.0 * (count - 1) - diameter / 2) for count in panel.shape[::-1]]
+        x, y = (float(rng.uniform(diameter / 2, end)) for end in ends)
+        apart = [np.hypot(x - other.centre_mm[0], y - other.centre_mm[1]) for other in found]
+        if all(far > (diameter + other.diameter_mm) / 2 + 10 for far, other in zip(apart, found, strict=True)):
+            found.append(rod(x, y, diameter, float(np.exp(rng.uniform(np.log(2), np.log(20))))))
+    return list(found)
+
+
+def forces(pressure: Array, loads: Sequence[Shape], panel: Panel) -> Array:
+    """Σ p·pitch² over the cells within 6 mm of each load, newton."""
+    columns, rows = panel.centres_mm()
+    found = []
+    for load in loads:
+        far = np.hypot(columns[None] - load.centre_mm[0], rows[:, None] - load.centre_mm[1])
+        found.append(pressure[far < load.reach_mm + 6].sum() * panel.pitch_mm**2 * 1e-3)
+    return np.array(found)
 
 
 def measured_forces(bench: Bench, scene: Scene, groups: list[list[Shape]]) -> Array:

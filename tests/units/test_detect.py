@@ -35,7 +35,6 @@ from lampest.runs.results import CaseResult, Results
 Command = Callable[..., SimpleNamespace]
 PANEL = Panel(8, 10, 10.0)
 MOUTH = OralDisc(centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
-BREATHING = Course(start_s=1, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.1)
 SEEN = Attachment(0.99, 6.0, (44.1, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), cells=12, area_mm2=(1200.0, 100.0))
 BREATHES = replace(SEEN, sucks_s=6.0, breath=Breathing(6.0, hertz=(1.1, 0.05), depth=(0.08, 0.01)))
 

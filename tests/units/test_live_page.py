@@ -8,7 +8,7 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,7 +25,6 @@ from lampest.report.live.server import PageActions, address, is_local_name, serv
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 TOKEN = "a-token-of-my-own"
-Ask = Callable[..., http.client.HTTPResponse]
 
 
 @contextlib.contextmanager
