@@ -104,3 +104,11 @@ def live_pictures(estimator: Estimator, baseline: int, feed: Callable[[Engine], 
         feed(engine)
         engine.finish()
         return engine.pictures
+
+
+def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
+    """Wait for a condition, which must come true."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it never came"
+        time.sleep(0.01)

@@ -13,9 +13,10 @@ from unittest import mock
 import numpy as np
 import pytest
 from attack.attack import HELD, Outcomes, Rng, attack, environment
-from contracts.test_publish import MOSQUITTO, free_port, listens, until
+from contracts.test_publish import MOSQUITTO, free_port, listens
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
+from support import until
 from units.test_stalled_listeners import message as frame
 from wild_board import Script, hundred_a_second, wild_board, wire
 

@@ -75,24 +75,6 @@ def test_without_any_unloaded_frame_the_first_that_can_be_read_stands(terms: tup
     assert np.nanmax(np.abs(found.relative_change)) < 5.0
 
 
-def test_a_missing_reading_leaves_the_intervals_of_others_closed() -> None:
-    """Even where the data want next to no penalty: what the unread cell may be ends at its bounds."""
-    rng = np.random.default_rng(4)
-    readout = lampest.TwoPointReadout(supply_volt=5, reference_ohm=1000, adc_bits=16, noise_lsb=1)
-    scene = lampest.Scene(lampest.Panel(5, 7), readout, systematic="none")
-    cells = 1000 * np.exp(0.3 * rng.standard_normal((5, 7)))
-    exact = readout.exact_reading(np.stack([cells] * 4))
-    readings = exact + readout.sigma(exact) * rng.standard_normal(exact.shape)
-    readings[3, 2, 3] = np.nan
-    recording = lampest.Recording(scene, readings, np.arange(4.0), np.array([0, 0, 0, 1], np.uint8))
-    terms = [lampest.Misfit(weighting="noise"), lampest.Gradient(weight=1e-12)]
-    found = lampest.reconstruct(recording, terms, formulation="reduced")
-    others = np.isfinite(readings[3])
-    low, high = (bound[0][others] for bound in (found.cell_resistance_lower, found.cell_resistance_upper))
-    assert np.isfinite(high).all() and np.median((high - low) / cells[others]) < 2
-    assert np.mean((low <= cells[others]) & (cells[others] <= high)) >= 0.9
-
-
 def test_a_frame_of_which_most_readings_are_missing_is_not_solved() -> None:
     """156 of 256: what is left would determine lines, but not cells."""
     truth = np.random.default_rng(0).uniform(2000, 4000, (2, 16, 16))
@@ -147,21 +129,3 @@ def test_what_noise_explains_is_not_told() -> None:
     noisy = exactly(PLAIN, rest, apart, sigma=0.01)
     assert solved(noisy, "reduced")[0].startswith(HELD)
     assert solved(noisy, "reduced", upper="none") == [VERIFIED]
-
-
-def test_readings_that_a_penalty_keeps_off_are_not_told_of_bounds() -> None:
-    """One cell at its bound beside a penalty that outweighs the readings."""
-    loaded = cells()
-    loaded[1, 2] = 9000.0
-    recording = exactly(PLAIN, cells(), loaded, sigma=1e-3)
-    assert solved(recording, "reduced", weight=1e-12, upper=5000.0)[0].startswith(HELD)
-    assert solved(recording, "reduced", weight=1.0, upper=3000.0) == [VERIFIED]
-
-
-def test_frames_taken_together_tell_it_too() -> None:
-    loaded = cells()
-    loaded[1, 2] = 9000.0
-    recording = exactly(PLAIN, cells(), loaded, loaded, loaded, sigma=1e-3)
-    terms = [lampest.Misfit(weighting="noise", loss=lampest.Huber(corner=4.0))]
-    found = lampest.reconstruct(recording, terms, formulation="smoother", bounds=lampest.Bounds(upper=5000.0))
-    assert all(status.startswith(HELD) for status in found.status), found.status

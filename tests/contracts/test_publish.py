@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import until
 
 ROOT = Path(__file__).parents[2]
 LAMPREY = ROOT / "data" / "lamprey_25mm.h5"
@@ -85,13 +86,6 @@ def replayed(lampest: Run, where: str, frames: int = 6, speed: float = 10.0, *wo
     """A published recording."""
     source = ("--recording", LAMPREY, "--speed", speed, "--count", frames)
     return lampest("live", *source, "--http", "127.0.0.1:0", "--publish", where, *words)
-
-
-def until(condition: Callable[[], object], seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it never came"
-        time.sleep(0.02)
 
 
 @contextmanager

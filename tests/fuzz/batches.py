@@ -5,7 +5,6 @@ import re
 import signal
 import subprocess
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 import psutil
+from support import until
 
 from lampest import Panel, Recording, Scene, TwoPointReadout, two_point_resistance
 from tests.small_files import COMMAND
@@ -88,14 +88,6 @@ def session(leader: int) -> list[int]:
             if os.getsid(process.pid) == leader and process.info["status"] not in ("zombie", "dead"):
                 living.append(process.pid)
     return living
-
-
-def until(condition: Callable[[], Any], seconds: float = 60.0) -> None:
-    """Wait for a condition."""
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def content(path: Path) -> dict[str, Any]:

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz.batches import batch, finished, killed_again_and_again, until, without_progress, write_recording
+from fuzz.batches import batch, finished, killed_again_and_again, without_progress, write_recording
+from support import until
 
 from lampest import Recording, read_results
 

@@ -345,7 +345,6 @@ WATCHED = lp.Scene(
     lp.Panel(6, 7), lp.TwoPointReadout(noise_lsb=0.7, adc_bits=12), 140.0, response=lp.PublishedResponse(),
 )  # fmt: skip
 SWINGING = lp.Course(start_s=1.0, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.15)
-SMALL = lp.Rod(centre_mm=(10.0, 12.0), diameter_mm=20.0, mass_g=500.0)
 ON_FILM: dict[str, tuple[tuple[lp.Shape, ...], lp.Course, int, float]] = {
     "nothing": ((), lp.Course(), 6, 1.0),
     "rod": (

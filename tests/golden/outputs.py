@@ -191,7 +191,14 @@ def page_row() -> dict[str, Any]:
     with patch.object(page, "maps_figure", noted), patch.object(page, "data_uri", lambda _: "data:"):
         differences = [page.differences(invented()[:1], 0, pairs[:count]) for count in (15, 9, 1, 0)]
     alone = [invented_case("A", "r1", (2, 2, 2)), invented_case("B", "r2", (2, 2, 2))]
-    ranked = [(each, compared.Batch.of(("c.h5",), each)) for each in (cases[:3], uneven, alone)]
+    batches = [cases[:3], uneven, alone]
+    for faster in (0.002, 0.0075):  # errors that hardly differ, and times
+        errors, alike = {"best": (0.02, 0.008), "near": (0.0201, faster), "far": (0.03, 0.001)}, list[lp.CaseResult]()
+        for (name, (error, time)), number in product(errors.items(), range(5)):
+            case = invented_case(name, f"r{number}", (2, 2, 2), solve_time=np.full(2, time))
+            alike.append(replace(case, cell_resistance=case.truth * np.exp(error + 0.001 * number)))
+        batches.append(alike)
+    ranked = [(each, compared.Batch.of(("c.h5",), each)) for each in batches]
     judged = [compared.comparison_of(each, np.random.default_rng(3)) for _, each in ranked]
     return {
         "blind": [(each.standings, each.values, each.block, each.units) for each in blind if each is not None],
@@ -400,12 +407,16 @@ def live_row(estimator: str) -> dict[str, Any]:
         pictures.append(
             (
                 picture.relative_change, picture.pressure, picture.force, picture.verdict, picture.outliers,
-                picture.status,
+                picture.status, picture.saturated,
             )
         )  # fmt: skip
         if state.look is not None:
             findings = state.look.findings()
-            looks.append((findings.weights, findings.lower, findings.force))
+            kept = replace(state.look, stream=replace(state.look.stream, keeps_weights=True))
+            costs = () if looks else (0.0, np.inf)
+            lower = [replace(kept, objective=cost).findings().lower is None for cost in costs]
+            previous = findings.apply_to(state.stream).previous
+            looks.append((findings.weights, findings.lower, findings.force, previous, lower))
     return {"pictures": pictures, "looks": looks}
 
 
@@ -424,7 +435,8 @@ def replayed_row(roles: bool, changes: dict[str, Any]) -> dict[str, Any]:
 
 
 VERDICTS_ON: tuple[dict[tuple[int, int], float], ...] = (
-    {}, {(1, 1): 0.4}, {(1, 1): 0.4, (1, 2): 1.1}, {(1, 1): 3.0}, {(1, 1): 0.1, (2, 2): 6.0}, {(1, 1): 0.9},
+    {}, {(1, 1): 0.98}, {(1, 1): 0.4}, {(1, 1): 0.4, (1, 2): 1.1}, {(1, 1): 3.0}, {(1, 1): 0.1, (2, 2): 6.0},
+    {(1, 1): 0.9},
 )  # fmt: skip
 PLACES = ("mqtt://localhost", "mqtt://a/b/", "osc://:7/x", "mqtt://me:p%40ss@h:5/t", "lsl://panel", "websocket://:0",
           "mqtt://h/a#b", "mqtt://h:99999", "mqtt://h?x=1", "up")  # fmt: skip
@@ -485,7 +497,9 @@ def live_words_row() -> dict[str, Any]:
     methods = product(("smooth", "relative_change"), (True, False))
     states = [PanelState.begin(LIVE[name], scene, 1.0, resting, hasty=hasty) for name, hasty in methods]
     ways = (1, resting), (2, resting), (1, nothing)
+    states.append(PanelState.begin(ESTIMATORS["auto"], scene, 1.0, resting, hasty=True))
     states += [replace(each, missing=count).after(zero, None, 1.0) for each in states for count, zero in ways]
+    states += [each.after(resting, None, 2.0) for each in states if each.missing]
     for coupled in (True, False):
         scene = lp.Scene(lp.Panel(modules=Modules(1, 2, EachModule(3, 2), coupled=coupled)))
         states.append(PanelState.begin(LIVE["smooth"], scene, 1.0, lp.Readings.of(scene, still), hasty=True))

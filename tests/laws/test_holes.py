@@ -1,13 +1,11 @@
 """What holds of every method and every kind of readout when readings are missing."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import least_squares
 
-from lampest import Estimator, InputError, Panel, Readings, Recording, Scene, Student
+from lampest import Estimator, InputError, Panel, Recording, Scene, Student
 from lampest.cost.terms import CellResistance, Misfit
 from lampest.estimate.methods import MethodName
 from lampest.estimate.sequence import reconstruct
@@ -97,31 +95,3 @@ def test_plain_least_squares_says_how_little_it_knows_of_a_cell_that_nobody_read
         other.append(np.median(np.abs(np.expm1(log_errors(estimate)))[~blind]))
         assert np.median(np.abs(np.expm1(log_errors(whole)))) < 0.05
     assert np.mean(held) > 0.85 and np.median(width) > 1.5 and np.median(other) < 0.05
-
-
-def test_one_false_infinity_costs_its_cell_and_not_its_frame() -> None:
-    """A bound at a rail a thousand times above the values counts by its own noise, in ohm too."""
-    made = recording(TWO_POINT, [])
-    spoilt = made.recorded.copy()
-    spoilt[2:, 1, 2] = np.inf
-    estimate = reconstruct(replace(made, recorded=spoilt), Estimator((Misfit(),), "reduced"))
-    assert estimate.solved.all()
-    error = np.abs(np.expm1(log_errors(estimate)))
-    error[:, 1, 2] = 0.0
-    assert np.median(error) < 0.1 and error.max() < 1.0
-
-
-@pytest.mark.parametrize("readout", READOUTS)
-def test_a_frame_of_values_reads_the_same_beside_one_with_holes(readout: AnyReadout) -> None:
-    """What most frames are is read in fewer steps; the number is that of the general way, which holes ask for."""
-    scene = Scene(Panel(*SHAPE), readout, series_resistance_ohm=20.0 if readout.unit == "ohm" else 0.0)
-    recorded = recording(scene).recorded
-    together = Readings.of(scene, recorded[1:3])
-    alone = Readings.of(scene, recorded[1])
-    assert together.partial and not alone.partial
-    assert_array_equal(alone.value, together.value[0])
-    assert_allclose(alone.sigma, together.sigma[0], rtol=1e-15)
-    assert_array_equal(alone.seen, together.seen[0])
-    assert_array_equal(alone.side, together.side[0])
-    with pytest.raises(InputError, match="panel is 4 × 5"):
-        Readings.of(scene, recorded[1, :3])

@@ -106,37 +106,6 @@ def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
     np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=0.2)
 
 
-def test_codes_at_or_below_the_floor_bound_their_reading() -> None:
-    readout = replace(READOUT, floor_code=1000)
-    scene = Scene(Panel(3, 3), readout)
-    recorded = np.full((3, 3), float(readout.recorded_from_volt(readout.volt_from_code(1001))))
-    recorded[0, 0], recorded[1, 1] = np.inf, readout.recorded_from_volt(readout.volt_from_code(999))
-    readings = lampest.Readings.of(scene, recorded)
-    assert readings.side[0, 0] == readings.side[1, 1] == 1
-    assert np.sum(readings.side != 0) == 2
-    np.testing.assert_allclose(readings.value[0, 0], readout.recorded_from_volt(1001 * readout.lsb_volt))
-
-
-def test_the_weight_suits_readings_that_are_off_by_more_than_their_noise() -> None:
-    """Readings off by 3 %, said to be off by 0.03 %: weights that believe this follow every error."""
-    panel, _ = drawn("hand", 6)
-    x, y = panel.places_mm
-    cells = np.where(panel.present, 500 * np.exp(np.hypot(x - 15, y - 20) / 60), np.inf)
-    off = np.exp(np.random.default_rng(6).normal(0, 0.03, panel.shape))
-    readings = np.where(panel.present, exact_two_point_resistance(cells) * off, np.nan)
-    sigma = 3e-4 * np.nan_to_num(readings, nan=1e3)
-    frames = readings + sigma * np.random.default_rng(7).standard_normal((4, *panel.shape))
-    recording = recording_of(Scene(panel, READOUT), frames, sigma=sigma)
-    misfit = lampest.Misfit(weighting="noise")
-
-    def error(weight: float | str) -> float:
-        estimate = lampest.reconstruct(recording, terms=(misfit, lampest.LogGradient(weight=weight)))
-        assert estimate.status[0] == "optimum verified"
-        return float(np.sqrt(np.mean(np.log(estimate.cell_resistance[0] / cells)[panel.present] ** 2)))
-
-    assert error("auto") < 0.6 * error(1.0)
-
-
 @pytest.mark.parametrize("outline", ["glove", "ring"])
 def test_results_and_pictures_of_an_outline(outline: str, tmp_path: Path) -> None:
     """They are written, read and drawn; an absent crossing has no number."""

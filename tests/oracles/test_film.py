@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lampest import Cells, Course, Estimator, InputError, Recording, Stream, TwoPointReadout
-from lampest.cost.terms import Misfit, RelativeChange, Term
+from lampest import Cells, Course, Estimator, Recording, TwoPointReadout
+from lampest.cost.terms import Misfit
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import to_yaml
 from lampest.loads.film import Creep, FilmKnown, FilmMemory, Plays
@@ -239,20 +239,3 @@ def test_nothing_attached_is_never_taken_for_zero(load: Shape, approach: float, 
     pressed = np.abs(truth[3:]).max(axis=(1, 2)) > 0.1
     assert len(at) >= 1 and not any(pressed[last - 9 : last - 4].any() for last in at)
     assert not pressed[at[(at > ARRIVES + approach) & (at < LEAVES)]].any()
-
-
-@pytest.mark.parametrize("terms", [(Misfit(),), (Misfit(), RelativeChange(weight=10))], ids=["absolute", "relative"])
-def test_a_tared_stream_is_one_begun_anew(terms: tuple[Term, ...]) -> None:
-    recording = drifting(LAMPREY)
-    readings, estimator = recording.readings(), Estimator(terms, "reduced")
-    stream = Stream.begin(estimator, recording.scene, 1.0, readings[:3].mean())
-    stream, _ = stream.push(readings[60])
-    steps = []
-    resting = readings[10:13].mean()
-    for begun in (stream.tared(resting), Stream.begin(estimator, recording.scene, 1.0, resting)):
-        _, step = begun.push(readings[20])
-        steps.append(step)
-    np.testing.assert_array_equal(steps[0].cell_resistance, steps[1].cell_resistance)
-    np.testing.assert_array_equal(steps[0].bars.frame.deviation, steps[1].bars.frame.deviation)
-    with pytest.raises(InputError, match="one frame of 6 × 6"):
-        stream.tared(readings[10:13])

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy import linalg, sparse
 
 from lampest import (
     Absolute,
@@ -28,11 +27,9 @@ from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChang
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.readouts import TwoPointReadout, floating
 from lampest.panel.readouts.floating import Stencil
-from lampest.solvers import certificate, hessian, interior_point, projected_newton
-from lampest.solvers.interior_point import METHOD, SIDES, Barrier, by_interior_point, over
+from lampest.solvers import hessian, interior_point, projected_newton
+from lampest.solvers.interior_point import METHOD, Barrier, by_interior_point
 from lampest.solvers.multistart import convex, solved_from
-from lampest.solvers.preconditioners import TwoLevel, sparse_inverse
-from lampest.solvers.smoothing import Smoothing
 from tests.estimates import recording_of
 
 SHAPE = (6, 8)
@@ -157,14 +154,6 @@ def by_differences(barrier: Barrier, function: Callable[[Barrier], Any]) -> Arra
     return np.stack(rows)
 
 
-def test_the_push_of_the_barrier_is_the_slope_of_its_merit(barrier: Barrier) -> None:
-    slope = by_differences(barrier, lambda point: point.merit(7e3)).reshape(barrier.conductance.shape)
-    own = barrier.gradient - (SIDES * over(7e3, barrier.distances)).sum(axis=0)
-    assert_allclose(own, slope, atol=1e-6 * np.abs(slope).max())
-    beyond = barrier.at.elsewhere(barrier.at.cell_resistance * 1e3)
-    assert replace(barrier, at=beyond).merit(1.0) == np.inf
-
-
 def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: Barrier) -> None:
     """With JᵀWJ at the start, where second derivatives are indefinite, and with these after one step."""
     push = np.random.default_rng(1).standard_normal(barrier.conductance.shape) / barrier.conductance
@@ -198,41 +187,3 @@ def test_negative_curvature_under_a_large_mouth_is_left_behind() -> None:
     solution = projected_newton.ProjectedNewton(start.cost, Settings()).solve(start.data, start)
     assert solution.status is Status.OPTIMUM and solution.iterations < 40
     assert start.elsewhere(solution.cell_resistance).objective < 0.1 * start.objective
-
-
-def test_lines_precondition_the_crosstalk() -> None:
-    """Beside the convex start, by changes of log r: symmetric, positive, and near the inverse along most directions."""
-    at = pressed_patch()
-    at = at.elsewhere(
-        np.clip(at.data.readout.start(at.data.measured[0], at.data.upper[0]), at.data.lower, at.data.upper)
-    )
-    curvature = hessian.Hessian(at, Smoothing.start(at))
-    count, spread = at.cell_resistance.size, {}
-    cells, free = at.cell_resistance.ravel(), np.ones(at.cell_resistance.size, dtype=bool)
-    scale = sparse.diags_array(1 / cells)
-    local = sparse.csr_array(scale @ (curvature.penalty_matrix + sparse.diags_array(curvature.own)) @ scale)
-    for lined in (False, True):
-        preconditioner = TwoLevel.of(curvature) if lined else TwoLevel(at.cell_resistance, sparse_inverse(local))
-        assert (preconditioner.lines is not None) == lined
-        solve = preconditioner.over(free, at.cell_resistance)
-        inverse = np.stack([solve(unit) for unit in np.eye(count)])
-        assert_allclose(inverse, inverse.T, atol=1e-6 * np.abs(inverse).max())
-        values = linalg.eigvals(curvature.gauss_newton_matrix @ inverse).real
-        assert values.min() > 0
-        spread[lined] = np.quantile(values, 0.98) / np.quantile(values, 0.02)
-    assert spread[True] < 0.3 * spread[False], spread
-
-
-@pytest.mark.parametrize(("curvature", "named"), [(-1e-16, "UNDETERMINED"), (-1e-3, "INDEFINITE"), (1e-3, "POSITIVE")])
-def test_what_the_last_digits_of_the_cost_hide_is_no_way_down(
-    curvature: float, named: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One cell of a large panel curves the cost by ± a share of its scale, over a change of one in log r."""
-    at = pressed_patch()
-    curved = hessian.Hessian(at, Smoothing.start(at))
-    diagonal = np.full(at.cell_resistance.size, at.cost_scale)
-    diagonal[7] *= curvature
-    monkeypatch.setattr(hessian.Hessian, "product", lambda self, step: diagonal * step)
-    monkeypatch.setattr(hessian.Hessian, "gradient", np.where(np.arange(len(diagonal)) == 7, 1e-9, 0.0))
-    preconditioner = TwoLevel(at.cell_resistance, lambda values: values)
-    assert certificate.certificate(curved, preconditioner).definiteness is certificate.Definiteness[named]

@@ -91,27 +91,6 @@ def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | 
     np.testing.assert_allclose([step.solution.objective for step in image.steps], total, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("modules", "readout", "formulation", "loss"),
-    [
-        (Modules(1, 4, EachModule(5, 2)), lampest.TwoPointReadout(), "reduced", lampest.Squared()),
-        (Modules(3, 1, EachModule(1, 4)), lampest.TwoPointReadout(), "linearised", lampest.Squared()),
-        (Modules(2, 1, EachModule(3, 4)), lampest.TwoPointReadout(), "smoother", lampest.Student(corner=4)),
-        (Modules(1, 2, EachModule(3, 3)), lampest.GroundedReadout(load_ohm=1000), "reduced", lampest.Squared()),
-    ],
-)
-def test_other_shapes_readouts_and_methods(
-    modules: Modules, readout: lampest.Readout, formulation: str, loss: lampest.Loss
-) -> None:
-    fine = replace(readout, adc_bits=12, readings=20, noise_lsb=0.7)
-    recording = simulated(Scene(lampest.Panel(modules=modules), fine))
-    terms = [lampest.Misfit(weighting="noise", loss=loss)]
-    estimate = lampest.reconstruct(recording, terms, formulation=formulation)
-    assert estimate.solved.all()
-    truth = recording.truth_cell_resistance[estimate.frame]
-    assert float(np.median(np.abs(estimate.cell_resistance / truth - 1))) < 0.02
-
-
 def test_modules_of_a_single_line_have_the_errors_that_all_readings_share() -> None:
     """Each cell is at its bound, which is its reading: bars were 0.02 % where the reference may be 6 % off."""
     text = "panel: {modules: {rows: 2, columns: 2, each: {rows: 1, columns: 6}}}\n" + SCENE[SCENE.index("readout") :]

@@ -37,7 +37,6 @@ WEIGHTS = {
     "gradient_of_relative_change": 10.0,
 }
 FORMULATIONS = ("per_pixel", "nodal", "reduced", "auto")
-ABSOLUTE = ("misfit", "cell_resistance", "gradient")
 RELATIVE = ("relative_change", "gradient_of_relative_change")
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from lampest import Array, Cells, Panel, Scene, Simulation, SuctionCup, Temperature, Water
 from lampest.files.document import parse_document, to_yaml, validated
-from lampest.loads.pressure import PressureTrack, Tare, pressure_of, water_pressure
-from lampest.panel.response import RESPONSE_SD, VACUUM_KPA, Film, ratio_from_pressure
+from lampest.loads.pressure import pressure_of, water_pressure
+from lampest.panel.response import RESPONSE_SD, VACUUM_KPA, ratio_from_pressure
 from lampest.recording.simulation.simulation import simulate
 
 COOLING = Temperature(-0.003, 20.0, 8.0, 0.001)
@@ -131,24 +131,3 @@ def test_temperatures_are_of_this_world_and_stand_in_a_scene_that_has_them() -> 
     for scene in SCENES.values():
         assert validated(parse_document(to_yaml(scene), "scene"), Scene) == scene
     assert "water" not in to_yaml(AIR) and "temperature" not in to_yaml(AIR)
-
-
-def test_another_baseline_makes_the_panel_as_it_is_the_zero() -> None:
-    """What the film keeps of a load that left is in the new baseline; it fades from there."""
-    film = Film(creep_per_decade=0.1)
-    track, none = PressureTrack.begin(dataclasses.replace(AIR, film=film), tare=Tare(frames=5)), np.ones((4, 3))
-    for time in range(30):
-        track = track.after(np.full((4, 3), 0.3), float(time))
-    track = track.after(np.full((4, 3), 0.9), 30.0)
-    assert track.zeroed == 0.0 and np.allclose(track.peak, -np.log(0.3)) and len(track.watch.frames) == 5
-    again = track.rebased(33.0)
-    assert (again.zeroed, again.watch.zeroed, again.watch.frames) == (33.0, 33.0, ())
-    np.testing.assert_allclose(again.zeros, -track.films.fading(3.0))
-    at_once, later, before = (
-        one.pressure(none, none, none, time).pressure for one, time in ((again, 33.0), (again, 93.0), (track, 33.0))
-    )
-    np.testing.assert_allclose(at_once, 0, atol=1e-9)
-    assert np.all(before < -0.05) and np.all(later > 0.02), "without it, a load seems to have left"
-    assert (
-        PressureTrack.begin(AIR).rebased(1.0).watch is None and PressureTrack.begin(AIR).after(none, 1.0).time is None
-    )

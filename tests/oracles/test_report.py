@@ -1,22 +1,13 @@
-"""The report's statistics against closed forms, brute force and constructed batches of which the answer is known."""
+"""Statistics of the report against closed forms and brute force."""
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pytest
 from support import invented_case
 
 from lampest.report.page.compared import (
-    PREDICTION,
-    Batch,
-    Comparison,
-    Interval,
-    Standing,
-    advise,
     block_length,
-    comparison_of,
     mean_interval,
     picks,
     predicted,
@@ -25,29 +16,6 @@ from lampest.report.page.page import disagreements
 from lampest.runs.results import CaseResult
 
 SHAPE = (4, 3, 3)
-
-
-def batch(*cases: CaseResult) -> Batch:
-    return Batch.of(["results.h5"], cases)
-
-
-def case_with(estimator: str, recording: str, error: float, milliseconds: float, **changes: Any) -> CaseResult:
-    """A case whose cells all err by the factor exp(error)."""
-    case = invented_case(estimator, recording, SHAPE)
-    cells = case.truth * np.exp(error)
-    times = np.full(SHAPE[0], milliseconds / 1e3)
-    return dataclasses.replace(case, cell_resistance=cells, solve_time=times, **changes)
-
-
-def cohort(recordings: int, **methods: tuple[Sequence[float], float]) -> Batch:
-    """method → (error in every recording, ms)."""
-    return batch(
-        *(
-            case_with(name, chr(ord("A") + number), errors[number], milliseconds)  # no two have the same readings
-            for number in range(recordings)
-            for name, (errors, milliseconds) in methods.items()
-        )
-    )
 
 
 def test_bootstrap_intervals_of_a_mean_hold_it() -> None:
@@ -84,10 +52,6 @@ def test_blocks_widen_the_interval_of_frames_that_remember() -> None:
     assert 30 < block_length(np.stack([slow, -slow], axis=1)) <= 100
 
 
-def compared(results: Batch) -> Comparison | None:
-    return comparison_of(results, np.random.default_rng(0))
-
-
 def with_change(estimator: str, change: float, below: float, above: float) -> CaseResult:
     case = invented_case(estimator, shape=SHAPE)
     values = np.full(SHAPE, change)
@@ -122,60 +86,3 @@ def test_prediction_error_is_what_fresh_readings_deviate_by() -> None:
         expected = 1 + share**2 + (1 - share) ** 2 * 0.49
         assert np.mean(predicted(known)) == pytest.approx(expected, rel=0.03)
         assert np.mean((fresh - model) ** 2) == pytest.approx(expected, rel=0.03)
-
-
-def test_the_fastest_of_those_without_a_practical_difference_is_recommended() -> None:
-    rng = np.random.default_rng(6)
-    hard = 0.02 + 0.01 * rng.random(30)
-    near = hard + 0.002 * rng.standard_normal(30)
-    near += 0.0002 - np.mean(near - hard)
-    given = {"best": (hard, 8.0), "near": (near, 2.0), "far": (hard + 0.01, 0.5)}
-    comparison = compared(cohort(30, **given))
-    assert [row.estimator for row in comparison.standings] == ["best", "near", "far"]
-    assert [row.told_apart for row in comparison.standings] == [False, False, True]
-    assert comparison.standings[2].difference.value == pytest.approx(1.0)
-    assert comparison.standings[2].wins == 0
-    assert sum(row.wins for row in comparison.standings) == 30
-    advice = advise(cohort(30, **given), comparison)
-    alike = "No practical difference between best and near; near (gradient λ = 0.5) is the fastest of them."
-    assert advice.headline == alike
-    assert "near takes 2.0 ms a frame, best 8.0 ms." in advice.reasons and not advice.warnings
-    given["near"] = (near, 7.5)
-    slow = cohort(30, **given)
-    assert advise(slow, compared(slow)).estimator == "best"
-
-
-def test_speed_makes_up_for_no_error_and_a_sure_trifle_decides_nothing() -> None:
-    """Twice the error for half the time, not sure in five recordings; and a thousandth that is sure in all."""
-    twice = cohort(5, slow=([0.01, 0.02, 0.01, 0.02, 0.01], 8.0), fast=([0.09, 0.01, 0.01, 0.02, 0.01], 4.0))
-    comparison = compared(twice)
-    assert not comparison.standings[1].told_apart
-    advice, sentence = (
-        advise(twice, comparison),
-        "The difference between fast and slow is not significant (95 % interval ",
-    )
-    assert advice.estimator == "slow" and sentence in " ".join(advice.reasons)
-    hard = 0.02 + 0.001 * np.arange(30)
-    trifle = cohort(30, one=(hard, 4.0), other=(hard * 1.001, 4.0))
-    comparison = compared(trifle)
-    assert comparison.standings[1].told_apart
-    assert Standing("wide", Interval(2.0, 1.0, 3.0), Interval(1.5, 0.5, 2.5), 0, 1.0).told_apart
-    assert advise(trifle, comparison).headline.startswith("No practical difference between one and other")
-
-
-def test_without_truth_the_prediction_decides_and_without_noise_nothing_does() -> None:
-    def case(name: str, recording: str, misfit: float, resolution: float) -> CaseResult:
-        plain = invented_case(name, recording, SHAPE, truth=False)
-        sigma = 0.01 * plain.measured
-        model = plain.measured + misfit * sigma
-        return dataclasses.replace(plain, sigma=sigma, reading_model=model, resolution=np.full(SHAPE, resolution))
-
-    given = (("follows all", 0.0, 1.0), ("right", 0.8, 0.3), ("too stiff", 3.0, 0.05))
-    known = batch(*(case(*method[:1], f"r{number}", *method[1:]) for number in range(6) for method in given))
-    comparison = compared(known)
-    assert comparison.criterion is PREDICTION
-    assert [row.estimator for row in comparison.standings] == ["right", "follows all", "too stiff"]
-    assert advise(known, comparison).estimator == "right"
-    bare = batch(*(invented_case(name, "r", SHAPE, truth=False) for name in ("A", "B")))
-    untold = advise(bare, compared(bare))
-    assert untold.estimator is None and "cannot rank" in untold.headline

@@ -9,11 +9,10 @@ import pytest
 
 from lampest import Array, GroundedReadout, OralDisc, Panel, Ring, Rod, Scene, SuctionCup, TwoPointReadout
 from lampest.panel.readouts.wiring import Lines
-from lampest.panel.response import Film
 from lampest.recording.recording import Recording
-from lampest.recording.simulation import Cells, Course, read_simulations, run, simulate
+from lampest.recording.simulation import Course, read_simulations, run, simulate
 from lampest.recording.simulation.measure import Unmodelled, raw_sums
-from lampest.recording.simulation.simulation import Simulation, cells_under
+from lampest.recording.simulation.simulation import Simulation
 from tests.netlist import two_point_resistances
 
 ROOT = Path(__file__).parents[2]
@@ -158,31 +157,3 @@ def test_a_leak_joins_lines_and_a_contact_adds_to_one_row_from_their_time_on() -
     assert not more[:8].any()
     (row,) = np.flatnonzero(more[8:].any(axis=(0, 2)))
     assert more[8:, row] == pytest.approx(200, rel=1e-3)
-
-
-MOUTH = OralDisc(diameter_mm=25.0, centre_mm=(15.0, 10.0), rim_width_mm=6.0, pressure_kpa=-11.0, rim_kpa=85.0)
-
-
-def test_a_film_that_remembers_nothing_follows_the_load_of_each_moment() -> None:
-    """Frame by frame, beyond 64 of them, and later within the frame where that is asked for."""
-    course = Course(start_s=1.0, approach_s=40.0, attachment_s=3.0, breathing_hz=0.13, breathing_depth=0.2)
-    moving = Unmodelled(load_speed_mm_s=7.0)
-    with_film = plain(frames=80, loads=(MOUTH,), course=course, film=Film(), cells=Cells(spread=0.1), unmodelled=moving)
-    without = replace(with_film, film=None)
-    time = np.arange(81.0)
-    for later in ({}, {"later_s": 0.3}):
-        cells = cells_under(without, time, **later)
-        np.testing.assert_allclose(cells_under(with_film, time, **later), cells, rtol=1e-12)
-    np.testing.assert_array_equal(cells_under(without, time), cells_under(without, time, 0.0))
-    moved = np.abs(cells_under(without, time, 0.3) / cells_under(without, time) - 1)
-    assert moved[0].max() == 0 and moved[70].max() > 1e-4
-
-
-def test_a_film_under_a_load_that_only_grows_does_as_in_a_single_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hysteresis shows where a load shrinks, be it within a frame."""
-    course = Course(start_s=1.0, approach_s=60.0, breathing_depth=0.0)
-    growing = plain(frames=40, loads=(MOUTH,), course=course, film=Film(hysteresis=0.3))
-    cells = cells_under(growing, np.arange(41.0))
-    monkeypatch.setattr("lampest.recording.simulation.simulation.MOMENTS", 1)
-    np.testing.assert_allclose(cells_under(growing, np.arange(41.0)), cells, rtol=1e-12)
-    assert cells[40].min() < 0.9 * cells[0].min()

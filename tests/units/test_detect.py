@@ -1,10 +1,8 @@
 """What `lampest detect` is made of: sentences, events, --json, detections.h5, the timeline, and what it cannot say."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import h5py
@@ -32,7 +30,6 @@ from lampest.report.detect.detection import Known, detect_recording, detect_resu
 from lampest.runs.filling import _arrays_of, frame_noise_of
 from lampest.runs.results import CaseResult, Results
 
-Command = Callable[..., SimpleNamespace]
 PANEL = Panel(8, 10, 10.0)
 MOUTH = OralDisc(centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
 SEEN = Attachment(0.99, 6.0, (44.1, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), cells=12, area_mm2=(1200.0, 100.0))

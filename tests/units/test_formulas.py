@@ -2,7 +2,6 @@
 
 from functools import cached_property
 from itertools import product
-from pathlib import Path
 from threading import RLock
 from types import SimpleNamespace
 from typing import Any
@@ -12,16 +11,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from lampest import InputError, Panel, Scene, TwoPointReadout
 from lampest.estimate.calibration.loads import _responses
-from lampest.estimate.calibration.trials import known_resistors
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
-from lampest.estimate.model_check import Question
-from lampest.estimate.rivals import Rival
 from lampest.files import levels
 from lampest.panel import compiled
 from lampest.panel.panel import Array
-from lampest.recording.recording import MEASURED, UNLOADED
 
 
 def drawn(cells: int, seed: int) -> tuple[Array, Array]:
@@ -62,20 +56,6 @@ def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> 
     assert score[0] > evidence(change, covariance, moved) - 1e-9
 
 
-def test_a_circuit_explains_means_of_widened_readings_that_noise_leaves_nearly_gaussian() -> None:
-    recorded, sigma = np.repeat([900.0, 800.0], 2)[:, None, None] * np.ones((3, 3)), np.full((3, 3), 2.0)
-    sigma[1, 2] = 600.0
-    rival = Rival(Scene(Panel(3, 3), TwoPointReadout(), 100.0), recorded, sigma)
-    role = np.array([UNLOADED, UNLOADED, MEASURED, MEASURED], dtype=np.uint8)
-    resting, loaded = Question(rival, role, np.array([0, 1]), np.array([2, 3]), 3.0, np.arange(4)).readings(rival)
-    usable = np.ones((3, 3))
-    usable[1, 2] = 0.0
-    for readings, value in ((resting, 800.0), (loaded, 700.0)):
-        np.testing.assert_array_equal(readings.seen, usable)
-        np.testing.assert_allclose(readings.value[usable > 0], value)
-        np.testing.assert_allclose(readings.sigma[usable > 0], 3.0 * 2.0 / np.sqrt(2))
-
-
 def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four frames, two under each load: of the first the strongest cell moves by a quarter, of the second another."""
     logarithm = np.full((4, 2, 3), 0.1)
@@ -88,22 +68,6 @@ def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypa
     loads: list[Any] = [SimpleNamespace(frames=frames) for frames in ((2, 3), (4, 5))]
     *_, within = _responses(recording, loads)
     np.testing.assert_allclose(within, [0.25, 0])
-
-
-def test_known_resistors_are_a_number_or_a_table_with_gaps(tmp_path: Path) -> None:
-    panel, table = Panel(2, 3), tmp_path / "known.csv"
-    np.testing.assert_array_equal(known_resistors("120.5", panel), np.full((2, 3), 120.5))
-    table.write_text("1,2.5,inf\n,nan,6\n", encoding="utf-8-sig")
-    expected = [[1, 2.5, np.inf], [np.nan, np.nan, 6]]
-    np.testing.assert_array_equal(known_resistors(str(table), panel), expected)
-    np.save(tmp_path / "known.npy", expected)
-    np.testing.assert_array_equal(known_resistors(str(tmp_path / "known.npy"), panel), expected)
-    table.write_text("1,2,3\n")
-    with pytest.raises(InputError, match="the panel has 2 × 3 cells, but the table holds 1 × 3 numbers"):
-        known_resistors(str(table), panel)
-    np.save(tmp_path / "known.npy", np.full((2, 3), "ten"))
-    with pytest.raises(InputError, match="but the table holds 2 × 3 numbers"):
-        known_resistors(str(tmp_path / "known.npy"), panel)
 
 
 def test_locks_of_cached_properties_are_new_in_a_forked_child_and_others_stay(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import live_pictures
+from support import live_pictures, until
 from wild_board import IDLE
 
-from lampest import Arrival, InputError, Misfit, Readings, Rod, Scene, two_point_resistance
+from lampest import Arrival, InputError, Misfit, Rod, Scene, two_point_resistance
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.loads.pressure import Pressure, total_force
 from lampest.panel.panel import Panel
-from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
+from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import Film, PublishedResponse
 from lampest.recording.board import record as record_module
 from lampest.recording.board.protocol import Frame
@@ -31,7 +31,7 @@ from lampest.report.live import engine as engine_module
 from lampest.report.live import run as run_module
 from lampest.report.live.engine import Engine, FrameSource, with_picture
 from lampest.report.live.handover import Errand
-from lampest.report.live.message import Message, Picture, View, view_text
+from lampest.report.live.message import Picture, View, view_text
 from lampest.report.live.run import (
     METHODS,
     LiveBoard,
@@ -41,7 +41,6 @@ from lampest.report.live.run import (
     recorded_from_board,
     recorder_of,
 )
-from lampest.report.live.state import PanelState
 from lampest.report.live.watcher import Scan
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
@@ -66,13 +65,6 @@ ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
 def of_every_frame(name: str) -> Estimator:
     """A method that takes every frame's own weight, since only a batch knows which will be the strongest."""
     return dataclasses.replace(METHODS[name], auto_weight=AutoWeight(per="frame"))
-
-
-def test_weights_live_follow_the_strongest_frame_so_far(lamprey: Recording) -> None:
-    ends = pictures(METHODS["smooth"], lamprey)
-    batch = reconstruct(lamprey, METHODS["smooth"])
-    last = ends[-1].relative_change
-    assert np.median(np.abs(last - batch.relative_change[-1])) < 0.1 * np.median(np.abs(batch.relative_change[-1]))
 
 
 @pytest.mark.slow
@@ -109,14 +101,6 @@ def test_should_the_other_process_die_every_frame_waits_for_its_own(lamprey: Rec
     view = replay(engine, lamprey, kill)
     assert view.picture is not None and view.picture.status == "optimum verified"
     assert view.deviation_of == view.picture.number, "error bars come with the frame"
-
-
-def until(true: Callable[[], bool], seconds: float = 60.0) -> None:
-    """Wait until something is true."""
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it never came"
-        time.sleep(0.005)
 
 
 def settle(engine: Engine) -> None:
@@ -163,22 +147,6 @@ def test_live_finds_what_a_batch_finds(method: Estimator) -> None:
     )
 
 
-def test_the_baseline_is_the_unloaded_frames_without_a_reading_that_leaps_as_in_a_batch(lamprey: Recording) -> None:
-    recorded = lamprey.recorded.copy()
-    recorded[1, 2, 3] *= 1.5
-    wild = dataclasses.replace(lamprey, recorded=recorded)
-    found, calm = pictures(LSM, wild), pictures(LSM, lamprey)
-    batch = reconstruct(wild, LSM)
-    assert batch.noise.outliers[1, 2, 3]
-    measured = np.array([picture.measured_change for picture in found])[:, 2, 3]
-    np.testing.assert_allclose(measured, 100 * (batch.measured / batch.measured_baseline - 1)[:, 2, 3])
-    np.testing.assert_allclose(measured, [picture.measured_change[2, 3] for picture in calm], atol=1)
-    unsaid = pictures(LSM, dataclasses.replace(lamprey, role=np.full(9, MEASURED)))
-    for first, named in zip(unsaid, calm, strict=True):
-        np.testing.assert_array_equal(first.relative_change, named.relative_change)
-    assert [picture.number for picture in unsaid] == [4, 5, 6, 7, 8, 9], "the first frames, where none is said to be"
-
-
 def test_a_reading_that_is_frozen_in_the_unloaded_frames_stays_missing_and_is_said() -> None:
     rng = np.random.default_rng(3)
     recorded = two_point_resistance(3000 * np.exp(0.001 * rng.standard_normal((11, 5, 6))))
@@ -192,33 +160,6 @@ def test_a_reading_that_is_frozen_in_the_unloaded_frames_stays_missing_and_is_sa
     assert view.picture is not None
     assert np.argwhere(np.isnan(view.picture.measured_change)).tolist() == [[2, 3]]
     assert "one value in all frames at row 2, column 3" in view.model
-
-
-def test_a_reading_that_leaps_alone_stands_as_before_and_a_touch_does_not(lamprey: Recording) -> None:
-    """Nobody knows yet whether it comes back: a touch of one cell moves its row and column, a lost bit does not."""
-    scene = lamprey.scene
-    cells = np.repeat(
-        3000 * np.exp(0.1 * np.random.default_rng(1).standard_normal((1, *scene.panel.shape))), 10, axis=0
-    )
-    cells[8, 6, 2] *= 0.2
-    exact = two_point_resistance(cells) + scene.series_resistance_ohm
-    exact[7, 4, 4] *= 1.3
-    role = np.where(np.arange(10) < 3, UNLOADED, MEASURED).astype(np.uint8)
-    found = pictures(LSM, Recording(scene, exact, np.arange(10.0), role))
-    assert [picture.outliers for picture in found] == [0, 0, 0, 0, 1, 0, 0]
-    told = Message(scene.panel, found[4], View("here", "LSM", "receiving", scene.panel)).text()
-    assert json.loads(told)["health"]["leaps"] == 1
-    assert np.abs(found[4].relative_change).max() < 1
-    assert found[5].relative_change[6, 2] == pytest.approx(-80, abs=1)
-    # Where a reading hears its own cell alone, nothing is taken for a leap.
-    readout = VirtualGroundReadout(feedback_ohm=1000.0, adc_bits=12, noise_lsb=1.0)
-    cells = np.full((8, 6, 7), 3000.0)
-    cells[6:, 2, 3] = 1000.0
-    found = pictures(
-        LSM, Recording(Scene(Panel(6, 7), readout), readout.exact_reading(cells), np.arange(8.0), role[:8])
-    )
-    assert [picture.outliers for picture in found] == [0] * 5
-    assert found[3].relative_change[2, 3] == pytest.approx(-66.7, abs=1)
 
 
 def test_a_circuit_that_does_not_explain_the_frames_is_said_and_a_wrong_reading_is_none(lamprey: Recording) -> None:
@@ -330,37 +271,6 @@ def test_live_pressure_forgets_what_the_film_remembers() -> None:
     silent = dataclasses.replace(told, scene=dataclasses.replace(told.scene, film=None))
     left = [pictures(LSM, recording)[-40].force.newton for recording in (told, silent)]
     assert abs(left[0]) < 0.1 * abs(left[1])
-
-
-SMALL = Scene(Panel(3, 4), TwoPointReadout(), 140.0, response=PublishedResponse())
-
-
-def shown_frames(state: PanelState, *cells: Any) -> tuple[PanelState, list[Picture]]:
-    """A frame a second of such cells."""
-    found = []
-    for number, each in enumerate(cells, 1):
-        ohm = two_point_resistance(np.broadcast_to(np.asarray(each, dtype=float), (3, 4))) + 140
-        state, picture = engine_module.solved_scan(state, Scan(ohm, None, float(number), time.time()), number, 0)
-        found.append(picture)
-    return state, found
-
-
-def resting_panel(estimator: Estimator = LSM, *, hasty: bool = False) -> PanelState:
-    cells = np.full((3, 4), 3000.0)
-    resting = Readings.of(SMALL, two_point_resistance(cells) + 140)
-    return PanelState.begin(estimator, SMALL, 1.0, resting, hasty=hasty)
-
-
-def test_cells_of_a_second_look_are_told_where_weights_or_the_minimum_differ() -> None:
-    state, _ = shown_frames(resting_panel(METHODS["smooth"], hasty=True), np.where(np.eye(3, 4), 1500.0, 3000.0))
-    found = state.look.findings()
-    stream = found.apply_to(state.stream)
-    assert found.lower is not None and stream.previous is found.lower
-    assert dataclasses.replace(found, lower=None).apply_to(state.stream).previous is state.stream.previous
-    keeping = dataclasses.replace(stream, keeps_weights=True)
-    for objective, told in ((0.0, False), (np.inf, True)):
-        again = dataclasses.replace(state.look, stream=keeping, objective=objective).findings()
-        assert (again.lower is not None) == told
 
 
 def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

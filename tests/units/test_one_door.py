@@ -127,18 +127,6 @@ def test_every_way_in_gives_the_same_cells(name: str) -> None:
     assert_array_equal([picture.force for picture in boarded], [picture.force for picture in replayed])
 
 
-def test_a_dead_row_leaves_the_sound_cells_of_the_live_page_right() -> None:
-    """Without the scene's faults the cells beside a dead row are off by orders of magnitude, and "verified"."""
-    case = CASES["dead row"]
-    recording = recording_of(case)
-    pictures = live_pictures(LSM, 3, lambda engine: from_recording(engine, recording, 1e9, None))
-    truth = simulate(Simulation(1, 5, WHOLE, frames=3, loads=(MOUTH,))).truth_cell_resistance
-    sound = ~case.broken.open_cells(case.scene.panel)
-    for picture, cells in zip(pictures, truth[3:], strict=True):
-        error = (1 + picture.relative_change / 100) / (cells / truth[0]) - 1
-        assert np.median(np.abs(error[sound])) < 0.03
-
-
 def test_what_does_not_fit_is_named() -> None:
     """Shapes and σ are a mistake; values never are."""
     good = np.full((2, *SHAPE), 700.0)
