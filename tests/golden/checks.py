@@ -623,7 +623,10 @@ def answers_row() -> dict[str, Any]:
     alone += [replace(each, track=track) for each in (seen, breaths[2]) for track in (still, pumping)]
     groups = [[load] for load in alone] + [[mouth, gone], [gone, mouth], [rod, mouth], [mouth, mouth], contacts, []]
     answers = [Detected.of("mouth", tuple(loads), rate) for loads in groups for rate in (1.0, 4.0)]
-    return {"answers": list(map(answer_row, answers)), "lives": [[load.lives, load.pumps] for load in alone]}
+    return {
+        "answers": list(map(answer_row, answers)), "lives": [[load.lives, load.pumps] for load in alone],
+        "without a rate": [replace(answer, frames_per_second=None).called for answer in answers],
+    }  # fmt: skip
 
 
 def attachments_row() -> Any:

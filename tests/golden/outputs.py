@@ -39,7 +39,7 @@ from lampest.report.detect.answer import Detected
 from lampest.report.export import nwb
 from lampest.report.info import describe, shaded_map, text_map, understood_lines
 from lampest.report.live import publish, watcher
-from lampest.report.live.engine import with_picture
+from lampest.report.live.engine import Engine, with_picture
 from lampest.report.live.handover import News
 from lampest.report.live.message import (
     HISTORY_FRAMES,
@@ -249,7 +249,10 @@ def drawn_row(figure: Figure) -> dict[str, Any]:
                     for image in each.collections
                 ],
                 "patches": [[str(patch), patch.get_linewidth(), patch.get_alpha()] for patch in each.patches],
-                "place": [*each.get_position().bounds, each.get_visible(), each.axison],
+                "place": [*each.get_position().bounds, each.get_visible(), each.axison, str(each.get_facecolor())],
+                "halos": [
+                    [halo._gc for halo in part.get_path_effects() or ()] for part in (*each.texts, *each.collections)
+                ],
                 "values": [
                     np.ma.filled(np.ma.asarray(image.get_array(), dtype=float), np.nan)
                     for image in images
@@ -261,7 +264,11 @@ def drawn_row(figure: Figure) -> dict[str, Any]:
             }
         )
     words = [text.get_text() for text in figure.findobj(Text)]
-    return {"axes": axes, "size": figure.get_size_inches(), "words": "|".join(word for word in words if word)}
+    legends = [[each.get_frame_on(), each._ncols, each._outside_loc] for each in figure.legends]
+    return {
+        "axes": axes, "size": figure.get_size_inches(), "words": "|".join(word for word in words if word),
+        "legends": legends,
+    }  # fmt: skip
 
 
 def scales_row() -> dict[str, Any]:
@@ -315,7 +322,7 @@ def shown_views() -> tuple[View, View, View]:
 
 def message_row() -> dict[str, Any]:
     view = shown_views()[1]
-    message, blank = Message.of(view), View("here", "LSM", "waiting", view.panel)
+    message, blank = Message.of(view), View("here", "LSM", "waiting", view.panel, recording=("closing r.h5", False))
     return {
         "blank": json.loads(view_text(blank, 9.0)),
         "errors": [pressed.figure(1.234, sd) for sd in (0.0, 0.1, 12.0, np.nan)],
@@ -360,14 +367,15 @@ def published_row() -> dict[str, Any]:
     client.publish.side_effect, client.socket.return_value = ends, None
     client.loop_start.side_effect = lambda: client.on_connect(None, None, None, answer)
     packets = patch("pythonosc.udp_client.UDPClient.send", lambda _, bundle: outlets.append(bundle.dgram))
-    broker, waits = (
-        patch("paho.mqtt.client.Client", lambda _: client), patch.object(publish, "waited", lambda done, _: done())
-    )  # fmt: skip
+    broker, waited = patch("paho.mqtt.client.Client", lambda _: client), list[Any]()
+    waits = patch.object(publish, "waited", lambda done, most: waited.append([done(), most]) or waited[-1][0])
     with patch.dict(sys.modules, pylsl=lsl), packets, patch.object(publish, "time", clock), broker, waits:
         for where in ("lsl://panel", "osc://127.0.0.1:9", "mqtt://me:no@h/t"):
             with publish_at(where).opened(said.append) as (_, send):
                 for message in messages:
                     tried.append([client.publish.call_count, send(message)])
+                for event in (client.on_disconnect, client.on_connect):
+                    event(None, None, None, "lost")
 
     connected, attempts = MagicMock(), list[str]()
     client.on_socket_open(None, None, connected)
@@ -382,7 +390,7 @@ def published_row() -> dict[str, Any]:
     publish._forward(shown, send_sometimes, "here", said.append)
     return {
         "outlets": [each.parts if isinstance(each, Element) else repr(each) for each in outlets], "said": said,
-        "tried": tried, "attempts": attempts,
+        "tried": tried, "attempts": attempts, "waited": waited,
         "broker": [[call.args[0], call.kwargs] for call in client.publish.mock_calls],
         "client": [
             each.call_args.args for each in (
@@ -503,6 +511,10 @@ def live_words_row() -> dict[str, Any]:
     for coupled in (True, False):
         scene = lp.Scene(lp.Panel(modules=Modules(1, 2, EachModule(3, 2), coupled=coupled)))
         states.append(PanelState.begin(LIVE["smooth"], scene, 1.0, lp.Readings.of(scene, still), hasty=True))
+    engine, engines = Engine("here", "LSM", ESTIMATORS["auto"], 2), list[Any]()
+    for each, engine._beside in product(states, (None, SimpleNamespace(gone=False), SimpleNamespace(gone=True))):
+        after = engine._with_findings(each)
+        engines.append((after.stream.keeps_weights, after.track is None, after.stream.track is None))
     listed = lp.Panel(2, 2, cells=((0, 0, 1.5, 2.0), (1, 1, 9.0, 8.0)))
     panels = (lp.Panel(1, 2, 8.0), listed, lp.Panel(modules=Modules(1, 2, EachModule(2, 3, 5.0), 4.0)))
     return {
@@ -510,7 +522,7 @@ def live_words_row() -> dict[str, Any]:
             (each.missing, each.zeroed, len(each.recent), each.track is None, each.stream.track is None,
              each.stream.keeps_weights) for each in states
         ],
-        "methods": [(name, method.terms, method.method) for name, method in LIVE.items()],
+        "engines": engines, "methods": [(name, method.terms, method.method) for name, method in LIVE.items()],
         "chosen": [chosen(name, None)[0] for name in (None, "LSM")], "unknown": refusal(chosen, "LSX", None),
         "verdicts": verdicts, "alarms": alarms, "waiting": waiting,
         "history": (len(view.history), view.history[0].number),
@@ -743,13 +755,18 @@ def nwb_row() -> list[Any]:
 
 def fit_row() -> list[str]:
     fit = Reconstruction.of(simulated(), ESTIMATORS["auto"])
-    return [re.sub(r"solve time .*", "", fit.fit_report()), repr(fit), repr(simulated())]
+    bar = MagicMock()
+    with patch("lampest.cli.screen.progress", bar):
+        lp.reconstruct(simulated(), [lp.Misfit()], formulation="scaled", progress=True)
+    shown = [str(call) for call in (bar.call_args, *bar.return_value.__enter__.return_value.call_args_list)]
+    return [re.sub(r"solve time .*", "", fit.fit_report()), repr(fit), repr(simulated()), *shown]
 
 
 def of_report() -> Rows:
+    blind = replace(invented_case("blind", shape=(2, 4, 5), truth=False), swept_json='{"g.weight": 3.0}')
     plots = {
         f"plot {plot.kind}": lambda plot=plot: drawn_row(
-            plot.draw(swept_cases() if plot.kind == "sweep" else invented()[:3])
+            plot.draw((*swept_cases(), blind) if plot.kind == "sweep" else invented()[:3])
         ) for plot in PLOTS
     }  # fmt: skip
     return (

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import chdir
 from dataclasses import replace
 from functools import cache, partial
-from itertools import product
+from itertools import cycle, product
 from math import nan
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,6 +25,7 @@ from support import invented_case
 import lampest as lp
 from lampest.estimate.estimator import Estimator
 from lampest.runs import config
+from lampest.solvers.solution import Status
 from lampest.studies import bench, common, extremes, paper, tradeoff, weights
 from lampest.studies.bench import Bench, BenchFile, BenchFrame, BenchPart, run_bench
 from lampest.studies.certified import correct_digits, exact_cost, exact_residual, exact_scale, fifty_digits
@@ -63,7 +64,8 @@ def timed_bench() -> Bench:
         BenchFrame, kind=lambda side, frame: "later" if frame else "first", inverse_s=lambda side,
         frame: 1e-6 * side**2,
     )  # fmt: skip
-    frames += [replace(frames[0], rows=9, kind="pair"), replace(frames[0], rows=9), replace(frames[1], rows=9, gap=nan)]
+    pair = replace(frames[0], rows=9, kind="pair", memory_mb=7.0)
+    frames += [pair, replace(frames[0], rows=9), replace(frames[1], rows=9, gap=nan)]
     left_out = ((8, 8), "LSM", "recording 2"), ((8, 8), "LSR-CR", "recording 2"), ((9, 8), "LSM", "memory of nodal")
     settings = BenchFile(schema=1, sizes=(8, 16, (30, 20)), budget_s=9.0, frames=2)
     return Bench(settings, tuple(frames), left_out)
@@ -129,6 +131,10 @@ MEASURED: dict[str, tuple[Study[Any, Any], Callable[[], Any]]] = {
     "extremes": (extremes.STUDY, judged_solves),
     "weights": (weights.STUDY, lambda: Cases([tuned_curves()], ["a/b left out: it was solved for no weight"])),
 }  # fmt: skip
+METHODS = {
+    "LSM": StudyMethod(config.Terms(misfit=lp.Misfit())),
+    "LSR-dCR": StudyMethod(config.Terms(misfit=lp.Misfit(), relative_change=lp.RelativeChange(weight=10.0))),
+}
 
 
 def study_files_row(name: str) -> dict[str, Any]:
@@ -175,7 +181,7 @@ def tradeoff_row() -> dict[str, Any]:
 
 def runs_row() -> dict[str, Any]:
     """Tiny runs of the studies of solvers and of formulations, without their times."""
-    settings = {"LSM": StudyMethod(config.Terms(misfit=lp.Misfit()))}
+    settings = {"LSM": METHODS["LSM"]}
     file = BenchFile(schema=1, sizes=(3,), frames=2, repeats=1, estimators=settings)
     steps: list[tuple[int, int]] = []
     alone, told = bench.BenchLimits(nodal=0), list[tuple[int, int, str]]()
@@ -203,6 +209,30 @@ def runs_row() -> dict[str, Any]:
         "late": [(each.shape, each.recording, each.frame) for each in late.frames],
         "remarks": bench.bench_remarks(late),
     }
+
+
+def budgeted_row() -> list[Any]:
+    """Benchmarks within three budgets, on a clock that solves advance; their seconds are in their cost, some fail."""
+    file, told = BenchFile(1, (3, (3, 4)), METHODS, 2, 2, 3, limits=bench.BenchLimits(nodal=3, joint=3)), []
+    names = ("shape", "method", "solver", "recording", "frame", "kind", "seconds", "gap", "memory_mb", "status")
+    for budget in (1.5, 9.0, 60.0):
+        clock, steps, times = [0.0], list[Any](), cycle((0.7, 0.2, 0.4, 0.3, 0.1, 0.6))
+
+        def solve(stream: Any, readings: lp.Readings, clock: list[float] = clock, times: Any = times) -> Any:
+            turn, seconds = common.pushed(stream, readings), next(times)
+            clock[0] += seconds
+            cost, status = turn.step.solution.objective + seconds, turn.step.solution.status
+            status = Status.ITERATIONS if seconds == 0.1 else status
+            solution = replace(turn.step.solution, objective=cost, status=status)
+            return turn._replace(seconds=seconds, step=replace(turn.step, solution=solution))
+
+        faked = {"pushed": solve, "perf_counter": lambda clock=clock: clock[0], "inverse_time": lambda _: 1e-6}
+        faked["peak_memory"] = lambda recording, estimator: len(recording.time) + len(estimator.method.kind) / 10
+        with patch.multiple(bench, **faked):
+            known = replace(file, budget_s=budget, memory=(3,))
+            done = run_bench(known, lambda *about, steps=steps: steps.append(about))
+        told.append([steps, done.left_out, [[getattr(frame, name) for name in names] for frame in done.frames]])
+    return told
 
 
 def extremes_row(case: str) -> dict[str, Any]:
@@ -354,4 +384,4 @@ def of_studies() -> Rows:
     rows: Rows = {f"extremes {case}": partial(extremes_row, case) for case in extremes.CASES}
     rows |= {f"files of {name}": partial(study_files_row, name) for name in MEASURED}
     rows |= {"bench": bench_row, "tradeoff": tradeoff_row, "weights": weights_study_row, "settings": settings_row}
-    return rows | {"paper": paper_row, "runs": runs_row, "digits": digits_row}
+    return rows | {"paper": paper_row, "runs": runs_row, "budgets": budgeted_row, "digits": digits_row}

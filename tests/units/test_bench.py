@@ -17,7 +17,6 @@ from lampest.estimate.sequence import first_stream
 from lampest.report.compare import screen_table
 from lampest.runs.config import Terms
 from lampest.solvers.multistart import evaluated
-from lampest.studies import bench as bench_module
 from lampest.studies.bench import (
     STUDY,
     Bench,
@@ -93,15 +92,6 @@ def test_the_gap_is_above_the_least_objective_of_all_solvers_and_unknown_of_a_si
         read_bench(tmp_path / "missing.yaml")
     with pytest.raises(ValueError, match="only squared losses"):
         SolversFile(1, (3,), {"robust": StudyMethod(Terms(misfit=Misfit(loss=Huber(corner=1.0))))})
-
-
-def test_frames_after_the_first_are_solved_in_turns_until_they_take_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The fake clock: the first frame takes 0.3 s, the next 0.4, 0.2 and 0.1 s, those of the last 2 s and less."""
-    clock, solve = iter([0.3, 0.4, 0.2, 0.1, 2.0, 0.01]), bench_module.pushed
-    monkeypatch.setattr(bench_module, "pushed", lambda *given: solve(*given)._replace(seconds=next(clock)))
-    found = run_bench(BenchFile(1, (3,), LSM, frames=2, repeats=3, limits=ALONE), quiet)
-    assert [frame.seconds for frame in found.frames] == [0.3, 0.1, 2.0] and list(clock) == [0.01]
-    assert [frame.kind for frame in found.frames] == ["first", "later", "later"] and not found.left_out
 
 
 def test_pages_show_tables_that_the_bench_writes() -> None:

@@ -105,7 +105,7 @@ def import_file(  # noqa: PLR0913 # the options of a command
         raise InputError(f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} frames")
     clock = _clock(frames, period, time_unit, path)
     if missing == "refuse":
-        for frame, row, column in np.argwhere(np.isnan(values) & panel.present)[:1].tolist():
+        for frame, row, column in np.argwhere(np.isnan(values) & panel.present).tolist():
             place = frames.place(frame, row, column)
             raise InputError(f"{place}: the reading of row {row}, column {column} is missing")
     kind, reason = unit, f"unit {unit}, as specified"
