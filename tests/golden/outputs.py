@@ -17,8 +17,9 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock, patch
 
+import h5py
 import numpy as np
-from golden.checks import detected, tiled
+from golden.checks import ON_FILM, WATCHED, answer_row, detected, tiled
 from golden.circuits import COLD, FILM, Rows, cells_of
 from golden.estimates import ESTIMATORS, case_row, gapped, in_scene, simulated
 from matplotlib.axes import Axes
@@ -35,7 +36,8 @@ from lampest.loads.recognition.attachment import Attachment
 from lampest.panel.panel import EachModule, Modules
 from lampest.report import compare, plots, words
 from lampest.report.detect import pressed
-from lampest.report.detect.answer import Detected
+from lampest.report.detect.answer import Detected, write_detections
+from lampest.report.detect.detection import detect_results
 from lampest.report.export import nwb
 from lampest.report.info import describe, shaded_map, text_map, understood_lines
 from lampest.report.live import publish, watcher
@@ -544,6 +546,21 @@ def refusal(made: Callable[..., Any], *known: Any, **changes: Any) -> str:
         return str(error)
 
 
+def stored(path: Path) -> dict[str, Any]:
+    """Attributes and values of a file, without versions."""
+    held: dict[str, Any] = {}
+
+    def noted(name: str, node: Any) -> None:
+        held[name] = {key: str(value) for key, value in sorted(node.attrs.items()) if not key.endswith("_version")}
+        if hasattr(node, "shape"):
+            values = node[()]
+            held[name]["values"] = np.char.decode(values) if values.dtype.kind == "S" else values
+
+    with h5py.File(path) as file:
+        file.visititems(noted)
+    return {name: {key: each for key, each in about.items() if "LIST" not in key} for name, about in held.items()}
+
+
 def command(*words: str | Path) -> str:
     """What a command prints."""
     printed = io.StringIO()
@@ -704,6 +721,25 @@ def strongest_of_files() -> list[Any]:
     return [*told, refusal(plots.plot_file, Path("u.h5"), Path("x.png"))]
 
 
+def detected_results_row() -> list[Any]:
+    """Answers to results with noise that frames share, without noise, and of one frame; and what the file says."""
+    scene = replace(WATCHED, faults=lp.Faults(shorted=((0, 1),), dead_rows=(5,)))
+    made = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=3, loads=ON_FILM["rod"][0]))
+    readings, cases = replace(made, scene=scene).readings(), list[lp.CaseResult]()
+    resting = readings[:3].mean()
+    for name, frames in (("noisy", slice(3, 5)), ("silent", slice(0, 3)), ("one", slice(5, 6))):
+        sigma = (readings.sigma_of_values[frames], resting.sigma_of_values) if name == "noisy" else (None, None)
+        noise = {"gain": np.array(1e-3), "unloaded": np.array(4)} if name == "noisy" else {}
+        known = {"measured": readings.value[frames], "measured_baseline": resting.value, "frame_noise": noise}
+        known |= dict(zip(("sigma", "sigma_baseline"), sigma, strict=True)) | {"warnings": "a warning\nanother one"}
+        case = invented_case("LSM", name, (frames.stop - frames.start, 6, 7), truth=False, scene=scene)
+        cases.append(replace(case, **known))
+    answers = [*detect_results(lp.Results(tuple(cases))), Detected.unknown("dark", "nothing was read")]
+    with tempfile.TemporaryDirectory() as folder:
+        file = stored(write_detections(Path(folder, "d.h5"), answers))
+    return [file, *(answer_row(answer) for answer in answers)]
+
+
 SQUARE = ((0, 0, 0, 0), (0, 1, 10, 0), (1, 0, 0, 10), (1, 1, 10, 10))
 
 
@@ -790,6 +826,7 @@ def of_report() -> Rows:
             "report of a fit": fit_row,
             "pictures of variants": variants_row,
             "pictures of files": pictured_row,
+            "results that are watched": detected_results_row,
         }
         | {f"live {name}": partial(live_row, name) for name in ("auto", "by nodal", "tared", "smoother")}
     )

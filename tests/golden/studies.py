@@ -14,12 +14,11 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
-import h5py
 import numpy as np
 from golden.circuits import Rows, cells_of
 from golden.estimates import simulated
 from golden.numerics import point
-from golden.outputs import command, drawn_row, refusal
+from golden.outputs import command, drawn_row, refusal, stored
 from support import invented_case
 
 import lampest as lp
@@ -98,21 +97,6 @@ def judged_solves() -> list[extremes.Solve]:
     return [extremes.Solve(**known | change) for change in changes]
 
 
-def stored(path: Path) -> dict[str, Any]:
-    """Attributes and values of a file, without versions."""
-    held: dict[str, Any] = {}
-
-    def noted(name: str, node: Any) -> None:
-        held[name] = {key: str(value) for key, value in sorted(node.attrs.items()) if not key.endswith("_version")}
-        if hasattr(node, "shape"):
-            values = node[()]
-            held[name]["values"] = np.char.decode(values) if values.dtype.kind == "S" else values
-
-    with h5py.File(path) as file:
-        file.visititems(noted)
-    return {name: {key: each for key, each in about.items() if "LIST" not in key} for name, about in held.items()}
-
-
 def numbers_of(path: Path) -> list[list[Any]]:
     """Lines of a table as text, numbers as numbers."""
 
@@ -159,7 +143,7 @@ def bench_row() -> dict[str, Any]:
             part, part._replace(shape=(8, 8)), part._replace(method="LSR-CR"),
         )],
         "recorded": [settings.recording((4, 5), number).recorded for number in (0, 1)],
-        "loads": [bench.loads(number, (9, 9)) for number in range(4)],
+        "loads": [bench.loads(number, (9, 9)) for number in range(5)],
     }  # fmt: skip
 
 

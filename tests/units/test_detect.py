@@ -1,6 +1,5 @@
 """What `lampest detect` is made of: sentences, events, --json, detections.h5, the timeline, and what it cannot say."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,12 +8,9 @@ import h5py
 import numpy as np
 import pytest
 from laws.recognised import answered
-from support import invented_case
 
-from lampest import Block, Faults, InputError, OralDisc, Panel, Recording, Rod, Scene
+from lampest import Block, InputError, OralDisc, Panel, Recording, Rod, Scene
 from lampest.estimate.prepared import Prepared
-from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.breathing import Breathing
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
@@ -23,17 +19,12 @@ from lampest.report.detect.answer import (
     LAMPREY,
     PRESSES,
     SUCKS,
-    Detected,
-    write_detections,
 )
-from lampest.report.detect.detection import Known, detect_recording, detect_results, known_of
+from lampest.report.detect.detection import Known, detect_recording, known_of
 from lampest.runs.filling import _arrays_of, frame_noise_of
-from lampest.runs.results import CaseResult, Results
 
 PANEL = Panel(8, 10, 10.0)
 MOUTH = OralDisc(centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
-SEEN = Attachment(0.99, 6.0, (44.1, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), cells=12, area_mm2=(1200.0, 100.0))
-BREATHES = replace(SEEN, sucks_s=6.0, breath=Breathing(6.0, hertz=(1.1, 0.05), depth=(0.08, 0.01)))
 
 
 def recorded(seed: int = 2, **known: Any) -> Recording:
@@ -41,43 +32,6 @@ def recorded(seed: int = 2, **known: Any) -> Recording:
     given: dict[str, Any] = {"frames": 6, "loads": (MOUTH,)} | known
     scene = given.pop("scene", Scene(PANEL, TwoPointReadout(noise_lsb=0.7), 140.0))
     return simulate(Simulation(1, seed, scene, **given))
-
-
-def solved_case(faults: Faults | None = None, **known: Any) -> CaseResult:
-    """The same as a case of results; faults, known : what the scene says besides."""
-    recording = recorded()
-    scene = replace(recording.scene, faults=faults, **known)
-    recording = replace(recording, scene=scene)
-    readings = recording.readings()
-    resting = readings[[0, 1, 2]].mean()
-    return replace(
-        invented_case("LSM", "mouth", (6, 8, 10), scene=scene),
-        measured=readings.value[3:],
-        measured_baseline=resting.value,
-        sigma=readings.sigma_of_values[3:],
-        sigma_baseline=resting.sigma_of_values,
-        truth=None,
-        truth_baseline=None,
-    )
-
-
-def test_the_file_has_the_names_of_the_json(tmp_path: Path) -> None:
-    answers = [Detected.of("mouth", (BREATHES,), 4.0), Detected.unknown("dark", "nothing was read")]
-    file, again = (write_detections(tmp_path / name, answers) for name in ("detections.h5", "again.h5"))
-    assert file.read_bytes() == again.read_bytes()
-    known = answers[0].content()
-    json.dumps(known, allow_nan=False)
-    with h5py.File(file) as content:
-        group = content["entry/mouth"]
-        assert group.attrs["answer"] == b"lamprey" and group.attrs["frames_per_second"] == 4.0
-        assert content["entry/dark"].attrs["answer"] == CANNOT_SAY.encode()
-        for name, value in known["attachments"][0].items():
-            dataset = group["attachments"][name]
-            assert dataset.attrs["units"] and dataset.attrs["long_name"]
-            if isinstance(value, list):
-                found = [dataset[0], group["attachments"][f"{name}_errors"][0]]
-                np.testing.assert_allclose(found, value)
-        assert np.isnan(group["attachments/until_s"][0]) and list(group["events/event"][()]) == [b"attached"]
 
 
 @pytest.mark.slow
@@ -92,14 +46,6 @@ def test_pumps_tell_a_mouth_where_breath_cannot_be_seen() -> None:
     assert (pumped.answer, leaked.answer, len(pumped.attachments)) == (LAMPREY, SUCKS, 1)
     assert "pumping up its suction" in pumped.sentence and "breathing" not in pumped.sentence
     assert "whether suction is pumped up again shows within minutes" in leaked.sentence
-
-
-def test_results_are_answered_from_their_readings() -> None:
-    for case in (solved_case(), replace(solved_case(), sigma=None, sigma_baseline=None)):
-        (answer,) = detect_results(Results((case,)))
-        assert answer.answer == SUCKS and answer.attachments[0].diameter_mm is not None
-        assert answer.attachments[0].diameter_mm[0] == pytest.approx(33, abs=2)
-        assert (case.sigma is None) == any("the noise is unknown" in note for note in answer.notes)
 
 
 @pytest.mark.parametrize("readout", [TwoPointReadout(), LoadedColumnsReadout(load_ohm=1000.0)])
@@ -122,16 +68,6 @@ def test_noise_that_frames_share_is_what_it_was(readout: Any) -> None:
     for (name, value), sentence in zip((*wrong, ("together", np.ones(channels))), said, strict=True):
         with pytest.raises(ValueError, match=sentence):
             frame_noise_of(arrays | {name: np.array(value)}, scene)
-
-
-def test_readings_that_faults_blind_do_not_count() -> None:
-    case = solved_case(faults=Faults(shorted=((0, 1),), dead_rows=(7,), dead_columns=(9,)))
-    assert np.isinf(case.sigma[:, 7]).all() and np.isinf(case.sigma[:, 0, 1]).all()
-    wild = case.measured.copy()
-    wild[np.isinf(case.sigma)] *= np.random.default_rng(3).uniform(0.2, 5, int(np.isinf(case.sigma).sum()))
-    (first,), (other,) = (detect_results(Results((one,))) for one in (case, replace(case, measured=wild)))
-    assert first.answer == other.answer == SUCKS
-    assert first.attachments[0].diameter_mm == pytest.approx(other.attachments[0].diameter_mm, rel=0.02)
 
 
 MAT = Scene(

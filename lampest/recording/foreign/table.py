@@ -344,7 +344,7 @@ class ReadingsTable:
 
     def refuse(self, bad: NDArray[np.bool_], field: int, why: str) -> None:
         """Raise InputError with the place of the first bad line; `why` is a template for the field's text."""
-        for line in np.flatnonzero(bad)[:1].tolist():
+        for line in np.flatnonzero(bad).tolist():
             raise InputError(f"{self.place(line, field)}: {why.format(self.fields[line, field][:40] or 'nothing')}")
 
     def timing(self, columns: Sequence[int], lines: Sequence[int]) -> Timing:

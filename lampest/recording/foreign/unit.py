@@ -128,7 +128,7 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source
     scaled, readout = values * FACTORS[unit], scene.readout
 
     def refuse(bad: NDArray[np.bool_], why: str) -> None:
-        for frame, row, column in np.argwhere(bad)[:1].tolist():
+        for frame, row, column in np.argwhere(bad).tolist():
             raise InputError(f"{place(frame, row, column)}: {values[frame, row, column]:.6g} {why}")
 
     plain = np.where(np.isinf(values), np.nan, values)

@@ -270,6 +270,6 @@ def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
     median[seen] = np.nanmedian(value[:, seen], axis=0)
     with np.errstate(invalid="ignore"):
         relative[steps] = sigma_of_frames(np.log(value[:, steps]))
-    size = float(np.nanmedian(relative))
+    size = float(np.nanmedian(relative)) if steps.any() else 0.0
     message = f"the noise is unknown: {100 * size:.2g} % a reading, from differences of neighbouring frames"
     return median * np.fmax(np.nan_to_num(relative), max(size, 1e-6)), (message,)
