@@ -458,7 +458,9 @@ def breathing_row() -> dict[str, Any]:
     patterns = breathing.Patterns.of(
         np.eye(24), rise, slopes[None], 0.2 * np.abs(slopes), moves, rng.standard_normal((24, 1)),
     )  # fmt: skip
-    swing_breath = breathing.breath(times, breathing.settled(swing + rng.standard_normal(swing.shape)), patterns)
+    settled = breathing.settled(swing + rng.standard_normal(swing.shape))
+    swing_breath = breathing.breath(times, settled, patterns)
+    few = [breathing.breath(times[part], settled[part], patterns) for part in (slice(10), slice(None, None, 2))]
     belief = [breathing.Breathing()]
     for full in (False, True, True):
         belief.append(belief[-1].after(swing_breath, full=full))
@@ -467,7 +469,7 @@ def breathing_row() -> dict[str, Any]:
         pumping = pumping.after(0.02 * rng.standard_normal(4) + 0.3 * (number % 10 > 6), 0.5 * number)
     return {
         "breath": swing_breath, "belief": belief, "probability": [each.probability for each in belief],
-        "slow": breathing.too_slow(1.5), "pumping": [pumping.odds, np.sort(pumping.logarithm, axis=-1)],
+        "slow": breathing.too_slow(1.5), "too few": few, "pumping": [pumping.odds, np.sort(pumping.logarithm, axis=-1)],
     }  # fmt: skip
 
 

@@ -121,7 +121,8 @@ def swept_cases() -> tuple[lp.CaseResult, ...]:
 
 
 def table_row() -> dict[str, Any]:
-    each = lp.StepFigures(0.2, 0.1, 3.0, 1.0)
+    each, later = lp.StepFigures(0.2, 0.1, 3.0, 1.0), lp.StepFigures(0.4, 0.3, 5.0, 2.0)
+    figures = {"all": each}, {"initial": each}, {"following": each}, {"all": each, "following": later}
     published = {"LSM": lp.PublishedFigures(all=each)}
     rows = compare.compare(lp.Results(invented(), published), "a.h5") + compare.compare(
         lp.Results(swept_cases()), "b.h5",
@@ -135,7 +136,7 @@ def table_row() -> dict[str, Any]:
     lines = compare.table_lines(rows)
     quoted = [
         compare.compare(lp.Results((replace(invented()[0], joint_start=joint),), {"LSM": lp.PublishedFigures(**known)}))
-        for joint, known in product((False, True), ({"all": each}, {"initial": each}, {"following": each}))
+        for joint, known in product((False, True), figures)
     ]
     return {
         "quoted": [[[text for key, text in row.items() if "published" in key] for row in some] for some in quoted],
@@ -616,7 +617,8 @@ def commands_row() -> dict[str, Any]:
 def described_row() -> dict[str, Any]:
     """Descriptions of recordings with gaps, bounds, lines that touch, modules, and scenes with every entry."""
     texts = {}
-    for name, recording in {"gaps": gapped(), "modules": tiled(), **{name: in_scene(name) for name in SPOKEN}}.items():
+    known = {"untared": replace(simulated(), role=np.ones_like(simulated().role)), "gaps": gapped(), "modules": tiled()}
+    for name, recording in {**known, **{name: in_scene(name) for name in SPOKEN}}.items():
         readings = recording.recorded.copy()
         if name == "noisy":  # rows that are known to touch, and columns that are not
             readings[:, 2] = readings[:, 1]

@@ -7,6 +7,7 @@ from functools import cache
 from importlib.metadata import EntryPoint
 from typing import Any, get_args
 
+import numpy as np
 import pytest
 from laws.samples import DECIDED, configurations, examples, hints, is_settled, members_of, parts, unions, words
 
@@ -15,6 +16,7 @@ from lampest.cost.terms import Arrival, Gradient, Misfit, term_types
 from lampest.estimate.methods import AnyMethod, MethodName, named_method
 from lampest.files import typed
 from lampest.files.document import Document, parse_document, plain_content, to_yaml, validated
+from lampest.loads.pressure import pressure_of
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.readouts.wiring import ContactPrior, Contacts
 from lampest.panel.response import Film, PowerResponse, TableResponse
@@ -208,6 +210,11 @@ IMPOSSIBLE: list[tuple[Callable[[], object], str]] = [
             *("supply_ripple_lsb", "gain_spread", "inl_lsb"),
         )
     ),
+    *(
+        (lambda ends=ends: pressure_of(*np.multiply.outer(ends, np.ones((1, 6, 7))), scene()), "positive, finite and")
+        for ends in ((0.0, 0.0, 1.0), (1.0, 1.1, 2.0), (np.inf, 1.0, np.inf))
+    ),
+    (lambda: pressure_of(*np.ones((3, 1, 5, 7)), scene()), "frames × rows × columns"),
     (lambda: Estimator((Misfit(),), tare=10), "tare must be"),
     (lambda: Estimator((NOISY, Arrival()), error_bars=False), "arrival weighs frames by their error bars"),
     (lambda: Estimator((NOISY, Arrival()), formulation="scaled"), "arrival weighs frames by their error bars"),

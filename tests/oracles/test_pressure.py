@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from lampest import Array, Cells, Panel, Scene, Simulation, SuctionCup, Temperature, Water
-from lampest.files.document import parse_document, to_yaml, validated
 from lampest.loads.pressure import pressure_of, water_pressure
 from lampest.panel.response import RESPONSE_SD, VACUUM_KPA, ratio_from_pressure
 from lampest.recording.simulation.simulation import simulate
@@ -109,25 +108,3 @@ def test_open_and_unseen_cells_and_failed_frames() -> None:
     for values in (pressed.pressure, pressed.lower, pressed.upper, pressed.errors):
         np.testing.assert_array_equal(np.isnan(values), np.isnan(failed))
     assert np.all(pressed.saturated[1] == 0)
-
-
-@pytest.mark.parametrize(("ratio", "lower", "upper"), [(0.0, 0.0, 1.0), (1.0, 1.1, 2.0), (np.inf, 1.0, np.inf)])
-def test_impossible_ratios_are_refused(ratio: float, lower: float, upper: float) -> None:
-    values = [np.full((1, 4, 3), value) for value in (ratio, lower, upper)]
-    with pytest.raises(ValueError, match="positive, finite and within"):
-        pressure_of(*values, AIR)
-    with pytest.raises(ValueError, match="frames × rows × columns"):
-        pressure_of(values[0][:, :3], values[1][:, :3], values[2][:, :3], AIR)
-
-
-def test_temperatures_are_of_this_world_and_stand_in_a_scene_that_has_them() -> None:
-    """Each number may be at the ends of its range, and beyond neither of them."""
-    ends = (("coefficient_per_kelvin", -1.0, 1.0), ("coefficient_sd_per_kelvin", 0.0, 1.0))
-    for name, low, high in (*ends, ("baseline_celsius", -273.15, 1000.0), ("measured_celsius", -273.15, 1000.0)):
-        assert [getattr(dataclasses.replace(COOLING, **{name: end}), name) for end in (low, high)] == [low, high]
-        for beyond in (low - 0.01, high + 0.01):
-            with pytest.raises(ValueError, match=name):
-                dataclasses.replace(COOLING, **{name: beyond})
-    for scene in SCENES.values():
-        assert validated(parse_document(to_yaml(scene), "scene"), Scene) == scene
-    assert "water" not in to_yaml(AIR) and "temperature" not in to_yaml(AIR)

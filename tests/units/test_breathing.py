@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lampest.loads.recognition.breathing import Breath, Breathing, Patterns, breath, settled
+from lampest.loads.recognition.breathing import Breath, Patterns, breath, settled
 from lampest.loads.recognition.pumping import BLOCK_S, MIN_LOG_ODDS, Pumping
 from lampest.panel.panel import Array
 
@@ -89,16 +89,6 @@ def test_waves_and_noise_are_none_and_hide_none(seed: int) -> None:
     for hiding in ({"own": 0.08, "waves": 3.0}, {"own": 0.04, "wild": True, "strong": 0.05}):  # or outliers
         found = window(**hiding, seed=seed)
         assert found.odds > 3 and found.suction > 0.9
-
-
-def test_too_few_frames_say_nothing_and_before_its_first_window_a_breath_is_as_probable_as_none() -> None:
-    nothing = Breathing()
-    assert nothing.probability == 0.5 and nothing.hertz is None and nothing.depth is None
-    assert (nothing.odds, nothing.previous_odds, nothing.suction, nothing.last, nothing.causes) == (0, 0, 1, 0.5, 0)
-    ones = np.ones(4)
-    patterns = Patterns.of(np.eye(4), ones, ones[None], ones, ones[None], np.eye(4)[:, 1:2])
-    for times in (TIMES[:10], np.arange(0, 8, 0.5)):
-        assert breath(times, np.zeros((len(times), 4)), patterns) is None
 
 
 BLOCKS = np.arange(0, 480, BLOCK_S)

@@ -3,24 +3,18 @@
 import dataclasses
 import time
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
 from lampest import (
-    Array,
-    Faults,
     OralDisc,
     Panel,
     Scene,
     TwoPointReadout,
-    Water,
 )
-from lampest.loads.pressure import Force, PressureTrack, water_pressure
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.breathing import Breathing
-from lampest.panel.response import PublishedResponse, ratio_from_pressure
+from lampest.panel.response import PublishedResponse
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, simulate
 from lampest.report.detect.answer import Detected
@@ -29,32 +23,7 @@ from lampest.report.live.engine import Engine
 from lampest.report.live.handover import Errand
 from lampest.report.live.publish import waited
 from lampest.report.live.run import METHODS, scan_of
-from lampest.report.live.state import read_load
 from lampest.report.live.watcher import Unloaded, Watched, watcher
-
-
-def force_of(kpa: Array, **entries: Any) -> Force:
-    """Of 10 × 10 cells of 10 mm × 10 mm under such pressures, without error bars."""
-    scene = Scene(Panel(10, 10), response=PublishedResponse(), **entries)
-    water = water_pressure(scene.panel, scene.water)
-    ratio = ratio_from_pressure(water + kpa) / ratio_from_pressure(water)
-    return read_load(PressureTrack.begin(scene), ratio, None, 0.0)[1]
-
-
-def test_the_total_pressure_of_the_cells_is_a_force() -> None:
-    """10 kPa on 100 cells are 100 N; what sucks, what stood there before and what is broken counts as nothing."""
-    ten = np.full((10, 10), 10.0)
-    broken = Faults(dead_rows=(3,), shorted=((0, 0),))
-    assert force_of(ten).newton == force_of(ten, water=Water(500.0)).newton == pytest.approx(100.0)
-    assert force_of(np.repeat([[10.0], [-10.0]], 5, axis=0) * np.ones((10, 10))).newton == pytest.approx(50.0)
-    assert force_of(ten, faults=broken).newton == pytest.approx(89.0)
-    kpa = np.zeros((10, 10))
-    kpa[2, 2:6], kpa[3, 3] = 10.0, 95.0
-    force = force_of(kpa)
-    assert force.newton == pytest.approx(4.0 + 4.0), "beyond 40 kPa a cell counts with that, and is counted"
-    assert force.saturated == 1
-    pressed, unknown = read_load(PressureTrack.begin(Scene(Panel(2, 2))), np.full((2, 2), 0.5), None, 0.0)
-    assert pressed is None and np.isnan(unknown.newton), "a scene without a response has no force"
 
 
 def test_an_urgent_errand_waits_for_urgent_ones_alone() -> None:
