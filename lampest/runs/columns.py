@@ -315,9 +315,8 @@ def _contacts(done: Estimates) -> dict[str, Array]:
     shape, every = done.recording.scene.panel.shape, np.ones(len(done.steps))
     lines = [f"{side}_{line}" for side, count in zip(("row", "column"), shape, strict=True) for line in range(count)]
     ohm, errors = done.contacts.mean(shape), done.contacts.deviation(shape)
-    return dict(zip(lines, np.outer(ohm, every), strict=True)) | {
-        f"{line}_errors": error * every for line, error in zip(lines, errors, strict=True)
-    }
+    names = [*lines, *(f"{line}_errors" for line in lines)]
+    return dict(zip(names, np.outer([*ohm, *errors], every), strict=True))
 
 
 def _of_contact(name: str) -> str:

@@ -121,35 +121,6 @@ def test_single_row_has_a_closed_form(lower: Any) -> None:
     assert_allclose(tikhonov.cell_resistance[0], recorded.resistance[1] / (1 + 1e-3), rtol=1e-6)
 
 
-@pytest.mark.parametrize("shape", [(1, 6), (4, 1)])
-@pytest.mark.parametrize("method", WEIGHTS)
-def test_single_line_is_solved_at_its_bounds(method: str, shape: tuple[int, int]) -> None:
-    """Where f(r) = r, equation (12) presses the cells against R from above, some of them hardly."""
-    recorded = recording(truth(shape, 3, 15), 1e-3, unloaded=1)
-    estimate = reconstruct(recorded, estimator(method))
-    assert [step.solution.status.value for step in estimate.steps] == ["optimum verified"] * 2
-    readings = recorded.resistance[1:]
-    assert np.all(estimate.cell_resistance >= readings)
-    if method in ("misfit", "cell_resistance"):
-        assert_allclose(estimate.cell_resistance, readings, rtol=1e-6)
-        assert all(np.all(step.solution.at_lower) for step in estimate.steps)
-
-
-@pytest.mark.parametrize("method", WEIGHTS)
-def test_sequence_is_its_frames_one_by_one(method: str) -> None:
-    """Warm or cold, with frames before it or without: absolute methods know no history."""
-    recorded = recording(truth((4, 5), 4, 15), 2e-3, unloaded=1)
-    estimate = reconstruct(recorded, estimator(method))
-    assert len(estimate.steps) == 3
-    assert list(estimate.frame) == [1, 2, 3]
-    pair = {name: getattr(recorded, name)[[0, 3]] for name in ("recorded", "time", "role", "sigma")}
-    alone = reconstruct(replace(recorded, **pair), estimator(method))
-    if method in RELATIVE:
-        assert np.max(np.abs(alone.cell_resistance[-1] / estimate.cell_resistance[-1] - 1)) > 1e-3
-    else:
-        assert_allclose(alone.cell_resistance[-1], estimate.cell_resistance[-1], rtol=1e-6)
-
-
 @pytest.mark.parametrize("weight", [35.0, 200.0])
 @pytest.mark.parametrize("formulation", ["nodal", "reduced"])
 def test_optimum_is_verified_from_a_start_without_any_change(formulation: str, weight: float) -> None:
