@@ -37,7 +37,6 @@ WEIGHTS = {
     "gradient_of_relative_change": 10.0,
 }
 FORMULATIONS = ("per_pixel", "nodal", "reduced", "auto")
-RELATIVE = ("relative_change", "gradient_of_relative_change")
 
 
 def estimator(method: str, **options: Any) -> Estimator:
