@@ -158,7 +158,7 @@ def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
     """Map headers to figures of the solved frames among the chosen ones, and to counts of their missing readings."""
     good = chosen & case.solved
     errors = None if case.truth is None else relative_error(case.cell_resistance[good], case.truth[good])
-    own, common = (None if part is None else 100 * part[good] for part in (case.sigma_own, case.sigma_common))
+    individual, common = (None if part is None else 100 * part[good] for part in (case.sigma_own, case.sigma_common))
     own_kpa, common_kpa = case.pressed_errors(good) or (None, None)
     counts = {"missing readings": case.missing_readings, "bound readings": case.bound_readings}
     return {
@@ -167,7 +167,7 @@ def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
         **statistics(case.solve_time[good], "solve time {} [s]", "mean", "sd"),
         **statistics(data_error(case)[good], "data error {} [%]", "mean", "sd"),
         **statistics(errors, "cell error {} [%]", "median", "mean", "95th percentile"),
-        **statistics(own, "own standard deviation {} [%]", "median"),
+        **statistics(individual, "own standard deviation {} [%]", "median"),
         **statistics(common, "common standard deviation {} [%]", "median"),
         **statistics(own_kpa, "own standard deviation of pressed cells {} [kPa]", "median"),
         **statistics(common_kpa, "common standard deviation of pressed cells {} [kPa]", "median"),
@@ -287,9 +287,9 @@ def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
 def _title(group: Sequence[Row], *, several: bool) -> str:
     """Return a title such as 'lamprey_35mm: 21 frames, 12 readings missing'."""
     first = group[0]
-    own = [row for row in group if row["estimator"] == first["estimator"]]
+    first_rows = [row for row in group if row["estimator"] == first["estimator"]]
     frames, missing, bounds = (
-        sum(row[name] for row in own) for name in ("frames", "missing readings", "bound readings")
+        sum(row[name] for row in first_rows) for name in ("frames", "missing readings", "bound readings")
     )
     parts = [counted(frames, "frame")]
     parts += [f"{counted(missing, 'reading')} missing"] if missing else []

@@ -217,10 +217,10 @@ def _holes(recording: Recording) -> Iterator[str]:
     """Yield sentences on missing and bounded readings, except those of faulty cells, and on their consequences."""
     readings, scene = recording.readings(), recording.scene
     yield holes_sentence(readings.missing(scene), readings.bounds)
-    enough, unloaded = readings.enough(scene), recording.role == UNLOADED
-    if not np.all(enough):
-        yield f"{int(np.sum(~enough))} of {len(enough)} frames have too few values to be estimated"
-    if np.any(unloaded) and np.any(enough) and not readings[unloaded].mean().enough(scene):
+    estimable, unloaded = readings.enough(scene), recording.role == UNLOADED
+    if not np.all(estimable):
+        yield f"{int(np.sum(~estimable))} of {len(estimable)} frames have too few values to be estimated"
+    if np.any(unloaded) and np.any(estimable) and not readings[unloaded].mean().enough(scene):
         yield "the unloaded frames have too few values: the first frame with enough stands for them"
 
 

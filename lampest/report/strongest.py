@@ -63,8 +63,8 @@ def likely_change(value: Array, resting: Array) -> Array:
     mean = moved.mean(axis=(1, 2), keepdims=True)
     # x = x̄ + a (rows) + b (columns) + w; eigenvalues of ∂ln R/∂ln r: 1, M/K, N/K and 2/K
     across, down = (moved.mean(axis=axis, keepdims=True) - mean for axis in (2, 1))
-    own = moved - mean - across - down
-    change = mean + (rows + columns - 1) * (across / rows + down / columns + own / 2)
+    interaction = moved - mean - across - down
+    change = mean + (rows + columns - 1) * (across / rows + down / columns + interaction / 2)
     return np.asarray(change.filled(np.nan))
 
 

@@ -267,8 +267,8 @@ def parts_to_solve(task: Task) -> list[int]:
     Damaged parts are removed.
     """
     stored, previous = task.case.stored, task.case.estimator.uses_previous
-    every = () if stored is None or previous else stored.measured_blocks
-    waiting = [number for number in every if task.carried_over(number) is None]
+    blocks = () if stored is None or previous else stored.measured_blocks
+    waiting = [number for number in blocks if task.carried_over(number) is None]
     for number in waiting:
         remove_own(task.part(number))
     return waiting
@@ -297,8 +297,8 @@ def solve_case(task: Task) -> CaseResult | StoredCase:
 
 def solve_long(task: Task, stored: StoredRecording) -> StoredCase:
     """Solve a case part by part, beginning with the first unfinished one, and write its result atomically."""
-    solved, whole = list[int](), set(task.whole_parts)
-    if task.case.estimator.uses_previous or not set(stored.measured_blocks) <= whole:
+    solved, stored_parts = list[int](), set(task.whole_parts)
+    if task.case.estimator.uses_previous or not set(stored.measured_blocks) <= stored_parts:
         parts = _parts(task.case.estimator, stored)
         # Files after a newly solved part depend on another state and are solved again, unless parts are independent.
         waiting = parts.estimates(lambda at: None if solved and not parts.independent else task.carried_over(at))

@@ -141,9 +141,9 @@ class CaseResult(Content):
         if self.sigma_own is None or self.sigma_common is None or not np.isfinite(self.sigma_own).any():
             return ""
         known, words = np.isfinite(self.sigma_own) & (self.sigma_own > 0), "own {:.2g} {unit}, common {:.2g} {unit}"
-        own, common = (100 * float(np.median(part[known])) for part in (self.sigma_own, self.sigma_common))
+        individual, common = (100 * float(np.median(part[known])) for part in (self.sigma_own, self.sigma_common))
         message, parts = (
-            f"standard deviation of cells: {words.format(own, common, unit='%')}",
+            f"standard deviation of cells: {words.format(individual, common, unit='%')}",
             self.pressed_errors(self.solved),
         )
         if parts is None or not parts[0].size:

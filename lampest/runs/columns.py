@@ -159,8 +159,8 @@ class Column(Validated):
         part = part if self.axes[:1] == FRAMES else hdf5.ALL
         if self.dtype is str:
             return hdf5.read_texts(file, path, shape[0], part)
-        whole = None if np.dtype(self.dtype).kind == "f" else np.uint8 if self.dtype is bool else self.dtype
-        return hdf5.read_array(file, path, len(shape), shape, part, whole).astype(self.dtype)
+        integer = None if np.dtype(self.dtype).kind == "f" else np.uint8 if self.dtype is bool else self.dtype
+        return hdf5.read_array(file, path, len(shape), shape, part, integer).astype(self.dtype)
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,11 +312,11 @@ def _contacts(done: Estimates) -> dict[str, Array]:
     """Return contact resistances of the lines and their standard deviations, equal in all frames; empty if unknown."""
     if done.contacts is None:
         return {}
-    shape, every = done.recording.scene.panel.shape, np.ones(len(done.steps))
+    shape, per_frame = done.recording.scene.panel.shape, np.ones(len(done.steps))
     lines = [f"{side}_{line}" for side, count in zip(("row", "column"), shape, strict=True) for line in range(count)]
     ohm, errors = done.contacts.mean(shape), done.contacts.deviation(shape)
     names = [*lines, *(f"{line}_errors" for line in lines)]
-    return dict(zip(names, np.outer([*ohm, *errors], every), strict=True))
+    return dict(zip(names, np.outer([*ohm, *errors], per_frame), strict=True))
 
 
 def _of_contact(name: str) -> str:

@@ -174,8 +174,8 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
         run: RunFile = point.value
         published |= run.published or {}
         executor = run.executor.beside(path.parent) if isinstance(run.executor, Dask) else run.executor
-        own = f"estimators.{point.entry}."  # swept keys without the estimator: gradient.weight
-        swept = {path.removeprefix(own).removeprefix("terms."): value for path, value in point.assignments.items()}
+        prefix = f"estimators.{point.entry}."  # swept keys without the estimator: gradient.weight
+        swept = {path.removeprefix(prefix).removeprefix("terms."): value for path, value in point.assignments.items()}
         name, estimator = _varied_name(point.entry, swept), resolve(point.document, run, point.entry)
         for file in recording_paths(path, run.recordings):
             source = recordings[file] = recordings.get(file) or _Source.read(file)
@@ -298,8 +298,8 @@ def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
 def resolve(document: Document, run: RunFile, name: str) -> Estimator:
     """Return an estimator, with options of the run as defaults."""
     shared = {item.name: document.content[item.name] for item in fields(Choices) if item.name in document.content}
-    own = document.content["estimators"][name]
-    merged = shared | own | {part: shared.get(part, {}) | own.get(part, {}) for part in ("solver", "bounds")}
+    written = document.content["estimators"][name]
+    merged = shared | written | {part: shared.get(part, {}) | written.get(part, {}) for part in ("solver", "bounds")}
     try:
         entry: EstimatorEntry = adapter(EstimatorEntry).validate_json(json.dumps(merged))
     except ValueError as error:

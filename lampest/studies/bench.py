@@ -204,18 +204,18 @@ def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
         if part.expected_s(bench, frames) > end - perf_counter():
             missed.append((shape, method, name))
             continue
-        own = list(_frames(bench, simulated(shape, part.recording), part, end))
-        if (count := own[-1].frame + 1) <= bench.frames:
+        part_frames = list(_frames(bench, simulated(shape, part.recording), part, end))
+        if (count := part_frames[-1].frame + 1) <= bench.frames:
             missed.append((shape, method, f"{name} after {count} of {bench.frames + 1} frames"))
         with_memory = not part.recording and shape[0] == shape[1] and shape[0] in bench.memory
         for solver in bench.solvers(shape) if with_memory else ():
             # A fresh process takes some 3 s to begin.
-            if 3.0 + sum(frame.seconds for frame in own if frame.solver == solver) > end - perf_counter():
+            if 3.0 + sum(frame.seconds for frame in part_frames if frame.solver == solver) > end - perf_counter():
                 missed.append((shape, method, f"memory of {solver}"))
                 continue
             peak = peak_memory(simulated(shape, part.recording), bench.estimator(method, solver, shape))
-            own = [replace(frame, memory_mb=peak) if frame.solver == solver else frame for frame in own]
-        frames += own
+            part_frames = [replace(frame, memory_mb=peak) if frame.solver == solver else frame for frame in part_frames]
+        frames += part_frames
     return Bench(bench, tuple(frames), tuple(missed))
 
 
@@ -230,7 +230,7 @@ def _frames(bench: BenchFile, recording: Recording, part: BenchPart, end: float)
     for number, frame in enumerate(recording.measured_frames()):
         begin, turns = perf_counter(), []
         for _ in range(bench.repeats if number else 1):
-            turns.append({name: pushed(own, readings[frame]) for name, own in streams.items()})
+            turns.append({name: pushed(method_stream, readings[frame]) for name, method_stream in streams.items()})
             if sum(turn.seconds for turn in turns[-1].values()) > 1.0:  # disturbances are small against 1 s
                 break
         reached = {name: turn.objective for name, turn in turns[0].items()}
@@ -275,33 +275,35 @@ def bench_rows(frames: Sequence[BenchFrame]) -> list[study.Row]:
         for name, chosen in {ALL: panel, **grouped(panel, lambda frame: frame.method)}.items():
             for several in grouped(chosen, lambda frame: frame.solver).values():
                 kinds = grouped(several, lambda frame: frame.frame > 0).values()
-                rows += [_row(name, own) for own in kinds if name != ALL or {frame.method for frame in own} == methods]
+                rows += [
+                    _row(name, timed) for timed in kinds if name != ALL or {frame.method for frame in timed} == methods
+                ]
     reduced = {PROBLEM(row): row.ms for row in rows if row.solver == "reduced"}
     for row in rows:
         row.ratio = row.ms / reduced[PROBLEM(row)] if PROBLEM(row) in reduced else None
     return rows
 
 
-def _row(method: str, own: Sequence[BenchFrame]) -> study.Row:
+def _row(method: str, measured: Sequence[BenchFrame]) -> study.Row:
     """Summarise frames of one kind by one solver; ms : median, gap : the largest, infinite of a failed frame."""
-    low, middle, high = np.quantile([1e3 * frame.seconds for frame in own], (0.25, 0.5, 0.75)).tolist()
-    kinds = {frame.kind for frame in own}
+    low, middle, high = np.quantile([1e3 * frame.seconds for frame in measured], (0.25, 0.5, 0.75)).tolist()
+    kinds = {frame.kind for frame in measured}
     return study.Row(
-        **study.named_values(own[0], "rows", "columns"),
+        **study.named_values(measured[0], "rows", "columns"),
         method=method,
-        solver=own[0].solver,
+        solver=measured[0].solver,
         frames=kinds.pop() if len(kinds) == 1 else "first",
         ms=middle,
         ms_quartile_1=low,
         ms_quartile_3=high,
         ratio=None,
-        inverses=middle / 1e3 / float(np.median([frame.inverse_s for frame in own])),
-        iterations=float(np.median([frame.iterations for frame in own])),
-        gap=max((frame.gap for frame in own if not np.isnan(frame.gap)), default=None),
-        count=len(own),
-        verified=sum(frame.verified for frame in own),
-        solved=sum(frame.solved for frame in own),
-        memory_mb=max((frame.memory_mb for frame in own if frame.memory_mb is not None), default=None),
+        inverses=middle / 1e3 / float(np.median([frame.inverse_s for frame in measured])),
+        iterations=float(np.median([frame.iterations for frame in measured])),
+        gap=max((frame.gap for frame in measured if not np.isnan(frame.gap)), default=None),
+        count=len(measured),
+        verified=sum(frame.verified for frame in measured),
+        solved=sum(frame.solved for frame in measured),
+        memory_mb=max((frame.memory_mb for frame in measured if frame.memory_mb is not None), default=None),
     )
 
 
@@ -313,12 +315,12 @@ def growth(rows: Sequence[study.Row]) -> list[study.Row]:
     """
     large = [row for row in rows if min(row.rows, row.columns) >= GROWTH_FROM and row.method != ALL]
     exponents = []
-    for group, own in grouped(large, attrgetter(*GROWTH[:3])).items():
-        sides = [(row.rows + row.columns) / 2 for row in own]
-        if len(own) > 1:
-            line = linregress(np.log(sides), np.log([row.ms for row in own]))
-            error = float(line.stderr) if len(own) > 2 else None
-            figures = (*group, float(line.slope), error, len(own), max(sides))
+    for group, group_rows in grouped(large, attrgetter(*GROWTH[:3])).items():
+        sides = [(row.rows + row.columns) / 2 for row in group_rows]
+        if len(group_rows) > 1:
+            line = linregress(np.log(sides), np.log([row.ms for row in group_rows]))
+            error = float(line.stderr) if len(group_rows) > 2 else None
+            figures = (*group, float(line.slope), error, len(group_rows), max(sides))
             exponents.append(study.Row(**dict(zip(GROWTH, figures, strict=True))))
     return exponents
 
@@ -352,11 +354,11 @@ SCREEN: Columns = {
 def sheets(bench: Bench) -> list[study.Sheet]:
     """Return the tables that are not empty."""
     rows = bench_rows(bench.frames)
-    together = [row for row in rows if row.method == ALL]
+    totals = [row for row in rows if row.method == ALL]
     ours = [row for row in rows if row.method != ALL and row.solver == "reduced"]
     shared = {title: of for title, of in SCREEN.items() if title not in ("method", "quartiles")}
     titled: list[study.Sheet] = [
-        ("solvers: all methods together", together, shared),
+        ("solvers: all methods together", totals, shared),
         ("methods: the reduced solver", ours, {title: of for title, of in SCREEN.items() if title != "solver"}),
         ("growth: time ∝ side^exponent", growth(rows), GROWTH_SCREEN),
     ]
@@ -370,8 +372,8 @@ def bench_remarks(bench: Bench) -> list[str]:
     limited = [f"{name} {limit}" for name, limit in vars(settings.limits).items() if limit < largest]
     lines = [f"not run beyond these sides (limits): {', '.join(limited)}"] if limited else []
     panels: dict[tuple[str, str], list[str]] = {}  # of which the same was left out
-    for (shape, part), own in grouped(bench.left_out, lambda left_out: (left_out[0], left_out[2])).items():
-        methods = [method for _, method, _ in own]
+    for (shape, part), omissions in grouped(bench.left_out, lambda left_out: (left_out[0], left_out[2])).items():
+        methods = [method for _, method, _ in omissions]
         named = "all methods" if methods == list(settings.estimators) else ", ".join(methods)
         panels.setdefault((part, named), []).append(f"{shape[0]} × {shape[1]}")
     reason = f"left out, would not end within {settings.budget_s:g} s"

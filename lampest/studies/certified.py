@@ -84,8 +84,8 @@ def exact_residual(cost: Cost, data: Data, cells: Array) -> float:
     direct, through = Evaluation(cost, data, cells, readings, ()).partials(NO_DUAL)
     slope = direct * cells
     odd = np.indices(cells.shape).sum(axis=0) % 2 == 1
-    beside = cells * np.exp(np.where(odd, 1, -1) * np.spacing(np.abs(np.log(cells))))
-    blur = np.abs(Evaluation(cost, data, beside, readings, ()).partials(NO_DUAL)[0] * beside - slope)
+    neighbours = cells * np.exp(np.where(odd, 1, -1) * np.spacing(np.abs(np.log(cells))))
+    blur = np.abs(Evaluation(cost, data, neighbours, readings, ()).partials(NO_DUAL)[0] * neighbours - slope)
     for place in np.ndindex(cells.shape):
         sides = []
         for factor in (np.exp(step), np.exp(-step)):

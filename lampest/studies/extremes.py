@@ -274,9 +274,9 @@ class AtlasFile(Configuration):
 
     def formulations(self, sample: AtlasSample) -> tuple[Literal["reduced", "nodal"], ...]:
         """Return the formulations in which every method solves a scene."""
-        part, own = self.nodal, bool(CASES[sample.case].shapes) and sample.rows * sample.columns < 100
+        part, small_special = self.nodal, bool(CASES[sample.case].shapes) and sample.rows * sample.columns < 100
         known = 100 * sample.noise in part.noise and sample.decades in (*part.decades, 0.0)
-        chosen = known and sample.seed < part.seeds and (own or sample.shape in part.shapes)
+        chosen = known and sample.seed < part.seeds and (small_special or sample.shape in part.shapes)
         return ("reduced", "nodal") if chosen else ("reduced",)
 
 
@@ -372,18 +372,18 @@ def judged(
     joint = len(data.measured) == 2
     parts = [("pair" if joint else "frame", truth[0 if joint else 1 :], estimator, data, stream.push(readings[1])[1])]
     if stream.baseline is not None:
-        alone = replace(estimator, terms=estimator.absolute_terms)
-        blank = Stream(alone, recording.scene, frame_period(recording), readings[0])
-        parts.insert(0, ("baseline", truth[:1], alone, blank.given(blank.resting)[0], stream.baseline))
+        absolute = replace(estimator, terms=estimator.absolute_terms)
+        blank = Stream(absolute, recording.scene, frame_period(recording), readings[0])
+        parts.insert(0, ("baseline", truth[:1], absolute, blank.given(blank.resting)[0], stream.baseline))
     solves = []
-    for part, cells, own, data, step in parts:
-        solution, cost = step.solution, own.cost(recording.scene, len(data.measured), partial=data.partial)
-        about: dict[str, Any] = {**vars(sample), "method": name, "formulation": own.method.kind, "part": part}
+    for part, cells, fit, data, step in parts:
+        solution, cost = step.solution, fit.cost(recording.scene, len(data.measured), partial=data.partial)
+        about: dict[str, Any] = {**vars(sample), "method": name, "formulation": fit.method.kind, "part": part}
         about |= study.named_values(solution, "solved", "iterations")
         about |= {"status": solution.status.value, "residual": solution.kkt_residual}
         if solution.solved:
             estimate = solution.cell_resistance
-            costs = [exact_cost(cost, data, each) for each in (estimate, np.clip(cells, data.lower, data.upper))]
+            costs = [exact_cost(cost, data, point) for point in (estimate, np.clip(cells, data.lower, data.upper))]
             about["audited"] = exact_residual(cost, data, estimate) if estimate[0].size <= audit_cells else nan
             about["excess"] = (costs[0] - costs[1]) / exact_scale(cost, data, estimate)
             about["model_digits"] = correct_digits(solution.reading, exact_two_point_resistance(estimate))
@@ -391,24 +391,24 @@ def judged(
     return solves
 
 
-def _row(own: Sequence[Solve]) -> study.Row:
+def _row(group: Sequence[Solve]) -> study.Row:
     """Summarise solves; digits are the least, residuals the largest.
 
     verified : confirmed estimates; named : failures with a reason; doubtful : estimates that the audit does not
     confirm; crashed : failures without a reason; worse : estimates that cost more than the truth.
     """
-    solved = [solve for solve in own if solve.solved]
-    statuses = Counter(solve.status for solve in own).most_common()
-    iterations = [solve.iterations for solve in own]
+    solved = [solve for solve in group if solve.solved]
+    statuses = Counter(solve.status for solve in group).most_common()
+    iterations = [solve.iterations for solve in group]
     return study.Row(
-        **study.named_values(own[0], "case", "decades", "rows", "columns", "noise", "method", "formulation"),
-        solves=len(own),
-        verified=sum(solve.verified for solve in own),
-        named=sum(not solve.solved and not solve.crashed for solve in own),
-        doubtful=sum(solve.doubtful for solve in own),
-        crashed=sum(solve.crashed for solve in own),
+        **study.named_values(group[0], "case", "decades", "rows", "columns", "noise", "method", "formulation"),
+        solves=len(group),
+        verified=sum(solve.verified for solve in group),
+        named=sum(not solve.solved and not solve.crashed for solve in group),
+        doubtful=sum(solve.doubtful for solve in group),
+        crashed=sum(solve.crashed for solve in group),
         worse=sum(solve.excess > VERIFIED for solve in solved),
-        forward_digits=float(np.fmin.reduce([solve.forward_digits for solve in own], initial=nan)),
+        forward_digits=float(np.fmin.reduce([solve.forward_digits for solve in group], initial=nan)),
         model_digits=float(np.fmin.reduce([solve.model_digits for solve in solved], initial=nan)),
         residual=float(np.fmax.reduce([solve.residual for solve in solved], initial=nan)),
         audited=float(np.fmax.reduce([solve.audited for solve in solved], initial=nan)),

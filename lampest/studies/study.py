@@ -209,7 +209,7 @@ def named_values(record: Any, *names: str) -> dict[str, Any]:
 
 def rows_by(key: Callable[[Any], Any], row: Callable[[Any], Row]) -> Callable[[Iterable[Any]], list[Row]]:
     """Return a function that makes a row of each group of records."""
-    return lambda records: [row(own) for own in grouped(records, key).values()]
+    return lambda records: [row(group) for group in grouped(records, key).values()]
 
 
 def csv_of(rows: Sequence[Any], names: Iterable[str] = ()) -> str:

@@ -235,7 +235,7 @@ def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list
     """Measure all methods and formulations; `on_step` receives the numbers of finished and of all parts."""
     settings, done, measured = plan.settings, count(1), list[TradeoffFrame]()
     first = {recording.scene.panel.shape: recording for recording in reversed(plan.recordings)}
-    pairs = [(each, method) for each in plan.recordings for method in settings.methods(each.scene.panel.shape)]
+    pairs = [(data, method) for data in plan.recordings for method in settings.methods(data.scene.panel.shape)]
     fresh = [(shape, name) for shape in first if settings.memory for name in settings.rungs(shape)]
     for recording, method in pairs:
         measured += _measure(settings, recording, method)
@@ -348,25 +348,25 @@ def ladder_rows(frames: Sequence[TradeoffFrame], *names: str) -> list[study.Row]
     return study.rows_by(attrgetter("shape", "solver", *names), _row)(frames)
 
 
-def _row(own: Sequence[TradeoffFrame]) -> study.Row:
+def _row(measured: Sequence[TradeoffFrame]) -> study.Row:
     """Return medians over frames; `first_ms` includes the baseline, `reached` is the share of gaps up to 1e-6."""
-    names = {name: {getattr(frame, name) for frame in own} for name in ("recording", "method")}
-    errors = {name: [getattr(frame, name) for frame in own] for name in ("cell_error", "changed_error")}
+    names = {name: {getattr(frame, name) for frame in measured} for name in ("recording", "method")}
+    errors = {name: [getattr(frame, name) for frame in measured] for name in ("cell_error", "changed_error")}
     known = {name: [value for value in values if np.isfinite(value)] for name, values in errors.items()}
-    gaps = [frame.gap if np.isfinite(frame.gap) else np.inf for frame in own]
+    gaps = [frame.gap if np.isfinite(frame.gap) else np.inf for frame in measured]
     return study.Row(
-        **study.named_values(own[0], "rows", "columns"),
+        **study.named_values(measured[0], "rows", "columns"),
         **{name: values.pop() if len(values) == 1 else "all" for name, values in names.items()},
-        formulation=own[0].solver,
-        first_ms=1e3 * float(np.median([frame.baseline_s + frame.seconds for frame in own if not frame.frame])),
-        frame_ms=1e3 * float(np.median([frame.seconds for frame in own if frame.frame])),
+        formulation=measured[0].solver,
+        first_ms=1e3 * float(np.median([frame.baseline_s + frame.seconds for frame in measured if not frame.frame])),
+        frame_ms=1e3 * float(np.median([frame.seconds for frame in measured if frame.frame])),
         **{name: float(np.median(values)) if values else None for name, values in known.items()},
         gap=float(np.median(gaps)),
         worst_gap=max(gaps),
         reached=float(np.mean(np.array(gaps) <= 1e-6)),
-        frames=len(own),
-        failed=sum(not frame.solved for frame in own),
-        memory_mb=own[0].memory_mb,
+        frames=len(measured),
+        failed=sum(not frame.solved for frame in measured),
+        memory_mb=measured[0].memory_mb,
     )
 
 
@@ -380,10 +380,10 @@ def front(points: Sequence[tuple[float, float]]) -> list[int]:
 def table_rows(frames: Sequence[TradeoffFrame]) -> list[study.Row]:
     """Return the rows of the first method; `front` marks those on the front of time and cell error, or time and gap."""
     rows = ladder_rows([frame for frame in frames if frame.method == frames[0].method])
-    for own in grouped(rows, attrgetter("rows", "columns")).values():
-        errors = [(row.frame_ms, np.inf if row.changed_error is None else row.changed_error) for row in own]
-        best = {*front(errors), *front([(row.frame_ms, row.gap) for row in own])}
-        for number, row in enumerate(own):
+    for panel_rows in grouped(rows, attrgetter("rows", "columns")).values():
+        errors = [(row.frame_ms, np.inf if row.changed_error is None else row.changed_error) for row in panel_rows]
+        best = {*front(errors), *front([(row.frame_ms, row.gap) for row in panel_rows])}
+        for number, row in enumerate(panel_rows):
             row.front = "*" * (number in best)
     return rows
 

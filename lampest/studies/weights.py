@@ -298,8 +298,8 @@ def tune(subject: WeightSubject) -> Curves:
     rule, noisy = subject.case.estimator.auto_weight.rule or "risk", subject.data.noise_known
     if rule == "evidence" and not noisy:
         raise InputError("auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the recording")
-    own = subject.search.cost.terms[subject.penalty].weight
-    given = {} if own == "auto" else {"given": float(own)}
+    initial = subject.search.cost.terms[subject.penalty].weight
+    given = {} if initial == "auto" else {"given": float(initial)}
     chosen = {name: _weight_of(subject, name) for name in get_args(Rule) if noisy or name != "evidence"}
     curves = trace(subject, [*chosen.values(), *given.values()])
     solved = [point for point in curves.points if point.solved]

@@ -210,7 +210,7 @@ def answer_of(load: Attachment, rate: float) -> tuple[str, float, str]:
     rate : float
         Frames per second.
     """
-    breath, alive, still = load.breath, load.sucks * load.lives, load.sucks * (1 - load.lives)
+    breath, alive, lifeless = load.breath, load.sucks * load.lives, load.sucks * (1 - load.lives)
     if load.sucks <= 0.5:
         return PRESSES, 1 - load.sucks, ""
     if alive >= MIN_PROBABILITY:
@@ -221,8 +221,8 @@ def answer_of(load: Attachment, rate: float) -> tuple[str, float, str]:
         return SUCKS, load.sucks, "it moves at a breathing rate, but probably not by its suction: it may be shaken"
     if breath.hertz is None:
         return SUCKS, load.sucks, f"breathing shows after {MIN_WINDOW_S:g} s at the earliest"
-    if breath.previous_odds < 0 and still >= MIN_PROBABILITY:  # no breath in a full window
-        return CUP, still, ""
+    if breath.previous_odds < 0 and lifeless >= MIN_PROBABILITY:  # no breath in a full window
+        return CUP, lifeless, ""
     return SUCKS, load.sucks, f"whether it breathes is not clear (P = {load.breathes:.2f})"
 
 

@@ -96,11 +96,11 @@ class Known:
         panelled = Panelled(self.scene, Detector(patch_of(panel, self.patch_mm), any_form=mat), water, errors, common)
         kind: type[Watch] | type[ImageWatch] = ImageWatch if layout else Watch
         known, plainly = (self.unloaded, self.begin), self.sigma if self.specified is None else self.specified
-        plain = kind.begin(replace(panelled, common=None), self.resting, plainly, *known)
-        if plain.touched(self.unloaded):
+        simple_watch = kind.begin(replace(panelled, common=None), self.resting, plainly, *known)
+        if simple_watch.touched(self.unloaded):
             raise ValueError("something touched the panel while its unloaded frames were taken")
         if common is None and np.array_equal(plainly, self.sigma):
-            return plain
+            return simple_watch
         return kind.begin(panelled, self.resting, self.sigma, *known)
 
     @ONE_BLAS_THREAD
@@ -162,14 +162,14 @@ def _of_case(task: tuple[CaseResult, float | None]) -> Detected:
     side, spread, notes = np.where(case.valued, case.measured, np.nan), case.sigma, tuple[str, ...]()
     noise = frame_noise_of(case.frame_noise, case.scene)
     if spread is None or case.sigma_baseline is None:
-        own, notes = _scattered(side)
-        spread = np.broadcast_to(own, side.shape)
+        deviation, notes = _scattered(side)
+        spread = np.broadcast_to(deviation, side.shape)
     else:
-        own = case.sigma_baseline * np.sqrt(1 if noise is None else noise.unloaded)
+        deviation = case.sigma_baseline * np.sqrt(1 if noise is None else noise.unloaded)
     baseline = case.measured_baseline
     baseline = np.where(np.isfinite(baseline), baseline, stand_in(baseline, np.isfinite(baseline)))
     begin = float(case.time[0] - (np.median(np.diff(case.time)) if len(case.time) > 1 else 0.0))
-    before = baseline, own, baseline[None], begin, case.reading_error, noise, notes, patch_mm
+    before = baseline, deviation, baseline[None], begin, case.reading_error, noise, notes, patch_mm
     values = zip(side, np.where(case.valued, spread, np.inf), map(float, case.time), strict=True)
     messages = tuple(filter(None, case.warnings.split("\n")))
     return replace(Known(case.recording, case.scene, *before).answer(values), warnings=messages)

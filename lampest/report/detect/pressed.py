@@ -82,8 +82,8 @@ def _frame(
     p, own, common, cell = pressure[touched], own_sd[touched], common_sd[touched], pitch**2
     first, second, _ = panel.neighbours
     both = touched.flat[first] & touched.flat[second]
-    beside = np.bincount(np.concatenate([first[both], second[both]]), minlength=touched.size)
-    outline = int(np.sum(touched.ravel() & (beside < SIDES)))
+    pressed_neighbours = np.bincount(np.concatenate([first[both], second[both]]), minlength=touched.size)
+    outline = int(np.sum(touched.ravel() & (pressed_neighbours < SIDES)))
     force = p.sum()
     values, variances = [], []
     for at in panel.places_mm[:, touched]:

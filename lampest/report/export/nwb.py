@@ -64,10 +64,10 @@ def _session(cases: Sequence[CaseResult]) -> Any:
         )
     celsius = experiment.water_temperature_celsius
     water = "" if celsius is None else f"water at {celsius:g} degrees Celsius"
-    together = first.recording + "".join(case.case_id for case in cases)
+    session_name = first.recording + "".join(case.case_id for case in cases)
     return NWBFile(
         session_description=f"cells of a resistive panel estimated from its readings, recording {first.recording}",
-        identifier=hashlib.sha256(together.encode()).hexdigest()[:32],
+        identifier=hashlib.sha256(session_name.encode()).hexdigest()[:32],
         session_start_time=start,
         session_id=first.recording,
         notes=about(first)["scene"],
@@ -93,8 +93,8 @@ def _elements(case: CaseResult, *, shared: bool) -> Iterator[Any]:
     from hdmf.common import DynamicTable, VectorData
     from pynwb import TimeSeries
 
-    every = series_of(case, all_columns()).values()
-    held = [series for series in every if series.shared == shared and series.name != TIME.name]
+    all_series = series_of(case, all_columns()).values()
+    held = [series for series in all_series if series.shared == shared and series.name != TIME.name]
     for series in held:
         if series.dtype is not str and series.axes != CELLS:
             known = {"name": series.name, "unit": series.units, "description": series.meaning}

@@ -118,11 +118,11 @@ class Engine:
         try:
             recording = panel.recording()
             self._frozen = frozen_readings(recording)
-            every = without_readings(recording, self._frozen).readings()
+            all_readings = without_readings(recording, self._frozen).readings()
         except InputError as error:
             raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
-        impossible = impossible_readings(source.scene.circuit, every)
-        resting = without_outliers(impossible, every, np.ones(len(unloaded), dtype=bool))[1].mean()
+        impossible = impossible_readings(source.scene.circuit, all_readings)
+        resting = without_outliers(impossible, all_readings, np.ones(len(unloaded), dtype=bool))[1].mean()
         self.show(panel=source.scene.panel, state=source.state, frames=len(unloaded))
         self._watch(panel)
         self._solving = self._pool.submit(self._solve, panel, source.period, resting)

@@ -146,7 +146,7 @@ class Errand(NamedTuple):
 
     def queued(self, waiting: "list[Errand]") -> "list[Errand]":
         """Return the waiting tasks with this one."""
-        same = [errand for errand in waiting if errand.kind == self.kind]
-        if any(errand.urgent and not self.urgent for errand in same):
+        replaced = [errand for errand in waiting if errand.kind == self.kind]
+        if any(errand.urgent and not self.urgent for errand in replaced):
             return waiting
-        return [self if errand in same else errand for errand in waiting] if same else [*waiting, self]
+        return [self if errand in replaced else errand for errand in waiting] if replaced else [*waiting, self]

@@ -210,11 +210,11 @@ class MqttPublish(Publish):
         def send(message: Message) -> None:
             while waiting and waiting[0][0].is_published():
                 waiting.popleft()
-            now = time.monotonic()
-            if client.is_connected() and (not waiting or now - waiting[0][1] < LATEST_SECONDS):
+            time_now = time.monotonic()
+            if client.is_connected() and (not waiting or time_now - waiting[0][1] < LATEST_SECONDS):
                 info = client.publish(self.path, message.text(), qos=1)
                 if info.rc == 0:  # else the connection has just ended; such a message is never confirmed
-                    waiting.append((info, now))
+                    waiting.append((info, time_now))
 
         try:
             client.on_connect = client.on_disconnect = lambda *event: answers.append(event[3])

@@ -86,8 +86,8 @@ class SecondLook:
         stream, step = self.stream.push(self.readings)
         cells, lower, force = step.estimate(-1), None, None
         if cells is not None:
-            same = stream.weights == self.stream.weights
-            lower = None if same and step.solution.objective > self.objective * (1 - SAME_MINIMUM) else cells
+            same_weights = stream.weights == self.stream.weights
+            lower = None if same_weights and step.solution.objective > self.objective * (1 - SAME_MINIMUM) else cells
             if step.bars is not None and not np.isnan(stream.baseline_resistance).any():
                 force = read_load(self.load, cells / stream.baseline_resistance, step.bars, self.time)[1]
         return Findings(self.number, stream.weights, stream.weighed_at, lower, force)
@@ -283,9 +283,9 @@ def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: N
     moved = np.log(readings.shown / resting.shown)
     # ln of readings over unloaded ones without the common change, against σ of that logarithm
     moved -= np.nanmedian(moved)
-    now, before, least = readings.sigma_of_values, resting.sigma_of_values, np.asarray(NOTICED_PERCENT / 100)
-    if now is not None and before is not None:
-        least = OUTLIER_THRESHOLD * np.hypot(now / readings.shown, before / resting.shown)
+    sigma, resting_sigma, least = readings.sigma_of_values, resting.sigma_of_values, np.asarray(NOTICED_PERCENT / 100)
+    if sigma is not None and resting_sigma is not None:
+        least = OUTLIER_THRESHOLD * np.hypot(sigma / readings.shown, resting_sigma / resting.shown)
     with np.errstate(invalid="ignore"):
         noticed = np.abs(moved) > least
     change = np.log(ratio[~open_cell & np.isfinite(ratio)])

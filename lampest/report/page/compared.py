@@ -103,12 +103,12 @@ def read_batch(paths: Sequence[Path], frames: range | None = None) -> Batch:
 
 def _renamed(case: CaseResult, before: Sequence[CaseResult], number: int) -> CaseResult:
     """Return the case under names that no earlier case has."""
-    same = [second for second in before if second.recording == case.recording]
+    same_recording = [second for second in before if second.recording == case.recording]
     given = ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline")
-    pairs = [(getattr(case, name), getattr(same[0], name)) for name in given] if same else []
+    pairs = [(getattr(case, name), getattr(same_recording[0], name)) for name in given] if same_recording else []
     if not all(np.array_equal(*pair, equal_nan=pair[0] is not None and pair[1] is not None) for pair in pairs):
         return replace(case, recording=f"{case.recording} [{number}]")
-    if any(second.estimator == case.estimator for second in same):
+    if any(second.estimator == case.estimator for second in same_recording):
         return replace(case, estimator=f"{case.estimator} [{number}]")
     return case
 
@@ -122,11 +122,11 @@ def without_copies(recordings: Recordings) -> tuple[Recordings, list[str]]:
     seen: dict[str, set[bytes]] = {}
     copies: list[str] = []
     for name, cases in recordings.items():
-        own = [np.float32(frame).tobytes() for frame in first_of(cases).measured if np.isfinite(frame).any()]
-        copied = (earlier for earlier, held in seen.items() if sum(frame in held for frame in own) > len(own) / 2)
+        frames = [np.float32(frame).tobytes() for frame in first_of(cases).measured if np.isfinite(frame).any()]
+        copied = (earlier for earlier, held in seen.items() if sum(frame in held for frame in frames) > len(frames) / 2)
         before = next(copied, None)
         if before is None:
-            seen[name] = set(own)
+            seen[name] = set(frames)
         else:
             copies.append(f"{name}, whose readings are those of {before}: a copy does not count again")
     return {name: recordings[name] for name in seen}, copies
@@ -370,8 +370,8 @@ def comparison_of(batch: Batch, generator: np.random.Generator) -> Comparison | 
     order = np.argsort(values.mean(axis=0), kind="stable")
     wins, standings = np.sum(values == values.min(axis=1, keepdims=True), axis=0), []
     for number in order:  # against the smallest mean, with the same bootstrap draws for all
-        own, best = values[:, number], values[:, order[0]]
-        intervals = mean_interval(own, drawn), mean_interval(own - best, drawn)
+        chosen_values, best = values[:, number], values[:, order[0]]
+        intervals = mean_interval(chosen_values, drawn), mean_interval(chosen_values - best, drawn)
         standings.append(Standing(match.estimators[number], *intervals, int(wins[number]), float(times[number])))
     return Comparison(criterion, match, units, values, block, tuple(standings))
 
@@ -393,7 +393,7 @@ def weights_text(cases: Sequence[Mapping[str, Array]]) -> str:
     for weights in cases:
         for term, values in weights.items():
             by_term.setdefault(term.replace("_", " "), []).append(values)
-    texts = {term: median_text(np.concatenate(each), "{:.3g}".format) for term, each in by_term.items()}
+    texts = {term: median_text(np.concatenate(arrays), "{:.3g}".format) for term, arrays in by_term.items()}
     parts = [f"{term} λ = {text or NONE}" for term, text in texts.items() if term != "misfit"]
     return ", ".join(parts) or ("no penalty" if by_term else "")
 
@@ -417,10 +417,10 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     left_out = tuple(f"Not compared: {sentence}." for sentence in match.left_out)
     if comparison is None:
         headline = "These results cannot rank the estimators."
-        alone = "No two estimators solved the same frames."
+        gap = "No two estimators solved the same frames."
         if len(match.estimators) > 1 and match.recordings:
-            alone = "A ranking needs the true cells, or the noise of the readings and the resolution. Neither is known."
-        return Advice(None, headline, (alone,), left_out)
+            gap = "A ranking needs the true cells, or the noise of the readings and the resolution. Neither is known."
+        return Advice(None, headline, (gap,), left_out)
     warnings = (*_few(comparison), *left_out)
     best = comparison.standings[0]
     # Differences of 5 % are invisible in maps and forces.

@@ -53,10 +53,10 @@ def write_report(
 
 def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done, total: None) -> str:
     """Return the page as HTML; on_recording : as in `write_report`."""
-    own, _ = compared.without_copies(batch.recordings)
+    distinct, _ = compared.without_copies(batch.recordings)
     comparison = compared.comparison_of(batch, np.random.default_rng(20190604).spawn(1)[0])  # always the same draws
     advice = compared.advise(batch, comparison)
-    by_estimator = {name: [cases[name] for cases in own.values() if name in cases] for name in batch.estimators}
+    by_estimator = {name: [cases[name] for cases in distinct.values() if name in cases] for name in batch.estimators}
     if advice.estimator is not None:
         doubted = doubts(advice.estimator, list(map(figures, by_estimator[advice.estimator])))
         advice = replace(advice, warnings=(*advice.warnings, *doubted))
@@ -71,7 +71,7 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         comparison=comparison,
         standings=comparison and standing_table(comparison),
         units=comparison and len(comparison.units) <= 200 and unit_table(comparison),
-        together=case_table(by_estimator) if len(own) > 1 else None,
+        together=case_table(by_estimator) if len(distinct) > 1 else None,
         whole=sections[:MAX_SHOWN],
         others=sections[MAX_SHOWN:],
         most=MAX_SHOWN,
@@ -84,14 +84,14 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
 
 def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> dict[str, Any]:
     """Return the content of a recording's section: contours and a table; for the first ones, all figures."""
-    name, every, number, drawn = task
-    whole = number < MAX_SHOWN
-    cases = [case for estimator, case in every.items() if estimator in drawn] or [*every.values()][:1]
-    place, pairs = strongest_index(cases), disagreements(cases) if whole else ()
+    name, by_estimator, number, drawn = task
+    in_full = number < MAX_SHOWN
+    cases = [case for estimator, case in by_estimator.items() if estimator in drawn] or [*by_estimator.values()][:1]
+    place, pairs = strongest_index(cases), disagreements(cases) if in_full else ()
     with verbatim():
         words = f"Maps of relative change of {name}: measured, by every estimator, and true where known"
         shown = wide(ContourPlot(), cases, words)
-        if whole:
+        if in_full:
             frame = int(cases[0].frame[place])
             shown += wide(CertaintyPlot(frame), cases, "Maps of standard deviation and resolution")
             shown += wide(ResidualPlot(frame), cases, "Maps of the residuals")
@@ -101,10 +101,10 @@ def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> 
         "anchor": f"recording-{number + 1}",
         "case": cases[0],
         "place": place,
-        "table": case_table({estimator: [case] for estimator, case in every.items()}),
+        "table": case_table({estimator: [case] for estimator, case in by_estimator.items()}),
         "pictures": shown,
-        "undecided": whole and len(cases) > 1 and not pairs,
-        "failed": failures([*every.values()]),
+        "undecided": in_full and len(cases) > 1 and not pairs,
+        "failed": failures([*by_estimator.values()]),
     }
 
 
@@ -261,7 +261,7 @@ def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str
     recordings : its `figures` of each recording.
     """
     lines = SPREAD, COVERED
-    spreads, coverages = ([own[line] for own in recordings if own.get(line) is not None] for line in lines)
+    spreads, coverages = ([by_line[line] for by_line in recordings if by_line.get(line) is not None] for line in lines)
     spread, coverage = float(np.median(spreads or [1.0])), float(np.mean(coverages or [100.0]))
     sentences = []
     if spread > 1.5:

@@ -243,19 +243,19 @@ class CertaintyPlot(MapsPlot):
         cases = cases[:MAX_ACROSS]
         cells = [case.cell_resistance[index] for case in cases]
         errors, resolutions = ([case.column(name)[index] for case in cases] for name in self.needs)
-        deviations = [100 * error / own for error, own in zip(errors, cells, strict=True)]
+        deviations = [100 * error / estimate for error, estimate in zip(errors, cells, strict=True)]
         scales = [maps.log_scale(deviations, "standard deviation [%]")]
         scales.append(maps.Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution"))
         values, truth = [*deviations, *resolutions], cases[0].truth
         if truth is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
-                logs = [100 * np.log(own / truth[index]) for own in cells]
+                logs = [100 * np.log(estimate / truth[index]) for estimate in cells]
                 ratios = [error / deviation for error, deviation in zip(logs, deviations, strict=True)]
             scales.append(maps.signed_scale(ratios, "error / standard deviation", least=3.0, most=5.0))
             values += ratios
         titles = [case.estimator for case in cases] + [""] * (len(values) - len(cases))
-        known = [np.where(np.isfinite(each), each, np.nan) for each in values]
-        return scales, [maps.Tile(title, each) for title, each in zip(titles, known, strict=True)]
+        known = [np.where(np.isfinite(tile), tile, np.nan) for tile in values]
+        return scales, [maps.Tile(title, tile) for title, tile in zip(titles, known, strict=True)]
 
 
 @dataclass(frozen=True)

@@ -248,8 +248,8 @@ def _squares(panel: Panel, places: Array) -> Array:
     cell, neighbour = np.concatenate([number[[first, second]], number[[second, first]]], axis=1)
     nearest_last = np.argsort(np.tile(distance, 2), kind="stable")[::-1]
     way = np.tile([1.0, 0.0], (len(places), 1))
-    apart = (np.tile(distance, 2) * panel.pitch_mm)[:, None]
-    way[cell[nearest_last]] = ((places[neighbour] - places[cell]) / apart)[nearest_last]
+    distance_mm = (np.tile(distance, 2) * panel.pitch_mm)[:, None]
+    way[cell[nearest_last]] = ((places[neighbour] - places[cell]) / distance_mm)[nearest_last]
     across, half = np.stack([-way[:, 1], way[:, 0]], axis=1), panel.pitch_mm / 2
     return np.stack([places + half * (a * way + b * across) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))], axis=1)
 
@@ -258,7 +258,7 @@ def _refined(panel: Panel, values: Array) -> tuple[Array, Array, Array]:
     """Interpolate bilinearly at eight points a cell, constant beyond the outer centres."""
     x, y = panel.centres_mm()
     half = panel.pitch_mm / 2
-    fine = [np.linspace(own[0] - half, own[-1] + half, len(own) * 8 + 1) for own in (x, y)]
+    fine = [np.linspace(positions[0] - half, positions[-1] + half, len(positions) * 8 + 1) for positions in (x, y)]
     across = np.array([np.interp(fine[0], x, row) for row in values])
     return fine[0], fine[1], np.array([np.interp(fine[1], y, column) for column in across.T]).T
 
@@ -283,9 +283,9 @@ def maps_figure(
         A remark on the maps, behind the label of x.
     """
     scales = [scale] if isinstance(scale, Scale) else scale
-    each, in_rows = len(scales) == len(tiles) > 1, 1 < len(scales) < len(tiles)
+    own_bars, in_rows = len(scales) == len(tiles) > 1, 1 < len(scales) < len(tiles)
     broad, tall = (most - least + panel.pitch_mm for least, most in panel.extents_mm)
-    beside, gap = (0.4, 0.9) if each else (1.0, 0.2)  # inches for the colour bars, and between maps
+    beside, gap = (0.4, 0.9) if own_bars else (1.0, 0.2)  # inches for the colour bars, and between maps
 
     def wide(across: int) -> float:
         return (width - beside) / across - gap
@@ -308,11 +308,11 @@ def maps_figure(
     for axes in grid.flat[max(len(tiles) - across, 0) : len(tiles)]:
         axes.tick_params(labelbottom=True)
     signs = max(10, int(17 * wide(across)))  # that fit over a map
-    painters = [MapPainter(panel, own, contoured) for own in scales for _ in range(len(tiles) // len(scales))]
+    painters = [MapPainter(panel, level, contoured) for level in scales for _ in range(len(tiles) // len(scales))]
     for axes, tile, painter in zip(grid.flat, tiles, painters, strict=False):
         name = tile.title.replace("paper's lambda", "paper's\N{NO-BREAK SPACE}λ")
         painter.draw(axes, replace(tile, title=fill(style.short_title(name, 60), signs)))
-    spans = grid.flat if each else grid if in_rows else [grid]
+    spans = grid.flat if own_bars else grid if in_rows else [grid]
     for painter, axes in zip(painters[:: len(tiles) // len(scales)], spans, strict=False):
         painter.bar(figure, axes, "right", aspect=figure.get_figheight() / 0.16)
     style.shared_legend(figure, grid, "lower right", least=2 if contoured else 1, ncols=2)

@@ -56,8 +56,8 @@ def shared_legend(figure: Figure, grid: Any, location: str = "upper center", lea
     for axes in grid.flat:
         handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True)) | handles
     if len(handles) >= least:
-        own: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": len(handles)}
-        figure.legend(handles.values(), handles.keys(), **own | {"loc": f"outside {location}"} | look)
+        defaults: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": len(handles)}
+        figure.legend(handles.values(), handles.keys(), **defaults | {"loc": f"outside {location}"} | look)
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -133,11 +133,11 @@ def short_title(name: str, longest: int = 22) -> str:
     return name if len(name) <= longest else f"{name[: longest - 1]}…"
 
 
-def change_text(value: float, whole: float) -> str:
+def change_text(value: float, integer_from: float) -> str:
     """Format a change, such as '+3.7', '−82', '+9.5·10⁹'; numbers from `whole` on are rounded to integers."""
     if abs(value) >= 1e5:
         digits, power = f"{value:+.1e}".split("e")
         text = f"{digits}·10{str(int(power)).translate(RAISED)}"
     else:
-        text = f"{value:+.{0 if abs(value) >= whole else 1}f}"
+        text = f"{value:+.{0 if abs(value) >= integer_from else 1}f}"
     return text.replace("-", "−")

@@ -322,8 +322,8 @@ def published_beside(sides: Sequence[Side], published: Published) -> Iterator[Pu
     """
 
     def row(place: str, name: str, unit: str, number: float, *ours: Any) -> PublishedNumber:
-        each = ours if len(ours) == len(sides) else ours * len(sides)
-        return PublishedNumber(place, name, unit, float(number), tuple(map(float, each)))
+        values = ours if len(ours) == len(sides) else ours * len(sides)
+        return PublishedNumber(place, name, unit, float(number), tuple(map(float, values)))
 
     for extremes in published.ranges:
         place, changes = f"Fig. 8-{extremes.letter}", [side.change(extremes.method) for side in sides]
@@ -361,7 +361,7 @@ def _change(kpa: float) -> float:
 def sheet(numbers: Sequence[PublishedNumber], names: Sequence[str]) -> Table:
     """Return numbers as texts; ours within a quarter of the published one are highlighted."""
     cells = tuple(
-        (f"{row.quantity} [{row.unit}]", row.figure, digits(row.published), *(text_of(own) or "–" for own in row.ours))
+        (f"{row.quantity} [{row.unit}]", row.figure, digits(row.published), *(text_of(our) or "–" for our in row.ours))
         for row in numbers
     )
     places = np.ndindex(len(numbers), len(names))
