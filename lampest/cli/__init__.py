@@ -44,7 +44,7 @@ def _about(
 def _guarded(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command with checks that its input files exist, before libraries load, and that it overwrites none."""
     about, signature = documented(command)
-    outputs = {name for name, each in signature.parameters.items() if is_written(each)}
+    outputs = {name for name, parameter in signature.parameters.items() if is_written(parameter)}
 
     def called(**options: Any) -> None:
         named = [value for name, value in options.items() if name not in outputs]

@@ -72,13 +72,13 @@ def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
     about, _, section = (inspect.getdoc(command) or "").partition("\n\nParameters\n----------\n")
     help_of = {name: " ".join(text.split()) for name, text in re.findall(r"(?m)^(\w+)\n((?:    .*\n?)+)", section)}
     parameters = []
-    for name, each in (signature := inspect.signature(command)).parameters.items():
-        kind, *notes = get_args(each.annotation) if get_origin(each.annotation) is Annotated else (each.annotation,)
+    for name, param in (signature := inspect.signature(command)).parameters.items():
+        kind, *notes = get_args(param.annotation) if get_origin(param.annotation) is Annotated else (param.annotation,)
         if kind is bool:
             notes = [option("", f"--{name.strip('_').replace('_', '-')}")]
-        note = copy(notes[0]) if notes else typer.Argument() if each.default is each.empty else typer.Option()
+        note = copy(notes[0]) if notes else typer.Argument() if param.default is param.empty else typer.Option()
         note.help = note.help or help_of[name]
-        parameters.append(each.replace(annotation=Annotated[kind, note]))
+        parameters.append(param.replace(annotation=Annotated[kind, note]))
     return about.strip(), signature.replace(parameters=parameters)
 
 

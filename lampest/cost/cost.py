@@ -90,10 +90,10 @@ class Cost:
         symbols = self.symbols()
         cells = casadi.vec(symbols.cell_resistance)
         # Columns of faulty cells in ∂residual/∂r; rows with a nonzero there are removed.
-        every = [frame * self.panel.crossings + cell for frame in range(self.frames) for cell in self.faulty]
+        fault_columns = [frame * self.panel.crossings + cell for frame in range(self.frames) for cell in self.faulty]
         rows = []
         for _, residual in replace(self, faulty=()).residuals(symbols):
-            touched = set(casadi.jacobian(residual, cells)[:, every].sparsity().row())
+            touched = set(casadi.jacobian(residual, cells)[:, fault_columns].sparsity().row())
             rows.append([row for row in range(residual.shape[0]) if row not in touched])
         return rows
 
@@ -270,9 +270,9 @@ class Entries:
         diagonal = np.array_equal(rows[model], columns[model])
         at_model = rows[model] - count if diagonal else None
         # Nonzeros that are neither between cells nor between readings couple the two.
-        own, crossed = np.flatnonzero(rows == columns), len(cells) + len(model) < len(rows)
-        at_cells, on_diagonal = (rows[cells], columns[cells]), (own, rows[own])
-        return cls(cells, at_cells, model, at_model, crossed, on_diagonal, len(own) == len(rows))
+        pivots, crossed = np.flatnonzero(rows == columns), len(cells) + len(model) < len(rows)
+        at_cells, on_diagonal = (rows[cells], columns[cells]), (pivots, rows[pivots])
+        return cls(cells, at_cells, model, at_model, crossed, on_diagonal, len(pivots) == len(rows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,8 +327,8 @@ def stacked(parts: Sequence[Summand]) -> tuple[casadi.SX, casadi.SX]:
 
 def program_groups(parts: Sequence[Summand]) -> list[list[Summand]]:
     """Return the groups of summands that a program lowers together: each whole one, all with duals, each split one."""
-    whole, dual, split = ([part for part in parts if part.loss.enters == how] for how in ("whole", "dual", "split"))
-    return [*([part] for part in whole), *([dual] if dual else []), *([part] for part in split)]
+    smooth, dual, split = ([part for part in parts if part.loss.enters == how] for how in ("whole", "dual", "split"))
+    return [*([part] for part in smooth), *([dual] if dual else []), *([part] for part in split)]
 
 
 def lowered(group: Sequence[Summand], unit: casadi.SX) -> Lowered:

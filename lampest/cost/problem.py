@@ -112,8 +112,8 @@ class Data:
     @property
     def plain(self) -> NDArray[np.bool_]:
         """Whether a reading is a value: not one-sided, missing or a substitute; boolean (frames, rows, columns)."""
-        whole = np.ones(self.measured.shape, dtype=bool)
-        return np.asarray(whole & (self.given.side == 0) & (self.given.seen == 1)) if self.partial else whole
+        shown = np.ones(self.measured.shape, dtype=bool)
+        return np.asarray(shown & (self.given.side == 0) & (self.given.seen == 1)) if self.partial else shown
 
     @property
     def deviation(self) -> Array:
@@ -320,8 +320,8 @@ class Evaluation:
         lower, upper = self.data.log_bounds
         # Π(u − ∇φ/s): gradient step, projected onto the bounds
         target = self.position - log_gradient / self.cost_scales[..., None, None, None]
-        away = np.abs(self.position - np.minimum(np.maximum(target, lower), upper))
-        return np.asarray(away.max(axis=(-3, -2, -1)))
+        distance = np.abs(self.position - np.minimum(np.maximum(target, lower), upper))
+        return np.asarray(distance.max(axis=(-3, -2, -1)))
 
     @cached_property
     def position(self) -> Array:

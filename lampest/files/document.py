@@ -263,7 +263,7 @@ def _known_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> set[str]:
             node.get("properties", {}).get(part) or node.get("additionalProperties") or node.get("items")
             for node in nodes
         )
-        nodes = [each for node in inner if isinstance(node, dict) for each in _alternatives(node, schema)]
+        nodes = [alternative for node in inner if isinstance(node, dict) for alternative in _alternatives(node, schema)]
     objects = [node["properties"] for node in nodes if "properties" in node]
     # Objects of another kind have another constant for a shared key.
     fitting = [known for known in objects if all(_fits(known.get(key, {}), value) for key, value in content.items())]
@@ -275,7 +275,7 @@ def _alternatives(node: Any, schema: Any) -> list[Any]:
     while "$ref" in node:
         node = schema["$defs"][node["$ref"].rpartition("/")[2]]
     inner = node.get("anyOf", node.get("oneOf", ()))
-    return [each for part in inner for each in _alternatives(part, schema)] or [node]
+    return [alternative for part in inner for alternative in _alternatives(part, schema)] or [node]
 
 
 def _fits(node: Any, value: Any) -> bool:

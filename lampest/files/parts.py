@@ -78,8 +78,8 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     joined = {path: plan for path, plan in plans.items() if plan.along and len(parts) > 1}
     for path, plan in joined.items():
         shape = (_lengths(plans)[path.split("/", 1)[0]], *plan.shape[1:])
-        nothing, chunks = np.nan if plan.dtype.kind == "f" else None, (plan.length, *shape[1:])
-        target.create_dataset(path, shape, plan.dtype, chunks=chunks, fillvalue=nothing, **plan.packing)
+        fill, chunks = np.nan if plan.dtype.kind == "f" else None, (plan.length, *shape[1:])
+        target.create_dataset(path, shape, plan.dtype, chunks=chunks, fillvalue=fill, **plan.packing)
     for part, begin in zip(parts, begins, strict=True):
         with hdf5.existing_file(part) as file:
             for path, node in _within(file, group):
@@ -100,14 +100,14 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
 def _append(target: h5py.Dataset, part: h5py.Dataset, first: int) -> None:
     """Write a part's values into a dataset from frame `first` on; chunks with equal layout are copied compressed."""
     length, names = target.chunks[0], ("chunks", "dtype", "compression")
-    same = all(getattr(target, name) == getattr(part, name) for name in names)
-    whole = len(part) - len(part) % length if same and first % length == 0 else 0
-    for begin in range(0, whole, length):
-        beside = (0,) * (target.ndim - 1)
-        mask, packed = part.id.read_direct_chunk((begin, *beside))
-        target.id.write_direct_chunk((first + begin, *beside), packed, mask)
-    if whole < len(part):
-        target[first + whole : first + len(part)] = part[whole:]
+    alike = all(getattr(target, name) == getattr(part, name) for name in names)
+    complete = len(part) - len(part) % length if alike and first % length == 0 else 0
+    for begin in range(0, complete, length):
+        origin = (0,) * (target.ndim - 1)
+        mask, packed = part.id.read_direct_chunk((begin, *origin))
+        target.id.write_direct_chunk((first + begin, *origin), packed, mask)
+    if complete < len(part):
+        target[first + complete : first + len(part)] = part[complete:]
 
 
 def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> DatasetPlan:

@@ -72,15 +72,15 @@ def combinations(
         if reason := (fixed or {}).get(path.split(".")[0]):
             raise document.error(("sweep", path), reason)
     names = list(entries) if isinstance(entries, dict) and entries else [""]
-    own = {
+    of_entry = {
         name: {path: values for path, values in sweep.items() if _entry_of(path, apart, names) in (None, name)}
         for name in names
     }
-    if sum(math.prod(map(len, paths.values())) for paths in own.values()) > 10_000:
+    if sum(math.prod(map(len, paths.values())) for paths in of_entry.values()) > 10_000:
         raise document.error(("sweep",), "more than 10000 combinations")
     combined = []
-    for entry, values in ((name, values) for name in names for values in itertools.product(*own[name].values())):
-        assignments = dict(zip(own[entry], values, strict=True))
+    for entry, values in ((name, values) for name in names for values in itertools.product(*of_entry[name].values())):
+        assignments = dict(zip(of_entry[entry], values, strict=True))
         varied = _assigned(document, assignments)
         try:
             value = validate(varied)

@@ -148,9 +148,9 @@ def _check_of(hint: Any) -> Callable[[Any, str], Any] | None:
                 return value
             needed = " or ".join(kind.__name__ for kind in kinds)
             raise InputError(f"{label}: {needed} is needed, not {in_words(value)}")
-        plain = _plain(value, label)
+        written = _plain(value, label)
         try:
-            return conformed(validator, plain)
+            return conformed(validator, written)
         except InputError as error:
             raise InputError(f"{label}: {error}") from error
 
@@ -227,8 +227,8 @@ class ByKind:
         # In Python, objects of an unregistered subclass, such as one in a notebook, are members, too.
         made = {"type": "is-instance", "cls": base}
         either = {"type": "union", "choices": [made, tagged], "mode": "left_to_right"}
-        own = base not in (object, Configuration, Validated)
-        return {"type": "json-or-python", "json_schema": tagged, "python_schema": either if own else tagged}
+        registered = base not in (object, Configuration, Validated)
+        return {"type": "json-or-python", "json_schema": tagged, "python_schema": either if registered else tagged}
 
     def _tag(self, value: Any) -> Any:
         return value.get("kind", self.default) if isinstance(value, dict) else getattr(value, "kind", None)

@@ -94,8 +94,8 @@ class Plays:
         corners = np.sort(np.concatenate([self.held, self.held / self.reach, np.zeros_like(self.held[:1])]), axis=0)
         # Beyond all corners every play follows p or b_i p, so one further point on each side gives the outer lines.
         corners = np.concatenate([corners[:1] - 1, corners, corners[-1:] + 1])
-        each = Plays(self.weight[:, None], self.reach[:, None], self.held[:, None])
-        reached = each.effective(corners)
+        play = Plays(self.weight[:, None], self.reach[:, None], self.held[:, None])
+        reached = play.effective(corners)
         below = np.clip((reached <= effective).sum(axis=0) - 1, 0, len(corners) - 2)
         start, end, low, high = (
             np.take_along_axis(values, below[None] + step, axis=0)[0]
@@ -332,8 +332,8 @@ class FilmKnown:
         if self.film.creep_per_decade != "auto":
             return self
         usual, data = self.film.strength("creep_per_decade"), (self.film.answer, change, sd, time)
-        each = _likelihood(*data, ERRORS.cell_memory, RESIDUES).sum(axis=(2, 3))
-        logarithm = each - RESIDUES[:, None] / self.residue - CREEPS / usual.mean
+        likelihood = _likelihood(*data, ERRORS.cell_memory, RESIDUES).sum(axis=(2, 3))
+        logarithm = likelihood - RESIDUES[:, None] / self.residue - CREEPS / usual.mean
         # moments of c, marginal over ρ; then of ρ, integrated over c with the grid's spacing
         mean, shared = (float(number) for number in _moments(np.logaddexp.reduce(logarithm, axis=0), CREEPS))
         volume = np.logaddexp.reduce(logarithm + np.log(np.gradient(CREEPS)), axis=1)
@@ -343,8 +343,8 @@ class FilmKnown:
         spread, lasting = float(np.hypot(shared, mean * self.film.cell_spread)), float(np.hypot(residue, residue_sd))
         creep, cells = Strength(mean, float(np.hypot(spread, ERRORS.cell_memory * mean))), None
         if spread > shared:
-            own = _likelihood(*data, ERRORS.memory, residue[None])[0]
-            cells = _moments(own - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2, CREEPS)
+            by_cell = _likelihood(*data, ERRORS.memory, residue[None])[0]
+            cells = _moments(by_cell - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2, CREEPS)
         origin = f"estimated from the recording, and {100 * lasting:.1f} % of a load may stay after it"
         known = replace(self, creep=creep, residue=lasting, cells=cells)
         return replace(known, origin=origin) if shared <= 0.8 * usual.sd else known
@@ -362,11 +362,11 @@ class FilmKnown:
         mean, sd = self.cells or self.creep
         strength = np.stack([np.broadcast_to(size, change.shape[1:]) for size in (mean, mean + sd)])
         creep, answers, last = Creep.at_rest(strength), list[Array](), float(time[0]) - 1.0
-        for frame, now in zip(change, time, strict=True):
-            seconds = max(float(now) - last, MIN_PERIOD)
+        for frame, frame_time in zip(change, time, strict=True):
+            seconds = max(float(frame_time) - last, MIN_PERIOD)
             answers.append(creep.at_once(np.broadcast_to(frame, strength.shape), seconds))
             after, known = creep.after(answers[-1], seconds), np.isfinite(frame)
-            creep, last = replace(creep, crept=np.where(known, after.crept, creep.crept)), float(now)
+            creep, last = replace(creep, crept=np.where(known, after.crept, creep.crept)), float(frame_time)
         expected, stronger = np.stack(answers, axis=1)
         return expected, np.abs(stronger - expected)
 
@@ -380,7 +380,7 @@ def _moments(logarithm: Array, grid: Array) -> tuple[Array, Array]:
     return mean, np.sqrt(np.maximum(np.tensordot(grid**2, weight, 1) - mean**2, 0.0))
 
 
-def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, residues: Array) -> Array:
+def _likelihood(gain: float, change: Array, sd: Array, time: Array, memory: float, residues: Array) -> Array:
     """Return ln P(frames of a cell | ρ, c) up to a constant, (residues, strengths, rows, columns).
 
     Parameters
@@ -402,21 +402,21 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, 
     creep, last = Creep.at_rest(np.broadcast_to(CREEPS[:, None], (len(CREEPS), felt.sum()))), float(time[0])
     total, resting = np.zeros((2, len(residues), *creep.strength.shape))
     peak = np.zeros(change.shape[1])
-    for frame, error, now in zip(change, sd, time, strict=True):
-        seconds, known = max(float(now) - last, MIN_PERIOD), np.isfinite(frame) & np.isfinite(error)
+    for frame, error, frame_time in zip(change, sd, time, strict=True):
+        seconds, known = max(float(frame_time) - last, MIN_PERIOD), np.isfinite(frame) & np.isfinite(error)
         if not known.any():
             continue
         fading = creep.answer(np.zeros(creep.strength.shape), seconds)
         answer = np.where(known, np.clip(-frame / gain, -ERRORS.open_cell, ERRORS.open_cell), fading)
-        drift, stays = ERRORS.resting_sd((now - time[0]) / 60), fading + share * peak
-        variance = (np.where(known, error, 0.0) / gain) ** 2 + drift**2 + (own * stays) ** 2
+        drift, stays = ERRORS.resting_sd((frame_time - time[0]) / 60), fading + share * peak
+        variance = (np.where(known, error, 0.0) / gain) ** 2 + drift**2 + (memory * stays) ** 2
         # N(u; 0, σ) with σ² of the estimate, drift and memory; total += ln(½ N + ½/range), resting += P(no load)
         density = np.exp(-0.5 * (answer - stays) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
         density *= stays <= ERRORS.lasting_share * peak
         total += known * np.log((density + 1 / ERRORS.loaded_range) / 2)
         resting += known * density / (density + 1 / ERRORS.loaded_range)
         peak = np.fmax(peak, np.where(known, answer[0].clip(0.0), 0.0))
-        creep, last = creep.after(creep.at_once(answer, seconds), seconds), float(now)
+        creep, last = creep.after(creep.at_once(answer, seconds), seconds), float(frame_time)
     # the unloaded frames of a cell count as `independent_frames` at most
     likelihood[..., felt] = total / np.maximum(resting.max(axis=1, keepdims=True) / ERRORS.independent_frames, 1.0)
     return likelihood

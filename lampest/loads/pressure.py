@@ -102,8 +102,8 @@ class TareWatch:
         moved = np.hypot(drift, ERRORS.cell_memory * memory[known])
         # deviations in units of noise, drift and memory: none beyond OUTLIER_THRESHOLD, mean square near 1 in every
         # frame
-        each, mean = frames[:, known] / np.hypot(noise, moved), frames[:half].mean(axis=0)
-        quiet = np.abs(each).max() < OUTLIER_THRESHOLD and (each**2).mean(axis=1).max() < MAX_MEAN_SQUARE
+        departure, mean = frames[:, known] / np.hypot(noise, moved), frames[:half].mean(axis=0)
+        quiet = np.abs(departure).max() < OUTLIER_THRESHOLD and (departure**2).mean(axis=1).max() < MAX_MEAN_SQUARE
         worth = np.mean(mean[known] ** 2) >= TWO_SIDED**2 * np.mean(noise**2) / half
         if not (quiet and worth) or _stands_out(frames.mean(axis=0)):
             return None
@@ -297,14 +297,14 @@ class PressureTrack:
         half = (fell + rose) / (2 * TWO_SIDED) if own is None else own
         scatter = np.hypot(half, scatter_sd(self.scene, self.scene.specified_systematic) * answer)
         with np.errstate(invalid="ignore"):
-            alone = np.minimum(np.abs(of_change(scatter) - of_change(-scatter)) / 2, errors)
-            common = np.where(np.isinf(errors), np.inf, np.sqrt(np.maximum(errors**2 - alone**2, 0.0)))
+            individual = np.minimum(np.abs(of_change(scatter) - of_change(-scatter)) / 2, errors)
+            common = np.where(np.isinf(errors), np.inf, np.sqrt(np.maximum(errors**2 - individual**2, 0.0)))
             clear = -answer > NOISE_REACH * np.hypot(np.hypot(rose / TWO_SIDED, remembered), _distance(answers, answer))
         lowest, highest = self.films.response.told_kpa
         saturated = (least + self.films.water < lowest) | (most + self.films.water > highest)
         pressing = clear & (expected > 0) & ~self.scene.broken
         return Pressure(
-            expected, least, most, errors, alone, common, saturated.astype(np.uint8), pressing.astype(np.uint8)
+            expected, least, most, errors, individual, common, saturated.astype(np.uint8), pressing.astype(np.uint8)
         )
 
     def after(self, ratio: Array, time: float) -> "PressureTrack":
@@ -390,9 +390,9 @@ def response_sd(scene: Scene, answer: Array) -> Array:
 
 def scatter_sd(scene: Scene, errors: Systematic | None) -> Array:
     """Return each cell's own part of `response_sd`: measured gains, else the specified error, else RESPONSE_SD."""
-    own = RESPONSE_SD if errors is None or errors.response_sd is None else errors.response_sd
+    assumed = RESPONSE_SD if errors is None or errors.response_sd is None else errors.response_sd
     measured = None if scene.response is None else scene.response.gain_sd
-    return np.array(own if measured is None else measured)
+    return np.array(assumed if measured is None else measured)
 
 
 def water_pressure(panel: Panel, water: Water | None) -> Array:

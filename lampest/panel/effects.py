@@ -87,8 +87,8 @@ class LineLeak(Effect):
 
         B are the incidence vectors of the pairs of lines, and G is the size of the leak.
         """
-        each, lines = np.eye(sum(network.conductance.shape)), list(self.lines)
-        across = each[:, lines] - each[:, [line + 1 for line in lines]]
+        unit, lines = np.eye(sum(network.conductance.shape)), list(self.lines)
+        across = unit[:, lines] - unit[:, [line + 1 for line in lines]]
         towards = network.potentials() @ across
         # (1/G + Bᵀ Z B)⁻¹ = G (1 + G Bᵀ Z B)⁻¹, which allows G = 0
         core = np.linalg.inv(np.eye(len(lines)) + self.size * across.T @ towards)

@@ -126,8 +126,8 @@ class LevenbergMarquardt:
                 break
             # Damped step −(JᵀJ + μ diag(JᵀJ))⁻¹ Jᵀ f of the free unknowns, shortened to `longest`
             damped, step = point.normal[free][:, free], np.zeros(len(free))
-            own = damped.diagonal()
-            step[free] = -np.linalg.solve(damped + damping * np.diag(np.where(own > 0, own, 1.0)), gradient[free])
+            scale = damped.diagonal()
+            step[free] = -np.linalg.solve(damped + damping * np.diag(np.where(scale > 0, scale, 1.0)), gradient[free])
             step *= min(1.0, float(np.min(self.longest / np.maximum(np.abs(step), 1e-300))))
             moved = np.clip(position + step, low, high)
             step, trial, count = moved - position, model(moved), count + 1

@@ -160,8 +160,8 @@ class Network(ABC):
 
         In the base class it contains the diagonal of J only; kinds of networks may add the parts of lines.
         """
-        own: Array = weight * self.own_response() ** 2
-        return NormalByLines(own, np.zeros((0, *own.shape)), np.zeros((0, 0)))
+        diagonal: Array = weight * self.own_response() ** 2
+        return NormalByLines(diagonal, np.zeros((0, *diagonal.shape)), np.zeros((0, 0)))
 
     def potentials(self) -> Array:
         """Return the potential of every line while a unit current enters line `pattern`, (lines, patterns) V/A."""
@@ -173,8 +173,8 @@ class Network(ABC):
         An error ε_l of L_ll changes bᵀZb by ε_l·v_l², v = Z·b, and v_l² ≤ Z_ll·bᵀZb. Infinite or NaN for a broken
         inverse.
         """
-        own = self._impedance.diagonal(axis1=-2, axis2=-1)
-        return float(np.abs(line_sums(self.conductance) * own).sum(axis=-1).max())
+        driving_point = self._impedance.diagonal(axis1=-2, axis2=-1)
+        return float(np.abs(line_sums(self.conductance) * driving_point).sum(axis=-1).max())
 
     def entries(self, matrix: Array) -> Entries:
         """Return (K_jj, K_kk, K_jk) of K (…, lines, lines)."""
@@ -199,8 +199,8 @@ class Network(ABC):
         """Return BᵀKB (…, cells, cells) for K (…, lines, lines)."""
         *leading, rows, columns = self.conductance.shape
         at_cells = matrix[..., :rows, None] - matrix[..., None, rows:]
-        every = at_cells[..., :rows, None, :, :] - at_cells[..., None, rows:, :, :]
-        return every.reshape(*leading, rows * columns, rows * columns)
+        transfer = at_cells[..., :rows, None, :, :] - at_cells[..., None, rows:, :, :]
+        return transfer.reshape(*leading, rows * columns, rows * columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,8 +301,8 @@ def inverse_of(conductance: Array, ties: Array) -> Array:
         raise np.linalg.LinAlgError("a line is not connected")
     if conductance.ndim == 2:
         return np.asarray(np.linalg.inv(bipartite_matrix(total, -conductance)))
-    own = total[..., :rows]
-    shares = conductance / own[..., None]
+    row_sums = total[..., :rows]
+    shares = conductance / row_sums[..., None]
     schur = -conductance.swapaxes(-1, -2) @ shares
     np.einsum("...ii->...i", schur)[...] += total[..., rows:]
     # Z_kk' = S⁻¹, Z_jk = diag(a)⁻¹ G S⁻¹, Z_jj' = diag(a)⁻¹ + diag(a)⁻¹ G S⁻¹ Gᵀ diag(a)⁻¹
@@ -312,7 +312,7 @@ def inverse_of(conductance: Array, ties: Array) -> Array:
     inverse[..., rows:, rows:] = within
     inverse[..., :rows, rows:], inverse[..., rows:, :rows] = between, between.swapaxes(-1, -2)
     inverse[..., :rows, :rows] = between @ shares.swapaxes(-1, -2)
-    np.einsum("...ii->...i", inverse)[..., :rows] += 1 / own
+    np.einsum("...ii->...i", inverse)[..., :rows] += 1 / row_sums
     return inverse
 
 

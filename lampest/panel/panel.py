@@ -82,14 +82,14 @@ class Modules(Configuration):
 
     def split(self, image: NDArray[Any]) -> NDArray[Any]:
         """Return the modules of an image (…, rows, columns) as (…, modules, rows, columns)."""
-        each, shape = self.each, image.shape[:-2]
-        blocks = image.reshape(*shape, self.rows, each.rows, self.columns, each.columns)
-        return np.moveaxis(blocks, -3, -2).reshape(*shape, self.count, each.rows, each.columns)
+        module, shape = self.each, image.shape[:-2]
+        blocks = image.reshape(*shape, self.rows, module.rows, self.columns, module.columns)
+        return np.moveaxis(blocks, -3, -2).reshape(*shape, self.count, module.rows, module.columns)
 
     def joined(self, parts: NDArray[Any]) -> NDArray[Any]:
         """Return the image of parts (…, modules, rows, columns), the inverse of `split`."""
-        each, shape = self.each, parts.shape[:-3]
-        blocks = parts.reshape(*shape, self.rows, self.columns, each.rows, each.columns)
+        module, shape = self.each, parts.shape[:-3]
+        blocks = parts.reshape(*shape, self.rows, self.columns, module.rows, module.columns)
         return np.moveaxis(blocks, -2, -3).reshape(*shape, *self.shape)
 
 
@@ -177,8 +177,8 @@ class Panel(Configuration):
         x, y = np.arange(self.columns), np.arange(self.rows)
         if self.modules is None:
             return x * self.pitch_mm, y * self.pitch_mm
-        each, seam = self.modules.each, self.modules.seam_mm
-        return x * self.pitch_mm + x // each.columns * seam, y * self.pitch_mm + y // each.rows * seam
+        module, seam = self.modules.each, self.modules.seam_mm
+        return x * self.pitch_mm + x // module.columns * seam, y * self.pitch_mm + y // module.rows * seam
 
     @property
     def extents_mm(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -191,8 +191,8 @@ class Panel(Configuration):
         """The panel that is one network: itself, or each of its modules."""
         if self.modules is None:
             return self
-        each = self.modules.each
-        return Panel(each.rows, each.columns, each.pitch_mm)
+        module = self.modules.each
+        return Panel(module.rows, module.columns, module.pitch_mm)
 
     @cached_property
     def places_mm(self) -> Array:
@@ -234,15 +234,15 @@ def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
     """
     way = places - places[number]
     square = np.sum(way**2, axis=1)
-    alone = square > 0
+    candidates = square > 0
     for nearest in np.argsort(square)[1:]:
-        if not np.any(alone & (square > square[nearest])):
+        if not np.any(candidates & (square > square[nearest])):
             break
         # From the nearest cell c outwards: every b with c in its circle is no neighbour.
         within = square[nearest] <= 1.01 * (way @ way[nearest])  # 1 %: positions are written with three digits
         within[nearest] = False
-        alone &= ~within
-    after = np.flatnonzero(alone)
+        candidates &= ~within
+    after = np.flatnonzero(candidates)
     return after[after > number]
 
 

@@ -269,10 +269,10 @@ class Faults(Configuration):
         if not (read.any() and conducting.any()) or all_dead:
             raise ValueError("faults: nothing is left of the panel")
 
-    def of_module(self, layout: Modules, number: int, own: "Faults | None") -> "Faults | None":
+    def of_module(self, layout: Modules, number: int, module_faults: "Faults | None") -> "Faults | None":
         """Return the faults of one module by its own rows and columns, including those in `own`; None without any."""
         rows, columns = layout.cells(number)
-        own = own or Faults()
+        module_faults = module_faults or Faults()
 
         def inside(cells: tuple[tuple[int, int], ...]) -> list[tuple[int, int]]:
             moved = ((row - rows.start, column - columns.start) for row, column in cells)
@@ -280,7 +280,11 @@ class Faults(Configuration):
                 place for place in moved if 0 <= place[0] < layout.each.rows and 0 <= place[1] < layout.each.columns
             ]
 
-        merged = replace(own, open=(*own.open, *inside(self.open)), shorted=(*own.shorted, *inside(self.shorted)))
+        merged = replace(
+            module_faults,
+            open=(*module_faults.open, *inside(self.open)),
+            shorted=(*module_faults.shorted, *inside(self.shorted)),
+        )
         return None if merged == Faults() else merged
 
 
@@ -421,14 +425,14 @@ class Scene(Configuration):
 
     def _check_modules(self) -> None:
         """Raise ValueError if an entry of `modules` is not allowed, or does not fit its scene."""
-        layout, places = self.panel.modules, [own.at for own in self.modules or ()]
-        for own in self.modules or ():
-            where = list(own.at)
-            if layout is None or not (0 <= own.at[0] < layout.rows and 0 <= own.at[1] < layout.columns):
+        layout, places = self.panel.modules, [module.at for module in self.modules or ()]
+        for module in self.modules or ():
+            where = list(module.at)
+            if layout is None or not (0 <= module.at[0] < layout.rows and 0 <= module.at[1] < layout.columns):
                 raise ValueError(f"modules: there is no module {where}")
-            if places.count(own.at) > 1:
+            if places.count(module.at) > 1:
                 raise ValueError(f"modules: module {where} is named twice")
-            if own.readout is not None and type(own.readout) is not type(self.readout):
+            if module.readout is not None and type(module.readout) is not type(self.readout):
                 raise ValueError(f"modules: module {where} has a readout of another kind than the scene")
         if layout is not None:
             assert self.of_modules  # every scene checks itself
@@ -439,18 +443,18 @@ class Scene(Configuration):
         layout, known = self.panel.modules, dict[Scene, Scene]()
         if layout is None:
             return (self,)
-        owns = {own.at: own for own in self.modules or ()}
+        owns = {module.at: module for module in self.modules or ()}
         scenes = []
         for number in range(layout.count):
-            own = owns.get(layout.place(number)) or OwnOfModule((0, 0))
-            series, cells = own.series_resistance_ohm, layout.cells(number)
+            module = owns.get(layout.place(number)) or OwnOfModule((0, 0))
+            series, cells = module.series_resistance_ohm, layout.cells(number)
             scene = replace(
                 self,
                 panel=self.panel.network,
                 modules=None,
-                readout=own.readout or self.readout,
+                readout=module.readout or self.readout,
                 series_resistance_ohm=self.series_resistance_ohm if series is None else series,
-                faults=(self.faults or Faults()).of_module(layout, number, own.faults),
+                faults=(self.faults or Faults()).of_module(layout, number, module.faults),
                 water=self.water and Water(self.water.top_row_depth_mm + self.panel.centres_mm()[1][cells[0].start]),
                 response=self.response and self.response.of_cells(cells),
             )
@@ -463,7 +467,7 @@ class Scene(Configuration):
         numbers: dict[Scene, list[int]] = {}
         for number, scene in enumerate(self.of_modules):
             numbers.setdefault(scene, []).append(number)
-        return tuple((scene, tuple(own)) for scene, own in numbers.items())
+        return tuple((scene, tuple(members)) for scene, members in numbers.items())
 
     @property
     def dead_modules(self) -> tuple[int, ...]:

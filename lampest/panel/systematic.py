@@ -131,10 +131,10 @@ def _wire(network: Network, measured: Array, scene: Scene, size: float) -> Array
 def _each_reading(network: Network, measured: Array, scene: Scene, size: float) -> Array:
     """Return the columns of a factor on each recorded value."""
     # Column c has the error of reading c alone: an identity over the cells times size·∂y/∂log(recorded).
-    each = (size * recorded_share(measured, scene)).reshape(*measured.shape[:-2], -1)
-    alone = np.zeros((each.shape[-1], *each.shape))
-    np.einsum("c...c->...c", alone)[...] = each
-    return alone.reshape(-1, *measured.shape)
+    shares = (size * recorded_share(measured, scene)).reshape(*measured.shape[:-2], -1)
+    columns = np.zeros((shares.shape[-1], *shares.shape))
+    np.einsum("c...c->...c", columns)[...] = shares
+    return columns.reshape(-1, *measured.shape)
 
 
 @dataclass(frozen=True)
@@ -233,8 +233,8 @@ class Shared:
             return None
         if known is None or known.systematic is None:
             return replace(self, contact_root=None)
-        own, size = (errors.reading_error or 0.0 for errors in (self.systematic, known.systematic))
-        return Shared(Systematic(reading_error=float(np.sqrt(own**2 - size**2))), self.scene) if own > size else None
+        sd, size = (errors.reading_error or 0.0 for errors in (self.systematic, known.systematic))
+        return Shared(Systematic(reading_error=float(np.sqrt(sd**2 - size**2))), self.scene) if sd > size else None
 
     def columns(self, network: Network, measured: Array) -> Array:
         """Return U, (cells, n), in the readings' unit: contacts, reference and channels, hidden errors.

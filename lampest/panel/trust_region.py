@@ -136,10 +136,10 @@ def restricted(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:
     """Return the restriction of a product over `size` unknowns to the chosen ones (numbers), all others zero."""
     if len(chosen) == size:
         return product
-    whole = np.zeros(size)
+    full = np.zeros(size)
 
     def part(values: Array) -> Array:
-        whole[chosen] = values
-        return product(whole)[chosen]
+        full[chosen] = values
+        return product(full)[chosen]
 
     return part

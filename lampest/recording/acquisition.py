@@ -212,14 +212,14 @@ def undamaged_frames(file: h5py.File, scene: Scene) -> slice:
     """Return the frames of a finished file, or those written so far. Raises InputError if one is damaged."""
     if "lampest_unfinished" not in file.attrs:
         return hdf5.ALL
-    whole = Rows.of_frames(scene.circuit).undamaged(file)
-    damaged = np.flatnonzero(~whole)
+    intact = Rows.of_frames(scene.circuit).undamaged(file)
+    damaged = np.flatnonzero(~intact)
     if len(damaged) or not np.all(EVENTS.undamaged(file)):
-        fault = f"{len(damaged)} of {len(whole)} frames are damaged, first frame {damaged[0]}" if len(damaged) else ""
+        fault = f"{len(damaged)} of {len(intact)} frames are damaged, first frame {damaged[0]}" if len(damaged) else ""
         raise InputError(
             f"{file.filename}: {fault or 'an event is damaged'}; lampest check --repair keeps the undamaged rest"
         )
-    return slice(len(whole))
+    return slice(len(intact))
 
 
 def blocks(frames: int, crossings: int) -> Iterator[slice]:
@@ -236,6 +236,6 @@ def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:
         return np.where(sums == NO_SUM, np.nan, scene.readout.recorded_from_sums(sums, readings))
     parts = layout.split(sums)
     recorded = np.empty(parts.shape)
-    for own, numbers in scene.alike:
-        recorded[..., numbers, :, :] = recorded_of_sums(own, parts[..., numbers, :, :], readings)
+    for module_scene, numbers in scene.alike:
+        recorded[..., numbers, :, :] = recorded_of_sums(module_scene, parts[..., numbers, :, :], readings)
     return layout.joined(recorded)

@@ -39,8 +39,8 @@ def stand_in_spread(value: Array, known: NDArray[np.bool_]) -> Array:
     # Number of the diagonal of every reading; each is predicted from the median polish without its diagonal.
     diagonal = np.add.outer(*map(np.arange, known.shape)) % max(known.shape)
     remaining = known & (diagonal != np.arange(max(known.shape))[:, None, None])
-    alone = np.take_along_axis(_polished(value, remaining)[0], diagonal[None], axis=0)[0]
-    stray = np.abs(alone - np.log(np.where(known, value, 1.0)))[known]
+    left_out = np.take_along_axis(_polished(value, remaining)[0], diagonal[None], axis=0)[0]
+    stray = np.abs(left_out - np.log(np.where(known, value, 1.0)))[known]
     # Standard deviation: the rms error, or the 95 % quantile over 1.96
     size = max(np.sqrt(np.mean(stray**2)), np.quantile(stray, 0.95, method="higher") / 1.96)
     # The lower limit serves simulations without noise.
@@ -171,8 +171,8 @@ class Readings:
         values[..., list(scene.dead_modules), :, :] = np.nan
         noise = None if sigma is None else np.broadcast_to(layout.split(sigma), values.shape)
         parts: dict[int, Readings] = {}
-        for own, numbers in scene.alike:
-            similar = cls.of(own, values[..., numbers, :, :], None if noise is None else noise[..., numbers, :, :])
+        for module, numbers in scene.alike:
+            similar = cls.of(module, values[..., numbers, :, :], None if noise is None else noise[..., numbers, :, :])
             parts |= {number: similar[..., at, :, :] for at, number in enumerate(numbers)}
         return cls.of_parts(layout, [parts[number] for number in range(layout.count)])
 
@@ -282,8 +282,8 @@ def mean_change(value: Array, resting: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         change = np.abs(np.log(value / resting))
     known = np.isfinite(change)
-    whole = np.where(known, change, 0.0).sum(axis=(-2, -1))
-    return np.asarray(whole / np.maximum(known.sum(axis=(-2, -1)), 1))
+    total = np.where(known, change, 0.0).sum(axis=(-2, -1))
+    return np.asarray(total / np.maximum(known.sum(axis=(-2, -1)), 1))
 
 
 def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp]) -> int:
@@ -358,9 +358,9 @@ def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = N
         return value
     known = ((whole if seen is None else seen) > 0) & (side == VALUE)
     shape = (-1, *value.shape[-2:])
-    filled, plain, present = value.copy().reshape(shape), known.reshape(shape), (whole > 0).reshape(shape)
+    filled, valid, present = value.copy().reshape(shape), known.reshape(shape), (whole > 0).reshape(shape)
     odd = ~present.all(axis=(1, 2))
-    filled[odd] = np.where(present[odd], filled[odd], stand_in(filled[odd], plain[odd]))
+    filled[odd] = np.where(present[odd], filled[odd], stand_in(filled[odd], valid[odd]))
     return filled.reshape(value.shape)
 
 
@@ -387,9 +387,9 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     unlike, count = np.zeros((rows, rows)), np.zeros((rows, rows), dtype=np.intp)
     for row in range(rows):  # mean square difference from every other row in units of their noise, and number of values
         spread = np.hypot(noise[:, [row]], noise)
-        plain = np.isfinite(spread)
-        square = np.where(plain, (value[:, [row]] - value) / np.where(plain, spread, 1.0), 0.0) ** 2
-        count[row] = plain.sum(axis=0)
+        finite = np.isfinite(spread)
+        square = np.where(finite, (value[:, [row]] - value) / np.where(finite, spread, 1.0), 0.0) ** 2
+        count[row] = finite.sum(axis=0)
         unlike[row] = square.sum(axis=0) / np.maximum(count[row], 1)
     # Equal rows: the mean square of n normal differences is 1 ± √(2/n).
     similar = (unlike <= 1 + UNUSUAL * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)

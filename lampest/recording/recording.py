@@ -131,15 +131,15 @@ class Recording(Validated):
 
     def _check_unit(self) -> None:
         """Raise InputError if the values are probably in kohm: without raw sums, all below the series resistance."""
-        circuit, plain = self.scene.circuit, self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
-        if not isinstance(circuit, TwoPointReadout) or self.raw_sums is not None or self.of_module or not plain.size:
+        circuit, valid = self.scene.circuit, self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
+        if not isinstance(circuit, TwoPointReadout) or self.raw_sums is not None or self.of_module or not valid.size:
             return
         series = float(np.min(self.scene.series_ohm))
-        code = circuit.code_from_volt(circuit.volt_from_recorded(np.array(1000 * np.median(plain))))
-        stuck = plain.min() == plain.max()  # at the converter's rail: a module without contact
-        if not stuck and plain.max() < series and 8 <= code < 2**circuit.adc_bits - 8:
+        code = circuit.code_from_volt(circuit.volt_from_recorded(np.array(1000 * np.median(valid))))
+        stuck = valid.min() == valid.max()  # at the converter's rail: a module without contact
+        if not stuck and valid.max() < series and 8 <= code < 2**circuit.adc_bits - 8:
             raise InputError(
-                f"{self.name}: {self.path} is at most {plain.max():.4g} ohm, less than the {series:.4g} ohm in series; "
+                f"{self.name}: {self.path} is at most {valid.max():.4g} ohm, less than the {series:.4g} ohm in series; "
                 "are these kohm?"
             )
 
@@ -190,8 +190,8 @@ class Recording(Validated):
                 held["start_time"] = acquisition.start(float(held["time"][0]))
             number = (chosen.start or 0) + np.arange(frames)
             held = {"time": number.astype(float), "role": np.full(frames, MEASURED, dtype=np.uint8)} | held
-            own = None if part == hdf5.ALL else number
-            return cls(scene, name=path.stem, acquisition=acquisition, number=own, **held)
+            numbers = None if part == hdf5.ALL else number
+            return cls(scene, name=path.stem, acquisition=acquisition, number=numbers, **held)
 
     @classmethod
     @typed
@@ -293,8 +293,8 @@ class Recording(Validated):
         maps = {name: values for name in names if (values := getattr(self, name)) is not None}
         cells = [(..., *layout.cells(number)) for number in range(layout.count)]
         return tuple(
-            replace(self, scene=scene, of_module=True, **{name: each[own] for name, each in maps.items()})
-            for own, scene in zip(cells, self.scene.of_modules, strict=True)
+            replace(self, scene=scene, of_module=True, **{name: column[inside] for name, column in maps.items()})
+            for inside, scene in zip(cells, self.scene.of_modules, strict=True)
         )
 
     def readings(self) -> Readings:
@@ -475,9 +475,9 @@ def joined(parts: Sequence[Recording], chosen: NDArray[Any] | None = None) -> Re
     names = ["recorded", "time", "role", "number", "truth_cell_resistance", "truth_pressure"]
     names += ["sigma"] if first.sigma is not None and first.sigma.ndim == 3 else []
     present = [name for name in names if getattr(first, name) is not None]
-    each: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in present}
-    frames = np.unique(each["number"], return_index=True)[1] if chosen is None else chosen
-    chosen_of_each = {name: values[frames] for name, values in each.items()}
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in present}
+    frames = np.unique(columns["number"], return_index=True)[1] if chosen is None else chosen
+    chosen_of_each = {name: values[frames] for name, values in columns.items()}
     return replace(first, **chosen_of_each, raw_sums=None, raw_readings=None, acquisition=None)
 
 

@@ -136,8 +136,8 @@ class Attachment:
         far = NOISE_REACH * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
-        same = replace(later, since_s=self.since_s, breath=self.breath, track=self.track)
-        return replace(same, sucks_s=began, moved_s=moved)
+        earlier = replace(later, since_s=self.since_s, breath=self.breath, track=self.track)
+        return replace(earlier, sucks_s=began, moved_s=moved)
 
 
 def attachments_of(
@@ -163,17 +163,17 @@ def attachments_of(
     resting = np.exp(-frame.baseline.logarithm)
     more, errors = resting * np.expm1(-change), resting * np.exp(-change) * sd
     clear = best.evidence - max(fit.evidence for fit in verdict.fits if fit.candidate in UNIFORM)
-    for (candidate, own), effects in zip_longest(best.loads, patterns):
-        disc, after = candidate.disc(own), first + len(own)
+    for (candidate, parameters), effects in zip_longest(best.loads, patterns):
+        disc, after = candidate.disc(parameters), first + len(parameters)
         covariance, first = best.covariance[first:after, first:after], after
         known: dict[str, Any] = {"sucks": verdict.sucks_at(disc), "since_s": since, "clear": clear, "patterns": effects}
         if disc is None:
             groups = _groups(frame.panel, moved, more, errors)
         else:
-            groups, apart = [moved & under(frame.panel, disc)], frame.panel.pitch_mm / 2
-            known |= {"x_mm": (disc.x_mm, apart), "y_mm": (disc.y_mm, apart)}
+            groups, half_pitch = [moved & under(frame.panel, disc)], frame.panel.pitch_mm / 2
+            known |= {"x_mm": (disc.x_mm, half_pitch), "y_mm": (disc.y_mm, half_pitch)}
             known["sucks_s"] = since if known["sucks"] > 0.5 else None
-            for name, (value, slopes) in candidate.report(own).items():
+            for name, (value, slopes) in candidate.report(parameters).items():
                 # σ² = sᵀ C s, with s the derivative of the quantity by φ
                 known[name] = value, float(np.sqrt(slopes @ covariance @ slopes))
         for group in groups:
@@ -198,11 +198,11 @@ def _groups(panel: Panel, moved: NDArray[np.bool_], more: Array, errors: Array) 
 def _touched(panel: Panel, group: NDArray[np.bool_], change: Array) -> Attachment:
     """Return an attachment with the centre and area of a group of cells that changed by ln r/r0."""
     # centre of the cells weighted by |ln r/r₀|, to half a pitch
-    weight, apart = np.abs(change) * (group if group.any() else 1.0), panel.pitch_mm / 2
+    weight, half_pitch = np.abs(change) * (group if group.any() else 1.0), panel.pitch_mm / 2
     x, y = (float(np.nansum(weight * line) / weight.sum()) for line in panel.places_mm)
     count, square = int(group.sum()), panel.pitch_mm**2
     area = count * square, square * (max(count, 1) / 3) ** 0.5
-    return Attachment(0.0, 0.0, (x, apart), (y, apart), cells=count, area_mm2=area)
+    return Attachment(0.0, 0.0, (x, half_pitch), (y, half_pitch), cells=count, area_mm2=area)
 
 
 def continued_by(
@@ -223,8 +223,8 @@ def continued_by(
     """
     attachments, left = list(before), [number for number, load in enumerate(before) if load.present]
     # Greedy matching: the load with the nearest attachment first, within the larger diameter of both.
-    apart = [min((attachments[number].distance(load.place) for number in left), default=inf) for load in loads]
-    for load in (loads[number] for number in np.argsort(apart, kind="stable")):
+    distances = [min((attachments[number].distance(load.place) for number in left), default=inf) for load in loads]
+    for load in (loads[number] for number in np.argsort(distances, kind="stable")):
         near = min(left, key=lambda number: attachments[number].distance(load.place), default=None)
         if near is not None and attachments[near].distance(load.place) < max(attachments[near].size, load.size):
             attachments[near] = attachments[near].continued(load)

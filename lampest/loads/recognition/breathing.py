@@ -160,19 +160,19 @@ class Patterns(NamedTuple):
             Further changes.
         """
         mean, rim = slopes[0], rise < 0
-        own = np.column_stack([mean, EDGE_SD * rim * mean, slopes[1:].T, np.diag(spread)])
-        alone = np.delete(own, 1, axis=1) * rim[:, None]
+        suction = np.column_stack([mean, EDGE_SD * rim * mean, slopes[1:].T, np.diag(spread)])
+        rigid = np.delete(suction, 1, axis=1) * rim[:, None]
         changes = np.linalg.norm(moves, axis=0)
         moving = np.column_stack([moves.T, np.diag(EDGE_SD * np.hypot(changes, np.sqrt(np.mean(changes**2))))])
-        return cls(by_cell @ own, by_cell @ alone, by_cell @ moving, others)
+        return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others)
 
     def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
         """Return the patterns and the changes (frames, readings), projected on the complement of `others`."""
         span = np.linalg.qr(self.others)[0]
-        own, rim, moves, left = (
+        suction, rim, moves, left = (
             pattern - span @ (span.T @ pattern) for pattern in (self.own, self.rim, self.moves, changes.T)
         )
-        return Patterns(own, rim, moves, self.others), left.T
+        return Patterns(suction, rim, moves, self.others), left.T
 
     def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
         """Return the weights (readings,) with which readings sum to the amplitude of suction, with least variance.
@@ -198,8 +198,8 @@ class Patterns(NamedTuple):
         Changes common to all readings and those of other loads are excluded; those of the load's place and of its rim
         alone have little weight. `whitening` (readings, readings) whitens changes of ln y.
         """
-        own, _ = self.beside_others(np.zeros((1, len(whitening))))
-        return np.asarray(whitening.T @ own.weights(MAX_SWINGS["own"], 1.0, EDGE_SD))
+        suction, _ = self.beside_others(np.zeros((1, len(whitening))))
+        return np.asarray(whitening.T @ suction.weights(MAX_SWINGS["own"], 1.0, EDGE_SD))
 
 
 def patterns_of(frame: Observation, fit: Fit, whitening: Array, detector: Detector) -> list[Patterns | None]:
@@ -305,11 +305,11 @@ def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: f
         coefficients = inverse @ series
         freedom = max(len(at) - 8, 1)  # four numbers here, four of trend
         left = float(np.sum((series - basis @ coefficients) ** 2)) / freedom
-        each = left * (inverse**2).sum(axis=1)
+        variances = left * (inverse**2).sum(axis=1)
         # A² from all four coefficients, less the noise of the two of linear change
-        depth = max(float(coefficients @ coefficients - each[2:].sum()), TREMBLE_SD**2) ** 0.5
+        depth = max(float(coefficients @ coefficients - variances[2:].sum()), TREMBLE_SD**2) ** 0.5
         film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2
-        variance = depth**2 * film + float(each[:2].mean())
+        variance = depth**2 * film + float(variances[:2].mean())
     return depth / (1 - RESPONSE_SD), variance**0.5 / (1 - RESPONSE_SD)
 
 
@@ -354,9 +354,9 @@ def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> fl
         Square of the swings at unit amplitude.
     """
     causes = ((gain**0.5 * getattr(patterns, name), most) for name, most in MAX_SWINGS.items())
-    own, *others = (_explained(root, most, swings, noise).max() for root, most in causes)
+    suction, *others = (_explained(root, most, swings, noise).max() for root, most in causes)
     # 1/w = 1 + Σ_causes (E_cause/E_own)^½/40
-    odds = EVIDENCE_SHARE * (own - np.array(others)) + RARE_LOG_ODDS + np.log(2)  # prior odds 1 : 20 of both together
+    odds = EVIDENCE_SHARE * (suction - np.array(others)) + RARE_LOG_ODDS + np.log(2)  # prior odds 1 : 20 of both
     return float(expit(-logsumexp(-odds)))
 
 
@@ -378,8 +378,8 @@ def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:
     wide = (sizes[:, None] * lengths) ** 2 / noise
     # swings ~ N(0, σ² + a² B Bᵀ): ½ Σ z² w/(1 + w) − ½ · 2 Σ ln(1 + w), with w = a² l²/σ² along each axis of B, for
     # sine and cosine
-    each = np.tensordot(square.sum(axis=1), wide / (1 + wide), (1, 1)) / 2 - np.log1p(wide).sum(axis=1)
-    return np.asarray(logsumexp(each, axis=1, b=1 / len(sizes)))
+    evidence = np.tensordot(square.sum(axis=1), wide / (1 + wide), (1, 1)) / 2 - np.log1p(wide).sum(axis=1)
+    return np.asarray(logsumexp(evidence, axis=1, b=1 / len(sizes)))
 
 
 def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
@@ -394,12 +394,12 @@ def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
     gains = response.gains * np.exp(np.hypot(scatter, frame.baseline.model_errors.bent) * points[:, None, None])
     logarithm = rise / gains + response.logarithm(water)
     pressure = response.pressure(logarithm) - water
-    more, less = (response.logarithm(water + by * pressure) for by in (1 + BREATHING_SD, 1 - BREATHING_SD))
+    more, lower = (response.logarithm(water + by * pressure) for by in (1 + BREATHING_SD, 1 - BREATHING_SD))
     rise, delay = np.maximum(logarithm, 0.1), np.log(CURVE_RATIO[0]) / (CURVE_KPA[0] / THRESHOLD_KPA - 1)
     straight, delayed = np.log(-np.expm1(-rise) / rise), np.log1p(delay / rise)
     unknown = (logarithm > 0) & isinstance(response, PublishedResponse)
     middle, curve = unknown * (delayed + straight) / 2, unknown * (delayed - straight) / 2
-    slopes = (gains * (more - less) / (2 * BREATHING_SD) * np.exp(middle)).reshape(len(points), -1)
+    slopes = (gains * (more - lower) / (2 * BREATHING_SD) * np.exp(middle)).reshape(len(points), -1)
     shares = weights / weights.sum()
     mean = shares @ slopes
     common = shares @ (slopes * curve.reshape(slopes.shape))

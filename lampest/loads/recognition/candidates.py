@@ -36,11 +36,11 @@ class Several(Candidate):
 
     def priors(self, panel: Panel) -> Mapping[str, Prior]:
         """Return the priors of all parts, with names such as `0.x`."""
-        each = enumerate(part.priors(panel).items() for part in self.parts)
-        return {f"{number}.{name}": prior for number, priors in each for name, prior in priors}
+        numbered = enumerate(part.priors(panel).items() for part in self.parts)
+        return {f"{number}.{name}": prior for number, priors in numbered for name, prior in priors}
 
     def loads(self, parameters: Array) -> list[tuple[Candidate, Array]]:
-        return [(part, parameters[own]) for part, own in self._own]
+        return [(part, parameters[share]) for part, share in self._own]
 
     @cached_property
     def _own(self) -> list[tuple[Candidate, slice]]:
@@ -50,14 +50,14 @@ class Several(Candidate):
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
         """Return the sum of the parts' pressures, and the derivatives by all φ."""
-        each = [part.pressure(panel, patch_mm, own) for part, own in self.loads(parameters)]
-        return np.sum([pressure for pressure, _ in each], axis=0), np.concatenate([slopes for _, slopes in each])
+        parts = [part.pressure(panel, patch_mm, values) for part, values in self.loads(parameters)]
+        return np.sum([pressure for pressure, _ in parts], axis=0), np.concatenate([slopes for _, slopes in parts])
 
     def start(self, disc: Disc) -> Array:
         return np.concatenate([part.start(disc) for part in self.parts])
 
     def blind(self, parameters: Array) -> Array:
-        return np.concatenate([part.blind(own) for part, own in self.loads(parameters)])
+        return np.concatenate([part.blind(values) for part, values in self.loads(parameters)])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -163,9 +163,9 @@ class DiscSearch:
         logarithm : array, shape (rows, columns)
             ln r.
         """
-        apart = (logarithm - np.median(logarithm[self.panel.present])) * self.panel.present
-        sd = max(MAD_TO_SIGMA * float(np.median(np.abs(apart[self.panel.present]))), RESPONSE_SD)
-        drawn_in = np.clip(apart.ravel(), -SIGNIFICANT * sd, SIGNIFICANT * sd)
+        deviation = (logarithm - np.median(logarithm[self.panel.present])) * self.panel.present
+        sd = max(MAD_TO_SIGMA * float(np.median(np.abs(deviation[self.panel.present]))), RESPONSE_SD)
+        drawn_in = np.clip(deviation.ravel(), -SIGNIFICANT * sd, SIGNIFICANT * sd)
         return bool(np.min(drawn_in @ self.changes) < -MAX_UNEVENNESS * sd)
 
     def starts(self, slope: Array, error: Array) -> dict[Template, Disc]:

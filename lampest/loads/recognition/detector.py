@@ -81,8 +81,8 @@ class Detector:
         before : Verdict, optional
             Verdict on an earlier frame, whose loads are the first starts.
         """
-        if (calm := self.calm(frame)) is not None:
-            return self._judged(calm, ())
+        if (undisturbed := self.calm(frame)) is not None:
+            return self._judged(undisturbed, ())
         (field, without), verdicts = field_fit(frame), list[Verdict]()
         if self.any_form:
             return self._judged(without, (field,))
@@ -95,10 +95,10 @@ class Detector:
         # Several loads: one more disc at a time, where cells beside the explained ones have changed.
         single, discs, search = verdicts[-1], list[Disc](), self.search(frame.panel)
         for _ in range(self.most_loads):
-            beside = search.beside(field.change, discs) if self._doubtful(frame, verdicts[-1], field) else None
-            if beside is None:
+            neighbour = search.beside(field.change, discs) if self._doubtful(frame, verdicts[-1], field) else None
+            if neighbour is None:
                 break
-            discs.append(beside)
+            discs.append(neighbour)
             if len(discs) > 1:
                 fits = self._together(kinds, without, field, discs)
                 verdicts.append(self._settled(frame, (*fits, *single.loads[:1]), field, without))
@@ -108,14 +108,14 @@ class Detector:
     def calm(self, frame: Observation) -> Observation | None:
         """Return the frame without outliers if it shows no load, neither by χ² nor by a template; else None."""
         whitening, residual = Whitening.about(frame), frame.residual()
-        calm = frame.without(outliers(whitening, residual))
-        errors = Whitening.about(calm) @ residual
+        undisturbed = frame.without(outliers(whitening, residual))
+        errors = Whitening.about(undisturbed) @ residual
         if errors @ errors >= MAX_MEAN_SQUARE * errors.size:
             return None
         response = whitening @ frame.slope()
         # scores (B t)ᵀ e of the templates, N(0, 1) without a load
         stands_out = self.search(frame.panel).matched(response).T @ (response.T @ errors)
-        return calm if stands_out.max() < SIGNIFICANT else None
+        return undisturbed if stands_out.max() < SIGNIFICANT else None
 
     def with_errors(self, frame: Observation, fit: Fit) -> tuple[Observation, Whitening]:
         """Return the frame without readings that contradict a fit, and the errors about the fit's change of cells."""
@@ -252,9 +252,9 @@ class Detector:
         likelihood = coarse_errors(calm, field.change)
 
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
-            parts, own = zip(*sorted(loads, key=lambda load: not load[0].sucks), strict=True)
+            parts, starts = zip(*sorted(loads, key=lambda load: not load[0].sucks), strict=True)
             fitting = self.fitting(Several.of(parts), calm)
-            position, _ = fitting.descended(np.concatenate(own), likelihood, SEARCH.evaluations // 2)
+            position, _ = fitting.descended(np.concatenate(starts), likelihood, SEARCH.evaluations // 2)
             return fitting.fit_at(position, likelihood)
 
         def likely(fit: Fit) -> float:
@@ -265,11 +265,11 @@ class Detector:
         for place in range(len(best.loads)):
             for kind in kinds:
                 loads = best.loads
-                part, own = loads[place]
-                if kind is not part and (disc := part.disc(own)) is not None:
+                part, starts = loads[place]
+                if kind is not part and (disc := part.disc(starts)) is not None:
                     begin = kind.start(disc)
                     if isinstance(kind, RoundCandidate) and isinstance(part, RoundCandidate):
-                        begin[-len(EVEN) :] = own[-len(EVEN) :]  # both are equally uneven
+                        begin[-len(EVEN) :] = starts[-len(EVEN) :]  # both are equally uneven
                     loads[place] = kind, begin
                     best = max(best, fitted(loads), key=likely)
         return [best] if best is sucking else [best, sucking]
@@ -312,9 +312,9 @@ class Detector:
             fits.append(self.fitting(fit.candidate, frame).best(fit.parameters, whitening))
         shares = softmax(EVIDENCE_SHARE * np.array([alternative.evidence for alternative in fits]))
         # law of total covariance: mean of the covariances within the curves, and covariance between them
-        apart = np.array([alternative.parameters for alternative in fits]) - fit.parameters
+        offsets = np.array([alternative.parameters for alternative in fits]) - fit.parameters
         within = np.tensordot(shares, [alternative.covariance for alternative in fits], 1)
-        return replace(fit, covariance=within + (shares[:, None] * apart).T @ apart)
+        return replace(fit, covariance=within + (shares[:, None] * offsets).T @ offsets)
 
 
 def coarse_errors(frame: Observation, change: Array) -> CellLikelihood:

@@ -95,7 +95,7 @@ class Fit:
     @property
     def discs(self) -> list[Disc]:
         """Discs of all round loads."""
-        return [disc for part, own in self.loads if (disc := part.disc(own)) is not None]
+        return [disc for part, parameters in self.loads if (disc := part.disc(parameters)) is not None]
 
 
 class CellLikelihood(NamedTuple):
@@ -240,8 +240,8 @@ class Fitting:
         # |∇p| (kPa/mm): the change of pressure by a shift of 1 mm across an edge
         shift = np.sqrt((by_parameter[self.centred] ** 2).sum(axis=0))
         sizes = (self.pressure(fit.parameters, by)[0] for by in (0.9, 1.1))
-        more, less, small, large = (self.frame.change(end)[0] for end in (pressure + shift, pressure - shift, *sizes))
-        return np.stack([fit.change, np.abs(more - less) / 2, (large - small) / (1.1 - 0.9)])
+        upper, lower, small, large = (self.frame.change(end)[0] for end in (pressure + shift, pressure - shift, *sizes))
+        return np.stack([fit.change, np.abs(upper - lower) / 2, (large - small) / (1.1 - 0.9)])
 
     def errors(self, fit: Fit, scatter: float) -> Whitening:
         """Return the errors about the change that a fit explains, with a relative deviation `scatter` of the film."""
@@ -273,8 +273,8 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
     remaining = np.ix_(*2 * [np.arange(len(names)) != place])
     # Profile: step ln d in both directions until P(δ) is negligible, all other parameters fitted.
     points = [fitting.best(fit.parameters, whitening, held=place)]
-    apart = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))  # as points of a patch are
-    for step in (1, -1) * np.array(max(apart, fit.covariance[place, place] ** 0.5 / 2)):
+    spacing = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))  # as points of a patch are
+    for step in (1, -1) * np.array(max(spacing, fit.covariance[place, place] ** 0.5 / 2)):
         point = points[0]
         while point.cost < points[0].cost + MAX_LOG_RATIO / 2:
             begin = point.parameters + step * np.eye(len(names))[place]
@@ -285,10 +285,10 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
     precisions = [(point.normal + centred)[remaining] for point in points]
     # P(δ) ∝ e^(−cost) |H|^(−½), with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ − φ̂)(φ − φ̂)ᵀ)
     share = softmax(
-        [-point.cost - np.linalg.slogdet(own)[1] / 2 for point, own in zip(points, precisions, strict=True)]
+        [-point.cost - np.linalg.slogdet(precision)[1] / 2 for point, precision in zip(points, precisions, strict=True)]
     )
-    away = np.array([point.parameters for point in points]) - fit.parameters
-    covariance = (share[:, None] * away).T @ away + np.diag(fit.candidate.blind(fit.parameters) ** 2)
+    offsets = np.array([point.parameters for point in points]) - fit.parameters
+    covariance = (share[:, None] * offsets).T @ offsets + np.diag(fit.candidate.blind(fit.parameters) ** 2)
     covariance[remaining] += np.tensordot(share, np.linalg.inv(precisions), 1)
     wider = covariance[place, place] > fit.covariance[place, place]
     return replace(fit, covariance=covariance) if wider else fit
@@ -338,11 +338,11 @@ def states(panel: Panel, change: Array) -> NDArray[np.intp]:
     """Return the state of each cell, 0 to 3 for quiet to strongly changed, by its own and its neighbours' changes."""
     square, (first, second, _) = change.ravel() ** 2, panel.neighbours
     cell, neighbour = np.concatenate([first, second]), np.concatenate([second, first])
-    beside = np.bincount(cell, square[neighbour], square.size).astype(float)
+    near = np.bincount(cell, square[neighbour], square.size).astype(float)
     sides = np.bincount(cell, minlength=square.size)
-    beside += np.maximum(4 - sides, 0) * square  # a cell at the border stands for its missing neighbours
+    near += np.maximum(4 - sides, 0) * square  # a cell at the border stands for its missing neighbours
     limits = np.sqrt(SD[1:] * SD[:-1])
-    return np.asarray(np.digitize(np.sqrt(0.6 * square + 0.1 * beside), limits)).reshape(change.shape)
+    return np.asarray(np.digitize(np.sqrt(0.6 * square + 0.1 * near), limits)).reshape(change.shape)
 
 
 def paid(panel: Panel, of_cells: NDArray[np.intp]) -> float:
@@ -413,7 +413,7 @@ class Verdict:
 
         pairs = zip(self.fits, self.shares, strict=True)
         total = sum(
-            share for fit, share in pairs if any(sucks(part.disc(own)) for part, own in fit.loads if part.sucks)
+            share for fit, share in pairs if any(sucks(part.disc(values)) for part, values in fit.loads if part.sucks)
         )
         return total / max(1 - self.nothing, 1e-9)
 
@@ -425,9 +425,9 @@ def prior_cost(fit: Fit, frame: Observation) -> float:
     """
     response, shape = frame.baseline.response, frame.panel.shape
     cost = sum(_overlapping(*pair) for pair in combinations(fit.discs, 2))
-    for part, own in fit.loads:
+    for part, parameters in fit.loads:
         if part.sucks:
-            disc, full = part.disc(own), 0.0
+            disc, full = part.disc(parameters), 0.0
             below = np.ones(shape, dtype=bool) if disc is None or len(fit.loads) == 1 else under(frame.panel, disc)
             if disc is not None:
                 full = float(np.mean(response.gains * response.logarithm(disc.suction_kpa)))

@@ -38,10 +38,10 @@ class WindowNetwork(NamedTuple):
     def sensitivity(self) -> Array:
         """Return the block diagonal Jacobian J, (readings, cells)."""
         numbers = self.layout.split(np.arange(np.prod(self.layout.shape)).reshape(self.layout.shape))
-        whole = np.zeros((numbers.size, numbers.size))
-        for network, own in zip(self.networks, numbers.reshape(len(numbers), -1), strict=True):
-            whole[np.ix_(own, own)] = network.sensitivity()
-        return whole
+        matrix = np.zeros((numbers.size, numbers.size))
+        for network, index in zip(self.networks, numbers.reshape(len(numbers), -1), strict=True):
+            matrix[np.ix_(index, index)] = network.sensitivity()
+        return matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ class WindowScene:
         """Return the network of all modules."""
         layout = layout_of(self.panel)
         parts = zip(self.scenes, layout.split(cells), strict=True)
-        solved = (own.circuit.network(part, own.circuit.ties(part), own.wiring) for own, part in parts)
+        solved = (module.circuit.network(part, module.circuit.ties(part), module.wiring) for module, part in parts)
         return WindowNetwork(layout, tuple(solved))
 
     def _joined(self, part: Callable[[Scene, Array], Array], image: Array) -> Array:
@@ -130,18 +130,18 @@ class Window:
         for at, axis, size in zip(place, scene.panel.centres_mm(), sizes, strict=True):
             first, last = axis[::size], axis[size - 1 :: size]
             reach = min(NEAR_PITCHES * scene.panel.pitch_mm, float(last[0] - first[0]) / 2)
-            away = np.maximum(first - at, at - last)
-            spans.append(np.flatnonzero((away <= reach) | (away == away.min())))
+            distance = np.maximum(first - at, at - last)
+            spans.append(np.flatnonzero((distance <= reach) | (distance == distance.min())))
         columns, rows = spans
         numbers = tuple(int(j * layout.columns + k) for j in rows for k in columns)
         (top, left), (bottom, right) = layout.cells(numbers[0]), layout.cells(numbers[-1])
         cells = slice(top.start, bottom.stop), slice(left.start, right.stop)
         part, response = replace(layout, rows=len(rows), columns=len(columns)), scene.response
         scenes = tuple(scene.of_modules[number] for number in numbers)
-        own = WindowScene(Panel(modules=part), response and response.of_cells(cells), scenes)
+        window_scene = WindowScene(Panel(modules=part), response and response.of_cells(cells), scenes)
         places = scene.panel.places_mm[:, *cells]
         x, y = places[:, 0, 0]
-        return cls(own, numbers, cells, float(x), float(y), places.mean(axis=(1, 2)))
+        return cls(window_scene, numbers, cells, float(x), float(y), places.mean(axis=(1, 2)))
 
 
 Opened: TypeAlias = tuple[Window, Watch, float]
@@ -173,10 +173,10 @@ class ImageWatch:
     def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "ImageWatch":
         """Return the watch before the first frame, as `Watch.begin`."""
         modules = dict[int, Watch]()
-        for number, own in enumerate(panelled.scene.of_modules):
+        for number, module_scene in enumerate(panelled.scene.of_modules):
             cells = layout_of(panelled.scene.panel).cells(number)
             if (read := np.isfinite(sigma[cells]) & np.isfinite(measured[cells])).any():
-                part = replace(panelled, scene=own, water=panelled.water[cells])
+                part = replace(panelled, scene=module_scene, water=panelled.water[cells])
                 at_rest = np.where(read, measured[cells], np.median(measured[cells][read]))
                 modules[number] = Watch.begin(part, at_rest, sigma[cells], unloaded[(..., *cells)], time)
         return cls(panelled, modules)
@@ -204,8 +204,8 @@ class ImageWatch:
 
     def touched(self, unloaded: Array) -> bool:
         """Return whether any module is touched, as `Watch.touched`."""
-        each = self._layout.split(unloaded)
-        return any(watch.touched(each[:, number]) for number, watch in self.modules.items())
+        frames = self._layout.split(unloaded)
+        return any(watch.touched(frames[:, number]) for number, watch in self.modules.items())
 
     def ended(self) -> "ImageWatch":
         """Return the watch once it has ended, as `Watch.ended`."""
@@ -225,12 +225,12 @@ class ImageWatch:
     @cached_property
     def change(self) -> Array | None:
         """ln r/r0 (rows, columns) of the loads that the windows recognised last, 0 elsewhere; None without any."""
-        whole = np.zeros(self.panelled.scene.panel.shape)
+        image = np.zeros(self.panelled.scene.panel.shape)
         for window, watch, _ in self.opened:
             if watch.change is not None:
-                known = whole[window.cells]
-                whole[window.cells] = np.where(np.abs(watch.change) > np.abs(known), watch.change, known)
-        return whole if whole.any() else None
+                known = image[window.cells]
+                image[window.cells] = np.where(np.abs(watch.change) > np.abs(known), watch.change, known)
+        return image if image.any() else None
 
     @property
     def _layout(self) -> Modules:
@@ -240,8 +240,8 @@ class ImageWatch:
     def _watches(self) -> list[Watch]:
         """Watches of the windows, and of the modules without a window."""
         covered = under_windows(self.opened)
-        alone = (watch for number, watch in self.modules.items() if number not in covered)
-        return [*(watch for _, watch, _ in self.opened), *alone]
+        uncovered = (watch for number, watch in self.modules.items() if number not in covered)
+        return [*(watch for _, watch, _ in self.opened), *uncovered]
 
     def _place(self, number: int, watch: Watch) -> Array:
         """Return the place (x, y) in the image, mm, where a module's readings changed most."""
@@ -258,9 +258,9 @@ class ImageWatch:
         states = np.array([levels.get(number, 4 * (blank,)) for number in window.numbers])
         images = layout.joined(np.swapaxes(states, 0, 1).reshape(4, -1, layout.each.rows, layout.each.columns))
         baseline, mean, *recent = images.reshape(4, -1)
-        own = replace(self.panelled, scene=cast(Scene, window.scene), water=self.panelled.water[window.cells])
+        module = replace(self.panelled, scene=cast(Scene, window.scene), water=self.panelled.water[window.cells])
         resting = np.exp(images[0]), sigma[window.cells], np.zeros((0, *layout.shape))
-        start = Watch.begin(own, *resting, max(part.rest_s for part in known))
+        start = Watch.begin(module, *resting, max(part.rest_s for part in known))
         loud = np.full(len(start.test.loud), max(float(part.test.loud.mean()) for part in known))
         begun = max(part.window[-1][0] if part.window else part.begun for part in known)
         start = replace(start, test=replace(start.test, loud=loud), rested=min(part.rested for part in known))
@@ -272,18 +272,18 @@ class ImageWatch:
         opened = tuple(opening for opening in self.opened if time - opening[2] < CALM_S)
         modules, names = dict(self.modules), ("rest_s", "rested", "begun", "window", "uncovered_s")
         for window, watch, _ in (opening for opening in self.opened if time - opening[2] >= CALM_S):
-            layout, own = layout_of(window.scene.panel), {name: getattr(watch, name) for name in names}
+            layout, state = layout_of(window.scene.panel), {name: getattr(watch, name) for name in names}
             images = np.reshape([watch.resting, watch.mean, *watch.recent], (4, *layout.shape))
             for number, levels in zip(window.numbers, np.swapaxes(layout.split(images), 0, 1), strict=True):
                 if number in modules and number not in under_windows(opened):
                     baseline, mean, *recent = levels.reshape(4, -1)
                     module = replace(modules[number], resting=baseline, mean=mean, recent=tuple(recent))
-                    modules[number] = replace(module, **own)
+                    modules[number] = replace(module, **state)
         return replace(self, modules=modules, opened=opened)
 
     def _merged(self) -> tuple[Attachment, ...]:
         """Return the attachments of all windows; a load in two windows is taken from the nearer middle."""
-        every = [
+        loads = [
             (window, replace(load, x_mm=(x + window.x_mm, x_sd), y_mm=(y + window.y_mm, y_sd)))
             for window, watch, _ in self.opened
             for load in watch.attachments
@@ -291,7 +291,7 @@ class ImageWatch:
         ]
         # nearest to its window's middle first; equal loads of other windows are dropped
         merged = list[tuple[Window, Attachment]]()
-        for window, load in sorted(every, key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1]))):
+        for window, load in sorted(loads, key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1]))):
             if not any(window is not neighbour and _same_load(load, seen) for neighbour, seen in merged):
                 merged.append((window, load))
         ended = [load for load in self.attachments if load.until_s is not None]
@@ -313,5 +313,5 @@ def layout_of(panel: Panel) -> Modules:
 def _same_load(first: Attachment, second: Attachment) -> bool:
     """Return whether two attachments are one load: their times overlap, and their distance is below their width."""
     ends = (inf if load.until_s is None else load.until_s for load in (second, first))
-    together = all(load.since_s < end for load, end in zip((first, second), ends, strict=True))
-    return together and first.distance(second.place) < max(first.width, second.width)
+    simultaneous = all(load.since_s < end for load, end in zip((first, second), ends, strict=True))
+    return simultaneous and first.distance(second.place) < max(first.width, second.width)

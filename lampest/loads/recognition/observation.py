@@ -112,8 +112,8 @@ class ModelErrors:
         in_ohm = scene.circuit.unit == "ohm"
         total = (measured + scene.series_ohm if in_ohm else measured).reshape(-1, 1)
         lines = [line.reshape(-1, 1) == np.unique(line) for line in (row, column)] if in_ohm else []
-        own = [np.diag(self.reading_error * total[:, 0])] if self.reading_error else []
-        return np.hstack([*(self.channel_ohm * line for line in lines), self.reference * total, *own])
+        by_reading = [np.diag(self.reading_error * total[:, 0])] if self.reading_error else []
+        return np.hstack([*(self.channel_ohm * line for line in lines), self.reference * total, *by_reading])
 
 
 # Of ln r: the longest Gauss-Newton step, and the largest change by a load. Beyond, a cell is open or shorted to all
@@ -178,13 +178,13 @@ def most_probable(
         residual, slope, noise = model(state)
         across = prior @ slope.T
         root = cholesky(slope @ across + noise, lower=True)
-        apart = residual + slope @ (state - mean)
+        innovation = residual + slope @ (state - mean)
         # x = mean + P Aᵀ (A P Aᵀ + C)⁻¹ (y − f(x₀) + A (x₀ − mean))
-        step = np.clip(mean + across @ cho_solve((root, True), apart) - state, -MAX_STEP, MAX_STEP)
+        step = np.clip(mean + across @ cho_solve((root, True), innovation) - state, -MAX_STEP, MAX_STEP)
         state = state + step
         if np.abs(step).max() < settled:
             break
-    return MostProbable(state, prior, across, Whitening(root), apart)
+    return MostProbable(state, prior, across, Whitening(root), innovation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,8 +368,8 @@ class Observation:
 
     @cached_property
     def _mapped(self) -> MostProbable:
-        nothing = np.zeros(self.measured.shape)
-        return self.cells(nothing, self.baseline.model_errors.mapped**2 * np.eye(nothing.size))
+        zero = np.zeros(self.measured.shape)
+        return self.cells(zero, self.baseline.model_errors.mapped**2 * np.eye(zero.size))
 
     @property
     def map(self) -> Array:

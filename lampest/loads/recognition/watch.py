@@ -247,9 +247,9 @@ class Watch:
         """
         frames, sigma, resting = max(len(unloaded), 1), counting(sigma, measured), np.log(measured.ravel())
         frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames), 0.0)
-        own = np.where(np.isnan(unloaded), measured, unloaded).reshape(len(unloaded), resting.size)
+        filled = np.where(np.isnan(unloaded), measured, unloaded).reshape(len(unloaded), resting.size)
         search = panelled.detector.search(frame.panel)
-        test, uneven = StepTest.of(frame, search, np.log(own)), search.lies_on(frame.baseline.logarithm)
+        test, uneven = StepTest.of(frame, search, np.log(filled)), search.lies_on(frame.baseline.logarithm)
         return cls(panelled, test, sigma, resting, frames, time, resting, time, (resting, resting), uneven=uneven)
 
     @ONE_BLAS_THREAD
@@ -295,8 +295,8 @@ class Watch:
     def touched(self, unloaded: Array) -> bool:
         """Return whether a load came or left during the unloaded frames, (frames, rows, columns)."""
         medians = [np.median(np.log(unloaded[first : first + 3]), axis=0).ravel() for first in range(len(unloaded) - 2)]
-        each = [np.where(np.isnan(shown), self.resting, shown) for shown in medians]
-        stepped = [shown for shown in each if np.any(self.test.scores(shown - self.resting) >= self.test.least())]
+        filled = [np.where(np.isnan(shown), self.resting, shown) for shown in medians]
+        stepped = [shown for shown in filled if np.any(self.test.scores(shown - self.resting) >= self.test.least())]
         verdict = self.panelled.detector.verdict
         return any(verdict(self._frame(shown, self.rest_s + SETTLES_S)).nothing < 0.5 for shown in stepped[-1:])
 
@@ -391,8 +391,8 @@ class Watch:
         """Return `film_sd` after a step of the recognised load: the residue of each cell's decrease of |ln r/r0|."""
         if self.known or self.seen is None:
             return self.film_sd
-        less = np.maximum(np.abs(self._before) - np.abs(frame.map), 0.0).ravel()
-        return np.asarray(np.maximum(self.film_sd, self.panelled.errors.residue * less))
+        fall = np.maximum(np.abs(self._before) - np.abs(frame.map), 0.0).ravel()
+        return np.asarray(np.maximum(self.film_sd, self.panelled.errors.residue * fall))
 
     @property
     def _before(self) -> Array:
@@ -433,8 +433,8 @@ class Watch:
         patterns = patterns_of(frame, verdict.best, self.test.whitening, self.panelled.detector)
         loads = attachments_of(frame, verdict, self.begun, patterns)
         watch = replace(self, film_sd=self._keeps(frame), seen=frame, verdict=verdict, known=True, former=None)
-        every = continued_by(self.attachments, loads, self.begun, again=self.known)
-        return replace(watch, left=size, left_s=time, size=size, next_s=again, attachments=every)
+        continued = continued_by(self.attachments, loads, self.begun, again=self.known)
+        return replace(watch, left=size, left_s=time, size=size, next_s=again, attachments=continued)
 
     def _uncovered(self, verdict: Verdict, median: Array, time: float) -> bool:
         """Return whether the step is rather a load that left the panel, present since before the first frame.

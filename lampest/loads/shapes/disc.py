@@ -118,9 +118,9 @@ def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) ->
     by_u = outward * u + (press * tilt_x / outer) * rim - turned * v
     by_v = outward * v + (press * tilt_y / outer) * rim + turned * u
     # Means over the points; the derivatives are linear combinations of them.
-    every = [rim * level, hole, by_u, by_v, level * whole_slope, level * hole_slope, hole_slope, rim * u, rim * v]
-    every += [by_v * y - by_u * x, by_u * y + by_v * x, rim * twice, rim * cross]
-    means = np.array(every) @ np.full(x.shape[1], 1 / x.shape[1])
+    integrands = [rim * level, hole, by_u, by_v, level * whole_slope, level * hole_slope, hole_slope, rim * u, rim * v]
+    integrands += [by_v * y - by_u * x, by_u * y + by_v * x, rim * twice, rim * cross]
+    means = np.array(integrands) @ np.full(x.shape[1], 1 / x.shape[1])
     level, hole, by_u, by_v, by_whole, by_hole, slope, rim_u, rim_v, lengthened, turned, rim_twice, rim_cross = means
     lean = (tilt_x * rim_u + tilt_y * rim_v) / outer
     return np.array(

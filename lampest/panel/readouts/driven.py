@@ -165,8 +165,8 @@ class DrivenReadout(Readout):
         drive, load, gain = self._circuit(measured.shape[-2:])
         volt = np.maximum(measured / gain, OPEN_SHARE * self.driving_volt)
         # (Vcc − V_d)/I with the current I = V/(c·Rs): the sum of cell, load and drive
-        whole = load * (self.driving_volt - self._lost(volt / load)) / volt
-        return np.asarray(np.maximum(whole - load - drive, MIN_LOAD_SHARE * whole))
+        total = load * (self.driving_volt - self._lost(volt / load)) / volt
+        return np.asarray(np.maximum(total - load - drive, MIN_LOAD_SHARE * total))
 
     def uniform_start(self, measured: Array) -> Array:
         """Return r_ij = Rs_j·(1 − Σ_k v_kj)/v_ij, (…, rows, columns) ohm, for idle lines at ground.
@@ -226,12 +226,12 @@ class DrivenReadout(Readout):
         impedance = inverse_of(conductance, np.concatenate([1 / drive, 1 / load if self.all_loaded else 0 * load]))
         # Potentials of all lines while line i is driven: Z_·i·Vcc/Rd_i
         at_supply = impedance[:, :count] * (self.driving_volt / drive)
-        own = np.broadcast_to(at_supply[:count].T, (len(load), count, count))
+        open_circuit = np.broadcast_to(at_supply[:count].T, (len(load), count, count))
         if self.all_loaded:
-            return own
+            return open_circuit
         # Sherman–Morrison: the load of line j draws V_j/(Rs_j + Z_jj), which lowers u_p by Z_jp times this current.
         sinking = at_supply[count:] / (load + np.diag(impedance)[count:])[:, None]
-        return np.asarray(own - sinking[:, :, None] * impedance[count:, None, :count])
+        return np.asarray(open_circuit - sinking[:, :, None] * impedance[count:, None, :count])
 
     def nearly_shorted(self, measured: Array) -> Array:
         """Return cells that count as shorts, also bounded by a share of the uniform start, (…, rows, columns) ohm.

@@ -218,12 +218,12 @@ def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_]) ->
     stencil = Stencil.of(network.conductance, network.reading(), free)
 
     def over_panel(linear: Callable[[Array], Array], values: Array) -> Array:
-        whole = np.zeros(gradient.shape)
-        whole[free] = values
-        return linear(whole)[free]
+        full = np.zeros(gradient.shape)
+        full[free] = values
+        return linear(full)[free]
 
     step[free] = steihaug(
-        lambda search: over_panel(lambda whole: network.forward(whole * network.cell_resistance), search),
+        lambda search: over_panel(lambda full: network.forward(full * network.cell_resistance), search),
         lambda residual: over_panel(stencil.solve, residual),
         gradient[free],
         0.05,

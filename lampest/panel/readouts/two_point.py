@@ -321,9 +321,9 @@ class BlockNetwork(FloatingNetwork):
         """Return blocks (modules, cells, cells) as a matrix (cells, cells) over the cells of the image."""
         size, layout = self.conductance.size, self.layout
         numbers = layout.split(np.arange(size).reshape(layout.shape)).reshape(layout.count, -1)
-        whole = np.zeros((size, size))
-        whole[numbers[:, :, None], numbers[:, None, :]] = blocks
-        return whole
+        matrix = np.zeros((size, size))
+        matrix[numbers[:, :, None], numbers[:, None, :]] = blocks
+        return matrix
 
 
 @dataclass(frozen=True, eq=False)

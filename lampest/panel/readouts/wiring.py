@@ -100,7 +100,9 @@ class Contacts(Configuration):
 
     def _of_lines(self, name: str, shape: tuple[int, ...]) -> Array:
         sides = zip(("rows", "columns"), (self.rows, self.columns), shape, strict=True)
-        return np.concatenate([per_line(f"contacts.{side}.{name}", getattr(own, name), n) for side, own, n in sides])
+        return np.concatenate(
+            [per_line(f"contacts.{side}.{name}", getattr(lines, name), n) for side, lines, n in sides]
+        )
 
     @classmethod
     def of(cls, mean: Array, deviation: Array, rows: int) -> "Contacts":
@@ -195,11 +197,11 @@ class Ladder:
         inner = slice(None, None, -1 if lines.rows_enter == "right" else 1)
         turned = cells[outer, inner]
         count, size = turned.shape
-        steps, every = np.arange(1, size + 1), np.arange(size)
+        steps, index = np.arange(1, size + 1), np.arange(size)
         # K of one rung: cells c and d share min(c, d) segments and the rung's contact; r on the diagonal.
         matrix = np.tile(lines.row_ohm_per_cell * np.minimum.outer(steps, steps).astype(float), (count, 1, 1))
         matrix += contacts[:count][outer, None, None]
-        matrix[:, every, every] += turned
+        matrix[:, index, index] += turned
         segment = np.full((count, size), lines.column_ohm_per_cell)
         segment[-1] += contacts[count:][inner]
         rung = np.linalg.inv(matrix)
@@ -213,17 +215,17 @@ class Ladder:
 
     def solve(self, differences: Array) -> Array:
         """Return i = K⁻¹·e: currents through the cells for e (rows, columns, patterns) volt, the same shape, ampere."""
-        own = self.rung @ differences[self.outer, self.inner]
-        source, potential = np.empty_like(own), np.empty_like(own)
-        before, after = np.zeros(own.shape[1:]), np.zeros(own.shape[1:])
+        driven = self.rung @ differences[self.outer, self.inner]
+        source, potential = np.empty_like(driven), np.empty_like(driven)
+        before, after = np.zeros(driven.shape[1:]), np.zeros(driven.shape[1:])
         # Forward: source current of all rungs so far, behind each segment.
-        for number in range(len(own)):
-            before = source[number] = self.passed[number] @ (before + own[number])
+        for number in range(len(driven)):
+            before = source[number] = self.passed[number] @ (before + driven[number])
         # Backward: currents through the segments, and potentials of the rails at each rung.
-        for number in reversed(range(len(own))):
+        for number in reversed(range(len(driven))):
             current = source[number] - self.shown[number] @ after
             after = potential[number] = after + self.segment_ohm[number, :, None] * current
-        return np.asarray((own - self.rung @ potential)[self.outer, self.inner])
+        return np.asarray((driven - self.rung @ potential)[self.outer, self.inner])
 
 
 @dataclass(frozen=True, eq=False)

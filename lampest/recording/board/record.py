@@ -148,11 +148,11 @@ class Journal:
     def keep(self, source: h5py.File) -> None:
         """Append the undamaged frames and events of another journal; damaged frames count as lost before the next."""
         for rows in (Rows.of_frames(self.scene.circuit), EVENTS):
-            whole = np.flatnonzero(rows.undamaged(source))
-            dropped = np.diff(whole, prepend=-1) - 1
-            for part in blocks(len(whole), self.scene.panel.crossings):
-                first, last = whole[part][[0, -1]].tolist()
-                values = [column[whole[part] - first] for column in rows.stored(source, slice(first, last + 1))]
+            intact = np.flatnonzero(rows.undamaged(source))
+            dropped = np.diff(intact, prepend=-1) - 1
+            for part in blocks(len(intact), self.scene.panel.crossings):
+                first, last = intact[part][[0, -1]].tolist()
+                values = [column[intact[part] - first] for column in rows.stored(source, slice(first, last + 1))]
                 for number, (path, *_) in enumerate(rows.datasets):
                     if path == "acquisition/lost":
                         values[number] = values[number] + dropped[part]
@@ -384,10 +384,10 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
     most, until = math.inf if frames is None else frames, math.inf if seconds is None else seconds
     count, began, heard = 0, 0.0, time.monotonic()
     for batch in batches:
-        now = time.monotonic()
-        began, heard = began or now, now if batch else heard
-        if frames is not None and now - heard > UNFIT_SECONDS + 3 * period:
-            raise InputError(f"no frame came for {now - heard:.0f} s")
+        time_now = time.monotonic()
+        began, heard = began or time_now, time_now if batch else heard
+        if frames is not None and time_now - heard > UNFIT_SECONDS + 3 * period:
+            raise InputError(f"no frame came for {time_now - heard:.0f} s")
         last = [
             number >= most or item.time + item.hello.period > until - 1e-3
             for number, item in enumerate(batch, count + 1)
@@ -395,7 +395,7 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
         batch = batch[: last.index(True) + 1] if any(last) else batch
         count += len(batch)
         yield batch
-        if any(last) or now - began > 1.05 * until + period + 1:
+        if any(last) or time_now - began > 1.05 * until + period + 1:
             return
 
 
@@ -414,13 +414,13 @@ def repair(path: Path) -> tuple[int, int]:
         raise InputError(f"{path}: still being recorded")
     with folder_beside(path) as folder:
         with recording_file(path) as (file, scene, _, _):
-            whole = Rows.of_frames(scene.circuit).undamaged(file)
-            if len(whole) and not whole.any():
+            intact = Rows.of_frames(scene.circuit).undamaged(file)
+            if len(intact) and not intact.any():
                 raise InputError(f"{path}: every frame is damaged")
             readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
             with Journal.create(folder / path.name, scene, readings) as journal:
                 journal.keep(file)
-        return finished(path, folder / path.name)[1], int(np.sum(~whole))
+        return finished(path, folder / path.name)[1], int(np.sum(~intact))
 
 
 def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float | None]:

@@ -47,7 +47,7 @@ def samples_of(
             f"the scene reads {len(numbers)} modules: name as many ports, --port once for each, in the order {named}"
             f"{', …' if len(numbers) > 4 else ''}; not {len(ports)}"
         )
-    readings = {own.readout.readings for own in map(scene.of_modules.__getitem__, numbers) if own.readout}
+    readings = {module.readout.readings for module in map(scene.of_modules.__getitem__, numbers) if module.readout}
     if len(readings) != 1:
         raise InputError("modules that are recorded together need a readout with one number of readings for all")
     return _images(scene, numbers, ports, period, on_state, ending)
@@ -200,8 +200,8 @@ def _image(
     """Return the boards' frames as one sample, with the clock of the first board and the restarts of all."""
     layout, first = scene.panel.modules, next(iter(parts.values()))
     assert layout is not None
-    (rows, columns), each = layout.shape, layout.each
-    sums = np.full((layout.count, each.rows, each.columns), NO_SUM, dtype=np.uint16)
+    (rows, columns), module = layout.shape, layout.each
+    sums = np.full((layout.count, module.rows, module.columns), NO_SUM, dtype=np.uint16)
     for board, sample in parts.items():
         sums[numbers[board]] = sample.frame.sums
     missed = max(sample.frame.missed for sample in parts.values())

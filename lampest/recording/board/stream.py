@@ -184,10 +184,10 @@ class Scanning:
 
     def _sample(self, frame: Frame, at: float, lost: int, anew: int = 0, *events: str) -> Sample:
         """Return a sample at a time in s, moved behind the last one if necessary; `anew` is 1 after a restart."""
-        now = time.time()
+        time_now = time.time()
         if self.last is not None and at <= self.last.time:
-            at = self.last.time + max(now - self.last.host_time, self.hello.period)
-        return Sample(frame, self.hello, self.scene, at, now, lost, self.session + anew, events)
+            at = self.last.time + max(time_now - self.last.host_time, self.hello.period)
+        return Sample(frame, self.hello, self.scene, at, time_now, lost, self.session + anew, events)
 
     def _follows(self, frame: Frame, before: Frame, host_time: float) -> bool:
         """Return whether number and clock of a frame can follow those of an earlier one, received at host_time."""
@@ -333,9 +333,9 @@ class _Line:
             if time.monotonic() - heard > silent_after:
                 came = board.heard
                 try:
-                    now = board.identify()
+                    identity = board.identify()
                     self._unfit["answers"] += 1
-                    if not now.running or now.size != hello.size:
+                    if not identity.running or identity.size != hello.size:
                         return
                     run.doubt()
                 except NoBoardError:

@@ -257,8 +257,8 @@ def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
         raise InputError(f"{where}: is {_by(array.shape)}, which {ways}{hint}")
     check_count(where, array.size)
     layout, *alternatives = fits[name]
-    every: Index = np.arange(array.size).reshape(array.shape)
-    number = (every.transpose(2, 0, 1) if layout == STACKED else every).reshape(-1, *shape)
+    indices: Index = np.arange(array.size).reshape(array.shape)
+    number = (indices.transpose(2, 0, 1) if layout == STACKED else indices).reshape(-1, *shape)
     second = f" ({alternatives[0]} would fit, too)" if alternatives else ""
     note = f"{f'array {name} ' if name else ''}read as {layout}{second}"
 

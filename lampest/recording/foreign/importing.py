@@ -94,10 +94,10 @@ def import_file(  # noqa: PLR0913 # the options of a command
     panel = _panel(rows, columns, scene)
     check_unit(unit, scene, path)
     layouts = (*LAYOUTS, *installed("lampest.layouts", Layout))
-    own = {name: known for known in layouts for name in (known.kind, *known.suffixes)}
-    if isinstance(layout, str) and layout not in own and (hint := meant(layout, own)):
+    by_name = {name: known for known in layouts for name in (known.kind, *known.suffixes)}
+    if isinstance(layout, str) and layout not in by_name and (hint := meant(layout, by_name)):
         raise InputError(f"`layout='{layout}'` is no import format{hint}")
-    layout = own.get(path.suffix.lower()) if layout is None else own.get(str(layout), layout)
+    layout = by_name.get(path.suffix.lower()) if layout is None else by_name.get(str(layout), layout)
     frames = _frames(path, panel, transpose=transpose, variable=variable, layout=layout)
     values, count = frames.values, len(frames.values)
     values[~panel.present & ~(values > 0)] = np.nan

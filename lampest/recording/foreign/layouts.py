@@ -57,8 +57,8 @@ def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cel
     fields: dict[tuple[int, int], int] = {}
     for field, (row, column) in cells.items():
         if fields.setdefault((row, column), field) != field:
-            same = f"{names[fields[row, column]]!r} and {names[field]!r}"
-            raise InputError(f"{source}: the header's {same} are the same cell")
+            headers = f"{names[fields[row, column]]!r} and {names[field]!r}"
+            raise InputError(f"{source}: the header's {headers} are the same cell")
         if row >= shape[0] or column >= shape[1]:
             turned = "; with `transpose` it would fit" if row < shape[1] and column < shape[0] else ""
             sizes = f"{shape[0]} × {shape[1]} cells, counted from {first}"
@@ -100,9 +100,9 @@ def _frames_in_lines(table: ReadingsTable, shape: Shape, named: tuple[Cells, str
     rows, columns = np.transpose([named[0][field] for field in fields])
     unused = [names[field] for field in range(table.width) if field not in fields and field not in times]
     omitted = f"; left out: {', '.join(name or 'a column without a name' for name in unused[:5])}" if unused else ""
-    every = np.arange(len(table.lines))
+    index = np.arange(len(table.lines))
     note = f"one frame a line, {named[1]}{omitted}"
-    return table.frames((every[:, None], rows, columns), fields, shape, table.timing(times, range(len(every))), note)
+    return table.frames((index[:, None], rows, columns), fields, shape, table.timing(times, range(len(index))), note)
 
 
 def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
@@ -211,9 +211,9 @@ def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
 
 def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
     """Return the frames of a table with one row of the panel a line; further fields are the row's name or the time."""
-    alone, titles = table.source.counts[table.lines] == 1, ""
-    if table.width > 2 and np.any(alone) and not np.all(alone):
-        table, titles = table.only(~alone), "; a number alone in a line is taken as a title"
+    single, titles = table.source.counts[table.lines] == 1, ""
+    if table.width > 2 and np.any(single) and not np.all(single):
+        table, titles = table.only(~single), "; a number alone in a line is taken as a title"
     extra = table.width - shape[1]
     labels, times = _before_the_row(table, extra, shape[0])
     columns, order = _column_order(table, extra, shape[1])
@@ -303,8 +303,8 @@ def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], s
 def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
     """Return the lines of every frame, and the kind of the titles between frames; None for any kind, or no titles."""
     kinds = table.kinds
-    apart = [line for line in range(1, len(kinds)) if kinds[line]]
-    often = Counter(kind for line in apart for kind in kinds[line])
+    separators = [line for line in range(1, len(kinds)) if kinds[line]]
+    often = Counter(kind for line in separators for kind in kinds[line])
 
     def split(begins: Sequence[int]) -> list[range]:
         return [range(first, end) for first, end in pairwise([0, *begins, len(kinds)])]
@@ -313,12 +313,12 @@ def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
         """Return the number of complete frames; lines of a single group may be cut at the end."""
         return sum(len(group) // rows for group in groups if len(group) % rows == 0 or len(groups) == 1)
 
-    options: list[tuple[list[range], str | None]] = [(split(apart), None)]
+    options: list[tuple[list[range], str | None]] = [(split(separators), None)]
     for kind, _ in often.most_common(8):  # titles are among the most frequent
-        options.append((split([line for line in apart if kind in kinds[line]]), kind))
-    best, alone = max(options, key=lambda option: whole(option[0])), split([])
-    if rows > 1 and (len(best[0]) == len(kinds) or 2 * len(best[0]) < whole(alone)):
-        return alone, None
+        options.append((split([line for line in separators if kind in kinds[line]]), kind))
+    best, ungrouped = max(options, key=lambda option: whole(option[0])), split([])
+    if rows > 1 and (len(best[0]) == len(kinds) or 2 * len(best[0]) < whole(ungrouped)):
+        return ungrouped, None
     long = next((group for group in best[0] if len(group) > rows), None)
     if long and not whole(best[0]):
         raise InputError(f"{table.place(long[0], None)}: a block of {len(long)} lines, where the panel has {rows} rows")

@@ -360,8 +360,8 @@ class ReadingsTable:
     def title_timing(self, begins: Sequence[int], title: str | None) -> Timing:
         """Return the times of frames from titles of a kind before each block; None if a block has none."""
         before = [self.before[line] for line in begins]
-        own = [" ".join(text for text in passed if title in (None, kind_of(text))) for passed in before]
-        matches = [TITLE_TIME.search(text or " ".join(passed)) for text, passed in zip(own, before, strict=True)]
+        time_texts = [" ".join(text for text in passed if title in (None, kind_of(text))) for passed in before]
+        matches = [TITLE_TIME.search(text or " ".join(passed)) for text, passed in zip(time_texts, before, strict=True)]
         texts = [match["stamp"] or match["value"].rstrip(".,") for match in matches if match]
         if len(texts) < len(begins) or not matches[0]:
             return None
@@ -412,8 +412,8 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
         raise InputError(f"{source.source}: holds a header but no values")
     long = data & np.any(fields[:, width:] != "", axis=1)
     if np.any(long):
-        line, plain = int(np.argmax(long)), int(np.argmax(data & ~long))
-        mismatch = f"{counts[line]} fields, where {source.called(plain)} has {width}"
+        line, usual_line = int(np.argmax(long)), int(np.argmax(data & ~long))
+        mismatch = f"{counts[line]} fields, where {source.called(usual_line)} has {width}"
         raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
     notes = [", ".join((*source.notes, *(["decimal commas"] if comma else [])))]
     notes += [] if header is None else [f"{source.called(header)} taken as header"]
@@ -429,8 +429,8 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
         if len(names) != width:
             single = "" if len(names) > 1 else f", {layout!r}, which is no import format either"
             raise InputError(f"{source.source}: {width} columns, but `layout` names {len(names)}{single}")
-    every = np.arange(len(data)), np.arange(fields.shape[1]), fields, values, words
-    table = ReadingsTable(source, *every, comma, ("",) * fields.shape[1], tuple(notes)).only(data, slice(width))
+    places = np.arange(len(data)), np.arange(fields.shape[1]), fields, values, words
+    table = ReadingsTable(source, *places, comma, ("",) * fields.shape[1], tuple(notes)).only(data, slice(width))
     return replace(table, names=tuple(names))
 
 
@@ -455,5 +455,5 @@ def _header_line(fields: NDArray[Any], data: NDArray[np.bool_], numeric: NDArray
     if len(numbers) > 1 and numbers in counted and not begin[:1].isdigit() and begin[:1] not in ("-", "+", "."):
         return first
     names: list[int] = np.flatnonzero(fields[first - 1] != "").tolist() if first else []
-    whole = width > 1 and len(names) >= width - 1 and names[-1] >= width - 1
-    return first - 1 if whole and not np.any(numeric[first - 1]) else None
+    complete = width > 1 and len(names) >= width - 1 and names[-1] >= width - 1
+    return first - 1 if complete and not np.any(numeric[first - 1]) else None

@@ -64,8 +64,8 @@ def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> 
     lowest = 1000 * supply * MIN_USED
     sums, slack = finite * readout.readings, max(_rounding(finite), 1e-9) * readout.readings
     code = bool(finite.max() <= top and np.all(np.abs(sums - np.round(sums)) <= slack))
-    whole = code and bool(np.all(finite == np.round(finite)))  # a converter's own numbers come before rounded mV
-    fits = {"code": code, "volt": finite.max() <= supply, "mV": lowest < finite.max() <= 1000 * supply and not whole}
+    integers = code and bool(np.all(finite == np.round(finite)))  # a converter's own numbers come before rounded mV
+    fits = {"code": code, "volt": finite.max() <= supply, "mV": lowest < finite.max() <= 1000 * supply and not integers}
     for unit in RESISTANCES:
         share = float(readout.volt_from_recorded(np.array(middle * FACTORS[unit]))) / supply
         fits[unit] = MIN_USED <= share <= 1 - MIN_USED
@@ -131,25 +131,25 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source
         for frame, row, column in np.argwhere(bad).tolist():
             raise InputError(f"{place(frame, row, column)}: {values[frame, row, column]:.6g} {why}")
 
-    plain = np.where(np.isinf(values), np.nan, values)
+    finite = np.where(np.isinf(values), np.nan, values)
     if unit in RESISTANCES or readout is None:
         refuse(values < 0, "must be a positive resistance in ohm")
         recorded = scaled
     elif unit == "code":
-        refuse((plain < 0) | (plain > 2**readout.adc_bits - 1), f"is no code of a {readout.adc_bits}-bit converter")
-        floored = plain <= (readout.floor_code or -1)
-        recorded = readout.recorded_from_volt(np.where(floored, 0.0, readout.volt_from_code(plain)))
+        refuse((finite < 0) | (finite > 2**readout.adc_bits - 1), f"is no code of a {readout.adc_bits}-bit converter")
+        floored = finite <= (readout.floor_code or -1)
+        recorded = readout.recorded_from_volt(np.where(floored, 0.0, readout.volt_from_code(finite)))
     else:
         largest = f"{readout.full_scale_volt / FACTORS[unit]:g} {'V' if unit == 'volt' else unit}"
-        outside = (plain < 0) | (np.isfinite(values) & (scaled > readout.full_scale_volt))
+        outside = (finite < 0) | (np.isfinite(values) & (scaled > readout.full_scale_volt))
         refuse(outside, f"lies outside 0 to {largest}, the range of the readout's converter")
-        recorded = readout.recorded_from_volt(np.where(np.isnan(plain), np.nan, scaled))
+        recorded = readout.recorded_from_volt(np.where(np.isnan(finite), np.nan, scaled))
     if readout is not None:
         shorted = Readings.of(scene, recorded).side == (AT_MOST if readout.unit == "ohm" else AT_LEAST)
-        count, whole = int(shorted.sum()), int(np.isfinite(recorded).sum())
+        count, total = int(shorted.sum()), int(np.isfinite(recorded).sum())
         key = "converter_volt" if hasattr(readout, "converter_volt") else "supply_volt"
-        if 2 * count > whole:
-            wrong = f"{count} of {whole} readings stand at the rail of the converter that a shorted cell reaches"
+        if 2 * count > total:
+            wrong = f"{count} of {total} readings stand at the rail of the converter that a shorted cell reaches"
             scale = f"readout.{key}, {readout.full_scale_volt:g} V, the end of its range"
             raise InputError(f"{source}: {wrong}: are they in {unit}, and is {scale}?")
     return recorded

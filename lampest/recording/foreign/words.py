@@ -96,14 +96,14 @@ def parted(name: str) -> tuple[str, str]:
 
 def role_of(name: str) -> str | None:
     """Return the role of a name without its unit: 'row', 'column', 'cell', 'value', 'frame', 'date', 'time' or None."""
-    plain, unit = parted(name)
-    return ROLE_OF_WORD.get(plain) or ("time" if unit.lower() in TIME_UNIT_OF_WORD else None)
+    word, unit = parted(name)
+    return ROLE_OF_WORD.get(word) or ("time" if unit.lower() in TIME_UNIT_OF_WORD else None)
 
 
 def cell_of(name: str) -> tuple[int, int] | None:
     """Return (row, column) of names such as r0c0, R1C1, 'row 0 col 3', c3_r0, cell_0_3, (0, 3), [0][3]; else None."""
-    plain, _ = parted(name)
-    for match in filter(None, (pattern.fullmatch(plain) for pattern in CELLS)):
+    word, _ = parted(name)
+    for match in filter(None, (pattern.fullmatch(word) for pattern in CELLS)):
         if len(match[1]) + len(match[2]) < 12:
             return int(match["row"]), int(match["column"])
     return None
@@ -130,13 +130,13 @@ def units_of(names: Sequence[str]) -> tuple[str, ...]:
 
 def _units_of_one(name: str) -> tuple[str, ...]:
     """Return the units that a name permits by its unit, otherwise by the whole name, its first or its last word."""
-    plain, unit = parted(name)
+    stem, unit = parted(name)
     if unit in ("v", "V"):
         return ("volt",)
     if unit.lower() not in UNITS_OF_WORD and ELECTRIC.fullmatch(unit):
         raise InputError(f"the header's unit {unit!r} is none of ohm, kohm, volt, mV and code; `unit` overrides")
-    ends = [word for word in (plain.split("_")[0], plain.split("_")[-1]) if len(word) > 1]  # r_0_c_1 is a cell
-    names = (UNITS_OF_WORD[word] for word in (unit.lower(), plain, *ends) if word in UNITS_OF_WORD)
+    ends = [word for word in (stem.split("_")[0], stem.split("_")[-1]) if len(word) > 1]  # r_0_c_1 is a cell
+    names = (UNITS_OF_WORD[word] for word in (unit.lower(), stem, *ends) if word in UNITS_OF_WORD)
     return next((QUANTITIES.get(name, (name,)) for name in names), ())
 
 
@@ -258,16 +258,16 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
     steps, finite = np.diff(values), values[np.isfinite(values)]
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     largest = float(np.max(values[_longest_growing(values)], initial=0.0))
-    whole = bool(np.all(finite == np.round(finite)))
+    integers = bool(np.all(finite == np.round(finite)))
     rises = np.concatenate([[False], steps[:-1] > COUNTER / 2])  # a cut stamp rises before it falls; no wrap-around
     again = np.cumsum(np.concatenate([[False], (steps < -COUNTER / 2) & ~rises]))
     # Unit: as specified, by the name, by the usual step of whole numbers, or by the size of times since 1970.
-    plain, suffix = parted(name)
-    named = unit or TIME_UNIT_OF_WORD.get(suffix.lower()) or TIME_UNIT_OF_WORD.get(plain)
+    word, suffix = parted(name)
+    named = unit or TIME_UNIT_OF_WORD.get(suffix.lower()) or TIME_UNIT_OF_WORD.get(word)
     # Frames come every 10 ms to 10 s.
     counted = "us" if usual >= 10_000 else "ms" if usual >= 10 else None
     how, unit = " (as specified)" if unit else "", named
-    if unit is None and counted and whole and largest < (EPOCH if counted == "ms" and not again[-1] else COUNTER):
+    if unit is None and counted and integers and largest < (EPOCH if counted == "ms" and not again[-1] else COUNTER):
         unit, how = counted, f" (guessed: whole numbers that grow by {usual:g}; --time-unit says otherwise)"
     largest *= SECONDS[unit or "s"]
     if unit is None and largest >= EPOCH:  # 1.7e9 s, 1.7e12 ms, 1.7e15 us since 1970

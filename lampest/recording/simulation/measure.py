@@ -142,11 +142,11 @@ def measured(
     """
     if (layout := scene.panel.modules) is not None:  # every module has its own random numbers
         modules = []
-        for number, own in enumerate(scene.of_modules):
+        for number, module_scene in enumerate(scene.of_modules):
             inside = (..., *layout.cells(number))
             drawn = int(random_stream(seed, f"module {number}").integers(2**63))
             travelling = [part[inside] for part in scanned]
-            modules.append(measured(own, cells[inside], unmodelled, drawn, period_s, travelling))
+            modules.append(measured(module_scene, cells[inside], unmodelled, drawn, period_s, travelling))
         for _ in cells:
             on_frame()
         recorded = np.stack([values for values, _ in modules], axis=-3)
@@ -180,8 +180,8 @@ def measured(
 
 def _true_circuit(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Readout, Scene]:
     """Return the true circuit, and the scene with the true contacts and wire."""
-    off = unmodelled.reference_tolerance * random_stream(seed, "reference").uniform(-1, 1)
-    actual = scene.circuit.off_by(off)
+    error = unmodelled.reference_tolerance * random_stream(seed, "reference").uniform(-1, 1)
+    actual = scene.circuit.off_by(error)
     if scene.contacts is not None:
         scene = replace(scene, contacts=true_contacts(scene, seed))
     if unmodelled.wire_ohm_per_cell:
@@ -194,13 +194,13 @@ def _true_circuit(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Read
 def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:
     """Return recorded readings of cells (frames, rows, columns) ohm, with leak and contact from their begin on."""
     begin, cells = int(np.ceil((unmodelled.begins_s or 0.0) / period_s)), np.where(scene.panel.present, cells, np.inf)
-    whole = actual.simulated(cells, scene, *_channel_errors(scene, unmodelled, seed, late=False))
+    recorded = actual.simulated(cells, scene, *_channel_errors(scene, unmodelled, seed, late=False))
     if unmodelled.contact_ohm:
         late = actual.simulated(cells, scene, *_channel_errors(scene, unmodelled, seed, late=True))
-        whole[begin:] = late[begin:]
+        recorded[begin:] = late[begin:]
     if unmodelled.leak_ohm is None:
-        return whole
-    reading = actual.from_recorded(whole, scene)
+        return recorded
+    reading = actual.from_recorded(recorded, scene)
     leak = LineLeak(neighbours(*scene.panel.shape), size=1 / unmodelled.leak_ohm)
     for frame in range(begin, len(cells)):
         network = actual.network(cells[frame], actual.ties(reading[frame]), scene.wiring)

@@ -230,14 +230,14 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     """
     scene, unmodelled, frames = simulation.scene, simulation.unmodelled, simulation.all_frames
     time, moves = np.arange(frames) * simulation.frame_period_s, bool(unmodelled.load_speed_mm_s)
-    each = scene.panel.network
+    ladder = scene.panel.network
     # Memory: pressures, cells, their factors, readings and sums; for moving loads also the cells while each line is
     # read.
-    size = 8.0 * (10 + moves * sum(each.shape)) * simulation.values
+    size = 8.0 * (10 + moves * sum(ladder.shape)) * simulation.values
     check_memory(size, f"{frames} frames of {scene.panel.crossings} cells")
     loaded_time = time - time[simulation.baseline_frames]
     cells = cells_under(simulation, time)
-    lines = (each.columns if scene.circuit.by_columns else each.rows) if moves else 0
+    lines = (ladder.columns if scene.circuit.by_columns else ladder.rows) if moves else 0
     later = ((np.arange(lines) + 0.5) / max(lines, 1) - 0.5) * simulation.frame_period_s
     scanned = [cells_under(simulation, time, float(part)) for part in later]
     recorded, sums = measured(scene, cells, unmodelled, simulation.seed, simulation.frame_period_s, scanned, on_frame)
@@ -328,8 +328,8 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
         assert value != "auto"
         stream = random_stream(simulation.seed, f"film {name}")
         # A factor of all cells with the film's deviation, and one of each cell with its spread.
-        shared, own = stream.standard_normal(), stream.standard_normal(water.shape)
-        return np.minimum(value * np.exp(film.deviation * shared + film.cell_spread * own), most)
+        shared, individual = stream.standard_normal(), stream.standard_normal(water.shape)
+        return np.minimum(value * np.exp(film.deviation * shared + film.cell_spread * individual), most)
 
     hysteresis = strength("hysteresis", film.hysteresis, film.most["hysteresis"])
     creep = strength("creep", film.creep_per_decade, film.most["creep_per_decade"])
