@@ -125,6 +125,7 @@ codes("a row that was lost", LOST, SENTENCE, expected=with_nan(TEN, (4,)), times
 
 # Headers.
 
+NAMED = names("r{r}c{c}").split(",")
 ORDER = np.random.default_rng(3).permutation(ROWS * COLUMNS)
 for pattern, first in (
     ("r{r}c{c}", 0), ("R{r}C{c}", 1), ("row {r} col {c}", 0), ("c{c}_r{r}", 0), ("Z{r}S{c}", 1),
@@ -142,6 +143,21 @@ taken("a cell without a column", FEWER, "1 cells have no column", expected=with_
 taken("a data frame", PANDAS, "left out: frame", times=FOUR)
 BEYOND = ("'r3c0' is beyond the panel of 3 × 5 cells, ", "; with `transpose` it would")
 refused("names beyond the panel", TURNED, *BEYOND)
+UNITS_BELOW = [",".join(np.array(NAMED)[ORDER]), ",".join(["kOhm"] * 15), *lines(WIDE[:, ORDER] / 1000)]
+taken("units below the names", UNITS_BELOW, "line 2 taken as header, with the names of the line above")
+UNNAMED = [",".join(map(str, range(15))), *lines(WIDE)]
+taken("a data frame without its index", UNNAMED, "line 1 taken as header", "cells by their numbers from 0, row by row")
+taken("readings that count", lines(np.arange(60).reshape(4, 15)), expected=np.arange(60).reshape(FRAMES.shape))
+for title in ("Resistance (kOhm)", "# all values in kΩ", "Unit: kOhm"):
+    taken(title, [title, "# 10 ohm in series", *lines(WIDE)], "unit kohm, as the header says", expected=1000 * FRAMES)
+TWO_DIGITS = [",".join(np.array(names("R{r}{c}", 1).split(","))[ORDER]), *lines(WIDE[:, ORDER])]
+taken("cells of two digits", TWO_DIGITS, "by their numbers from 11, a digit for the row and one for the column")
+taken(
+    "unknown names",
+    [names("{c}.{r}V"), *lines(WIDE)],
+    "row by row; '0.0V' and the other names tell no cells",
+    unit="ohm",
+)
 TWICE = "\n".join(TURNED).replace("r0c0", "r0c1")
 refused("a name twice", TWICE, "'r0c1' and 'r0c1' are the same cell", transpose=True)
 for first in (0, 1):
@@ -193,7 +209,10 @@ for first, swap in itertools.product((0, 1), (False, True)):
     taken(f"values from {first}, {swap}", lines(shuffled), f"indices count from {first}", transpose=swap)
     single = ["Resistance [ohm],Col,ROW", *lines(long_table(FRAMES[:1], first)[:, 2::-1])]
     taken(f"values of a frame from {first}", single, expected=FRAMES[:1])
-NAMED = names("r{r}c{c}").split(",")
+AGAIN = lines(np.delete(long_table(FRAMES)[:, :3], 22, axis=0))
+SENTENCE = "a new frame begins where a cell comes again"
+taken("single values without frames", AGAIN, SENTENCE, expected=with_nan(FRAMES, (1, 1, 2)))
+refused("a cell twice in one frame", lines(long_table(FRAMES[[0, 0]])[:16, :3]), "the same cell as in line 1")
 SPARE = np.column_stack([WIDE[:, :7], np.zeros(4), WIDE[:, 7:]])
 OWN, SENTENCE = lines(long_table(FRAMES)[:, [3, 2, 0, 1]]), "one value a line as frame, value, row, column"
 taken("values in a layout of one's own", OWN, SENTENCE, layout="frame, ohm, row, column")

@@ -104,6 +104,9 @@ HOLES = FRAMES.copy()
 HOLES[1, 2, 4] = HOLES[2, 0, 0] = np.nan
 GAPS = {(4, 15): "#DIV/0!", (5, 1): None}
 HALVES: dict[str, Any] = {"times": np.arange(4) / 2, "start": "2025-01-31T12:00:00"}
+CLOCK = [[T0.date(), datetime.time(12, 0, n), *map(float, frame.ravel())] for n, frame in enumerate(FRAMES)]
+DATED = [["Date", "Time", *names("R{r}C{c}", 1).split(",")], *CLOCK]
+MEAN = [[row[1], *row[2:]] for row in [DATED[0], *(["", n, *row[2:]] for n, row in enumerate(CLOCK))]]
 TWO_SHEETS = {"A": sheet_of(FRAMES), "B": sheet_of(2 * FRAMES)}
 FILES = {
     "frames, rows, columns": array(FRAMES, "read as (frames"),
@@ -131,6 +134,14 @@ FILES = {
         times=np.arange(4) / 4,
     ),
     "open cells, which an unloaded film has": array(mostly(0.0), scene=amplifiers(), unit="volt", expected=mostly(0.0)),
+    "half floats": array(FRAMES.astype("f2"), "unit ohm", expected=FRAMES.astype("f2")),
+    "times of NumPy": archive(
+        np.savez,
+        "time: array time in s since 1970",
+        arrays={"R": FRAMES, "time": np.datetime64(T0, "ms") + np.arange(4) * 500},
+        times=np.arange(4) / 2,
+        start="2025-01-31T12:00:00Z",
+    ),
     "a packed matrix beside what is none": matrices(
         "array R read as (rows, columns, frames)",
         arrays={"note": "text", "fs": 1.0, "s": {"a": LAST}, "z": LAST * 1j, "i": np.arange(3), "R": LAST},
@@ -139,6 +150,7 @@ FILES = {
     "a sheet": book(
         {"Notes": [["hello"]], "Data": sheet_of(FRAMES, GAPS)}, "sheet Data", "row 3 taken as", expected=HOLES, **HALVES
     ),
+    "dates beside times of day": book({"A": DATED}, times=np.arange(4), start="2025-01-31T12:00:00"),
     "a chosen sheet": book(TWO_SHEETS, variable="B", expected=2 * FRAMES, **HALVES),
     "blocks in a sheet": book({"A": [[float(x) for x in row] for frame in FRAMES for row in [*frame, []]]}),
 }
@@ -217,6 +229,8 @@ REFUSED = [
     given(b"MATLAB 7.3 MAT-file".ljust(600), "save it with the option -v7", name="m.mat"),
     given(claims, "claims", name="m.mat"),
     given(b"\xd0\xcf", "save it as .xlsx", name="m.xls"),
+    given(b"", ".h5 files are not read; save the array as .npy", name="m.h5"),
+    book({"A": [*MEAN, ["mean", *MEAN[1][1:]]]}, "A!A6: 'mean' is no time"),
     given(whole_sheet, "16384 fields", name="m.xlsx"),
     array(FRAMES.astype(complex), "no plain array of real numbers"),
     array(FRAMES.transpose(0, 2, 1), "with `transpose` it would"),

@@ -167,8 +167,10 @@ def _of_npz(path: Path) -> Arrays:
                 first = npy.read_magic(stream) == (1, 0)
                 dtype = (npy.read_array_header_1_0 if first else npy.read_array_header_2_0)(stream)[2]
                 stream.seek(0)
-                if dtype.kind in "iuf":
-                    arrays[name.removesuffix(".npy")] = npy.read_array(stream, allow_pickle=False)
+                if dtype.kind in "iufM":
+                    array = npy.read_array(stream, allow_pickle=False)
+                    since_1970 = array.astype("M8[ns]").astype(float) / 1e9 if dtype.kind == "M" else array
+                    arrays[name.removesuffix(".npy")] = since_1970
     return arrays
 
 
@@ -272,7 +274,7 @@ def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
         return read.read_from(f"array {times[0]} in ")
 
     times = [time for time in arrays if role_of(time) == "time" and arrays[time].size == len(number) and time != name]
-    return Frames(array.ravel(), number, named, clock if len(times) == 1 else None, (note,), (name,))
+    return Frames(array.ravel().astype(float), number, named, clock if times else None, (note,), (name,))
 
 
 def _chosen(path: Path, arrays: Arrays, fits: dict[str, list[str]], shape: Shape, variable: str | None) -> str:

@@ -21,7 +21,11 @@ from lampest.recording.foreign.unit import check_unit, recorded_values, understo
 from lampest.recording.foreign.words import Clock, units_of
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-NOT_READ = {".xls": "save it as .xlsx", ".ods": "save it as .xlsx or .csv", ".xlsb": "save it as .xlsx"}
+NOT_READ = dict.fromkeys((".h5", ".hdf5"), "save the array as .npy; lampest's own recordings need no import") | {
+    ".xls": "save it as .xlsx",
+    ".ods": "save it as .xlsx or .csv",
+    ".xlsb": "save it as .xlsx",
+}
 SHEETS = (".xlsx", ".xlsm")
 NAMED = (*sorted(set(READERS) - {".npy"}), *SHEETS)
 

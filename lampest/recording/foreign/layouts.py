@@ -73,12 +73,16 @@ def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cel
 def _cells_by_number(names: Sequence[str], shape: Shape) -> tuple[Cells, str] | None:
     """Return the cells of columns that are named by one word and the numbers of all cells, and a sentence; or None."""
     lines = {field: line for field, name in enumerate(names) if (line := line_of(name)) and not role_of(name)}
-    first = min((number for _, number in lines.values()), default=0)
-    cells = {field: divmod(number - first, shape[1]) for field, (_, number) in lines.items()}
-    one_word = len({word for word, _ in lines.values()}) == 1
-    if not one_word or first > 1 or sorted(cells.values()) != list(np.ndindex(shape)):
-        return None
-    return cells, f"cells by their numbers from {first}, row by row"
+    first, one_word = (
+        min((number for _, number in lines.values()), default=0),
+        len({word for word, _ in lines.values()}) == 1,
+    )
+    ways = {"row by row": (shape[1], (0, 1)), "a digit for the row and one for the column": (10, (0, 11))}
+    for way, (base, firsts) in ways.items():
+        cells = {field: divmod(number - first, base) for field, (_, number) in lines.items()}
+        if one_word and first in firsts and sorted(cells.values()) == list(np.ndindex(shape)):
+            return cells, f"cells by their numbers from {first}, {way}"
+    return None
 
 
 def _frames_in_lines(table: ReadingsTable, shape: Shape, named: tuple[Cells, str] | None) -> Frames:
@@ -95,7 +99,10 @@ def _frames_in_lines(table: ReadingsTable, shape: Shape, named: tuple[Cells, str
         values = (values if len(values) >= cells else list(range(table.width)))[-cells:]
         if not times and values[0] == 1 and roles[0] != "frame" and (names[0] or not any(names)):
             times = [0]  # one field more than cells; where a header leaves it without a name it is a counter
-        named = dict(zip(values, np.ndindex(shape), strict=True)), "cells row by row"
+        unknown = (
+            f"; {names[values[0]]!r} and the other names tell no cells" if any(names[field] for field in values) else ""
+        )
+        named = dict(zip(values, np.ndindex(shape), strict=True)), f"cells row by row{unknown}"
     fields = sorted(named[0])
     rows, columns = np.transpose([named[0][field] for field in fields])
     unused = [names[field] for field in range(table.width) if field not in fields and field not in times]
@@ -188,15 +195,18 @@ def _frame_numbers(table: ReadingsTable, cells: Index, order: dict[str, int]) ->
     """Return each line's frame, counted from 0, and a note on how frames are distinguished."""
     if "frame" in order:
         return np.unique(_indices(table, order["frame"]), return_inverse=True)[1], ""
+    often, repeated = np.bincount(cells), np.cumsum(_begins_again(cells, [False] * len(cells)))
     if "time" not in order:
-        return np.zeros(len(cells), dtype=np.intp), ""
+        if often.min() > 1 and repeated[-1] + 1 == often.max():
+            return repeated, "; a new frame begins where a cell comes again"
+        return 0 * cells, ""
     texts = table.fields[:, [order[role] for role in ("date", "time") if role in order]]
     stamps = [" ".join(line) for line in texts]
     number = {stamp: at for at, stamp in enumerate(dict.fromkeys(stamps))}  # in the order in which they come
     if len(number) < len(cells) or len(cells) == 1:
         return np.array([number[stamp] for stamp in stamps], dtype=np.intp), "; frames by their time"
     how = "; every line has a time of its own, a new frame begins where a cell comes again"
-    return np.cumsum(_begins_again(cells, [False] * len(cells))), how
+    return repeated, how
 
 
 def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:

@@ -18,7 +18,17 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError, extra, first_and_more
 from lampest.panel.panel import Array
 from lampest.recording.foreign.arrays import Frames, Index, Shape, Timing, check_archive, check_count, reading
-from lampest.recording.foreign.words import clock_of, has_decimal_comma, is_stamp, line_of, number_of, role_of
+from lampest.recording.foreign.words import (
+    clock_of,
+    has_decimal_comma,
+    is_stamp,
+    line_of,
+    number_of,
+    parted,
+    role_of,
+    states_unit,
+    units_of,
+)
 
 MAX_FIELDS = 10_000_000  # 50 bytes each in memory
 SAMPLED = 50_000  # characters or fields at the beginning of a file that determine its notation
@@ -241,6 +251,8 @@ def _text_of_cell(value: Any) -> str:
     """Return a cell as the text of a text file, with all digits of a number."""
     if isinstance(value, datetime.timedelta):
         value = value.total_seconds()
+    if isinstance(value, datetime.datetime) and value.time() == datetime.time():
+        value = value.date()  # the time of day may be in the next cell
     return "" if value is None else str(value).strip().removesuffix(".0" if isinstance(value, float) else "")
 
 
@@ -336,11 +348,13 @@ class ReadingsTable:
         chosen = frame >= 0
         number[frame[chosen], row[chosen], column[chosen]] = index[chosen]
         names = tuple(self.names[field] for field in fields)
+        titles = (text for text in self.before[0] if text.split() != " ".join(self.names).split())
+        words = names if units_of(names) else tuple(filter(states_unit, titles))
 
         def named(at: int) -> str:
             return self.source.source if at < 0 else self.place(*divmod(at, self.width))
 
-        return Frames(self.values.ravel(), number, named, timing, (*self.notes, note), names)
+        return Frames(self.values.ravel(), number, named, timing, (*self.notes, note), words)
 
     def refuse(self, bad: NDArray[np.bool_], field: int, why: str) -> None:
         """Raise InputError with the place of the first bad line; `why` is a template for the field's text."""
@@ -416,14 +430,16 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
         mismatch = f"{counts[line]} fields, where {source.called(usual_line)} has {width}"
         raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
     notes = [", ".join((*source.notes, *(["decimal commas"] if comma else [])))]
-    notes += [] if header is None else [f"{source.called(header)} taken as header"]
+    names, units = ([""] * width, False) if header is None else _names(fields[:, :width], header)
+    if header is not None:
+        differs[header - units] = False
+        notes.append(f"{source.called(header)} taken as header{', with the names of the line above' * units}")
     excluded = np.flatnonzero(~data & differs & ~comment & np.any(fields != "", axis=1))
     if len(excluded):
         shown = " ".join(fields[excluded[0]]).strip()[:40]
         named = first_and_more([source.lines[line].number for line in excluded.tolist()])
         called = f"lines {named} (the first: {shown!r})" if len(excluded) > 1 else f"line {named} ({shown!r})"
         notes.append(f"left out: {called.replace('line', source.word)}, no readings or cut off")
-    names = [""] * width if header is None else [text.lstrip("#% ") for text in fields[header, :width]]
     if layout is not None:
         names = [name.strip() for name in layout.split(",")]
         if len(names) != width:
@@ -432,6 +448,16 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     places = np.arange(len(data)), np.arange(fields.shape[1]), fields, values, words
     table = ReadingsTable(source, *places, comma, ("",) * fields.shape[1], tuple(notes)).only(data, slice(width))
     return replace(table, names=tuple(names))
+
+
+def _names(fields: NDArray[Any], header: int) -> tuple[list[str], bool]:
+    """Return the names of columns, and whether the header holds units only; the line above then holds the names."""
+    names = [text.lstrip("#% ") for text in fields[header]]
+    above = fields[header - 1] if header else np.full(len(names), "")
+    units = all(parted(f"x {name}")[1] for name in names if name) and bool(
+        np.all((above != "") | (fields[header] == ""))
+    )
+    return [f"{name} {unit}".strip() for name, unit in zip(above, names, strict=True)] if units else names, units
 
 
 def _data_lines(source: FieldLines, values: Array, words: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -454,6 +480,9 @@ def _header_line(fields: NDArray[Any], data: NDArray[np.bool_], numeric: NDArray
     counted = [list(map(str, range(start, start + len(numbers)))) for start in (0, 1)]
     if len(numbers) > 1 and numbers in counted and not begin[:1].isdigit() and begin[:1] not in ("-", "+", "."):
         return first
+    following = fields[first + 1, 0] if first + 1 < len(fields) else ""
+    if width > 4 and [*fields[first, :width]] == [*map(str, range(width))] and following != str(width):
+        return first  # pandas names columns by numbers
     names: list[int] = np.flatnonzero(fields[first - 1] != "").tolist() if first else []
     complete = width > 1 and len(names) >= width - 1 and names[-1] >= width - 1
     return first - 1 if complete and not np.any(numeric[first - 1]) else None

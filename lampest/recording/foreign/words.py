@@ -140,6 +140,13 @@ def _units_of_one(name: str) -> tuple[str, ...]:
     return next((QUANTITIES.get(name, (name,)) for name in names), ())
 
 
+def states_unit(title: str) -> bool:
+    """Return whether a title or a comment without numbers ends with an electrical unit: 'Resistance (kOhm)'."""
+    plain, unit = parted(title)
+    known = UNITS_OF_WORD.get(unit.lower(), "volt" if unit in ("v", "V") else "")
+    return known in ("ohm", "kohm", "volt", "mV") and re.search(r"\d", plain) is None
+
+
 def has_decimal_comma(fields: Sequence[str]) -> bool:
     """Return whether more of the fields are numbers with a decimal comma than with a point; if equal, by the signs."""
     comma, point = ([field for field in fields if pattern.fullmatch(field)] for pattern in (COMMA, POINT))
@@ -216,7 +223,8 @@ def clock_of(texts: Sequence[str], name: str, where: Where, *, comma: bool, unit
         with suppress(ValueError):  # of a text that is no date in this order
             ways[way] = [_iso(text, way) for text in texts]
     if not ways:
-        wrong = next((number for number, text in enumerate(texts) if not is_stamp(text)), 0)
+        strange = [number for number, text in enumerate(texts) if not is_stamp(text)] or [0]
+        wrong = min(strange, key=lambda number: numbers[number] is not None)
         raise InputError(f"{where(wrong)}: {texts[wrong][:40]!r} is no time")
     if len(set(map(tuple, ways.values()))) > 1:
         raise InputError(f"{where(0)}: {texts[0][:40]!r} may be {' or '.join(ways)}; write year-month-day")
