@@ -58,13 +58,15 @@ class Network(ABC):
     ----------
     cell_resistance : array, shape (rows, columns)
         Cells r in ohm.
-    conductance : array, shape (rows, columns)
-        g = 1/r in siemens.
     """
 
     cell_resistance: Array
-    conductance: Array
     _impedance: Array
+
+    @cached_property
+    def conductance(self) -> Array:
+        """Conductances g = 1/r, (rows, columns) siemens."""
+        return np.asarray(1 / self.cell_resistance)
 
     @property
     def rows(self) -> int:

@@ -59,11 +59,11 @@ class FloatingNetwork(Network):
         Raises numpy.linalg.LinAlgError if a line is not connected.
         """
         with np.errstate(divide="ignore"):
-            return cls(1 / conductance, conductance, inverse_of(conductance, tie))
+            return cls(1 / conductance, inverse_of(conductance, tie))
 
     def some(self, numbers: Numbers | int) -> "FloatingNetwork":
         """Return the chosen networks, or a single one by its number."""
-        return FloatingNetwork(self.cell_resistance[numbers], self.conductance[numbers], self._impedance[numbers])
+        return FloatingNetwork(self.cell_resistance[numbers], self._impedance[numbers])
 
     def read(self, entries: Entries) -> Array:
         """Return R_jk = Z_jj + Z_kk − 2 Z_jk."""

@@ -143,8 +143,7 @@ class Readout(Converter, ABC):
         """
         if wiring is not None:
             return WiredNetwork.solve(cell_resistance, ties, self, wiring)
-        conductance = 1 / cell_resistance
-        return TiedNetwork(cell_resistance, conductance, inverse_of(conductance, ties), self)
+        return TiedNetwork(cell_resistance, inverse_of(1 / cell_resistance, ties), self)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
         """Return the readings y of cells (rows, columns) or (frames, rows, columns) ohm of any contrast; same shape."""

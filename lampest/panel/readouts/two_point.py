@@ -86,8 +86,7 @@ class TwoPointReadout(Readout):
         """Return the solved network; without wiring by the arithmetic of floating lines, which costs less."""
         if wiring is not None:
             return super().network(cell_resistance, ties, wiring)
-        conductance = 1 / cell_resistance
-        return FloatingNetwork(cell_resistance, conductance, inverse_of(conductance, ties))
+        return FloatingNetwork(cell_resistance, inverse_of(1 / cell_resistance, ties))
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
         """Return R = f(r); without wiring with at least ten correct digits for any contrast."""
@@ -265,7 +264,7 @@ class ModulesReadout(TwoPointReadout):
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
         inner = FloatingNetwork.solve(1 / self.layout.split(cell_resistance), ties)
-        return BlockNetwork(cell_resistance, 1 / cell_resistance, inner.potentials(), self.layout, inner)
+        return BlockNetwork(cell_resistance, inner.potentials(), self.layout, inner)
 
     def uniform_start(self, measured: Array) -> Array:
         """Return the uniform start of each module; see `TwoPointReadout.uniform_start`."""

@@ -269,7 +269,7 @@ class WiredNetwork(TiedNetwork):
         nodes = wiring.nodes(rows + columns)
         # Z = E (Eᵀ (BC + diag t) E)⁻¹ Eᵀ
         impedance = nodes @ np.linalg.inv(nodes.T @ (admittance + np.diag(ties)) @ nodes) @ nodes.T
-        return cls(cell_resistance, 1 / cell_resistance, impedance, readout, ties, wiring, ladder, currents)
+        return cls(cell_resistance, impedance, readout, ties, wiring, ladder, currents)
 
     @cached_property
     def potential_differences(self) -> Array:
