@@ -461,16 +461,39 @@ def breathing_row() -> dict[str, Any]:
     settled = breathing.settled(swing + rng.standard_normal(swing.shape))
     swing_breath = breathing.breath(times, settled, patterns)
     few = [breathing.breath(times[part], settled[part], patterns) for part in (slice(10), slice(None, None, 2))]
-    belief = [breathing.Breathing()]
+    belief, courses = [breathing.Breathing()], list[Any]()
     for full in (False, True, True):
         belief.append(belief[-1].after(swing_breath, full=full))
+    for _ in range(12):
+        each = breathing.Breathing()
+        for window in range(6):
+            suction = float(rng.choice([0.02, 0.4, 0.7, 0.96]))
+            seen = breathing.Breath(float(rng.choice([-4.0, -0.3, 0.4, 3.0])), suction, (1.0, 0.1 * window), (0.1, 0.02))
+            each = each.after(seen if rng.random() < 0.9 else None, full=bool(rng.random() < 0.6))
+            courses.append([each.odds, each.previous_odds, each.suction, each.last, each.causes, (each.hertz or (0, 0))[1]])
     pumping = Pumping.begin(np.ones(4) / 4, np.zeros(4), 0.0, 3)
     for number in range(30):
         pumping = pumping.after(0.02 * rng.standard_normal(4) + 0.3 * (number % 10 > 6), 0.5 * number)
+    moved = Pumping.begin(np.ones(4), np.ones(4), 15.0, 4, pumping).after(np.array([4 * [1.0], 4 * [1.2]]), 17.0)
     return {
         "breath": swing_breath, "belief": belief, "probability": [each.probability for each in belief],
         "slow": breathing.too_slow(1.5), "too few": few, "pumping": [pumping.odds, np.sort(pumping.logarithm, axis=-1)],
+        "courses": courses, "moved": [moved.odds, np.sort(moved.logarithm, axis=-1)],
     }  # fmt: skip
+
+
+def patterns_row() -> list[Any]:
+    """What swings of a mouth beside a rod do to readings, in air and under water, and changes that the water explains."""
+    (verdict, frame), rng = verdict_of("two"), np.random.default_rng(3)
+    value, sigma = frame.measured.ravel(), frame.sigma.ravel()
+    whitening = np.diag(value / sigma) + 5 * rng.standard_normal((42, 42))
+    logarithms, rows = np.log(value) + 1e-3 * rng.standard_t(2, (9, 42)), list[Any]()
+    for depth in (0.0, 2.0):
+        seen = replace(frame, water=depth + np.arange(42).reshape(6, 7) / 40)
+        each = breathing.patterns_of(seen, verdict.best, whitening, Detector(6.0))
+        rows += [each, [pattern and pattern.suction_weights(whitening) for pattern in each]]
+        rows.append(breathing.changes_without_water(logarithms, seen, verdict.best))
+    return rows
 
 
 def recognised_row() -> list[Any]:
@@ -664,7 +687,7 @@ def of_recognition() -> Rows:
     return rows | {
         "detected without a readout": bare_row,
         "detected on a mat": partial(detected_row, "block", "mat"), "breathing": breathing_row,
-        "recognitions": recognised_row, "outliers": outlying_row,
+        "recognitions": recognised_row, "outliers": outlying_row, "patterns": patterns_row,
         "errors": lambda: [
             observation.ModelErrors().of_scene(replace(WATCHED, systematic=each), 0.02)
             for each in (None, "none", lp.Systematic(reference_tolerance=0.05, channel_spread_ohm=7.0))

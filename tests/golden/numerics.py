@@ -5,6 +5,7 @@ from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache, partial
 from itertools import product
 from typing import Any, Literal, get_args, get_origin, get_type_hints
+from unittest.mock import patch
 
 import casadi
 import numpy as np
@@ -237,6 +238,32 @@ def solver_row(cost: str, circuit: str, solver: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def begun_row(cost: str, circuit: str, form: str) -> list[Any]:
+    """What IPOPT is given, and what becomes of some results of it."""
+    at, circuit_of, given, rng = point(cost, circuit), TINY[circuit].circuit, dict[str, Any](), np.random.default_rng(4)
+
+    def minimise(built: ipopt.Built, **arguments: Any) -> Any:
+        given.update(arguments)
+        size, constraints = len(arguments["x0"]), built.solver.size1_in("lam_g0")
+        found = {"x": arguments["x0"] * np.exp(0.1 * rng.standard_normal(size)), "lam_x": rng.standard_normal(size)}
+        found["lam_x"][:3] = 1e3, -1e3, 0.0
+        stats = {"return_status": "Search_Direction_Becomes_Too_Small", "iter_count": 7}
+        return found | {"lam_g": rng.standard_normal(constraints)}, stats
+
+    with patch.object(ipopt.Built, "minimise", minimise):
+        outcome = ipopt.Ipopt(at.cost, circuit_of, ipopt.FORMULATIONS[form], Settings()).solve(at.data, at)
+    return [given, outcome.cell_resistance, outcome.dual, outcome.status, outcome.iterations]
+
+
+def limits_row() -> list[lp.Array]:
+    """Multipliers of bounds, and cells that they move: on a bound, near it, within, and between equal bounds."""
+    low, high = np.array([1.0, 1, 1, 1, 2, 2, 0, 1]), np.array([5.0, 5, 5, 5, 8, 8, 50, 1])
+    at, pull = np.array([1.0, 1 + 1e-8, 5, 4.9, 3, 7.5, 1e-3, 1]), np.array([-2.0, 3, 4, -5, 6, -7, 8, 9])
+    limits = ipopt.Limits(low, high)
+    rows = [limits.multipliers(at, sign * pull, 0.01) for sign in (1, -1)]
+    return rows + [limits.settled(at, size * rows[0]) for size in (1, 40)]
+
+
 def certificate_row(cost: str, circuit: str, decades: float) -> dict[str, Any]:
     at = point(cost, circuit, decades=decades)
     smoothing = Smoothing.start(at)
@@ -291,14 +318,17 @@ def batch_row() -> dict[str, Any]:
         data = estimator.data(Readings.of(scene, recorded), Background(scene)).of_panels(2)
         begin = np.clip(cells * np.exp(0.3 * rng.standard_normal(cells.shape)), 1000.0, 5000.0)[[0, 1, 2, 4, 4], None]
         weights = rng.uniform(0.5, 2, (5, len(COSTS[cost])))
-        start = problem.Evaluation.at(estimator.cost(scene, 1), data, begin, weights)
         inverses = InverseHessians.nothing(7, 20)
-        end = solve_panels(start, inverses, numbers, Settings(max_iterations=steps))
-        rows[f"{cost} {steps}"] = [
-            end.points.position, end.solved, end.iterations, inverses.positive, inverses.worn,
-            inverses.free.sum(axis=1), inverses.distance(numbers, end.points.position),
-            np.linalg.norm(inverses.inverse, axis=(1, 2)),
-        ]  # fmt: skip
+        for lower in (1000.0, 1500.0):  # of the same frame; then some cells are held that were free
+            data = replace(data, lower=np.maximum(data.lower, lower))
+            start = problem.Evaluation.at(estimator.cost(scene, 1), data, np.maximum(begin, lower), weights)
+            end = solve_panels(start, inverses, numbers, Settings(max_iterations=steps))
+            begin = end.points.at.cell_resistance
+            rows[f"{cost} {steps} {lower}"] = [
+                end.points.position, end.solved, end.iterations, inverses.positive, inverses.worn,
+                inverses.free.sum(axis=1), inverses.distance(numbers, end.points.position),
+                np.linalg.norm(inverses.inverse, axis=(1, 2)),
+            ]  # fmt: skip
     return rows
 
 
@@ -311,7 +341,8 @@ def minima_row() -> dict[str, Any]:
             solver = ProjectedNewton(Cost(PANEL, terms), Settings(starts=number))
             data = replace(begin.data, first=number is None)
             solution = multistart.best_solution(solver, data, previous)
-            rows[f"{name} {number} {previous is None}"] = solution.objective, solution.starts, solution.convex
+            known = solution.objective, solution.starts, solution.convex, solution.iterations
+            rows[f"{name} {number} {previous is None}"] = known
     return rows
 
 
@@ -368,14 +399,18 @@ def of_solvers() -> Rows:
     places = [("plain", "whole", 0.0), ("plain", "whole", 4.0), ("plain", "driven", 0.0), ("absolute", "wired", 0.0)]
     places += [(cost, "whole", 0.0) for cost in COSTS if cost != "plain"]
     solves = [(cost, circuit, "newton") for cost in COSTS for circuit in TINY]
+    begun = [("plain", "driven", "nodal"), ("absolute", "whole", "nodal"), ("huber", "whole", "per_pixel")]
+    begun += [("penalty", "whole", "per_pixel"), ("change", "driven", "nodal")]
     solves += [(cost, "whole", "nodal") for cost in COSTS] + [
         ("ohm", "driven", "nodal"), ("huber", "whole", "per_pixel"),
     ]  # fmt: skip
     return (
         {"solve " + " ".join(case): partial(solver_row, *case) for case in solves}
         | {"point " + " ".join(map(str, case)): partial(certificate_row, *case) for case in places}
+        | {"begun " + " ".join(case): partial(begun_row, *case) for case in begun}
         | {
             "searches": search_row,
+            "limits": limits_row,
             "verdicts": verdicts_row,
             "minima": minima_row,
             "panels together": batch_row,
