@@ -46,8 +46,8 @@ def push_streams(
     # Weights first; then batches; whatever a batch does not solve is pushed alone.
     streams = _weighed(streams, readings)
     solved = _solved_together(streams, readings, inverses)
-    alone = {n: stream.push(readings[n]) for n, stream in enumerate(streams) if stream is not None and n not in solved}
-    return [(solved | alone).get(number, (None, None)) for number in range(len(streams))]
+    single = {n: stream.push(readings[n]) for n, stream in enumerate(streams) if stream is not None and n not in solved}
+    return [(solved | single).get(number, (None, None)) for number in range(len(streams))]
 
 
 def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Stream | None]:
@@ -215,12 +215,12 @@ def _solved_batch(
     seconds, points = (perf_counter() - begin) / len(numbers), ended.points
     after = {}
     for row in np.flatnonzero(ended.solved & (points.residual <= VERIFIED)).tolist():
-        at, stream, own = points.at.some(row), streams[row], tuple(weights[row].tolist())
+        at, stream, stream_weights = points.at.some(row), streams[row], tuple(weights[row].tolist())
         gradient = points.gradient[row].reshape(at.cell_resistance.shape)
         status = Status.HELD if bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
         iterations = int(ended.iterations[row])
         outcome = Outcome(at.cell_resistance, NO_DUAL, status, iterations, preconditioner=stream.prepared)
         solution = solution_at(at, float(points.residual[row]), outcome, status)
-        step = Step(solution, seconds, own, weight_sigma=stream.weighted.weight_sigma)
+        step = Step(solution, seconds, stream_weights, weight_sigma=stream.weighted.weight_sigma)
         after[int(numbers[row])] = stream.estimator.method.after(stream, step, frames[row])
     return after

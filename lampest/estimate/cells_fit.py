@@ -78,8 +78,8 @@ class CellsFit(SumOfSquares):
         cls, scene: Scene, data: Data, measured: Readings, cells: Array, effects: Sequence[Effect] = ()
     ) -> "CellsFit":
         """Return the fit of given cells, (rows, columns) ohm, to readings of a frame."""
-        plain = data.network(0, cells)
-        network, added = with_effects(effects, scene, plain)
+        unaffected = data.network(0, cells)
+        network, added = with_effects(effects, scene, unaffected)
         readings = replace(measured, value=measured.value - added)
         assert readings.sigma is not None
         # (f(r) − y)/σ; 0 where nothing was read, or a bound is satisfied
@@ -96,7 +96,7 @@ class CellsFit(SumOfSquares):
             scene=scene,
             measured=measured,
             readings=readings,
-            network=plain,
+            network=unaffected,
             effects=tuple(effects),
         )
 
@@ -213,8 +213,8 @@ def fitted(
             if not patient and fit.chi_square > MAX_CHI_SQUARE * readings.value.size:
                 return None
             # Elsewhere cells stand at the boundary r = 0, and the solver of the estimates finds the minimum.
-            alone = cells_alone() if patient else replace(cells_alone(), solver=BRIEF)
-            solver = alone.problem(scene, 1, float("inf"), partial=data.partial)
+            estimator = cells_alone() if patient else replace(cells_alone(), solver=BRIEF)
+            solver = estimator.problem(scene, 1, float("inf"), partial=data.partial)
             begun = None if patient else evaluated(solver.cost, data, fit.cells[None])
             solution = best_solution(solver, data, None) if begun is None else solved_from(solver, begun)
             if solution.solved:

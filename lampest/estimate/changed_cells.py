@@ -44,8 +44,8 @@ def away_from_changed(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArr
     shape : tuple of int
         Rows and columns.
     """
-    apart = ~touching(~still.reshape(-1, *shape)).ravel()
-    return apart if apart.mean() >= MIN_STILL_SHARE else still
+    distant = ~touching(~still.reshape(-1, *shape)).ravel()
+    return distant if distant.mean() >= MIN_STILL_SHARE else still
 
 
 def touching(chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -100,8 +100,8 @@ class Changes:
 
     def cost_of(self, still: Chosen) -> float:
         """Return −2 ln likelihood of the changes of the still cells alone."""
-        alone = self.part(still)
-        return alone.misfit + float(np.linalg.slogdet(alone.covariance)[1])
+        chosen = self.part(still)
+        return chosen.misfit + float(np.linalg.slogdet(chosen.covariance)[1])
 
     def posterior(self, still: Chosen) -> tuple[Array, Array]:
         """Return mean (errors,) and covariance (errors, errors) of z given the changes d_s of the still cells."""
@@ -113,8 +113,8 @@ class Changes:
 
 def usual_starts(change: Array) -> list[Chosen]:
     """Return the sets of moved cells that a search begins with: none, all, and the half that changed most."""
-    away = np.abs(change - np.median(change))
-    return [np.zeros(len(change), dtype=bool), np.ones(len(change), dtype=bool), away > np.median(away)]
+    deviation = np.abs(change - np.median(change))
+    return [np.zeros(len(change), dtype=bool), np.ones(len(change), dtype=bool), deviation > np.median(deviation)]
 
 
 def select_changed(
@@ -228,26 +228,26 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
     column : callable
         Returns one column of each P + 1, (hypotheses, cells), for one cell's number of each hypothesis, (hypotheses,).
     """
-    every, total, taken = np.arange(len(vector)), np.zeros(len(vector)), np.zeros(vector.shape, dtype=bool)
+    index, total, taken = np.arange(len(vector)), np.zeros(len(vector)), np.zeros(vector.shape, dtype=bool)
     rows = np.empty((len(vector), 16, vector.shape[1]))  # of the pivoted Cholesky factors of the cells taken
     for number in range(vector.shape[1]):
         pivots = np.maximum(size, 1e-300)
         gains = np.where(taken, -np.inf, vector**2 / pivots - np.log(pivots) - MOVED_COST)
         cells = np.argmax(gains, axis=1)
-        largest = gains[every, cells]
+        largest = gains[index, cells]
         active = largest > 0
         if not active.any():
             break
-        total, taken[every[active], cells[active]] = total + np.where(active, largest, 0.0), True
+        total, taken[index[active], cells[active]] = total + np.where(active, largest, 0.0), True
         if number == rows.shape[1]:
             rows = np.concatenate([rows, np.empty_like(rows)], axis=1)
         before = rows[:, :number]
         # Schur complement by the new cell c: column ← column − Σ_k l_k l_kc, s ← s − column s_c/p, and the diagonal
         # loses l².
-        added = column(cells) - np.matmul(before[every, :, cells][:, None], before)[:, 0]
-        pivot = np.where(active, added[every, cells], 1.0)[:, None]
+        added = column(cells) - np.matmul(before[index, :, cells][:, None], before)[:, 0]
+        pivot = np.where(active, added[index, cells], 1.0)[:, None]
         added = np.where(active[:, None], added, 0.0)
-        vector = vector - added * (vector[every, cells][:, None] / pivot)
+        vector = vector - added * (vector[index, cells][:, None] / pivot)
         rows[:, number] = added / np.sqrt(pivot)
         size = size - rows[:, number] ** 2
     return total

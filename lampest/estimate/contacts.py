@@ -58,8 +58,8 @@ class SolvedContacts:
         """½ (φ/s² + Σ ((c − mean)/sd)²); infinite where the cells have no optimum."""
         if self.step.surroundings() is None:
             return np.inf
-        away = self.ohm - self.mean
-        return float(self.step.solution.objective / self.scale + (self.precision * away) @ away) / 2
+        deviation = self.ohm - self.mean
+        return float(self.step.solution.objective / self.scale + (self.precision * deviation) @ deviation) / 2
 
     @cached_property
     def _model(self) -> LinearModel:
@@ -85,9 +85,9 @@ class SolvedContacts:
         rows, errors = model.through @ self._response, errors_of(model, None)
         # F = −∂u/∂c: the response of the free cells to contacts; `left` is E − J F
         follow = errors.answer(rows)
-        whole = model.over_all(follow)
-        left = rows - errors.forward(whole)
-        charged = model.penalty_jacobian @ whole
+        full = model.over_all(follow)
+        left = rows - errors.forward(full)
+        charged = model.penalty_jacobian @ full
         # S = (E − J F)ᵀ Ω (E − J F) + ε s² FᵀF + (L F)ᵀ Λ (L F), equal to Eᵀ Ω (E − J F) but without cancellation
         schur = left.T @ (model.data_curvature[:, None] * left) + IGNORANCE * model.scale * follow.T @ follow
         schur += charged.T @ (model.penalty_curvature[:, None] * charged)

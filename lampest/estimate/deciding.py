@@ -16,8 +16,8 @@ def baseline_readings(recording: Recording, readings: Readings) -> Readings:
     """
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     mean = readings[unloaded if len(unloaded) else [0]].mean()
-    enough = np.flatnonzero(readings.enough(recording.scene))
-    return mean if mean.enough(recording.scene) or not len(enough) else readings[enough[:1]].mean()
+    usable = np.flatnonzero(readings.enough(recording.scene))
+    return mean if mean.enough(recording.scene) or not len(usable) else readings[usable[:1]].mean()
 
 
 def deciding_frame(recording: Recording, readings: Readings, resting: Readings) -> int | None:

@@ -409,8 +409,8 @@ class Estimates:
             return None
         interval = self._bars["ratio_lower"], self._bars["ratio_upper"]
         ratio = self.cell_resistance / self.baseline_resistance
-        own, scene = self._bars["change_own"], self.recording.scene
-        return pressure_of(ratio, *interval, scene, self.time, self.film, self.estimator.tare, own)
+        individual, scene = self._bars["change_own"], self.recording.scene
+        return pressure_of(ratio, *interval, scene, self.time, self.film, self.estimator.tare, individual)
 
 
 def log_change(estimates: Estimates) -> tuple[Array, Array] | None:

@@ -92,9 +92,9 @@ class Estimator(Objective):
         Calibrated on gradient penalties: 12 s and 275 MB at 100 × 100 cells, 80 s and 787 MB at 280 × 280, on one core
         of 2026.
         """
-        each = panel if panel.modules is None else panel.modules.each
+        module = panel if panel.modules is None else panel.modules.each
         penalised = self.method.optimum and any(not term.reads_measurement for term in self.terms)
-        size = penalised * each.rows * each.columns / 10_000
+        size = penalised * module.rows * module.columns / 10_000
         return 12 * size**1.1, 1e8 * size
 
     def check(self, scene: Scene) -> None:

@@ -198,13 +198,13 @@ class Question:
                 return ModelCheck(explains=True, sentence=f"{lawful}, and no cells were fitted")
             return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
         # Rivals and effects compete by evidence if enough readings are values.
-        best, whole = BetterExplanation(), missing <= MAX_MISSING and (few_bounds or bool(self.below))
-        if whole:
+        best, complete = BetterExplanation(), missing <= MAX_MISSING and (few_bounds or bool(self.below))
+        if complete:
             best = better_rival(self, None if fault else explanation)
             if besides.name and (besides.fits_noise or not fault) and (not best.name or besides.count < best.count):
                 best = besides
         # Verdict in words: the fault, the best alternative, or neither; then the noise.
-        if not whole:
+        if not complete:
             sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing or bounds"
         elif fault:
             sentence = f"{fault}; {f'{best.name} does' if best.name else 'no other circuit that was tried gives them'}"
@@ -280,11 +280,11 @@ def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
     for place, number in enumerate(np.flatnonzero(read).tolist() if len(levels) > 2 else ()):
         # ln level less the median of the remaining ones, against 5 robust standard deviations of these and MIN_AWAY
         remaining = np.delete(levels, place)
-        away = levels[place] - np.median(remaining)
-        if abs(away) > max(
+        deviation = levels[place] - np.median(remaining)
+        if abs(deviation) > max(
             MIN_AWAY, SIGNIFICANT * MAD_TO_SIGMA * float(np.median(np.abs(remaining - np.median(remaining))))
         ):
-            factors[number] = float(np.exp(away))
+            factors[number] = float(np.exp(deviation))
     return factors
 
 
@@ -407,15 +407,15 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
             return BetterExplanation()
     change = changes_beyond_noise(question.specified.scene, question.specified.readings(), question.role)
     rivals = rivals_of(question.specified, reversed_too=bool(change.max(initial=0.0) > -change.min(initial=0.0)))
-    plain = [Explanation.of(rival, question) or some_in_series(rival, question) for rival in rivals]
-    plain += [some_in_series(question.specified, question)] if specified is None else []
-    enough = np.inf if specified is None else specified.score
-    likely = sorted((known for known in plain if known and known.score < enough), key=attrgetter("score"))
+    explanations = [Explanation.of(rival, question) or some_in_series(rival, question) for rival in rivals]
+    explanations += [some_in_series(question.specified, question)] if specified is None else []
+    threshold = np.inf if specified is None else specified.score
+    likely = sorted((known for known in explanations if known and known.score < threshold), key=attrgetter("score"))
     likely = likely[:MAX_CANDIDATES]
-    own = [] if specified is None else [specified]
-    tried = (*likely, *(with_series(known, question) for known in (*likely, *own)))
-    still = (known for known in tried if known.pair is None or mostly_still(known.pair.moved))
-    lawful = (known for known in still if not broken_law(known.rival, question))
+    assumed = [] if specified is None else [specified]
+    tried = (*likely, *(with_series(known, question) for known in (*likely, *assumed)))
+    quiet = (known for known in tried if known.pair is None or mostly_still(known.pair.moved))
+    lawful = (known for known in quiet if not broken_law(known.rival, question))
     # Among rivals a resistance in series is one more parameter.
     best = min(
         lawful,

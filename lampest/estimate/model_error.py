@@ -41,8 +41,8 @@ def error_factor(scale: ErrorScale) -> float:
         return 1.0
     # tail: empirical 95 % point; whole: that of Student's t, whose squared scale exceeds 1 by that of the error
     tail = scale.tail / TWO_SIDED
-    whole = student_two_sided(MODEL.degrees_of_freedom) / TWO_SIDED * np.sqrt(scale.best**2 - 1)
-    factor = max(tail, float(np.hypot(1.0, whole)))
+    widened = student_two_sided(MODEL.degrees_of_freedom) / TWO_SIDED * np.sqrt(scale.best**2 - 1)
+    factor = max(tail, float(np.hypot(1.0, widened)))
     return factor if factor >= MIN_EXCESS else 1.0
 
 
@@ -84,8 +84,8 @@ def with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstim
     unloaded = recording.role == UNLOADED
     repeats = np.where(unloaded, np.sqrt(unloaded.sum()), 1.0)[:, None, None]
     # σ² ← σ² + (√n e)²: the mean of the n unloaded frames then has the whole error e
-    own = repeats * own_errors(noise.readings.value, recording.scene, noise.reading_error)
-    return noise.with_sigma(np.hypot(sigma, own))
+    by_reading = repeats * own_errors(noise.readings.value, recording.scene, noise.reading_error)
+    return noise.with_sigma(np.hypot(sigma, by_reading))
 
 
 def scaled(noise: NoiseEstimate, factor: float) -> NoiseEstimate:

@@ -40,9 +40,11 @@ def begin_stream(
     Raises InputError as `Stream.begin`, and as `network_scenes`.
     """
     scenes, layout = network_scenes(scene, estimator), scene.panel.modules
-    whole = layout is None or layout.coupled
-    parts = [resting if whole or layout is None else resting.of_module(layout, n) for n in range(len(scenes))]
-    networks = [own if own is None else (estimator, own, part) for own, part in zip(scenes, parts, strict=True)]
+    undivided = layout is None or layout.coupled
+    parts = [resting if undivided or layout is None else resting.of_module(layout, n) for n in range(len(scenes))]
+    networks = [
+        module if module is None else (estimator, module, part) for module, part in zip(scenes, parts, strict=True)
+    ]
     return begin_networks(scene, networks, period, noise)
 
 
@@ -78,8 +80,8 @@ def begin_networks(
     modules = solve_baselines(streams)
     first = next(stream for stream in modules if stream is not None)
     blank = replace(first.resting, side=np.zeros_like(first.resting.side), seen=np.zeros_like(first.resting.seen))
-    whole = Readings.of_parts(layout, [blank if stream is None else stream.resting for stream in modules])
-    return ModulesStream(first.estimator, scene, period, whole, modules=tuple(modules)).rested_whole()
+    image = Readings.of_parts(layout, [blank if stream is None else stream.resting for stream in modules])
+    return ModulesStream(first.estimator, scene, period, image, modules=tuple(modules)).rested_whole()
 
 
 def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
@@ -92,7 +94,7 @@ def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
         return [scene]
     if layout.coupled:
         return [_coupled_scene(scene, estimator)]
-    return [None if number in scene.dead_modules else own for number, own in enumerate(scene.of_modules)]
+    return [None if number in scene.dead_modules else module for number, module in enumerate(scene.of_modules)]
 
 
 def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
@@ -104,8 +106,8 @@ def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
     assert layout is not None
     if estimator.error_bars is True or estimator.weighs_previous:
         raise InputError("error_bars: estimates with terms over the seams of modules (panel.modules.coupled) have none")
-    for number, own in enumerate(scene.of_modules):
-        if not isinstance(own.circuit, TwoPointReadout) or own.wiring is not None:
+    for number, module in enumerate(scene.of_modules):
+        if not isinstance(module.circuit, TwoPointReadout) or module.wiring is not None:
             where = list(layout.place(number))
             raise InputError(f"panel.modules.coupled: module {where} is wired, or its readout is not two_point")
     places, (x, y) = None, scene.panel.places_mm
@@ -151,9 +153,9 @@ class ModulesStream(Stream):
     @ONE_BLAS_THREAD
     def tared(self, resting: Readings) -> "ModulesStream":
         """Return the stream of every module tared, as `Stream.tared`."""
-        every = enumerate(self.modules)
+        numbered = enumerate(self.modules)
         modules = solve_baselines(
-            [module and module.without_baseline(resting.of_module(self._layout, number)) for number, module in every]
+            [module and module.without_baseline(resting.of_module(self._layout, number)) for number, module in numbered]
         )
         return replace(self, resting=resting, modules=tuple(modules), track=None, baseline=None).rested_whole()
 
@@ -179,8 +181,8 @@ class ModulesStream(Stream):
             columns.append(solved)
         for _ in range(frames):
             on_frame()
-        whole = replace(self, modules=tuple(modules), first=False).rested_whole()
-        return whole, [image_step(layout, steps) for steps in zip(*columns, strict=True)]
+        stream = replace(self, modules=tuple(modules), first=False).rested_whole()
+        return stream, [image_step(layout, steps) for steps in zip(*columns, strict=True)]
 
     @property
     def baseline_resistance(self) -> Array:
@@ -251,7 +253,7 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     missing = {"cell_resistance": np.nan, "reading": np.nan, "open_cell": False, "at_lower": False}
     solutions, bars = ([getattr(step, name, None) for step in steps] for name in ("solution", "bars"))
     parts: dict[str, Any] = {"at": None, "dual": None, "preconditioner": None}
-    parts |= {name: _joined(layout, solutions, name, nothing, slice(-1, None)) for name, nothing in missing.items()}
+    parts |= {name: _joined(layout, solutions, name, fill, slice(-1, None)) for name, fill in missing.items()}
     for name in ("kkt_residual", "iterations", "starts"):
         parts[name] = max(getattr(step.solution, name) for step in counted)
     costs = np.sum([step.solution.costs for step in counted], axis=0)

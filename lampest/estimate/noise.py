@@ -114,8 +114,8 @@ class NoiseEstimate:
         if self.frame is None:
             return 0.0, 0.0, 0.0
         roots, lsb_volt = (self.frame.common_ripple, self.frame.line_ripple), self.frame.scene.circuit.lsb_volt
-        together, apart = (float(np.sqrt((root**2).sum() / len(root))) / lsb_volt for root in roots)
-        return 100 * self.frame.gain, together, apart
+        common_lsb, line_lsb = (float(np.sqrt((root**2).sum() / len(root))) / lsb_volt for root in roots)
+        return 100 * self.frame.gain, common_lsb, line_lsb
 
     @property
     def summary(self) -> str:
@@ -172,19 +172,19 @@ def with_still_cells(noise: NoiseEstimate, recording: Recording, sizes: Systemat
         Sizes of shared errors that the scene specifies or leaves possible.
     """
     unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
-    scene, resting, still = recording.scene, noise.readings[unloaded].mean(), noise
+    scene, resting, moved = recording.scene, noise.readings[unloaded].mean(), noise
     if moves_within_scan(scene, resting, noise.readings, measured):
-        still = noise.with_motion(scene, measured)
-    strongest = strongest_frame(still.readings.plain_values, resting.value, measured)
+        moved = noise.with_motion(scene, measured)
+    strongest = strongest_frame(moved.readings.plain_values, resting.value, measured)
     # two frames: the strongest, and the first or the last
     chosen = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
-    hidden = possible_errors(scene, sizes, resting, still.readings[chosen], noise.frame)
-    own = hidden.sizes.reading_error or 0.0 if hidden is not None and hidden.certain else 0.0
+    hidden = possible_errors(scene, sizes, resting, moved.readings[chosen], noise.frame)
+    size = hidden.sizes.reading_error or 0.0 if hidden is not None and hidden.certain else 0.0
     message = (
-        f"cells that nobody touched seem to move as if each reading were off by {100 * own:.2g} %, the same in all "
+        f"cells that nobody touched seem to move as if each reading were off by {100 * size:.2g} %, the same in all "
         "frames, which error bars allow for"
     )
-    return replace(still, possible_errors=hidden).with_warnings(message if own > (sizes.reading_error or 0.0) else "")
+    return replace(moved, possible_errors=hidden).with_warnings(message if size > (sizes.reading_error or 0.0) else "")
 
 
 def without_effects(noise: NoiseEstimate, recording: Recording, besides: CircuitEffects | None) -> NoiseEstimate:
@@ -192,9 +192,9 @@ def without_effects(noise: NoiseEstimate, recording: Recording, besides: Circuit
     if besides is None or besides.pair is None:
         return noise
     unloaded = recording.role == UNLOADED
-    frame, nothing = noise.frame, np.zeros((recording.scene.panel.shape[1 - recording.scene.circuit.by_columns], 0))
+    frame, no_ripple = noise.frame, np.zeros((recording.scene.panel.shape[1 - recording.scene.circuit.by_columns], 0))
     if frame is None:
-        frame = FrameNoise(recording.scene, int(unloaded.sum()), 0.0, nothing, nothing)
+        frame = FrameNoise(recording.scene, int(unloaded.sum()), 0.0, no_ripple, no_ripple)
     readings = without_effects_of(besides.pair, noise.readings, unloaded)
     frame = replace(frame, effect_errors=remaining_errors(besides.pair))
     return replace(noise, readings=readings, frame=frame, corrected_effects=besides)
@@ -215,32 +215,32 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
     """
     readout, resting = recording.scene.readout, recording.role == UNLOADED
     unloaded = int(resting.sum())
-    plain = NoiseEstimate(outliers, _outlier_messages(outliers, cleaned, resting), cleaned)
+    unscaled = NoiseEstimate(outliers, _outlier_messages(outliers, cleaned, resting), cleaned)
     if cleaned.sigma is None or (parts := _scatter_of(recording, cleaned)) is None:
-        return plain
-    own, message, used = parts.own, "", 1.0
-    squares, error = own**2 * parts.own_freedom, own / np.sqrt(2 * parts.own_freedom)
+        return unscaled
+    ratio, message, used = parts.own, "", 1.0
+    squares, error = ratio**2 * parts.own_freedom, ratio / np.sqrt(2 * parts.own_freedom)
     specified = readout is None or recording.sigma is not None or readout.noise_specified
     if specified:
         used = noted_excess(squares, parts.own_freedom)
-        less = own <= 1 / MIN_EXCESS and 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
+        smaller = ratio <= 1 / MIN_EXCESS and 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
         where = "unloaded frames" if unloaded > 1 else "readings at rest from frame to frame"
         if readout is None:
-            message = f"noise {own:.2g} times the recording's sigma, measured in {where}"
+            message = f"noise {ratio:.2g} times the recording's sigma, measured in {where}"
         else:
-            noise_lsb, factor = shown_noise(readout, own)
+            noise_lsb, factor = shown_noise(readout, ratio)
             # Only of a converter it is known how small the noise may be: its step.
-            used = factor if less and recording.sigma is None else used
+            used = factor if smaller and recording.sigma is None else used
             assumed = float(np.mean(readout.assumed_noise))
             message = f"noise {noise_lsb:.2g} LSB, measured in {where}; the scene specifies {assumed:.3g} LSB"
     elif readout is not None and unloaded >= (MIN_UNLOADED_FRAMES if readout.noise_lsb is None else 2):
-        used = shown_noise(readout, own)[1]
+        used = shown_noise(readout, ratio)[1]
     frame = None
     if readout is not None and (parts.gain or parts.common_ripple.size or parts.line_ripple.size):
         volt = float(np.mean(readout.sigma_volt()))
         frame = FrameNoise(recording.scene, unloaded, parts.gain, parts.common_ripple * volt, parts.line_ripple * volt)
     scaled = replace(cleaned, sigma=used * cleaned.sigma)
-    noise = replace(plain, readings=scaled, factor=own, factor_error=error, sigma_factor=used, frame=frame)
+    noise = replace(unscaled, readings=scaled, factor=ratio, factor_error=error, sigma_factor=used, frame=frame)
     shared = [text.format(size) for (_, text), size in zip(SHARED, noise.shared_sizes, strict=True) if size]
     return noise.with_warnings(
         message if used != 1 else "", f"{', '.join(shared)}, which error bars allow for" if shared else ""
@@ -281,15 +281,15 @@ def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[Nois
     """Return the noise of a panel of modules from the noise of each module; None stands for a dead one."""
     given = recording.readings()
     readings = [given.of_module(layout, n) if noise is None else noise.readings for n, noise in enumerate(every)]
-    nothing = np.zeros(recording.modules[0].recorded.shape, dtype=bool)
-    outliers = np.stack([nothing if noise is None else noise.outliers for noise in every], axis=-3)
+    no_outliers = np.zeros(recording.modules[0].recorded.shape, dtype=bool)
+    outliers = np.stack([no_outliers if noise is None else noise.outliers for noise in every], axis=-3)
     messages = [
         f"module {list(layout.place(n))}: {noise.sentence}" for n, noise in enumerate(every) if noise and noise.warnings
     ]
     more = f"and {len(messages) - MAX_NAMED} modules more" if len(messages) > MAX_NAMED else ""
     joined = Readings.of_parts(layout, readings)
-    whole = NoiseEstimate(layout.joined(outliers), (), joined, of_modules=tuple(every))
-    return whole.with_warnings(*messages[:MAX_NAMED], more)
+    image = NoiseEstimate(layout.joined(outliers), (), joined, of_modules=tuple(every))
+    return image.with_warnings(*messages[:MAX_NAMED], more)
 
 
 def shown_noise(readout: Readout, factor: float) -> tuple[float, float]:
@@ -351,14 +351,14 @@ def _sizes_in_words(hidden: Possible) -> str:
     """Return the assumed sizes of hidden errors, in words."""
     sizes, parts, row = hidden.sizes, [], 0
     bias = sizes.reading_error
-    own = f"each reading off by {100 * bias:.2g} %" if bias else "no per-reading bias found"
+    by_reading = f"each reading off by {100 * bias:.2g} %" if bias else "no per-reading bias found"
     for error in HIDDEN_ERRORS:
         if size := error.size(sizes):
             rows = slice(row, row + error.count)
             left = 1.0 if hidden.root is None else np.sqrt((hidden.root[rows] ** 2).sum() / error.count)
             parts.append(f"{error.name} {size * left:.2g} {error.unit}")
             row += error.count
-    return f"{own}; left possible, as standard deviations: {', '.join(parts) or 'nothing else'}"
+    return f"{by_reading}; left possible, as standard deviations: {', '.join(parts) or 'nothing else'}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -428,16 +428,16 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
         return None
     second = np.abs(value[2:] - 2 * value[1:-1] + value[:-2]) / (np.sqrt(6) * sigma)
     first = np.sqrt(((value[2:] - value[1:-1]) ** 2 + (value[1:-1] - value[:-2]) ** 2) / 4) / sigma
-    enough = np.isfinite(second).sum(axis=(1, 2)) > 1
-    if not enough.any():
+    usable = np.isfinite(second).sum(axis=(1, 2)) > 1
+    if not usable.any():
         return None
-    of_second, of_first = (np.nanmedian(size[enough], axis=(1, 2)) for size in (second, first))
+    of_second, of_first = (np.nanmedian(size[usable], axis=(1, 2)) for size in (second, first))
     calmest = np.argsort(of_second)[: max(1, round(QUIET_SHARE * len(of_second)))]
     quiet, moving = float(of_second[calmest].mean()) * MAD_TO_SIGMA, float(of_first[calmest].mean()) / PAIR_MEDIAN
     if quiet > 1 and moving > MIN_EXCESS * quiet:
         return None
-    nothing, count = np.zeros((1, 0)), int(np.isfinite(second[enough]).sum() / enough.sum() * MEDIAN_EFFICIENCY)
-    return Scatter(quiet, max(count, 1), 0.0, nothing, nothing)
+    no_ripple, count = np.zeros((1, 0)), int(np.isfinite(second[usable]).sum() / usable.sum() * MEDIAN_EFFICIENCY)
+    return Scatter(quiet, max(count, 1), 0.0, no_ripple, no_ripple)
 
 
 def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
@@ -465,23 +465,23 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
     # Missing readings reduce the degrees of freedom in proportion to their share.
     share = float(known.mean())
     inner = np.where(known, remaining - common[:, None, :], 0.0).reshape(-1, channels)
-    noise, apart = _patterns(inner, max(repeats * free * share, 1.0))
+    noise, line_ripple = _patterns(inner, max(repeats * free * share, 1.0))
     # Variance of one reading by own noise and line ripple, and of the mean over lines if no common ripple existed.
-    line = noise + float((apart**2).sum()) / channels
-    together, variance = np.zeros((channels, 0)), line / (lines * share)
+    line = noise + float((line_ripple**2).sum()) / channels
+    ripple, variance = np.zeros((channels, 0)), line / (lines * share)
     few = max(repeats, 3) / (max(repeats, 3) - 2)
     if chi_square_tail((common**2).sum() / max(variance, 1e-300), repeats * channels) < SIGNIFICANCE:
         sizes, direction = np.linalg.eigh(common.T @ common / repeats)
         sizes, freedom = _shrunk(np.maximum(sizes, 0.0), repeats)
         strong = sizes > variance
-        together = np.asarray(direction[:, strong] * np.sqrt((sizes[strong] - variance) * freedom / (freedom - 2)))
+        ripple = np.asarray(direction[:, strong] * np.sqrt((sizes[strong] - variance) * freedom / (freedom - 2)))
     # variance of the estimated gain without a true one: (noise + ripples)/Σ loudness²
-    own = (line + float((together**2).sum()) / channels * lines) / size
+    variances = (line + float((ripple**2).sum()) / channels * lines) / size
     gain = 0.0
-    if chi_square_tail((slope**2 / np.maximum(own, 1e-300)).sum(), repeats) < SIGNIFICANCE:
-        gain = float(np.sqrt(max((slope**2).sum() / repeats - own.mean(), 0.0) * few))
-    degrees = repeats * free * (channels - apart.shape[1]) * share
-    return Scatter(float(np.sqrt(max(noise, 0.0))), max(int(degrees), 1), gain, together, apart)
+    if chi_square_tail((slope**2 / np.maximum(variances, 1e-300)).sum(), repeats) < SIGNIFICANCE:
+        gain = float(np.sqrt(max((slope**2).sum() / repeats - variances.mean(), 0.0) * few))
+    degrees = repeats * free * (channels - line_ripple.shape[1]) * share
+    return Scatter(float(np.sqrt(max(noise, 0.0))), max(int(degrees), 1), gain, ripple, line_ripple)
 
 
 def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
@@ -492,8 +492,8 @@ def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
     """
     channels, total, squares = len(sizes), float(sizes.sum()), float((sizes**2).sum())
     # ρ = ((1 − 2/p) tr S² + tr² S) / ((n + 1 − 2/p) (tr S² − tr² S/p)), at most 1
-    apart = (repeats + 1 - 2 / channels) * (squares - total**2 / channels)
-    share = min(((1 - 2 / channels) * squares + total**2) / max(apart, 1e-300), 1.0)
+    within = (repeats + 1 - 2 / channels) * (squares - total**2 / channels)
+    share = min(((1 - 2 / channels) * squares + total**2) / max(within, 1e-300), 1.0)
     return (1 - share) * sizes + share * total / channels, max(repeats * (1 - share + share * channels), 3.0)
 
 

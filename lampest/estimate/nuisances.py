@@ -110,8 +110,8 @@ def responses(fit: CellsFit, effects: Sequence[Effect]) -> Array:
     """Return the response K U of the log cells to a unit of each θ, (cells, effects), by secants."""
     # An effect of the size of the secant's step; constant ones and those since the unloaded frames respond alike.
     small = [replace(effect, since=False, size=SECANT_STEP * effect.prior) for effect in effects]
-    each = {effect: fit.more(effect) / SECANT_STEP for effect in dict.fromkeys(small)}
-    return fit.response(np.stack([each[effect] for effect in small]))
+    by_effect = {effect: fit.more(effect) / SECANT_STEP for effect in dict.fromkeys(small)}
+    return fit.response(np.stack([by_effect[effect] for effect in small]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,8 +262,8 @@ class FittedPair:
 
         The skirt of a load looks like another circuit or an effect, so its cells do not count; 0 without two others.
         """
-        apart = ~touching(better.moved[None]).ravel()
-        return self.beyond_noise_of(apart) - better.beyond_noise_of(apart) if apart.sum() > 1 else 0.0
+        distant = ~touching(better.moved[None]).ravel()
+        return self.beyond_noise_of(distant) - better.beyond_noise_of(distant) if distant.sum() > 1 else 0.0
 
     @property
     def excess(self) -> float:
@@ -335,16 +335,16 @@ class FittedPair:
         near : CellsFit
             Fit of the frame before.
         """
-        plain = near.refitted(readings, without_late(near.effects))
-        if plain is None or not any(effect.since for effect in near.effects):
-            return plain
+        fit = near.refitted(readings, without_late(near.effects))
+        if fit is None or not any(effect.since for effect in near.effects):
+            return fit
         begun = near.refitted(readings, near.effects)
         if begun is None:
             return None
         settled = replace(self, frames=(self.frames[0], begun)).settled(near.effects, constant=False)
-        without = replace(self, frames=(self.frames[0], plain))
+        without = replace(self, frames=(self.frames[0], fit))
         if settled is None or without.evidence.score <= settled.evidence.score:
-            return plain
+            return fit
         return settled.frames[1]
 
 
@@ -386,25 +386,25 @@ def find_effects(pairs: Sequence[tuple[str, FittedPair]]) -> CircuitEffects:
     pairs : sequence of (str, FittedPair)
         Name of the frame, and its pair with the unloaded panel.
     """
-    besides, together, most = CircuitEffects(), "", 0.0
+    besides, common, most = CircuitEffects(), "", 0.0
     for name, pair in pairs:
-        together = _together(pair) or together
-        whole, certain = _grown(pair)
-        gain = pair.evidence.score - whole.evidence.score
+        common = _together(pair) or common
+        grown, certain = _grown(pair)
+        gain = pair.evidence.score - grown.evidence.score
         # An effect counts if most cells stand still with it, and neither a load's edge nor one wrong reading explains
         # as much: an outlier in the frame in which a load arrives is hard to detect in time.
-        if not (gain > most and mostly_still(whole.moved)):
+        if not (gain > most and mostly_still(grown.moved)):
             continue
         off_by_one = pair.scores_with((), LooseContact.prior * pair.frames[1].gain).min()
-        if off_by_one < whole.evidence.score + MIN_EVIDENCE_GAIN:
+        if off_by_one < grown.evidence.score + MIN_EVIDENCE_GAIN:
             continue
-        if any(beside_a_load(effect, whole.moved) for effect in whole.effects) or pair.gain_apart(whole) <= 0:
+        if any(beside_a_load(effect, grown.moved) for effect in grown.effects) or pair.gain_apart(grown) <= 0:
             continue
-        most, fits_noise = gain, min(fit.tail for fit in whole.frames) >= SIGNIFICANCE
-        names = " and ".join(effect.sentence(pair.shape[0]) for effect in whole.effects)
-        counts, taken_off = (int(whole.moved.sum()), int(pair.moved.sum())), bool(certain.effects) and fits_noise
+        most, fits_noise = gain, min(fit.tail for fit in grown.frames) >= SIGNIFICANCE
+        names = " and ".join(effect.sentence(pair.shape[0]) for effect in grown.effects)
+        counts, taken_off = (int(grown.moved.sum()), int(pair.moved.sum())), bool(certain.effects) and fits_noise
         besides = CircuitEffects(names, name, *counts, fits_noise, pair=certain if taken_off else None)
-    return besides if besides.name else replace(besides, common_change=together)
+    return besides if besides.name else replace(besides, common_change=common)
 
 
 def _grown(pair: FittedPair) -> tuple[FittedPair, FittedPair]:

@@ -100,8 +100,8 @@ class Bounds(Configuration):
                 f"bounds leave no room for cell {index[-2:]}: "
                 f"lower {lower[index]:.6g} ohm, upper {upper[index]:.6g} ohm"
             )
-        nothing = np.minimum(readout.nearly_shorted(measured), upper * CONTRADICTED_FACTOR)
-        return np.where(contradicted, nothing, lower), upper
+        shorted = np.minimum(readout.nearly_shorted(measured), upper * CONTRADICTED_FACTOR)
+        return np.where(contradicted, shorted, lower), upper
 
 
 @dataclass(frozen=True)
@@ -271,16 +271,16 @@ def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: NDArray
         return readings
     noise = readings.value * UNKNOWN_NOISE if readings.sigma is None else readings.sigma
     # own: noise of each bound and substitute; usual: geometric mean of σ over the frame's values
-    own, usual = noise.copy(), np.ones((len(noise), 1, 1))
+    wide, usual = noise.copy(), np.ones((len(noise), 1, 1))
     for frame, plain in enumerate(readings.plain):
         if plain.any():
             usual[frame] = np.exp(np.log(noise[frame][plain]).mean())
         if missing[frame].any():
             spread = stand_in_spread(readings.value[frame], plain)
-            own[frame] = np.where(missing[frame], readings.value[frame] * spread, own[frame])
+            wide[frame] = np.where(missing[frame], readings.value[frame] * spread, wide[frame])
     # weight usual/own, at most 1; σ · weight is the typical noise, so that weighted residuals keep their scale
     share = np.where(
-        missing, np.minimum(usual / own, MAX_STAND_IN_WEIGHT), np.where(bounded, np.minimum(usual / own, 1.0), 1.0)
+        missing, np.minimum(usual / wide, MAX_STAND_IN_WEIGHT), np.where(bounded, np.minimum(usual / wide, 1.0), 1.0)
     )
-    sigma = None if readings.sigma is None else np.where(missing | bounded, own * share, readings.sigma)
+    sigma = None if readings.sigma is None else np.where(missing | bounded, wide * share, readings.sigma)
     return replace(readings, sigma=sigma, seen=np.where(missing, share, readings.seen * share))

@@ -79,8 +79,8 @@ def detect_outliers(
         return outlying, value, np.zeros(value.shape)
     # The prediction with the smaller scatter is used; its disagreement with the other one adds to its uncertainty.
     (middle, spread, _), (line, line_spread, _) = expected[0], expected[-1]
-    nearer, apart = line_spread < spread, np.nan_to_num(np.abs(line - middle))
-    return outlying, np.where(nearer, line, middle), np.hypot(np.where(nearer, line_spread, spread), apart)
+    nearer, deviation = line_spread < spread, np.nan_to_num(np.abs(line - middle))
+    return outlying, np.where(nearer, line, middle), np.hypot(np.where(nearer, line_spread, spread), deviation)
 
 
 def frozen_readings(recording: Recording) -> NDArray[np.bool_]:
@@ -214,13 +214,13 @@ def _alone_in_time(value: Array, scale: Array, resting: Array, measured: NDArray
         Median of the unloaded frames.
     measured : boolean array, shape (frames,)
     """
-    alone, own = np.ones(value.shape, dtype=bool), value[measured]
-    if len(own) > 1:
-        before, after = np.concatenate([resting[None], own[:-2]]), own[1:]
-        nearer = np.minimum(np.abs(own[:-1] - before), np.abs(own[:-1] - after))
+    isolated, frames = np.ones(value.shape, dtype=bool), value[measured]
+    if len(frames) > 1:
+        before, after = np.concatenate([resting[None], frames[:-2]]), frames[1:]
+        nearer = np.minimum(np.abs(frames[:-1] - before), np.abs(frames[:-1] - after))
         least = np.fmax(np.abs(after - before), OUTLIER_THRESHOLD * scale[measured][:-1])
-        alone[np.flatnonzero(measured)[:-1]] = ~(nearer < least)
-    return alone
+        isolated[np.flatnonzero(measured)[:-1]] = ~(nearer < least)
+    return isolated
 
 
 def _replaced(readings: Readings, outlying: NDArray[np.bool_], instead: Array, spread: Array) -> Readings:
@@ -313,10 +313,10 @@ def _is_usual(
         return np.zeros(value.shape, dtype=bool)
     place, usual = np.arange(frames) - first, np.zeros(value.shape)
     # Frames within the recording lie in the middle of their windows: median error over three blocks of frames.
-    middle, away = place == WINDOW // 2, np.nan_to_num(np.abs(value - expected))
+    middle, deviation = place == WINDOW // 2, np.nan_to_num(np.abs(value - expected))
     for begin in range(0, frames, block):
         around = slice(max(begin - block, 0), begin + 2 * block)
-        usual[begin : begin + block] = median(away[around][middle[around]])
+        usual[begin : begin + block] = median(deviation[around][middle[around]])
     # Frames at the ends lie elsewhere in theirs: the same place in windows near by is predicted for comparison.
     begins = np.arange(frames - WINDOW)
     for frame in np.flatnonzero(~middle):
@@ -324,10 +324,10 @@ def _is_usual(
         predicted, _, _ = _from_window(value, near, np.full(len(near), place[frame]), predict)
         usual[frame] = median(np.abs(value[near + place[frame]] - predicted))
     usual = MAD_TO_SIGMA * np.nan_to_num(usual)
-    return np.asarray((usual > 0) & (away <= largest * usual))
+    return np.asarray((usual > 0) & (deviation <= largest * usual))
 
 
-def _by_median(beside: Array, offset: NDArray[np.intp] | None = None) -> Expected:
+def _by_median(neighbours: Array, offset: NDArray[np.intp] | None = None) -> Expected:
     """Return the median of the neighbours, (frames, …), with their scatter.
 
     Parameters
@@ -336,13 +336,13 @@ def _by_median(beside: Array, offset: NDArray[np.intp] | None = None) -> Expecte
     offset : integer array
         Not used.
     """
-    middle = median(beside)
+    middle = median(neighbours)
     # var(y − median of n) = σ² (1 + π/(2n))
-    noise = np.sqrt(1 + np.pi / (2 * len(beside)))
-    return middle, MAD_TO_SIGMA * median(np.abs(beside - middle)), np.full(middle.shape, noise)
+    noise = np.sqrt(1 + np.pi / (2 * len(neighbours)))
+    return middle, MAD_TO_SIGMA * median(np.abs(neighbours - middle)), np.full(middle.shape, noise)
 
 
-def _by_line(beside: Array, offset: NDArray[np.intp]) -> Expected:
+def _by_line(neighbours: Array, offset: NDArray[np.intp]) -> Expected:
     """Return the value of the regression line through the neighbours, which follows a load that moves or breathes.
 
     Parameters
@@ -351,14 +351,14 @@ def _by_line(beside: Array, offset: NDArray[np.intp]) -> Expected:
     offset : integer array, shape (neighbours, frames)
         Distance of each neighbour in frames.
     """
-    offset = offset.reshape(*offset.shape, *(1,) * (beside.ndim - 2))
+    offset = offset.reshape(*offset.shape, *(1,) * (neighbours.ndim - 2))
     centre = offset.mean(axis=0)
-    apart = offset - centre
-    size = np.sum(apart**2, axis=0)
-    height, slope = beside.mean(axis=0), np.sum(apart * beside, axis=0) / size
+    centred = offset - centre
+    size = np.sum(centred**2, axis=0)
+    height, slope = neighbours.mean(axis=0), np.sum(centred * neighbours, axis=0) / size
     # residual variance s² with n − 2 degrees of freedom; var(y − line at offset 0) = σ² (1 + 1/n + x̄²/Σ(x − x̄)²)
-    left = np.sum((beside - height - slope * apart) ** 2, axis=0) / (len(beside) - 2)
-    noise = np.sqrt(1 + 1 / len(beside) + centre**2 / size)
+    left = np.sum((neighbours - height - slope * centred) ** 2, axis=0) / (len(neighbours) - 2)
+    noise = np.sqrt(1 + 1 / len(neighbours) + centre**2 / size)
     return height - slope * centre, 2 * np.sqrt(left) * noise, np.broadcast_to(noise, height.shape)
 
 
@@ -373,13 +373,13 @@ def _exceeds_threshold(value: Array, scale: Array, expected: Expected) -> NDArra
         Prediction with its uncertainties, see `Expected`.
     """
     middle, spread, noise = expected
-    away = np.abs(value - middle)
+    deviation = np.abs(value - middle)
     # |y − ŷ| > max(6 σ √(1 + …), 3 spread).
     # Within the scatter of the neighbours, so that an arriving load is not flagged.
-    far: NDArray[np.bool_] = away > np.fmax(OUTLIER_THRESHOLD * noise * scale, MIN_RATIO_TO_SCATTER * spread)
+    far: NDArray[np.bool_] = deviation > np.fmax(OUTLIER_THRESHOLD * noise * scale, MIN_RATIO_TO_SCATTER * spread)
     some = far.any(axis=(-2, -1))  # frames of panels
-    scale = np.broadcast_to(scale, away.shape)[some]
-    far[some] &= ~(away[some] <= MIN_RATIO_TO_LINES * _beside(away[some] / scale) * scale)
+    scale = np.broadcast_to(scale, deviation.shape)[some]
+    far[some] &= ~(deviation[some] <= MIN_RATIO_TO_LINES * _beside(deviation[some] / scale) * scale)
     return far
 
 

@@ -93,8 +93,8 @@ class Prepared:
         living = [number for number in range(self.layout.count) if number not in dead]
         parts = [self.recording.modules[number] for number in living]
         known = self.whole_recording.of_modules if self.whole_recording else (None,) * self.layout.count
-        each = zip(living, parts, cleaned_together(parts), strict=True)
-        prepared = {number: Prepared(part, known[number], cleaned) for number, part, cleaned in each}
+        cleaned_parts = zip(living, parts, cleaned_together(parts), strict=True)
+        prepared = {number: Prepared(part, known[number], cleaned) for number, part, cleaned in cleaned_parts}
         return tuple(prepared.get(number) for number in range(self.layout.count))
 
     @cached_property
@@ -106,12 +106,14 @@ class Prepared:
     def frame_noise(self) -> NoiseEstimate:
         """Noise of the frames, estimated from unloaded frames and from neighbours in time."""
         if self.layout is not None:
-            every = [None if module is None else module.frame_noise for module in self.modules]
-            return noise_of_modules(self.recording, self.layout, every)
+            estimates = [None if module is None else module.frame_noise for module in self.modules]
+            return noise_of_modules(self.recording, self.layout, estimates)
         noise = estimate_noise(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
         places = [f"row {row}, column {column}" for row, column in np.argwhere(self.cleaned.frozen)]
-        same = f"one value in all frames at {' and at '.join(places)}, while noise changes the other readings: left out"
-        return noise.with_warnings(same if places else "")
+        warning = (
+            f"one value in all frames at {' and at '.join(places)}, while noise changes the other readings: left out"
+        )
+        return noise.with_warnings(warning if places else "")
 
     @cached_property
     @ONE_BLAS_THREAD
@@ -158,8 +160,8 @@ class Prepared:
     def noise(self) -> NoiseEstimate:
         """Noise of the frames and errors that all frames share, with readings whose σ includes both."""
         if self.layout is not None:
-            every = [None if module is None else module.noise for module in self.modules]
-            return noise_of_modules(self.recording, self.layout, every)
+            estimates = [None if module is None else module.noise for module in self.modules]
+            return noise_of_modules(self.recording, self.layout, estimates)
         noise, recording = self.frame_noise, self.recording
         unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
         sizes = systematic_of(recording.scene)
@@ -194,13 +196,13 @@ def cleaned_together(recordings: Sequence[Recording]) -> list[Cleaned]:
     measured = map(without_readings, recordings, frozen)
     passed = [with_saturated_stage(recording) for recording in measured]
     first, *further = [recording.readings() for recording in passed]
-    together, similar = first.together(*further, axis=-3), dict[Readout, list[int]]()
+    joint, similar = first.together(*further, axis=-3), dict[Readout, list[int]]()
     for place, recording in enumerate(passed):
         similar.setdefault(recording.scene.circuit, []).append(place)
-    impossible = np.zeros(together.value.shape, dtype=bool)
+    impossible = np.zeros(joint.value.shape, dtype=bool)
     for circuit, places in similar.items():
-        impossible[:, places] = impossible_readings(circuit, together[:, places])
-    outliers, readings = without_outliers(impossible, together, passed[0].role == UNLOADED)
+        impossible[:, places] = impossible_readings(circuit, joint[:, places])
+    outliers, readings = without_outliers(impossible, joint, passed[0].role == UNLOADED)
     return [
         Cleaned(recording, frozen[place], outliers[:, place], readings[:, place])
         for place, recording in enumerate(passed)

@@ -58,11 +58,11 @@ def saturated(recording: Recording) -> Saturated | None:
     readout = scene.readout
     if readout is None or readout.passes_volt is not None or scene.panel.modules is not None or not unloaded.any():
         return None
-    width, every = NOISE_REACH * readout.sigma_volt(), scene.circuit.volt_from_recorded(recording.recorded)
+    width, volts = NOISE_REACH * readout.sigma_volt(), scene.circuit.volt_from_recorded(recording.recorded)
     plain = Readings.of(scene, recording.recorded, recording.sigma).plain
-    plain &= _differ(every, float(np.mean(width)))
+    plain &= _differ(volts, float(np.mean(width)))
     for sign in (1.0, -1.0):
-        volt = np.where(plain, sign * every, np.nan)
+        volt = np.where(plain, sign * volts, np.nan)
         resting = np.fmax.reduce(volt[unloaded], axis=0)  # NaN where no reading is a value
         most = np.fmax.reduce(volt[measured], axis=0) if measured.any() else resting
         moved = np.nan_to_num(most - resting, nan=0.0) > OUTLIER_THRESHOLD * width
@@ -70,13 +70,13 @@ def saturated(recording: Recording) -> Saturated | None:
             end = float(np.nanmax(channels, initial=-np.inf))
             below = np.where(counted, end - channels, np.inf)
             piled = below <= width  # at the end
-            apart = end - float(np.nanmin(channels, initial=end)) > MIN_EXTENT * float(np.mean(width))
+            extended = end - float(np.nanmin(channels, initial=end)) > MIN_EXTENT * float(np.mean(width))
             lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
             several, around = int(piled.sum()), int((below <= MIN_EXTENT * width).sum())
             # Binomial test: if the other channels within MIN_EXTENT were evenly spread, each would lie within the first
             # width with probability 1/MIN_EXTENT.
             rare = binomial_tail(several - 1, around - 1, 1 / MIN_EXTENT) < SIGNIFICANCE
-            if apart and lines > 1 and rare:
+            if extended and lines > 1 and rare:
                 level = float(np.median(volt[np.broadcast_to(piled, volt.shape) & (end - volt <= 2 * width)]))
                 resting_too = int((np.abs(resting - level) <= width).sum())
                 return Saturated(sign * level, int((piled & moved).sum()), resting_too, sign > 0)
@@ -107,6 +107,6 @@ def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
     for axis in (1, 2):
         lines = np.moveaxis(volt, axis, 0).reshape(volt.shape[axis], -1)
         with np.errstate(invalid="ignore"):
-            apart = [np.any(np.abs(lines[:at] - line) > 2 * width, axis=1).all() for at, line in enumerate(lines)]
-        differing.append(np.array(apart))
+            differs = [np.any(np.abs(lines[:at] - line) > 2 * width, axis=1).all() for at, line in enumerate(lines)]
+        differing.append(np.array(differs))
     return np.asarray(differing[0][:, None] & differing[1])

@@ -167,14 +167,14 @@ def first_stream(
     """
     scene, layout = recording.scene, recording.scene.panel.modules
     networks, similar = list[_Network | None](), dict[Hashable, list[_Network]]()
-    for number, own in enumerate(network_scenes(scene, estimator)):
+    for number, network_scene in enumerate(network_scenes(scene, estimator)):
         network = None
-        if own is not None:
-            whole = layout is None or layout.coupled
-            part = replace(recording, scene=own) if whole else recording.modules[number]
-            read = readings if whole or layout is None else readings.of_module(layout, number)
+        if network_scene is not None:
+            undivided = layout is None or layout.coupled
+            part = replace(recording, scene=network_scene) if undivided else recording.modules[number]
+            read = readings if undivided or layout is None else readings.of_module(layout, number)
             network = part, read, baseline_readings(part, read)
-            similar.setdefault(converter_and_faults(own), []).append(network)
+            similar.setdefault(converter_and_faults(network_scene), []).append(network)
         networks.append(network)
     chosen = {kind: _weighted(estimator, several) for kind, several in similar.items()}
     begun = [n and (chosen[converter_and_faults(n[0].scene)], n[0].scene, n[2]) for n in networks]
@@ -204,11 +204,11 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
             [float(mean_change(read.plain_values[f], resting.value)) for _, read, resting, f in deciding]
         )
     parts = (deciding[number] for number in numbers)
-    first, *beside = [
+    first, *further = [
         deciding_data(estimator, part.scene, resting, read[frame]) for part, read, resting, frame in parts
     ]
     part = deciding[numbers[0]][0]
-    return with_chosen_weights(estimator, part.scene, first, None, beside)
+    return with_chosen_weights(estimator, part.scene, first, None, further)
 
 
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:
@@ -347,14 +347,14 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
         if part is None:
             continue
         recording = joined((lead, part))
-        taken, own = Prepared(recording).frame_noise.readings, _own_frames(recording, frames)
+        taken, places = Prepared(recording).frame_noise.readings, _own_frames(recording, frames)
         # the strongest frame of the part, by the change of its cleaned readings
         size: Array = np.where(
-            taken.enough(stored.scene)[own], mean_change(taken.plain_values[own], resting.value), -1.0
+            taken.enough(stored.scene)[places], mean_change(taken.plain_values[places], resting.value), -1.0
         )
         at = int(np.argmax(size))
         assert recording.number is not None
-        candidates.append((float(size[at]), int(recording.number[own[at]])))
+        candidates.append((float(size[at]), int(recording.number[places[at]])))
     if not candidates:
         raise InputError(f"{stored.path}: no frame is measured (role 1)")
     number = max(candidates)[1]

@@ -70,8 +70,8 @@ def possible_errors(
     # Evidence of e. The prior of smooth loads keeps a load's skirt from being taken for an error of the readings.
     smoothed = replace(moves, noise=moves.noise + _smooth_loads(shape, len(frames.value)))
     costs, still = _error_costs(smoothed)
-    likeliest, apart = float(READING_ERRORS[np.argmin(costs[1:])]), away_from_changed(still, shape)
-    gain_apart = smoothed.changes(0.0).cost_of(apart) - smoothed.changes(likeliest).cost_of(apart)
+    likeliest, distant = float(READING_ERRORS[np.argmin(costs[1:])]), away_from_changed(still, shape)
+    gain_apart = smoothed.changes(0.0).cost_of(distant) - smoothed.changes(likeliest).cost_of(distant)
     gain = gain_apart + BESIDE_SHARE * (float(costs[0] - costs.min()) - gain_apart)
     # Posterior mean square of e, from the changes and the unloaded panel together.
     size, certain = 0.0, gain > MIN_ERROR_GAIN
@@ -163,9 +163,9 @@ def shared_changes(
         parts.append([of_frame - at_rest for of_frame, at_rest in zip(columns, base[1:], strict=True)])
         part = slice(number * size, (number + 1) * size)
         covariance[part, part] += error + ASSUMED.creep**2 * np.eye(size) + ASSUMED.common_change**2
-    hidden, own, known = map(np.vstack, zip(*parts, strict=True))
+    hidden, by_reading, known = map(np.vstack, zip(*parts, strict=True))
     reach = float(np.median(np.linalg.norm(base[2], axis=1)))
-    return SharedChanges(np.concatenate(change), covariance + known @ known.T, hidden, own, reach)
+    return SharedChanges(np.concatenate(change), covariance + known @ known.T, hidden, by_reading, reach)
 
 
 def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen]:
@@ -178,8 +178,8 @@ def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen
         Still cells that the search begins with; by default the half that changed least. Other starts are not tried,
         because a shared error may explain a smooth load as well as moved cells do.
     """
-    away = np.abs(changes.change - np.median(changes.change))
-    begun = away <= np.median(away) if begun is None else begun
+    deviation = np.abs(changes.change - np.median(changes.change))
+    begun = deviation <= np.median(deviation) if begun is None else begun
     score, moved = changes.selected([~begun], np.abs(changes.change) >= LOADED_CHANGE)
     return score, ~moved
 
@@ -260,15 +260,15 @@ def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
             tau = np.hypot(resting.sigma, error * share).ravel()[plain]
             scaled = jacobian[plain] / tau[:, None]
             values, turned = np.linalg.eigh(scaled @ scaled.T)
-            apart, ones = turned.T @ (target[plain] / tau), turned.T @ scaled.sum(axis=1)
+            projected, ones = turned.T @ (target[plain] / tau), turned.T @ scaled.sum(axis=1)
             # v = 1 + s²λ, (scatters, readings); `mean` is Σ b²/v, the precision of μ, which is integrated out
             grown = 1 + scatters * np.maximum(values, 0.0)
             mean = (ones**2 / grown).sum(axis=1)
-            squares = (apart**2 / grown).sum(axis=1) - (apart * ones / grown).sum(axis=1) ** 2 / mean
+            squares = (projected**2 / grown).sum(axis=1) - (projected * ones / grown).sum(axis=1) ** 2 / mean
             costs[number] = squares + np.log(grown).sum(axis=1) + np.log(mean) + 2 * np.log(tau).sum()
     # −2 ln Σ_s p(y | e, s): all scatters are equally probable
-    together = -2 * np.logaddexp.reduce(-costs / 2, axis=1)
-    return np.asarray(together - together.min())
+    marginal = -2 * np.logaddexp.reduce(-costs / 2, axis=1)
+    return np.asarray(marginal - marginal.min())
 
 
 def _most_probable(data: Data, value: Array, deviation: Array, spread: float, start: Array) -> tuple[Array, Array]:

@@ -237,7 +237,7 @@ class CarriedOver:
             arrays |= vars(stream.track.memory) if stream.track.memory is not None else {}
         if stream.modules:
             parts = {MODULE.format(number): cls.of(part) for number, part in enumerate(stream.modules) if part}
-            arrays = {own + name: value for own, part in parts.items() for name, value in part.arrays.items()}
+            arrays = {prefix + name: value for prefix, part in parts.items() for name, value in part.arrays.items()}
         known = {name: value for name, value in arrays.items() if value is not None}
         return cls({name: np.atleast_1d(np.asarray(value, float)) for name, value in known.items()})
 
@@ -245,8 +245,8 @@ class CarriedOver:
         """Return the stream after those frames, given the stream with its baseline before them."""
         if begun.modules:
             parts = [
-                {name.removeprefix(own): array for name, array in self.arrays.items() if name.startswith(own)}
-                for own in map(MODULE.format, range(len(begun.modules)))
+                {name.removeprefix(prefix): array for name, array in self.arrays.items() if name.startswith(prefix)}
+                for prefix in map(MODULE.format, range(len(begun.modules)))
             ]
             pairs = zip(begun.modules, parts, strict=True)
             modules = tuple(module and CarriedOver(arrays).onto(module) for module, arrays in pairs)

@@ -24,17 +24,17 @@ MAX_NOISE_FACTOR = 10.0  # above or below the specified noise: more is a wrong u
 def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -> tuple[str, ...]:
     """Return the warnings of a recording, the simplest first. Raises InputError as `Readings.of`."""
     readings = recording.readings()
-    less = "" if check.better else _less_load(recording, readings)
+    lesser_load = "" if check.better else _less_load(recording, readings)
     frames = _roles(recording.role), _times(recording), _unit(recording, readings), _scatter(recording, noise)
-    plain = (*frames, *_modules(recording, readings), less)
+    of_readings = (*frames, *_modules(recording, readings), lesser_load)
     circuit, effects = check.sentence if check.mark in ("no", "not checked") else "", noise.corrected_effects
     taken = "" if effects is None else effects.corrections
     learned = tuple(line for line in noise.warnings if line != taken)  # the circuit's sentence names these effects
     circuit += f"; it is {TAKEN_OFF}" if taken else ""
     stage = saturated(recording)
     piled = "" if stage is None else stage.sentence
-    loaded = UNEVENLY if check.loaded_at_rest and not less else ""
-    return tuple(filter(None, (*plain, loaded, piled, circuit, check.common_change, *learned)))
+    loaded = UNEVENLY if check.loaded_at_rest and not lesser_load else ""
+    return tuple(filter(None, (*of_readings, loaded, piled, circuit, check.common_change, *learned)))
 
 
 def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:

@@ -64,9 +64,9 @@ class Certainty:
             Variance of log r of cells (numbers) at a bound, each released alone.
         """
         at, (lower, upper) = model.at, model.at.data.log_bounds
-        whole = np.zeros((4, at.cell_resistance.size))
-        whole[:, model.free] = *variances, *shares
-        variance, shared, resolution, data_share = whole.reshape(4, *at.cell_resistance.shape)
+        maps = np.zeros((4, at.cell_resistance.size))
+        maps[:, model.free] = *variances, *shares
+        variance, shared, resolution, data_share = maps.reshape(4, *at.cell_resistance.shape)
         deviation, noise = np.sqrt(variance), TWO_SIDED * np.minimum(at.data.sigma / at.data.measured, 0.5)
         reach = TWO_SIDED * deviation
         above = np.where((at.position + reach >= upper) & (lower < upper), np.inf, reach)
@@ -150,5 +150,5 @@ def common_variance(answer: Array) -> Array:
     """
     ordered = np.sort(answer.swapaxes(-1, -2), axis=-1)  # np.median takes six times as long
     count = ordered.shape[-1]
-    apart = answer - (ordered[..., None, :, (count - 1) // 2] + ordered[..., None, :, count // 2]) / 2
-    return np.asarray(np.maximum(answer**2 - apart**2, 0.0).sum(axis=-1))
+    individual = answer - (ordered[..., None, :, (count - 1) // 2] + ordered[..., None, :, count // 2]) / 2
+    return np.asarray(np.maximum(answer**2 - individual**2, 0.0).sum(axis=-1))

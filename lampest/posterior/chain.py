@@ -43,8 +43,8 @@ class Chain:
     def _inverses(self) -> list[Array]:
         """S_t⁻¹ of every frame, (cells, cells)."""
         inverses = [positive_inverse(self.own[0])]
-        for own, tie in zip(self.own[1:], self.tie, strict=True):
-            inverses.append(positive_inverse(own - tie[:, None] * inverses[-1] * tie))
+        for block, tie in zip(self.own[1:], self.tie, strict=True):
+            inverses.append(positive_inverse(block - tie[:, None] * inverses[-1] * tie))
         return inverses
 
     @cached_property
@@ -105,9 +105,9 @@ class Chain:
 
     def solve(self, right: Array, border: Array) -> tuple[Array, Array]:
         """Return H⁻¹ x for the frames' part (frames, cells, m) and the border's part (n, m) of x."""
-        alone = self._solved(right)
-        moved = self.border_covariance @ (border - np.einsum("tci,tcm->im", self.border, alone, optimize=True))
-        return alone - self._follow @ moved, moved
+        unbordered = self._solved(right)
+        moved = self.border_covariance @ (border - np.einsum("tci,tcm->im", self.border, unbordered, optimize=True))
+        return unbordered - self._follow @ moved, moved
 
     @cached_property
     def blocks(self) -> list[Array]:
@@ -133,13 +133,13 @@ class Chain:
         """Diagonal of H⁻¹ over the frames, (frames, cells)."""
         return np.asarray(np.stack([np.diag(block) for block in self.blocks]) + np.sum(self._root**2, axis=2))
 
-    def step_variance(self, less: Array) -> Array:
+    def step_variance(self, shift: Array) -> Array:
         """Return the variance of x_{t+1} − x_t − less_t·border, (frames − 1, cells); `less` (frames − 1, n)."""
         # Covariance of neighbouring frames: diag(K_t P_{t+1})
         between = [np.einsum("ij,ji->i", gain, block) for gain, block in zip(self._gains, self.blocks[1:], strict=True)]
-        alone = np.stack([np.diag(block) for block in self.blocks])
-        steps = alone[1:] + alone[:-1] - 2 * np.asarray(between).reshape(self.tie.shape)
-        moved = np.diff(self._follow, axis=0) + less[:, None, :]
+        variances = np.stack([np.diag(block) for block in self.blocks])
+        steps = variances[1:] + variances[:-1] - 2 * np.asarray(between).reshape(self.tie.shape)
+        moved = np.diff(self._follow, axis=0) + shift[:, None, :]
         return np.asarray(steps + np.einsum("tci,ij,tcj->tc", moved, self.border_covariance, moved, optimize=True))
 
     def covariance(self, frame: int) -> Array:

@@ -192,13 +192,13 @@ class DenseErrors:
         γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t), B_t = Z_tᵀ Ω Z_t, B the sum over terms. For a single term tr(B⁺ B_t) is the rank
         of B_t.
         """
-        own, rows = self.model.penalty_term == term, self._penalties
+        of_term, rows = self.model.penalty_term == term, self._penalties
         # tr(A⁻¹ B_t) = Σ over the rows of term t of diag(√Ω Z A⁻¹ Zᵀ √Ω)
-        used = float(np.sum(rows[own] * self._pulls.T[own]))
-        if own.all():
+        used = float(np.sum(rows[of_term] * self._pulls.T[of_term]))
+        if of_term.all():
             return min(rank(self.model.at.cost.unweighted), len(self.inverse)) - used
         # tr(B⁺ B_t) in the same way
-        return float(np.sum((rows[own] @ self._penalties_inverse) * rows[own])) - used
+        return float(np.sum((rows[of_term] @ self._penalties_inverse) * rows[of_term])) - used
 
     @cached_property
     def _penalties_inverse(self) -> Array:
@@ -242,9 +242,9 @@ class DenseErrors:
     @cached_property
     def covariance(self) -> Array:
         """S over all cells, (frames · cells, frames · cells); zero for cells that are not free."""
-        whole = np.zeros((self.model.at.cell_resistance.size,) * 2)
-        whole[np.ix_(self.model.free, self.model.free)] = sum(x @ y.T for x, y in self._own + self._inherited)
-        return whole
+        matrix = np.zeros((self.model.at.cell_resistance.size,) * 2)
+        matrix[np.ix_(self.model.free, self.model.free)] = sum(x @ y.T for x, y in self._own + self._inherited)
+        return matrix
 
     def memory(self) -> Memory:
         """Return the errors of the last frame and of the baseline for the next frame.
@@ -285,12 +285,14 @@ class DenseErrors:
         squares, unread = model.penalty_squares, model.unread_rows
         widened = np.maximum(1.0, squares)
         for number in np.unique(model.penalty_term):
-            own = model.penalty_term == number
+            chosen = model.penalty_term == number
             # Σ ω x̂²/(s² γ) over the rows of one term
-            widened[own] = np.maximum(widened[own], squares[own].sum() / max(self.determined(int(number)), 1.0))
-            if (own & unread).any() and (own & ~unread).any():
-                far = np.quantile(squares[own & ~unread], LEVEL, method="higher") / TWO_SIDED**2
-                widened[own & unread] = np.maximum(widened[own & unread], far)
+            widened[chosen] = np.maximum(
+                widened[chosen], squares[chosen].sum() / max(self.determined(int(number)), 1.0)
+            )
+            if (chosen & unread).any() and (chosen & ~unread).any():
+                far = np.quantile(squares[chosen & ~unread], LEVEL, method="higher") / TWO_SIDED**2
+                widened[chosen & unread] = np.maximum(widened[chosen & unread], far)
         return np.asarray(widened - model.known_share(None if self.before is None else self.before.variance()))
 
     def reading_deviation(self) -> Array:
@@ -344,14 +346,14 @@ class DenseErrors:
 
     def released(self, cells: NDArray[np.intp]) -> Array:
         """Return the variance of log r of cells (numbers) at a bound, each released alone among the free cells."""
-        model, own = self.model, (cells, np.arange(len(cells)))
+        model, chosen = self.model, (cells, np.arange(len(cells)))
         # Schur complement of each released cell c: A_cc − A_cf A_ff⁻¹ A_fc, with A = Jᵀ Ω J + Zᵀ Ω Z
         unit = np.zeros((model.at.cell_resistance.size, len(cells)))
-        unit[own] = 1.0
+        unit[chosen] = 1.0
         penalised = model.penalty_curvature[:, None] * (model.penalty_jacobian @ unit)
         image = self.weighed(self.forward(unit)) + model.penalty_jacobian.T @ penalised
         across = image[model.free]
-        left = image[own] - np.sum(across * self.solved(across), axis=0)
+        left = image[chosen] - np.sum(across * self.solved(across), axis=0)
         return np.asarray(model.scale / np.maximum(left, IGNORANCE * model.scale))
 
 
@@ -403,25 +405,25 @@ class SampledErrors(DenseErrors):
     @cached_property
     def _system(self) -> tuple[Linear, Linear]:
         """Product with A, and preconditioner M⁻¹ ≈ A⁻¹, for vectors over the free cells."""
-        model, whole, free = self.model, np.zeros(self.model.at.cell_resistance.size), self.model.free
+        model, cells, free = self.model, np.zeros(self.model.at.cell_resistance.size), self.model.free
 
         def product(search: Array) -> Array:
-            whole[free] = search
-            image = self._adjoint(self._forward(whole)) + self._rows.T @ (self._rows @ whole)
+            cells[free] = search
+            image = self._adjoint(self._forward(cells)) + self._rows.T @ (self._rows @ cells)
             return np.asarray(image[free] + model.scale * model.ignorance * search)
 
-        ridge, chosen = np.full(len(whole), IGNORANCE * model.scale), np.isin(np.arange(len(whole)), free)
+        ridge, chosen = np.full(len(cells), IGNORANCE * model.scale), np.isin(np.arange(len(cells)), free)
         return product, TwoLevel.of(self._curvature, ridge).over(chosen, model.at.cell_resistance)
 
     def determined(self, term: int) -> float:
         """Return γ of a term from probes; each term has an equal share of the rank of all penalties."""
-        every = min(rank(self.model.at.cost.unweighted), len(self.model.free))
-        return every / len(np.unique(self.model.penalty_term)) - self.used(term)
+        rank_of_penalties = min(rank(self.model.at.cost.unweighted), len(self.model.free))
+        return rank_of_penalties / len(np.unique(self.model.penalty_term)) - self.used(term)
 
     def used(self, term: int) -> float:
         """Return tr(A⁻¹ Z_tᵀ Ω Z_t) of a term (number), the mean of Σ ω (Z δ)²/s² over `draws`."""
-        own = self.model.penalty_term == term
-        squares = self.model.penalty_curvature[own, None] * self.draws[own] ** 2
+        of_term = self.model.penalty_term == term
+        squares = self.model.penalty_curvature[of_term, None] * self.draws[of_term] ** 2
         return float(np.sum(squares)) / (self.probes * self.model.scale)
 
     @cached_property
@@ -542,18 +544,20 @@ def active_bounds(errors: DenseErrors, rows: Array, known: Array) -> tuple[Array
     stacked = np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties]) * stretch
     moved = np.vstack([rows * data, -model.carried(known) * penalties])
     # Each cell at a bound alone: Schur complement, variance v, slope of −log density, and effect a of z.
-    own, inside = stacked[:, cells], stacked[:, free]
-    across = errors.inverse @ (inside.T @ own)
-    left = np.maximum(np.sum(own**2, axis=0) - np.sum((inside.T @ own) * across, axis=0), IGNORANCE * model.scale)
+    at_bounds, inside = stacked[:, cells], stacked[:, free]
+    across = errors.inverse @ (inside.T @ at_bounds)
+    left = np.maximum(
+        np.sum(at_bounds**2, axis=0) - np.sum((inside.T @ at_bounds) * across, axis=0), IGNORANCE * model.scale
+    )
     variance = model.scale / left
     slope = np.abs(model.gradient[cells]) * stretch[cells] / (2 * model.scale)
-    answer = ((own - inside @ across).T @ moved) / left[:, None]
+    answer = ((at_bounds - inside @ across).T @ moved) / left[:, None]
     # Cells whose bound z overcomes: solve again with the free ones.
     released = np.sqrt(np.sum(answer**2, axis=1)) > slope * variance
-    together = np.concatenate([free, cells[released]])
-    matrix = stacked[:, together].T @ stacked[:, together]
+    unbounded = np.concatenate([free, cells[released]])
+    matrix = stacked[:, unbounded].T @ stacked[:, unbounded]
     matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
-    joint = positive_inverse(matrix) @ (stacked[:, together].T @ moved)
+    joint = positive_inverse(matrix) @ (stacked[:, unbounded].T @ moved)
     answer[released] = joint[len(free) :]
     # 95 % quantile of the truncated normal distribution, converted to log r for open cells.
     wide = variance + np.sum(answer**2, axis=1)

@@ -48,12 +48,12 @@ class FrameNoise:
         if baseline:
             parts[0] = parts[0] / np.sqrt(self.unloaded)
         if self.effect_errors is not None:
-            each = [
+            fractions = [
                 self.effect_errors[int(number > 0 or not baseline)] * frame for number, frame in enumerate(measured)
             ]
             parts = [
                 np.column_stack([part, fraction.reshape(len(fraction), -1).T])
-                for part, fraction in zip(parts, each, strict=True)
+                for part, fraction in zip(parts, fractions, strict=True)
             ]
         return np.asarray(linalg.block_diag(*parts))
 
@@ -74,8 +74,8 @@ class FrameNoise:
         """Return the patterns of ripple in volt, (n, rows, columns): common to all lines, then of each line alone."""
         lines, channels = shape[::-1] if self.scene.circuit.by_columns else shape
         common = np.repeat(self.common_ripple.T[:, None, :], lines, axis=1)
-        own = np.zeros((lines, self.line_ripple.shape[1], lines, channels))
+        by_line = np.zeros((lines, self.line_ripple.shape[1], lines, channels))
         for line in range(lines):
-            own[line, :, line] = self.line_ripple.T
-        flat = np.concatenate([common.reshape(-1, lines * channels), own.reshape(-1, lines * channels)])
+            by_line[line, :, line] = self.line_ripple.T
+        flat = np.concatenate([common.reshape(-1, lines * channels), by_line.reshape(-1, lines * channels)])
         return in_panel_order(self.scene.circuit, flat, (len(flat), *shape))

@@ -17,8 +17,8 @@ def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
     """
     slope, variance = np.asarray(slope, dtype=float), np.asarray(variance, dtype=float)
     size = np.sqrt(variance)
-    away = slope * size
-    near = np.minimum(away, MAX_DEVIATIONS)
+    deviations = slope * size
+    near = np.minimum(deviations, MAX_DEVIATIONS)
     # With α = slope·√variance: log Φ(−α) is left beyond 0, and h = φ(α)/Φ(−α) is the inverse of Mills' ratio there.
     left = log_ndtr(-near)
     rate = np.exp(-0.5 * near**2 - 0.5 * np.log(2 * np.pi) - left)
@@ -26,7 +26,7 @@ def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
     deviation = size * np.sqrt(np.maximum(1 - rate * (rate - near), 0))
     quantile = size * (-near - ndtri_exp(np.log(1 - LEVEL) + left))
     # Far in the tail the density is exponential: sd = 1/slope, quantile −log(0.05)/slope.
-    far = away > MAX_DEVIATIONS
+    far = deviations > MAX_DEVIATIONS
     scale = 1 / np.where(far, slope, 1.0)
     return np.where(far, scale, deviation), np.where(far, -np.log(1 - LEVEL) * scale, quantile)
 

@@ -75,9 +75,9 @@ class LinearModel:
 
     def over_all(self, values: Array) -> Array:
         """Return values (free, …) of the free cells over all cells, (cells, …), with zeros elsewhere."""
-        whole = np.zeros((self.at.cell_resistance.size, *values.shape[1:]))
-        whole[self.free] = values
-        return whole
+        full = np.zeros((self.at.cell_resistance.size, *values.shape[1:]))
+        full[self.free] = values
+        return full
 
     @cached_property
     def _rooms(self) -> tuple[Array, Array]:

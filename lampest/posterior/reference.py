@@ -174,9 +174,11 @@ def references(solves: Sequence[Data], cost: Cost, *, believed: bool = False) ->
     tail = float(np.quantile(errors, LEVEL)) if len(errors) else 0.0
     frames, estimates = iter([fit.reference(best) for fit in tried[best]]), []
     for data in solves:
-        own = [next(frames) for _ in data.measured]
-        cells, deviation = (np.stack([getattr(each, name) for each in own]) for name in ("cells", "deviation"))
-        estimates.append(Reference(cells, deviation, block_diag(*(each.covariance for each in own))))
+        frames_of_data = [next(frames) for _ in data.measured]
+        cells, deviation = (
+            np.stack([getattr(estimate, name) for estimate in frames_of_data]) for name in ("cells", "deviation")
+        )
+        estimates.append(Reference(cells, deviation, block_diag(*(estimate.covariance for estimate in frames_of_data))))
     return ErrorScale(best, tail, len(errors), tuple(scales), tuple(bounds.tolist())), estimates
 
 
@@ -293,9 +295,9 @@ class ReferenceFit:
             previous, moved = fit.bound, fit.moved(square)
             if moved is None:
                 break
-            still = float(np.abs(moved.position - fit.position).max()) < MODEL.settled_step
+            converged = float(np.abs(moved.position - fit.position).max()) < MODEL.settled_step
             fit = moved
-            if still:
+            if converged:
                 break
         return fit
 
@@ -355,8 +357,8 @@ class ReferenceFit:
         if not held.any():
             return np.asarray(-covariance @ slope)
         free, change = np.flatnonzero(~held), np.zeros(len(slope))
-        whole = np.triu(matrix) + np.triu(matrix, 1).T
-        change[free] = -np.linalg.solve(whole[np.ix_(free, free)], slope[free])
+        symmetric = np.triu(matrix) + np.triu(matrix, 1).T
+        change[free] = -np.linalg.solve(symmetric[np.ix_(free, free)], slope[free])
         return change
 
     def moved(self, square: float) -> "ReferenceFit | None":

@@ -87,22 +87,22 @@ class Spectrum:
         Raises numpy.linalg.LinAlgError if the cost without this penalty is flat.
         """
         number = model.penalty_term[0] if number is None else number
-        size, own = np.sqrt(model.data_curvature), model.penalty_term == number
+        size, of_term = np.sqrt(model.data_curvature), model.penalty_term == number
         # A = R Rᵀ of the data, the other penalties and the prior precision
         jacobian = DenseErrors(model).jacobian * size[:, None]
         rows = model.penalty_jacobian.toarray()[:, model.free]
-        curvature = model.penalty_curvature[~own]
-        matrix = jacobian.T @ jacobian + (rows[~own].T * curvature) @ rows[~own]
+        curvature = model.penalty_curvature[~of_term]
+        matrix = jacobian.T @ jacobian + (rows[~of_term].T * curvature) @ rows[~of_term]
         matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
         factor, _ = cho_factor(matrix, lower=True)
         # R⁻¹ Zᵀ, with rows of Z weighted by √(½ρ'(x)/x)
-        loss, far = model.at.cost.terms[number].loss, model.penalty[own]
-        penalties = solve_triangular(factor, rows[own].T, lower=True)
+        loss, far = model.at.cost.terms[number].loss, model.penalty[of_term]
+        penalties = solve_triangular(factor, rows[of_term].T, lower=True)
         if loss.enters == "dual":
             noisy = solve_triangular(factor, jacobian.T * (size * model.noise), lower=True)
             far = np.sqrt(far**2 + np.sum((noisy.T @ penalties) ** 2) / len(far))
         weight = np.sqrt(loss.stiffness(far))
-        penalty, penalties = weight * model.penalty[own], weight * penalties
+        penalty, penalties = weight * model.penalty[of_term], weight * penalties
         # R⁻¹ Zᵀ Z R⁻ᵀ = Q diag(κ) Qᵀ, T = R⁻ᵀ Q
         stiffness, vectors = eigh(penalties @ penalties.T)
         basis = solve_triangular(factor, vectors, lower=True, trans="T")
@@ -114,7 +114,7 @@ class Spectrum:
             known = back @ covariance[np.ix_(model.free, model.free)] @ back.T
         return cls(
             np.maximum(stiffness, 0),
-            basis.T @ (rows[~own].T @ (curvature * model.penalty[~own])),
+            basis.T @ (rows[~of_term].T @ (curvature * model.penalty[~of_term])),
             vectors.T @ (penalties @ penalty),
             directions,
             float(penalty @ penalty),
@@ -199,9 +199,9 @@ def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]
     errors, weights = SampledErrors(model), list(model.at.weights)
     share = min(rank(model.at.cost.unweighted), len(model.free)) / len(np.unique(model.penalty_term))
     for number in open_terms:
-        own = model.penalty_term == number
-        residual = model.penalty[own]
-        magnitude = float(np.abs(residual[:, None] + errors.draws[own]).mean(axis=1).sum())
+        of_term = model.penalty_term == number
+        residual = model.penalty[of_term]
+        magnitude = float(np.abs(residual[:, None] + errors.draws[of_term]).mean(axis=1).sum())
         evidence = PenaltyEvidence(residual, magnitude, share, partial(errors.used, number))
         weights[number] = _weight(model, number, evidence)
     return weights
@@ -222,24 +222,25 @@ def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[flo
         inverse = positive_inverse(data + prior + IGNORANCE * model.scale * np.eye(len(data)))
         step = -inverse @ (slope + rows.T @ (curvature * model.penalty))
         # B⁺, by a regularised inverse of the penalties alone
-        alone = positive_inverse(prior + RIDGE * np.trace(prior) / len(prior) * np.eye(len(prior)))
+        prior_inverse = positive_inverse(prior + RIDGE * np.trace(prior) / len(prior) * np.eye(len(prior)))
         residual, before = model.penalty + rows @ step, weights
         weights = list(weights)
         for number in open_terms:
-            own = model.penalty_term == number
+            of_term = model.penalty_term == number
             # diag(Z A⁻¹ Zᵀ) and diag(Z B⁺ Zᵀ) over the rows of the term
             posterior, free = (
-                np.einsum("ij,jk,ik->i", rows[own], matrix, rows[own], optimize=True) for matrix in (inverse, alone)
+                np.einsum("ij,jk,ik->i", rows[of_term], matrix, rows[of_term], optimize=True)
+                for matrix in (inverse, prior_inverse)
             )
-            inside = curvature[own] > 0
-            mean = residual[own][inside]
+            inside = curvature[of_term] > 0
+            mean = residual[of_term][inside]
             size = np.sqrt(np.maximum(model.scale * posterior[inside], np.finfo(float).tiny))
             # E|x| of x ~ N(mean, size²): size·√(2/π)·exp(−mean²/(2 size²)) + mean·erf(mean/(√2 size))
             folded = size * np.sqrt(2 / np.pi) * np.exp(-0.5 * (mean / size) ** 2) + mean * erf(
                 mean / size / np.sqrt(2)
             )
             # tr(B⁺ B_t) and tr(A⁻¹ B_t)
-            count, used = (float(np.sum(curvature[own] * part)) for part in (free, posterior))
+            count, used = (float(np.sum(curvature[of_term] * part)) for part in (free, posterior))
             evidence = PenaltyEvidence(mean, float(folded.sum()), count, partial(float, used))
             weights[number] = _weight(model, number, evidence)
         if max(abs(np.log(weight / earlier)) for weight, earlier in zip(weights, before, strict=True)) < TOLERANCE:

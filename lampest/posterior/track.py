@@ -115,8 +115,8 @@ class Track:
         if baseline is not None:
             # Common parts: cov(a, b) = (var a + var b − var(a − b))/2. Whole errors: Σ a·b plus that in memory
             common = (common_variance(answer) + common_variance(resting) - common_variance(answer - resting)) / 2
-            together = np.sum(answer * resting, axis=1) + (0.0 if memory is None else memory.shared())
-            change = frame.less(baseline, together.reshape(shape), common.reshape(shape))
+            covariance = np.sum(answer * resting, axis=1) + (0.0 if memory is None else memory.shared())
+            change = frame.less(baseline, covariance.reshape(shape), common.reshape(shape))
         track = replace(
             self,
             baseline=baseline,
@@ -147,10 +147,10 @@ class Track:
 
     def _answered(self, errors: DenseErrors) -> tuple[Array, Certainty]:
         """Return the effect of shared errors on log r, (frames · cells, n), and the certainty including them."""
-        model, own = errors.model, errors.certainty
+        model, bars = errors.model, errors.certainty
         cells, measured = model.at.cell_resistance, model.at.data.measured
         if self.shared is None:
-            return np.zeros((cells.size, 0)), own
+            return np.zeros((cells.size, 0)), bars
         # U of every frame, and its effect on log r; cells at bounds are treated one by one.
         pairs = zip(model.at.networks, measured, strict=True)
         columns = np.concatenate([self.shared.columns(*pair) for pair in pairs])
@@ -158,13 +158,13 @@ class Track:
         answer, rows = np.zeros((cells.size, columns.shape[1])), np.asarray(model.through @ columns)
         if not isinstance(errors, SampledErrors) and (model.at_lower | model.at_upper).any():
             answer[model.free], held, below, above = active_bounds(errors, rows, known)
-            own = own.reaching(held, below, above)
+            bars = bars.reaching(held, below, above)
         else:
             answer[model.free] = errors.answer(rows, known)
         # r ≥ R: the bound has its reading's error
         read = model.at_lower & (model.at.data.lower == measured).ravel()
         answer[read] = columns[read] / measured.ravel()[read, None]
-        return answer, own.widened(answer)
+        return answer, bars.widened(answer)
 
 
 def beyond_tangents(

@@ -39,8 +39,8 @@ def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
     """Return a point of lower cost forward or backward along a direction (cells,) of u; None if none is found."""
     least, size = _certain_cost(at) - MIN_DECREASE_SHARE * at.cost_scale, float(np.abs(along).max(initial=0.0)) or 1.0
     lengths = [sign * length / size for length in STEP_LENGTHS for sign in (1.0, -1.0)]
-    beside = (moved_by(at, length * along) for length in lengths)
-    return next((point for point in beside if point is not None and _certain_cost(point) < least), None)
+    candidates = (moved_by(at, length * along) for length in lengths)
+    return next((point for point in candidates if point is not None and _certain_cost(point) < least), None)
 
 
 def _certain_cost(at: Evaluation) -> float:
@@ -83,10 +83,10 @@ def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
         return True
     through, networks = at.partials(np.clip(dual, -1, 1))[1], at.networks
     # Pull of a cell's own reading, J_cc·∂φ/∂y_c, and of all readings, Jᵀ·∂φ/∂y.
-    own = through * np.stack([network.own_response() for network in networks])
+    curvature = through * np.stack([network.own_response() for network in networks])
     pull = np.stack([network.adjoint(part) for network, part in zip(networks, through, strict=True)])
     borne = (pull * gradient > 0) & (np.abs(gradient) >= np.abs(pull) / 2)
-    return bool(np.any(held & missed & borne & (own * gradient > 0)))
+    return bool(np.any(held & missed & borne & (curvature * gradient > 0)))
 
 
 def _missed(at: Evaluation) -> NDArray[np.bool_]:

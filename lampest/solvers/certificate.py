@@ -142,16 +142,16 @@ def _of_reproduced(hessian: Hessian) -> Certificate | None:
     known, close = hessian.at.data.noise_known, float(np.abs(missed).max()) <= MAX_RELATIVE_MISFIT
     if len(reading) > (DENSE_CELLS if known else MAX_DENSE) or (known and not close):
         return None
-    sensitivity, every = hessian.at.networks[0].sensitivity() / reading[:, None], np.arange(len(reading))
+    sensitivity, cells = hessian.at.networks[0].sensitivity() / reading[:, None], np.arange(len(reading))
     _, _, step, singular = lapack.dgesv(sensitivity, -missed)
     if singular or not np.all(np.isfinite(step)):
-        return Certificate.of(hessian, Definiteness.UNDETERMINED, every, 0 * missed, np.inf) if close else None
-    inside = within_bounds(hessian.at, every, step)
+        return Certificate.of(hessian, Definiteness.UNDETERMINED, cells, 0 * missed, np.inf) if close else None
+    inside = within_bounds(hessian.at, cells, step)
     if not close and (float(np.abs(step).max()) > MAX_DISTANCE or not np.array_equal(inside, step)):
         return None
     # δ² = eᵀ (WY²) e with the weights W = ∂²φ/∂y² and the readings Y
     decrement = float(np.sqrt(np.sum(curvature * (missed * reading) ** 2)))
-    return Certificate.of(hessian, Definiteness.POSITIVE, every, step, decrement)
+    return Certificate.of(hessian, Definiteness.POSITIVE, cells, step, decrement)
 
 
 def _confirmed(
@@ -160,9 +160,9 @@ def _confirmed(
     """Return INDEFINITE only if the cost falls along the direction of the free cells; and the point where it does."""
     if definiteness is not Definiteness.INDEFINITE:
         return definiteness, None
-    whole = np.zeros(len(hessian.gradient))
-    whole[free] = along
-    lower = lower_along(hessian.at, whole)
+    direction = np.zeros(len(hessian.gradient))
+    direction[free] = along
+    lower = lower_along(hessian.at, direction)
     return (definiteness if lower is not None else Definiteness.UNDETERMINED), lower
 
 

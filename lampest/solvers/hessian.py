@@ -165,8 +165,8 @@ class Hessian:
         force = self.diagonal_of_terms * move if self._entries[0].alone else self.terms @ move
         through = self.adjoint(force[step.size :].reshape(cells.shape))
         # + N·p + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)·p
-        whole = cells.ravel() * force[: step.size] + through + np.concatenate([second.ravel() for second in seconds])
-        return np.asarray(whole + (self.direct - self.through) * step)
+        force_of = cells.ravel() * force[: step.size] + through + np.concatenate([second.ravel() for second in seconds])
+        return np.asarray(force_of + (self.direct - self.through) * step)
 
     def gauss_newton_product(self, step: Array) -> Array:
         """Return the product with the Gauss–Newton matrix, (JᵀWJ + PᵀKP)·p, flat."""

@@ -225,7 +225,7 @@ class Barrier:
         """Return the evaluation with cells put at each bound whose barrier curvature exceeds that of their reading."""
         data = self.at.data
         # In the conductance: z/(g − g_low) > W·(∂y/∂g)²
-        own = self.hessian.own.reshape(self.conductance.shape) / self.conductance**2
-        below, above = over(self.multipliers, self.distances) > own
+        curvature = self.hessian.own.reshape(self.conductance.shape) / self.conductance**2
+        below, above = over(self.multipliers, self.distances) > curvature
         cells = np.where(below, data.upper[0], self.at.cell_resistance[0])
         return self.at.elsewhere(np.where(above, data.lower[0], cells)[None])

@@ -140,7 +140,7 @@ class Nodal(Formulation):
         # Unknowns: Z_dd (upper half), Z_fd, and diag(Z_ff).
         half = casadi.SX.sym(f"{prefix}driven_driven", driven * (driven + 1) // 2)
         mixed = casadi.SX.sym(f"{prefix}far_driven", far * driven)
-        own = casadi.SX.sym(f"{prefix}far_far", far)
+        far_far = casadi.SX.sym(f"{prefix}far_far", far)
         near_potential = casadi.triu2symm(casadi.SX(casadi.Sparsity.upper(driven), half))
         far_potential = casadi.reshape(mixed, driven, far).T
 
@@ -148,18 +148,18 @@ class Nodal(Formulation):
         from_far, from_driven = current_balance(cells, far_potential, near_potential)
         from_far += tie_far @ far_potential
         from_driven += tie_driven @ near_potential - casadi.DM.eye(driven)
-        from_own, _ = current_balance(cells, casadi.diag(own), far_potential.T)
-        own_balance = casadi.diag(from_own + tie_far @ casadi.diag(own)) - 1
+        from_own, _ = current_balance(cells, casadi.diag(far_far), far_potential.T)
+        own_balance = casadi.diag(from_own + tie_far @ casadi.diag(far_far)) - 1
         lower = casadi.vertcat(*(from_driven[line, : line + 1].T for line in range(driven)))
 
         # Z_jj and Z_kk of every cell in the order (rows, columns) of the readout
-        of_far, of_driven = casadi.repmat(own, 1, driven), casadi.repmat(casadi.diag(near_potential).T, far, 1)
+        of_far, of_driven = casadi.repmat(far_far, 1, driven), casadi.repmat(casadi.diag(near_potential).T, far, 1)
         entries = [of_driven.T, of_far.T, far_potential.T] if swapped else [of_far, of_driven, far_potential]
         inner, outer = (1, scale) if readout.homogeneous else (scale, 1)
         reading = outer * readout.reading(*(inner * entry for entry in entries))
         reads_far, _ = _far_first(reads_own(readout, *conductance.shape), conductance.shape)
         return NetworkSymbols(
-            casadi.vertcat(half, mixed, *([own] if reads_far else [])),
+            casadi.vertcat(half, mixed, *([far_far] if reads_far else [])),
             casadi.vertcat(lower, casadi.vec(from_far.T), *([own_balance] if reads_far else [])),
             casadi.vec(reading.T),
         )
@@ -169,8 +169,8 @@ class Nodal(Formulation):
         impedance, shape = network.potentials(), network.conductance.shape
         far, driven = _far_first(np.split(np.arange(len(impedance)), [shape[0]]), shape)
         half = impedance[np.ix_(driven, driven)][np.tril_indices(len(driven))]
-        own = np.diag(impedance)[far if _far_first(reads_own(readout, *shape), shape)[0] else []]
-        return np.concatenate([half, impedance[np.ix_(far, driven)].ravel(), own])
+        far_far = np.diag(impedance)[far if _far_first(reads_own(readout, *shape), shape)[0] else []]
+        return np.concatenate([half, impedance[np.ix_(far, driven)].ravel(), far_far])
 
     def multipliers(self, readout: Readout, network: Network, tie: Array, slope: Array) -> Array:
         """Return λ of the lower half of S·Z_d = 1, then λ of the far lines; S = Z_d⁻¹ is the Schur complement.
@@ -183,11 +183,11 @@ class Nodal(Formulation):
         cells = network.conductance.T if shape[0] < shape[1] else network.conductance
         leaving = cells.sum(axis=1) + tie[far]
         rows, columns = np.tril_indices(len(driven))
-        half, mixed, own = np.split(slope, [len(rows), len(rows) + cells.size])
+        half, mixed, far_far = np.split(slope, [len(rows), len(rows) + cells.size])
         # F: slopes in Z_d, plus those in Z_fd and diag(Z_ff) through the balance of the far lines.
         through = mixed.reshape(cells.shape)
-        if len(own):
-            through = through + cells * (own / leaving)[:, None]
+        if len(far_far):
+            through = through + cells * (far_far / leaving)[:, None]
         slopes = (cells / leaving[:, None]).T @ through
         slopes[rows, columns] += half
         # Λ from H⁻¹ΛH = −(half of the diagonal, and the strict lower triangle, of HᵀFH)
@@ -197,7 +197,7 @@ class Nodal(Formulation):
         of_driven = np.linalg.solve(root.T, (root @ triangle).T).T
         # Multipliers of the far lines from the stationarity in Z_fd.
         of_far = (cells @ of_driven - through) / leaving[:, None]
-        return np.concatenate([of_driven[rows, columns], of_far.ravel(), -own / leaving[: len(own)]])
+        return np.concatenate([of_driven[rows, columns], of_far.ravel(), -far_far / leaving[: len(far_far)]])
 
 
 def _far_first(sides: Any, shape: tuple[int, ...]) -> Any:
@@ -313,16 +313,16 @@ class Program:
         weights = casadi.SX.sym("weights", len(cost.terms))
         parts = [lowered(group, split_scale) for group in program_groups(summands(cost.terms, pairs, weights))]
         objective = sum((part.objective for part in parts), casadi.SX(0))
-        nothing = casadi.SX(0, 1)
-        own = {"ties": tie, "weights": weights, "scale": scale, "cost_scale": cost_scale, "split_scale": split_scale}
+        empty = casadi.SX(0, 1)
+        more = {"ties": tie, "weights": weights, "scale": scale, "cost_scale": cost_scale, "split_scale": split_scale}
         return cls(
             casadi.vec(conductance),
             casadi.vertcat(*(network.potentials for network in networks)),
-            casadi.vertcat(nothing, *(side for part in parts for side in part.split)),
+            casadi.vertcat(empty, *(side for part in parts for side in part.split)),
             casadi.vertcat(*(network.balance for network in networks)),
-            casadi.vertcat(nothing, *(part.equation for part in parts if part.equation is not None)),
+            casadi.vertcat(empty, *(part.equation for part in parts if part.equation is not None)),
             objective / cost_scale,
-            dict(given.named()) | own,
+            dict(given.named()) | more,
         )
 
     def slope(self) -> casadi.Function:
@@ -411,9 +411,9 @@ class Ipopt:
             at.call(self.cost.functions.split) for at in (start, start.elsewhere(data.apparent_resistance))
         )
         split_scale = max(float(np.abs([split, apparent]).max(initial=0)), 1e-12)
-        own: dict[str, Any] = {"ties": data.ties.ravel() * scale, "weights": self.cost.weights}
-        own |= {"scale": scale, "cost_scale": start.cost_scale, "split_scale": split_scale}
-        values = data.flat | own
+        settings: dict[str, Any] = {"ties": data.ties.ravel() * scale, "weights": self.cost.weights}
+        settings |= {"scale": scale, "cost_scale": start.cost_scale, "split_scale": split_scale}
+        values = data.flat | settings
         parameters = np.concatenate([np.atleast_1d(values[name]) for name in self._built.parameters])
         x0 = self._start(start, scale, split / split_scale)
         # Smaller cells than `Readout.nearly_shorted` do not change any reading.

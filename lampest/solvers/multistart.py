@@ -71,8 +71,8 @@ def _lowest(solver: Solver, data: Data, previous: Array | None) -> Solution:
     for start in evaluable(solver.cost, data, places):
         # End after the number of starts, the time limit, or the iterations that a frame may spend on further starts.
         solved = best is not None and best.solved
-        enough = tried >= most or (requested is None and spent > MAX_SPENT)
-        if tried and (data.overdue or (solved and enough) or (requested is None and spent > MAX_UNSOLVED)):
+        done = tried >= most or (requested is None and spent > MAX_SPENT)
+        if tried and (data.overdue or (solved and done) or (requested is None and spent > MAX_UNSOLVED)):
             break
         solution, tried = solved_from(solver, start), tried + 1
         spent += solution.iterations

@@ -83,10 +83,10 @@ class Cholesky(Preconditioner):
 
         `least` is added to the unit diagonal of the scaled matrix.
         """
-        own = matrix.diagonal()
-        if not own.min() > 0:
+        pivots = matrix.diagonal()
+        if not pivots.min() > 0:
             return None
-        size = np.sqrt(own)
+        size = np.sqrt(pivots)
         unit = matrix / size
         unit /= size[:, None]
         unit.flat[:: len(size) + 1] += least
@@ -94,8 +94,8 @@ class Cholesky(Preconditioner):
         triangle, failed = lapack.dpotrf(unit.T, clean=0, overwrite_a=1)  # symmetric, and in LAPACK's order
         if failed or not np.isfinite(norm):
             return None
-        diagonal = np.full(cell_resistance.size, float(np.mean(own)))
-        diagonal[cells] = own
+        diagonal = np.full(cell_resistance.size, float(np.mean(pivots)))
+        diagonal[cells] = pivots
         return cls(cell_resistance, cells, triangle, size, diagonal, norm)
 
     def solve(self, values: Array) -> Array:
@@ -117,12 +117,12 @@ class Cholesky(Preconditioner):
         place = np.full(free.size, -1)
         place[self.cells] = np.arange(len(self.cells))
         known = place[chosen] >= 0
-        inner, outer, whole = place[chosen][known], 1 / self.diagonal[chosen], np.zeros(len(self.cells))
+        inner, outer, right = place[chosen][known], 1 / self.diagonal[chosen], np.zeros(len(self.cells))
 
         def solve(values: Array) -> Array:
-            whole[inner] = values[known]
+            right[inner] = values[known]
             solution = outer * values
-            solution[known] = self.solve(whole)[inner]
+            solution[known] = self.solve(right)[inner]
             return solution
 
         return solve
@@ -153,8 +153,8 @@ class TwoLevel(Preconditioner):
         inverse = sparse.diags_array(1 / cells.ravel())
 
         # T + diag(c) by ohm: the matrix in u = log r divided by r on both sides
-        def local(own: Array) -> sparse.csr_array:
-            added = sparse.diags_array(own if stiffness is None else own + stiffness)
+        def local(pivots: Array) -> sparse.csr_array:
+            added = sparse.diags_array(pivots if stiffness is None else pivots + stiffness)
             return sparse.csr_array(inverse @ (hessian.penalty_matrix + added) @ inverse)
 
         if len(cells) == 1:
@@ -248,13 +248,13 @@ class CoarseLines:
         added = square @ (mixed * length[:, None] * length) @ square
         if np.quantile(added.diagonal() / crossed.diagonal(), 0.75) < 1:
             return None
-        whole = crossed + added
+        coarse = crossed + added
         # Inverse of the matrix scaled to a unit diagonal, shifted because columns of V can coincide.
-        size = np.sqrt(np.maximum(np.abs(whole.diagonal()), 1e-300))
-        whole = whole / size[:, None] / size
-        whole.flat[:: len(whole) + 1] += SHIFTS[0]  # columns that are alike on even panels
+        size = np.sqrt(np.maximum(np.abs(coarse.diagonal()), 1e-300))
+        coarse = coarse / size[:, None] / size
+        coarse.flat[:: len(coarse) + 1] += SHIFTS[0]  # columns that are alike on even panels
         scale = 1 / (size * length)
-        inverse = np.linalg.inv(whole) * scale[:, None] * scale
+        inverse = np.linalg.inv(coarse) * scale[:, None] * scale
         return cls(local, along, mixed, (inverse + inverse.T) / 2)
 
     def solve(self, values: Array) -> Array:

@@ -75,8 +75,8 @@ class InverseHessians:
     def newton(self, panels: Numbers, gradient: Array) -> Array:
         """Return M⁻¹ g, (chosen panels, cells)."""
         if panels[-1] - panels[0] == len(panels) - 1:
-            together = self.inverse[panels[0] : panels[-1] + 1]
-            return np.asarray((together @ gradient[..., None])[..., 0])
+            inverses = self.inverse[panels[0] : panels[-1] + 1]
+            return np.asarray((inverses @ gradient[..., None])[..., 0])
         step = np.empty_like(gradient)
         for row, panel in enumerate(panels.tolist()):  # without a copy of their matrices
             np.matmul(self.inverse[panel], gradient[row], out=step[row])
@@ -152,8 +152,8 @@ def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settin
         Numbers of these panels in `inverses`.
     settings : Settings
     """
-    whole = points = Hessian(start, Smoothing(1.0, NO_DUAL))
-    ends, (count,) = whole.position.copy(), start.data.panels
+    begun = points = Hessian(start, Smoothing(1.0, NO_DUAL))
+    ends, (count,) = begun.position.copy(), start.data.panels
     solved, iterations = np.zeros(count, dtype=bool), np.zeros(count, dtype=np.int64)
     panels, secants = np.arange(count), Secants()
     for _ in range(min(MAX_STEPS, settings.max_iterations)):
@@ -185,7 +185,7 @@ def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settin
             ends[panels] = points.position
             points, panels, secants = points.some(np.flatnonzero(moved)), panels[moved], secants.some(moved)
     ends[panels] = points.position
-    return BatchOutcome(whole.elsewhere(ends), solved, iterations)
+    return BatchOutcome(begun.elsewhere(ends), solved, iterations)
 
 
 @dataclass(frozen=True, eq=False)

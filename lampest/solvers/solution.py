@@ -351,11 +351,11 @@ def solution_at(at: Evaluation, residual: float, outcome: Outcome, status: Statu
 
 def failure(cost: Cost, data: Data, status: Status, residual: float, outcome: Outcome) -> Solution:
     """Return a solution of NaN with a status, the KKT residual and the iterations of the outcome."""
-    nothing = blank(data.measured.shape, len(cost.terms), status)
-    return replace(nothing, kkt_residual=residual, iterations=outcome.iterations)
+    no_solution = blank(data.measured.shape, len(cost.terms), status)
+    return replace(no_solution, kkt_residual=residual, iterations=outcome.iterations)
 
 
 def blank(shape: tuple[int, ...], terms: int, status: Status) -> Solution:
     """Return a solution of NaN with a status where nothing was solved; shape (frames, rows, columns)."""
-    nothing, flags = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
-    return Solution(nothing, nothing, np.full(terms, np.nan), float("nan"), float("nan"), flags, flags, status, 0)
+    empty, flags = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
+    return Solution(empty, empty, np.full(terms, np.nan), float("nan"), float("nan"), flags, flags, status, 0)

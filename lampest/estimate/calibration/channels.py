@@ -96,31 +96,31 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     mean[:rows, 0], mean[rows:, 1] = 1 / rows, 1 / columns
     of_means = mean.T @ lines @ mean
     # mean variance of a channel against the mean of its side: (Σ var e − Σ_sides n var ē)/(lines − 2)
-    apart = float(np.sqrt((np.trace(lines) - np.diag(of_means) @ (rows, columns)) / (rows + columns - 2)))
+    spread = float(np.sqrt((np.trace(lines) - np.diag(of_means) @ (rows, columns)) / (rows + columns - 2)))
     # variance of the sum of both sides' means, less the part of independent channels
-    together = float(of_means.sum()) - apart**2 * (1 / rows + 1 / columns)
+    common = float(of_means.sum()) - spread**2 * (1 / rows + 1 / columns)
     sizes = replace(
         prior,
-        channel_spread_ohm=round(apart, DIGITS),
+        channel_spread_ohm=round(spread, DIGITS),
         reference_tolerance=round(float(np.sqrt(3) * deviation[0]), FRACTION_DIGITS),
-        series_ohm=round(float(np.sqrt(max(together, 0.0))), DIGITS) or None,
+        series_ohm=round(float(np.sqrt(max(common, 0.0))), DIGITS) or None,
     )
     summary = (
         f"reference {100 * errors[0]:+.2f} +- {100 * deviation[0]:.2f} %, channels off by "
-        f"{np.sqrt(np.mean(errors[1:] ** 2)):.2f} ohm rms and known to {apart:.2f} ohm beside their mean, "
+        f"{np.sqrt(np.mean(errors[1:] ** 2)):.2f} ohm rms and known to {spread:.2f} ohm beside their mean, "
         f"from {frames} frames"
     )
-    each = [f"{off:+.2f} +- {sd:.2f}" for off, sd in zip(errors[1:], deviation[1:], strict=True)]
-    sides = (("rows", each[:rows]), ("columns", each[rows:]))
+    texts = [f"{error:+.2f} +- {sd:.2f}" for error, sd in zip(errors[1:], deviation[1:], strict=True)]
+    sides = (("rows", texts[:rows]), ("columns", texts[rows:]))
     remarks = [f"{side} are off by {', '.join(offsets)} ohm" for side, offsets in sides]
     return ChannelCalibration(
         scene=_corrected(replace(scene, systematic=sizes), errors),
         summary=summary,
         remarks=(f"from {frames} frames; +- is one standard deviation", summary, *remarks),
-        warnings=() if apart < UNCHANGED * prior.channel_spread_ohm else (HARDLY,),
+        warnings=() if spread < UNCHANGED * prior.channel_spread_ohm else (HARDLY,),
         errors=errors,
         covariance=covariance,
-        apart=apart,
+        apart=spread,
         apart_before=prior.channel_spread_ohm,
         frames=frames,
     )
@@ -135,7 +135,7 @@ def _corrected(scene: Scene, errors: Array) -> Scene:
         return replace(scene, readout=_rounded(driven))
     known = scene.series_resistance_ohm
     both = (known.rows, known.columns) if isinstance(known, SeriesPerLine) else (known / 2, known / 2)
-    lines = (np.round(np.maximum(np.add(ohm, off), 0.0), DIGITS) for ohm, off in zip(both, more, strict=True))
+    lines = (np.round(np.maximum(np.add(ohm, offsets), 0.0), DIGITS) for ohm, offsets in zip(both, more, strict=True))
     series = SeriesPerLine(*(tuple(map(float, line)) for line in lines))
     return replace(scene, readout=_rounded(readout), series_resistance_ohm=series)
 
@@ -157,8 +157,8 @@ def _likelihoods(recording: Recording) -> list[tuple[Array, Array, int]]:
     noise, parts, method = Prepared(recording).noise, [], SmootherMethod()
     estimator = Estimator((Misfit(weighting="noise", loss=Student(corner=4.0)),), method, error_bars=False)
     stream = first_stream(recording, noise.readings, estimator, noise)
-    enough = np.flatnonzero(noise.readings.enough(recording.scene))
-    for block in np.array_split(enough, max(round(len(enough) / BLOCK), 1)):
+    usable = np.flatnonzero(noise.readings.enough(recording.scene))
+    for block in np.array_split(usable, max(round(len(usable) / BLOCK), 1)):
         with suppress(*BROKEN):
             if len(block) > 1:
                 joint = method.least_cost(stream, [noise.readings[frame] for frame in block])

@@ -127,16 +127,16 @@ class KnownLoads:
 
     def pressures(self, panel: Panel) -> tuple[Array, Array]:
         """Return the pressures of the loads and their standard deviations by position, (loads, rows, columns) kPa."""
-        away, patch = self.place_mm, patch_of(panel, self.patch_mm)
+        shift, patch = self.place_mm, patch_of(panel, self.patch_mm)
 
         def moved(*step: float) -> Array:
             return np.stack([load.pressure(panel, patch, *step) for load in self.loads])
 
         pressure = moved()
-        if not away:
+        if not shift:
             return pressure, np.zeros_like(pressure)
         # σ_p = √((Δp_x/2)² + (Δp_y/2)²), from displacements by ± place_mm
-        across, down = moved(away, 0.0) - moved(-away, 0.0), moved(0.0, away) - moved(0.0, -away)
+        across, down = moved(shift, 0.0) - moved(-shift, 0.0), moved(0.0, shift) - moved(0.0, -shift)
         return pressure, np.hypot(across, down) / 2
 
 

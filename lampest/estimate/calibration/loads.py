@@ -81,8 +81,8 @@ class Loaded:
     def falls(self) -> tuple[Array, Array]:
         """a, (loads, cells, pieces), and its standard deviation by the load's position."""
         on_film = self.pressure + self.water + np.array([0.0, 1.0, -1.0])[:, None, None] * self.pressure_sd
-        middle, more, less = _falls(on_film, self.base) - _falls(self.water, self.base)
-        return middle, (more - less) / 2
+        middle, upper, lower = _falls(on_film, self.base) - _falls(self.water, self.base)
+        return middle, (upper - lower) / 2
 
     def expected(self, fitted: "FittedResponse") -> tuple[Array, Array]:
         """Return x, the expected ln(r/r0), and the variance by the estimate and the load's position, (n,) each."""
@@ -98,8 +98,8 @@ class Loaded:
         """Return the residuals of a fit times the weight, (n,), and their Jacobian, (n, cells + pieces)."""
         parts = weight[:, None] * fitted.parts(self.falls[0])[self.felt]
         response = parts.sum(axis=1)
-        own = np.where(self.felt[1][:, None] == np.arange(len(fitted.gains)), response[:, None], 0.0)
-        return response - weight * self.change[self.felt], np.hstack([own, parts])
+        by_gain = np.where(self.felt[1][:, None] == np.arange(len(fitted.gains)), response[:, None], 0.0)
+        return response - weight * self.change[self.felt], np.hstack([by_gain, parts])
 
 
 def _falls(pressure: Array, base: Response) -> Array:
@@ -153,8 +153,8 @@ class FittedResponse:
         """Return κ over its mean and its relative standard deviation, scatter included, (cells,) each."""
         centred = np.eye(len(self.gains), len(self.state)) - self._mean
         # var(ln κ_i − mean ln κ) = (e_i − m)ᵀ P (e_i − m)
-        own = np.einsum("ij,jk,ik->i", centred, self.covariance, centred)
-        return np.exp(centred @ self.state), np.sqrt(own + self.scatter**2)
+        variance = np.einsum("ij,jk,ik->i", centred, self.covariance, centred)
+        return np.exp(centred @ self.state), np.sqrt(variance + self.scatter**2)
 
     def curve(self, pressure: Array, base: Response = PUBLISHED) -> tuple[Array, Array]:
         """Return ln f and its relative standard deviation at nonzero pressures (n,) kPa."""
@@ -226,11 +226,11 @@ def deviations_from_others(loaded: Loaded, fitted: FittedResponse) -> Array:
     deviations, (load, cell) = np.full(len(loaded.change), np.nan), loaded.felt
     residual, slopes = loaded.rows(fitted, loaded.weight(fitted))
     for number, change in enumerate(loaded.change):
-        own = load == number
-        gain = fitted.covariance @ slopes[own].T
-        step = gain @ np.linalg.solve(np.eye(own.sum()) - slopes[own] @ gain, residual[own])
+        of_load = load == number
+        gain = fitted.covariance @ slopes[of_load].T
+        step = gain @ np.linalg.solve(np.eye(of_load.sum()) - slopes[of_load] @ gain, residual[of_load])
         expected = replace(fitted, state=fitted.state + step).parts(loaded.falls[0][number]).sum(axis=1)
-        elsewhere = np.isin(np.arange(len(change)), cell[~own])
+        elsewhere = np.isin(np.arange(len(change)), cell[~of_load])
         cells = elsewhere & (loaded.pressure[number] != 0) & (change * expected > 0)
         if cells.any():
             place = loaded.pressure_sd[number] / np.where(cells, np.abs(loaded.pressure[number]), 1.0)
@@ -305,14 +305,16 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     place = _places([recording.name for recording in recordings], loads)
     (change, sd), within = np.empty((2, len(loads), *scene.panel.shape)), np.empty(len(loads))
     for index in np.unique(place):
-        own = np.flatnonzero(place == index)
-        change[own], sd[own], within[own] = _responses(recordings[index], [loads[number] for number in own])
+        own_loads = np.flatnonzero(place == index)
+        change[own_loads], sd[own_loads], within[own_loads] = _responses(
+            recordings[index], [loads[number] for number in own_loads]
+        )
     pressure, pressure_sd = known.pressures(scene.panel)
-    felt, together = pressure != 0, _together(loads, place)
+    felt, simultaneous = pressure != 0, _together(loads, place)
     for number in np.flatnonzero(~felt.any(axis=(1, 2))):
         raise InputError(f"load {number + 1}: its foot misses the film of every cell")
     common = np.any(felt[:, None] & felt, axis=(2, 3))
-    for first, second in 1 + np.argwhere(np.triu(together & common, 1)):
+    for first, second in 1 + np.argwhere(np.triu(simultaneous & common, 1)):
         raise InputError(f"loads {first} and {second} lie on the same cells in the same frames: give one line")
     # The fit, and doubts about its loads.
     base, water = scene.response or PUBLISHED, water_pressure(scene.panel, scene.water)
@@ -335,7 +337,7 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
         "{} answers otherwise than the others let expect: is its weight right?": _odd_loads(loaded, fitted),
         "readings change within the frames of {}: were they put on or taken off then?": within > CHANGED,
         "cells beside the foot of {} answer as those under it: are places, frames and diameter_mm right?": (
-            _beside(change, felt, pressure_sd, together) > BESIDE
+            _beside(change, felt, pressure_sd, simultaneous) > BESIDE
         ),
     }
     doubts = [_unlike_first_guess(fitted, pressure, base)]
@@ -394,7 +396,7 @@ def _unlike_first_guess(fitted: FittedResponse, pressure: Array, base: Response)
     return f"at {middle[0]:.3g} kPa the film answers {times} than the first guess: {UNITS}"
 
 
-def _beside(change: Array, felt: NDArray[np.bool_], pressure_sd: Array, together: NDArray[np.bool_]) -> Array:
+def _beside(change: Array, felt: NDArray[np.bool_], pressure_sd: Array, simultaneous: NDArray[np.bool_]) -> Array:
     """Return the ratio of the largest response beside each foot to the median under it, (loads,); 0 without cells.
 
     Parameters
@@ -409,11 +411,11 @@ def _beside(change: Array, felt: NDArray[np.bool_], pressure_sd: Array, together
         Whether two loads lie on the panel at the same time.
     """
     ratio = np.zeros(len(change))
-    for number, same in enumerate(together):
-        beside = (~felt[same] & (pressure_sd[same] == 0)).all(axis=0)
+    for number, same in enumerate(simultaneous):
+        free = (~felt[same] & (pressure_sd[same] == 0)).all(axis=0)
         under = np.nanmedian(np.abs(change[number][felt[number]]))
-        if beside.any() and under > 0:
-            ratio[number] = float(np.nanmax(np.abs(change[number][beside]))) / under
+        if free.any() and under > 0:
+            ratio[number] = float(np.nanmax(np.abs(change[number][free]))) / under
     return ratio
 
 

@@ -83,8 +83,8 @@ class CircuitNumber:
     @property
     def label(self) -> str:
         """The number in words, such as 'drive resistance 70.700 ± 0.300 ohm'."""
-        plain = f"{self.number.name.removesuffix('_ohm').removesuffix('_resistance')} resistance"
-        name, *_ = EXPECTED.get(self.number.name, (plain,))
+        usual = f"{self.number.name.removesuffix('_ohm').removesuffix('_resistance')} resistance"
+        name, *_ = EXPECTED.get(self.number.name, (usual,))
         return f"{name} {self.value:.3f} ± {self.sigma:.3f} {self.number.unit}"
 
     def remarks(self, readings: int) -> list[str]:
@@ -98,10 +98,10 @@ class CircuitNumber:
         digits, unit = (FRACTION_DIGITS, "") if self.number == MEMORY else (DIGITS, f" {self.number.unit}")
         value = f"{self.value:.{digits}f} +- {self.sigma:.{digits}f}{unit}"
         remarks = [f"{self.number.name}: {value} (one standard deviation), from {readings} readings"]
-        for side, off, sigma in self.lines if self.differ else ():
-            pairs = zip(off, sigma, strict=True)
-            each = ("not measured" if np.isnan(ohm) else f"{ohm:+.2f} +- {sd:.2f}" for ohm, sd in pairs)
-            remarks.append(f"{side} differ from the mean by {', '.join(each)} ohm")
+        for side, offset, sigma in self.lines if self.differ else ():
+            pairs = zip(offset, sigma, strict=True)
+            texts = ("not measured" if np.isnan(ohm) else f"{ohm:+.2f} +- {sd:.2f}" for ohm, sd in pairs)
+            remarks.append(f"{side} differ from the mean by {', '.join(texts)} ohm")
         if self.differ and len(self.lines) > 1:
             remarks.append("rows and columns share their common part evenly, because only their sums are read")
         return remarks
@@ -175,18 +175,18 @@ def noise_of(trials: Sequence[Trial]) -> float | tuple[float, ...] | None:
     Lines with fewer than MIN_REPEATS repeats have the mean; None where all lines have fewer.
     """
     counts = np.array([trial.repeats for trial in trials])
-    each = np.average([trial.noise_lsb**2 for trial in trials], axis=0, weights=counts + 1e-9)
+    variances = np.average([trial.noise_lsb**2 for trial in trials], axis=0, weights=counts + 1e-9)
     repeats = counts.sum(axis=0)
-    enough = repeats >= MIN_REPEATS
-    if not enough.any():
+    repeated = repeats >= MIN_REPEATS
+    if not repeated.any():
         return None
-    mean = float(np.average(each[enough], weights=repeats[enough]))
+    mean = float(np.average(variances[repeated], weights=repeats[repeated]))
     quantisation = 1 / 12  # LSB²: variances below it are equal in effect
-    off = np.abs(np.log((each[enough] + quantisation) / (mean + quantisation)))
+    deviation = np.abs(np.log((variances[repeated] + quantisation) / (mean + quantisation)))
     # ln of a variance from n repeats has the standard deviation √(2/n)
-    if np.all(off < SIGNIFICANT * np.sqrt(2 / repeats[enough])):
+    if np.all(deviation < SIGNIFICANT * np.sqrt(2 / repeats[repeated])):
         return round(float(np.sqrt(mean)), DIGITS)
-    return tuple(round(float(variance) ** 0.5, DIGITS) for variance in np.where(enough, each, mean))
+    return tuple(round(float(variance) ** 0.5, DIGITS) for variance in np.where(repeated, variances, mean))
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,18 +288,18 @@ class Problem:
         channels: list[Array] = [np.zeros(lines) for lines in self.scene.panel.shape]
         known, volts = dict[str, Any](), (self.scene.circuit.lsb_volt, self.scene.circuit.full_scale_volt)
         for unknown in self.unknowns:
-            common, off = unknown.values(unknowns)
-            if unknown.number.in_scene and off:
-                channels = [common / len(off) + ohm for ohm in off]
+            common, offsets = unknown.values(unknowns)
+            if unknown.number.in_scene and offsets:
+                channels = [common / len(offsets) + ohm for ohm in offsets]
             else:
                 # ln(1 + exp R) equals R from a few ohm on, is positive, and has a nonzero derivative everywhere.
-                each = np.logaddexp(0, common + off[0]) if off else np.array(common)
-                limits = {"1": (0.0, 0.9), "volt": volts, "ohm": (SHORT_OHM if off else 0.0, MAX_OHM)}
-                limited = np.clip(each, *limits[unknown.number.unit]).tolist()
-                known[scene_key(unknown.number)] = tuple(limited) if off else limited
+                numbers = np.logaddexp(0, common + offsets[0]) if offsets else np.array(common)
+                limits = {"1": (0.0, 0.9), "volt": volts, "ohm": (SHORT_OHM if offsets else 0.0, MAX_OHM)}
+                limited = np.clip(numbers, *limits[unknown.number.unit]).tolist()
+                known[scene_key(unknown.number)] = tuple(limited) if offsets else limited
         # Contacts and faults belong to the panel, which is unplugged.
-        panel, plain, memory = self.scene.panel, self.scene.readout, self.scene.converter_memory
-        scene: Scene = with_numbers(Scene(panel, plain, lines=self.scene.lines, converter_memory=memory), known)
+        panel, converter, memory = self.scene.panel, self.scene.readout, self.scene.converter_memory
+        scene: Scene = with_numbers(Scene(panel, converter, lines=self.scene.lines, converter_memory=memory), known)
         readout = scene.circuit
         volt = readout.off_by(reference_off).volt_from_recorded(readout.simulated(cells, scene, *channels))
         return with_memory(readout, scene.converter_memory, volt) if scene.converter_memory else volt
@@ -342,10 +342,10 @@ class Problem:
         at, names = self.expected(unknowns), dict.fromkeys(name for trial in self.trials for name in trial.resistors)
         moved = [*(self.expected(unknowns, name) for name in names), self.expected(unknowns, reference=STEP)]
         # ∂V/∂ln R by forward differences, times tolerance/√3, the standard deviation of a uniform error
-        off = self.tolerance / np.sqrt(3) / STEP * (np.stack(moved, axis=1) - at[:, None])
+        tolerances = self.tolerance / np.sqrt(3) / STEP * (np.stack(moved, axis=1) - at[:, None])
         sigma = np.concatenate([trial.sigma_volt[trial.used] for trial in self.trials])
-        own = own_lsb * self.scene.circuit.lsb_volt
-        return np.asarray(np.diag(sigma**2 + own**2) + off @ off.T)
+        noise = own_lsb * self.scene.circuit.lsb_volt
+        return np.asarray(np.diag(sigma**2 + noise**2) + tolerances @ tolerances.T)
 
     def squares(self, root: Array, unknowns: Array) -> SumOfSquares:
         """Return (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² about θ, given the Cholesky factor `root` of C."""
@@ -412,8 +412,8 @@ def _fit(problem: Problem) -> CircuitFit:
         method = LevenbergMarquardt(25, settled)
         unknowns, squares = method.minimum(partial(problem.squares, root), unknowns, (least, np.inf))
     # The converter's own error: integral nonlinearity of 0.5 LSB, by the data sheet of the ATmega2560.
-    residual, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, 0.5)
-    weighted = solve_triangular(np.linalg.cholesky(whole), residual, lower=True)
+    residual, spread = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, 0.5)
+    weighted = solve_triangular(np.linalg.cholesky(spread), residual, lower=True)
     # A reading counts as a value unless both the measurement and its expectation lie at a rail.
     inside = [within_rails(problem.scene.circuit, volt) for volt in (problem.measured, problem.expected(unknowns))]
     values = int(np.sum(inside[0] | inside[1]))
@@ -421,7 +421,7 @@ def _fit(problem: Problem) -> CircuitFit:
     # (JᵀJ)⁻¹ = V S⁻² Vᵀ of J = U S Vᵀ, with a very large variance in the null space of J.
     _, singular, right = np.linalg.svd(squares.jacobian, full_matrices=False)
     inverse = right / np.maximum(singular, np.sqrt(np.finfo(float).eps) * singular[0])[:, None]
-    sigma = np.sqrt(np.diag(whole))
+    sigma = np.sqrt(np.diag(spread))
     return CircuitFit(problem, unknowns, inverse.T @ inverse, chi_square, values - commons, residual, sigma, values)
 
 
@@ -433,7 +433,7 @@ def _estimated(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
     def values(unknowns: Array) -> Array:
         """Return the mean over measured lines, then the lines' offsets from it."""
         common, offsets = unknown.values(unknowns)
-        means = [off[known].mean() for off, known in zip(offsets, measured.values(), strict=True)]
+        means = [offset[known].mean() for offset, known in zip(offsets, measured.values(), strict=True)]
         return np.concatenate([[common + sum(means)], *map(np.subtract, offsets, means)])
 
     at, slopes = values(fit.unknowns), forward_differences(values, fit.unknowns)
@@ -442,7 +442,8 @@ def _estimated(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
     ends = np.cumsum([1, *(len(lines) for lines in measured.values())])[:-1]
     parts = zip(measured.items(), np.split(at, ends)[1:], np.split(sigma, ends)[1:], strict=True)
     offsets = tuple(
-        LineOffsets(side, np.where(known, off, np.nan), np.where(known, sd, np.nan)) for (side, known), off, sd in parts
+        LineOffsets(side, np.where(known, offset, np.nan), np.where(known, sd, np.nan))
+        for (side, known), offset, sd in parts
     )
     number = CircuitNumber(unknown.number, float(at[0]), float(sigma[0]), offsets)
     _check_number(f"{trials[0].name}: no calibration: ", number, unknown.specified)
@@ -471,15 +472,15 @@ def _check_fit(fit: CircuitFit) -> None:
     # σ itself is estimated from a finite number of repeats, so χ²/freedom follows Fisher's F distribution.
     freedom, repeated = max(fit.freedom, 1), sum(BELIEF + trial.repeats.sum() for trial in trials)
     if fdtrc(freedom, repeated, fit.chi_square / freedom) < 1e-7:  # of good calibrations may be refused
-        off = np.abs(fit.residual) / fit.sigma
-        index = int(off.argmax())
+        deviation = np.abs(fit.residual) / fit.sigma
+        index = int(deviation.argmax())
         names = [trial.name for trial in trials for _ in range(trial.used.sum())]
         row, column = np.concatenate([np.argwhere(trial.used) for trial in trials])[index]
         measured = fit.problem.measured[index]
         raise InputError(
             f"{names[index]}: no calibration: row {row}, column {column} reads {spoken(measured)}, but behind the "
             f"circuit that fits best the known resistors give {spoken(measured - fit.residual[index])}; noise and "
-            f"tolerances explain {100 * np.mean(off < 3):.0f} % of the readings"
+            f"tolerances explain {100 * np.mean(deviation < 3):.0f} % of the readings"
         )
 
 
@@ -495,8 +496,8 @@ def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None
         The scene's value.
     """
     number, channels = estimate.number, len(estimate.lines)
-    *_, enough = EXPECTED.get(number.name, (WORST_OHM - TYPICAL_OHM if number.channel else 0.0,))
-    if estimate.sigma > max(enough, 0.3 * estimate.value):
+    *_, expected = EXPECTED.get(number.name, (WORST_OHM - TYPICAL_OHM if number.channel else 0.0,))
+    if estimate.sigma > max(expected, 0.3 * estimate.value):
         raise InputError(
             f"{where}the readings do not tell {number.name} ({estimate.value:.4g} ± {estimate.sigma:.2g} "
             f"{number.unit}); known resistors of different values, on more lines, do"
@@ -510,12 +511,12 @@ def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None
             f"channels have at worst; were the known resistors in place of the panel, and are their values right?"
         )
     most = max(WORST_OHM - BEST_OHM if number.channel else 0.0, 4 * RESISTOR_TOLERANCE * estimate.value)
-    for side, off, sigma in estimate.lines:
-        high, low = int(np.nanargmax(off)), int(np.nanargmin(off))
-        apart = float(off[high] - off[low])
-        if apart - SIGNIFICANT * np.hypot(sigma[high], sigma[low]) > most:
+    for side, offset, sigma in estimate.lines:
+        high, low = int(np.nanargmax(offset)), int(np.nanargmin(offset))
+        difference = float(offset[high] - offset[low])
+        if difference - SIGNIFICANT * np.hypot(sigma[high], sigma[low]) > most:
             raise InputError(
-                f"{where}{number.name} of {side} {high} and {low} would differ by {apart:.4g} ohm, and at most "
+                f"{where}{number.name} of {side} {high} and {low} would differ by {difference:.4g} ohm, and at most "
                 f"{most:.4g} ohm is likely ({PLAUSIBLE_RANGE[number.channel]})"
             )
 
@@ -531,8 +532,8 @@ def _with_estimates(scene: Scene, numbers: Sequence[CircuitNumber], noise: float
         value: Any = round(max(estimate.value, 0.0), digits)
         if estimate.differ:
             share = estimate.value / len(estimate.lines)
-            each = [np.maximum(share + np.nan_to_num(off), 0.0).tolist() for _, off, _ in estimate.lines]
-            lines = [tuple(round(ohm, digits) for ohm in side) for side in each]
+            sides = [np.maximum(share + np.nan_to_num(offset), 0.0).tolist() for _, offset, _ in estimate.lines]
+            lines = [tuple(round(ohm, digits) for ohm in side) for side in sides]
             value = SeriesPerLine(*lines) if number.in_scene else lines[0]
         scene = with_numbers(scene, {scene_key(number): value})
     return scene

@@ -84,8 +84,8 @@ class LinearisedMethod(Method):
 
     def begin(self, state: AnyState) -> AnyState:
         """Return the state with its baseline and the factor of H_b; without a factor where the baseline failed."""
-        alone, reduced = state.without_comparisons(), OptimalMethod("reduced")
-        start = state.with_baseline(reduced.solve(alone, *reduced.given(alone, state.resting)))
+        absolute, reduced = state.without_comparisons(), OptimalMethod("reduced")
+        start = state.with_baseline(reduced.solve(absolute, *reduced.given(absolute, state.resting)))
         if start.previous is None:
             return start
         objective = state.estimator

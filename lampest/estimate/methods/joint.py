@@ -107,8 +107,8 @@ class Joint:
             drawn[:resting] *= np.sqrt(resting / noise.unloaded)
         lasting = np.median(np.stack([alone[:-2], alone[1:-1], alone[2:]]), axis=0)
         start = np.pad(np.concatenate([alone[:1], lasting, alone[-1:]]), ((0, 0), (0, drawn.shape[2])))
-        nothing, steps = np.zeros((count, size, 0)), np.zeros(count - 1)
-        joint = cls(tuple(cost), tuple(data), errors, alone, drawn, nothing, start, steps, np.zeros((count - 1, size)))
+        border, steps = np.zeros((count, size, 0)), np.zeros(count - 1)
+        joint = cls(tuple(cost), tuple(data), errors, alone, drawn, border, start, steps, np.zeros((count - 1, size)))
         return replace(joint, position=np.clip(start, *joint.bounds)).sharing()
 
     def sharing(self) -> "Joint":
@@ -237,15 +237,15 @@ class Joint:
     def _weighted(self, columns: Iterable[Array]) -> list[Array]:
         """Return √ω ∂x/∂f U of every frame (rows, n), for changes U of its readings (readings, n)."""
         parts = zip(self.models, self._sizes, columns, strict=True)
-        return [np.asarray(model.through @ own) * size[:, None] for model, size, own in parts]
+        return [np.asarray(model.through @ moved) * size[:, None] for model, size, moved in parts]
 
     @cached_property
     def _sizes(self) -> list[Array]:
         """√ω of every frame's residuals: ω is the loss's curvature, or where that is not positive, its IRLS weight."""
         loss, x = self.cost[0].terms[0].loss, [model.residual for model in self.models]
-        every = np.concatenate(x)
-        curvature = loss.curvature(every)
-        size = np.sqrt(np.where(curvature > 0, curvature, loss.stiffness(every)))
+        differences = np.concatenate(x)
+        curvature = loss.curvature(differences)
+        size = np.sqrt(np.where(curvature > 0, curvature, loss.stiffness(differences)))
         return np.split(size, np.cumsum([len(rows) for rows in x])[:-1])
 
     @cached_property
@@ -254,10 +254,10 @@ class Joint:
         free, count, sharing, cells = ~self.pressed, len(self.position), self._sharing, self.cells
         prior = np.pad(self.ties + IGNORANCE, ((0, 0), (0, self.drawn.shape[2])), constant_values=1.0)
         # Diagonal blocks A_t = J̃ᵀ J̃ + ties + ε over the free unknowns, 1 for the fixed ones.
-        own = np.stack([rows.T @ rows for rows in self.sensitivities])
-        own *= free[:, :, None] & free[:, None, :]
-        across = np.arange(own.shape[1])
-        own[:, across, across] = np.where(free, own[:, across, across] + prior, 1.0)
+        blocks = np.stack([rows.T @ rows for rows in self.sensitivities])
+        blocks *= free[:, :, None] & free[:, None, :]
+        across = np.arange(blocks.shape[1])
+        blocks[:, across, across] = np.where(free, blocks[:, across, across] + prior, 1.0)
         # Border: ∂²Φ/∂u∂z = J̃ᵀ Ũ and ∂²Φ/∂u∂c = ±λ; corner: prior of z and c, Ũᵀ Ũ and Σ λ.
         border, corner = np.zeros((*self.position.shape, len(self.shift))), np.diag(self.certainty)
         border[:, :, :sharing], corner[:sharing, :sharing] = self._bordered(self.shared)
@@ -267,9 +267,9 @@ class Joint:
         border[step + 1, :cells, sharing + step] = -self.stiffness
         corner[sharing + step, sharing + step] += self.stiffness.sum(axis=1)
         # Off-diagonal blocks −Λ, diagonal over the cells that are free in both frames.
-        tie = np.zeros((count - 1, own.shape[1]))
+        tie = np.zeros((count - 1, blocks.shape[1]))
         tie[:, :cells] = self.stiffness * (free[1:] & free[:-1])[:, :cells]
-        return Chain(own, tie, border * free[:, :, None], corner)
+        return Chain(blocks, tie, border * free[:, :, None], corner)
 
     def _bordered(self, columns: Array) -> tuple[Array, Array]:
         """Return the parts J̃ᵀ Ẽ (frames, cells + n, m) and Σ_t Ũᵀ Ẽ (n, m) of the Hessian.
@@ -281,7 +281,7 @@ class Joint:
         """
         moved = self._weighted(columns)
         border, corner = (
-            np.stack([rows.T @ own for rows, own in zip(unknowns, moved, strict=True)])
+            np.stack([rows.T @ right for rows, right in zip(unknowns, moved, strict=True)])
             for unknowns in (self.sensitivities, self._weighted(self.shared))
         )
         return border, corner.sum(axis=0)
@@ -305,10 +305,10 @@ class Joint:
 
     def expected_squares(self) -> Array:
         """Return E x² of the steps, (frames − 1, cells)."""
-        less = np.zeros((len(self.stiffness), len(self.shift)))
-        less[:, self._sharing :] = np.eye(len(self.stiffness))
+        shifted = np.zeros((len(self.stiffness), len(self.shift)))
+        shifted[:, self._sharing :] = np.eye(len(self.stiffness))
         # E x² = x² + var(u_{t+1} − u_t − c_t)
-        return np.asarray(self.steps**2 + self.chain.step_variance(less)[:, : self.cells])
+        return np.asarray(self.steps**2 + self.chain.step_variance(shifted)[:, : self.cells])
 
     def newton(self) -> tuple[Array, Array]:
         """Return the Gauss-Newton step of (u, w), (frames, cells + n), and of (z, c)."""
@@ -331,19 +331,19 @@ class Joint:
         stiffness : array, shape (frames − 1, cells)
             λ with which the cells near loads are free.
         """
-        count, alone = self._sharing, replace(self, stiffness=stiffness)
-        covariance, without = (problem.chain.border_covariance[:count, :count] for problem in (self, alone))
-        shift, shift_alone = (self.shift[:count] + problem.newton()[1][:count] for problem in (self, alone))
-        expected, apart = float(np.trace(without - covariance)), float(np.sum((shift_alone - shift) ** 2))
-        if apart <= expected:
+        count, unlinked = self._sharing, replace(self, stiffness=stiffness)
+        covariance, without = (problem.chain.border_covariance[:count, :count] for problem in (self, unlinked))
+        shift, shift_alone = (self.shift[:count] + problem.newton()[1][:count] for problem in (self, unlinked))
+        expected, squares = float(np.trace(without - covariance)), float(np.sum((shift_alone - shift) ** 2))
+        if squares <= expected:
             return self
-        precision, less = (positive_inverse(matrix) for matrix in (covariance, without))
+        precision, prior_precision = (positive_inverse(matrix) for matrix in (covariance, without))
         # precision = share · C⁻¹ + (1 − share) · C'⁻¹, and ẑ is the mean weighted by these precisions
-        ratio, between = apart / expected, without - covariance
+        ratio, between = squares / expected, without - covariance
         share = (ratio * np.exp(1 - ratio)) ** (expected**2 / np.sum(between**2) / 2)
         believed, pull = (
             share * first + (1 - share) * second
-            for first, second in ((precision, less), (precision @ shift, less @ shift_alone))
+            for first, second in ((precision, prior_precision), (precision @ shift, prior_precision @ shift_alone))
         )
         return replace(self, held=(np.linalg.solve(believed, pull), believed))
 
@@ -404,24 +404,24 @@ def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
     """
     cells = slice(joint.cells)
     model = TiedModel(joint.at[frame], NO_DUAL, 2 * joint.gradient[frame, cells])
-    whole, rows = chain.covariance(frame), joint.sensitivities[frame][:, cells]
-    covariance, free, tie = whole[cells, cells], model.free, joint.ties[frame]
+    posterior, rows = chain.covariance(frame), joint.sensitivities[frame][:, cells]
+    covariance, free, tie = posterior[cells, cells], model.free, joint.ties[frame]
 
     def released(cells: NDArray[np.intp]) -> Array:
         """Return the variance of cells at a bound if each alone were released; neighbouring frames count as known."""
         across = rows[:, free].T @ rows[:, cells]
-        alone = np.sum(rows[:, cells] ** 2, axis=0) + tie[cells]
+        precision = np.sum(rows[:, cells] ** 2, axis=0) + tie[cells]
         # Schur complement: a_ii − a_iᵀ P a_i over the free cells
         taken = np.einsum("fi,fg,gi->i", across, covariance[np.ix_(free, free)], across, optimize=True)
-        return np.asarray(1 / np.maximum(alone - taken, IGNORANCE))
+        return np.asarray(1 / np.maximum(precision - taken, IGNORANCE))
 
     # diag(P J̃ᵀ J̃), the diagonal of the averaging kernel
     followed = np.einsum("ij,ri,rj->i", covariance, rows, rows, optimize=True)
     shares, variance = (followed[free], np.ones(len(free))), np.diag(covariance)
-    across = whole[cells, joint.cells :]
+    across = posterior[cells, joint.cells :]
     # variance of u that w explains: P_uw P_ww⁻¹ P_wu
-    together = np.sum(across @ np.linalg.inv(whole[joint.cells :, joint.cells :]) * across, axis=1)
-    shared = np.minimum(chain.shared_variance(frame)[cells] + together, variance)
+    inherited = np.sum(across @ np.linalg.inv(posterior[joint.cells :, joint.cells :]) * across, axis=1)
+    shared = np.minimum(chain.shared_variance(frame)[cells] + inherited, variance)
     return Certainty.of(model, (variance[free], shared[free]), shares, released)
 
 
@@ -442,7 +442,7 @@ def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tupl
     certainties = (_certainty(joint, chain, t).widened(answer[t]).of_frame(0) for t in numbers)
     baseline, *certainty = (certainty_.by_conductance() for certainty_ in certainties)
     # cov(u_t, u_baseline) of each cell, for the variance of changes: from Φ, and from the errors beyond it
-    together = chain.since(resting - 1)[1:, : joint.cells] + np.sum(answer[resting:] * answer[resting - 1], axis=2)
-    together = together.reshape(-1, *baseline.deviation.shape)
-    pairs = zip(certainty, together, strict=True)
+    covariances = chain.since(resting - 1)[1:, : joint.cells] + np.sum(answer[resting:] * answer[resting - 1], axis=2)
+    covariances = covariances.reshape(-1, *baseline.deviation.shape)
+    pairs = zip(certainty, covariances, strict=True)
     return baseline, tuple(Bars(frame, frame.less(baseline, shared)) for frame, shared in pairs)

@@ -149,15 +149,15 @@ class Method(Configuration):
 
     def begin(self, state: AnyState) -> AnyState:
         """Return the state with its baseline, which is solved alone."""
-        alone = state.without_comparisons() if state.estimator.relative else state
-        first = self.solve(alone, *self.given(alone, state.resting))
-        settled, baseline = with_contacts(alone, state.resting, first, self._elsewhere)
+        absolute = state.without_comparisons() if state.estimator.relative else state
+        first = self.solve(absolute, *self.given(absolute, state.resting))
+        settled, baseline = with_contacts(absolute, state.resting, first, self._elsewhere)
         state, model = replace(state, scene=settled.scene, track=settled.track), baseline.surroundings()
         if state.track is not None and model is not None:
             with suppress(*BROKEN):
                 track = state.track.resting(model, remembered=state.estimator.relative)
                 if track.baseline is not None and state.resting.partial:
-                    beyond = self._beyond(alone, state.resting, baseline, model)
+                    beyond = self._beyond(absolute, state.resting, baseline, model)
                     track = replace(track, baseline=track.baseline.reaching_farther(*beyond))
                 state = replace(state, track=track)
         return state.with_baseline(baseline)

@@ -109,15 +109,15 @@ class SmootherMethod(Method):
     ) -> tuple[AnyState, list[Step]]:
         """Solve all frames together; frames with too few readings are left out."""
         rested = state.resting.enough(state.scene)
-        enough = readings.enough(state.scene) & rested
-        read = [readings[frame] for frame in np.flatnonzero(enough)]
+        usable = readings.enough(state.scene) & rested
+        read = [readings[frame] for frame in np.flatnonzero(usable)]
         # The unloaded frames enter as means of a few parts, so that a wrong reading in one part can be identified.
         numbers = np.flatnonzero(resting.enough(state.scene))
         parts = np.array_split(numbers, min(len(numbers), MAX_UNLOADED_PARTS)) if len(numbers) else []
         groups = [resting[part].mean() for part in parts] or [state.resting]
         state, steps = self._together(state, groups, read, [], on_frame)
         missing, solved = state.unsolved(Status.UNREAD if rested else Status.UNRESTED), iter(steps)
-        return state, [next(solved) if read_enough else missing for read_enough in enough]
+        return state, [next(solved) if read_enough else missing for read_enough in usable]
 
     def push(self, state: AnyState, readings: Readings) -> tuple[AnyState, Step]:
         """Return the state after one frame, and its step, solved together with the `lag` frames before it."""
@@ -167,7 +167,7 @@ class SmootherMethod(Method):
                 certainty, bars = error_bars(joint, len(resting), shared)
                 seconds, track = (perf_counter() - begin) / len(solutions), replace(track, baseline=certainty)
                 pairs = zip(steps, bars, strict=True)
-                steps = [replace(s, bars=own, bars_seconds=seconds) if s.solution.solved else s for s, own in pairs]
+                steps = [replace(s, bars=bar, bars_seconds=seconds) if s.solution.solved else s for s, bar in pairs]
             baseline = baseline if baseline.solution.solved else state.baseline
             return replace(state, baseline=baseline, previous=steps[-1].estimate(0), track=track), steps
         return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
@@ -213,12 +213,12 @@ def _begun(
     """
     assert state.baseline is not None
     terms = tuple(replace(term, loss=Squared()) for term in state.estimator.terms)
-    alone, reduced = replace(state, estimator=state.estimator.with_terms(terms)), OptimalMethod("reduced")
+    absolute, reduced = replace(state, estimator=state.estimator.with_terms(terms)), OptimalMethod("reduced")
     data = [state.estimator.data(frame.alone(), state.background) for frame in (*resting, *readings)]
     estimates = [state.baseline.cell_resistance, *cells] if len(resting) == 1 else []
     for number, frame in enumerate(data[len(estimates) :], len(estimates)):
         before = estimates[-1] if estimates else state.baseline.cell_resistance
-        step = reduced.solve(alone, frame, before[None])
+        step = reduced.solve(absolute, frame, before[None])
         estimates.append(before if step.estimate(0) is None else step.cell_resistance)
         if number >= len(resting):
             on_frame()
@@ -293,10 +293,10 @@ class Walk:
             Lower limit of q.
         """
         unrest = self.unrest(squares)
-        still = unrest <= np.median(unrest)
-        if self.deviation <= least or np.mean((stiffness * squares)[:, still]) > 1:
+        calmer = unrest <= np.median(unrest)
+        if self.deviation <= least or np.mean((stiffness * squares)[:, calmer]) > 1:
             return self, False
-        size = np.median(squares[:, still]) / self.deviation**2
+        size = np.median(squares[:, calmer]) / self.deviation**2
         factor = 1.0 if size > FOLLOWED else SLOW_DECREASE if size > TIED else FAST_DECREASE
         return replace(self, deviation=max(self.deviation * factor, least)), True
 
