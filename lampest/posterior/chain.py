@@ -134,7 +134,7 @@ class Chain:
         return np.asarray(np.stack([np.diag(block) for block in self.blocks]) + np.sum(self._root**2, axis=2))
 
     def step_variance(self, shift: Array) -> Array:
-        """Return the variance of x_{t+1} − x_t − less_t·border, (frames − 1, cells); `less` (frames − 1, n)."""
+        """Return the variance of x_{t+1} − x_t − shift_t·border, (frames − 1, cells); `shift` (frames − 1, n)."""
         # Covariance of neighbouring frames: diag(K_t P_{t+1})
         between = [np.einsum("ij,ji->i", gain, block) for gain, block in zip(self._gains, self.blocks[1:], strict=True)]
         variances = np.stack([np.diag(block) for block in self.blocks])
