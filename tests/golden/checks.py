@@ -468,9 +468,13 @@ def breathing_row() -> dict[str, Any]:
         each = breathing.Breathing()
         for window in range(6):
             suction = float(rng.choice([0.02, 0.4, 0.7, 0.96]))
-            seen = breathing.Breath(float(rng.choice([-4.0, -0.3, 0.4, 3.0])), suction, (1.0, 0.1 * window), (0.1, 0.02))
+            seen = breathing.Breath(
+                float(rng.choice([-4.0, -0.3, 0.4, 3.0])), suction, (1.0, 0.1 * window), (0.1, 0.02)
+            )
             each = each.after(seen if rng.random() < 0.9 else None, full=bool(rng.random() < 0.6))
-            courses.append([each.odds, each.previous_odds, each.suction, each.last, each.causes, (each.hertz or (0, 0))[1]])
+            courses.append(
+                [each.odds, each.previous_odds, each.suction, each.last, each.causes, (each.hertz or (0, 0))[1]]
+            )
     pumping = Pumping.begin(np.ones(4) / 4, np.zeros(4), 0.0, 3)
     for number in range(30):
         pumping = pumping.after(0.02 * rng.standard_normal(4) + 0.3 * (number % 10 > 6), 0.5 * number)

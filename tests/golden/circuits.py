@@ -354,6 +354,7 @@ def candidate_row(candidate: Candidate) -> dict[str, Any]:
 def of_loads() -> Rows:
     search = candidates.DiscSearch.over(PANEL, 6.0, lp.OralDisc.candidate.templates + lp.Rod.candidate.templates)
     normal, pull = np.diag(np.linspace(50, 90, 20)), np.linspace(-9, 40, 20)
+    faulty = [np.where(np.arange(20) == 7, far, np.tile((0.0, 0.2, -0.2, 0.1), 5)).reshape(4, 5) for far in (-40, 40)]
     assert {kind.kind for kind in shape_types()} == SHAPES.keys()
     return (
         {f"response {name}": partial(response_row, response) for name, response in RESPONSES.items()}
@@ -375,6 +376,7 @@ def of_loads() -> Rows:
                 search.matched(normal),
                 search.beside(pull.reshape(4, 5), [SHAPES["rod"].disc()]),
                 search.lies_on(pull.reshape(4, 5)),
+                [search.lies_on(logarithm) for logarithm in faulty],
             ),
             "outlines": lambda: [function(*numbers) for function, numbers in OUTLINES],
         }

@@ -220,7 +220,10 @@ def page_row() -> dict[str, Any]:
         "doubts": page.doubts("LSM", [page.figures(case) for case in invented()[::3]]),
         "frames": page.frames_text([3, 5, 6, 7, 9]), "picks": compared.picks(10, 3, np.random.default_rng(2))[:4],
         "length": [compared.block_length(part[:, None]) for part in (np.arange(30.0), np.sin(np.arange(40.0)))],
-        "between": [compared.between(compared.Interval(2.131, 1.95, 2.361), "%", "+"), weights_of(invented()[:2])],
+        "between": [
+            compared.between(compared.Interval(2.131, 1.95, 2.361), "%", "+"),
+            compared.between(compared.Interval(123.4, 123.39, 123.42)), weights_of(invented()[:2]),
+        ],
     }  # fmt: skip
 
 

@@ -269,7 +269,8 @@ def runs_row() -> dict[str, Any]:
         for name, (text, settings) in RUNS.items():
             run = lp.read_run(disk.run(text), settings)
             first = run.cases[0]
-            keys = [line.partition(":")[0] for line in first.resolved.splitlines() if line[:1].isalpha()]
+            lines = [line for line in first.resolved.splitlines() if line[:1].isalpha()]
+            keys = [line if "format" in line else line.partition(":")[0] for line in lines]
             rows[name] = [run.published, run.assumed, len(first.case_id), keys] + [
                 (
                     numbers.setdefault(case.case_id, len(numbers)), case.recording, case.name, case.swept, case.frames,

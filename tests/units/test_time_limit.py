@@ -1,5 +1,6 @@
 """A batch in which a case breaks down, and ones that would take too long: panels, and frames."""
 
+import signal
 import subprocess
 import sys
 import time
@@ -14,6 +15,7 @@ import pytest
 
 import lampest
 from lampest import Estimator, Gradient, LinearisedMethod, Misfit, Panel, Recording, Scene, Stream, TwoPointReadout
+from lampest.files import process
 from lampest.recording.readings import Readings
 from lampest.runs import batch
 from lampest.runs.results import read_results
@@ -95,6 +97,18 @@ def test_a_panel_beyond_patience_or_memory_is_refused_before_anything_is_written
         assert started.called == (not messages)
         assert all(message in ended.err for message in messages)
         assert not messages or (ended.code == 2 and not (tmp_path / "out").exists())
+
+
+def test_a_call_that_returns_in_time_leaves_no_alarm() -> None:
+    before = signal.getsignal(signal.SIGALRM)
+    token = process.EXPENDABLE.set(True)
+    try:
+        with process.ended_where_hung(1.0):
+            assert signal.getitimer(signal.ITIMER_REAL)[0] > process.HUNG_SECONDS
+        assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
+    finally:
+        process.EXPENDABLE.reset(token)
+        signal.signal(signal.SIGALRM, before)
 
 
 def test_less_work_has_less_effort() -> None:
