@@ -487,7 +487,7 @@ def breathing_row() -> dict[str, Any]:
 
 
 def patterns_row() -> list[Any]:
-    """What swings of a mouth beside a rod do to readings, in air and under water, and changes that the water explains."""
+    """Swings of a mouth beside a rod in air and under water, in readings, and changes that the water explains."""
     (verdict, frame), rng = verdict_of("two"), np.random.default_rng(3)
     value, sigma = frame.measured.ravel(), frame.sigma.ravel()
     whitening = np.diag(value / sigma) + 5 * rng.standard_normal((42, 42))
