@@ -195,7 +195,8 @@ def _frame_numbers(table: ReadingsTable, cells: Index, order: dict[str, int]) ->
     """Return each line's frame, counted from 0, and a note on how frames are distinguished."""
     if "frame" in order:
         return np.unique(_indices(table, order["frame"]), return_inverse=True)[1], ""
-    often, repeated = np.bincount(cells), np.cumsum(_begins_again(cells, [False] * len(cells)))
+    often = np.bincount(cells)
+    repeated: Index = np.cumsum(_begins_again(cells, [False] * len(cells)), dtype=np.intp)
     if "time" not in order:
         if often.min() > 1 and repeated[-1] + 1 == often.max():
             return repeated, "; a new frame begins where a cell comes again"

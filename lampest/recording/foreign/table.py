@@ -454,9 +454,8 @@ def _names(fields: NDArray[Any], header: int) -> tuple[list[str], bool]:
     """Return the names of columns, and whether the header holds units only; the line above then holds the names."""
     names = [text.lstrip("#% ") for text in fields[header]]
     above = fields[header - 1] if header else np.full(len(names), "")
-    units = all(parted(f"x {name}")[1] for name in names if name) and bool(
-        np.all((above != "") | (fields[header] == ""))
-    )
+    named = not np.any((above == "") & (fields[header] != ""))
+    units = named and all(parted(f"x {name}")[1] for name in names if name)
     return [f"{name} {unit}".strip() for name, unit in zip(above, names, strict=True)] if units else names, units
 
 
