@@ -16,7 +16,7 @@ import numpy as np
 import openpyxl
 import pytest
 import scipy.io
-from contracts.imports import COLUMNS, DIVIDER, FRAMES, ROWS, check_refused, check_taken, given, lines, names
+from contracts.imports import COLUMNS, DIVIDER, FRAMES, ROWS, check_refused, check_taken, given, imported, lines, names
 
 from lampest import (
     Bounds,
@@ -345,3 +345,11 @@ def test_info_says_when_a_recording_began(tmp_path: Path, lampest: Callable[...,
     recording = Recording.from_array(FRAMES)
     replace(recording, start_time="2025-01-31T12:00:00+01:00").save(tmp_path / "m.h5")
     assert "start      2025-01-31T12:00:00+01:00 at 0 s" in lampest("info", tmp_path / "m.h5").out.splitlines()
+
+
+def test_a_signalling_nan_of_an_array_becomes_a_quiet_one(tmp_path: Path) -> None:
+    """NumPy warns of it in later arithmetic."""
+    values = FRAMES.copy()
+    values.view(np.uint64)[1, 0, 0] = 0x7FF0000000000001
+    recording, _ = imported(tmp_path, array(values))
+    assert recording.recorded.view(np.uint64)[1, 0, 0] == np.array(np.nan).view(np.uint64)

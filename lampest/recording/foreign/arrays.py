@@ -274,7 +274,9 @@ def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
         return read.read_from(f"array {times[0]} in ")
 
     times = [time for time in arrays if role_of(time) == "time" and arrays[time].size == len(number) and time != name]
-    return Frames(array.ravel().astype(float), number, named, clock if times else None, (note,), (name,))
+    values = array.ravel().astype(float)
+    values[np.isnan(values)] = np.nan  # a signalling NaN would raise warnings in arithmetic
+    return Frames(values, number, named, clock if times else None, (note,), (name,))
 
 
 def _chosen(path: Path, arrays: Arrays, fits: dict[str, list[str]], shape: Shape, variable: str | None) -> str:
