@@ -231,7 +231,8 @@ class Question:
             latest = frame.refitted(question.readings(self.specified)[1], ())
             pairs += [] if latest is None else [(question.loaded, FittedPair.of(resting, latest))]
         search = Detector(patch_of(scene.panel)).search(scene.panel)
-        loaded = resting.tail >= SIGNIFICANCE and search.lies_on(np.log(resting.cells))
+        intact = np.where(scene.broken, np.nan, np.log(resting.cells))
+        loaded = resting.tail >= SIGNIFICANCE and search.lies_on(intact)
         return replace(find_effects(pairs), loaded_at_rest=loaded)
 
 

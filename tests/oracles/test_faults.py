@@ -132,3 +132,22 @@ def test_a_missing_reading_does_not_choose_the_weight(term: object) -> None:
     estimates = [lampest.reconstruct(with_holes(3, missing), terms, formulation="reduced") for missing in (0, 2)]
     weights = [estimate.steps[0].weights[1] for estimate in estimates]
     assert abs(np.log10(weights[1] / weights[0])) < 1.2  # it was 1e-15
+
+
+@pytest.mark.parametrize(
+    "readout",
+    [
+        TwoPointReadout(noise_lsb=0.5, readings=20),
+        lampest.VirtualGroundReadout(noise_lsb=0.5, feedback_ohm=300.0, drive_ohm=50.0, sense_ohm=50.0),
+        lampest.LoadedColumnsReadout(noise_lsb=0.5),
+    ],
+)
+def test_a_simulation_breaks_the_cells_that_its_scene_calls_broken(readout: lampest.Readout) -> None:
+    """Other cells are right with these faults alone, no circuit is doubted, and no load lies on the unloaded panel."""
+    faults = lampest.Faults(open=((0, 0),), shorted=((3, 4),), dead_columns=(5,))
+    rod = lampest.Rod(centre_mm=(25.0, 25.0), diameter_mm=30.0, mass_g=400.0)
+    simulation = lampest.Simulation(1, 3, Scene(Panel(*SHAPE), readout, faults=faults), frames=3, loads=(rod,))
+    estimate = lampest.reconstruct(lampest.simulate(simulation), LSM, formulation="reduced")
+    truth = estimate.recording.truth_cell_resistance[estimate.frame]
+    errors = np.log(estimate.cell_resistance / truth)[:, ~estimate.recording.scene.broken]
+    assert np.sqrt(np.mean(errors**2)) < 0.03 and not estimate.checks

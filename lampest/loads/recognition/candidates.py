@@ -161,10 +161,11 @@ class DiscSearch:
         Parameters
         ----------
         logarithm : array, shape (rows, columns)
-            ln r.
+            ln r; NaN for cells that are known to be broken.
         """
-        deviation = (logarithm - np.median(logarithm[self.panel.present])) * self.panel.present
-        sd = max(MAD_TO_SIGMA * float(np.median(np.abs(deviation[self.panel.present]))), RESPONSE_SD)
+        intact = self.panel.present & ~np.isnan(logarithm)
+        deviation = np.where(intact, logarithm - np.median(logarithm[intact]), 0.0)
+        sd = max(MAD_TO_SIGMA * float(np.median(np.abs(deviation[intact]))), RESPONSE_SD)
         drawn_in = np.clip(deviation.ravel(), -SIGNIFICANT * sd, SIGNIFICANT * sd)
         return bool(np.min(drawn_in @ self.changes) < -MAX_UNEVENNESS * sd)
 

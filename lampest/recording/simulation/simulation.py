@@ -283,7 +283,8 @@ def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
     """Return the true cells r = r0·e^drift·f(p)·e^(α(T − T_b)), (frames, rows, columns) ohm.
 
-    r0 is log-normal. Each cell drifts at its own rate plus a rate that all cells share. Raises ValueError if a cell is
+    r0 is log-normal. Each cell drifts at its own rate plus a rate that all cells share. Cells that the scene's faults
+    open or short have OPEN_OHM or SHORT_OHM. Raises ValueError if a cell is
     out of range.
 
     Parameters
@@ -312,6 +313,7 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
             cells[simulation.baseline_frames :] *= np.exp(scene.temperature.logarithm)
     if not np.all((cells > SHORT_OHM) & (cells < OPEN_OHM)):
         raise ValueError(f"a cell's resistance leaves the range of {SHORT_OHM:g} to {OPEN_OHM:g} ohm")
+    cells[:, scene.open_cells], cells[:, scene.shorted_cells] = OPEN_OHM, SHORT_OHM
     return cells
 
 
