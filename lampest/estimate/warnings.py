@@ -1,14 +1,19 @@
 """Warnings about a recording, one plain line each: frames and units, noise, the circuit."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check import ModelCheck, module_factors
+from lampest.estimate.model_check import ModelCheck, module_factors, noise_factor
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.nuisances import TAKEN_OFF
 from lampest.estimate.rivals import changes_beyond_noise, choices
 from lampest.estimate.saturation import saturated
-from lampest.loads.recognition.watch import UNEVENLY
+from lampest.files.process import ONE_BLAS_THREAD
+from lampest.loads.recognition.observation import ModelErrors
+from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Panelled, Watch
+from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
@@ -17,6 +22,7 @@ MIN_STEPS_FROM_RAIL = 16  # steps of the converter: a median reading closer to a
 MODULE_HINT = (
     "is its reference, series resistance or film another one? The scene's `modules` says what a module has of its own"
 )
+MAX_GAIN = 0.1  # standard deviation of a frame's gain that no load is seen in
 MAX_NOISE_FACTOR = 10.0  # above or below the specified noise: more is a wrong unit, not a badly specified converter
 
 
@@ -33,8 +39,40 @@ def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -
     circuit += f"; it is {TAKEN_OFF}" if taken else ""
     stage = saturated(recording)
     piled = "" if stage is None else stage.sentence
-    loaded = UNEVENLY if check.loaded_at_rest and not lesser_load else ""
+    uneven = UNEVENLY * (check.loaded_at_rest and not lesser_load)
+    loaded = (
+        f"{TOUCHED}, and changes are against their mean: name others with `lampest tare`"
+        if touched(recording)
+        else uneven
+    )
     return tuple(filter(None, (*of_readings, loaded, piled, circuit, check.common_change, *learned)))
+
+
+@ONE_BLAS_THREAD
+def touched(recording: Recording) -> bool:
+    """Return whether a load came or left in the unloaded frames; False where they scatter as specified.
+
+    Their gain may vary by any amount, as with the supply.
+    """
+    if recording.scene.panel.modules is not None:
+        return any(touched(module) for module in recording.modules)
+    unloaded, scene = recording.readings()[recording.role == UNLOADED], recording.scene
+    if (
+        scene.readout is None
+        or scene.panel.crossings > MAX_CELLS
+        or len(unloaded.value) < 2
+        or noise_factor(unloaded) == 1
+    ):
+        return False
+    assert unloaded.sigma is not None
+    no_ripple = np.zeros((scene.panel.shape[1 - scene.circuit.by_columns], 0))
+    supply = FrameNoise(scene, len(unloaded.value), MAX_GAIN, no_ripple, no_ripple)
+    panelled = replace(
+        Panelled.of(scene, ModelErrors().of_scene(scene, 0.0)),
+        common=lambda measured: supply.columns(measured[None], baseline=False),
+    )
+    sigma, values = np.min(np.where(unloaded.plain, unloaded.sigma, np.inf), axis=0), unloaded.plain_values
+    return Watch.begin(panelled, unloaded.mean().value, sigma, values, 0.0).touched(values)
 
 
 def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
 from lampest import Estimator, Misfit, TwoPointReadout, Unmodelled, two_point_resistance
+from lampest.estimate.model_check import noise_factor
 from lampest.estimate.noise import scatter
 from lampest.estimate.outliers import detect_outliers, frozen_readings
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
+from lampest.estimate.warnings import touched
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Systematic
 from lampest.recording.recording import Recording
@@ -308,3 +310,24 @@ def test_noisy_cells_are_not_taken_for_a_static_error() -> None:
     for seed in (7, 8, 13):
         recording = simulate(Simulation(1, seed, scene, frames=3, loads=(rod,)))
         assert not Prepared(recording).noise.possible_errors.sizes.reading_error
+
+
+@pytest.mark.parametrize("loaded", [1, 2])
+def test_a_load_in_the_last_unloaded_frames_is_named(loaded: int) -> None:
+    """As where one frame too many is called unloaded; the single frame is in no median of three."""
+    recording = lampest.datasets.load("rod")
+    frames = [0, 1, 2, *range(8, 8 + loaded), *range(12, 15)]
+    role = (np.arange(len(frames)) >= 3 + loaded).astype(np.uint8)
+    chosen = lampest.Recording(recording.scene, recording.recorded[frames], np.arange(len(frames)) / 4, role)
+    assert any("touched the panel" in line for line in Prepared(chosen).warnings)
+
+
+def test_a_gain_that_varies_is_no_load_in_the_unloaded_frames() -> None:
+    """The supply moves all readings of a frame; without MAX_GAIN one in fifteen such recordings passed for touched."""
+    recording = lampest.datasets.load("lamprey_35mm")
+    circuit, rng = recording.scene.circuit, np.random.default_rng(5)
+    volt = circuit.volt_from_recorded(recording.recorded[[0, 1, 2, 0, 1, 2]])
+    for _ in range(30):
+        swayed = circuit.recorded_from_volt(volt * (1 + 0.03 * rng.standard_normal((6, 1, 1))))
+        unloaded = lampest.Recording(recording.scene, swayed, np.arange(6) / 4, np.zeros(6, np.uint8))
+        assert noise_factor(unloaded.readings()) > 1 and not touched(unloaded)

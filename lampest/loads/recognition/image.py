@@ -77,6 +77,11 @@ class WindowScene:
         """Resistance in series, (rows, columns) ohm."""
         return self._joined(lambda scene, part: scene.series_ohm + part, np.zeros(self.panel.shape))
 
+    @property
+    def broken(self) -> Array:
+        """Whether a crossing has no cell to be estimated, (rows, columns)."""
+        return self._joined(lambda scene, part: scene.broken.astype(float), np.zeros(self.panel.shape))
+
     def uniform_start(self, measured: Array) -> Array:
         """Return the uniform start of every module, as `Readout.uniform_start`."""
         return self._joined(lambda scene, part: scene.circuit.uniform_start(part), measured)
@@ -201,11 +206,6 @@ class ImageWatch:
         under = {number: self.modules[number] for number in under_windows(opened) & self.modules.keys()}
         image = replace(self, modules={**followed, **under}, opened=tuple(pushed))
         return replace(image, attachments=image._merged())._closed(time) if pushed else image
-
-    def touched(self, unloaded: Array) -> bool:
-        """Return whether any module is touched, as `Watch.touched`."""
-        frames = self._layout.split(unloaded)
-        return any(watch.touched(frames[:, number]) for number, watch in self.modules.items())
 
     def ended(self) -> "ImageWatch":
         """Return the watch once it has ended, as `Watch.ended`."""

@@ -19,6 +19,7 @@ from scipy.sparse import csc_array
 
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.loads.recognition.breathing import (
     MIN_RATE_HZ,
@@ -31,7 +32,7 @@ from lampest.loads.recognition.breathing import (
 from lampest.loads.recognition.candidates import FIELD, DiscSearch
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import IMPOSSIBLE, RARE_LOG_ODDS, Verdict
-from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, counting
+from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, counting, patch_of
 from lampest.loads.recognition.pumping import BLOCK_S, Pumping
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -40,6 +41,9 @@ NEAR_PITCHES = 3.0  # reach of a load about its place in pitches: half of the wi
 FOLLOWS_S = 20.0  # time constant with which the mean follows the frames
 SETTLES_S = 60.0  # duration of drift that is expected within the unloaded frames
 MIN_CHANGE = 0.5  # of the present load's score: a larger change is another load, or the load has left
+MAX_CELLS = 1024  # patterns of loads take memory for each pair of cells: 134 MB, and 2 GB on 64 × 64
+SINGLE_FRAME = 2.0  # score of a single unloaded frame, which scatters more, over the threshold of a median of three
+TOUCHED = "something touched the panel while its unloaded frames were taken"
 UNEVENLY = "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
 FIRST_S, MIN_FRAMES = 1.0, 3  # time and least frames until the first recognition, and between judgements of breath
 Frames = tuple[tuple[float, Array], ...]
@@ -71,6 +75,20 @@ class Panelled:
     water: Array
     errors: ModelErrors
     common: Callable[[Array], Array] | None = None
+
+    @classmethod
+    def of(cls, scene: Scene, errors: ModelErrors, patch_mm: float | None = None) -> "Panelled":
+        """Return the constants of a scene, without errors that the readings of a frame share.
+
+        Parameters
+        ----------
+        scene : Scene
+        errors : ModelErrors
+        patch_mm : float or None
+            Edge of a cell's film; None where it is not specified.
+        """
+        detector = Detector(patch_of(scene.panel, patch_mm), any_form=scene.purpose == "mat")
+        return cls(scene, detector, water_pressure(scene.panel, scene.water), errors)
 
     def frame(self, measured: Array, sigma: Array, baseline: Baseline, seconds: float) -> Observation:
         """Return the observation of a mean of frames, with the σ of one frame, because films err equally in all."""
@@ -249,7 +267,8 @@ class Watch:
         frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames), 0.0)
         filled = np.where(np.isnan(unloaded), measured, unloaded).reshape(len(unloaded), resting.size)
         search = panelled.detector.search(frame.panel)
-        test, uneven = StepTest.of(frame, search, np.log(filled)), search.lies_on(frame.baseline.logarithm)
+        intact = np.where(panelled.scene.broken, np.nan, frame.baseline.logarithm)
+        test, uneven = StepTest.of(frame, search, np.log(filled)), search.lies_on(intact)
         return cls(panelled, test, sigma, resting, frames, time, resting, time, (resting, resting), uneven=uneven)
 
     @ONE_BLAS_THREAD
@@ -293,12 +312,20 @@ class Watch:
         return self._recognised(self.window[-1][0]) if self.present and not self.known else self
 
     def touched(self, unloaded: Array) -> bool:
-        """Return whether a load came or left during the unloaded frames, (frames, rows, columns)."""
-        medians = [np.median(np.log(unloaded[first : first + 3]), axis=0).ravel() for first in range(len(unloaded) - 2)]
-        filled = [np.where(np.isnan(shown), self.resting, shown) for shown in medians]
-        stepped = [shown for shown in filled if np.any(self.test.scores(shown - self.resting) >= self.test.least())]
-        verdict = self.panelled.detector.verdict
-        return any(verdict(self._frame(shown, self.rest_s + SETTLES_S)).nothing < 0.5 for shown in stepped[-1:])
+        """Return whether a load came or left during the unloaded frames, (frames, rows, columns).
+
+        Medians of three frames are tested, so that a single wrong reading is no load, and the first and the last frame,
+        which no median shows. The change with the largest score has to be more probable as a load than as none.
+        """
+        logarithm = np.log(unloaded).reshape(len(unloaded), -1)
+        medians = [np.median(logarithm[first : first + 3], axis=0) for first in range(len(unloaded) - 2)]
+        changes = np.nan_to_num([*medians, logarithm[0], logarithm[-1]] - self.resting)
+        excess = np.array([np.max(self.test.scores(change) / self.test.least()) for change in changes])
+        excess[-2:] /= SINGLE_FRAME
+        if excess.max() < 1:
+            return False
+        shown = self.resting + changes[np.argmax(excess)]
+        return self.panelled.detector.verdict(self._frame(shown, self.rest_s + SETTLES_S)).nothing < 0.5
 
     @property
     def stands_out(self) -> float:

@@ -12,15 +12,14 @@ from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.nuisances import CircuitEffects, without_effects_of
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import with_saturated_stage
-from lampest.estimate.warnings import warnings_of
+from lampest.estimate.warnings import touched, warnings_of
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
-from lampest.loads.pressure import sigma_of_frames, water_pressure
+from lampest.loads.pressure import sigma_of_frames
 from lampest.loads.recognition.breathing import too_slow
-from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.image import ImageWatch
-from lampest.loads.recognition.observation import ModelErrors, patch_of
-from lampest.loads.recognition.watch import UNEVENLY, Panelled, Watch
+from lampest.loads.recognition.observation import ModelErrors
+from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Panelled, Watch
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
@@ -35,7 +34,6 @@ from lampest.runs.results import Results
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
 NO_RESPONSE = "no pressures and forces, since the scene names no response; shapes are fitted with the published one"
 HEAD_FRAMES = 100  # measured frames from which, with the unloaded ones, the noise is estimated
-MAX_CELLS = 1024  # patterns of loads take memory for each pair of cells: 134 MB, and 2 GB on 64 × 64
 Frames = Iterator[tuple[Array, Array, float]]
 
 
@@ -62,8 +60,6 @@ class Known:
         Assumptions.
     patch_mm : float or None
         Edge of a cell's film; None where it is not specified.
-    specified : array, shape (rows, columns), or None
-        σ before the noise was estimated from frames; None: `sigma`.
     effects : CircuitEffects or None
         Effects that are taken off the readings.
     """
@@ -78,30 +74,21 @@ class Known:
     noise: FrameNoise | None
     notes: tuple[str, ...]
     patch_mm: float | None = None
-    specified: Array | None = None
     effects: CircuitEffects | None = None
 
     @ONE_BLAS_THREAD
     def watch(self) -> Watch | ImageWatch:
         """Return the watch before the first frame.
 
-        Raises ValueError if the panel is too large, or was touched in its unloaded frames.
+        Raises ValueError if the panel is too large.
         """
         panel, layout, noise = self.scene.panel, self.scene.panel.modules, self.noise
         if panel.network.crossings > MAX_CELLS:
             raise ValueError(f"loads are recognised on panels and modules of up to {MAX_CELLS} cells")
         common = None if noise is None or layout else lambda measured: noise.columns(measured[None], baseline=False)
-        mat = self.scene.purpose == "mat"
-        water, errors = water_pressure(panel, self.scene.water), ModelErrors().of_scene(self.scene, self.reading_error)
-        panelled = Panelled(self.scene, Detector(patch_of(panel, self.patch_mm), any_form=mat), water, errors, common)
+        panelled = Panelled.of(self.scene, ModelErrors().of_scene(self.scene, self.reading_error), self.patch_mm)
         kind: type[Watch] | type[ImageWatch] = ImageWatch if layout else Watch
-        known, plainly = (self.unloaded, self.begin), self.sigma if self.specified is None else self.specified
-        simple_watch = kind.begin(replace(panelled, common=None), self.resting, plainly, *known)
-        if simple_watch.touched(self.unloaded):
-            raise ValueError("something touched the panel while its unloaded frames were taken")
-        if common is None and np.array_equal(plainly, self.sigma):
-            return simple_watch
-        return kind.begin(panelled, self.resting, self.sigma, *known)
+        return kind.begin(replace(panelled, common=common), self.resting, self.sigma, self.unloaded, self.begin)
 
     @ONE_BLAS_THREAD
     def answer(self, frames: Frames) -> Detected:
@@ -200,7 +187,7 @@ def detect_recording(
         raise InputError(f"{path}: no frame is measured (role 1)")
     head = Prepared(stored.part(range(int(measured[-1]) + 1)))
     watched, warnings = known_of(head, patch_mm), warnings_of(head.recording, recognition_noise(head), head.check)
-    messages = tuple(warning for warning in warnings if warning != UNEVENLY)
+    messages = tuple(warning for warning in warnings if warning not in (TOUCHED, UNEVENLY))
     if isinstance(watched, Detected):
         return replace(watched, warnings=messages)
     requested = range(stored.frames) if frames is None else frames
@@ -226,7 +213,9 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
     resting = baseline_readings(head, readings if seen is None else seen.readings)
     if not resting.enough(head.scene):
         return Detected.unknown(head.name, "no frame has enough readings for a comparison")
-    noise, error, specified, scene, besides = None, 0.0, None, head.scene, None
+    if touched(head):
+        return Detected.unknown(head.name, TOUCHED)
+    noise, error, scene, besides = None, 0.0, head.scene, None
     if seen is None or readings.sigma is None:
         if len(head.time) < 3:
             return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
@@ -237,7 +226,7 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
         specified = np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
         sigma, readings = seen.sigma_factor / seen.model_factor * specified, seen.readings
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
-    before = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, notes, patch_mm, specified
+    before = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, notes, patch_mm
     return Known(head.name, scene, *before, besides)
 
 
