@@ -1,4 +1,4 @@
-"""Words of `lampest live` that cannot be, and a full disk: exit code 2, one sentence, nothing of it written."""
+"""Words of commands that cannot be, and a full disk: exit code 2, one sentence, nothing of it written."""
 
 import errno
 import gc
@@ -17,6 +17,7 @@ LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 
 # The words of a command, and those of its complaint; other commands are in the golden table.
 COMMANDS = (
+    ("calibrate LAMPREY --tolerance 0.6", "--tolerance must lie between 0 and 0.5"),
     ("live --recording nowhere.h5", "nowhere.h5"),
     ("live --recording LAMPREY --port /dev/null", "--recording: --port, --scene, --period and --out are for a board"),
     ("live --recording LAMPREY --publish mqtt://127.0.0.1:1/x", "mqtt://127.0.0.1:1/x: no broker answers"),

@@ -168,3 +168,11 @@ def test_a_frame_of_bounds_is_checked_by_the_laws_alone() -> None:
     recorded = np.stack([np.where(readings > np.nanmedian(readings), np.inf, readings)] * 3)
     check = Prepared(recording_of(Scene(panel, READOUT), recorded, 1)).check
     assert check.mark == "yes" and "no cells were fitted" in check.sentence
+
+
+def test_a_line_of_a_table_without_numbers_is_named(tmp_path: Path) -> None:
+    """Its first line may be a header."""
+    (tmp_path / "cells.csv").write_text("row,column\n0,0\n0,x\n")
+    (tmp_path / "scene.yaml").write_text("panel: {rows: 2, columns: 2, cells: cells.csv}\n")
+    with pytest.raises(lampest.InputError, match=r"cells\.csv:3: 0, x are not all numbers"):
+        lampest.read_scene(tmp_path / "scene.yaml")
