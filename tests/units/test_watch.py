@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from laws.recognised import answered
 
-from lampest import OralDisc, Panel, Readout, Recording, Rod, Scene, Shape, Simulation, Unmodelled, simulate
+from lampest import OralDisc, Panel, Readout, Recording, Ring, Rod, Scene, Shape, Simulation, Unmodelled, simulate
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.detector import Detector
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
@@ -64,12 +64,24 @@ def test_a_load_that_was_there_before_the_first_frame_is_none_that_comes_when_it
     assert again.answer == SUCKS and len(again.attachments) == 1
 
 
-def test_a_load_that_never_leaves_the_unloaded_frames_is_not_nothing() -> None:
-    mouth = OralDisc(centre_mm=(44, 46), diameter_mm=35, rim_width_mm=6, pressure_kpa=-12)
-    recording = taken((mouth, -1, 9), frames=8, side=10)
-    found = answered(recording)
+@pytest.mark.parametrize(
+    "load",
+    [
+        OralDisc(centre_mm=(44, 46), diameter_mm=35, rim_width_mm=6, pressure_kpa=-12),
+        Rod(centre_mm=(44, 46), diameter_mm=40, mass_g=1500),
+        Ring(centre_mm=(44, 46), inner_diameter_mm=27, outer_diameter_mm=35, mass_g=850),
+    ],
+)
+def test_a_load_that_never_leaves_the_unloaded_frames_is_not_nothing(load: Shape) -> None:
+    found = answered(taken((load, -1, 9), frames=8, side=10))
     assert found.answer == CANNOT_SAY and "may lie on the panel in the unloaded frames" in found.why
-    search = Detector(6.0).search(recording.scene.panel)
+
+
+def test_cells_of_an_uneven_film_are_no_load_in_the_unloaded_frames() -> None:
+    search = Detector(6.0).search(Panel(10, 10))
+    high = np.zeros((10, 10))
+    high[3:7, 3:7] = 2.0
+    assert search.lies_on(-high) and not search.lies_on(high)  # a load lowers its cells
     for seed in range(60):  # uneven by 12 to 25 %, with a faulty cell
         rng = np.random.default_rng(seed)
         bare = rng.uniform(0.12, 0.25) * rng.standard_normal((10, 10))

@@ -18,7 +18,7 @@ from lampest.panel.response import RESPONSE_SD
 
 AND = " and "
 # Standard deviations of a template's score. Of 720 bare panels with films uneven by 12 to 25 %, some with correlated
-# neighbours or with faulty cells, the largest score was 6.4.
+# neighbours or with faulty cells, the largest score was 6.3.
 MAX_UNEVENNESS = 8.0
 FULL_KPA, HOLLOW_KPA = (0.0, 8.0), (-6.0, 30.0)  # initial pressures inside, and under the rim
 
@@ -153,10 +153,11 @@ class DiscSearch:
         return csc_array(templates @ diags_array(1 / np.sqrt(np.maximum(square, 1e-300))))
 
     def lies_on(self, logarithm: Array) -> bool:
-        """Return whether unloaded cells are uneven in the shape of a load, tᵀδ < −MAX_UNEVENNESS σ for a template t.
+        """Return whether unloaded cells are uneven in the shape of a load, tᵀδ > MAX_UNEVENNESS σ for a template t.
 
-        δ is ln r less its median, and σ its robust standard deviation, at least that of an even film. δ is clipped at
-        SIGNIFICANT σ, so that a faulty cell is not taken for a load.
+        δ is ln r less its median, and σ its robust standard deviation, at least that of an even film. Templates are
+        negative where a load decreases ln r, so that only a positive tᵀδ counts. δ is clipped at SIGNIFICANT σ, so that
+        a faulty cell is not taken for a load.
 
         Parameters
         ----------
@@ -167,7 +168,7 @@ class DiscSearch:
         deviation = np.where(intact, logarithm - np.median(logarithm[intact]), 0.0)
         sd = max(MAD_TO_SIGMA * float(np.median(np.abs(deviation[intact]))), RESPONSE_SD)
         drawn_in = np.clip(deviation.ravel(), -SIGNIFICANT * sd, SIGNIFICANT * sd)
-        return bool(np.min(drawn_in @ self.changes) < -MAX_UNEVENNESS * sd)
+        return bool(np.max(drawn_in @ self.changes) > MAX_UNEVENNESS * sd)
 
     def starts(self, slope: Array, error: Array) -> dict[Template, Disc]:
         """Return the disc with the largest gain of ln P, (tᵀb)²/tᵀΛt, for each template.
