@@ -22,7 +22,7 @@ MIN_STEPS_FROM_RAIL = 16  # steps of the converter: a median reading closer to a
 MODULE_HINT = (
     "is its reference, series resistance or film another one? The scene's `modules` says what a module has of its own"
 )
-MAX_GAIN = 0.1  # standard deviation of a frame's gain that no load is seen in
+MAX_GAIN = 0.1  # relative standard deviation of a frame's gain that is no sign of a load (tests/oracles/test_noise.py)
 MAX_NOISE_FACTOR = 10.0  # above or below the specified noise: more is a wrong unit, not a badly specified converter
 
 
@@ -52,7 +52,7 @@ def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -
 def touched(recording: Recording) -> bool:
     """Return whether a load came or left in the unloaded frames; False where they scatter as specified.
 
-    Their gain may vary by any amount, as with the supply.
+    Their gain may vary by MAX_GAIN, as with the supply.
     """
     if recording.scene.panel.modules is not None:
         return any(touched(module) for module in recording.modules)

@@ -20,6 +20,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Systematic
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.report.detect.detection import detect_recording
 from lampest.studies.study import read_settings
 from tests.estimates import in_intervals, log_errors, recording_of
 
@@ -313,13 +314,16 @@ def test_noisy_cells_are_not_taken_for_a_static_error() -> None:
 
 
 @pytest.mark.parametrize("loaded", [1, 2])
-def test_a_load_in_the_last_unloaded_frames_is_named(loaded: int) -> None:
-    """As where one frame too many is called unloaded; the single frame is in no median of three."""
+def test_a_load_in_the_last_unloaded_frames_is_named(loaded: int, tmp_path: Path) -> None:
+    """As where one frame too many is called unloaded: no median of three shows it. Detect says it once."""
     recording = lampest.datasets.load("rod")
     frames = [0, 1, 2, *range(8, 8 + loaded), *range(12, 15)]
     role = (np.arange(len(frames)) >= 3 + loaded).astype(np.uint8)
     chosen = lampest.Recording(recording.scene, recording.recorded[frames], np.arange(len(frames)) / 4, role)
     assert any("touched the panel" in line for line in Prepared(chosen).warnings)
+    chosen.save(tmp_path / "touched.h5")
+    answer = detect_recording(tmp_path / "touched.h5")
+    assert "touched the panel" in answer.why and not any("touched" in line for line in answer.warnings)
 
 
 def test_a_gain_that_varies_is_no_load_in_the_unloaded_frames() -> None:

@@ -284,8 +284,7 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
     """Return the true cells r = r0·e^drift·f(p)·e^(α(T − T_b)), (frames, rows, columns) ohm.
 
     r0 is log-normal. Each cell drifts at its own rate plus a rate that all cells share. Cells that the scene's faults
-    open or short have OPEN_OHM or SHORT_OHM. Raises ValueError if a cell is
-    out of range.
+    open or short have OPEN_OHM or SHORT_OHM. Raises ValueError if a cell is out of range.
 
     Parameters
     ----------

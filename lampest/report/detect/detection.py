@@ -187,7 +187,7 @@ def detect_recording(
         raise InputError(f"{path}: no frame is measured (role 1)")
     head = Prepared(stored.part(range(int(measured[-1]) + 1)))
     watched, warnings = known_of(head, patch_mm), warnings_of(head.recording, recognition_noise(head), head.check)
-    messages = tuple(warning for warning in warnings if warning not in (TOUCHED, UNEVENLY))
+    messages = tuple(warning for warning in warnings if not warning.startswith((TOUCHED, UNEVENLY)))
     if isinstance(watched, Detected):
         return replace(watched, warnings=messages)
     requested = range(stored.frames) if frames is None else frames
