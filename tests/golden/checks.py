@@ -500,12 +500,17 @@ def patterns_row() -> list[Any]:
     return rows
 
 
+def watch_begun() -> tuple[Watch, lp.Readings]:
+    """A watch before its first frame, and the readings of three frames without a rod and of one with it."""
+    readings = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=1, loads=ON_FILM["rod"][0])).readings()
+    panelled = Panelled(WATCHED, Detector(6.0), np.zeros((6, 7)), observation.ModelErrors(reading_error=0.01))
+    return Watch.begin(panelled, readings.value[0], readings.sigma[0], readings.value[:3], 2.0), readings
+
+
 def recognised_row() -> list[Any]:
     """A watch that recognises a rod, a faint one or nothing, at once or again, and a rod that has left before."""
     (verdict, frame), rows = verdict_of("rod"), list[Any]()
-    readings = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=1, loads=ON_FILM["rod"][0])).readings()
-    panelled = Panelled(WATCHED, Detector(6.0), np.zeros((6, 7)), observation.ModelErrors(reading_error=0.01))
-    begun = Watch.begin(panelled, readings.value[0], readings.sigma[0], readings.value[:3], 2.0)
+    begun, readings = watch_begun()
     begun = replace(begun, present=True, begun=3.0)
     loaded, best = np.log(readings.value[3].ravel()), np.eye(len(verdict.fits))[int(np.argmax(verdict.shares))]
     states = [replace(begun, seen=seen, verdict=seen and verdict, known=known) for seen, known in product(
@@ -527,6 +532,73 @@ def recognised_row() -> list[Any]:
         rows.append([watch.present, watch.known, watch.next_s, watch.uncovered_s, watch.left_s, watch.rested, times])
         rows.append([np.sum(part) for part in (watch.left, watch.size, watch.resting, watch.film_sd)])
     return rows
+
+
+def steps_row() -> list[Any]:
+    """A watch that follows noise, a rod, a harder press that ends, and the end of the rod; and frames against it."""
+    (verdict, frame), rng, rows = verdict_of("rod"), np.random.default_rng(6), list[Any]()
+    begun, readings = watch_begun()
+    watch, states = begun, list[Watch]()
+    rod = np.log(readings.value[3].ravel()) - begun.resting
+    shares = (0, 0, 0, 0.01, 1, 1, 1, 1, 1.6, 1.6, 1.6, 1, 1, 1, 0, 0, 0, 0, 0.3, 0.3, 0.3)
+    times = 3.0 + 0.25 * np.arange(len(shares)) + 30.0 * (np.arange(len(shares)) > 16)
+    for number, (time, share) in enumerate(zip(times, shares, strict=True)):
+        measured = np.exp(begun.resting + share * rod + 1e-3 * rng.standard_normal(42)).reshape(6, 7)
+        sigma = np.where(np.arange(42).reshape(6, 7) == number, np.nan, readings.sigma[0])
+        watch = watch.followed(measured, sigma, time)
+        states.append(watch)
+        if number == 6:
+            watch = replace(watch, known=True, seen=frame, verdict=verdict, former=None, left=watch.size, left_s=time)
+        if number == 16:
+            watch = watch._gone(time)
+    for state in (*states, states[10].former or begun):
+        held = [np.sum(value) for name in WATCH if (value := getattr(state, name)) is not None and name != "window"]
+        rows.append(
+            [
+                held,
+                state.test.loud.sum(),
+                state.doubt,
+                replace(state, uncovered_s=4.5).doubt,
+                [(at, *frame[:3]) for at, frame in state.window],
+            ]
+        )
+    stepped = replace(states[8], film_sd=0.03)
+    for share in (1.6, 0.5, 0.15, 0.1, 0.0):
+        seen = stepped._frame(begun.resting + share * rod, 7.0)
+        rows.append([seen.baseline.covariance.diagonal(), stepped._left(seen), np.sum(stepped._keeps(seen))])
+        rows.append(stepped._resumed(begun.resting + share * rod).known)
+    loud = np.geomspace(0.01, 30.0, len(begun.test.loud))
+    rows += [replace(begun.test, loud=factor * loud).least() for factor in (0.01, 1.0)]
+    frames = np.repeat(readings.value[:1], 6, axis=0)
+    frames[2:5] = readings.value[3]
+    missing = np.where(np.arange(42).reshape(6, 7) == 8, np.nan, frames)
+    return [*rows, [begun.touched(part) for part in (frames[:3], frames[:4], frames, missing, frames[:2])]]
+
+
+def swings_row() -> list[Any]:
+    """Windows of a mouth beside a rod that are too short, partial and full, and samples of its suction."""
+    (verdict, frame), rng, rows = verdict_of("two"), np.random.default_rng(3), list[Any]()
+    begun, _ = watch_begun()
+    patterns = breathing.patterns_of(frame, verdict.best, begun.test.whitening, begun.panelled.detector)
+    pattern = next(filter(None, patterns))
+    mouth = Attachment(0.9, 0.0, (44.0, 1.0), (36.0, 1.0), patterns=pattern)
+    gone, faint, rod = (replace(mouth, until_s=4.0), replace(mouth, sucks=0.4), replace(mouth, patterns=None))
+    logarithm = np.log(frame.measured.ravel())
+    suction = np.linalg.solve(begun.test.whitening, pattern.own[:, 0])
+    for lasts, judged_s in ((3.0, -np.inf), (6.0, -np.inf), (8.0, -np.inf), (12.0, 4.0), (12.0, 5.0)):
+        at = 1.0 + np.arange(0.0, lasts, 0.25)
+        swings = logarithm + 0.06 * np.outer(np.sin(2 * np.pi * at), suction)
+        window = tuple(zip(at.tolist(), swings + 1e-3 * rng.standard_normal(swings.shape), strict=True))
+        watch = replace(begun, present=True, known=True, seen=frame, verdict=verdict, window=window, judged_s=judged_s)
+        watch = replace(watch, attachments=(mouth, gone, faint, rod), sample_s=at[-1] - 0.5)
+        breathed, pumped = watch._breathed(at[-1]), watch._pumped(at[-1])
+        rows += [breathed.judged_s, breathed.breath_s, [load.breath for load in breathed.attachments], pumped.sample_s]
+        loads = (replace(load, moved_s=moved) for load in pumped.attachments for moved in ((), (2.0,)))
+        again = replace(pumped, attachments=tuple(loads), sample_s=at[-1])._pumped(at[-1] + 0.5)
+        tracks = filter(None, (load.track for load in (*pumped.attachments, *again.attachments)))
+        for track in tracks:
+            rows.append([track.odds, track.since_s, track.moves, np.abs(track.weights).sum(), track.mean.sum()])
+    return [*rows, replace(mouth, patterns=patterns[0]) == replace(mouth, patterns=pattern._replace(rim=1)), str(mouth)]
 
 
 def outlying_row() -> list[Any]:
@@ -691,7 +763,8 @@ def of_recognition() -> Rows:
     return rows | {
         "detected without a readout": bare_row,
         "detected on a mat": partial(detected_row, "block", "mat"), "breathing": breathing_row,
-        "recognitions": recognised_row, "outliers": outlying_row, "patterns": patterns_row,
+        "recognitions": recognised_row, "steps": steps_row, "swings": swings_row,
+        "outliers": outlying_row, "patterns": patterns_row,
         "errors": lambda: [
             observation.ModelErrors().of_scene(replace(WATCHED, systematic=each), 0.02)
             for each in (None, "none", lp.Systematic(reference_tolerance=0.05, channel_spread_ohm=7.0))

@@ -274,10 +274,13 @@ def film_row() -> dict[str, Any]:
     last, known = states[-1], FilmKnown.specified(lp.Film(creep_per_decade="auto", hysteresis=0.2, deviation=0.1))
     change = np.stack(answers)
     estimated = known.estimated(change, np.full(change.shape, 0.01), 40.0 * times)
+    failed = np.where(np.isin(times, (1, 4))[:, None, None], np.nan, change)
+    beside_failed = known.estimated(failed, np.full(change.shape, 0.01), 40.0 * times)
     return {
         "answers": change, "pressure": last.pressure(answers[1], 5.0), "effective": last.effective(answers[1], 5.0),
         "observed": last.observed(answers[2], 5.0).fading(60.0), "at once": last.at_once(answers[3], 9.0),
         "resting": ERRORS.resting_sd(3.0), "known": [each.sentence for each in (known, estimated)],
+        "beside failed frames": [beside_failed.creep, beside_failed.residue, beside_failed.cells],
         "estimated": estimated.creep, "hysteresis": known.hysteresis,
         "known at once": estimated.at_once(change, 40.0 * times),
         "remembers": [
@@ -287,13 +290,14 @@ def film_row() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def pressure_row(scene: lp.Scene, tare: lp.Tare | None = None) -> Any:
+def pressure_row(scene: lp.Scene, tare: lp.Tare | None = None, failed: tuple[int, ...] = ()) -> Any:
     """Pressures of frames with load, without, and out of range, with errors, and their force."""
     frames, (rows, columns) = 12, scene.panel.shape
     kpa = np.linspace(0, 1, rows * columns).reshape(rows, columns) * np.r_[0, 0, 5, 30, 70, -6, 12, np.zeros(5)][
         :, None, None,
     ]  # fmt: skip
     ratio = np.exp(-0.1 * kpa + 0.002 * np.random.default_rng(3).standard_normal(kpa.shape))
+    ratio[list(failed)] = np.nan
     time, known = 20.0 * np.arange(frames), None if scene.film is None else FilmKnown.specified(scene.film)
     load = pressure_of(ratio, 0.9 * ratio, 1.2 * ratio, scene, time, known, tare, np.full(ratio.shape, 0.03))
     forces = [
@@ -361,12 +365,13 @@ def of_loads() -> Rows:
         | {f"shape {name}": partial(shape_row, load) for name, load in SHAPES.items()}
         | {
             f"candidate {each.label}": partial(candidate_row, each)
-            for each in (*candidates.UNIFORM, *candidates.LOADS, candidates.FIELD)
+            for each in (*candidates.UNIFORM, *candidates.LOADS, candidates.FIELD, BOTH)
         }
         | {f"pressure in {name}": partial(pressure_row, scene) for name, scene in LOADED.items()}
         | {
             "pressure tared": partial(pressure_row, LOADED["air"], lp.Tare(frames=5)),
             "pressure tared on a film": partial(pressure_row, LOADED["film"], lp.Tare(frames=5)),
+            "pressure beside failed frames": partial(pressure_row, LOADED["film"], lp.Tare(frames=5), (0, 4, 8)),
             "memory of a film": film_row,
             "tare": tare_row,
             "starts of discs": lambda: (
@@ -383,4 +388,5 @@ def of_loads() -> Rows:
     )
 
 
+BOTH = candidates.Several.of((lp.OralDisc.candidate, lp.Rod.candidate))
 OUTLINES = ((annulus_mm2, (10.0, 20.0)), (contact_of_weight, (300.0, 400.0)), (bearing_kpa, (-9.0, 15.0, 24.0)))

@@ -178,8 +178,8 @@ def attachments_of(
                 known[name] = value, float(np.sqrt(slopes @ covariance @ slopes))
         for group in groups:
             conductance = float(more[group].sum()), float(np.hypot.reduce(errors[group]))
-            load = _touched(frame.panel, group, change)
-            attachments.append(replace(load, conductance_s=conductance, **known))
+            touched = _touched(frame.panel, group, change)
+            attachments.append(Attachment(**touched | known, conductance_s=conductance))
     return attachments
 
 
@@ -195,14 +195,14 @@ def _groups(panel: Panel, moved: NDArray[np.bool_], more: Array, errors: Array) 
     return sure or [moved]
 
 
-def _touched(panel: Panel, group: NDArray[np.bool_], change: Array) -> Attachment:
-    """Return an attachment with the centre and area of a group of cells that changed by ln r/r0."""
+def _touched(panel: Panel, group: NDArray[np.bool_], change: Array) -> dict[str, Any]:
+    """Return the centre, number and area of a group of cells that changed by ln r/r0, by their names."""
     # centre of the cells weighted by |ln r/r₀|, to half a pitch
     weight, half_pitch = np.abs(change) * (group if group.any() else 1.0), panel.pitch_mm / 2
     x, y = (float(np.nansum(weight * line) / weight.sum()) for line in panel.places_mm)
     count, square = int(group.sum()), panel.pitch_mm**2
     area = count * square, square * (max(count, 1) / 3) ** 0.5
-    return Attachment(0.0, 0.0, (x, half_pitch), (y, half_pitch), cells=count, area_mm2=area)
+    return {"x_mm": (x, half_pitch), "y_mm": (y, half_pitch), "cells": count, "area_mm2": area}
 
 
 def continued_by(

@@ -309,7 +309,7 @@ class Observation:
     sigma: Array
     baseline: Baseline
     water: Array
-    seconds: float
+    seconds: float = 0.0
     common: Array | None = field(default=None, kw_only=True)
 
     @property

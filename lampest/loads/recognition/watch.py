@@ -90,7 +90,7 @@ class Panelled:
         detector = Detector(patch_of(scene.panel, patch_mm), any_form=scene.purpose == "mat")
         return cls(scene, detector, water_pressure(scene.panel, scene.water), errors)
 
-    def frame(self, measured: Array, sigma: Array, baseline: Baseline, seconds: float) -> Observation:
+    def frame(self, measured: Array, sigma: Array, baseline: Baseline, seconds: float = 0.0) -> Observation:
         """Return the observation of a mean of frames, with the σ of one frame, because films err equally in all."""
         common = None if self.common is None else self.common(measured)
         return Observation(measured, sigma, baseline, self.water, seconds, common=common)
@@ -264,7 +264,7 @@ class Watch:
             Time of the last unloaded frame, s.
         """
         frames, sigma, resting = max(len(unloaded), 1), counting(sigma, measured), np.log(measured.ravel())
-        frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames), 0.0)
+        frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames))
         filled = np.where(np.isnan(unloaded), measured, unloaded).reshape(len(unloaded), resting.size)
         search = panelled.detector.search(frame.panel)
         intact = np.where(panelled.scene.broken, np.nan, frame.baseline.logarithm)

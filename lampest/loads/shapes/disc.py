@@ -15,6 +15,7 @@ from lampest.panel.panel import Array
 # Points along either edge of a patch, 1.2 mm apart on a patch of 6 mm. Edges of the disc are soft over twice this
 # distance, as real ones are.
 POINTS = 5
+MIN_SQUARE = 1e-6  # mm², of the distance from the centre, where the angle is undefined
 
 
 class Disc(NamedTuple):
@@ -103,7 +104,7 @@ def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) ->
     along, stretched, lobe_along, lobe_across = form
     # Coordinates in which the elongated disc is round: (u, v) = ((1 − a) x − s y, (1 + a) y − s x).
     u, v = (1 - along) * x - stretched * y, (1 + along) * y - stretched * x
-    square = np.maximum(u * u + v * v, 1e-6)
+    square = np.maximum(u * u + v * v, MIN_SQUARE)
     radius = np.sqrt(square)
     edges = np.array([outer, disc.inner_mm / 2])
     # p = rim_kpa · (whole − hole) · (1 + tilt·(u, v)/R + lobes) + suction · hole, with soft indicators of disc and hole

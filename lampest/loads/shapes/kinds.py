@@ -25,6 +25,7 @@ from lampest.panel.response import VACUUM_KPA
 
 DIAMETER = Prior(log(30), 0.35, step=0.2)  # ln mm: 95 % of diameters are between 15 and 60 mm (an assumption)
 TILT = Prior(0, 0.25, step=0.3, sway=0.1)
+COMPLEX_STEP = 2.0**-104  # of derivatives, which have full precision, because nothing is subtracted
 CLOSED = 0.05  # rounding of d_i/d at 0, so that it stays positive for any width of the rim
 
 
@@ -75,9 +76,8 @@ class RoundCandidate(Candidate):
 
         Source: Squire, Trapp, SIAM Review 40, 110 (1998).
         """
-        step = np.finfo(float).eps ** 2  # derivatives have full precision, because nothing is subtracted
-        numbers = self._numbers(parameters[:, None] + 1j * step * np.eye(len(parameters)))
-        return Disc(*numbers[:, 0].real.tolist()), numbers.imag / step
+        numbers = self._numbers(parameters[:, None] + 1j * COMPLEX_STEP * np.eye(len(parameters)))
+        return Disc(*numbers[:, 0].real.tolist()), numbers.imag / COMPLEX_STEP
 
     def _numbers(self, parameters: Array) -> Array:
         """Return the numbers of the disc, (8, …), of φ (parameters, …), real or complex."""
