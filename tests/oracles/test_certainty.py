@@ -79,6 +79,21 @@ def test_covariance_is_that_of_laplace(weight: float) -> None:
     assert_allclose(errors.data_share, kernel.sum(axis=1), atol=1e-3)
 
 
+def test_a_cell_at_a_bound_is_released_alone() -> None:
+    """Each cell that a penalty holds at its lower bound has the variance of a panel on which it is free, too."""
+    measured = two_point_resistance(panel_cells())
+    sigma, weight = 0.003 * measured, 0.1
+    estimate = solved((Misfit(weighting="noise"), CellResistance(weight=weight)), measured, sigma)
+    errors = DenseErrors(model_of(estimate))
+    free, held = errors.model.free, np.flatnonzero(errors.model.at_lower)
+    assert min(len(free), len(held)) > 3
+    jacobian = sensitivity(estimate.cell_resistance[0]) / sigma.reshape(-1, 1)
+    precision = jacobian.T @ jacobian + weight * np.diag(estimate.cell_resistance.ravel() ** 2)
+    for cell, variance in zip(held, errors.released(held), strict=True):
+        cells = [*free, cell]
+        assert_allclose(variance, np.linalg.inv(precision[np.ix_(cells, cells)])[-1, -1], rtol=1e-3)
+
+
 def drawn(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[Array, Certainty, Array]]:
     """(error of log r, certainty, which cells are free) of estimates from noise drawn anew."""
     cells, rng = panel_cells(), np.random.default_rng(7)
