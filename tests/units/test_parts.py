@@ -272,6 +272,13 @@ def test_parts_are_joined_as_they_are_packed(tmp_path: Path, monkeypatch: pytest
     assert checked_sentence(tmp_path / "joined.h5").count("agree with their checksums") == 1
 
 
+def test_a_check_refuses_files_of_other_programs_without_checksums(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "readings.h5", "w") as file:
+        file["readings"] = np.full((3, 2, 2), 1e3)
+    with pytest.raises(InputError, match=r"readings.h5: /entry/scene is missing"):
+        checked_sentence(tmp_path / "readings.h5")
+
+
 def test_what_holds_all_of_a_recording_asks_for_its_memory(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
