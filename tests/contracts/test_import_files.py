@@ -285,6 +285,9 @@ def test_a_scene_file_describes_the_panel_of_an_import(tmp_path: Path) -> None:
     ):
         path.write_text(text, encoding="utf-8")
         assert read_scene(path) == scene
+    path.write_text("panel: {rows: 3, columns: 5}\nreadout: {kind: two_point, adc_bits: 12, readings: 5}\n")
+    text = "pitch_mm: 10, supply_volt: 5, reference_ohm: 1000, measured_across: reference"
+    assert read_scene(path).assumed_text == text
     path.write_text("seed: 1\nscene:\n  panel: {rows: 3, colums: 5}\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"scene\.yaml:3:"):
         read_scene(path)
