@@ -120,7 +120,9 @@ def test_the_gradient_is_the_derivative_of_the_cost(
     cost = Cost(PANEL, (term(weight=0.7, loss=loss, **words),), frames)
     data, cells = example(frames)
     here = Evaluation.at(cost, data, cells)
-    gradient = here.log_gradient(np.sign(here.nonsmooth))
+    subgradient = np.sign(here.nonsmooth)
+    gradient = here.log_gradient(subgradient)
+    assert here.kkt_residual(-subgradient) == here.kkt_residual(-3 * subgradient)  # no dual variable exceeds 1
     rng, step = np.random.default_rng(1), 1e-5
     for _ in range(4):
         direction = rng.standard_normal(cells.shape)
