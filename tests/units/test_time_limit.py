@@ -99,6 +99,16 @@ def test_a_panel_beyond_patience_or_memory_is_refused_before_anything_is_written
         assert not messages or (ended.code == 2 and not (tmp_path / "out").exists())
 
 
+def test_memory_of_a_control_group_is_what_it_allows_less_what_it_uses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(process.ALLOWED, raising=False)
+    monkeypatch.setattr(process, "Path", lambda folder, name: tmp_path / name)
+    for name, size in (("memory.max", "4000000"), ("memory.current", "1000000")):
+        (tmp_path / name).write_text(size)
+    assert process.memory_limit() == pytest.approx(0.9 * 3e6)
+
+
 def test_a_call_that_returns_in_time_leaves_no_alarm() -> None:
     before = signal.getsignal(signal.SIGALRM)
     token = process.EXPENDABLE.set(True)

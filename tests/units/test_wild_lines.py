@@ -266,6 +266,8 @@ def test_an_interrupted_recording_is_a_clean_file(tmp_path: Path, number: signal
 
 
 def test_signals_of_a_second_are_one_request_and_a_later_one_ends_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(KeyboardInterrupt), process.ending_signals():  # nothing is worth finishing
+        signal.raise_signal(signal.SIGTERM)
     monkeypatch.setattr(process, "time", SimpleNamespace(monotonic=iter((0.0, 0.9, 1.1)).__next__))
     with process.ending_signals(lambda: True) as ended_by:
         for number in (signal.SIGTERM, signal.SIGINT):
