@@ -12,7 +12,6 @@ from laws.recognised import answered
 from lampest import Block, InputError, OralDisc, Panel, Recording, Rod, Scene
 from lampest.estimate.prepared import Prepared
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
-from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
 from lampest.report.detect.answer import (
     CANNOT_SAY,
@@ -21,7 +20,6 @@ from lampest.report.detect.answer import (
     SUCKS,
 )
 from lampest.report.detect.detection import Known, detect_recording, known_of
-from lampest.runs.filling import _arrays_of, frame_noise_of
 
 PANEL = Panel(8, 10, 10.0)
 MOUTH = OralDisc(centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
@@ -46,28 +44,6 @@ def test_pumps_tell_a_mouth_where_breath_cannot_be_seen() -> None:
     assert (pumped.answer, leaked.answer, len(pumped.attachments)) == (LAMPREY, SUCKS, 1)
     assert "pumping up its suction" in pumped.sentence and "breathing" not in pumped.sentence
     assert "whether suction is pumped up again shows within minutes" in leaked.sentence
-
-
-@pytest.mark.parametrize("readout", [TwoPointReadout(), LoadedColumnsReadout(load_ohm=1000.0)])
-def test_noise_that_frames_share_is_what_it_was(readout: Any) -> None:
-    scene = Scene(Panel(2, 3), readout)
-    channels = 2 if scene.circuit.by_columns else 3
-    patterns = np.arange(2.0 * channels).reshape(channels, 2), np.ones((channels, 1))
-    arrays = _arrays_of(FrameNoise(scene, 4, 0.01, *patterns))
-    shapes = {"gain": (), "unloaded": (), "together": (channels, 2), "apart": (channels, 1)}
-    assert {name: value.shape for name, value in arrays.items()} == shapes
-    found = frame_noise_of(arrays, scene)
-    assert found is not None and (found.unloaded, found.gain) == (4, 0.01)
-    np.testing.assert_array_equal(np.hstack([found.common_ripple, found.line_ripple]), np.hstack(patterns))
-    alone = frame_noise_of({"gain": np.array(0.0), "unloaded": np.array(1)}, scene)
-    assert alone is not None and alone.common_ripple.shape == alone.line_ripple.shape == (channels, 0)
-    assert frame_noise_of({}, scene) is None and _arrays_of(None) == {}
-    wrong = ("gain", np.nan), ("gain", -0.1), ("unloaded", 0), ("unloaded", np.ones(2)), ("apart", np.ones((4, 1)))
-    negative, rows = "must not be negative, frame_unloaded at least 1", f"must have {channels} rows"
-    said = "finite numbers", negative, negative, negative, rows, rows
-    for (name, value), sentence in zip((*wrong, ("together", np.ones(channels))), said, strict=True):
-        with pytest.raises(ValueError, match=sentence):
-            frame_noise_of(arrays | {name: np.array(value)}, scene)
 
 
 MAT = Scene(
