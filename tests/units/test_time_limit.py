@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest import Estimator, Gradient, LinearisedMethod, Misfit, Panel, Recording, Scene, Stream, TwoPointReadout
+from lampest import Estimator, Panel, Scene, Stream, TwoPointReadout
 from lampest.files import process
 from lampest.recording.readings import Readings
 from lampest.runs import batch
 from lampest.runs.results import read_results
 from lampest.solvers import projected_newton as newton_module
 from lampest.solvers.solution import Settings
+from tests.estimates import recording_of
 
 Command = Callable[..., SimpleNamespace]
 
@@ -69,15 +70,6 @@ def test_starts_takes_the_weights_that_were_chosen(disk: SimpleNamespace) -> Non
 RUN = "{schema: 1, recordings: [r.h5], estimators: {E: {terms: {misfit: {}, gradient: {weight: 1}}}}}"
 
 
-def large(folder: Path, size: int) -> Path:
-    """A run of one frame of that many rows and columns."""
-    scene = Scene(Panel(size, size), readout=TwoPointReadout(noise_lsb=0.7))
-    values, role = np.full((2, size, size), 1500.0), np.array([0, 1], dtype=np.uint8)
-    Recording(scene, values, np.arange(2.0), role).save(folder / "r.h5")
-    (folder / "run.yaml").write_text(RUN)
-    return folder / "run.yaml"
-
-
 # Rows and columns, memory that may be taken, words of the command, and what the refusal says.
 SIZES: tuple[tuple[int, str, tuple[str, ...], tuple[str, ...]], ...] = (
     (400, "", (), ("min and", "--yes")),
@@ -90,10 +82,13 @@ SIZES: tuple[tuple[int, str, tuple[str, ...], tuple[str, ...]], ...] = (
 def test_a_panel_beyond_patience_or_memory_is_refused_before_anything_is_written_unless_its_user_insists(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    (run := tmp_path / "run.yaml").write_text(RUN)
     for size, memory, words, messages in SIZES:
+        scene = Scene(Panel(size, size), readout=TwoPointReadout(noise_lsb=0.7))
+        recording_of(scene, np.full((2, size, size), 1500.0), 1).save(tmp_path / "r.h5")
         monkeypatch.setenv("LAMPEST_MEMORY", memory or "8GB")
         with mock.patch("lampest.runs.batch.run_batch", side_effect=KeyboardInterrupt) as started:
-            ended = lampest("run", large(tmp_path, size), "--out", tmp_path / "out", *words)
+            ended = lampest("run", run, "--out", tmp_path / "out", *words)
         assert started.called == (not messages)
         assert all(message in ended.err for message in messages)
         assert not messages or (ended.code == 2 and not (tmp_path / "out").exists())
@@ -119,13 +114,6 @@ def test_a_call_that_returns_in_time_leaves_no_alarm() -> None:
     finally:
         process.EXPENDABLE.reset(token)
         signal.signal(signal.SIGALRM, before)
-
-
-def test_less_work_has_less_effort() -> None:
-    terms = (Misfit(), Gradient(weight=1.0))
-    assert Estimator(terms).effort(Panel(400, 400))[0] > 200
-    assert Estimator((Misfit(),)).effort(Panel(400, 400)) == (0, 0)
-    assert Estimator(terms, LinearisedMethod()).effort(Panel(400, 400)) == (0, 0)
 
 
 SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(noise_lsb=0.7))
