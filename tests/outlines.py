@@ -2,20 +2,17 @@
 
 import numpy as np
 
-from lampest.panel.panel import CellPlace, Panel
+from lampest import Panel
 
 PITCH = 8.0
 
 
 def foot(rng: np.random.Generator) -> Panel:
     """Half of the crossings of 8 × 6 lines, at random places of a lattice that lies askew."""
-    chosen = rng.permutation(48)[:24]
-    return Panel(8, 6, PITCH, tuple(_askew(int(cell) // 6, int(cell) % 6) for cell in np.sort(chosen)))
-
-
-def _askew(row: int, column: int) -> CellPlace:
-    """Rows and columns along the diagonals, places written with one digit, as tables have them."""
-    return row, column, round((row + column) * PITCH / 2**0.5, 1), round((row - column) * PITCH / 2**0.5, 1)
+    cells, half = [], PITCH / 2**0.5
+    for row, column in (divmod(int(cell), 6) for cell in np.sort(rng.permutation(48)[:24])):
+        cells.append((row, column, round((row + column) * half, 1), round((row - column) * half, 1)))  # as tables do
+    return Panel(8, 6, PITCH, tuple(cells))
 
 
 def glove(rng: np.random.Generator) -> Panel:

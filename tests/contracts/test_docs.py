@@ -286,11 +286,7 @@ def sentences(paragraph: str) -> Iterator[str]:
     yield from re.split(r"(?<=[.!?])\s+(?=[^a-z]|lampest\b|code\b)|(?<=[;:])\s+", plain)
 
 
-def names(path: Path) -> str:
-    return str(path.relative_to(REPOSITORY))
-
-
-@pytest.mark.parametrize("page", PROSE, ids=names)
+@pytest.mark.parametrize("page", PROSE, ids=lambda page: str(page.relative_to(REPOSITORY)))
 def test_pages_are_plain_and_their_sentences_short(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     prose = re.sub(r"`[^`\n]*`", "", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))

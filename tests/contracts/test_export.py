@@ -30,20 +30,15 @@ START = "2026-05-04T09:30:00+02:00"
 Run = Callable[..., SimpleNamespace]
 
 
-def with_error_bars(case: CaseResult) -> CaseResult:
-    """The case with pressures and error bars, NaN where a frame failed."""
-    told = np.where(case.solved[:, None, None], np.indices(case.measured.shape).sum(axis=0) / 7, np.nan)
-    flags = np.zeros(case.measured.shape, dtype=np.uint8)
-    flags[0, 1, 2] = 1
-    names = ("cell_resistance_errors", "cell_resistance_lower", "pressure", "pressure_errors")
-    return dataclasses.replace(case, **dict.fromkeys(names, told), cell_resistance_upper=told + np.inf, saturated=flags)
-
-
 @pytest.fixture
 def results(tmp_path: Path) -> Path:
     """Two recordings, one with a failed frame and error bars, one of another size without a truth."""
+    failing = invented_case("LSM", "mouth", (3, 4, 5), failed=(1,), start_time=START)
+    bars, flags = np.indices((3, 4, 5)).sum(axis=0) / 7, np.zeros((3, 4, 5), dtype=np.uint8)
+    bars[1], flags[0, 1, 2] = np.nan, 1
+    maps = dict.fromkeys(("cell_resistance_errors", "cell_resistance_lower", "pressure", "pressure_errors"), bars)
     cases = [
-        with_error_bars(invented_case("LSM", "mouth", (3, 4, 5), failed=(1,), start_time=START)),
+        dataclasses.replace(failing, **maps, cell_resistance_upper=bars + np.inf, saturated=flags),
         invented_case("LSR-gCR", "mouth", (3, 4, 5), start_time=START),
         invented_case("LSM", "other", (2, 3, 6), truth=False),
     ]

@@ -100,18 +100,13 @@ PROJECT = FILE["project"]
 EXTRAS = {"requirements.lock": [], "requirements-dev.lock": ["dev", "docs", "cluster"]}
 
 
-def wanted(extras: list[str]) -> list[Requirement]:
-    """What pyproject.toml asks for, with some extras."""
-    texts = [*PROJECT["dependencies"], *(text for extra in extras for text in PROJECT["optional-dependencies"][extra])]
-    return [Requirement(text) for text in texts]
-
-
 @pytest.mark.parametrize("name", EXTRAS)
 def test_the_lock_holds_what_the_project_asks_for_as_the_constraints_allow_with_hashes(name: str) -> None:
     pinned = locked(ROOT / name)
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     constraints = [Requirement(line) for line in lines if line.strip()]
-    for requirement in wanted(EXTRAS[name]):
+    further = (text for extra in EXTRAS[name] for text in PROJECT["optional-dependencies"][extra])
+    for requirement in map(Requirement, [*PROJECT["dependencies"], *further]):
         assert plain(requirement.name) in pinned, f"{requirement}: run make lock"
         assert pinned[plain(requirement.name)] in requirement.specifier, f"{requirement}: run make lock"
     for package, version in pinned.items():

@@ -134,14 +134,6 @@ OBLONG = Panel(7, 5, 10.0)
 POINTS_ALONG = 200  # points along a patch of the sampling that it is held against
 
 
-def drawn_disc(seed: int) -> tuple[Disc, Unevenness]:
-    rng = np.random.default_rng(seed)
-    outer = float(rng.uniform(15, 50))
-    numbers = (rng.uniform(-5, 45), rng.uniform(-5, 65), outer, outer * rng.uniform(0.2, 0.8), -rng.uniform(2, 20))
-    disc = Disc(*map(float, (*numbers, rng.uniform(5, 80), *rng.uniform(-0.3, 0.3, 2))))
-    return disc, Unevenness(*map(float, rng.uniform(-0.1, 0.1, 2)), *map(float, rng.uniform(-0.3, 0.3, 2)))
-
-
 def sampled(disc: Disc, form: Unevenness, patch_mm: float) -> Array:
     """Mean over each patch of a disc with hard edges, written as a user would draw it."""
     offset = ((np.arange(POINTS_ALONG) + 0.5) / POINTS_ALONG - 0.5) * patch_mm
@@ -162,7 +154,11 @@ def sampled(disc: Disc, form: Unevenness, patch_mm: float) -> Array:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_values_are_those_of_fine_sampling(seed: int) -> None:
-    disc, form = drawn_disc(seed)
+    rng = np.random.default_rng(seed)
+    outer = float(rng.uniform(15, 50))
+    numbers = (rng.uniform(-5, 45), rng.uniform(-5, 65), outer, outer * rng.uniform(0.2, 0.8), -rng.uniform(2, 20))
+    disc = Disc(*map(float, (*numbers, rng.uniform(5, 80), *rng.uniform(-0.3, 0.3, 2))))
+    form = Unevenness(*map(float, rng.uniform(-0.1, 0.1, 2)), *map(float, rng.uniform(-0.3, 0.3, 2)))
     pressure, _ = pressure_at_places(OBLONG.places_mm, 6.0, disc, form)
     expected = sampled(disc, form, 6.0)
     assert np.abs(pressure - expected).max() < 0.04 * (disc.rim_kpa - disc.suction_kpa)

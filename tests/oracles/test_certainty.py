@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 from lampest import (
     Estimator,
     Readings,
-    Recording,
     Scene,
     Solution,
     two_point_resistance,
@@ -129,16 +128,13 @@ def test_a_penalty_that_does_not_suit_leaves_wider_bars() -> None:
     assert np.median(np.concatenate(blind)) < 0.9
 
 
-def recorded(scene: Scene, cells: Array, resistance: Array, noise: float) -> Recording:
-    return recording_of(scene, resistance, 1, sigma=noise * resistance, truth_cell_resistance=cells)
-
-
 def test_what_cells_share_of_a_change_cancels_as_far_as_both_frames_have_it() -> None:
     """A reference that is off moves baseline and frame alike; where the frame is the baseline, nothing is common."""
     cells = panel_cells()
     frames = np.repeat(cells[None], 3, axis=0)
     scene = Scene(Panel(*SHAPE), TwoPointReadout(), systematic=Systematic(reference_tolerance=0.05))
-    recording = recorded(scene, frames, two_point_resistance(frames), 0.003)
+    exact = two_point_resistance(frames)
+    recording = recording_of(scene, exact, 1, sigma=0.003 * exact, truth_cell_resistance=frames)
     estimate = reconstruct(recording, Estimator((Misfit(),), formulation="reduced")).steps[-1].bars
     assert np.allclose(estimate.frame.common, 0.05 / np.sqrt(3), rtol=0.2)
     assert np.all(estimate.change.common < 1e-3) and np.allclose(

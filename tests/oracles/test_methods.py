@@ -16,24 +16,14 @@ from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
 from tests.estimates import recording_of
 
-SHAPE = (14, 15)
-BLOCK = (slice(5, 8), slice(6, 10))
 LSM: tuple[Term, ...] = (Misfit(),)
 RIDGE: tuple[Term, ...] = (Misfit(), CellResistance(weight=1e-6))
 SMOOTH: tuple[Term, ...] = (Misfit(), Gradient(weight=1e-7))
 REDUCED = OptimalMethod("reduced")
 
 
-def resting(shape: tuple[int, int] = SHAPE) -> Array:
+def resting(shape: tuple[int, int]) -> Array:
     return np.asarray(3000 * np.exp(0.2 * np.random.default_rng(3).standard_normal(shape)))
-
-
-def pressed(cells: Array) -> Array:
-    """A block of cells at a fifth of their resistance, give or take."""
-    loaded = cells.copy()
-    rng = np.random.default_rng(5)
-    loaded[BLOCK] *= 0.2 * np.exp(0.3 * rng.standard_normal(loaded[BLOCK].shape))
-    return loaded
 
 
 def recording(*cells: Array, noise: float = 0.0) -> Recording:
@@ -78,19 +68,6 @@ def test_one_step_sees_a_single_cell_on_a_panel_that_is_not_factored() -> None:
     assert np.median(np.abs(estimate / single - 1)) < 0.01
 
 
-PANEL = Panel(4, 5)
-
-
-def published_recording() -> Recording:
-    """Three frames of a panel whose middle is pressed harder and harder, exact to a tenth of a percent."""
-    rng = np.random.default_rng(4)
-    resting = 2000 * np.exp(0.2 * rng.standard_normal(PANEL.shape))
-    cells = np.stack([resting] * 3)
-    cells[1:, 1:3, 1:4] *= np.array([0.6, 0.4])[:, None, None]
-    readings = TwoPointReadout().exact_reading(cells) * np.exp(1e-3 * rng.standard_normal(cells.shape))
-    return recording_of(Scene(PANEL, TwoPointReadout()), readings, 1)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "term"),
@@ -101,9 +78,14 @@ def published_recording() -> Recording:
     ],
 )
 def test_where_it_converges_it_is_the_verified_optimum(method: str, term: CellResistance) -> None:
-    told = published_recording()
+    """Three frames of a panel whose middle is pressed harder and harder, exact to a tenth of a percent."""
+    rng, panel = np.random.default_rng(4), Panel(4, 5)
+    cells = np.stack([2000 * np.exp(0.2 * rng.standard_normal(panel.shape))] * 3)
+    cells[1:, 1:3, 1:4] *= np.array([0.6, 0.4])[:, None, None]
+    readings = TwoPointReadout().exact_reading(cells) * np.exp(1e-3 * rng.standard_normal(cells.shape))
+    told = recording_of(Scene(panel, TwoPointReadout()), readings, 1)
     weights = Weights(absolute=1e-2, relative=1.0, start=1.5)
-    left = left_by_solver(method, PANEL, told.recorded[0], told.recorded[1:], weights)
+    left = left_by_solver(method, panel, told.recorded[0], told.recorded[1:], weights)
     formulation = OptimalMethod("reduced", joint=True)
     estimate = reconstruct(told, Estimator((Misfit(), term), formulation, bounds=Bounds(upper="none")))
     assert set(left.why) <= {"cost", "step", "gradient"} and left.joint == (method == "LSR-dCR")

@@ -13,7 +13,6 @@ from lampest import (
     Estimator,
     InputError,
     Misfit,
-    Readings,
     Recording,
     Settings,
     Status,
@@ -209,11 +208,6 @@ def test_what_each_line_of_a_scan_has_anew_is_averaged_over_frames() -> None:
     assert together < 0.4 * alone
 
 
-def blind_at_rest(recording: Recording) -> Readings:
-    """The mean of unloaded frames without any value."""
-    return replace(recording, recorded=np.full(recording.recorded.shape, np.nan)).readings()[:RESTING].mean()
-
-
 def test_a_frame_of_which_too_little_was_read_is_left_out() -> None:
     made = panel(5)
     recorded = made.recorded.copy()
@@ -224,7 +218,8 @@ def test_a_frame_of_which_too_little_was_read_is_left_out() -> None:
     )
     blind = found_of(replace(made, recorded=np.where(made.role[:, None, None] == 0, made.recorded, np.nan)))
     assert not blind.solved.any()
-    stream = Stream.begin(Estimator(ROBUST, "smoother"), made.scene, 1.0, blind_at_rest(made))
+    unread = replace(made, recorded=np.full(made.recorded.shape, np.nan)).readings()[:RESTING].mean()
+    stream = Stream.begin(Estimator(ROBUST, "smoother"), made.scene, 1.0, unread)
     assert stream.push(made.readings()[RESTING])[1].solution.status is Status.UNRESTED
 
 

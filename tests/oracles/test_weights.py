@@ -51,17 +51,13 @@ def measured_data(estimator: Estimator, cells: Array, noise: float, seed: int, s
     return estimator.data(Readings.of(scene, measured[None], (specified or noise) * exact[None]), Background(scene))
 
 
-def model_with(*terms: Term, noise: float = 0.003) -> LinearModel:
-    estimator = Estimator((Misfit(), *terms), formulation="reduced")
-    data = measured_data(estimator, cells_of(1), noise, 2)
-    solution = best_solution(estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0), data, None)
-    return LinearModel(solution.at, solution.dual)
-
-
 @pytest.mark.parametrize(("number", "factor"), [(1, 1e-3), (1, 1.0), (1, 30.0), (2, 1.0)])
 def test_risk_is_the_mean_squared_error_where_the_point_is_the_truth(number: int, factor: float) -> None:
     """Of the linear estimate with two penalties, as a sum over the noise; and what the point's own errors add."""
-    model = model_with(Gradient(weight=1e-5), CellResistance(weight=1e-7))
+    estimator = Estimator((Misfit(), Gradient(weight=1e-5), CellResistance(weight=1e-7)), formulation="reduced")
+    data = measured_data(estimator, cells_of(1), 0.003, 2)
+    solution = best_solution(estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0), data, None)
+    model = LinearModel(solution.at, solution.dual)
     weights = np.where(np.arange(3) == number, factor, 1.0) * model.at.weights
     jacobian, rows = DenseErrors(model).jacobian, model.penalty_jacobian.toarray()[:, model.free]
     size, pull = weights[model.penalty_term], rows.T @ (weights[model.penalty_term] * model.penalty)

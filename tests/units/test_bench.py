@@ -39,10 +39,6 @@ ALONE = BenchLimits(nodal=0)  # the reduced solver
 LSM = {"LSM": paper_methods()["LSM"]}
 
 
-def tables(bench: Bench) -> list[tuple[str, Any]]:
-    return [(title, screen_table(rows, columns)) for title, rows, columns in sheets(bench)]
-
-
 def quiet(*step: object) -> None:
     """No progress."""
 
@@ -96,7 +92,8 @@ def test_the_gap_is_above_the_least_objective_of_all_solvers_and_unknown_of_a_si
 
 def test_pages_show_tables_that_the_bench_writes() -> None:
     both = Bench(read_bench(ROOT / "configs" / "bench.yaml"), (*timed(32, [1.0, 1.0]), *timed(64, [1.0, 1.0])))
-    written = sections(page(STUDY.name, tables(both), bench_remarks(both)))
+    tables = [(title, screen_table(rows, columns)) for title, rows, columns in sheets(both)]
+    written = sections(page(STUDY.name, tables, bench_remarks(both)))
     assert all(text.startswith("- " if name == "remarks" else "| ") for name, text in written.items())
     marks = [mark for path in PAGES for mark in MARKED.findall(path.read_text(encoding="utf-8"))]
     assert sorted(marks) == sorted(written)

@@ -217,10 +217,6 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def tls_of(folder: Path) -> Tls:
-    return Tls("ca.pem", "me.pem", "me.key").beside(folder)
-
-
 def test_a_cluster_of_this_machine_listens_on_the_loopback_address_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its loggers are as before once it has ended."""
     log = logging.getLogger("distributed.scheduler")
@@ -233,7 +229,7 @@ def test_a_cluster_of_this_machine_listens_on_the_loopback_address_alone(monkeyp
 def test_a_scheduler_with_certificates_is_used_and_one_without_the_files_is_not(keys: Path) -> None:
     import distributed
 
-    tls = tls_of(keys)
+    tls = Tls("ca.pem", "me.pem", "me.key").beside(keys)
     options = ONE_WORKER | {"host": "tls://127.0.0.1"}
     own = {
         f"tls_{side}_{part}": file

@@ -103,25 +103,19 @@ def test_should_the_other_process_die_every_frame_waits_for_its_own(lamprey: Rec
     assert view.deviation_of == view.picture.number, "error bars come with the frame"
 
 
-def settle(engine: Engine) -> None:
-    """Wait until every frame that was taken has been solved."""
+def replay(engine: Engine, recording: Recording, on_frame: Callable[[], object]) -> View:
+    """The last view of a replay; each frame waits for the one before, and for `on_frame`."""
 
     def solved() -> bool:
         view = engine.shown.item
         return view.frames == (view.picture.number if view.picture else 3)  # three are unloaded
 
-    until(solved)
+    def look(seconds: float) -> None:
+        until(solved)
+        on_frame()
 
-
-def replay(engine: Engine, recording: Recording, on_frame: Callable[[], object], frames: int | None = None) -> View:
-    """The last view of a replay; each frame waits for the one before, and for `on_frame`."""
     with engine:
-
-        def look(seconds: float) -> None:
-            settle(engine)
-            on_frame()
-
-        from_recording(engine, recording, 1e9, frames, look)
+        from_recording(engine, recording, 1e9, None, look)
         engine.finish()
         return engine.shown.item
 
@@ -254,20 +248,13 @@ def test_methods_and_those_of_a_file(disk: SimpleNamespace) -> None:
         chosen("LSR", disk.run())
 
 
-ROD = Rod(kind="rod", centre_mm=(25, 25), diameter_mm=40, mass_g=1500)
-
-
-def on_film(film: Film) -> Recording:
-    """30 frames of nothing, 20 of a rod, 50 of nothing; 6 × 6 cells."""
-    scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
-    return simulate(
-        Simulation(1, 3, scene, frames=100, loads=(ROD,), course=Course(start_s=30, release_at_s=50), film=film)
-    )
-
-
 @pytest.mark.slow
 def test_live_pressure_forgets_what_the_film_remembers() -> None:
-    told = on_film(Film(0.2, 0.08))
+    """30 frames of nothing, 20 of a rod, 50 of nothing."""
+    film, course = Film(0.2, 0.08), Course(start_s=30, release_at_s=50)
+    rod = Rod(kind="rod", centre_mm=(25, 25), diameter_mm=40, mass_g=1500)
+    scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
+    told = simulate(Simulation(1, 3, scene, frames=100, loads=(rod,), course=course, film=film))
     silent = dataclasses.replace(told, scene=dataclasses.replace(told.scene, film=None))
     left = [pictures(LSM, recording)[-40].force.newton for recording in (told, silent)]
     assert abs(left[0]) < 0.1 * abs(left[1])

@@ -1,6 +1,7 @@
 """What live says: forces, the word for the panel's state, the history, attachments and alarms."""
 
 import dataclasses
+import functools
 import time
 from pathlib import Path
 
@@ -55,19 +56,12 @@ def news(recording: Recording) -> list[object]:
     return [Unloaded(recording.scene, unloaded), *measured]
 
 
-def watched(recording: Recording) -> Watched:
-    """After all of it."""
-    here = Watched(recording.name)
-    for one in news(recording):
-        here = here.after(one)
-    return here
-
-
 @pytest.mark.slow
 def test_live_answers_as_detect_does(tmp_path: Path) -> None:
     recording = taken(40, (MOUTH,))
     recording.save(tmp_path / "mouth.h5")
-    batch, live = detect_recording(tmp_path / "mouth.h5"), watched(recording).detected
+    batch = detect_recording(tmp_path / "mouth.h5")
+    live = functools.reduce(Watched.after, news(recording), Watched(recording.name)).detected
     assert live.answer == batch.answer == "lamprey" and live.content().keys() == batch.content().keys()
     assert live.frames_per_second == batch.frames_per_second == 4.0
     (one,), (other,) = live.attachments, batch.attachments
