@@ -65,7 +65,8 @@ def test_scenes_with_impossible_numbers_end_in_a_sentence(rng: Rng, folder: Path
     for number, (old, new, value) in drawn(rng, tries, count):
         place = folder / f"scene{number}"
         place.mkdir()
-        text = SIMULATION.replace(old, new.replace("VALUE", _yaml(value)))
+        written = repr(value).replace("inf", ".inf").replace("nan", ".nan")  # as YAML has them
+        text = SIMULATION.replace(old, new.replace("VALUE", written))
         (place / "small.yaml").write_text(text)
         simulate = (("simulate", "small.yaml", "--out", "small.h5"),)
         what = f"{new.splitlines()[-1]} of {value}"
@@ -97,13 +98,5 @@ def test_panels_with_hardly_any_readings_end_in_a_sentence(rng: Rng, folder: Pat
 
 def sensible(ended: Ended) -> str:
     """Return HELD where a command did its work, or said in words of the panel why not."""
-    return ended.survived() or _words(ended.err)
-
-
-def _words(sentence: str) -> str:
-    foreign = [word for word in FOREIGN if word in sentence]
-    return f"speaks of {foreign}: {sentence[-300:]}" if foreign else HELD
-
-
-def _yaml(value: float) -> str:
-    return {"inf": ".inf", "-inf": "-.inf", "nan": ".nan"}.get(repr(float(value)), repr(float(value)))
+    foreign = [word for word in FOREIGN if word in ended.err]
+    return ended.survived() or (f"speaks of {foreign}: {ended.err[-300:]}" if foreign else HELD)

@@ -49,15 +49,6 @@ class Bench:
         return self.figures
 
 
-def truth_file(folder: Path, cells: Array, period: float = 1.0) -> Path:
-    sys.path.insert(0, str(FIRMWARE / "simulated_board"))
-    from truth import truth_text
-
-    path = folder / "truth.txt"
-    path.write_text(truth_text(np.arange(len(cells)) * period, cells))
-    return path
-
-
 @contextmanager
 def bench(
     folder: Path,
@@ -68,8 +59,12 @@ def bench(
     sketch: str = "lampest_board",
 ) -> Iterator[Bench]:
     """A board whose panel shows `cells` (frames, rows, columns) ohm, one frame after another every `period` s."""
+    sys.path.insert(0, str(FIRMWARE / "simulated_board"))
+    from truth import truth_text
+
+    (folder / "truth.txt").write_text(truth_text(np.arange(len(cells)) * period, cells))
     words = [built(wiring) / "simulated_board", "--firmware", built(wiring) / f"{sketch}.elf"]
-    words += ["--truth", truth_file(folder, cells, period), "--link", folder / "port", *options]
+    words += ["--truth", folder / "truth.txt", "--link", folder / "port", *options]
     with subprocess.Popen(
         [str(word) for word in words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:

@@ -218,21 +218,17 @@ def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: 
     assert len(found.time) > before + 5 and found.role[:4].tolist() == [0, 0, 0, 1]
 
 
-def breathing_mouth(step_s: float, seconds: float) -> Array:
-    """(frames, rows, columns) ohm every `step_s`: a mouth that comes after TOUCH_S and breathes by 8 % at 1.1 Hz."""
-    rng, panel, time = np.random.default_rng(5), Panel(10, 10), np.arange(0.0, seconds, step_s)
-    course, _, _ = courses(rng, "still mouth", time, seconds)
-    breath = 1 + 0.08 * np.sin(2 * np.pi * 1.1 * time)
-    made, layer = MAKERS["uneven mouth"](rng, panel), film(rng, "real")
-    return mouth_cells(rng, panel, made, layer, course * breath[:, None], time, np.zeros(len(time)))
-
-
 @pytest.mark.slow
 def test_from_plugging_in_to_the_alarm(tmp_path: Path) -> None:
-    """The board is there before lampest, its mouth comes two seconds after the first frame."""
+    """The board is there before lampest, its mouth comes after TOUCH_S and breathes by 8 % at 1.1 Hz."""
     watched = "return document.getElementById('sentence').innerText"
+    rng, panel, time = np.random.default_rng(5), Panel(10, 10), np.arange(0.0, 60.0, 0.125)
+    course, _, _ = courses(rng, "still mouth", time, 60.0)
+    breath = 1 + 0.08 * np.sin(2 * np.pi * 1.1 * time)
+    made, layer = MAKERS["uneven mouth"](rng, panel), film(rng, "real")
+    cells = mouth_cells(rng, panel, made, layer, course * breath[:, None], time, np.zeros(len(time)))
     with (
-        bench(tmp_path, breathing_mouth(0.125, 60.0), "--real-time", period=0.125) as board,
+        bench(tmp_path, cells, "--real-time", period=0.125) as board,
         live(tmp_path, "--port", board.port, "--scene", scene_file(tmp_path), "--period", 0.25, "--baseline", 6) as (
             window,
             _,

@@ -16,7 +16,6 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import AnyTerm, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.methods import MethodName
 from lampest.estimate.sequence import reconstruct
 from lampest.loads.shapes import OralDisc, Rod, Shape, SuctionCup
 from lampest.panel.panel import Array, Panel
@@ -52,13 +51,13 @@ def scene(load: Shape, frames: int, depth: float, seed: int) -> Recording:
     return recording_of(Scene(PANEL), measured, 2, sigma=NOISE * exact, truth_cell_resistance=cells)
 
 
-def estimated(recorded: Recording, *terms: Term, formulation: MethodName = "reduced") -> Estimates:
-    return reconstruct(recorded, Estimator((Misfit(weighting="noise"), *terms), formulation, error_bars=False))
+def estimated(recording: Recording, *terms: Term, **options: Any) -> Estimates:
+    return reconstruct(recording, Estimator((Misfit(weighting="noise"), *terms), "reduced", **options))
 
 
-def error(recorded: Recording, *terms: Term) -> float:
+def error(recording: Recording, *terms: Term, bars: bool = False) -> float:
     """Root mean square of log r − log truth over all cells and frames."""
-    return rms(log_errors(estimated(recorded, *terms)))
+    return rms(log_errors(estimated(recording, *terms, **({} if bars else {"error_bars": False}))))
 
 
 def powers(first: float, last: float, step: float = 0.5) -> Array:
@@ -203,28 +202,15 @@ def arriving(kind: str, seed: int, frames: int = 18) -> Recording:
     return recorded(cells, seed + 1000)
 
 
-def with_bars(recording: Recording, *terms: Term, formulation: MethodName = "reduced", **options: Any) -> Estimates:
-    return reconstruct(recording, Estimator((Misfit(weighting="noise"), *terms), formulation, **options))
-
-
-def deviation(estimate: Estimates) -> Array:
-    """Of log r, all frames, as the bars have it."""
-    return np.stack([step.bars.frame.deviation for step in estimate.steps])
-
-
-def error_with_bars(recording: Recording, *terms: Term) -> float:
-    return rms(log_errors(with_bars(recording, *terms)))
-
-
 @pytest.mark.parametrize(("kind", "margin"), [("panel", 0.9), ("disc", 0.9), ("rod", 0.95), ("attachment", 0.85)])
 def test_beats_the_best_single_weight(kind: str, margin: float) -> None:
     """Nothing chosen, against the logarithmic change from the previous frame with its best weight in hindsight."""
     ours, theirs = [], []
     for seed in range(2):
         recording = arriving(kind, seed)
-        ours.append(error_with_bars(recording, Arrival()))
+        ours.append(error(recording, Arrival(), bars=True))
         squared = LogRatio(loss=Squared(), reference="previous")
-        theirs.append(min(error_with_bars(recording, replace(squared, weight=float(weight))) for weight in WEIGHTS))
+        theirs.append(min(error(recording, replace(squared, weight=float(weight)), bars=True) for weight in WEIGHTS))
     assert rms(ours) < margin * rms(theirs)
 
 
@@ -245,8 +231,8 @@ def test_error_bars_say_what_errors_are(
     """Where cells walk as the term says; where they rest, bars allow for a walk that is not there."""
     spread, inside = [], []
     for seed in range(20):
-        estimate = with_bars(walk(seed, percent), Arrival())
-        away = log_errors(estimate) / deviation(estimate)
+        estimate = estimated(walk(seed, percent), Arrival())
+        away = log_errors(estimate) / np.stack([step.bars.frame.deviation for step in estimate.steps])
         spread.append(rms(away))
         inside.append(np.mean(np.abs(away) < 1.96))
     assert ratio[0] < rms(spread) < ratio[1]
