@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -58,19 +59,11 @@ def disk(tmp_path: Path) -> SimpleNamespace:
 
 
 @pytest.fixture
-def lampest(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., SimpleNamespace]:
+def lampest() -> Callable[..., Any]:
     """The command within this process: exit code, standard output, standard error."""
-    from lampest import cli
+    from attack.attack import called
 
-    def call(*arguments: str | Path) -> SimpleNamespace:
-        monkeypatch.setattr(sys, "argv", ["lampest", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        written = capsys.readouterr()
-        return SimpleNamespace(code=ended.value.code or 0, out=written.out, err=written.err)
-
-    return call
+    return called
 
 
 @pytest.fixture

@@ -101,15 +101,15 @@ def printable(text: str) -> bool:
     return all(sign.isprintable() or sign in "\n\t" for sign in text)
 
 
-def called(*arguments: str | Path, folder: Path) -> Ended:
-    """Call the command within this process, without measuring its memory."""
+def called(*arguments: str | Path, folder: Path | None = None) -> Ended:
+    """Call the command within this process, in a folder, without measuring its memory."""
     from lampest import cli
 
     out, err, begin, code = io.StringIO(), io.StringIO(), time.monotonic(), 0
     with (
         mock.patch.object(sys, "argv", ["lampest", *map(str, arguments)]),
         mock.patch.dict(os.environ),
-        contextlib.chdir(folder),
+        contextlib.chdir(folder or Path.cwd()),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):
