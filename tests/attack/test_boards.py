@@ -13,10 +13,9 @@ from unittest import mock
 import numpy as np
 import pytest
 from attack.attack import HELD, Outcomes, Rng, attack, environment
-from contracts.test_publish import MOSQUITTO, free_port, listens
+from contracts.test_publish import MOSQUITTO, broker, free_port
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
-from support import until
 from units.test_stalled_listeners import message as frame
 from wild_board import Script, hundred_a_second, wild_board, wire
 
@@ -104,12 +103,10 @@ def test_a_recorder_killed_at_any_moment_leaves_every_counted_frame(rng: Rng, fo
 def test_a_broker_that_pauses_receives_no_late_messages(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A broker pauses for one to three seconds: messages of that time are lost, but for the first 0.2 s."""
     port, ages, ear = free_port(), list[float](), Client(CallbackAPIVersion.VERSION2)
-    (folder / "conf").write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
     ear.on_message = lambda _, __, heard: ages.append(time.time() - json.loads(heard.payload)["health"]["sent"])
     if MOSQUITTO is None:
         return
-    with subprocess.Popen([MOSQUITTO, "-c", folder / "conf"], stderr=subprocess.DEVNULL) as broker:
-        until(lambda: listens(port))
+    with broker(folder, port) as running:
         ear.connect("127.0.0.1", port)
         ear.subscribe("panel")
         ear.loop_start()
@@ -117,14 +114,13 @@ def test_a_broker_that_pauses_receives_no_late_messages(rng: Rng, folder: Path, 
             for _ in range(count):
                 ages.clear()
                 paused, begin = float(rng.uniform(1, 3)), time.monotonic()
-                broker.send_signal(signal.SIGSTOP)
+                running.send_signal(signal.SIGSTOP)
                 while time.monotonic() < begin + paused + 1:
                     if time.monotonic() > begin + paused:
-                        broker.send_signal(signal.SIGCONT)
+                        running.send_signal(signal.SIGCONT)
                     send(frame(1, 2))
                     time.sleep(0.03)
                 late = sum(age > 0.5 for age in ages)
                 yield HELD if late < 15 and len(ages) > 15 else f"{late} of {len(ages)} messages came late"
         ear.disconnect()
         ear.loop_stop()
-        broker.terminate()

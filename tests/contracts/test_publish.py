@@ -49,13 +49,13 @@ def listens(port: int) -> bool:
 
 
 @contextmanager
-def broker(folder: Path, port: int, further: str = "allow_anonymous true") -> Iterator[None]:
+def broker(folder: Path, port: int, further: str = "allow_anonymous true") -> Iterator["subprocess.Popen[bytes]"]:
     """A real broker."""
     (folder / "broker.conf").write_text(f"listener {port} 127.0.0.1\n{further}\n")
     with subprocess.Popen([MOSQUITTO, "-c", folder / "broker.conf"], stderr=subprocess.DEVNULL) as running:
         try:
             until(lambda: listens(port))
-            yield
+            yield running
         finally:
             running.terminate()
 

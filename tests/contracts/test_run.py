@@ -4,18 +4,17 @@ import fcntl
 import os
 import re
 import signal
-import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from fuzz.batches import Batch, session
+from support import until
 
 from lampest import CaseResult, read_results, read_run, term_types
-from tests.small_files import COMMAND
 
 ROOT = Path(__file__).parents[2]
 Command = Callable[..., SimpleNamespace]
@@ -31,9 +30,8 @@ def test_run_writes_what_it_found(disk: SimpleNamespace, lampest: Command) -> No
     assert (ended.code, ended.err) == (0, "")
     assert "3 cases solved, 0 were done before, 0 failed" in ended.out
     found = cases(out)
-    assert [(case.recording, case.estimator) for case in found] == [
-        ("small", name) for name in ("LSM", "LSR-CR", "LSR-dCR")
-    ]
+    names = ("LSM", "LSR-CR", "LSR-dCR")
+    assert [(case.recording, case.estimator) for case in found] == [("small", name) for name in names]
     for case in found:
         assert case.status == ("optimum verified",) * 2 and not case.joint_start
         assert case.frame.tolist() == case.time.tolist() == [1, 2] and case.scene.series_resistance_ohm == 140
@@ -168,20 +166,11 @@ def test_missing_library_is_one_sentence(
 
 def interrupted(path: Path, out: Path, pattern: str, count: int) -> tuple[int, str, str]:
     """Return code, output and errors of a run that Ctrl-C reaches, in all processes, once so many files exist."""
-    # Shells start background jobs with Ctrl-C ignored, and children inherit that.
-    options = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler)}
-    options |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
-    run = subprocess.Popen([COMMAND, "run", path, "--out", out], **options)
-    deadline = time.monotonic() + 60
-    while len(list((out / "cases").glob(pattern))) < count:
-        assert run.poll() is None and time.monotonic() < deadline, run.communicate()
-        time.sleep(0.01)
+    run = Batch(path, count).start(out)
+    until(lambda: len(list((out / "cases").glob(pattern))) >= count)
     os.killpg(run.pid, signal.SIGINT)
     stdout, stderr = run.communicate(timeout=60)
-    with pytest.raises(ProcessLookupError):  # nothing stays running
-        while time.monotonic() < deadline + 60:
-            os.killpg(run.pid, 0)
-            time.sleep(0.05)
+    until(lambda: not session(run.pid))  # nothing stays running
     return run.returncode, stdout, re.sub(PROGRESS, "", stderr)
 
 

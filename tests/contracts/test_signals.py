@@ -2,12 +2,12 @@
 
 import signal
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from support import until
 from wild_board import Script, WildBoard, hundred_a_second, wild_board, wire
 
 from lampest import Recording
@@ -41,20 +41,13 @@ def recorder(script: Script, out: Path) -> Iterator[tuple[WildBoard, Running]]:
             process.kill()
 
 
-def wait_until(condition: Callable[[], bool], process: Running) -> None:
-    end = time.monotonic() + 60
-    while not condition():
-        assert process.poll() is None and time.monotonic() < end
-        time.sleep(0.01)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("number", SIGNALS)
 def test_all_that_was_sent_before_a_signal_is_in_the_file(tmp_path: Path, number: signal.Signals) -> None:
     out = tmp_path / "r.h5"
     with recorder(hundred_a_second, out) as (board, process):
         length = len(wire(board.hello, 300))
-        wait_until(lambda: out.exists() and board.sent >= 60 * length, process)
+        until(lambda: out.exists() and board.sent >= 60 * length)
         sent = board.sent // length
         for _ in range(3):
             process.send_signal(number)
@@ -69,7 +62,7 @@ def test_all_that_was_sent_before_a_signal_is_in_the_file(tmp_path: Path, number
 
 def test_a_signal_before_the_first_frame_leaves_nothing(tmp_path: Path) -> None:
     with recorder(lambda hello: iter(()), tmp_path / "r.h5") as (board, process):
-        wait_until(lambda: board.hello.running, process)
+        until(lambda: board.hello.running)
         process.send_signal(signal.SIGHUP)
         process.communicate(timeout=30)
     assert process.returncode == 130 and not list(tmp_path.iterdir())
@@ -79,7 +72,7 @@ def test_a_recording_outlives_its_terminal_with_nohup(tmp_path: Path) -> None:
     out = tmp_path / "r.h5"
     words = ("nohup", COMMAND, "record", "--out", out, "--count", 40, "--period", "0.01", "--port")
     with wild_board(hundred_a_second) as board, started(*words, board.port, preexec_fn=None) as process:
-        wait_until(out.exists, process)
+        until(out.exists)
         process.send_signal(signal.SIGHUP)
         assert process.wait(60) == 0
     assert len(Recording.load(out).time) == 40

@@ -37,9 +37,12 @@ class Batch:
     path: Path
     count: int
 
-    def start(self, out: Path, jobs: int) -> subprocess.Popen[str]:
-        """Start the command as the leader of a session, so that its processes are known."""
-        command = [str(COMMAND), "run", str(self.path), "--out", str(out), "--jobs", str(jobs)]
+    def start(self, out: Path, jobs: int | None = None) -> subprocess.Popen[str]:
+        """Start the command as the leader of a session, so that its processes are known.
+
+        Shells start background jobs with Ctrl-C ignored, and children inherit that.
+        """
+        command = [COMMAND, "run", self.path, "--out", out, *([] if jobs is None else ["--jobs", str(jobs)])]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         return subprocess.Popen(
             command,

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from support import until
 
 from lampest.files.errors import InputError
 from lampest.report.live import server as server_module
@@ -35,9 +36,8 @@ def page_at(host: str, *given: Any, **actions: Any) -> Iterator[SimpleNamespace]
         port = int(server.server_address[1])
 
         def ask(path: str = "/", method: str = "GET", **headers: str) -> http.client.HTTPResponse:
-            connection = stack.enter_context(
-                contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=10))
-            )
+            begun = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+            connection = stack.enter_context(contextlib.closing(begun))
             named = {name.replace("_", "-"): value for name, value in headers.items()}
             connection.request(method, path, headers=named)
             return stack.enter_context(contextlib.closing(connection.getresponse()))
@@ -192,10 +192,8 @@ def test_guests_beyond_the_seats_are_told_so_and_those_that_never_read_give_thei
             return bytes(page.wired(b"GET /views HTTP/1.1\r\nHost: localhost\r\n\r\n").recv(12)[9:])
 
         assert [status(), status(), status()] == [b"200", b"200", b"503"] and page.status() == 200
-        until = time.monotonic() + 10
-        while (answer := status()) != b"200" and time.monotonic() < until:
-            time.sleep(0.1)
-        assert answer == b"200" and server_module.PageServer.daemon_threads
+        until(lambda: status() == b"200")
+        assert server_module.PageServer.daemon_threads
 
 
 def test_the_last_view_reaches_everybody_and_nobody_holds_up_the_end() -> None:
