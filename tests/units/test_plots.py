@@ -1,19 +1,17 @@
 """Kinds of pictures: the union is walked, a further one is a class in a script or a name in a package."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
+from contracts.extensions import Histogram
 from golden.outputs import invented
-from matplotlib.figure import Figure
 from support import invented_case
 
-from lampest import CaseResult, InputError, write_results
-from lampest.report.plots import PLOTS, Plot, plot_of, plot_results
-from lampest.report.plots.style import new_figure
+from lampest import InputError, write_results
+from lampest.report.plots import PLOTS, plot_of, plot_results
 from lampest.runs.case import COLUMNS
 from lampest.runs.columns import FRAMES, Column
 
@@ -27,20 +25,10 @@ def test_every_kind_is_drawn_by_its_word(tmp_path: Path) -> None:
         assert file.name == f"{plot.kind}_mouth.png" and file.read_bytes().startswith(b"\x89PNG")
 
 
-@dataclass(frozen=True)
-class SharePlot(Plot):
-    kind: ClassVar[str] = "share"
-    needs: ClassVar[tuple[str, ...]] = ("share",)
-
-    def draw(self, cases: Sequence[CaseResult]) -> Figure:
-        figure = new_figure(2.0)
-        figure.subplots().plot(cases[0].time, cases[0].extra["share"])
-        return figure
-
-
 def test_a_plot_of_a_script_draws_a_column_of_a_script(tmp_path: Path) -> None:
     share = Column("share", FRAMES, "1", "a share", lambda done: None)
+    plot: Any = type("SharePlot", (Histogram,), {"kind": "share", "needs": ("share",)})()
     write_results(tmp_path / "r.h5", [invented_case(extra={"share": np.ones(3)})], columns=(share,))
-    assert plot_results(tmp_path / "r.h5", show=SharePlot(), columns=(share,)) == [tmp_path / "share_mouth.png"]
+    assert plot_results(tmp_path / "r.h5", show=plot, columns=(share,)) == [tmp_path / "share_mouth.png"]
     with pytest.raises(InputError, match=r"r\.h5: holds no share to draw, which needs share"):
-        plot_results(tmp_path / "r.h5", show=SharePlot())
+        plot_results(tmp_path / "r.h5", show=plot)
