@@ -5,8 +5,6 @@ Run it with: python -m tests.studies.equal BEFORE.h5 AFTER.h5 [--cells 1e-12]
 
 import argparse
 import sys
-from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,27 +13,11 @@ import numpy as np
 
 CELLS = ("cell_resistance", "baseline_resistance")
 BARS = "cell_resistance_errors"
-FLAGS = ("status", "open_cell", "at_lower_bound", "saturated", "solved", "frame")
+FLAGS = ("status", "open_cell", "at_lower_bound", "saturated", "solved", "frame", "@baseline_status", "@joint_start")
 # How long it took says nothing of the result, and a residual at the tolerance is the rounding of another sum.
 IGNORED = ("solve_time", "error_bar_time", "kkt_residual")
 
-
-@dataclass(frozen=True)
-class Row:
-    """What one estimator of one recording says in both files; differences are max |a − b| / max(|a|, |b|).
-
-    A difference is NaN where neither file holds the figure; `rest` names the dataset that differs most of all others.
-    """
-
-    name: str
-    differences: dict[str, float]
-    rest: tuple[str, float]
-    unequal: tuple[str, ...]
-    alone: tuple[str, ...]
-
-    def agrees(self, cells: float) -> bool:
-        """Whether cells lie within the tolerance (relative) and statuses and flags are equal."""
-        return not self.unequal and not any(self.differences[name] > cells for name in CELLS)
+Row = dict[str, float]  # dataset → max |a − b| / max(|a|, |b|) of both files; ∞ for other texts and one of one file
 
 
 def relative_difference(ours: Any, theirs: Any) -> float:
@@ -58,65 +40,63 @@ def datasets(group: h5py.Group) -> dict[str, Any]:
     return values | {f"@{key}": np.asarray(value) for key, value in attributes.items()}
 
 
-def row(name: str, ours: dict[str, Any], theirs: dict[str, Any]) -> Row:
-    """What one group says in both files; a cell or a flag that one of them lacks counts as unequal."""
-    shared = sorted(ours.keys() & theirs.keys())
-    size = {key: relative_difference(ours[key], theirs[key]) for key in shared if ours[key].dtype.kind in "fiub"}
-    decisive = [key for key in sorted(ours.keys() | theirs.keys()) if key in FLAGS or key.startswith("@")]
-    weights = [key for key in size if key.startswith("weight/")]
-    others = [key for key in size if key not in {*CELLS, BARS, *decisive, *weights, *IGNORED}]
-    worst = max(others, key=lambda key: size[key], default="")
-    alone = tuple(sorted((ours.keys() ^ theirs.keys()) - {*IGNORED}))
-    unequal = [key for key in decisive if key in shared and not np.array_equal(ours[key], theirs[key])]
-    return Row(
-        name,
-        {key: size.get(key, float("nan")) for key in (*CELLS, BARS)}
-        | {"weight": max((size[key] for key in weights), default=float("nan"))},
-        (worst, size.get(worst, 0.0)),
-        (*unequal, *(key for key in alone if key in CELLS or key in decisive)),
-        alone,
-    )
+def row(ours: dict[str, Any], theirs: dict[str, Any]) -> Row:
+    """How far each dataset of one group differs between the files."""
+    found = dict.fromkeys(sorted((ours.keys() | theirs.keys()) - {*IGNORED}), float("inf"))
+    for key in found.keys() & ours.keys() & theirs.keys():
+        if ours[key].dtype.kind in "fiub" and key not in FLAGS:
+            found[key] = relative_difference(ours[key], theirs[key])
+        elif np.array_equal(ours[key], theirs[key]):
+            found[key] = 0.0
+    return found
 
 
-def compare(before: Path, after: Path) -> tuple[list[Row], list[str]]:
+def agrees(differences: Row, cells: float) -> bool:
+    """Whether cells lie within the tolerance (relative) and statuses and flags are equal."""
+    decisive = [key for key in differences if key in (*CELLS, *FLAGS)]
+    return all(differences[key] <= (cells if key in CELLS else 0.0) for key in decisive)
+
+
+def compare(before: Path, after: Path) -> tuple[dict[str, Row], list[str]]:
     """Rows for each recording × estimator and each recording's readings, and the groups that one of them lacks."""
     with h5py.File(before) as first, h5py.File(after) as second:
-        names = [
-            {f"{recording}/{child}" for recording, group in file["entry"].items() for child in group}
+        ours, theirs = (
+            {f"{recording}/{child}": group[child] for recording, group in file["entry"].items() for child in group}
             for file in (first, second)
-        ]
-        rows = [
-            row(name, datasets(first["entry"][name]), datasets(second["entry"][name]))
-            for name in sorted(names[0] & names[1])
-        ]
-    return rows, sorted(names[0] ^ names[1])
-
-
-def largest(rows: list[Row]) -> float:
-    """The largest relative difference of any cell, the baseline's included."""
-    return max((row.differences[name] for row in rows for name in CELLS if row.differences[name] >= 0), default=0.0)
+        )
+        both = sorted(ours.keys() & theirs.keys())
+        return {name: row(datasets(ours[name]), datasets(theirs[name])) for name in both}, sorted(ours.keys() ^ theirs)
 
 
 def equal(before: Path, after: Path, cells: float) -> bool:
     """Whether both files hold the same cases, cells within the tolerance, statuses and flags the same."""
     rows, lone = compare(before, after)
-    return bool(rows) and not lone and all(row.agrees(cells) for row in rows)
+    return bool(rows) and not lone and all(agrees(differences, cells) for differences in rows.values())
 
 
-def show(rows: list[Row], lone: list[str], cells: float) -> None:
+def weights_and_rest(differences: Row) -> tuple[float, tuple[float, str]]:
+    """The largest difference of a weight, NaN without any, and that of all other datasets with its name."""
+    weights = [value for key, value in differences.items() if key.startswith("weight/")]
+    others = [key for key in differences if key not in (*CELLS, BARS, *FLAGS) and not key.startswith("weight/")]
+    return max(weights, default=float("nan")), max(((differences[key], key) for key in others), default=(0.0, ""))
+
+
+def show(rows: dict[str, Row], lone: list[str], cells: float) -> None:
     """Print the table, and below it the groups of one file only; readings appear where they differ."""
-    width = max((len(row.name) for row in rows), default=9)
+    width, largest = max(map(len, rows), default=9), 0.0
     print(f"{'':{width}}  {'cells':>9}  {'baseline':>9}  {'bars':>9}  {'weights':>9}  flags")
-    for row in rows:
-        if row.name.endswith("/recording") and row.agrees(cells) and not row.rest[1]:
+    for name, differences in rows.items():
+        weight, (most, where) = weights_and_rest(differences)
+        if name.endswith("/recording") and agrees(differences, cells) and not most:
             continue
-        figures = "  ".join("        -" if np.isnan(value) else f"{value:9.1e}" for value in row.differences.values())
-        rest = f"; rest {row.rest[1]:.1e} in {row.rest[0]}" if row.rest[1] else ""
-        print(f"{row.name:{width}}  {figures}  {', '.join(row.unequal) or 'equal'}{rest}")
-    paths = Counter(path for row in rows for path in row.alone)
-    for name in (*lone, *(f"{path} of {count} groups" for path, count in sorted(paths.items()))):
+        values = [*(differences.get(key, float("nan")) for key in (*CELLS, BARS)), weight]
+        largest = max(largest, *(differences.get(key, 0.0) for key in CELLS))
+        figures = "  ".join("        -" if np.isnan(value) else f"{value:9.1e}" for value in values)
+        unequal = ", ".join(key for key in FLAGS if differences.get(key)) or "equal"
+        print(f"{name:{width}}  {figures}  {unequal}" + (f"; rest {most:.1e} in {where}" if most else ""))
+    for name in lone:
         print(f"in one file only: {name}")
-    print(f"largest difference of a cell {largest(rows):.1e}, allowed {cells:.1e}")
+    print(f"largest difference of a cell {largest:.1e}, allowed {cells:.1e}")
 
 
 def main() -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from studies.equal import compare, equal, largest, relative_difference
+from studies.equal import compare, equal, relative_difference, weights_and_rest
 from support import METHODS, invented_case
 
 from lampest import write_results
@@ -133,9 +133,9 @@ def test_rows_say_where_and_how_much_and_the_exit_code_whether_all_is_equal(pair
         file[f"{BASE}/two_point_model"][0, 0, 0] *= 4
         del file["/entry/mouth/LSR-CR"]
     rows, lone = compare(*pair)
-    assert lone == ["mouth/LSR-CR"] and largest(rows) == pytest.approx(1 / 3)
-    (row,) = (row for row in rows if row.name == "mouth/LSM")
-    assert row.differences["weight"] == 0.5 and row.rest == ("two_point_model", 0.75)
+    row = rows["mouth/LSM"]
+    assert lone == ["mouth/LSR-CR"] and row["cell_resistance"] == pytest.approx(1 / 3)
+    assert weights_and_rest(row) == (0.5, (0.75, "two_point_model"))
 
 
 def test_relative_difference_of_odd_values() -> None:
