@@ -47,9 +47,8 @@ class WildBoard:
             ripe = current if begun or time.monotonic() >= due else b""
             outgoing = current if begun else answers or ripe
             pause = 0.02 if not current else min(0.02, max(0.0, due - time.monotonic()))
-            readable, writable, _ = select.select(
-                [line], [line] if outgoing else [], [], pause if not outgoing else 0.02
-            )
+            waiting, seconds = ([line], 0.02) if outgoing else ([], pause)
+            readable, writable, _ = select.select([line], waiting, [], seconds)
             if writable:
                 taken = os.write(line, outgoing[:512])
                 if begun or not answers:

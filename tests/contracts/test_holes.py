@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lampest
+from tests.estimates import recording_of
 
 Command = Callable[..., SimpleNamespace]
 TOO_FEW = "too few of the frame's readings are values: the others are missing, or bounds"
@@ -31,8 +32,7 @@ def healthy(seed: int) -> np.ndarray:
 
 
 def recorded(path: Path, values: np.ndarray) -> Path:
-    role = np.array([0, 0, 1, 1, 1, 1, 1], dtype=np.uint8)
-    lampest.Recording(SCENE, values, np.arange(7.0), role, name=path.stem).save(path)
+    recording_of(SCENE, values, 2, name=path.stem).save(path)
     return path
 
 
@@ -68,9 +68,7 @@ def test_a_row_that_never_answers_is_named(tmp_path: Path, lampest: Command) -> 
 def test_without_any_unloaded_frame_the_first_that_can_be_read_stands(terms: tuple[object, ...]) -> None:
     values = healthy(5)
     values[:3] = np.nan
-    role = np.array([0, 0, 1, 1, 1, 1, 1], dtype=np.uint8)
-    recording = lampest.Recording(SCENE, values, np.arange(7.0), role)
-    found = lampest.reconstruct(recording, terms=list(terms), formulation="reduced")
+    found = lampest.reconstruct(recording_of(SCENE, values, 2), terms=list(terms), formulation="reduced")
     assert found.status[0] == TOO_FEW and all(found.solved[1:])
     assert np.nanmax(np.abs(found.relative_change)) < 5.0
 
@@ -97,9 +95,7 @@ def cells() -> np.ndarray:
 def exactly(scene: lampest.Scene, *frames: np.ndarray, sigma: float | None = None) -> lampest.Recording:
     """Exact readings, the first of them unloaded; sigma : of themselves."""
     exact = lampest.two_point_resistance(np.stack(frames))
-    role = np.array([lampest.UNLOADED, *[lampest.MEASURED] * (len(frames) - 1)], dtype=np.uint8)
-    own = None if sigma is None else sigma * exact
-    return lampest.Recording(scene, exact, np.arange(len(frames), dtype=float), role, sigma=own, name="exact")
+    return recording_of(scene, exact, 1, sigma=None if sigma is None else sigma * exact, name="exact")
 
 
 def solved(recording: lampest.Recording, formulation: str, weight: float | None = None, **bounds: object) -> list[str]:

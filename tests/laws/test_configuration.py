@@ -155,9 +155,8 @@ def test_every_method_may_be_its_bare_word() -> None:
 
 
 def test_installed_kinds_stand_in_the_order_of_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
-    points = [
-        EntryPoint(name, f"{kind.__module__}:{kind.__name__}", "g") for name, kind in (("b", Panel), ("a", Scene))
-    ]
+    named = {"b": Panel, "a": Scene}.items()
+    points = [EntryPoint(name, f"{kind.__module__}:{kind.__name__}", "g") for name, kind in named]
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
     assert typed.installed.__wrapped__("g", type) == (Scene, Panel)
 

@@ -75,9 +75,8 @@ def test_a_rectangle_that_is_listed_is_the_rectangle() -> None:
     """The same neighbours and the same estimate, whether cells are listed or not."""
     plain = Panel(3, 4, 8.0)
     listed = replace(plain, cells=tuple((j, k, 8.0 * k, 8.0 * j) for j in range(3) for k in range(4)))
-    assert {*zip(*(one.tolist() for one in plain.neighbours[:2]), strict=True)} == {
-        *zip(*(one.tolist() for one in listed.neighbours[:2]), strict=True)
-    }
+    pairs = [{*zip(*map(np.ndarray.tolist, panel.neighbours[:2]), strict=True)} for panel in (plain, listed)]
+    assert pairs[0] == pairs[1]
     readings = exact_two_point_resistance(1000 * np.exp(np.random.default_rng(3).normal(0, 0.5, (3, 4))))[None]
     for term in (lampest.LogGradient(weight=1e4), lampest.TotalVariation(weight=1.0)):
         both = [solved(panel, readings, lampest.Misfit(), term).cell_resistance for panel in (plain, listed)]
@@ -124,16 +123,14 @@ def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path)
     panel = OUTLINES["hand"](np.random.default_rng(1))
     rod, cells = lampest.Rod(centre_mm=(20.0, 46.0), diameter_mm=16, mass_g=200), Cells(3000, 0.1, 6)
     scene = Scene(panel, lampest.TwoPointReadout(adc_bits=12, readings=20, noise_lsb=0.5), response=PUBLISHED)
-    recording = lampest.simulate(
-        Simulation(1, 2, scene, cells=cells, baseline_frames=4, frames=6, loads=(rod,), frame_period_s=0.3)
-    )
+    times = {"baseline_frames": 4, "frames": 6, "frame_period_s": 0.3}
+    recording = lampest.simulate(Simulation(1, 2, scene, cells=cells, loads=(rod,), **times))
     assert np.array_equal(np.isfinite(recording.truth_cell_resistance[0]), panel.present)
     x, y = panel.places_mm
     under = recording.truth_pressure[-1] > 0
     assert under.any() and np.all(np.hypot(x - 20, y - 46)[under] < 8 + 6)
-    estimate = lampest.reconstruct(
-        recording, terms=[lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1e-3)]
-    )
+    terms = [lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1e-3)]
+    estimate = lampest.reconstruct(recording, terms)
     truth = recording.truth_cell_resistance[recording.role == 1]
     np.testing.assert_allclose(estimate.cell_resistance[:, panel.present], truth[:, panel.present], rtol=0.02)
     pressed = pressed_of(estimate.result())

@@ -51,10 +51,9 @@ FIGURES = re.compile(r"such as|with|\d|else", re.IGNORECASE)
 def test_every_option_has_help_and_every_command_an_example() -> None:
     for name, command in COMMANDS.items():
         assert command.help and command.epilog.startswith(f"Example: lampest {name}")
-        reads_a_configuration = name in ("run", "simulate", "live") or (
-            name.startswith("study") and "paper" not in name
-        )
-        assert not reads_a_configuration or any("--set" in parameter.opts for parameter in command.params)
+        study = name.startswith("study") and "paper" not in name
+        configured = study or name in ("run", "simulate", "live")
+        assert not configured or any("--set" in parameter.opts for parameter in command.params)
         for parameter in command.params:
             assert parameter.help, f"{name}: {parameter.name}"
             kind = str(getattr(parameter, "type_descriptor", None) or getattr(parameter, "type", "")).lower()

@@ -18,20 +18,16 @@ HELLO = Hello(10, 10, 20, 16, 16, 64, (1, 0), 1_000_000, 230_100, 40, 5000, 1_00
 ANSWER = Answer(Kind.SET_ROWS, 7, Result.REFUSED_RANGE, 10)
 
 
-def frames() -> st.SearchStrategy[Frame]:
+@st.composite
+def frames(draw: st.DrawFn) -> Frame:
     """Any frame that a board may send."""
-
-    @st.composite
-    def draw_frame(draw: st.DrawFn) -> Frame:
-        rows, columns = draw(st.integers(1, 16)), draw(st.integers(1, 16))
-        readings = draw(st.integers(1, 64))
-        seed = draw(st.integers(0, 2**32 - 1))
-        most = readings * protocol.MAX_CODE if draw(st.booleans()) else 3
-        sums = np.random.default_rng(seed).integers(0, most + 1, (rows, columns)).astype(np.uint16)
-        counts = [draw(st.integers(0, 2**bits - 1)) for bits in (32, 32, 16)]
-        return Frame(readings, *counts, sums)
-
-    return draw_frame()
+    rows, columns = draw(st.integers(1, 16)), draw(st.integers(1, 16))
+    readings = draw(st.integers(1, 64))
+    seed = draw(st.integers(0, 2**32 - 1))
+    most = readings * protocol.MAX_CODE if draw(st.booleans()) else 3
+    sums = np.random.default_rng(seed).integers(0, most + 1, (rows, columns)).astype(np.uint16)
+    counts = [draw(st.integers(0, 2**bits - 1)) for bits in (32, 32, 16)]
+    return Frame(readings, *counts, sums)
 
 
 def same(left: protocol.Message, right: protocol.Message) -> bool:
