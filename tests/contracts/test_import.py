@@ -51,20 +51,10 @@ MONITOR = (
     "code, guessed",
 )
 codes("the Arduino's monitor", ARDUINO, *MONITOR, times=FOUR, rows=None, columns=None)
-CUT = [*lines(CODES[:3]), ",".join(map(str, CODES[3].ravel()[:6]))]
-SENTENCES = ("10 readings missing, in 1 of 4 frames: NaN", "the last number of line 4 is cut")
-HALF = with_nan(VOLT_OF_CODES, (3, 1, slice(1, 5)), (3, 2))
-codes("a monitor cut within a number", CUT, *SENTENCES, expected=with_nan(HALF, (3, 1)))
-codes("a monitor cut after a line", [*CUT, ""], absent="is cut", expected=HALF)
 LABVIEW = ["LabVIEW Measurement\t", "Channels\t15", "***End_of_Header***\t"]
 LABVIEW += ["X_Value\t" + "\t".join(["Channel", *(f"Channel_{n}" for n in range(1, 15))]) + "\tComment"]
 LABVIEW += [*(f"{n / 2:.6f}\t{line}\t" for n, line in enumerate(lines(CODES, "\t"))), ""]
 codes("empty columns beside the cells", "\r\n".join(LABVIEW), "empty columns left out: Comment", times=FOUR / 2)
-for step, unit, scale in ((500, "ms", 1e-3), (40_000, "us", 1e-6)):
-    begin = 2**32 - 2 * step
-    text = [*(f"{(begin + step * n) % 2**32},{line}" for n, line in enumerate(lines(CODES))), ""]
-    again = f"first field in {unit}; the counter began again once"
-    codes(f"a counter in {unit} that begins again", text, again, times=scale * (begin + step * FOUR))
 
 NUMBERED = [(number, row, line) for number, frame in enumerate(CODES) for row, line in enumerate(lines(frame))]
 BLOCKS = {
@@ -141,8 +131,6 @@ PANDAS = [",".join(["frame", *map(str, range(15))]), *(f"{n},{line}" for n, line
 taken("names of a transposed panel", TURNED, transpose=True)
 taken("a cell without a column", FEWER, "1 cells have no column", expected=with_nan(FRAMES, (slice(None), 2, 4)))
 taken("a data frame", PANDAS, "left out: frame", times=FOUR)
-BEYOND = ("'r3c0' is beyond the panel of 3 × 5 cells, ", "; with `transpose` it would")
-refused("names beyond the panel", TURNED, *BEYOND)
 UNITS_BELOW = [",".join(np.array(NAMED)[ORDER]), ",".join(["kOhm"] * 15), *lines(WIDE[:, ORDER] / 1000)]
 taken("units below the names", UNITS_BELOW, "line 2 taken as header, with the names of the line above")
 UNNAMED = [",".join(map(str, range(15))), *lines(WIDE)]
@@ -158,8 +146,6 @@ taken(
     "row by row; '0.0V' and the other names tell no cells",
     unit="ohm",
 )
-TWICE = "\n".join(TURNED).replace("r0c0", "r0c1")
-refused("a name twice", TWICE, "'r0c1' and 'r0c1' are the same cell", transpose=True)
 for first in (0, 1):
     header = "," + ",".join(f"c{column + first}" for column in range(COLUMNS)[::-1])
     text = "\n\n".join(
