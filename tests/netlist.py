@@ -2,11 +2,12 @@
 
 from collections.abc import Hashable, Iterable
 from itertools import pairwise
+from typing import Any
 
 import mpmath
 import numpy as np
 
-from lampest import Array, Scene
+from lampest import Array, LoadedColumnsReadout, Scene, TwoPointReadout, VirtualGroundReadout
 
 Node = Hashable
 Resistor = tuple[Node, Node, float]
@@ -99,3 +100,68 @@ def in_digits(cells: Array, digits: int = 50) -> Array:
             inverse[j, j] + inverse[k, k] - 2 * inverse[j, k] for j in range(rows) for k in range(rows, matrix.rows)
         ]
     return np.array([float(resistance) for resistance in between]).reshape(cells.shape)
+
+
+def each(ohm: float | tuple[float, ...], lines: int) -> tuple[float, ...]:
+    return ohm if isinstance(ohm, tuple) else (ohm,) * lines
+
+
+def volts(cells: Array, readout: Any) -> Array:
+    """Return the voltage at the converter, (rows, columns): a netlist of its own for every reading."""
+    turned = getattr(readout, "driven", "rows") == "columns"
+    matrix = cells.T if turned else cells
+    volt = np.empty(matrix.shape)
+    for driven, sensed in np.ndindex(matrix.shape):
+        volt[driven, sensed] = volt_of(matrix, readout, driven, sensed)
+    return volt.T if turned else volt
+
+
+def volt_of(matrix: Array, readout: Any, driven: int, sensed: int) -> float:
+    """Return the voltage of one reading of a panel (driven lines, sensed lines) ohm."""
+    if isinstance(readout, TwoPointReadout):
+        return divider(matrix, readout, driven, sensed)
+    network = network_of(matrix, readout, driven, sensed)
+    high, low = (0.0, readout.supply_volt)[:: 1 if getattr(readout, "polarity", "up") == "down" else -1]
+    volt = potentials(network, {"high": high, "low": low})
+    if isinstance(readout, VirtualGroundReadout):
+        through = [(volt["d", line] - volt["s", sensed]) / ohm for line, ohm in enumerate(matrix[:, sensed])]
+        return each(readout.feedback_ohm, matrix.shape[1])[sensed] * sum(through)
+    return volt["load", sensed]
+
+
+def cells_between(matrix: Array) -> list[Resistor]:
+    return [(("d", line), ("s", other), ohm) for (line, other), ohm in np.ndenumerate(matrix)]
+
+
+def divider(
+    matrix: Array, readout: TwoPointReadout, row: int, column: int, row_ohm: float = 0.0, column_ohm: float = 0.0
+) -> float:
+    """Volt at the converter: supply, reference, row's channel, panel, column's channel and ground in a row."""
+    across_sensor = readout.measured_across == "sensor"
+    above, below = (readout.reference_ohm, 0.0)[:: 1 if across_sensor else -1]
+    tap: Node = "row end" if across_sensor else "column end"
+    network = [*cells_between(matrix), ("high", "row end", above), ("column end", "low", below)]
+    network += [("row end", ("d", row), row_ohm), (("s", column), "column end", column_ohm)]
+    network += [] if readout.input_ohm is None else [(tap, "low", readout.input_ohm)]
+    return potentials(network, {"high": readout.supply_volt, "low": 0.0})[tap]
+
+
+def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
+    """Drives, panel, channels and loads of a readout in volt while one line is driven and one is sensed."""
+    lines, others = (range(count) for count in matrix.shape)
+    floating = isinstance(readout, LoadedColumnsReadout)
+    drive = each(readout.drive_ohm, len(lines))
+    network = cells_between(matrix)
+    network += [
+        (("d", line), "high" if line == driven else "low", drive[line])
+        for line in lines
+        if line == driven or not floating
+    ]
+    channels = (0.0,) * len(others) if floating else each(readout.sense_ohm, len(others))
+    if isinstance(readout, VirtualGroundReadout):
+        return [*network, *((("s", line), "low", channels[line]) for line in others)]
+    loads = each(readout.load_ohm, len(others))
+    for line in [sensed] if getattr(readout, "sense", "all") == "one" else others:
+        network += [(("s", line), ("load", line), channels[line]), (("load", line), "low", loads[line])]
+        network += [] if readout.input_ohm is None else [(("load", line), "low", readout.input_ohm)]
+    return network

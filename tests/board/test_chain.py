@@ -14,6 +14,7 @@ from lampest import MEASURED, UNLOADED, Array, Estimator, Faults, Misfit, Record
 from lampest.estimate.sequence import reconstruct
 from lampest.recording.board.record import record
 from lampest.report.live.run import LiveBoard, recorded_from_board
+from tests.netlist import impedance_of
 
 
 def test_readings_scatter_around_the_truth_as_their_sigma_says(tmp_path: Path) -> None:
@@ -119,17 +120,11 @@ def test_without_a_scene_the_board_is_believed(tmp_path: Path, wiring: str) -> N
 
 def node_voltages(cells: Array, drive_ohm: Array, load_ohm: Array) -> Array:
     """Volts of every column while each row is driven, (rows, columns): Kirchhoff's current law, node by node."""
-    rows, columns = cells.shape
-    volts = np.zeros((rows, columns))
-    for driven in range(rows):
-        law, current = np.zeros((rows + columns, rows + columns)), np.zeros(rows + columns)
-        for row, column in np.ndindex(rows, columns):
-            nodes = np.ix_((row, rows + column), (row, rows + column))
-            law[nodes] += np.array([[1, -1], [-1, 1]]) / cells[row, column]
-        law[driven, driven] += 1 / drive_ohm[driven]
-        current[driven] = 5 / drive_ohm[driven]
-        law[rows:, rows:] += np.diag(1 / load_ohm)
-        volts[driven] = np.linalg.solve(law, current)[rows:]
+    volts = np.zeros(cells.shape)
+    for row, ohm in enumerate(drive_ohm):
+        ties = np.concatenate([np.arange(len(cells)) == row, np.ones(len(load_ohm))])
+        impedance = impedance_of(cells, scene(*cells.shape), ties / np.concatenate([drive_ohm, load_ohm]))
+        volts[row] = 5 / ohm * impedance[len(cells) :, row]
     return volts
 
 

@@ -7,10 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from contracts.extensions import Divider
 from known_loads import Bench, moved_over
 
 from lampest import Array, Estimator, InputError, Misfit, Panel, Recording, Scene, VirtualGroundReadout
-from lampest.estimate.calibration.channels import ChannelCalibration, calibrate_channels
+from lampest.estimate.calibration.channels import calibrate_channels
 from lampest.estimate.calibration.known_loads import KnownLoad, KnownLoads
 from lampest.estimate.calibration.loads import (
     Loaded,
@@ -25,14 +26,16 @@ from lampest.files.document import parse_document, validated
 from lampest.loads.pressure import pressure_of
 from lampest.panel.readouts import AnyReadout, GroundedReadout, LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.readouts.floating import two_point_resistance
-from lampest.panel.readouts.lines import LineNumber
 from lampest.panel.response import PUBLISHED, PowerResponse
 from lampest.panel.scene import MeasuredSubject, Systematic
 from tests.estimates import recording_of, rms
-from tests.netlist import Resistor, potentials
+from tests.netlist import divider, volts
 
-SUPPLY, REFERENCE, SENSE = 5.0, 1000.0, 70.0
-KINDS = ("two_point", "loaded_columns", "grounded", "virtual_ground")
+NOMINAL = {"two_point": 1000.0, "loaded_columns": 10_000.0, "grounded": 1000.0, "virtual_ground": 400.0}
+KINDS = tuple(NOMINAL)
+SIDE, LOADS, SPREAD = 4, 8, 5.0
+TOLD = Systematic(reference_tolerance=0.01, channel_spread_ohm=SPREAD)
+OTHER = PowerResponse(exponent=0.8, scale_kpa=2.0)
 
 
 @dataclass(frozen=True)
@@ -43,42 +46,35 @@ class Board:
     rows: Array
     columns: Array
 
-    def volt(self, cells: Array, row: int, column: int) -> float:
-        """At the converter while row and column are selected, by nodal analysis."""
-        net: list[Resistor] = [(("row", j), ("column", k), float(ohm)) for (j, k), ohm in np.ndenumerate(cells)]
-        held = {"supply": SUPPLY, "ground": 0.0}
-        lines = range(cells.shape[0]), range(cells.shape[1])
-        if self.kind == "two_point":
-            net += [("supply", ("row", row), self.rows[row]), (("column", column), "sense", self.columns[column])]
-            net += [("sense", "ground", REFERENCE)]
-            return potentials(net, held)["sense"]
-        net.append(("supply", ("row", row), self.rows[row]))
-        if self.kind != "loaded_columns":
-            net += [("ground", ("row", j), self.rows[j]) for j in lines[0] if j != row]
-        if self.kind == "virtual_ground":
-            net += [(("column", k), "ground", SENSE) for k in lines[1]]
-            current = potentials(net, held)["column", column] / SENSE
-            return current * self.columns[column]
-        net += [(("column", k), "ground", self.columns[k]) for k in lines[1]]
-        return potentials(net, held)["column", column]
+    def volt(self, cells: Array) -> Array:
+        """At the converter, (rows, columns), by nodal analysis."""
+        rows, columns = (tuple(map(float, line)) for line in (self.rows, self.columns))
+        if self.kind != "two_point":
+            return volts(cells, readout_of(self.kind, columns, drive_ohm=rows))
+        readout, places = readout_of("two_point", NOMINAL["two_point"]), np.ndindex(cells.shape)
+        return np.reshape([divider(cells, readout, j, k, rows[j], columns[k]) for j, k in places], cells.shape)
+
+
+def readout_of(kind: str, ohm: float | tuple[float, ...], **known: object) -> AnyReadout:
+    """A circuit with its reference, loads or feedback of that resistance."""
+    readouts: dict[str, Callable[..., AnyReadout]] = {
+        "two_point": lambda: TwoPointReadout(reference_ohm=ohm, **known),
+        "loaded_columns": lambda: LoadedColumnsReadout(load_ohm=ohm, **known),
+        "grounded": lambda: GroundedReadout(load_ohm=ohm, **known),
+        "virtual_ground": lambda: VirtualGroundReadout(feedback_ohm=ohm, sense_ohm=70.0, **known),
+    }
+    return readouts[kind]()
 
 
 def told(kind: str, shape: tuple[int, int], **converter: object) -> Scene:
     """What the user knows: the circuit and what is printed on its resistors."""
-    known = {"supply_volt": SUPPLY, "adc_bits": 10, "readings": 20, "noise_lsb": 0.7} | converter
-    readouts: dict[str, Callable[..., AnyReadout]] = {
-        "two_point": lambda **k: TwoPointReadout(reference_ohm=REFERENCE, **k),
-        "loaded_columns": lambda **k: LoadedColumnsReadout(load_ohm=10_000.0, **k),
-        "grounded": lambda **k: GroundedReadout(load_ohm=1000.0, **k),
-        "virtual_ground": lambda **k: VirtualGroundReadout(feedback_ohm=400.0, sense_ohm=SENSE, **k),
-    }
-    return Scene(Panel(*shape), readouts[kind](**known))
+    known = {"adc_bits": 10, "readings": 20, "noise_lsb": 0.7} | converter
+    return Scene(Panel(*shape), readout_of(kind, NOMINAL[kind], **known))
 
 
 def recording(scene: Scene, board: Board, cells: Array, rng: np.random.Generator, frames: int = 10) -> Recording:
     """Averaged codes of a noisy converter; cells (rows, columns) ohm."""
-    readout = scene.circuit
-    volt = np.array([[board.volt(cells, j, k) for k in range(cells.shape[1])] for j in range(len(cells))])
+    readout, volt = scene.circuit, board.volt(cells)
     noise = np.reshape(np.broadcast_to(np.array(readout.noise_lsb), volt.shape[:1]), (-1, 1))
     draws = volt / readout.lsb_volt + noise * rng.standard_normal((readout.readings, frames, *volt.shape))
     codes = np.clip(np.floor(draws), 0, 2**readout.adc_bits - 1).astype(int)
@@ -87,9 +83,8 @@ def recording(scene: Scene, board: Board, cells: Array, rng: np.random.Generator
 
 def some_board(kind: str, shape: tuple[int, int], rng: np.random.Generator) -> Board:
     """Channels of 50 to 110 ohm, resistors within 1 %."""
-    nominal = {"two_point": None, "loaded_columns": 10_000.0, "grounded": 1000.0, "virtual_ground": 400.0}[kind]
-    channels = [float(rng.uniform(65, 95)) + rng.uniform(-15, 15, length) for length in shape]
-    return Board(kind, channels[0], channels[1] if nominal is None else nominal * rng.uniform(0.99, 1.01, shape[1]))
+    rows, columns = (float(rng.uniform(65, 95)) + rng.uniform(-15, 15, length) for length in shape)
+    return Board(kind, rows, columns if kind == "two_point" else NOMINAL[kind] * rng.uniform(0.99, 1.01, shape[1]))
 
 
 def some_resistors(shape: tuple[int, int], rng: np.random.Generator) -> tuple[Array, Array]:
@@ -146,10 +141,6 @@ def test_good_calibrations_are_never_refused_and_as_good_as_they_say(kind: str) 
     assert 0.7 < np.std(scores) < 1.25
 
 
-SIDE, LOADS, SPREAD = 4, 8, 5.0
-TOLD = Systematic(reference_tolerance=0.01, channel_spread_ohm=SPREAD)
-
-
 def loaded_cells(rng: np.random.Generator, loads: int = LOADS) -> Array:
     """Two unloaded frames, then loads of 2 × 2 cells, three frames each, or three frames without any; ohm."""
     cells = np.tile(3000 * np.exp(0.2 * rng.standard_normal((SIDE, SIDE))), (2 + 3 * max(loads, 1), 1, 1))
@@ -169,18 +160,13 @@ def channel_recording(seed: int, channels: Array, reference: float = 0.0, loads:
     return recording_of(replace(scene, systematic=TOLD), recorded, 2, truth_cell_resistance=cells)
 
 
-def chi_square(calibration: ChannelCalibration, channels: Array, reference: float) -> float:
-    """χ² over the number of errors."""
-    off = calibration.errors - np.concatenate([[reference], channels])
-    return float(off @ np.linalg.solve(calibration.covariance, off)) / len(off)
-
-
 @pytest.mark.slow
 def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> None:
     channels = SPREAD * np.random.default_rng(7).standard_normal(2 * SIDE)
     calibration = calibrate_channels([channel_recording(seed, channels, 0.005) for seed in (1, 2)])
     assert calibration.apart < 0.6 * SPREAD == 0.6 * calibration.apart_before and not calibration.warnings
-    assert chi_square(calibration, channels, 0.005) < 1.5
+    off = calibration.errors - np.concatenate([[0.005], channels])
+    assert off @ np.linalg.solve(calibration.covariance, off) < 1.5 * len(off), "χ²"
     centred = calibration.errors[1:] - channels
     centred -= np.repeat([centred[:SIDE].mean(), centred[SIDE:].mean()], SIDE)
     assert rms(centred) < 0.5 * np.std(channels)
@@ -204,26 +190,16 @@ def test_without_loads_the_command_says_that_nothing_is_known(
     assert "these loads determine hardly any channel" in ended.err and "rows are off by " in scene.read_text()
 
 
-class Numberless(TwoPointReadout):
-    """Readout that states no numbers of its lines."""
-
-    def line_numbers(self) -> tuple[LineNumber, ...]:
-        return ()
-
-
 def test_recordings_that_tell_nothing_of_a_circuit_are_refused() -> None:
     made = channel_recording(1, np.zeros(2 * SIDE), loads=0)
     with pytest.raises(InputError, match="names no readout"):
         calibrate_channels([replace(made, scene=Scene(made.scene.panel))])
     with pytest.raises(InputError, match="recordings tell nothing of this readout"):
-        calibrate_channels([replace(made, scene=Scene(made.scene.panel, Numberless()))])
+        calibrate_channels([replace(made, scene=Scene(made.scene.panel, Divider()))])
     with pytest.raises(InputError, match="its scene is another"):
         calibrate_channels([made, replace(made, scene=replace(made.scene, series_resistance_ohm=100.0))])
     with pytest.raises(InputError, match="no frame could be estimated"):
         calibrate_channels([replace(made, recorded=np.full_like(made.recorded, np.nan))])
-
-
-OTHER = PowerResponse(exponent=0.8, scale_kpa=2.0)
 
 
 def test_bars_of_gains_and_curve_hold_the_truth() -> None:

@@ -1,12 +1,13 @@
 """Every readout against netlists that are solved resistor by resistor, with ideal sources and without Z."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
+from contracts.extensions import Divider
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
@@ -19,7 +20,7 @@ from lampest.panel.scene import Scene, SeriesPerLine, Systematic
 from lampest.recording.simulation.simulation import Simulation
 from lampest.runs.results import read_results
 from tests.estimates import recording_of
-from tests.netlist import Node, Resistor, potentials
+from tests.netlist import divider, network_of, potentials, volts
 
 ROWS, COLUMNS = 5, 6
 DRIVES, SENSES = tuple(40.0 + 9 * line for line in range(ROWS)), tuple(60.0 + 11 * line for line in range(COLUMNS))
@@ -61,71 +62,19 @@ READOUTS: dict[str, Any] = {
 every_readout = pytest.mark.parametrize("readout", READOUTS.values(), ids=READOUTS)
 LSM = (Misfit(weighting="noise"),)
 SMOOTH = (*LSM, LogRatio(weight=10.0, loss=Squared()))
-
-
-def each(ohm: float | tuple[float, ...], lines: int) -> tuple[float, ...]:
-    return ohm if isinstance(ohm, tuple) else (ohm,) * lines
-
-
-def volts(cells: Array, readout: Any) -> Array:
-    """Return the voltage at the converter, (rows, columns): a netlist of its own for every reading."""
-    turned = getattr(readout, "driven", "rows") == "columns"
-    matrix = cells.T if turned else cells
-    volt = np.empty(matrix.shape)
-    for driven, sensed in np.ndindex(matrix.shape):
-        volt[driven, sensed] = volt_of(matrix, readout, driven, sensed)
-    return volt.T if turned else volt
-
-
-def volt_of(matrix: Array, readout: Any, driven: int, sensed: int) -> float:
-    """Return the voltage of one reading of a panel (driven lines, sensed lines) ohm."""
-    if isinstance(readout, TwoPointReadout):
-        return divider(matrix, readout, driven, sensed)
-    network = network_of(matrix, readout, driven, sensed)
-    high, low = (0.0, readout.supply_volt)[:: 1 if getattr(readout, "polarity", "up") == "down" else -1]
-    volt = potentials(network, {"high": high, "low": low})
-    if isinstance(readout, VirtualGroundReadout):
-        through = [(volt["d", line] - volt["s", sensed]) / ohm for line, ohm in enumerate(matrix[:, sensed])]
-        return each(readout.feedback_ohm, matrix.shape[1])[sensed] * sum(through)
-    return volt["load", sensed]
-
-
-def cells_between(matrix: Array) -> list[Resistor]:
-    return [(("d", line), ("s", other), ohm) for (line, other), ohm in np.ndenumerate(matrix)]
-
-
-def divider(
-    matrix: Array, readout: TwoPointReadout, row: int, column: int, row_ohm: float = 0.0, column_ohm: float = 0.0
-) -> float:
-    """Volt at the converter: supply, reference, row's channel, panel, column's channel and ground in a row."""
-    across_sensor = readout.measured_across == "sensor"
-    above, below = (readout.reference_ohm, 0.0)[:: 1 if across_sensor else -1]
-    tap: Node = "row end" if across_sensor else "column end"
-    network = [*cells_between(matrix), ("high", "row end", above), ("column end", "low", below)]
-    network += [("row end", ("d", row), row_ohm), (("s", column), "column end", column_ohm)]
-    network += [] if readout.input_ohm is None else [(tap, "low", readout.input_ohm)]
-    return potentials(network, {"high": readout.supply_volt, "low": 0.0})[tap]
-
-
-def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
-    """Drives, panel, channels and loads of a readout in volt while one line is driven and one is sensed."""
-    lines, others = (range(count) for count in matrix.shape)
-    floating = isinstance(readout, LoadedColumnsReadout)
-    drive = each(readout.drive_ohm, len(lines))
-    network = cells_between(matrix)
-    network += [
-        (("d", line), "high" if line == driven else "low", drive[line])
-        for line in lines
-        if line == driven or not floating
-    ]
-    channels = (0.0,) * len(others) if floating else each(readout.sense_ohm, len(others))
-    if isinstance(readout, VirtualGroundReadout):
-        return [*network, *((("s", line), "low", channels[line]) for line in others)]
-    loads = each(readout.load_ohm, len(others))
-    for line in [sensed] if getattr(readout, "sense", "all") == "one" else others:
-        network += [(("s", line), ("load", line), channels[line]), (("load", line), "low", loads[line])]
-        network += [] if readout.input_ohm is None else [(("load", line), "low", readout.input_ohm)]
-    return network
+SHAPE = (4, 5)
+ROW_OHM, COLUMN_OHM = (70.0, 75.0, 81.0, 66.0), (60.0, 68.0, 72.0, 64.0, 77.0)
+FINE = Settings(tolerance=1e-10)  # a cell of 25 kohm beside such of 0.4 is hardly seen, and the cost is flat along it
+LED = Diode(drop_volt=1.8, at_ampere=2e-3, slope_volt=0.09)
+UNLIKE = LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=120.0, adc_bits=12)
+NOISY = (0.6, 3.0, 1.2, 5.0)
+KINDS: tuple[Readout, ...] = (
+    TwoPointReadout(adc_bits=12),
+    UNLIKE,
+    GroundedReadout(adc_bits=12),
+    GroundedReadout(adc_bits=12, sense="one"),
+    VirtualGroundReadout(adc_bits=12, sense_ohm=40.0, feedback_ohm=400.0),
+)
 
 
 def panel_of(readout: Any, noise: float, seed: int = 5, shape: tuple[int, int] = (ROWS, COLUMNS)) -> Recording:
@@ -210,14 +159,6 @@ def test_a_recording_and_its_results_are_in_volt(tmp_path: Path) -> None:
     assert_allclose(case.reading_model, case.measured, rtol=1e-2)
 
 
-SHAPE = (4, 5)
-ROW_OHM, COLUMN_OHM = (70.0, 75.0, 81.0, 66.0), (60.0, 68.0, 72.0, 64.0, 77.0)
-PER_LINE = SeriesPerLine(ROW_OHM, COLUMN_OHM)
-FINE = Settings(tolerance=1e-10)  # a cell of 25 kohm beside such of 0.4 is hardly seen, and the cost is flat along it
-UNLIKE = LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=120.0, adc_bits=12)
-LED = Diode(drop_volt=1.8, at_ampere=2e-3, slope_volt=0.09)
-
-
 def cells_of(seed: int = 3, shape: tuple[int, int] = SHAPE) -> Array:
     return np.asarray(2500 * np.exp(0.7 * np.random.default_rng(seed).normal(size=shape)))
 
@@ -226,7 +167,7 @@ def cells_of(seed: int = 3, shape: tuple[int, int] = SHAPE) -> Array:
 @pytest.mark.parametrize("across", ["reference", "sensor"])
 def test_two_point_takes_off_what_each_line_has_in_series(across: Any, input_ohm: float | None) -> None:
     readout = TwoPointReadout(measured_across=across, input_ohm=input_ohm, adc_bits=16, noise_lsb=1)
-    cells, scene = cells_of(), Scene(Panel(*SHAPE), readout, PER_LINE)
+    cells, scene = cells_of(), Scene(Panel(*SHAPE), readout, SeriesPerLine(ROW_OHM, COLUMN_OHM))
     ohm = [(row, column, ROW_OHM[row], COLUMN_OHM[column]) for row, column in np.ndindex(SHAPE)]
     volt = np.reshape([divider(cells, readout, *reading) for reading in ohm], SHAPE)
     ratio = (5 - volt) / volt if across == "reference" else volt / (5 - volt)
@@ -279,16 +220,6 @@ def test_a_diode_and_the_converter_are_in_the_model(diode: Diode, driven: Any, p
             assert_allclose(one.cell_resistance[0], close, rtol=1e-4)
 
 
-NOISY = (0.6, 3.0, 1.2, 5.0)
-KINDS: tuple[Readout, ...] = (
-    TwoPointReadout(adc_bits=12),
-    UNLIKE,
-    GroundedReadout(adc_bits=12),
-    GroundedReadout(adc_bits=12, sense="one"),
-    VirtualGroundReadout(adc_bits=12, sense_ohm=40.0, feedback_ohm=400.0),
-)
-
-
 @pytest.mark.parametrize("readout", KINDS, ids=lambda one: one.kind)
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 def test_noise_is_that_of_the_driven_line(readout: Any, driven: str) -> None:
@@ -338,19 +269,11 @@ def test_a_start_of_cells_that_are_alike_reproduces_the_readings(readout: Any) -
     assert readout.start(exact, np.full(cells.shape, 2000.0)).max() == 2000.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class StrangerReadout(GroundedReadout):
-    """A kind that no union names."""
-
-    kind: Literal["stranger"] = "stranger"
-
-
 def test_a_file_with_a_readout_that_nobody_knows_says_so_when_it_is_written_and_when_it_is_read(tmp_path: Path) -> None:
     recording = simulate(Simulation(1, 5, Scene(Panel(*SHAPE), UNLIKE), frames=2))
-    odd = replace(recording, scene=replace(recording.scene, readout=StrangerReadout()))
-    with pytest.warns(UserWarning, match="stranger is not among the readouts"):
+    odd = replace(recording, scene=replace(recording.scene, readout=Divider()))
+    with pytest.warns(UserWarning, match="divider is not among the readouts"):
         odd.save(tmp_path / "odd.h5")
-    with pytest.raises(
-        InputError, match="readout: there is no kind stranger in lampest or an installed package; there"
-    ):
+    unknown = "readout: there is no kind divider in lampest or an installed package; there"
+    with pytest.raises(InputError, match=unknown):
         Recording.load(tmp_path / "odd.h5")
