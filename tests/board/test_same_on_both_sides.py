@@ -1,20 +1,46 @@
-"""The board's C and the host's Python say the same: numbers, framing, CRC, messages, scan order, answers."""
+"""The board's C and the host's Python say the same: numbers, framing, CRC, messages, scan order, answers, wiring."""
 
 import ctypes
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from board.bench import FIRMWARE, built
+import pytest
+from board.bench import FIRMWARE, built, loaded_scene, scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lampest import InputError
 from lampest.recording.board import protocol
 from lampest.recording.board.protocol import Answer, Frame, Hello, Kind, Receiver, Result, command, message
+from lampest.recording.board.stream import declared_readout, scene_of
 from tests.bodies import frame_body, hello_body
 
 EMIT = ctypes.CFUNCTYPE(None, ctypes.c_uint8)
+BODIES = st.builds(
+    lambda before, run, zeros: bytes(before) + b"\x05" * run + bytes(zeros),  # around the longest run of COBS
+    st.integers(0, 10),
+    st.integers(240, 270),
+    st.integers(0, 3),
+)
+WIRING = "loaded_columns"
+COMMANDS = (
+    (Kind.SET_ROWS, 16, Result.DONE, 16),
+    (Kind.SET_ROWS, 0, Result.REFUSED_RANGE, 10),
+    (Kind.SET_COLUMNS, 17, Result.REFUSED_RANGE, 10),
+    (Kind.SET_COLUMNS, 258, Result.REFUSED_RANGE, 10),
+    (Kind.SET_READINGS, 64, Result.DONE, 64),
+    (Kind.SET_READINGS, 65, Result.REFUSED_RANGE, 20),
+    (Kind.SET_PERIOD, 2_000_000, Result.DONE, 2_000_000),
+    (Kind.SET_PERIOD, 100_000, Result.REFUSED_TOO_FAST, 1_000_000),
+    (Kind.SET_PERIOD, 60_000_001, Result.REFUSED_RANGE, 1_000_000),
+    (Kind.SET_SETTLE, 0, Result.DONE, 0),
+    (Kind.SET_SETTLE, 30_001, Result.REFUSED_RANGE, 40),
+    (Kind.START, 0, Result.DONE, 1),
+    (Kind.STOP, 0, Result.DONE, 0),
+)
 
 
 class Settings(ctypes.Structure):
@@ -88,14 +114,6 @@ def test_the_numbers_are_the_same() -> None:
     assert "monitor_speed = " + str(protocol.BAUD) in (FIRMWARE / "platformio.ini").read_text()
 
 
-BODIES = st.builds(
-    lambda before, run, zeros: bytes(before) + b"\x05" * run + bytes(zeros),  # around the longest run of COBS
-    st.integers(0, 10),
-    st.integers(240, 270),
-    st.integers(0, 3),
-)
-
-
 @settings(deadline=None)  # the first example compiles
 @given(st.binary(max_size=600) | BODIES)
 def test_crc_and_framing_are_the_same(body: bytes) -> None:
@@ -163,23 +181,6 @@ def test_a_period_is_made_of_equal_slices_that_the_timer_can_count(period_us: in
     assert abs(4 * ticks * slices - period_us) <= 2 * slices + 2
 
 
-COMMANDS = (
-    (Kind.SET_ROWS, 16, Result.DONE, 16),
-    (Kind.SET_ROWS, 0, Result.REFUSED_RANGE, 10),
-    (Kind.SET_COLUMNS, 17, Result.REFUSED_RANGE, 10),
-    (Kind.SET_COLUMNS, 258, Result.REFUSED_RANGE, 10),
-    (Kind.SET_READINGS, 64, Result.DONE, 64),
-    (Kind.SET_READINGS, 65, Result.REFUSED_RANGE, 20),
-    (Kind.SET_PERIOD, 2_000_000, Result.DONE, 2_000_000),
-    (Kind.SET_PERIOD, 100_000, Result.REFUSED_TOO_FAST, 1_000_000),
-    (Kind.SET_PERIOD, 60_000_001, Result.REFUSED_RANGE, 1_000_000),
-    (Kind.SET_SETTLE, 0, Result.DONE, 0),
-    (Kind.SET_SETTLE, 30_001, Result.REFUSED_RANGE, 40),
-    (Kind.START, 0, Result.DONE, 1),
-    (Kind.STOP, 0, Result.DONE, 0),
-)
-
-
 def test_a_board_answers_or_refuses_every_command_and_while_it_runs_all_but_stop_and_identify() -> None:
     for kind, value, result, now in COMMANDS:
         answers = answered_by_c(c().lampest_start_settings(), command(kind, 9, value))
@@ -219,3 +220,44 @@ def test_no_order_of_commands_leads_out_of_range(orders: list[tuple[int, int]]) 
         assert settings.settle_us <= 30_000 and settings.period_us <= 60_000_000
         shortest = c().lampest_shortest_period_us(ctypes.byref(settings))
         assert not settings.running or settings.period_us >= shortest - 4 * c().lampest_slices(settings.period_us)
+
+
+def hello() -> Hello:
+    """What the board of this wiring says, of its own C."""
+    settings, room = c(WIRING).lampest_start_settings(), ctypes.create_string_buffer(64)
+    size = c(WIRING).lampest_hello(ctypes.byref(settings), room)
+    (greeting,) = Receiver().feed(message(room.raw[:size]))[1]
+    assert isinstance(greeting, Hello) and hello_body(greeting) == room.raw[:size]
+    return greeting
+
+
+def test_what_scene_and_board_say_differently_is_named() -> None:
+    """A calibrated scene fits the board that it was made with."""
+    for changes, sentence in (
+        ({"driven": "columns"}, "readout.driven is columns, but the board says rows"),
+        ({"polarity": "down"}, "readout.polarity is down, but the board says up"),
+        ({"supply_volt": 3.3}, "readout.supply_volt is 3.3, but the board says 5 "),
+        ({"load_ohm": 1000.0}, "readout.load_ohm is 1000, but the board says 10000"),
+        ({"load_ohm": (10_000.0,) * 9 + (12_000.0,)}, "readout.load_ohm is 12000, but the board says 10000"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            scene_of(hello(), loaded_scene(**changes))
+    with pytest.raises(InputError, match=r"readout\.kind is two_point, but the board .* wired as loaded_columns"):
+        scene_of(hello(), scene(4, 4))
+    known = loaded_scene(load_ohm=tuple(np.linspace(9_700, 10_300, 10)), drive_ohm=tuple(np.linspace(60, 90, 10)))
+    assert scene_of(hello(), known) is known
+
+
+def test_the_wiring_is_part_of_what_the_board_says() -> None:
+    """Earlier firmware, whose HELLO has 29 bytes, has two multiplexers; a wiring never heard of is no board."""
+    found = hello()
+    assert (found.wiring, found.reference_milliohm, found.drive_milliohm) == (WIRING, 10_000_000, 70_000)
+    assert declared_readout(found) == loaded_scene(noise_lsb=None).readout
+    old = replace(found, wiring="two_point", drive_milliohm=0)
+    assert len(hello_body(old)) == 29 and Receiver().feed(message(hello_body(old)))[1] == (old,)
+    unknown = hello_body(found)[:29] + bytes([9, 0, 0, 0, 0])
+    assert not any(isinstance(item, Hello) for item in Receiver().feed(message(unknown))[1])
+
+
+def test_platformio_builds_both_wirings() -> None:
+    assert "-DLAMPEST_WIRING=LAMPEST_LOADED_COLUMNS" in (FIRMWARE / "platformio.ini").read_text()

@@ -1,4 +1,4 @@
-"""The public face: every name is there, typed, and cheap until it is used; wrong use is one sentence."""
+"""The public face: every name is there, typed, and cheap until it is used; wrong use is one sentence; defaults."""
 
 import dataclasses
 import doctest
@@ -16,9 +16,32 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import lampest
-from lampest import Gradient, InputError, Misfit, Reconstruction, Recording
+from lampest import CellResistance, Gradient, InputError, Misfit, Reconstruction, Recording, Scene, TotalVariation
 
 ROOT = Path(__file__).parents[2]
+MISFIT = [Misfit()]
+NO_DATA = "gradient needs the term misfit: without it nothing reads what was measured"
+NO_RECORDING = "recording must be a Recording, such as Recording.load('mine.h5'), not "
+# What `reconstruct` is given, and what it says of it.
+WRONG: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"formulation": "fast"}, "formulation: there is no 'fast'; there are per_pixel, nodal, reduced, auto, naive, "),
+    (
+        {"formulation": lampest.TruncatedMethod},
+        "formulation must be a word or a method such as TruncatedMethod(), not the class TruncatedMethod",
+    ),
+    ({"solver": {"tolerance": 1e-3}}, "solver must be Settings(...), not a dict"),
+    ({"bounds": {}}, "bounds must be Bounds(...), not a dict"),
+    ({"auto_weight": "risk"}, "auto_weight must be AutoWeight(...), not 'risk'"),
+    ({"error_bars": "yes"}, "error_bars must be 'auto', True or False, not 'yes'"),
+    ({"terms": ["misfit"]}, "terms must hold objects such as Misfit(), not 'misfit'"),
+    ({"terms": [Misfit]}, "terms must hold objects such as Misfit(), not the class Misfit"),
+    ({"terms": Misfit()}, "terms must be a list such as [Misfit(), Gradient()], not a Misfit"),
+    ({"terms": []}, "an estimator needs at least one term"),
+    ({"terms": [Gradient()]}, NO_DATA),
+    ({"terms": [Gradient(weight="auto")]}, NO_DATA),
+    ({"recording": "data/ring.h5"}, f"{NO_RECORDING}'data/ring.h5'"),
+    ({"recording": np.ones((3, 4, 5))}, f"{NO_RECORDING}a ndarray"),
+)
 
 
 @pytest.fixture(scope="module")
@@ -93,14 +116,9 @@ def test_a_strict_type_checker_knows_a_users_script(tmp_path: Path) -> None:
     script.write_text(SCRIPT)
     wrong.write_text("\n".join(["import lampest", "recording = lampest.Recording.load('x.h5')", *dict(MISTAKES)]))
     options = ("--strict", "--no-error-summary", "--hide-error-context", "--follow-imports=silent", "--no-pretty")
-    ended = subprocess.run(
-        [sys.executable, "-m", "mypy", *options, script.name, wrong.name],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        cwd=tmp_path,
-        env=os.environ | {"MYPYPATH": os.pathsep.join((str(ROOT), str(ROOT / "tests")))},
-    )
+    command = [sys.executable, "-m", "mypy", *options, script.name, wrong.name]
+    variables = os.environ | {"MYPYPATH": os.pathsep.join((str(ROOT), str(ROOT / "tests")))}
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=tmp_path, env=variables)
     assert ended.stderr == ""
     said = [line.split(": ", 2) for line in ended.stdout.splitlines()]
     revealed = [text for place, kind, text in said if place.startswith("script") and kind == "note"]
@@ -108,31 +126,6 @@ def test_a_strict_type_checker_knows_a_users_script(tmp_path: Path) -> None:
     assert not [line for line in said if line[0].startswith("script") and line[1] == "error"]
     errors = {int(place.split(":")[1]) - 3: text for place, kind, text in said if kind == "error"}
     assert [number for number, (_, text) in enumerate(MISTAKES) if text not in errors.get(number, "")] == []
-
-
-MISFIT = [Misfit()]
-NO_DATA = "gradient needs the term misfit: without it nothing reads what was measured"
-NO_RECORDING = "recording must be a Recording, such as Recording.load('mine.h5'), not "
-# What `reconstruct` is given, and what it says of it.
-WRONG: tuple[tuple[dict[str, Any], str], ...] = (
-    ({"formulation": "fast"}, "formulation: there is no 'fast'; there are per_pixel, nodal, reduced, auto, naive, "),
-    (
-        {"formulation": lampest.TruncatedMethod},
-        "formulation must be a word or a method such as TruncatedMethod(), not the class TruncatedMethod",
-    ),
-    ({"solver": {"tolerance": 1e-3}}, "solver must be Settings(...), not a dict"),
-    ({"bounds": {}}, "bounds must be Bounds(...), not a dict"),
-    ({"auto_weight": "risk"}, "auto_weight must be AutoWeight(...), not 'risk'"),
-    ({"error_bars": "yes"}, "error_bars must be 'auto', True or False, not 'yes'"),
-    ({"terms": ["misfit"]}, "terms must hold objects such as Misfit(), not 'misfit'"),
-    ({"terms": [Misfit]}, "terms must hold objects such as Misfit(), not the class Misfit"),
-    ({"terms": Misfit()}, "terms must be a list such as [Misfit(), Gradient()], not a Misfit"),
-    ({"terms": []}, "an estimator needs at least one term"),
-    ({"terms": [Gradient()]}, NO_DATA),
-    ({"terms": [Gradient(weight="auto")]}, NO_DATA),
-    ({"recording": "data/ring.h5"}, f"{NO_RECORDING}'data/ring.h5'"),
-    ({"recording": np.ones((3, 4, 5))}, f"{NO_RECORDING}a ndarray"),
-)
 
 
 @pytest.mark.parametrize(("given", "sentence"), WRONG)
@@ -269,3 +262,29 @@ def test_progress_counts_the_frames_of_all(known: dict[str, object]) -> None:
     found = lampest.reconstruct(known["recording"], [Misfit()], progress=lambda *frames: told.append(frames))
     assert told == [(1, 2), (2, 2)] and found.solved.all()
     assert lampest.reconstruct(known["recording"], [Misfit()], progress=True).solved.all()
+
+
+@pytest.fixture(scope="module")
+def few() -> Recording:
+    """The lamprey's unloaded frames and two later ones."""
+    whole, chosen = lampest.datasets.load("lamprey_35mm"), [0, 1, 2, 14, 15]
+    parts = ("recorded", "time", "role", "truth_cell_resistance", "truth_pressure")
+    return replace(whole, raw_sums=None, **{part: getattr(whole, part)[chosen] for part in parts})
+
+
+def test_it_serves_better_than_the_papers_weight(few: Recording) -> None:
+    errors = {}
+    for name, penalty in (("default", Gradient()), ("paper", Gradient(weight=1e-3))):
+        found = lampest.reconstruct(few, [Misfit(), penalty])
+        errors[name] = np.median(np.abs(found.cell_resistance / few.truth_cell_resistance[3:] - 1))
+    assert errors["default"] < 0.3 * errors["paper"]
+
+
+def test_unknown_noise_takes_the_same_rule(few: Recording) -> None:
+    silent = replace(few, scene=Scene(few.scene.panel, None, few.scene.series_resistance_ohm))
+    found = lampest.reconstruct(silent, [Misfit(), Gradient()])
+    told = lampest.reconstruct(silent, [Misfit(), Gradient()], auto_weight=lampest.AutoWeight(rule="risk"))
+    assert found.solved.all() and np.array_equal(found.cell_resistance, told.cell_resistance)
+    open_ended = lampest.reconstruct(silent, [Misfit(), Gradient()], bounds=lampest.Bounds(upper="none"))
+    assert np.array_equal(found.cell_resistance, open_ended.cell_resistance)
+    assert lampest.reconstruct(silent, [Misfit(), CellResistance(), TotalVariation()]).solved.all()

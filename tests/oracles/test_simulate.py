@@ -19,6 +19,9 @@ ROOT = Path(__file__).parents[2]
 SHIPPED = ("lamprey_35mm", "lamprey_25mm", "rod", "ring")
 SHIPPED += tuple(f"cup_{medium}_{kpa}kpa" for medium in ("air", "water") for kpa in (10, 20))
 FINE = Panel(160, 160, 0.5)
+EXACT = TwoPointReadout(adc_bits=24, readings=1, noise_lsb=0.0)
+ROD = Rod(kind="rod", centre_mm=(45, 45), diameter_mm=30, mass_g=300)
+SIMULATED = sorted(path for path in (ROOT / "data").glob("*.h5") if not path.stem.startswith("insole"))
 
 
 def plain(**changes: object) -> Simulation:
@@ -108,16 +111,10 @@ def test_raw_sums_only_where_sixteen_bits_hold_them() -> None:
     assert recording.raw_sums is None and recording.raw_readings is None
 
 
-EXACT = TwoPointReadout(adc_bits=24, readings=1, noise_lsb=0.0)
-ROD = Rod(kind="rod", centre_mm=(45, 45), diameter_mm=30, mass_g=300)
-
-
 def with_effects(readout: TwoPointReadout | GroundedReadout = EXACT, seed: int = 5, **effects: float) -> Recording:
     """Six unloaded and six loaded frames of a 10 × 10 panel."""
-    scene = Scene(Panel(10, 10), readout)
-    return simulate(
-        Simulation(1, seed, scene, baseline_frames=6, frames=6, loads=(ROD,), unmodelled=Unmodelled(**effects))
-    )
+    plain = Simulation(1, seed, Scene(Panel(10, 10), readout), baseline_frames=6, frames=6, loads=(ROD,))
+    return simulate(replace(plain, unmodelled=Unmodelled(**effects)))
 
 
 def volt(recording: Recording) -> Array:
@@ -157,3 +154,30 @@ def test_a_leak_joins_lines_and_a_contact_adds_to_one_row_from_their_time_on() -
     assert not more[:8].any()
     (row,) = np.flatnonzero(more[8:].any(axis=(0, 2)))
     assert more[8:, row] == pytest.approx(200, rel=1e-3)
+
+
+def test_cohort_is_thirty_different_lampreys() -> None:
+    cohort = read_simulations(ROOT / "configs" / "cohort.yaml")
+    assert len(cohort) == 30
+    assert cohort[6][0] == "../results/cohort/lamprey_07.h5"
+    mouths = [simulation.loads[0] for _, simulation in cohort]
+    assert all(20 <= mouth.diameter_mm <= 45 for mouth in mouths)
+    assert max(mouth.diameter_mm for mouth in mouths) > 40
+    assert min(mouth.diameter_mm for mouth in mouths) < 25
+    assert len({mouth.centre_mm for mouth in mouths}) == 30
+
+
+def test_a_real_scene_is_the_clean_one_on_another_panel() -> None:
+    """The same loads, times and water; one panel for all eight, which the scene does not tell of."""
+    panels = set()
+    for path in SIMULATED:
+        ((_, clean),) = read_simulations(ROOT / "configs" / f"{path.stem}.yaml")
+        ((name, real),) = read_simulations(ROOT / "configs" / f"real_{path.stem}.yaml")
+        assert name == f"../results/real/real_{path.stem}.h5"
+        for part in ("loads", "course", "frames", "baseline_frames"):
+            assert getattr(real, part) == getattr(clean, part)
+        for part in ("panel", "readout", "water"):
+            assert getattr(real.scene, part) == getattr(clean.scene, part)
+        assert real.scene.systematic is None and (real.unmodelled.reading_error or 0) > 0.03
+        panels.add((real.seed, real.cells, real.unmodelled))
+    assert len(panels) == 1

@@ -1,4 +1,4 @@
-"""The live engine, without a board and without a browser."""
+"""The live engine, without a board and without a browser; memory and open files of what runs for weeks."""
 
 import dataclasses
 import json
@@ -14,6 +14,7 @@ import pytest
 from support import live_pictures, until
 from wild_board import IDLE
 
+from docs.studies.long_lives import live_figures, stream_figures
 from lampest import Arrival, InputError, Misfit, Rod, Scene, two_point_resistance
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.prepared import Prepared
@@ -45,6 +46,9 @@ from lampest.report.live.watcher import Scan
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 LSM = Estimator((Misfit(),), "reduced")
+ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
+# A leak of one float a frame would be 8 bytes; interpreters keep some pools of their own.
+FRAMES, LEAK_BYTES_PER_FRAME = 1000, 60.0
 
 
 @pytest.fixture(scope="module")
@@ -57,9 +61,6 @@ def lamprey() -> Recording:
 def pictures(estimator: Estimator, recording: Recording, baseline: int = 3) -> list[Picture]:
     """A replay in which every frame waits until the one before was solved."""
     return live_pictures(estimator, baseline, lambda engine: from_recording(engine, recording, 1e9, None))
-
-
-ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
 
 
 def of_every_frame(name: str) -> Estimator:
@@ -132,13 +133,11 @@ def test_live_finds_what_a_batch_finds(method: Estimator) -> None:
     found = pictures(method, lamprey)
     batch = reconstruct(lamprey, method)
     np.testing.assert_array_equal([picture.relative_change for picture in found], batch.relative_change)
-    np.testing.assert_array_equal(
-        [picture.measured_change for picture in found], 100 * (batch.measured / batch.measured_baseline - 1)
-    )
+    change = 100 * (batch.measured / batch.measured_baseline - 1)
+    np.testing.assert_array_equal([picture.measured_change for picture in found], change)
     assert [picture.status for picture in found] == ["optimum verified"] * 6
-    np.testing.assert_array_equal(
-        [picture.open_cell for picture in found], [s.solution.open_cell[-1] for s in batch.steps]
-    )
+    flags = [step.solution.open_cell[-1] for step in batch.steps]
+    np.testing.assert_array_equal([picture.open_cell for picture in found], flags)
 
 
 def test_a_reading_that_is_frozen_in_the_unloaded_frames_stays_missing_and_is_said() -> None:
@@ -300,3 +299,18 @@ def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, mo
         found = Recording.load(tmp_path / f"{name}.h5")
         assert found.role.tolist() == [UNLOADED, UNLOADED, MEASURED]
         np.testing.assert_array_equal(found.raw_sums, sums[:3])
+
+
+@pytest.mark.slow
+def test_a_stream_keeps_nothing_of_the_frames_that_went() -> None:
+    before, after = stream_figures((FRAMES // 4, FRAMES))
+    assert after.allocated - before.allocated < LEAK_BYTES_PER_FRAME * (after.frames - before.frames)
+    assert after.open_files <= before.open_files
+
+
+@pytest.mark.slow
+def test_the_live_page_keeps_its_history_and_nothing_else() -> None:
+    """Its history is full after 1,800 frames."""
+    before, after = live_figures((2 * FRAMES, 3 * FRAMES))
+    assert after.allocated - before.allocated < LEAK_BYTES_PER_FRAME * (after.frames - before.frames)
+    assert after.open_files <= before.open_files and after.threads == before.threads

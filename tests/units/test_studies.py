@@ -1,8 +1,9 @@
-"""The trade-off on tiny panels, shipped files of studies, the tables of pages. No timing is asserted."""
+"""The trade-off on tiny panels, shipped files of studies, tables of pages, the atlas of extremes; times are no test."""
 
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,18 +12,21 @@ import pytest
 from docs.studies.all_pages import commands, with_commit
 from docs.studies.audit import Audited, audit_remarks, audit_rows
 from docs.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
-from lampest import InputError, Recording
+from docs.studies.extremes import extremes_figure
+from lampest import Estimator, InputError, Panel, Recording, Scene, Status
+from lampest.cost.given import Background
+from lampest.cost.terms import Gradient, Misfit
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
+from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings
 from lampest.studies import common, tradeoff
+from lampest.studies.extremes import AtlasFile, AtlasSample, Grid, atlas_remarks, recording_of, run_atlas, solves_of
 from lampest.studies.paper import FILE, Side, read_published
+from lampest.studies.study import read_settings
 from lampest.studies.tradeoff import Plan, read_plan, run_tradeoff
 from lampest.studies.weights import why_not
 from tests.small_files import write_recording
-
-RUNGS = ["naive", "scaled", "linearised", "truncated 2", "reduced", "nodal"]
-
 
 TINY = """\
 schema: 1
@@ -33,6 +37,13 @@ frames: 2
 repeats: 3
 patience_s: 1000
 """
+ROWS = """effect,estimator,recordings,cells,change,pressure,alone,ratio,reported
+as specified,LSM,4,97.4,96.0,100,95.2,1.04,0
+as specified,LSR,4,96.6,95.4,98.4,94.8,0.97,0
+noise 2,LSM,4,94.2,93.1,nan,95,1,4
+noise 2,LSR,4,94.9,93.9,97.1,95,1,4
+"""
+CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +117,7 @@ def test_peak_memory_is_that_of_two_frames_and_unknown_if_the_process_died(
 @pytest.mark.slow
 def test_shipped_file_is_valid() -> None:
     plan = read_plan(Path(__file__).parents[2] / "configs" / "tradeoff.yaml")
-    assert set(plan.settings.ladder) >= set(RUNGS)
+    assert {*plan.settings.ladder} >= {"naive", "scaled", "linearised", "truncated 2", "reduced", "nodal"}
     assert {recording.scene.panel.shape for recording in plan.recordings} == {(10, 10), (16, 16), (32, 32), (100, 100)}
 
 
@@ -125,14 +136,6 @@ def test_a_page_names_the_commit_of_its_last_run_once() -> None:
     assert commands(page)[0] == "python -m docs.studies.bench configs/bench.yaml"
 
 
-ROWS = """effect,estimator,recordings,cells,change,pressure,alone,ratio,reported
-as specified,LSM,4,97.4,96.0,100,95.2,1.04,0
-as specified,LSR,4,96.6,95.4,98.4,94.8,0.97,0
-noise 2,LSM,4,94.2,93.1,nan,95,1,4
-noise 2,LSR,4,94.9,93.9,97.1,95,1,4
-"""
-
-
 def test_a_row_for_each_effect_and_a_column_for_each_estimator(tmp_path: Path) -> None:
     (tmp_path / "audit.csv").write_text(ROWS)
     lines = table(rows_of(tmp_path)).splitlines()
@@ -141,9 +144,6 @@ def test_a_row_for_each_effect_and_a_column_for_each_estimator(tmp_path: Path) -
     assert lines[3] == "| noise 2 | 94 / 93 / nan | 95 / 94 / 97 | 95 × 1.00 | 95 × 1.00 | 4 of 4 |"
     text = PAGE.read_text(encoding="utf-8")
     assert len(MARKED.findall(text)) == with_table(text, "| new |\n").count("| new |") == 1
-
-
-CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 def test_table_one_is_the_same_in_the_shipped_run() -> None:
@@ -165,3 +165,57 @@ def test_an_audit_in_which_every_estimator_fails_keeps_no_promise() -> None:
     [row] = audit_rows(results)
     assert (row.verdict, row.failed, row.solved) == ("failed", 2, 0)
     assert "0 of 1 rows keep the promise; not: nothing × LSM" in audit_remarks(results)
+
+
+def test_baselines_are_judged_by_the_cost_that_they_minimise_and_crashes_are_shown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Relative methods solve theirs without the terms that compare with it."""
+    atlas = AtlasFile(1, Grid((2,), (1.0,), (0.0,)), Grid(()), executor=Serial())
+    solves = run_atlas(atlas)
+    assert {(solve.method, solve.part) for solve in solves} >= {("LSR-dCR", "baseline"), ("LSR-gdCR", "baseline")}
+    assert all(solve.verified for solve in solves), solves
+
+    def breaks(*arguments: object) -> None:
+        raise KeyError("gone")
+
+    monkeypatch.setattr("lampest.studies.extremes.first_stream", breaks)
+    solves = run_atlas(atlas)
+    assert all(solve.crashed and not solve.solved and "KeyError" in solve.status for solve in solves)
+    assert atlas_remarks(solves)[0].startswith("0 of ")
+
+
+@pytest.mark.parametrize("error", [np.linalg.LinAlgError, ValueError, FloatingPointError, RuntimeError])
+def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
+    def breaks(*arguments: object) -> None:
+        raise error("singular")
+
+    recording, _ = recording_of(AtlasSample("log-uniform", 3, 3, 1.0, 0.0, 0))
+    estimator = Estimator((Misfit(), Gradient(weight=1e-3)), "reduced")
+    data = estimator.data(recording.readings()[0].alone(), Background(recording.scene))
+    solver = estimator.problem(Scene(Panel(3, 3)), 1, 1.0)
+    for place in (
+        "lampest.solvers.projected_newton.newton_direction",
+        "lampest.solvers.multistart.evaluated",
+        "lampest.panel.readouts.two_point.convex_start",
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(place, breaks)
+            found = best_solution(solver, data, None)
+        if place.endswith("convex_start"):
+            assert found.solved
+        else:
+            assert found.status is Status.BREAKDOWN
+            assert np.all(np.isnan(found.cell_resistance))
+
+
+def test_heat_map_has_a_square_for_every_scene_and_counts_failures(disk: SimpleNamespace) -> None:
+    text = "schema: 1\ngrid: {sizes: [2], decades: [1, 2], noise: [0]}\nstructured: {sizes: []}\n"
+    text += "estimators: {mine: {terms: {misfit: {}}}}\n"
+    atlas = read_settings(AtlasFile)(disk.run(text, "edge.yaml"))
+    solves = [solve for sample in atlas.samples for solve in solves_of(atlas, sample)]
+    failed = [replace(solve, solved=False, status="crashed: no") if solve.decades == 2 else solve for solve in solves]
+    map_axes, bar = extremes_figure(failed).axes
+    assert [label.get_text() for label in map_axes.get_yticklabels()] == ["2 × 2, 10¹", "2 × 2, 10²"]
+    assert [text.get_text() for text in map_axes.texts] == ["2", "reduced"]
+    assert "verified optimum" in bar.get_xlabel()
