@@ -12,6 +12,7 @@ from laws.recognised import answered
 from lampest import Block, InputError, OralDisc, Panel, Recording, Rod, Scene
 from lampest.estimate.prepared import Prepared
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
+from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
 from lampest.report.detect.answer import (
     CANNOT_SAY,
@@ -20,9 +21,17 @@ from lampest.report.detect.answer import (
     SUCKS,
 )
 from lampest.report.detect.detection import Known, detect_recording, known_of
+from lampest.runs.filling import _arrays_of, frame_noise_of
 
 PANEL = Panel(8, 10, 10.0)
 MOUTH = OralDisc(centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
+MAT = Scene(
+    Panel(12, 12, 10.0), LoadedColumnsReadout(load_ohm=35e3, polarity="down", noise_lsb=1, readings=4), purpose="mat"
+)
+ELL = (
+    Block(centre_mm=(25, 40), length_mm=60, width_mm=20, angle_deg=90, mass_g=800),
+    Block(centre_mm=(45, 60), length_mm=30, width_mm=20, mass_g=400),
+)
 
 
 def recorded(seed: int = 2, **known: Any) -> Recording:
@@ -46,13 +55,18 @@ def test_pumps_tell_a_mouth_where_breath_cannot_be_seen() -> None:
     assert "whether suction is pumped up again shows within minutes" in leaked.sentence
 
 
-MAT = Scene(
-    Panel(12, 12, 10.0), LoadedColumnsReadout(load_ohm=35e3, polarity="down", noise_lsb=1, readings=4), purpose="mat"
-)
-ELL = (
-    Block(centre_mm=(25, 40), length_mm=60, width_mm=20, angle_deg=90, mass_g=800),
-    Block(centre_mm=(45, 60), length_mm=30, width_mm=20, mass_g=400),
-)
+@pytest.mark.parametrize("readout", [TwoPointReadout(), LoadedColumnsReadout(load_ohm=1000.0)])
+def test_noise_that_frames_share_is_what_it_was(readout: Any) -> None:
+    """A pattern has a number for each channel of a line; of another shape it is refused."""
+    scene = Scene(Panel(2, 3), readout)
+    channels = 2 if scene.circuit.by_columns else 3
+    noise = FrameNoise(scene, 4, 0.01, np.arange(2.0 * channels).reshape(channels, 2), np.ones((channels, 1)))
+    arrays = _arrays_of(noise)
+    np.testing.assert_equal(vars(frame_noise_of(arrays, scene)), vars(noise))
+    assert frame_noise_of({}, scene) is None and _arrays_of(None) == {}
+    for wrong in ({"unloaded": np.ones(2)}, {"together": np.ones(channels)}, {"apart": np.ones((4, 1))}):
+        with pytest.raises(ValueError, match="must"):
+            frame_noise_of(arrays | wrong, scene)
 
 
 def test_a_mat_speaks_of_contacts_alone_two_of_them_with_place_and_area() -> None:
