@@ -100,6 +100,8 @@ def mostly(volt: float) -> np.ndarray:
     return volts
 
 
+CUBE = np.arange(8.0).reshape(2, 2, 2) + 100
+AMBIGUOUS = "read as (frames, rows, columns) ((rows, columns, frames) would fit, too)"
 HOLES = FRAMES.copy()
 HOLES[1, 2, 4] = HOLES[2, 0, 0] = np.nan
 GAPS = {(4, 15): "#DIV/0!", (5, 1): None}
@@ -113,13 +115,7 @@ FILES = {
     "frames, columns, rows": array(FRAMES.transpose(0, 2, 1), "read as (frames", transpose=True),
     "one transposed frame": array(FRAMES[0].T, expected=FRAMES[:1], transpose=True),
     "frames last": array(LAST, "read as (rows, columns, frames)"),
-    "frames first or last": array(
-        np.arange(8.0).reshape(2, 2, 2) + 100,
-        "read as (frames, rows, columns) ((rows, columns, frames) would fit, too)",
-        expected=np.arange(8.0).reshape(2, 2, 2) + 100,
-        rows=2,
-        columns=2,
-    ),
+    "frames first or last": array(CUBE, AMBIGUOUS, expected=CUBE, rows=2, columns=2),
     "lines with resistances of their own": array(
         FRAMES,
         f"series resistance rows from 70 to {69 + ROWS} ohm, columns 71 ohm",
@@ -208,6 +204,7 @@ def truncated(path: Path) -> None:
 
 BEYOND = np.full((1, ROWS, COLUMNS), 500)
 BEYOND[0, 1, 2] = 1024
+AT_RAIL = ("25 of 30 readings stand at the rail", "is readout.converter_volt, 2.5 V")
 REFUSED = [
     given(GARBAGE, "no text table", name="m.csv"),
     given(b"1,2\n\xff\xfe,3", ":2: no text table", name="m.csv"),
@@ -250,13 +247,7 @@ REFUSED = [
         "fit none of volt, mV, code in this scene, whose converter ends at 0.5 V",
         scene=amplifiers(supply_volt=0.5),
     ),
-    array(
-        mostly(2.5),
-        "25 of 30 readings stand at the rail",
-        "is readout.converter_volt, 2.5 V",
-        scene=OWN_VOLTAGES,
-        unit="volt",
-    ),
+    array(mostly(2.5), *AT_RAIL, scene=OWN_VOLTAGES, unit="volt"),
     matrices("the numeric arrays are: x (2 × 2)", arrays={"x": np.ones((2, 2))}),
     book({"Data": sheet_of(FRAMES, {(6, 7): "abc"})}, "m.xlsx: Data!H7: 'abc' is no number"),
     book({"Data": [[1.0]] * 1500 + [[1.0, 2.0, 3.0]]}, "1 fields; 3 × 5 cells need"),  # is not read to its end
