@@ -275,16 +275,9 @@ class LeastCost:
             pair: tuple[Array, Array] = last[1]
             return pair
 
-        found = least_squares(
-            lambda part: both(part)[0],
-            np.clip(place[free], low + 1e-9 * (high - low), high - 1e-9 * (high - low)),
-            lambda part: both(part)[1],
-            (low, high),
-            ftol=1e-14,
-            xtol=1e-14,
-            gtol=1e-14,
-            max_nfev=most,
-        )
+        start = np.clip(place[free], low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+        options = {"bounds": (low, high), "ftol": 1e-14, "xtol": 1e-14, "gtol": 1e-14, "max_nfev": most}
+        found = least_squares(lambda part: both(part)[0], start, lambda part: both(part)[1], **options)
         whole[free] = found.x
         return whole
 

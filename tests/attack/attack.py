@@ -152,17 +152,12 @@ def command(
     script = PEAK + f"import sys; sys.modules.update(dict.fromkeys({[*filter(None, without.split(','))]}))\n"
     script += "from lampest.cli import main; main()"
 
+    variables = environment(**({} if memory is None else {"LAMPEST_MEMORY": memory}))
+    options = {"stdin": subprocess.DEVNULL, "cwd": folder, "env": variables, "start_new_session": True}
     begin, peak = time.monotonic(), 0
     with (folder / ".out").open("w+b") as out, (folder / ".err").open("w+b") as err:
-        process = subprocess.Popen(
-            [sys.executable, "-c", script, *map(str, arguments)],
-            stdin=subprocess.DEVNULL,
-            stdout=out,
-            stderr=err,
-            cwd=folder,
-            env=environment(**({} if memory is None else {"LAMPEST_MEMORY": memory})),
-            start_new_session=True,
-        )
+        words = [sys.executable, "-c", script, *map(str, arguments)]
+        process = subprocess.Popen(words, stdout=out, stderr=err, **options)
         while process.returncode is None:
             number, status, used = os.wait4(process.pid, os.WNOHANG)
             if number:

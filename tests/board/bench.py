@@ -21,6 +21,7 @@ from tests.small_files import run_command
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 MULTIPLEXER_OHM = 70.0
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 @cache
@@ -65,9 +66,8 @@ def bench(
     (folder / "truth.txt").write_text(truth_text(np.arange(len(cells)) * period, cells))
     words = [built(wiring) / "simulated_board", "--firmware", built(wiring) / f"{sketch}.elf"]
     words += ["--truth", folder / "truth.txt", "--link", folder / "port", *options]
-    with subprocess.Popen(
-        [str(word) for word in words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([str(word) for word in words], **pipes) as process:
         if not process.stdout.readline().startswith("port "):
             pytest.fail(process.communicate()[1], pytrace=False)
         running = Bench(str(folder / "port"), process)
@@ -92,9 +92,6 @@ def loaded_scene(rows: int = 10, columns: int = 10, readings: int = 20, **change
 def some_cells(rng: np.random.Generator, frames: int, rows: int = 10, columns: int = 10) -> Array:
     """Pressed and stretched cells around 3 kΩ, another set in every frame."""
     return np.exp(rng.normal(np.log(3050), 0.4, (frames, rows, columns)))
-
-
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def lampest(*words: object, code: int = 0) -> tuple[str, str]:

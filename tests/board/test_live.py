@@ -23,30 +23,25 @@ from tests.small_files import COMMAND
 
 ROOT = Path(__file__).parents[2]
 RING, LAMPREY = ROOT / "data" / "ring.h5", ROOT / "data" / "lamprey_35mm.h5"
-SCREENSHOT = ROOT / "results" / "live_screenshot.png"
 NUMBER = "return Number(document.getElementById('number').innerText) || 0"
 PLACES = (
     "return arguments[0].map(name => {"
     "const box = document.getElementById(name).getBoundingClientRect(), at = place(box.width, box.height);"
     "return [box.left + at.left, box.top + at.top, at.cell, panel.rows, panel.columns] })"
 )
+CUT = (
+    "return [...document.querySelectorAll('dt, dd, h1, h2, button, .note')].filter(one => one.offsetParent && "
+    "one.scrollWidth > one.clientWidth + 1 && one.clientWidth).map(one => one.innerText)"
+)
+HIDDEN = "return document.getElementById('sentence').hidden && !document.getElementById('alarm').hidden"
 
 
 @contextmanager
 def live(folder: Path, *words: object) -> Iterator[tuple[Browser, "subprocess.Popen[str]"]]:
     """A browser that looks at a running `lampest live`; it ends by Ctrl-C unless it has ended before."""
-    arguments = [COMMAND, "live", "--http", "127.0.0.1:0", *words]
-    with (
-        browser(folder) as window,
-        subprocess.Popen(
-            [str(word) for word in arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            cwd=folder,
-            env=os.environ | ONE_THREAD,
-        ) as process,
-    ):
+    arguments = [str(word) for word in (COMMAND, "live", "--http", "127.0.0.1:0", *words)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": os.environ | ONE_THREAD}
+    with browser(folder) as window, subprocess.Popen(arguments, cwd=folder, **pipes) as process:
         line = process.stdout.readline()
         if not line:
             pytest.fail(process.stderr.read(), pytrace=False)
@@ -58,6 +53,19 @@ def live(folder: Path, *words: object) -> Iterator[tuple[Browser, "subprocess.Po
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
                 assert process.wait(20) == 130
+
+
+@contextmanager
+def live_board(
+    folder: Path, cells: Array, options: tuple[object, ...], *words: object, period: float = 1.0
+) -> Iterator[tuple[Browser, "subprocess.Popen[str]"]]:
+    """A browser that looks at a board in real time, four frames a second."""
+    known = ("--scene", scene_file(folder), "--period", 0.25, *words)
+    with (
+        bench(folder, cells, "--real-time", *options, period=period) as board,
+        live(folder, "--port", board.port, *known) as watched,
+    ):
+        yield watched
 
 
 def truth_of(path: Path) -> tuple[Array, int]:
@@ -90,14 +98,9 @@ def test_a_user_sees_the_ring(tmp_path: Path) -> None:
     """A ring of 27 to 35 mm: 11.5 N under eight cells around four that carry nothing."""
     cells, unloaded = truth_of(RING)
     pressure = Recording.load(RING).truth_pressure
-    with (
-        bench(tmp_path, cells, "--real-time", period=0.25) as board,
-        live(
-            tmp_path, "--port", board.port, "--scene", scene_file(tmp_path), "--period", 0.25, "--baseline", unloaded
-        ) as (window, _),
-    ):
+    with live_board(tmp_path, cells, (), "--baseline", unloaded, period=0.25) as (window, _):
         window.until(NUMBER, lambda number: number > 10)
-        drawn, measured = blueness(window, SCREENSHOT, "cells", "measured")
+        drawn, measured = blueness(window, ROOT / "results" / "live_screenshot.png", "cells", "measured")
         assert window.text("state") == "receiving"
         assert float(window.text("total").split()[0]) == pytest.approx(0.1 * pressure[-1].sum(), rel=0.05)
         assert window.text("lost") == "0"
@@ -158,23 +161,13 @@ def test_a_frame_without_readings_is_named_and_leaves_the_maps_empty(tmp_path: P
             assert window.run(f"return document.getElementById('{name}').getAttribute('aria-label')").endswith(words)
 
 
-CUT = (
-    "return [...document.querySelectorAll('dt, dd, h1, h2, button, .note')].filter(one => one.offsetParent && "
-    "one.scrollWidth > one.clientWidth + 1 && one.clientWidth).map(one => one.innerText)"
-)
-
-
-ENDED = "return document.getElementById('state').innerText == 'the recording has ended'"
-HIDDEN = "return document.getElementById('sentence').hidden && !document.getElementById('alarm').hidden"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1400, 390])
 def test_every_word_fits_a_wide_and_a_narrow_screen(width: int, tmp_path: Path) -> None:
     """A change on the map is never called nothing, and an alarm is said once."""
     with live(tmp_path, "--recording", LAMPREY, "--speed", 50) as (window, _):
         window.resized(width, 900, "dark")
-        window.until(ENDED)
+        window.until("return document.getElementById('state').innerText == 'the recording has ended'")
         window.run("view.alarm = view.detection.sentence; answer()")
         assert window.run("return document.querySelectorAll('#events li').length") >= 1
         window.run("document.getElementById('total').innerText = '−123.45 ± 67.89 N'")
@@ -194,13 +187,8 @@ def test_every_word_fits_a_wide_and_a_narrow_screen(width: int, tmp_path: Path) 
 def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: Path) -> None:
     cells, _ = truth_of(LAMPREY)
     out = tmp_path / "along.h5"
-    with (
-        bench(tmp_path, cells, "--real-time", "--loop", "--unplug", "3:3", "--no-reset-on-open") as board,
-        live(tmp_path, "--port", board.port, "--scene", scene_file(tmp_path), "--period", 0.25, "--out", out) as (
-            window,
-            process,
-        ),
-    ):
+    unplugged = ("--loop", "--unplug", "3:3", "--no-reset-on-open")
+    with live_board(tmp_path, cells, unplugged, "--out", out) as (window, process):
         window.until("return document.getElementById('state').innerText", lambda text: "waiting for it" in text)
         before = window.run(NUMBER)
         window.until("return document.getElementById('state').innerText == 'receiving'")
@@ -227,13 +215,7 @@ def test_from_plugging_in_to_the_alarm(tmp_path: Path) -> None:
     breath = 1 + 0.08 * np.sin(2 * np.pi * 1.1 * time)
     made, layer = MAKERS["uneven mouth"](rng, panel), film(rng, "real")
     cells = mouth_cells(rng, panel, made, layer, course * breath[:, None], time, np.zeros(len(time)))
-    with (
-        bench(tmp_path, cells, "--real-time", period=0.125) as board,
-        live(tmp_path, "--port", board.port, "--scene", scene_file(tmp_path), "--period", 0.25, "--baseline", 6) as (
-            window,
-            _,
-        ),
-    ):
+    with live_board(tmp_path, cells, (), "--baseline", 6, period=0.125) as (window, _):
         window.until(watched, lambda text: "something that sucks (lamprey or cup)" in text, seconds=30)
         window.until("return !document.getElementById('alarm').hidden", seconds=30)
         assert window.text("alarmed").startswith("lamprey attached since")
@@ -248,10 +230,7 @@ def test_a_button_records_what_the_port_delivers(tmp_path: Path) -> None:
     cells, _ = truth_of(LAMPREY)
     said = "return document.getElementById('recorded').innerText"
     press = "document.getElementById('record').click()"
-    with (
-        bench(tmp_path, cells, "--real-time", "--loop") as board,
-        live(tmp_path, "--port", board.port, "--scene", scene_file(tmp_path), "--period", 0.25) as (window, process),
-    ):
+    with live_board(tmp_path, cells, ("--loop",)) as (window, process):
         window.until(NUMBER, lambda number: number > 8)
         window.run(f"document.getElementById('name').value = '../mine'; {press}")
         window.until(said, lambda text: text == "a name has letters, digits, - and _")

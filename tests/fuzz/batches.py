@@ -43,13 +43,9 @@ class Batch:
         Shells start background jobs with Ctrl-C ignored, and children inherit that.
         """
         command = [COMMAND, "run", self.path, "--out", out, *([] if jobs is None else ["--jobs", str(jobs)])]
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        return subprocess.Popen(
-            command,
-            **pipes,
-            start_new_session=True,
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-        )
+        options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
+        options |= {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler)}
+        return subprocess.Popen(command, **options)
 
     def finish(self, out: Path, jobs: int = 1) -> dict[str, Any]:
         """Run to the end and return the content of the results."""
