@@ -14,18 +14,19 @@ SCENE = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(), series_res
 CELLS = np.random.default_rng(1).uniform(500.0, 5000.0, (3, 4))
 
 
+NETWORK = SCENE.circuit.network(CELLS, SCENE.circuit.ties(CELLS), SCENE.wiring)
+
+
 @pytest.mark.parametrize("kind", EFFECTS)
 def test_an_effect_is_smooth_in_its_size_and_nothing_at_zero(kind: type[Effect]) -> None:
-    network = SCENE.circuit.network(CELLS, SCENE.circuit.ties(CELLS), SCENE.wiring)
     places = list(kind.places(3, 4))
     assert len(set(places)) == len(places) > 0
     for lines in places:
         assert all(0 <= line < 7 for line in lines)
         effect = kind(lines)
-        once, twice = (
-            effect_on_readings([replace(effect, size=n * 1e-3 * kind.prior)], SCENE, network) for n in (1, 2)
-        )
-        assert_allclose(effect_on_readings([effect], SCENE, network), 0.0, atol=1e-9 * CELLS.max())
+        sized = [replace(effect, size=n * 1e-3 * kind.prior) for n in (0, 1, 2)]
+        nothing, once, twice = (effect_on_readings([each], SCENE, NETWORK) for each in sized)
+        assert_allclose(nothing, 0.0, atol=1e-9 * CELLS.max())
         assert np.abs(once).max() > 0
         assert_allclose(twice, 2 * once, rtol=1e-2, atol=1e-2 * np.abs(once).max())
 
@@ -41,22 +42,20 @@ def test_an_effect_has_a_sentence_with_its_line_and_its_time(kind: type[Effect])
 
 @pytest.mark.parametrize("error", SHARED_ERRORS, ids=lambda error: error.setting)
 def test_columns_of_a_shared_error_are_proportional_to_its_setting(error: SharedError) -> None:
-    network = SCENE.circuit.network(CELLS, SCENE.circuit.ties(CELLS), SCENE.wiring)
     sizes = [lampest.Systematic(**{error.setting: size}) for size in (1e-3, 2e-3)]
-    once, twice = (error_columns([error], network, network.reading(), SCENE, size) for size in sizes)
+    once, twice = (error_columns([error], NETWORK, NETWORK.reading(), SCENE, size) for size in sizes)
     assert once.shape[1:] == (3, 4) and np.all(np.abs(once).max(axis=(1, 2)) > 0)
     assert_allclose(twice, 2 * once, rtol=1e-2, atol=1e-9)
     assert error not in HIDDEN_ERRORS or len(once) == error.count
 
 
 def test_a_reference_without_an_error_keeps_its_column_and_leaves_error_bars() -> None:
-    network = SCENE.circuit.network(CELLS, SCENE.circuit.ties(CELLS), SCENE.wiring)
     exact = lampest.Systematic(0.0, 0.0, response_sd=0.0)
-    found = error_columns(SHARED_ERRORS, network, network.reading(), SCENE, exact)
+    found = error_columns(SHARED_ERRORS, NETWORK, NETWORK.reading(), SCENE, exact)
     assert found.shape == (1, 3, 4) and not found.any()
     channels = replace(exact, channel_spread_ohm=2.0)
-    assert error_columns(SHARED_ERRORS, network, network.reading(), SCENE, channels).shape == (8, 3, 4)
-    assert error_columns(HIDDEN_ERRORS, network, network.reading(), SCENE, exact).shape == (0, 3, 4)
-    readings = np.stack([network.reading()] * 3) + 140
+    assert error_columns(SHARED_ERRORS, NETWORK, NETWORK.reading(), SCENE, channels).shape == (8, 3, 4)
+    assert error_columns(HIDDEN_ERRORS, NETWORK, NETWORK.reading(), SCENE, exact).shape == (0, 3, 4)
+    readings = np.stack([NETWORK.reading()] * 3) + 140
     recording = lampest.Recording.from_array(readings, baseline=1, scene=replace(SCENE, systematic=exact))
     assert np.isfinite(lampest.reconstruct(recording).cell_resistance_errors).all()

@@ -17,9 +17,14 @@ from tests.netlist import two_point_resistances
 SHAPE = (4, 5)
 FORMULATIONS = [name for name in MethodName.__args__ if name != "auto"]
 ROBUST = (Misfit(weighting="noise", loss=Student(corner=4.0)),)  # what the smoother takes
-READOUTS = [kind() for kind in members_by_kind(AnyReadout).values()]
 HOLES = [(1, 2), (3, 0)]
 LONG = ("nodal", "reduced", "smoother")  # seconds of readouts in volt
+CASES = [
+    pytest.param(kind(), name, marks=pytest.mark.slow if kind().unit == "volt" and name in LONG else ())
+    for kind in members_by_kind(AnyReadout).values()
+    for name in FORMULATIONS
+]
+TWO_POINT = Scene(Panel(*SHAPE), TwoPointReadout())
 
 
 def recording(scene: Scene, holes: list[tuple[int, int]] = HOLES, seed: int = 1) -> Recording:
@@ -32,9 +37,6 @@ def recording(scene: Scene, holes: list[tuple[int, int]] = HOLES, seed: int = 1)
     for row, column in holes:
         recorded[2:, row, column] = np.nan
     return recording_of(scene, recorded, 2, truth_cell_resistance=cells)
-
-
-TWO_POINT = Scene(Panel(*SHAPE), TwoPointReadout())
 
 
 def test_the_optimum_beside_a_penalty_is_that_of_the_readings_that_are_there() -> None:
@@ -54,19 +56,7 @@ def test_the_optimum_beside_a_penalty_is_that_of_the_readings_that_are_there() -
     assert_allclose(estimate.cell_resistance[0].ravel(), np.exp(best.x), rtol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("readout", "formulation"),
-    [
-        pytest.param(
-            readout,
-            formulation,
-            id=f"{readout.kind}-{formulation}",
-            marks=pytest.mark.slow if readout.unit == "volt" and formulation in LONG else (),
-        )
-        for readout in READOUTS
-        for formulation in FORMULATIONS
-    ],
-)
+@pytest.mark.parametrize(("readout", "formulation"), CASES, ids=lambda value: getattr(value, "kind", value))
 def test_single_holes_leave_every_frame_an_estimate(readout: object, formulation: MethodName) -> None:
     """Named for what it is, in every method; the flags and counts say which cells nobody read."""
     scene = Scene(Panel(*SHAPE), readout)

@@ -17,6 +17,13 @@ from lampest.panel.response import (
     relative_change_from_pressure,
 )
 
+RESPONSES = [
+    *(example for member in get_args(get_args(AnyResponse)[0]) for example in examples(member)),
+    TableResponse(pressure_kpa=(-5, 0, 1, 5, 20), resistance_ohm=(9e4, 3e4, 9e3, 2500, 800)),
+    PowerResponse(exponent=0.8, scale_kpa=1.5),
+]
+OWN = pytest.mark.parametrize("response", RESPONSES, ids=lambda response: response.kind)
+
 
 @pytest.mark.parametrize(
     ("pressure", "change"),
@@ -26,26 +33,12 @@ def test_the_published_curve_passes_through_its_points(pressure: float, change: 
     assert relative_change_from_pressure(pressure) == pytest.approx(change, abs=1e-12)
 
 
-RESPONSES = [
-    *(example for member in get_args(get_args(AnyResponse)[0]) for example in examples(member)),
-    TableResponse(pressure_kpa=(-5, 0, 1, 5, 20), resistance_ohm=(9e4, 3e4, 9e3, 2500, 800)),
-    PowerResponse(exponent=0.8, scale_kpa=1.5),
-]
-OWN = pytest.mark.parametrize("response", RESPONSES, ids=lambda response: response.kind)
-
-
 @OWN
-def test_a_response_of_its_own_falls_strictly_and_is_1_at_rest(response: Response) -> None:
+def test_a_response_of_its_own_falls_strictly_is_1_at_rest_and_is_inverted(response: Response) -> None:
     low, high = (2 * end for end in response.told_kpa)
     pressure = np.linspace(low - 1, high, 1001)
     assert np.all(np.diff(response.logarithm(pressure)) < 0)
     assert ratio_from_pressure(0.0, response) == pytest.approx(1.0)
-
-
-@OWN
-def test_a_response_of_its_own_is_inverted(response: Response) -> None:
-    low, high = (2 * end for end in response.told_kpa)
-    pressure = np.linspace(low - 1, high, 1001)
     back = response.pressure(response.logarithm(pressure))
     np.testing.assert_allclose(back, pressure, rtol=1e-9, atol=1e-9 * (high - low))
     ends = response.pressure(np.array([-np.inf, np.inf, np.nan]))

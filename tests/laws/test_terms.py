@@ -24,6 +24,7 @@ from lampest.solvers.smoothing import Smoothing
 PANEL = Panel(3, 4)
 CORNER = 40.0  # of the losses of the union, too
 IN_OHMS = ("cell_resistance", "reading", "measured", "sigma", "previous", "baseline")  # of what a term is given
+GRID = np.linspace(-3, 3, 121) * CORNER
 
 
 @dataclasses.dataclass(frozen=True)
@@ -225,9 +226,6 @@ def slopes(loss: Loss, x: Array) -> Array:
     return np.array([float(slope(value)) for value in x])
 
 
-GRID = np.linspace(-3, 3, 121) * CORNER
-
-
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
 def test_losses_are_even_rising_and_zero_at_zero_and_convex_if_they_say_so(loss: Loss) -> None:
     found = values(loss, GRID)
@@ -273,10 +271,7 @@ def test_the_least_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
         assert_allclose(np.asarray(found["lam_g"]).ravel() / (weight * unit), slopes(loss, x), atol=1e-6)
 
 
-SMOOTH = [loss for loss in LOSSES if loss.enters != "dual"]
-
-
-@pytest.mark.parametrize("loss", SMOOTH, ids=lambda loss: loss.kind)
+@pytest.mark.parametrize("loss", [loss for loss in LOSSES if loss.enters != "dual"], ids=lambda loss: loss.kind)
 def test_what_follows_from_the_formula_is_what_the_losses_say(loss: Loss) -> None:
     """ω, the pull beyond it and η, from derivatives of the cost and from the closed forms."""
     plain, grid = OnlyCost(loss), GRID + 0.1
