@@ -12,7 +12,6 @@ from lampest import (
     Bounds,
     Estimator,
     GroundedReadout,
-    OptimalMethod,
     Panel,
     Recording,
     Scene,
@@ -21,29 +20,13 @@ from lampest import (
 )
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Squared
-from lampest.cost.terms import Gradient, LogRatio, Misfit, term_types
+from lampest.cost.terms import CellResistance, Gradient, LogRatio, Misfit
 from lampest.estimate.sequence import reconstruct
 from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.solvers.multistart import evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
 from tests.estimates import recording_of
 from tests.least_cost import Circuit
-
-WEIGHTS = {
-    "misfit": 0.0,
-    "cell_resistance": 1e-3,
-    "relative_change": 10.0,
-    "gradient": 1e-3,
-    "gradient_of_relative_change": 10.0,
-}
-FORMULATIONS = ("per_pixel", "nodal", "reduced", "auto")
-
-
-def estimator(method: str, **options: Any) -> Estimator:
-    """Relative methods with a joint first pair, as the paper has them."""
-    terms = [Misfit()] if method == "misfit" else [Misfit(), term_types()[method](weight=WEIGHTS[method])]
-    formulation = OptimalMethod(options.pop("formulation", "auto"), joint=True)
-    return Estimator(tuple(terms), formulation=formulation, **options)
 
 
 def truth(shape: tuple[int, int], frames: int, seed: int, spread: float = 0.3) -> Array:
@@ -94,11 +77,11 @@ def test_a_loss_with_a_corner_is_searched_from_where_squares_end(seed: int) -> N
     assert estimate.steps[2].solution.objective <= least * (1 + 1e-9)
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("formulation", ["per_pixel", "nodal", "reduced", "auto"])
 def test_cell_without_finite_optimum_ends_at_the_resolution(formulation: Any) -> None:
     """Plain least squares with 3 % noise: where the misfit falls all the way to an open cell, it is called open."""
     recorded = recording(truth((5, 7), 1, 14, spread=0.8), 3e-2, seed=14)
-    solution = reconstruct(recorded, estimator("misfit", formulation=formulation)).steps[0].solution
+    solution = reconstruct(recorded, Estimator((Misfit(),), formulation)).steps[0].solution
     assert solution.solved
     upper = recorded.resistance**2 / recorded.sigma
     assert np.sum(solution.open_cell) == 3
@@ -114,9 +97,9 @@ def test_single_row_has_a_closed_form(lower: Any) -> None:
     """1 × N: f(r) = r, so LSM gives R and LSR-CR gives R/(1 + λ)."""
     recorded = recording(truth((1, 6), 2, 13), 1e-3, unloaded=1)
     bounds = Bounds(lower, "none")
-    plain = reconstruct(recorded, estimator("misfit", bounds=bounds))
+    plain = reconstruct(recorded, Estimator((Misfit(),), bounds=bounds))
     assert_allclose(plain.cell_resistance[0], recorded.resistance[1], rtol=1e-6)
-    tikhonov = reconstruct(recorded, estimator("cell_resistance", bounds=bounds))
+    tikhonov = reconstruct(recorded, Estimator((Misfit(), CellResistance(weight=1e-3)), bounds=bounds))
     assert_allclose(tikhonov.cell_resistance[0], recorded.resistance[1] / (1 + 1e-3), rtol=1e-6)
 
 
