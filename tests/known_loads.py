@@ -66,19 +66,16 @@ def rod(x: float, y: float, diameter: float, kpa: float) -> Rod:
 
 
 def moved_over(
-    bench: Bench, kpa: Sequence[float], diameter: float, step: float, away: float = 0.5
+    bench: Bench, kpa: Sequence[float], diameter: float, step: float
 ) -> tuple[list[list[Shape]], list[KnownLoad]]:
-    """Rods of some pressures moved over the panel in steps: where they stood, and what is said of it.
-
-    away : mm, standard deviation of where they stood.
-    """
+    """Rods of some pressures moved over the panel in steps: where they stood, to half a mm, and what is said of it."""
     rng = np.random.default_rng([bench.seed, 5])
     xs, ys = (np.arange(0, 10.0 * (count - 1) + 0.1, step) for count in bench.panel.shape[::-1])
     places = [(pressure, float(x), float(y)) for pressure in kpa for x in xs for y in ys]
     groups: list[list[Shape]] = []
     known = []
     for number, (pressure, x, y) in enumerate(places):
-        groups.append([rod(*map(float, rng.normal((x, y), away)), diameter, pressure)])
+        groups.append([rod(*map(float, rng.normal((x, y), 0.5)), diameter, pressure)])
         mass = rod(x, y, diameter, pressure).mass_g
         known.append(KnownLoad(frames=bench.frames_of(number), mass_g=mass, x_mm=x, y_mm=y, diameter_mm=diameter))
     return groups, known

@@ -38,6 +38,10 @@ TERMS = {
 }
 CIRCUITS = {"two_point": 0.5, "loaded": 0.2, "grounded": 0.1, "grounded_one": 0.1, "virtual": 0.1}
 LOSSES = {"squared": Squared, "huber": Huber, "absolute": Absolute}
+ABSOLUTE = ("misfit", "cell_resistance", "gradient", "total_variation")
+ROUNDING = 1e-12
+NODAL_CELLS, SEVERAL_CELLS = 64, 100  # beyond, building a nodal program takes seconds, and so does a trust region
+REGION_CELLS = 150  # a step of the trust region takes a second beyond
 
 
 def chosen(random: np.random.Generator, shares: dict[str, float]) -> str:
@@ -194,12 +198,6 @@ class RandomProblem:
                 except BROKEN:
                     continue
                 yield np.clip(np.log(outcome.cell_resistance).ravel(), low, high)
-
-
-ABSOLUTE = ("misfit", "cell_resistance", "gradient", "total_variation")
-ROUNDING = 1e-12
-NODAL_CELLS, SEVERAL_CELLS = 64, 100  # beyond, building a nodal program takes seconds, and so does a trust region
-REGION_CELLS = 150  # a step of the trust region takes a second beyond
 
 
 def _shape(random: np.random.Generator) -> tuple[int, int]:

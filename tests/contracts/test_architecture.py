@@ -178,10 +178,7 @@ def namesakes(modules: dict[str, ast.Module], names: Names) -> dict[str, list[st
     return {name: several for name, several in homes.items() if len(several) > 1}
 
 
-RULES = (doors, floors, privates, generators, variables)
-
-
-@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
+@pytest.mark.parametrize("rule", [doors, floors, privates, generators, variables], ids=lambda rule: rule.__name__)
 def test_the_package_keeps_the_rule(rule: Rule) -> None:
     broken = [f"{module} {fault}" for module, tree in MODULES.items() for fault in rule(module, tree)]
     assert not broken

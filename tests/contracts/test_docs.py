@@ -35,13 +35,23 @@ PAGES = (
     *sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts),
 )
 COPIED = ("lampest", "tests", "docs/studies", "pyproject.toml", "README.md", "LICENSE")
-SAME = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 TOOLS = {
     "lampest": f"{sys.executable} -c 'from lampest.cli import main; main()'",
     "python": sys.executable,
     "ruff": f"{sys.executable} -m ruff",
     "mypy": f"{sys.executable} -m mypy",
 }
+PROSE = sorted(
+    path
+    for path in [*REPOSITORY.glob("*.md"), *(REPOSITORY / "docs").rglob("*.md"), REPOSITORY / "paper/paper.md"]
+    if "_build" not in path.parts and path.name not in ("licences.md", "CODE_OF_CONDUCT.md")
+)
+NOT_PLAIN = re.compile(
+    r"\b(un?told|says nothing of|leaps?|leapt|torn|bends|gropes?|groping|what [^.,;:|\[]{1,40} what)\b",
+    re.IGNORECASE,
+)
+NAMES = "fro,numer,tung,wakin"  # people, journals, and "to and fro"
+MOST_WORDS = 25  # of a sentence of a page
 
 
 class Fence(NamedTuple):
@@ -121,12 +131,12 @@ def apply(folder: Path, fence: Fence) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_example_says_what_the_page_says(name: str, copy: Path) -> None:
-    checker = doctest.OutputChecker()
+    checker, same = doctest.OutputChecker(), doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     for fence in EXAMPLES[name]:
         apply(copy, fence)
         for command, answer in fence.commands():
             output = run(copy, command)
-            assert checker.check_output(answer, output, SAME), f"$ {command}\n{output}"
+            assert checker.check_output(answer, output, same), f"$ {command}\n{output}"
 
 
 @pytest.mark.slow
@@ -249,19 +259,6 @@ def test_example_scripts_are_ten_short_and_public() -> None:
     texts = [path.read_text(encoding="utf-8") for path in (DOCS / "examples").glob("plot_*.py")]
     assert len(texts) == 10 and all(len(text.splitlines()) < 40 for text in texts)
     assert not any(re.search(r"from lampest\.|import lampest\.", text) for text in texts)
-
-
-PROSE = sorted(
-    path
-    for path in [*REPOSITORY.glob("*.md"), *(REPOSITORY / "docs").rglob("*.md"), REPOSITORY / "paper/paper.md"]
-    if "_build" not in path.parts and path.name not in ("licences.md", "CODE_OF_CONDUCT.md")
-)
-NOT_PLAIN = re.compile(
-    r"\b(un?told|says nothing of|leaps?|leapt|torn|bends|gropes?|groping|what [^.,;:|\[]{1,40} what)\b",
-    re.IGNORECASE,
-)
-NAMES = "fro,numer,tung,wakin"  # people, journals, and "to and fro"
-MOST_WORDS = 25  # of a sentence of a page
 
 
 def paragraphs(page: str) -> Iterator[str]:

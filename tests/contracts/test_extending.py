@@ -36,6 +36,17 @@ estimators:
   plain: {terms: {misfit: {weighting: noise}}}
   even: {terms: {misfit: {}}, formulation: {kind: even, factor: 2}}
 """
+EXTENSIONS = Path(__file__).with_name("extensions.py").read_text(encoding="utf-8")
+# A group of entry points, what a package names in it, and how the sentence begins; "terms" are asked for by a run.
+WRONG = (
+    ("terms", "addon:Even", "lampest.terms: Even of an installed package is no Term"),
+    ("methods", "addon:Leash", "lampest.methods: Leash of an installed package is no Method"),
+    ("terms", "addon:contrast", "lampest.terms: extra = addon:contrast of an installed package is no type"),
+    ("terms", "lampest:Misfit", "lampest.terms: Misfit of an installed package needs kind: Literal['...'] with"),
+    ("columns", "addon:MOST", "lampest.columns: extra = addon:MOST of an installed package cannot be loaded"),
+    ("columns", "math:pi", "lampest.columns: extra = math:pi of an installed package is no Column"),
+    ("plots", "addon:TWICE", "there are two plots 'contours'"),
+)
 
 
 def simulated(readout: lampest.Readout) -> Recording:
@@ -131,9 +142,6 @@ def test_a_plot_joins_with_one_file_and_one_name(recording: Recording, tmp_path:
     assert file.name == "histogram_ellipse.png"
 
 
-EXTENSIONS = Path(__file__).with_name("extensions.py").read_text(encoding="utf-8")
-
-
 def test_a_package_brings_all_of_them_to_yaml(
     tmp_path: Path, package: Callable[..., None], lampest: Callable[..., SimpleNamespace]
 ) -> None:
@@ -161,18 +169,6 @@ def test_a_package_brings_all_of_them_to_yaml(
         assert_allclose(file["entry/ellipse/even/contrast"], 1)
         soft, plain = (file[f"entry/ellipse/{name}/cell_resistance"] for name in ("soft", "plain"))
         assert_allclose(soft, plain, rtol=1e-4)
-
-
-# A group of entry points, what a package names in it, and how the sentence begins; "terms" are asked for by a run.
-WRONG = (
-    ("terms", "addon:Even", "lampest.terms: Even of an installed package is no Term"),
-    ("methods", "addon:Leash", "lampest.methods: Leash of an installed package is no Method"),
-    ("terms", "addon:contrast", "lampest.terms: extra = addon:contrast of an installed package is no type"),
-    ("terms", "lampest:Misfit", "lampest.terms: Misfit of an installed package needs kind: Literal['...'] with"),
-    ("columns", "addon:MOST", "lampest.columns: extra = addon:MOST of an installed package cannot be loaded"),
-    ("columns", "math:pi", "lampest.columns: extra = math:pi of an installed package is no Column"),
-    ("plots", "addon:TWICE", "there are two plots 'contours'"),
-)
 
 
 @pytest.mark.parametrize(("group", "name", "sentence"), WRONG)

@@ -37,6 +37,18 @@ estimators:
   LSM: {terms: {misfit: {}}, tare: {frames: 8}}
 formulation: reduced
 """
+CONFIGS = Path(__file__).parents[2] / "configs"
+WRONG = {
+    "rod_1,4,6,10,,30,360": "loads.csv:2: loads.0: a foot needs x_mm and y_mm",
+    "rod_1,4,6,10,10,30,heavy": "loads.csv:2: loads.0.mass_g: Input should be a valid number",
+    "rod_1,4,,10,10,30,360": "loads.csv:2: each load needs a frame in the columns first and last",
+    "rod_1,4,9,10,10,30,360": "rod_1: there is no frame 9, its frames are 0 to 6",
+    "rod_1,2,6,10,10,30,360": "rod_1: frames 2 to 6 hold unloaded ones",
+    "rod_1,4,6,710,10,30,360": "load 1: its foot misses the film of every cell",
+    "cup_1,4,6,10,10,30,360": "load 1: there is no recording cup_1 among rod_1",
+    "rod_1,4,6,40,40,30,360": "the loads do not explain the cells",
+    "": "loads: name one at least",
+}
 
 
 @pytest.fixture
@@ -79,9 +91,6 @@ def test_tare_changes_the_unloaded_frames_alone_and_doubts_those_with_a_load(rec
     assert ended.code == 0 and "did a load come or go?" in ended.err
 
 
-CONFIGS = Path(__file__).parents[2] / "configs"
-
-
 @pytest.fixture
 def rods(tmp_path: Path, lampest: Command) -> list[Path]:
     assert lampest("simulate", CONFIGS / "known_loads.yaml", "--out", tmp_path / "rods").code == 0
@@ -100,19 +109,6 @@ def test_yaml_says_the_same_as_csv_and_without_out_the_scene_is_printed(
     assert "cells felt no load" in as_yaml.out
     path.with_name("scene.yaml").write_text(as_yaml.out)
     assert public.read_scene(path.with_name("scene.yaml")).response is not None
-
-
-WRONG = {
-    "rod_1,4,6,10,,30,360": "loads.csv:2: loads.0: a foot needs x_mm and y_mm",
-    "rod_1,4,6,10,10,30,heavy": "loads.csv:2: loads.0.mass_g: Input should be a valid number",
-    "rod_1,4,,10,10,30,360": "loads.csv:2: each load needs a frame in the columns first and last",
-    "rod_1,4,9,10,10,30,360": "rod_1: there is no frame 9, its frames are 0 to 6",
-    "rod_1,2,6,10,10,30,360": "rod_1: frames 2 to 6 hold unloaded ones",
-    "rod_1,4,6,710,10,30,360": "load 1: its foot misses the film of every cell",
-    "cup_1,4,6,10,10,30,360": "load 1: there is no recording cup_1 among rod_1",
-    "rod_1,4,6,40,40,30,360": "the loads do not explain the cells",
-    "": "loads: name one at least",
-}
 
 
 def test_loads_that_cannot_be_are_one_sentence(rods: list[Path], tmp_path: Path, lampest: Command) -> None:

@@ -21,6 +21,10 @@ estimators:
   LSM: {{terms: {{misfit: {{}}}}}}
   LSR-gCR: {{terms: {{misfit: {{}}, gradient: {{weight: 1.0e-3}}}}}}
 """
+HELD = "an optimum, but only within the bounds"
+VERIFIED = "optimum verified"
+PLAIN = lampest.Scene(lampest.Panel(6, 6))
+LOADED = lampest.Scene(lampest.Panel(6, 6), lampest.TwoPointReadout(adc_bits=14, noise_lsb=2.0))
 
 
 def healthy(seed: int) -> np.ndarray:
@@ -80,12 +84,6 @@ def test_a_frame_of_which_most_readings_are_missing_is_not_solved() -> None:
     values[1].ravel()[:156] = np.nan
     found = lampest.reconstruct(lampest.Recording.from_array(values, baseline=1), [lampest.Misfit()])
     assert not found.solved.any() and "too few of the frame's readings are values" in found.status[0]
-
-
-HELD = "an optimum, but only within the bounds"
-VERIFIED = "optimum verified"
-PLAIN = lampest.Scene(lampest.Panel(6, 6))
-LOADED = lampest.Scene(lampest.Panel(6, 6), lampest.TwoPointReadout(adc_bits=14, noise_lsb=2.0))
 
 
 def cells() -> np.ndarray:

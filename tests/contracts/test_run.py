@@ -18,6 +18,7 @@ from lampest import CaseResult, read_results, read_run, term_types
 
 ROOT = Path(__file__).parents[2]
 Command = Callable[..., SimpleNamespace]
+PROGRESS = r"lampest: (\d+ cases? to solve|\d+ of \d+).*\n"  # lines that a slow machine sees
 
 
 def cases(folder: Path) -> tuple[CaseResult, ...]:
@@ -148,10 +149,6 @@ def test_shipped_runs_are_in_order(name: str) -> None:
     }
 
 
-PROGRESS = r"lampest: (\d+ cases? to solve|\d+ of \d+).*\n"  # lines that a slow machine sees
-INTERRUPTED = "lampest: interrupted; what was finished is kept\n"
-
-
 def test_missing_library_is_one_sentence(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -189,7 +186,7 @@ def test_interrupt_keeps_what_is_finished(executor: str, disk: SimpleNamespace) 
     sweep = f"sweep: {{estimators.LSR-CR.terms.cell_resistance.weight: {weights}}}\n"
     out, how = disk.folder / "out", f"formulation: reduced\nexecutor: {{kind: {executor}}}\n"
     path = disk.run(disk.text + sweep + how)
-    assert interrupted(path, out, "[!.]*.h5", 3) == (130, "", INTERRUPTED)
+    assert interrupted(path, out, "[!.]*.h5", 3) == (130, "", "lampest: interrupted; what was finished is kept\n")
     finished = read_results(out / "results.h5").cases
     assert 3 <= len(finished) < 302 and all(case.solved.all() for case in finished)
     assert {path.stem for path in (out / "cases").glob("[!.]*.h5")} >= {case.case_id for case in finished}

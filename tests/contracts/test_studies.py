@@ -16,7 +16,6 @@ import pytest
 Command = Callable[..., SimpleNamespace]
 Row = dict[str, str]
 ROOT = Path(__file__).parents[2]
-MAIN = ("-c", "from lampest.cli import main; main()")
 
 BENCH = "schema: 1\nsizes: [3]\nframes: 1\nrepeats: 1\nmemory: [3]\nlimits: {nodal: 3}\n"
 EXTREMES = "schema: 1\ngrid: {sizes: [[2, 3]], decades: [1], noise: [0]}\nstructured: {sizes: []}\n"
@@ -53,6 +52,9 @@ SETTINGS = {
     "audit": AUDIT,
 }
 UNKNOWN_NOISE = "panel: {rows: 3, columns: 4, pitch_mm: 10}\nseries_resistance_ohm: 140\n"
+GROUPS = {  # of the measurements in the HDF5 file
+    "bench": "frames", "extremes": "solves", "tradeoff": "frames", "weights": "small/g", "audit": "recordings",
+}  # fmt: skip
 
 
 def check_audit(rows: list[Row], group: h5py.Group, out: str) -> None:
@@ -63,13 +65,6 @@ def check_audit(rows: list[Row], group: h5py.Group, out: str) -> None:
     assert "measured in unloaded frames; the scene specifies" in out
     held, cells = group["cells_covered"][3:].sum(), group["cells"][3:].sum()
     assert cells == 3 * 2 * 30 and 100 * held / cells == pytest.approx(float(noisy["cells"]), rel=1e-4)
-
-
-GROUPS = {  # of the measurements in the HDF5 file
-    "bench": "frames", "extremes": "solves", "tradeoff": "frames", "weights": "small/g", "audit": "recordings",
-}  # fmt: skip
-STEMS = {"weights": "tune"}  # of the files, where it is not the study's name
-PICTURED = ("tradeoff", "weights")
 
 
 def started(folder: Path, *words: str) -> SimpleNamespace:
@@ -105,7 +100,7 @@ def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
     assert done.code == 0 and left_out in done.err and (bool(done.err) == bool(left_out) or study == "audit"), done.err
     shown = done.out.split("cells, change, press.")[0].splitlines()
     assert max(len(line.rstrip()) for line in shown) <= 100 + len(str(disk.folder))
-    stem = out / STEMS.get(study, study)
+    stem = out / {"weights": "tune"}.get(study, study)
     with h5py.File(stem.with_suffix(".h5")) as file:
         group = file[f"entry/{GROUPS[study]}"]
         datasets = {name: values for name, values in group.items() if isinstance(values, h5py.Dataset)}
@@ -117,7 +112,7 @@ def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
         assert ("memory_mb" in group) == (study in ("bench", "tradeoff"))
         assert "memory_mb" not in group or np.all(np.abs(group["memory_mb"][()] - 1000) < 990)
     pictures = [*out.glob("*.png")]
-    assert bool(pictures) == (study in PICTURED)
+    assert bool(pictures) == (study in ("tradeoff", "weights"))
     assert all(picture.read_bytes().startswith(b"\x89PNG") for picture in pictures)
 
 
@@ -162,7 +157,8 @@ def test_settings_of_the_command_override_the_file_of_a_study(disk: SimpleNamesp
 
 @pytest.mark.slow
 def test_the_papers_page_needs_nothing_else_and_its_scenes_give_most_of_its_numbers(tmp_path: Path) -> None:
-    done, folder = started(tmp_path, *MAIN, "study", "paper", "--out", "out", "--jobs", "1"), tmp_path / "out"
+    main, folder = ("-c", "from lampest.cli import main; main()"), tmp_path / "out"
+    done = started(tmp_path, *main, "study", "paper", "--out", "out", "--jobs", "1")
     assert done.code == 0, done.err
     assert all((tmp_path / line).is_file() for line in done.out.splitlines())
     page = (folder / "paper.html").read_text(encoding="utf-8")

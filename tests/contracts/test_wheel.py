@@ -19,6 +19,8 @@ from supply import LICENCES, locked, plain, told
 from lampest import InputError, datasets, read_run
 
 ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+EXTRAS = {"requirements.lock": [], "requirements-dev.lock": ["dev", "docs", "cluster"]}
 
 
 @pytest.fixture(scope="module")
@@ -93,11 +95,6 @@ def test_recordings_are_called_by_name() -> None:
         assert (datasets.load(name).truth_cell_resistance is not None) == simulated
     with pytest.raises(InputError, match=r"there is no recording 'lamprey'.*lamprey_25mm, lamprey_35mm"):
         datasets.load("lamprey")
-
-
-FILE = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-PROJECT = FILE["project"]
-EXTRAS = {"requirements.lock": [], "requirements-dev.lock": ["dev", "docs", "cluster"]}
 
 
 @pytest.mark.parametrize("name", EXTRAS)

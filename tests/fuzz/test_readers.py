@@ -24,6 +24,44 @@ from lampest.runs.case import check_name
 
 TEXTS = ("run", "scene", "simulation", "setting", "table")  # other files contain the time at which they were written
 QUICK = settings(derandomize=True, deadline=None, database=None, max_examples=100)
+FIELDS = (
+    "ovf", "nan", "inf", "-", "OL", "", "x3", "time", "t [ms]", "r0c0", "R1C1", "row", "col", "value",
+    "frame", "cell", "R [kOhm]", "12:34:56.789", "2025-01-31T12:00:00", "24.12.2025", "1,5", "1.234,5", "1e5",
+    "-3", "0", "1", "2", "512", "0.3", "#", "% c", "Frame 3", "t=5", "c1", "r2", "MΩ", "[V]", '"a"', '"',
+    "1_0", "0x1", "9" * 30, "1e999", "--", "a b", "\t", ";", "->", "[12:00:00] 5", "date", "2025-13-45",
+    "(0, 3)", "k", "timestamp", "1700000000", "1e300", "4294967295", "[1, 2]", "\u2028", "\x1b",
+)  # fmt: skip
+odd_rows = st.lists(st.sampled_from(FIELDS), max_size=9)
+numbers = st.floats(200, 900).map("{:.2f}".format) | st.integers(200, 900).map(str) | st.sampled_from(FIELDS)
+tables = st.sampled_from([1, 3, 4, 6, 7, 12]).flatmap(
+    lambda width: st.lists(st.lists(numbers, min_size=width, max_size=width) | odd_rows, max_size=9)
+)
+KNOWN = (None, Scene(Panel(2, 3), TwoPointReadout()), Scene(Panel(2, 3), LoadedColumnsReadout(load_ohm=10_000.0)))
+HOSTILE = {
+    "object": "schema: !!python/object/apply:os.system ['touch owned']",
+    "object in a list": "recordings: [!!python/name:os.system ]",
+    "laughs": "a: &a [1,1,1,1,1,1,1,1,1,1]\n"
+    + "".join(f"{chr(98 + i)}: &{chr(98 + i)} [{','.join(['*' + chr(97 + i)] * 10)}]\n" for i in range(9)),
+    "merges": "a: &a {x: 1}\n"
+    + "".join(f"{chr(98 + i)}: &{chr(98 + i)} {{<<: [{','.join(['*' + chr(97 + i)] * 10)}]}}\n" for i in range(9)),
+    "itself": "&a {schema: *a}",
+    "brackets": "a: " + "[" * 50_000,
+    "braces": "{a: " * 20_000,
+    "dashes": "- " * 20_000,
+    "long": "a: [" + "1," * MAX_SIZE + "]",
+    "hexadecimal": "schema: 0x" + "f" * 50_000,
+    "decimal": "schema: " + "9" * 50_000,
+    "anchor twice": "- &a 1\n- &a 2\n",
+    "key of two lines": '"a\\nb": 1',
+    "key that rings": '"\\a\\e[31m": 1',
+    "half a sign": '"\\ud800": 1',
+    "all folders": json.dumps({**RUN, "recordings": ["/**"]}),
+    "all folders below": json.dumps({**RUN, "recordings": ["/usr/**.h5"]}),
+    "no name": json.dumps({**RUN, "recordings": [""]}),
+    "long name": json.dumps({**RUN, "recordings": ["a" * 5000 + "/*.h5"]}),
+    "zero byte": json.dumps({**RUN, "recordings": ["a\0b.h5"]}),
+    "no end of zeros": json.dumps({**RUN, "recordings": ["/dev/zero"]}),
+}
 
 
 @pytest.fixture(scope="module")
@@ -56,21 +94,6 @@ def test_files_that_are_nearly_right_are_taken_or_refused(good: Corpus, folder: 
         mutant = good.mutant(number, kind)
         assert kind not in TEXTS or mutant == again.mutant(number, kind)
         assert receive(mutant, folder) in (FINE, REFUSED), number
-
-
-FIELDS = (
-    "ovf", "nan", "inf", "-", "OL", "", "x3", "time", "t [ms]", "r0c0", "R1C1", "row", "col", "value",
-    "frame", "cell", "R [kOhm]", "12:34:56.789", "2025-01-31T12:00:00", "24.12.2025", "1,5", "1.234,5", "1e5",
-    "-3", "0", "1", "2", "512", "0.3", "#", "% c", "Frame 3", "t=5", "c1", "r2", "MΩ", "[V]", '"a"', '"',
-    "1_0", "0x1", "9" * 30, "1e999", "--", "a b", "\t", ";", "->", "[12:00:00] 5", "date", "2025-13-45",
-    "(0, 3)", "k", "timestamp", "1700000000", "1e300", "4294967295", "[1, 2]", "\u2028", "\x1b",
-)  # fmt: skip
-odd_rows = st.lists(st.sampled_from(FIELDS), max_size=9)
-numbers = st.floats(200, 900).map("{:.2f}".format) | st.integers(200, 900).map(str) | st.sampled_from(FIELDS)
-tables = st.sampled_from([1, 3, 4, 6, 7, 12]).flatmap(
-    lambda width: st.lists(st.lists(numbers, min_size=width, max_size=width) | odd_rows, max_size=9)
-)
-KNOWN = (None, Scene(Panel(2, 3), TwoPointReadout()), Scene(Panel(2, 3), LoadedColumnsReadout(load_ohm=10_000.0)))
 
 
 @pytest.mark.parametrize("scene", KNOWN, ids=["none", "divider", "loaded"])
@@ -113,33 +136,6 @@ def test_any_name_is_a_part_of_a_path_or_refused(name: str) -> None:
         return
     inside = Path("/results") / name
     assert inside.parent == Path("/results") and inside.name == name == inside.resolve().name
-
-
-HOSTILE = {
-    "object": "schema: !!python/object/apply:os.system ['touch owned']",
-    "object in a list": "recordings: [!!python/name:os.system ]",
-    "laughs": "a: &a [1,1,1,1,1,1,1,1,1,1]\n"
-    + "".join(f"{chr(98 + i)}: &{chr(98 + i)} [{','.join(['*' + chr(97 + i)] * 10)}]\n" for i in range(9)),
-    "merges": "a: &a {x: 1}\n"
-    + "".join(f"{chr(98 + i)}: &{chr(98 + i)} {{<<: [{','.join(['*' + chr(97 + i)] * 10)}]}}\n" for i in range(9)),
-    "itself": "&a {schema: *a}",
-    "brackets": "a: " + "[" * 50_000,
-    "braces": "{a: " * 20_000,
-    "dashes": "- " * 20_000,
-    "long": "a: [" + "1," * MAX_SIZE + "]",
-    "hexadecimal": "schema: 0x" + "f" * 50_000,
-    "decimal": "schema: " + "9" * 50_000,
-    "anchor twice": "- &a 1\n- &a 2\n",
-    "key of two lines": '"a\\nb": 1',
-    "key that rings": '"\\a\\e[31m": 1',
-    "half a sign": '"\\ud800": 1',
-    "all folders": json.dumps({**RUN, "recordings": ["/**"]}),
-    "all folders below": json.dumps({**RUN, "recordings": ["/usr/**.h5"]}),
-    "no name": json.dumps({**RUN, "recordings": [""]}),
-    "long name": json.dumps({**RUN, "recordings": ["a" * 5000 + "/*.h5"]}),
-    "zero byte": json.dumps({**RUN, "recordings": ["a\0b.h5"]}),
-    "no end of zeros": json.dumps({**RUN, "recordings": ["/dev/zero"]}),
-}
 
 
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)

@@ -32,6 +32,19 @@ NOTHING = Smoothing(1.0, np.zeros(0))
 USUAL = 3000 * np.exp(0.2 * np.random.default_rng(3).standard_normal(DOWN.shape))
 COLUMN = (slice(None), 4)
 both_formulations = pytest.mark.parametrize("formulation", ["reduced", "nodal"])
+FINE = {"adc_bits": 32, "supply_volt": 5.0}  # so that no reading is at a rail
+OHM = {"drive_ohm": 50.0, "sense_ohm": 20.0}
+# Each readout in volt, and the same circuit in its second statement, which inverts: down to 10⁻⁶ ohm.
+KINDS: dict[str, tuple[Readout, Circuit]] = {
+    "loaded": (LoadedColumnsReadout(drive_ohm=50.0, load_ohm=1000.0, **FINE), Circuit("loaded", (), 50, 0, 1000, 5)),
+    "grounded": (GroundedReadout(load_ohm=1000.0, **OHM, **FINE), Circuit("grounded", (), 50, 20, 1000, 5)),
+    "one load": (
+        GroundedReadout(load_ohm=1000.0, sense="one", **OHM, **FINE),
+        Circuit("grounded_one", (), 50, 20, 1000, 5),
+    ),
+    "virtual ground": (VirtualGroundReadout(feedback_ohm=10.0, **OHM, **FINE), Circuit("virtual", (), 50, 20, 10, 5)),
+}
+SHORTS: dict[str, object] = {"cell": (2, 3), "two cells": ([0, 3], [1, 4]), "row": 2, "column": COLUMN}
 
 
 def changed(where: object, factor: float | Array) -> Array:
@@ -98,21 +111,6 @@ def test_without_noise_a_large_panel_is_verified_by_every_reading(where: object)
     solution = solution_of(scene, recorded, "reduced", Bounds())
     assert solution.solved
     assert solution.status is not Status.OPTIMUM or np.abs(solution.reading[0] / recorded - 1).max() <= 1e-6
-
-
-FINE = {"adc_bits": 32, "supply_volt": 5.0}  # so that no reading is at a rail
-OHM = {"drive_ohm": 50.0, "sense_ohm": 20.0}
-# Each readout in volt, and the same circuit in its second statement, which inverts: down to 10⁻⁶ ohm.
-KINDS: dict[str, tuple[Readout, Circuit]] = {
-    "loaded": (LoadedColumnsReadout(drive_ohm=50.0, load_ohm=1000.0, **FINE), Circuit("loaded", (), 50, 0, 1000, 5)),
-    "grounded": (GroundedReadout(load_ohm=1000.0, **OHM, **FINE), Circuit("grounded", (), 50, 20, 1000, 5)),
-    "one load": (
-        GroundedReadout(load_ohm=1000.0, sense="one", **OHM, **FINE),
-        Circuit("grounded_one", (), 50, 20, 1000, 5),
-    ),
-    "virtual ground": (VirtualGroundReadout(feedback_ohm=10.0, **OHM, **FINE), Circuit("virtual", (), 50, 20, 10, 5)),
-}
-SHORTS: dict[str, object] = {"cell": (2, 3), "two cells": ([0, 3], [1, 4]), "row": 2, "column": COLUMN}
 
 
 @both_formulations

@@ -32,7 +32,6 @@ from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.report.detect.detection import detect_recording
 
 PANEL = Panel(9, 11, 10.0)
-READOUT = TwoPointReadout(noise_lsb=0.7)
 CENTRE = (52.0, 37.0)
 TWO = AND.join([OralDisc.candidate.label] * 2)
 MOUTH = OralDisc(centre_mm=CENTRE, diameter_mm=34, rim_width_mm=5.5, pressure_kpa=-11, rim_kpa=85, tilt=0.2)
@@ -42,10 +41,22 @@ LOADS: dict[str, Any] = {
     "cup": SuctionCup(centre_mm=CENTRE, inner_diameter_mm=26, outer_diameter_mm=37, pressure_kpa=-9),
     "mouth": MOUTH,
 }
+# Two of 25 to 36 mm, on small and on large panels; and two faint ones on a film that answers a fifth less and unevenly,
+# one of which might be a rod where they are compared coarsely.
+BENT = Unmodelled(response_loss=0.2, response_spread=0.15)
+FAINT = (
+    (27, {"pressure_kpa": -4, "rim_width_mm": 6, "unevenness": 0.25}),
+    (25, {"pressure_kpa": -8, "elongation": 1.15}),
+)
+SMALL = ((25.0, {"pressure_kpa": -9, "rim_width_mm": 5}), (27.0, {"pressure_kpa": -9, "rim_width_mm": 5}))
+UNEVEN = ((36.0, {"unevenness": 0.2}), (28.0, {"unevenness": 0.2}))
+STRONG = OralDisc(centre_mm=(37, 35), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=60)
+SMALL_ROD = Rod(centre_mm=(37, 35), diameter_mm=30, mass_g=300)
+SQUARE = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0)
 
 
 def recorded(*loads: Any, panel: Panel = PANEL, seed: int = 3, frames: int = 2, **more: Any) -> Recording:
-    scene = Scene(panel=panel, readout=READOUT, series_resistance_ohm=140.0)
+    scene = Scene(panel=panel, readout=TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
     return simulate(Simulation(schema=1, seed=seed, scene=scene, frames=frames, loads=loads, **more))
 
 
@@ -126,17 +137,6 @@ def test_a_load_is_called_what_it_is(name: str) -> None:
     assert verdict.sucks_at(None) > 0.99 if label == SUCKS else verdict.sucks_at(None) < 0.01
     assert disc.diameter_mm == pytest.approx(load.disc().diameter_mm, abs=tolerance)
     assert name not in LOADS or np.hypot(disc.x_mm - CENTRE[0], disc.y_mm - CENTRE[1]) < 1
-
-
-# Two of 25 to 36 mm, on small and on large panels; and two faint ones on a film that answers a fifth less and unevenly,
-# one of which might be a rod where they are compared coarsely.
-BENT = Unmodelled(response_loss=0.2, response_spread=0.15)
-FAINT = (
-    (27, {"pressure_kpa": -4, "rim_width_mm": 6, "unevenness": 0.25}),
-    (25, {"pressure_kpa": -8, "elongation": 1.15}),
-)
-SMALL = ((25.0, {"pressure_kpa": -9, "rim_width_mm": 5}), (27.0, {"pressure_kpa": -9, "rim_width_mm": 5}))
-UNEVEN = ((36.0, {"unevenness": 0.2}), (28.0, {"unevenness": 0.2}))
 
 
 @pytest.mark.slow
@@ -235,11 +235,6 @@ def test_strong_suction_leaves_no_smaller_disc_possible(tmp_path: Path) -> None:
     simulate(Simulation(1, 1, scene, loads=(load,), unmodelled=off, **times)).save(tmp_path / "mouth.h5")
     (attachment,) = detect_recording(tmp_path / "mouth.h5").attachments
     assert attachment.diameter_mm[1] < 3 and abs(attachment.diameter_mm[0] - 32.2) < 2 * attachment.diameter_mm[1]
-
-
-STRONG = OralDisc(centre_mm=(37, 35), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=60)
-SMALL_ROD = Rod(centre_mm=(37, 35), diameter_mm=30, mass_g=300)
-SQUARE = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0)
 
 
 def load_that_leaves(

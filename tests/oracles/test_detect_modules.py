@@ -21,6 +21,8 @@ from lampest.report.detect.detection import detect_recording
 
 READOUT = TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
 SCENE = Scene(Panel(modules=Modules(2, 3, EachModule(6, 7), 4.0)), READOUT, 140.0)
+SMALL = Panel(6, 6)
+STEPS, SCALES = 40000, (0.1, 0.4, 1.0)
 
 
 @pytest.mark.slow
@@ -131,10 +133,6 @@ def test_bars_of_suction_and_breath_contain_films_that_no_one_measured(curve: st
     suction = np.array([(answer.suction - answer.true_suction) / answer.suction_sd for answer in watched])
     depth = np.array([(answer.seen_depth - answer.depth) / answer.depth_sd for answer in watched])
     assert np.abs(suction).max() < 2.3 and np.abs(depth).max() < 2.3
-
-
-SMALL = Panel(6, 6)
-STEPS, SCALES = 40000, (0.1, 0.4, 1.0)
 
 
 def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) -> Array:

@@ -16,6 +16,8 @@ from tests.estimates import in_intervals, log_errors, recording_of
 SHAPE = (6, 7)
 SIGMA = 0.01
 LSM = (Misfit(),)
+READOUT = lampest.TwoPointReadout(supply_volt=5, reference_ohm=1000, adc_bits=16, noise_lsb=1)
+HOLED = lampest.Scene(lampest.Panel(*SHAPE), READOUT, systematic="none")
 
 
 def cells() -> Array:
@@ -27,9 +29,8 @@ def cells() -> Array:
 
 def recording(truth: Array, readout: TwoPointReadout | None = None) -> Recording:
     """Exact readings with a small σ, one unloaded frame."""
-    return recording_of(
-        Scene(Panel(*SHAPE), readout), two_point_resistance(truth), 1, sigma=np.full(truth.shape, SIGMA)
-    )
+    scene, sigma = Scene(Panel(*SHAPE), readout), np.full(truth.shape, SIGMA)
+    return recording_of(scene, two_point_resistance(truth), 1, sigma=sigma)
 
 
 def test_unknown_open_cells_and_shorts_are_flagged() -> None:
@@ -45,10 +46,6 @@ def test_unknown_open_cells_and_shorts_are_flagged() -> None:
     for step in estimate.steps:
         assert step.solution.solved
         assert step.solution.cell_resistance[-1][4, 5] < 10 * SIGMA
-
-
-READOUT = lampest.TwoPointReadout(supply_volt=5, reference_ohm=1000, adc_bits=16, noise_lsb=1)
-HOLED = lampest.Scene(lampest.Panel(*SHAPE), READOUT, systematic="none")
 
 
 def with_holes(seed: int, missing: int) -> lampest.Recording:
@@ -106,9 +103,8 @@ def test_the_valley_is_followed_to_where_a_held_cell_leads(side: int) -> None:
     recording = with_holes(3, 1)
     terms = (lampest.Misfit(weighting="noise"), lampest.Gradient(weight=1e-4))
     readings = recording.readings()
-    stream = lampest.Stream.begin(
-        lampest.Estimator(terms, formulation="reduced"), HOLED, 1.0, readings[np.array([0, 1])].mean()
-    )
+    estimator = lampest.Estimator(terms, formulation="reduced")
+    stream = lampest.Stream.begin(estimator, HOLED, 1.0, readings[np.array([0, 1])].mean())
     data, _ = stream.given(readings[2])
     model = stream.estimator.method.solve(stream, data, None).surroundings()
     cell = int(np.flatnonzero(readings.seen[2].ravel() == 0)[0])
@@ -116,9 +112,8 @@ def test_the_valley_is_followed_to_where_a_held_cell_leads(side: int) -> None:
     gone = profile_end(errors, cell, side)
     lower, upper = data.lower.copy(), data.upper.copy()
     lower.flat[cell] = upper.flat[cell] = np.exp(model.at.position.flat[cell] + gone[cell])
-    there = stream.estimator.method.solve(
-        stream, replace(data, lower=lower, upper=upper), np.exp(model.at.position + gone.reshape(1, *SHAPE))
-    )
+    start = np.exp(model.at.position + gone.reshape(1, *SHAPE))
+    there = stream.estimator.method.solve(stream, replace(data, lower=lower, upper=upper), start)
     exact = (np.log(there.cell_resistance) - model.at.position[0]).ravel()
     beside = np.arange(gone.size) != cell
     assert np.abs(gone - exact)[beside].max() < 0.1 * np.abs(exact[beside]).max()

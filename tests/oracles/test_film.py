@@ -19,21 +19,24 @@ from lampest.panel.response import Film, PublishedResponse
 from lampest.panel.scene import Scene, Systematic
 from lampest.recording.simulation import Simulation, Unmodelled, simulate
 
-
-def followed(plays: Plays, pressures: Array) -> Array:
-    """p_e of pressures one after the other."""
-    effective = []
-    for pressure in pressures:
-        effective.append(plays.effective(np.array(pressure)))
-        plays = plays.after(np.array(pressure))
-    return np.array(effective)
+ROD = Rod(centre_mm=(35, 35), diameter_mm=40, mass_g=2000)
+COURSE = Course(approach_s=10, release_at_s=40, release_s=10)
+TRUE = Film(hysteresis=0.24, creep_per_decade=0.05)
+SLOW = Course(approach_s=10, release_at_s=30, release_s=10)
+OPEN_FILM = Film(creep_per_decade="auto")
+LAMPREY = OralDisc(centre_mm=(25, 27), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-8, rim_kpa=50)
+WEAK = replace(LAMPREY, pressure_kpa=-0.6, rim_kpa=2.0)
+CUP = SuctionCup(kind="suction_cup", centre_mm=(25, 25), inner_diameter_mm=24, outer_diameter_mm=32, pressure_kpa=-1.5)
+ARRIVES, LEAVES = 30, 70
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.1, 0.24, 0.5])
 @pytest.mark.parametrize("peak", [30.0, -8.0])
 def test_cycle_loads_along_the_line_and_unloads_along_the_hyperbola(gap: float, peak: float) -> None:
-    share = np.linspace(0, 1, 101)
-    effective = followed(Plays.at_rest(np.array(gap)), peak * np.concatenate([share, share[::-1]])) / peak
+    share, plays, effective = np.linspace(0, 1, 101), Plays.at_rest(np.array(gap)), np.zeros(202)
+    for number, pressure in enumerate(peak * np.concatenate([share, share[::-1]])):
+        effective[number] = plays.effective(np.array(pressure)) / peak
+        plays = plays.after(np.array(pressure))
     steep = ((1 + gap) / (1 - gap)) ** 2
     np.testing.assert_allclose(effective[:101], share, atol=1e-12)
     back = effective[101:][::-1]
@@ -65,10 +68,6 @@ def test_memory_is_undone_exactly_under_water_too() -> None:
     np.testing.assert_allclose(here.creep.crept, there.creep.crept, atol=1e-9)
 
 
-ROD = Rod(centre_mm=(35, 35), diameter_mm=40, mass_g=2000)
-COURSE = Course(approach_s=10, release_at_s=40, release_s=10)
-
-
 def recorded(film: Film | None = None, told: Film | None = None, **changes: object) -> Recording:
     """A rod that is put on slowly, lies, and is taken off slowly: 70 frames of 8 × 8 cells."""
     plain = Simulation(1, 4, Scene(Panel(8, 8), film=told), Cells(), 2, 70, 1.0, (ROD,), COURSE, film=film)
@@ -92,17 +91,11 @@ def test_open_numbers_cannot_be_simulated() -> None:
     assert "film" in to_yaml(recorded(Film(0.1), told=Film("auto")).scene)
 
 
-EXACT = Systematic(response_sd=0.0)
-TRUE = Film(hysteresis=0.24, creep_per_decade=0.05)
-SLOW = Course(approach_s=10, release_at_s=30, release_s=10)
-
-
 def pressed_film(truth: Film, told: Film | None, seed: int = 3, course: Course = SLOW) -> Recording:
     """A rod on 6 × 6 cells that is put on and taken off, 60 frames."""
     rod = Rod(centre_mm=(25, 25), diameter_mm=40, mass_g=2400)
-    scene = Scene(
-        Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, systematic=EXACT, film=told, response=PublishedResponse()
-    )
+    known = {"systematic": Systematic(response_sd=0.0), "film": told, "response": PublishedResponse()}
+    scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, **known)
     return simulate(Simulation(1, seed, scene, frames=60, loads=(rod,), course=course, film=truth))
 
 
@@ -181,9 +174,6 @@ def test_what_no_film_does_is_not_taken_for_creep() -> None:
     assert known.sentence.startswith("hysteresis 17 +- 10 %, assumed; creep not estimated")
 
 
-OPEN_FILM = Film(creep_per_decade="auto")
-
-
 def pressures(ratio: Array, film: Film | None, time: Array | None = None, sure: float = 0.0, **scene: Any) -> Pressure:
     """Pressures of ratios (frames, rows, columns) that are known to a fraction."""
     panel = Panel(*ratio.shape[1:])
@@ -208,29 +198,15 @@ def test_drift_of_a_film_presses_nowhere_and_is_in_its_bars() -> None:
     assert with_film.lower.max() < 0 < with_film.upper.min()
 
 
-FILM = Film(0.2, 0.05)
-LAMPREY = OralDisc(centre_mm=(25, 27), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-8, rim_kpa=50)
-WEAK = replace(LAMPREY, pressure_kpa=-0.6, rim_kpa=2.0)
-CUP = SuctionCup(kind="suction_cup", centre_mm=(25, 25), inner_diameter_mm=24, outer_diameter_mm=32, pressure_kpa=-1.5)
-ARRIVES, LEAVES = 30, 70
-
-
-def drifting(load: Shape, seed: int = 1, film: Film | None = FILM, approach: float = 1.0) -> Recording:
-    """130 frames of 6 × 6 cells that drift; the load is there from ARRIVES to LEAVES."""
-    course = Course(start_s=ARRIVES, approach_s=approach, release_at_s=LEAVES, release_s=1)
-    scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
-    unmodelled = Unmodelled(drift_per_minute=0.01)
-    return simulate(
-        Simulation(1, seed, scene, frames=130, loads=(load,), course=course, film=film, unmodelled=unmodelled)
-    )
-
-
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(("load", "approach"), [(LAMPREY, 1.0), (WEAK, 1.0), (WEAK, 20.0), (CUP, 5.0)])
-@pytest.mark.parametrize("film", [None, FILM])
+@pytest.mark.parametrize("film", [None, Film(0.2, 0.05)])
 def test_nothing_attached_is_never_taken_for_zero(load: Shape, approach: float, seed: int, film: Film | None) -> None:
-    """Of the true cells with noise of 0.7 %; a load that has reached 0.1 kPa somewhere is there."""
-    recording = drifting(load, seed, film, approach=approach)
+    """Of the true cells, which drift, with noise of 0.7 %; a load that has reached 0.1 kPa somewhere is there."""
+    course = Course(start_s=ARRIVES, approach_s=approach, release_at_s=LEAVES, release_s=1)
+    scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
+    plain = Simulation(1, seed, scene, frames=130, loads=(load,), course=course, film=film)
+    recording = simulate(replace(plain, unmodelled=Unmodelled(drift_per_minute=0.01)))
     cells, truth = recording.truth_cell_resistance, recording.truth_pressure
     noise = np.exp(0.007 * np.random.default_rng(seed).standard_normal(cells.shape))
     ratio = (cells * noise / cells[0])[3:]

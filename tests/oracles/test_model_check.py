@@ -18,8 +18,7 @@ from lampest.posterior.reference import MAX_CELLS
 from tests.estimates import recording_of
 
 SHAPE = (5, 7)
-GENERATOR = np.random.default_rng(4)
-CELLS = 3000 * np.exp(GENERATOR.standard_normal(SHAPE))
+CELLS = 3000 * np.exp(np.random.default_rng(4).standard_normal(SHAPE))
 
 
 # An amplifier's rails keep readings from breaking its laws unless the resistances at its lines are large.

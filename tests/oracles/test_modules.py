@@ -29,6 +29,8 @@ series_resistance_ohm: 140
 """
 FAULTS = "faults: {dead_modules: [[1, 2]], open: [[4, 5]]}\nmodules: [{at: [0, 1], series_resistance_ohm: 150}]\n"
 LAYOUT = Modules(2, 3, EachModule(3, 4), 3.0)
+COUPLED = Modules(2, 2, EachModule(3, 4), 4.0, coupled=True)
+READOUT = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
 
 
 def scene_of(text: str) -> Scene:
@@ -124,9 +126,8 @@ def test_a_sequence_goes_on_from_the_arrays_that_are_kept_of_it(panel: str) -> N
         stream, _ = stream.push(readings[frame])
     kept = CarriedOver.of(stream)
     one, other = stream.restarted(begun), kept.onto(begun)
-    assert not other.first and {name: values.shape for name, values in CarriedOver.of(other).arrays.items()} == {
-        name: values.shape for name, values in kept.arrays.items()
-    }
+    shapes = [{name: values.shape for name, values in of.arrays.items()} for of in (kept, CarriedOver.of(other))]
+    assert not other.first and shapes[0] == shapes[1]
     assert all(part is None or part.prepared is None for part in (one.modules or (one,)))
     (_, expected), (_, step) = (each.push(readings[third]) for each in (one, other))
     assert_allclose(step.cell_resistance, expected.cell_resistance, rtol=1e-12)
@@ -141,10 +142,6 @@ def test_a_sequence_goes_on_from_the_arrays_that_are_kept_of_it(panel: str) -> N
     track = (track.modules[0] if stream.modules else track).track
     assert isinstance(track.memory, SampledMemory) and track.memory.frames == 3
     assert_allclose([track.memory.samples, track.answers], pairs)
-
-
-COUPLED = Modules(2, 2, EachModule(3, 4), 4.0, coupled=True)
-READOUT = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
 
 
 def taken() -> Recording:

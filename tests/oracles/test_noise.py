@@ -24,7 +24,6 @@ from lampest.report.detect.detection import detect_recording
 from lampest.studies.study import read_settings
 from tests.estimates import in_intervals, log_errors, recording_of
 
-DATA = Path(__file__).parents[2] / "data"
 LINES, CHANNELS = 10, 10
 LSM = Estimator((Misfit(),), "reduced", error_bars=True)
 
@@ -70,7 +69,7 @@ def test_loads_and_wrong_noise_make_no_outliers() -> None:
 @pytest.mark.parametrize("factor", [0.5, 1.0, 1.3])
 def test_a_frozen_reading_is_left_out_and_named_and_costs_no_more_than_a_missing_one(factor: float) -> None:
     """Under the load it would move the cells of its row and column by a tenth and more, whatever its value is."""
-    whole = Recording.load(DATA / "lamprey_35mm.h5", slice(9))
+    whole = Recording.load(Path(__file__).parents[2] / "data" / "lamprey_35mm.h5", slice(9))
     frozen, missing = whole.recorded.copy(), whole.recorded.copy()
     frozen[:, 4, 5], missing[:, 4, 5] = factor * whole.recorded[0, 4, 5], np.nan
     froze, missed = (Prepared(replace(whole, recorded=values, raw_sums=None)) for values in (frozen, missing))

@@ -108,10 +108,8 @@ def test_the_edge_of_a_load_on_half_the_panel_is_no_contact() -> None:
     block = Block(centre_mm=(17.5, 45.0), length_mm=35.0, width_mm=90.0, mass_g=4000.0)
     course = Course(start_s=-0.08, approach_s=0.06, attachment_s=0.9316, breathing_hz=0.80338, breathing_depth=0.1)
     scene = Scene(lampest.Panel(9, 7), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
-    cells = Cells(spread=0.085013)
-    recording = simulate(
-        Simulation(1, 9125, scene, cells, frames=18, frame_period_s=0.1, loads=(block,), course=course)
-    )
+    times = {"frames": 18, "frame_period_s": 0.1, "course": course}
+    recording = simulate(Simulation(1, 9125, scene, Cells(spread=0.085013), loads=(block,), **times))
     assert Prepared(recording).effects.name == ""
 
 

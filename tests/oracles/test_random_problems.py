@@ -38,6 +38,13 @@ PROBLEMS += [pytest.param(1, number, marks=pytest.mark.soak) for number in range
 STATED = [1, 5, 10, 12, 16, 17, 21, 30, 31, 36, 40, 61, 62, 73, 79, 86, 172, 207]
 NO_ESTIMATE = (Status.UNREAD, Status.UNRESTED, Status.ROUNDED)
 SHAPE = (6, 5)
+CONVERTER = {"adc_bits": 12, "readings": 1, "noise_lsb": 0.5, "supply_volt": 5.0}
+CIRCUITS = {
+    "two_point": TwoPointReadout(reference_ohm=3000.0, **CONVERTER),
+    "loaded": LoadedColumnsReadout(drive_ohm=1000.0, load_ohm=1e4, **CONVERTER),
+    "grounded": GroundedReadout(drive_ohm=70.0, sense_ohm=70.0, load_ohm=1000.0, **CONVERTER),
+    "virtual": VirtualGroundReadout(drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=3000.0, **CONVERTER),
+}
 
 
 @pytest.mark.parametrize("joint", [False, True])
@@ -190,15 +197,6 @@ def test_more_starts_find_the_lower_of_two_minima() -> None:
             starts = np.log(data.measured).ravel() + random.uniform(0, np.log(60), (6, 100))
             least = min(oracle.value(oracle.minimised(start, 40)) for start in starts)
             assert oracle.value(np.log(step.cell_resistance).ravel()) <= least * (1 + 1e-6)
-
-
-CONVERTER = {"adc_bits": 12, "readings": 1, "noise_lsb": 0.5, "supply_volt": 5.0}
-CIRCUITS = {
-    "two_point": TwoPointReadout(reference_ohm=3000.0, **CONVERTER),
-    "loaded": LoadedColumnsReadout(drive_ohm=1000.0, load_ohm=1e4, **CONVERTER),
-    "grounded": GroundedReadout(drive_ohm=70.0, sense_ohm=70.0, load_ohm=1000.0, **CONVERTER),
-    "virtual": VirtualGroundReadout(drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=3000.0, **CONVERTER),
-}
 
 
 def solution_of_a_skin(kind: str, *terms: Term) -> Solution:

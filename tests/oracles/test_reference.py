@@ -20,8 +20,14 @@ from lampest.posterior.reference import references
 from tests.estimates import in_intervals, log_errors, recording_of, rms
 
 NOISE = 0.003  # of the readings
-DATA = Path(__file__).parents[2] / "data"
 WEIGHTED = Misfit(weighting="noise")
+SAID = "their noise: an error of the model, which error bars include"
+PENALTIES = {
+    "two": (LogGradient(), CellResistance()),
+    "huber": (LogGradient(loss=Huber(corner=0.3)),),
+    "student": (Gradient(loss=Student(corner=300.0)),),
+    "absolute": (LogGradient(loss=Absolute()),),
+}
 
 
 def smooth(side: int = 8) -> Array:
@@ -98,9 +104,6 @@ def frames_under_load(static: float, seed: int, unloaded: int = 0) -> Recording:
     return recording_of(scene, readings, unloaded, sigma=sigma, truth_cell_resistance=cells)
 
 
-SAID = "their noise: an error of the model, which error bars include"
-
-
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_models_error_is_in_the_bars_and_in_one_sentence(seed: int) -> None:
     recording = frames_under_load(0.07, seed)
@@ -135,12 +138,10 @@ def without_a_tenth(path: Path) -> tuple[Recording, Recording, Array]:
 @pytest.mark.parametrize("name", ["insole_walking", "insole_standing"])
 @pytest.mark.parametrize(("loss", "least"), [(Squared(), 0.88), (Student(corner=4.0), 0.9)])
 def test_withheld_readings_of_a_real_sensor_lie_within_their_intervals(name: str, loss: Loss, least: float) -> None:
-    whole, recording, withheld = without_a_tenth(DATA / f"{name}.h5")
+    whole, recording, withheld = without_a_tenth(Path(__file__).parents[2] / "data" / f"{name}.h5")
     estimate = lampest.reconstruct(recording, [Misfit(weighting="noise", loss=loss), LogGradient()])
     sigma, model = estimate.reading_sigma, np.stack([step.solution.reading[-1] for step in estimate.steps])
-    assert np.all(sigma[estimate.solved] > 0) and np.all(np.isfinite(sigma[estimate.solved])), (
-        "also of missing readings"
-    )
+    assert np.all(sigma[estimate.solved] > 0) and np.all(np.isfinite(sigma[estimate.solved]))  # of missing ones, too
     judged = withheld & estimate.solved[:, None, None]
     inside = np.abs(whole.readings().value - model)[judged] < 1.96 * sigma[judged]
     assert judged.sum() > 300 and least <= inside.mean() <= 0.98
@@ -171,14 +172,6 @@ def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
     moved = lampest.reconstruct(recording, [WEIGHTED, LogGradient(weight=weight * np.exp(0.05))])
     slope = np.abs(np.log(moved.cell_resistance / given.cell_resistance)) / 0.05
     assert_allclose(more.max(axis=(1, 2)), (sigma * slope).max(axis=(1, 2)), rtol=0.15)
-
-
-PENALTIES = {
-    "two": (LogGradient(), CellResistance()),
-    "huber": (LogGradient(loss=Huber(corner=0.3)),),
-    "student": (Gradient(loss=Student(corner=300.0)),),
-    "absolute": (LogGradient(loss=Absolute()),),
-}
 
 
 @pytest.mark.parametrize("per", ["recording", "frame"])

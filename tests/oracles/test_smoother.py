@@ -213,9 +213,8 @@ def test_a_frame_of_which_too_little_was_read_is_left_out() -> None:
     recorded = made.recorded.copy()
     recorded[RESTING + 2] = np.nan
     estimate = found_of(replace(made, recorded=recorded))
-    assert (
-        estimate.solved.sum() == FRAMES - 1 and not estimate.solved[2] and np.isnan(estimate.cell_resistance[2]).all()
-    )
+    assert estimate.solved.sum() == FRAMES - 1 and not estimate.solved[2]
+    assert np.isnan(estimate.cell_resistance[2]).all()
     blind = found_of(replace(made, recorded=np.where(made.role[:, None, None] == 0, made.recorded, np.nan)))
     assert not blind.solved.any()
     unread = replace(made, recorded=np.full(made.recorded.shape, np.nan)).readings()[:RESTING].mean()

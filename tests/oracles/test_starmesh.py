@@ -17,7 +17,6 @@ from lampest.panel.readouts.floating import (
 )
 from tests.netlist import in_digits
 
-FOURTEEN_DIGITS = 1e-14
 TEN_DIGITS = 1e-10
 SHAPES = [(1, 1), (1, 9), (9, 1), (2, 2), (2, 32), (32, 2), (16, 16), (3, 5)]
 
@@ -68,7 +67,7 @@ def many(count: int, most: float, seed: int) -> Iterator[tuple[str, Array]]:
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_fourteen_digits_in_every_structured_case(shape: tuple[int, int]) -> None:
     for name, cells in structured(shape, np.random.default_rng(1), 15):
-        assert_allclose(exact_two_point_resistance(cells), in_digits(cells), rtol=FOURTEEN_DIGITS, err_msg=name)
+        assert_allclose(exact_two_point_resistance(cells), in_digits(cells), rtol=1e-14, err_msg=name)
 
 
 @pytest.mark.slow

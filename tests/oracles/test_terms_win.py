@@ -34,6 +34,15 @@ PANEL = Panel(8, 8)
 ROD = Rod(kind="rod", centre_mm=(38, 33), diameter_mm=35, mass_g=500)
 CUP = SuctionCup(kind="suction_cup", centre_mm=(38, 33), inner_diameter_mm=27, outer_diameter_mm=36, pressure_kpa=-9)
 NOISE = 5e-3
+NEW = [
+    TotalVariation(weight=0.05),
+    LogRatio(weight=0.1, loss=Squared()),
+    LogRatio(weight=1.0),
+    TotalVariationOfChange(weight=0.05),
+]
+WIDE, NOISY, WEIGHTS = Panel(10, 10), 0.01, 10.0 ** np.arange(-2.5, -0.9, 0.5)
+WIDE_ROD = Rod(kind="rod", centre_mm=(48, 43), diameter_mm=35, mass_g=500)
+DISC = OralDisc(kind="oral_disc", centre_mm=(48, 43), diameter_mm=40, rim_width_mm=7, pressure_kpa=-5)
 
 
 @cache
@@ -111,14 +120,6 @@ def test_a_term_wins_on_its_scene(claim: str) -> None:
     assert best(recorded, *own) < margin * min(error(recorded), *(best(recorded, *other) for other in others))
 
 
-NEW = [
-    TotalVariation(weight=0.05),
-    LogRatio(weight=0.1, loss=Squared()),
-    LogRatio(weight=1.0),
-    TotalVariationOfChange(weight=0.05),
-]
-
-
 @pytest.mark.parametrize("term", NEW, ids=lambda term: f"{term.kind}-{term.loss.kind}")
 def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
     """From starts some factor of four apart. The relative change has up to three minima there and must be searched."""
@@ -171,11 +172,6 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
     samples = (root @ rng.standard_normal((2 * cells, SampledErrors.samples))).T
     sampled = SampledErrors(model, SampledMemory(samples.reshape(-1, 2, cells).swapaxes(0, 1)))
     assert_allclose(sampled.variance, dense.variance, rtol=0.6)
-
-
-WIDE, NOISY, WEIGHTS = Panel(10, 10), 0.01, 10.0 ** np.arange(-2.5, -0.9, 0.5)
-WIDE_ROD = Rod(kind="rod", centre_mm=(48, 43), diameter_mm=35, mass_g=500)
-DISC = OralDisc(kind="oral_disc", centre_mm=(48, 43), diameter_mm=40, rim_width_mm=7, pressure_kpa=-5)
 
 
 def recorded(cells: Array, seed: int, noise: float = NOISY) -> Recording:

@@ -34,6 +34,13 @@ from tests.least_cost import LeastCost, Penalty
 
 SHAPE = (8, 7)
 AUTO = "auto"
+COARSE = TwoPointReadout(adc_bits=12, readings=1, noise_lsb=1.0, reference_ohm=500.0)
+RUN = """schema: 1
+recordings: [mine.h5]
+estimators:
+  smooth: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 30.0}}, formulation: reduced}
+"""
+NOISE = 0.02
 
 
 def cells_of(seed: int, shape: tuple[int, int] = SHAPE) -> Array:
@@ -136,14 +143,6 @@ def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights
         assert sigma[number] == pytest.approx(information**-0.5, rel=0.05)
 
 
-def recording(noise: float | None, frames: int = 4) -> Recording:
-    cells = np.stack([cells_of(3)] * frames)
-    cells[2:, 3:5, 3:5] *= 0.3
-    exact = two_point_resistance(cells)
-    measured = exact * (1 + (noise or 0.002) * np.random.default_rng(1).standard_normal(exact.shape))
-    return recording_of(Scene(Panel(*SHAPE)), measured, 1, sigma=None if noise is None else noise * exact)
-
-
 def test_a_chosen_weight_that_keeps_readings_from_being_met_is_warned_of() -> None:
     """A penalty on log r, where half of the cells are loaded, with a weight a thousand times too large."""
     truth = np.where(np.indices((2, 6, 6))[2] < 3, 2000.0, 4000.0)
@@ -157,9 +156,6 @@ def test_a_chosen_weight_that_keeps_readings_from_being_met_is_warned_of() -> No
     assert warned.startswith("with the weight that was chosen for log_gradient readings are missed by")
     chosen = lampest.reconstruct(recording, [misfit, lampest.LogGradient()], formulation="reduced")
     assert chosen.automatic and not any("readings are missed" in line for line in chosen.checks)
-
-
-DRAWS = 40
 
 
 def test_uniform_values_lie_within_their_bands_and_others_do_not() -> None:
@@ -177,7 +173,7 @@ def test_uniform_values_lie_within_their_bands_and_others_do_not() -> None:
 @pytest.mark.parametrize("name", PRIORS)
 def test_intervals_hold_draws_of_the_prior_as_often_as_they_say(name: str, level: str, chosen: bool) -> None:
     """Of 1,440 cells; where the weight is chosen and noise large, 40 draws are 40 weights."""
-    drawn = calibration(PRIORS[name], *SETTINGS[level], chosen, DRAWS, 7)
+    drawn = calibration(PRIORS[name], *SETTINGS[level], chosen, 40, 7)
     half, most, nearly_all = drawn.coverage
     if chosen:
         assert 0.42 < half < 0.62 and 0.72 < most < 0.93 and nearly_all > 0.88
@@ -186,14 +182,6 @@ def test_intervals_hold_draws_of_the_prior_as_often_as_they_say(name: str, level
         assert abs(half - 0.5) < 0.05 and abs(most - 0.8) < 0.04 and abs(nearly_all - 0.95) < 0.02
         assert np.allclose(drawn.weights, 1)
     assert min(drawn.uniformity) > 1e-3
-
-
-COARSE = TwoPointReadout(adc_bits=12, readings=1, noise_lsb=1.0, reference_ohm=500.0)
-RUN = """schema: 1
-recordings: [mine.h5]
-estimators:
-  smooth: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 30.0}}, formulation: reduced}
-"""
 
 
 def going_over(folder: Path) -> lampest.Recording:
@@ -234,9 +222,6 @@ def test_the_table_of_real_recordings_has_a_row_for_every_method(
     assert ours.ratio < 0.5 and ours.covered > 0.8 and ours.weight_sigma < 1
     assert all(rows[name].ratio < 1 for name in ("fixed point (Medrano-Sánchez)", "truncated inversion, best rank"))
     assert ours.ratio < min(row.ratio for row in rows.values() if row is not ours)
-
-
-NOISE = 0.02
 
 
 def bump() -> Recording:

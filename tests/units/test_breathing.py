@@ -9,6 +9,7 @@ from lampest.panel.panel import Array
 
 TIMES = np.arange(0, 8, 0.25)
 READINGS = 40
+BLOCKS = np.arange(0, 480, BLOCK_S)
 
 
 def window(
@@ -36,16 +37,14 @@ def window(
     swinging = [np.sin(2 * np.pi * 1.1 * TIMES / by) for by in (1.0, slower)]
     swings = film * slopes * (own + rim * (rise < 0)), film * place * moves[0]
     swings[0][rng.permutation(READINGS)[:6]] += edges * 60 * rng.choice([-1, 1], 6)
-    changes = sum(np.outer(wave, swing) for wave, swing in zip(swinging, swings, strict=True)) + rng.standard_normal(
-        (len(TIMES), READINGS)
-    )
+    changes = sum(np.outer(wave, swing) for wave, swing in zip(swinging, swings, strict=True))
+    changes = changes + rng.standard_normal((len(TIMES), READINGS))
     supply = rng.standard_normal((READINGS, 1)) + 3
     changes = changes + waves * np.outer(swinging[0], film * supply[:, 0])
     changes += wild * 50 * (rng.random(changes.shape) < 0.003)
     spread = 0.2 * np.abs(slopes)
     known = Patterns.of(np.eye(READINGS), rise, slopes[None], spread, moves, supply)
-    found = breath(TIMES, settled(changes), known)
-    return found
+    return breath(TIMES, settled(changes), known)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -89,9 +88,6 @@ def test_waves_and_noise_are_none_and_hide_none(seed: int) -> None:
     for hiding in ({"own": 0.08, "waves": 3.0}, {"own": 0.04, "wild": True, "strong": 0.05}):  # or outliers
         found = window(**hiding, seed=seed)
         assert found.odds > 3 and found.suction > 0.9
-
-
-BLOCKS = np.arange(0, 480, BLOCK_S)
 
 
 def followed(suction: Array, noise: float = 0.02, seed: int = 0) -> Array:

@@ -46,6 +46,29 @@ COMMANDS = {name: command for name, command in TOP.items() if not command.hidden
 COMMANDS |= {f"{group} {name}": command for group in GROUPS for name, command in TOP[group].commands.items()}
 OLD = ("bench", "tradeoff", "extremes", "paper", "tune", "ports", "repair", "terms", "schema")
 FIGURES = re.compile(r"such as|with|\d|else", re.IGNORECASE)
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from lampest.files.whole import whole_file
+with whole_file(Path(sys.argv[1])) as unfinished:
+    unfinished.write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+COUNTS = {"frames": 7, "lost": 2, "restarts": 1, "clock_jumps": 0, "clock_stopped": False, "parted": 0, "behind": 0}
+ENDED: Any = COUNTS | {"ended_by": "", "noise_lsb": 0.704, "silent": 0.0}
+RECORDED = Recorded(path=Path("r.h5"), scene=Scene(Panel(3, 4), TwoPointReadout(), 140.0), **ENDED)
+# What a recording ended with, and the warning that follows.
+WARNED: tuple[tuple[dict[str, Any], str], ...] = (
+    ({}, ""),
+    ({"clock_jumps": 1}, "1 jump of the board's clock; "),
+    ({"clock_jumps": 12}, "12 jumps of the board's clock; "),
+    ({"clock_stopped": True}, "the board's clock stood still; "),
+    ({"parted": 3}, "3 of the 7 frames lack a module; "),
+    ({"silent": 1.26}, "no frame came in the last 1.3 s"),
+    ({"scene": Scene(Panel(3, 4), TwoPointReadout())}, "no series resistance is assumed, "),
+    ({"ended_by": "SIGINT"}, "SIGINT ended the recording; no frame was still in the port then"),
+    ({"ended_by": "SIGHUP", "behind": 4}, "SIGHUP ended the recording; 4 of the 7 frames were still in the port then"),
+)
 
 
 def test_every_option_has_help_and_every_command_an_example() -> None:
@@ -143,23 +166,6 @@ def test_progress_says_how_many_are_done_and_the_time_left_on_a_terminal(
         drawn = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
         assert terminal or drawn == ""
         assert all(word in drawn for word in ("frames", "33%", "left")) == terminal and ("3/9" in drawn) == counted
-
-
-COUNTS = {"frames": 7, "lost": 2, "restarts": 1, "clock_jumps": 0, "clock_stopped": False, "parted": 0, "behind": 0}
-ENDED: Any = COUNTS | {"ended_by": "", "noise_lsb": 0.704, "silent": 0.0}
-RECORDED = Recorded(path=Path("r.h5"), scene=Scene(Panel(3, 4), TwoPointReadout(), 140.0), **ENDED)
-# What a recording ended with, and the warning that follows.
-WARNED: tuple[tuple[dict[str, Any], str], ...] = (
-    ({}, ""),
-    ({"clock_jumps": 1}, "1 jump of the board's clock; "),
-    ({"clock_jumps": 12}, "12 jumps of the board's clock; "),
-    ({"clock_stopped": True}, "the board's clock stood still; "),
-    ({"parted": 3}, "3 of the 7 frames lack a module; "),
-    ({"silent": 1.26}, "no frame came in the last 1.3 s"),
-    ({"scene": Scene(Panel(3, 4), TwoPointReadout())}, "no series resistance is assumed, "),
-    ({"ended_by": "SIGINT"}, "SIGINT ended the recording; no frame was still in the port then"),
-    ({"ended_by": "SIGHUP", "behind": 4}, "SIGHUP ended the recording; 4 of the 7 frames were still in the port then"),
-)
 
 
 def test_memory_that_ran_out_is_a_sentence(lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -302,16 +308,6 @@ def test_paths_that_are_none_are_refused(disk: SimpleNamespace) -> None:
         Recording.load(disk.folder / "small.h5").save("")
     with pytest.raises(InputError, match="no such file"):
         read_scene("\0")
-
-
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from lampest.files.whole import whole_file
-with whole_file(Path(sys.argv[1])) as unfinished:
-    unfinished.write_text("half")
-    os.kill(os.getpid(), signal.SIGKILL)
-"""
 
 
 def test_what_a_killed_writer_left_goes_with_the_next_export(tmp_path: Path) -> None:

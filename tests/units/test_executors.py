@@ -27,11 +27,16 @@ from lampest.runs.batch import Task, run_batch, solve_case
 from lampest.runs.config import json_schema, read_run
 from lampest.runs.executors import Dask, LostError, Processes, Serial, Tls
 
-TIMES = ("solve_time", "baseline_solve_time", "error_bar_time")
 ONE_WORKER: Any = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0", "host": "127.0.0.1"}
 DEATH = "__import__('os')._exit(9)"
 EVERY = [Serial(), Processes(2), Dask(workers=2)]
 NAMES = [executor.kind for executor in EVERY]
+ODD = "(_ for _ in ()).throw(type('Odd', (Exception,), {})('strange'))"  # an exception that cannot travel
+# Of a worker: whether every process of its cluster listens on the loopback address alone.
+LISTENING = (
+    "{c.laddr.ip for p in (lambda top: [top, *top.children(recursive=True)])"
+    "(__import__('psutil').Process().parent().parent()) for c in p.net_connections('inet') if c.status == 'LISTEN'}"
+)
 
 
 def dying_once(task: Task) -> Any:
@@ -74,13 +79,10 @@ def test_results_are_those_of_serial_even_where_a_worker_dies(
     assert len(found[1]) == 6
     for ours, theirs in zip(*found, strict=True):
         for field in dataclasses.fields(CaseResult):
-            if field.name not in TIMES:
+            if field.name not in ("solve_time", "baseline_solve_time", "error_bar_time"):
                 np.testing.assert_equal(getattr(ours, field.name), getattr(theirs, field.name), err_msg=field.name)
     run_batch(run, disk.folder / "two", Serial())
     assert not list((disk.folder / "two" / "cases").glob(".*"))
-
-
-ODD = "(_ for _ in ()).throw(type('Odd', (Exception,), {})('strange'))"  # an exception that cannot travel
 
 
 def test_errors_stay_with_their_task() -> None:
@@ -193,13 +195,6 @@ def test_frames_are_counted_while_cases_are_solved(disk: SimpleNamespace, monkey
     frames = sum(case.frames for case in run.cases)
     assert told[-1] == (frames, frames) and told == sorted(told) and {whole for _, whole in told} == {frames}
     assert not list((disk.folder / "out" / "cases").glob(".*")), "what counts them is removed"
-
-
-# Of a worker: whether every process of its cluster listens on the loopback address alone.
-LISTENING = (
-    "{c.laddr.ip for p in (lambda top: [top, *top.children(recursive=True)])"
-    "(__import__('psutil').Process().parent().parent()) for c in p.net_connections('inet') if c.status == 'LISTEN'}"
-)
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,18 @@ from lampest.files.errors import PACKAGES, InputError, extra
 HOUSE = Path(__file__).parents[2]
 PROJECT = tomllib.loads((HOUSE / "pyproject.toml").read_text())["project"]
 EXTRAS = {"dask": "cluster", "hdmf": "export"}  # come with what an extra names
+HEAVY = ("casadi", "numpy", "scipy", "h5py", "pydantic", "ruamel", "matplotlib", "xarray", "pandas", "serial")
+READ = "import lampest; lampest.Recording.load('data/lamprey_35mm.h5')"
+HELP = (
+    "import contextlib, io, sys; from lampest import cli; sys.argv = ['lampest', '--help']\n"
+    "with contextlib.redirect_stdout(io.StringIO()) as page, contextlib.suppress(SystemExit): cli.main()\n"
+    "words = 'run simulate import compare plot show info'.split(); "
+    "assert all(word in page.getvalue() for word in words)"
+)
+ESTIMATE = (
+    "import lampest; recording = lampest.Recording.load('tests/golden/recording.h5'); "
+    "lampest.reconstruct(recording, [lampest.Misfit(), lampest.LogGradient()])"
+)
 
 
 def imported() -> set[str]:
@@ -37,43 +49,22 @@ def test_every_library_that_may_be_missing_is_named_as_pip_knows_it() -> None:
     assert not {module for module in imported() if PACKAGES.get(module, module) not in known}
 
 
-def test_a_missing_pyserial_is_pyserial() -> None:
-    with pytest.raises(InputError, match=r"^serial is not installed; pip install 'pyserial' brings it$"), extra():
-        raise ModuleNotFoundError("No module named 'serial'", name="serial")
-
-
-def test_a_missing_library_of_an_extra_comes_with_it_and_a_module_of_ours_is_no_library() -> None:
-    words = r"^paho.mqtt is not installed; pip install 'lampest\[streams\]' brings it$"
-    with pytest.raises(InputError, match=words), extra("streams"):
-        raise ModuleNotFoundError("No module named 'paho.mqtt'", name="paho.mqtt")
+def test_a_missing_library_is_named_with_what_brings_it_and_a_module_of_ours_is_no_library() -> None:
+    for library, groups, brings in (("serial", (), "pyserial"), ("paho.mqtt", ("streams",), r"lampest\[streams\]")):
+        words = rf"^{library} is not installed; pip install '{brings}' brings it$"
+        with pytest.raises(InputError, match=words), extra(*groups):
+            raise ModuleNotFoundError(f"No module named '{library}'", name=library)
     for name in (None, "lampest.nothing"):
         with pytest.raises(ModuleNotFoundError, match=r"^no such module$"), extra("streams"):
             raise ModuleNotFoundError("no such module", name=name)
 
 
-READ = "import lampest; lampest.Recording.load('data/lamprey_35mm.h5')"
-HELP = (
-    "import contextlib, io, sys; from lampest import cli; sys.argv = ['lampest', '--help']\n"
-    "with contextlib.redirect_stdout(io.StringIO()) as page, contextlib.suppress(SystemExit): cli.main()\n"
-    "words = 'run simulate import compare plot show info'.split(); "
-    "assert all(word in page.getvalue() for word in words)"
-)
-ESTIMATE = (
-    "import lampest; recording = lampest.Recording.load('tests/golden/recording.h5'); "
-    "lampest.reconstruct(recording, [lampest.Misfit(), lampest.LogGradient()])"
-)
-
-
 def loaded(code: str) -> set[str]:
     """The modules that a fresh process holds after some code."""
-    told = subprocess.run(
-        [sys.executable, "-c", f"{code}; import sys; print(*sys.modules)"], cwd=HOUSE, capture_output=True, text=True
-    )
+    command = [sys.executable, "-c", f"{code}; import sys; print(*sys.modules)"]
+    told = subprocess.run(command, cwd=HOUSE, capture_output=True, text=True)
     assert told.returncode == 0, told.stderr
     return set(told.stdout.split())
-
-
-HEAVY = ("casadi", "numpy", "scipy", "h5py", "pydantic", "ruamel", "matplotlib", "xarray", "pandas", "serial")
 
 
 def test_a_process_imports_what_it_needs_alone() -> None:

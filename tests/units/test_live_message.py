@@ -26,6 +26,11 @@ from lampest.report.live.publish import waited
 from lampest.report.live.run import METHODS, scan_of
 from lampest.report.live.watcher import Unloaded, Watched, watcher
 
+SCENE = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
+MOUTH = OralDisc(centre_mm=(26, 24), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
+LAMPREY = Attachment(0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), breath=Breathing(6.0))
+CUP = dataclasses.replace(LAMPREY, breath=Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
+
 
 def test_an_urgent_errand_waits_for_urgent_ones_alone() -> None:
     look, urgent, other = Errand("look", int), Errand("look", int, urgent=True), Errand("check", int)
@@ -33,12 +38,6 @@ def test_an_urgent_errand_waits_for_urgent_ones_alone() -> None:
     assert Errand("look", float).queued([look, other]) == [Errand("look", float), other]
     assert look.queued([urgent]) == [urgent] and urgent.queued([look]) == [urgent] == urgent.queued([urgent])
     assert look.run() == 0
-
-
-SCENE = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
-MOUTH = OralDisc(centre_mm=(26, 24), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
-LAMPREY = Attachment(0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), breath=Breathing(6.0))
-CUP = dataclasses.replace(LAMPREY, breath=Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
 
 
 def taken(frames: int, loads: tuple[OralDisc, ...] = (), period_s: float = 0.25) -> Recording:

@@ -39,6 +39,7 @@ MOUTH = OralDisc(kind="oral_disc", centre_mm=(42, 33), diameter_mm=32, rim_width
 LSM = Estimator((Misfit(),), "reduced")
 RELATIVE = Estimator((Misfit(), RelativeChange(weight=10.0)), "reduced")
 ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
+STEPS = ("cleaned_together", "estimate_noise", "with_still_cells", "warnings_of")
 
 
 @dataclass(frozen=True)
@@ -142,9 +143,6 @@ def test_what_does_not_fit_is_named() -> None:
         Prepared.of("mine.h5")
     with pytest.raises(InputError, match=r"^mine: /entry/two_point/sigma\[0, 0\] is -1 ohm; it must be positive$"):
         Recording(WHOLE, good, np.arange(2.0), role, np.full(SHAPE, -1.0), name="mine")
-
-
-STEPS = ("cleaned_together", "estimate_noise", "with_still_cells", "warnings_of")
 
 
 def test_estimates_detection_and_warnings_share_one_preparation(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -226,9 +226,8 @@ def test_a_part_of_the_frames_is_read_alone(tmp_path: Path, lampest: Command) ->
     whole, part = (read_results(tmp_path / "out" / "results.h5", frames=of) for of in (None, range(11, 15)))
     for ours, theirs in zip(part.cases, whole.cases, strict=True):
         assert np.array_equal(ours.cell_resistance, theirs.cell_resistance[5:9])
-        assert ours.status == theirs.status[5:9] and np.array_equal(
-            ours.weights["misfit"], theirs.weights["misfit"][5:9]
-        )
+        assert ours.status == theirs.status[5:9]
+        assert np.array_equal(ours.weights["misfit"], theirs.weights["misfit"][5:9])
     recording, some = (Recording.load(tmp_path / "long.h5", of) for of in (slice(None), slice(5, 9)))
     assert np.array_equal(some.recorded, recording.recorded[5:9])
     assert some.number is not None and list(some.number) == [5, 6, 7, 8]

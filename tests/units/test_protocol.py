@@ -16,6 +16,21 @@ from tests.bodies import answer_body, frame_body, hello_body
 
 HELLO = Hello(10, 10, 20, 16, 16, 64, (1, 0), 1_000_000, 230_100, 40, 5000, 1_000_000, 10, "reference", False)
 ANSWER = Answer(Kind.SET_ROWS, 7, Result.REFUSED_RANGE, 10)
+KINDS = {"HELLO": 1, "FRAME": 2, "ANSWER": 3, "IDENTIFY": 16, "START": 17, "STOP": 18}
+KINDS |= {"SET_ROWS": 19, "SET_COLUMNS": 20, "SET_READINGS": 21, "SET_PERIOD": 22, "SET_SETTLE": 23}
+RUN = bytes(range(1, 255)).hex()
+# Examples of the encyclopedia's article on COBS.
+COBS = (
+    (b"\0", "0101"),
+    (b"\0\0", "010101"),
+    (b"\x11\x22\0\x33", "0311220233"),
+    (b"\x11\0\0\0", "0211010101"),
+    (bytes(range(1, 255)), "ff" + RUN),
+    (bytes(range(255)), "01ff" + RUN),
+    (bytes(range(1, 256)), "ff" + RUN + "02ff"),
+    (bytes([*range(2, 256), 0]), "ff" + bytes(range(2, 256)).hex() + "0101"),
+    (bytes([*range(3, 256), 0, 1]), "fe" + bytes(range(3, 256)).hex() + "0201"),
+)
 
 
 @st.composite
@@ -38,21 +53,6 @@ def same(left: protocol.Message, right: protocol.Message) -> bool:
 
 def received(data: bytes) -> tuple[protocol.Message, ...]:
     return Receiver().feed(data)[1]
-
-
-RUN = bytes(range(1, 255)).hex()
-# Examples of the encyclopedia's article on COBS.
-COBS = (
-    (b"\0", "0101"),
-    (b"\0\0", "010101"),
-    (b"\x11\x22\0\x33", "0311220233"),
-    (b"\x11\0\0\0", "0211010101"),
-    (bytes(range(1, 255)), "ff" + RUN),
-    (bytes(range(255)), "01ff" + RUN),
-    (bytes(range(1, 256)), "ff" + RUN + "02ff"),
-    (bytes([*range(2, 256), 0]), "ff" + bytes(range(2, 256)).hex() + "0101"),
-    (bytes([*range(3, 256), 0, 1]), "fe" + bytes(range(3, 256)).hex() + "0201"),
-)
 
 
 def test_crc_and_cobs_are_those_of_their_catalogues() -> None:
@@ -126,10 +126,6 @@ def test_noise_is_never_a_frame_never_an_error_and_fills_no_memory(noise: bytes)
     assert items == () and len(receiver.pending) == protocol.MAX_STUFFED + 1
     _, items = receiver.feed(message(frame_body(Frame(1, 0, 0, 0, np.zeros((1, 1), dtype=np.uint16)))))
     assert isinstance(items[0], Garbage) and isinstance(items[1], Frame)
-
-
-KINDS = {"HELLO": 1, "FRAME": 2, "ANSWER": 3, "IDENTIFY": 16, "START": 17, "STOP": 18}
-KINDS |= {"SET_ROWS": 19, "SET_COLUMNS": 20, "SET_READINGS": 21, "SET_PERIOD": 22, "SET_SETTLE": 23}
 
 
 def test_commands_are_nine_bytes_with_the_numbers_of_their_kinds() -> None:

@@ -16,7 +16,7 @@ from lampest.report.detect.pressed import pressed_of
 from lampest.report.page.compared import Batch
 from lampest.report.page.page import report, write_report
 
-EMPTY = {"meta", "link", "img", "br"}
+SHAPE = (3, 10, 10)
 
 
 def batch(*cases: CaseResult) -> Batch:
@@ -56,7 +56,7 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append((tag, dict(attrs)))
-        if tag not in EMPTY:
+        if tag not in ("meta", "link", "img", "br"):
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
@@ -78,9 +78,8 @@ def test_a_page_needs_nothing_else_and_recommends_nothing_without_truth_and_nois
     """Texts that come from files are text."""
     names = ("<script>alert(1)&", "a\"b'c", "$\\frac$ x^2", "{{ 7 * 191 }}", "y" * 190)
     known: dict[str, Any] = {"case_yaml": "</pre><b>&", "truth": False, "weights": {}}
-    page = Page(
-        report(batch(*(invented_case(name, "<img src=x onerror=alert(1)>", (2, 3, 3), **known) for name in names)))
-    )
+    cases = [invented_case(name, "<img src=x onerror=alert(1)>", (2, 3, 3), **known) for name in names]
+    page = Page(report(batch(*cases)))
     assert not {tag for tag, _ in page.tags} & {"script", "iframe", "object", "embed", "base", "form"}
     assert all(name in page.text for name in names[:4]) and "</pre><b>&" in page.text and "1337" not in page.text
     assert page.values("src") and all(uri.startswith("data:image/") for uri in page.values("src"))
@@ -118,9 +117,6 @@ def test_same_bytes_twice_and_wrong_input_in_a_sentence(tmp_path: Path) -> None:
     write_results(tmp_path / "empty.h5", [])
     with pytest.raises(InputError, match="no results to report"):
         write_report([tmp_path / "empty.h5"], out)
-
-
-SHAPE = (3, 10, 10)
 
 
 def pressing(estimator: str = "LSM", **maps: np.ndarray) -> CaseResult:

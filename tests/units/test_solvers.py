@@ -24,20 +24,27 @@ from lampest.studies.bench import BenchFile
 
 TIMES = np.linspace(0.0, 2.0, 9)
 LOOP = LevenbergMarquardt(evaluations=200, settled=1e-20)
-
-
-def decay(unknowns: Array) -> Array:
-    """Residuals of a decay of which the amplitude is 2, the rate 1.5 and the offset 0.3."""
-    amplitude, rate, offset = unknowns
-    return np.asarray(
-        amplitude * np.exp(-rate * TIMES) + offset - (2 * np.exp(-1.5 * TIMES) + 0.3 + 0.01 * np.sin(TIMES))
-    )
+CONVERTER = {"adc_bits": 12, "readings": 4, "noise_lsb": 1.0}
+CASES: list[tuple[str, Readout]] = [
+    ("nodal", lampest.TwoPointReadout(**CONVERTER)),
+    ("per_pixel", lampest.TwoPointReadout(**CONVERTER)),
+    ("nodal", lampest.LoadedColumnsReadout(load_ohm=1000, drive_ohm=100, **CONVERTER)),
+    ("nodal", lampest.GroundedReadout(load_ohm=1000, drive_ohm=70, **CONVERTER)),
+    ("nodal", lampest.VirtualGroundReadout(drive_ohm=70, sense_ohm=70, feedback_ohm=150, **CONVERTER)),
+]
+METHODS: dict[str, tuple[Term, ...]] = {
+    "LSM": (),
+    "LSR-CR": (lampest.CellResistance(weight=1e-7),),
+    "LSR-gdCR": (lampest.GradientOfRelativeChange(weight=1e-2),),
+}
 
 
 def decayed(unknowns: Array) -> SumOfSquares:
-    amplitude, rate, _ = unknowns
-    falling = np.exp(-rate * TIMES)
-    return SumOfSquares(decay(unknowns), np.column_stack([falling, -amplitude * TIMES * falling, np.ones(len(TIMES))]))
+    """Residuals of a decay of which the amplitude is 2, the rate 1.5 and the offset 0.3."""
+    amplitude, rate, offset = unknowns
+    falling, measured = np.exp(-rate * TIMES), 2 * np.exp(-1.5 * TIMES) + 0.3 + 0.01 * np.sin(TIMES)
+    slopes = np.column_stack([falling, -amplitude * TIMES * falling, np.ones(len(TIMES))])
+    return SumOfSquares(amplitude * falling + offset - measured, slopes)
 
 
 def test_the_minimum_is_that_of_scipy_within_bounds_or_without() -> None:
@@ -45,7 +52,8 @@ def test_the_minimum_is_that_of_scipy_within_bounds_or_without() -> None:
     for damping, bounds in ((0.0, free), (10.0, free), (LOOP.damping, free), (LOOP.damping, box)):
         start = np.array([1.0, 0.5, 1.0])
         position, squares = replace(LOOP, damping=damping).minimum(decayed, start, bounds)
-        theirs = least_squares(decay, start, bounds=bounds, ftol=1e-15, xtol=1e-15, gtol=1e-15)
+        exactly = {"ftol": 1e-15, "xtol": 1e-15, "gtol": 1e-15}
+        theirs = least_squares(lambda at: decayed(at).residual, start, bounds=bounds, **exactly)
         assert_allclose(position, theirs.x, rtol=1e-5)
         assert np.isclose(squares.cost, theirs.cost, rtol=1e-6)
         assert np.all(position >= bounds[0]) and np.all(position <= bounds[1])
@@ -80,21 +88,6 @@ def test_second_derivatives_are_factored_once_and_serve(monkeypatch: pytest.Monk
     assert counts["elsewhere"] <= 4  # 5 where the last point is evaluated again
     again = solution.at.elsewhere(solution.at.cell_resistance)
     assert np.isclose(again.objective, solution.objective, rtol=1e-13, atol=0)
-
-
-CONVERTER = {"adc_bits": 12, "readings": 4, "noise_lsb": 1.0}
-CASES: list[tuple[str, Readout]] = [
-    ("nodal", lampest.TwoPointReadout(**CONVERTER)),
-    ("per_pixel", lampest.TwoPointReadout(**CONVERTER)),
-    ("nodal", lampest.LoadedColumnsReadout(load_ohm=1000, drive_ohm=100, **CONVERTER)),
-    ("nodal", lampest.GroundedReadout(load_ohm=1000, drive_ohm=70, **CONVERTER)),
-    ("nodal", lampest.VirtualGroundReadout(drive_ohm=70, sense_ohm=70, feedback_ohm=150, **CONVERTER)),
-]
-METHODS: dict[str, tuple[Term, ...]] = {
-    "LSM": (),
-    "LSR-CR": (lampest.CellResistance(weight=1e-7),),
-    "LSR-gdCR": (lampest.GradientOfRelativeChange(weight=1e-2),),
-}
 
 
 def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:

@@ -66,15 +66,6 @@ def forks(count, seconds, work):
             os._exit(0 if work(number) else 1)
         yield os.waitpid(child, 0)[1]
 """
-
-
-def run(text: str, *arguments: object) -> None:
-    """Run a scene in a process of its own, which must end well."""
-    command = [sys.executable, "-X", "faulthandler", "-c", SCENE + textwrap.dedent(text), *map(str, arguments)]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=100)
-    assert (ended.returncode, ended.stderr) == (0, ""), f"{ended.returncode}: {ended.stderr[-3000:]}"
-
-
 EQUAL = """
 count, ways = int(sys.argv[1]), sys.argv[2].split(",")
 found = {}
@@ -85,6 +76,13 @@ ended(begun(count, work))
 for number in range(count):
     np.testing.assert_allclose(found[number], estimate(number, ways[number % len(ways)]), rtol=1e-12)
 """
+
+
+def run(text: str, *arguments: object) -> None:
+    """Run a scene in a process of its own, which must end well."""
+    command = [sys.executable, "-X", "faulthandler", "-c", SCENE + textwrap.dedent(text), *map(str, arguments)]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert (ended.returncode, ended.stderr) == (0, ""), f"{ended.returncode}: {ended.stderr[-3000:]}"
 
 
 @pytest.mark.parametrize("count", [2, 8, pytest.param(32, marks=pytest.mark.slow)])

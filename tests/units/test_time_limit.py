@@ -24,6 +24,21 @@ from lampest.solvers.solution import Settings
 from tests.estimates import recording_of
 
 Command = Callable[..., SimpleNamespace]
+RUN = "{schema: 1, recordings: [r.h5], estimators: {E: {terms: {misfit: {}, gradient: {weight: 1}}}}}"
+# Rows and columns, memory that may be taken, words of the command, and what the refusal says.
+SIZES: tuple[tuple[int, str, tuple[str, ...], tuple[str, ...]], ...] = (
+    (400, "", (), ("min and", "--yes")),
+    (150, "150MB", (), ("MiB of memory",)),
+    (400, "", ("--yes",), ()),
+    (100, "", (), ()),
+)
+SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(noise_lsb=0.7))
+FORMULATIONS: dict[Any, tuple[Any, ...]] = {
+    "reduced": (lampest.Misfit(), lampest.Gradient(weight=1e-3)),
+    "nodal": (lampest.Misfit(), lampest.Gradient(weight=1e-3)),
+    "per_pixel": (lampest.Misfit(), lampest.CellResistance(weight=1e-3)),
+    "smoother": (lampest.Misfit(weighting="noise", loss=lampest.Student(corner=4)),),
+}
 
 
 def test_cases_that_fail_stop_no_other_and_are_solved_by_the_next_run(
@@ -67,18 +82,6 @@ def test_starts_takes_the_weights_that_were_chosen(disk: SimpleNamespace) -> Non
     assert [row.split(",")[:2] for row in rows] == [["small", "one"], ["small", "pair"]]
 
 
-RUN = "{schema: 1, recordings: [r.h5], estimators: {E: {terms: {misfit: {}, gradient: {weight: 1}}}}}"
-
-
-# Rows and columns, memory that may be taken, words of the command, and what the refusal says.
-SIZES: tuple[tuple[int, str, tuple[str, ...], tuple[str, ...]], ...] = (
-    (400, "", (), ("min and", "--yes")),
-    (150, "150MB", (), ("MiB of memory",)),
-    (400, "", ("--yes",), ()),
-    (100, "", (), ()),
-)
-
-
 def test_a_panel_beyond_patience_or_memory_is_refused_before_anything_is_written_unless_its_user_insists(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -116,17 +119,6 @@ def test_a_call_that_returns_in_time_leaves_no_alarm() -> None:
         signal.signal(signal.SIGALRM, before)
 
 
-SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(noise_lsb=0.7))
-SHORT = Settings(time_limit_s=1e-9)
-STUDENT = lampest.Misfit(weighting="noise", loss=lampest.Student(corner=4))
-FORMULATIONS: dict[Any, tuple[Any, ...]] = {
-    "reduced": (lampest.Misfit(), lampest.Gradient(weight=1e-3)),
-    "nodal": (lampest.Misfit(), lampest.Gradient(weight=1e-3)),
-    "per_pixel": (lampest.Misfit(), lampest.CellResistance(weight=1e-3)),
-    "smoother": (STUDENT,),
-}
-
-
 def recorded(frames: int = 4) -> Any:
     """Ohm as the divider gives it (frames, rows, columns)."""
     rng = np.random.default_rng(5)
@@ -137,7 +129,7 @@ def recorded(frames: int = 4) -> Any:
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_what_is_not_solved_in_time_is_no_number_and_says_so(formulation: Any) -> None:
-    estimator = Estimator(FORMULATIONS[formulation], formulation, solver=SHORT, error_bars=False)
+    estimator = Estimator(FORMULATIONS[formulation], formulation, solver=Settings(time_limit_s=1e-9), error_bars=False)
     stream = Stream.begin(estimator, SCENE, 0.2, Readings.of(SCENE, recorded()[:1]).mean())
     steps = [stream.push(Readings.of(SCENE, recorded()[1]))[1]]
     # The start of plain least squares, with which the smoother begins, is an optimum already.

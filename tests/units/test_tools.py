@@ -22,6 +22,7 @@ class Panel:
         message = f"{length + 7} µm", zip([], strict=True)
         return sorted([-length * width, max(length, width)]) if length < LIMIT and not width is None else True
 """
+BASE = "/entry/mouth/LSM"
 
 
 def mutants(folder: Path) -> list[Mutant]:
@@ -60,9 +61,6 @@ def test_a_mutant_meets_the_golden_rows_that_call_its_function_and_then_the_shor
     }
     rows, others = guards_of(area, tests)
     assert rows == [f"{GOLDEN}row]"] and others == ["tests/a.py::short", "tests/b.py::medium", "tests/a.py::long"]
-
-
-BASE = "/entry/mouth/LSM"
 
 
 @pytest.fixture

@@ -31,6 +31,33 @@ from tests.bodies import hello_body
 
 Sent = Iterator[tuple[float, bytes]]
 OWN = scene_of(IDLE, None)
+ABSURD = {"rows": (0, 255), "columns": (0, 17), "readings": (0, 65), "most_rows": (0,), "most_readings": (0,)}
+ABSURD |= {"shortest_period_us": (0,), "supply_millivolt": (0,), "reference_milliohm": (0,), "adc_bits": (0, 33, 255)}
+PERIOD = 0.05
+LAYOUT = Modules(2, 2, EachModule(3, 4), 4.0)
+SCENE = Scene(Panel(modules=LAYOUT), TwoPointReadout(readings=2))
+AT = replace(IDLE, period_us=round(1e6 * PERIOD))
+# Messages that arrive, how the board answers when it is asked (None: not at all), when the end is requested, and how
+# many samples come in each batch; and how many answers came since the last of them.
+RUNNING, FIT = replace(IDLE, running=True, period_us=0), Frame(2, 9, 50, 0, np.ones((3, 4), np.uint16))
+ENDED_RUNS: tuple[tuple[list[Any], list[Hello | None], list[bool], list[int], int], ...] = (
+    ([(FIT,), (IDLE,)], [RUNNING], [False, False], [1, 0], 2),
+    ([(FIT,)], [RUNNING], [False, True], [1, 1], 0),
+    ([(), ()], [RUNNING, IDLE], [False, False], [0, 0], 2),
+    ([(), ()], [RUNNING, replace(RUNNING, readings=3)], [False, False], [0, 0], 2),
+    ([()], [None], [False], [0], 0),
+)
+# Frames and seconds at most, and what is left of batches of 2, 0, 3 and 2 frames, 0.1 s apart, of 0.05 s each.
+ENDS = (
+    (None, None, [2, 0, 3, 2]),
+    (4, None, [2, 0, 2]),
+    (5, None, [2, 0, 3]),
+    (6, None, [2, 0, 3, 1]),
+    (None, 0.25, [2, 0, 1]),
+    (None, 0.35, [2, 0, 2]),
+    (3, 0.35, [2, 0, 1]),
+    (4, 0.25, [2, 0, 1]),
+)
 
 
 def larger(hello: Hello) -> Sent:
@@ -234,10 +261,6 @@ def test_a_wrong_frame_that_was_believed_is_doubted_after_a_silence() -> None:
     assert run.take(frame(5, 550))
 
 
-ABSURD = {"rows": (0, 255), "columns": (0, 17), "readings": (0, 65), "most_rows": (0,), "most_readings": (0,)}
-ABSURD |= {"shortest_period_us": (0,), "supply_millivolt": (0,), "reference_milliohm": (0,), "adc_bits": (0, 33, 255)}
-
-
 def test_a_board_that_says_what_no_board_can_be_is_refused_in_a_sentence(tmp_path: Path) -> None:
     wrong = [(field, value) for field, values in ABSURD.items() for value in values]
     said = [replace(IDLE, **{field: value}) for field, value in wrong]
@@ -305,12 +328,6 @@ def test_a_port_without_a_board_is_named(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr("lampest.recording.board.port.HELLO_SECONDS", 0.5)
     with pytest.raises(InputError, match="no lampest board answered"):
         record("loop://", tmp_path / "r.h5", frames=1)
-
-
-PERIOD = 0.05
-LAYOUT = Modules(2, 2, EachModule(3, 4), 4.0)
-SCENE = Scene(Panel(modules=LAYOUT), TwoPointReadout(readings=2))
-AT = replace(IDLE, period_us=round(1e6 * PERIOD))
 
 
 def test_ports_and_modules_must_be_as_many() -> None:
@@ -519,13 +536,8 @@ def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytes
     steps: list[tuple[int, int, str]] = []
     for name, ports, limits in (("a", "p", {"seconds": 2.0}), ("b", ["p", "q"], {"frames": 5}), ("c", None, {})):
         del steps[:]
-        done = record(
-            ports,
-            tmp_path / name,
-            period=0.1,
-            on_progress=lambda at: steps.append((at.frames, at.lost, at.state)),
-            **limits,
-        )
+        limits |= {"period": 0.1, "on_progress": lambda at: steps.append((at.frames, at.lost, at.state))}
+        done = record(ports, tmp_path / name, **limits)
         counts = {"frames": 5, "lost": 2, "restarts": 3, "clock_jumps": 1, "parted": 1, "behind": 0}
         assert {key: getattr(done, key) for key in counts} == counts and done.clock_stopped
         assert (done.path, done.ended_by, done.noise_lsb) == (tmp_path / name, "", None)
@@ -541,19 +553,6 @@ def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytes
 def batches_of(*sizes: int) -> Samples:
     numbers = itertools.count()
     yield from (tuple(sent(number, 0.1 * number - 100) for number in itertools.islice(numbers, size)) for size in sizes)
-
-
-# Frames and seconds at most, and what is left of batches of 2, 0, 3 and 2 frames, 0.1 s apart, of 0.05 s each.
-ENDS = (
-    (None, None, [2, 0, 3, 2]),
-    (4, None, [2, 0, 2]),
-    (5, None, [2, 0, 3]),
-    (6, None, [2, 0, 3, 1]),
-    (None, 0.25, [2, 0, 1]),
-    (None, 0.35, [2, 0, 2]),
-    (3, 0.35, [2, 0, 1]),
-    (4, 0.25, [2, 0, 1]),
-)
 
 
 def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
@@ -574,18 +573,6 @@ def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
     samples, ended = line._taken(run, (fit, fit))
     assert len(samples) == 1 and not ended and line._unfit == {"frames out of order": 1}
     assert line._taken(run, (fit,)) == ((), False) and line._unfit == {"frames out of order": 2}
-
-
-# Messages that arrive, how the board answers when it is asked (None: not at all), when the end is requested, and how
-# many samples come in each batch; and how many answers came since the last of them.
-RUNNING, FIT = replace(IDLE, running=True, period_us=0), Frame(2, 9, 50, 0, np.ones((3, 4), np.uint16))
-ENDED_RUNS: tuple[tuple[list[Any], list[Hello | None], list[bool], list[int], int], ...] = (
-    ([(FIT,), (IDLE,)], [RUNNING], [False, False], [1, 0], 2),
-    ([(FIT,)], [RUNNING], [False, True], [1, 1], 0),
-    ([(), ()], [RUNNING, IDLE], [False, False], [0, 0], 2),
-    ([(), ()], [RUNNING, replace(RUNNING, readings=3)], [False, False], [0, 0], 2),
-    ([()], [None], [False], [0], 0),
-)
 
 
 def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
