@@ -140,8 +140,12 @@ for title in ("Resistance (kOhm)", "# all values in kΩ", "Unit: kOhm"):
     taken(title, [title, "# 10 ohm in series", *lines(WIDE)], "unit kohm, as the header says", expected=1000 * FRAMES)
 TWO_DIGITS = [",".join(np.array(names("R{r}{c}", 1).split(","))[ORDER]), *lines(WIDE[:, ORDER])]
 taken("cells of two digits", TWO_DIGITS, "by their numbers from 11, a digit for the row and one for the column")
-UNKNOWN, SENTENCE = [names("{c}.{r}V"), *lines(WIDE)], "row by row; '0.0V' and the other names tell no cells"
-taken("unknown names", UNKNOWN, SENTENCE, unit="ohm")
+taken(
+    "unknown names",
+    [names("{c}.{r}V"), *lines(WIDE)],
+    "row by row; '0.0V' and the other names tell no cells",
+    unit="ohm",
+)
 for first in (0, 1):
     header = "," + ",".join(f"c{column + first}" for column in range(COLUMNS)[::-1])
     text = "\n\n".join(
