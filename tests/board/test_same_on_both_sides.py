@@ -135,12 +135,8 @@ def test_hello_is_the_same() -> None:
         (header["FIRMWARE_MAJOR"], header["FIRMWARE_MINOR"]),
         header["START_PERIOD_US"],
         c().lampest_shortest_period_us(ctypes.byref(settings)),
-        header["START_SETTLE_US"],
-        header["SUPPLY_MILLIVOLT"],
-        header["REFERENCE_MILLIOHM"],
-        header["ADC_BITS"],
-        "reference",
-        False,
+        *(header[name] for name in ("START_SETTLE_US", "SUPPLY_MILLIVOLT", "REFERENCE_MILLIOHM", "ADC_BITS")),
+        *("reference", False),
     )
     assert room.raw[:size] == hello_body(hello)
     assert Receiver().feed(sent_by_c(room.raw[:size]))[1] == (hello,)

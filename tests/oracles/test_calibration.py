@@ -141,19 +141,16 @@ def test_good_calibrations_are_never_refused_and_as_good_as_they_say(kind: str) 
     assert 0.7 < np.std(scores) < 1.25
 
 
-def loaded_cells(rng: np.random.Generator, loads: int = LOADS) -> Array:
-    """Two unloaded frames, then loads of 2 × 2 cells, three frames each, or three frames without any; ohm."""
+def channel_recording(seed: int, channels: Array, reference: float = 0.0, loads: int = LOADS) -> Recording:
+    """Channels (8) ohm, rows first, beside the scene's 140 ohm, and a reference off by a fraction.
+
+    Two unloaded frames, then loads of 2 × 2 cells, three frames each, or three frames without any.
+    """
+    rng, scene = np.random.default_rng(seed), Scene(Panel(SIDE, SIDE), TwoPointReadout(adc_bits=12), 140.0)
     cells = np.tile(3000 * np.exp(0.2 * rng.standard_normal((SIDE, SIDE))), (2 + 3 * max(loads, 1), 1, 1))
     for load in range(loads):
         row, column = rng.integers(0, SIDE - 1, 2)
         cells[2 + 3 * load : 5 + 3 * load, row : row + 2, column : column + 2] *= rng.uniform(0.1, 0.3)
-    return np.asarray(cells)
-
-
-def channel_recording(seed: int, channels: Array, reference: float = 0.0, loads: int = LOADS) -> Recording:
-    """Channels (8) ohm, rows first, beside the scene's 140 ohm, and a reference off by a fraction."""
-    rng, scene = np.random.default_rng(seed), Scene(Panel(SIDE, SIDE), TwoPointReadout(adc_bits=12), 140.0)
-    cells = loaded_cells(rng, loads)
     true = two_point_resistance(cells) + 140.0 + channels[:SIDE, None] + channels[SIDE:]
     recorded = true / (1 + reference)
     recorded = recorded + scene.circuit.sigma(recorded) * rng.standard_normal(cells.shape)

@@ -90,17 +90,6 @@ def test_every_reading_of_an_extreme_is_met(name: str, formulation: str) -> None
     assert np.abs(solution.cell_resistance[0] / cells - 1).max() < 1e-4
 
 
-def drawn(number: int) -> Array:
-    """Cells (rows, columns) ohm: clusters, a checkerboard, a block or stripes, up to nine decades apart."""
-    random = np.random.default_rng([8, number])
-    shape = rows, columns = random.integers(3, 8, 2)
-    down, along = np.indices(shape)
-    cut = down < random.integers(1, rows), along < random.integers(1, columns)
-    patterns = (cut[0] != cut[1], (down + along) % 2 == 1, cut[0] & cut[1], down % 2 == 1)
-    usual = 3000 * np.exp(random.choice([0.05, 0.3]) * random.standard_normal(shape))
-    return np.asarray(np.where(patterns[number % 4], 10 ** random.uniform(3, 9), 1.0) * usual)
-
-
 @pytest.mark.parametrize("where", [(16, 10), 16], ids=["cell", "row"])
 def test_without_noise_a_large_panel_is_verified_by_every_reading(where: object) -> None:
     """Readings of shorts are nothing beside the others; they were off by 3·10⁻⁶, and in a row by a thousandth."""
@@ -148,8 +137,17 @@ def verified(point: Evaluation) -> Solution:
 @pytest.mark.parametrize("off", [1e-1, 1e-3, 1e-4])
 @pytest.mark.parametrize("number", range(16))
 def test_small_cells_that_are_off_are_never_verified(number: int, off: float) -> None:
-    """Cells of the smaller kind scattered by `off`, which only their own small readings show."""
-    cells = drawn(number)
+    """Cells of the smaller kind scattered by `off`, which only their own small readings show.
+
+    Clusters, a checkerboard, a block or stripes, up to nine decades apart.
+    """
+    random = np.random.default_rng([8, number])
+    shape = rows, columns = random.integers(3, 8, 2)
+    down, along = np.indices(shape)
+    cut = down < random.integers(1, rows), along < random.integers(1, columns)
+    patterns = (cut[0] != cut[1], (down + along) % 2 == 1, cut[0] & cut[1], down % 2 == 1)
+    usual = 3000 * np.exp(random.choice([0.05, 0.3]) * random.standard_normal(shape))
+    cells = np.where(patterns[number % 4], 10 ** random.uniform(3, 9), 1.0) * usual
     scatter = off * np.random.default_rng(number).standard_normal(cells.shape)
     places = np.where(cells < 10 * cells.min(), cells * np.exp(scatter), cells)
     point = evaluation((Misfit(),), places, Scene(Panel(*cells.shape)).circuit.exact_reading(cells))

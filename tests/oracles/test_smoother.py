@@ -69,16 +69,6 @@ def test_stiffness_is_the_slope_of_the_cost_of_a_walk() -> None:
     assert_allclose(Walk(0.01, 3.0).stiffness(squares).ravel(), slope, rtol=1e-4)
 
 
-def ended(made: Recording) -> tuple[Joint, Array]:
-    """(Φ of six frames at its end, log r where it began: the truth)."""
-    estimator, readings = Estimator(ROBUST, "smoother"), made.readings()
-    data = [estimator.data(readings[frame].alone(), Background(made.scene)) for frame in range(2, 8)]
-    cost = [estimator.cost(made.scene, 1)] * len(data)
-    start = np.log(made.truth_cell_resistance[2:8]).reshape(len(data), -1)
-    begun = Joint.of(cost, data, Shared.of(made.scene), start)
-    return smoothed(begun, Walk(0.2, 3.0), Settings(tolerance=1e-10))[0], start
-
-
 def beside_its_end(chance: int) -> Joint:
     """Φ of three frames of squares, with errors that one frame shares, off its end and far from its anchor."""
     made, rng = panel(3, 2, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)), np.random.default_rng(2)
@@ -128,9 +118,13 @@ def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(cha
 
 @pytest.mark.slow
 def test_the_end_is_the_least_of_the_stated_cost() -> None:
-    """Φ written out once more, from Kirchhoff's laws, minimised by BFGS from the estimate and from beside it."""
-    joint, start = ended(panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
-    data = joint.data
+    """Φ of six frames written out once more, from Kirchhoff's laws, minimised by BFGS from the end and beside it."""
+    made = panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
+    estimator, readings = Estimator(ROBUST, "smoother"), made.readings()
+    data = [estimator.data(readings[frame].alone(), Background(made.scene)) for frame in range(2, 8)]
+    start = np.log(made.truth_cell_resistance[2:8]).reshape(len(data), -1)
+    begun = Joint.of([estimator.cost(made.scene, 1)] * len(data), data, Shared.of(made.scene), start)
+    joint, _ = smoothed(begun, Walk(0.2, 3.0), Settings(tolerance=1e-10))
     shared, shift, free = joint.shared, joint.shift, start.size
     sharing = shared.shape[2]
 
