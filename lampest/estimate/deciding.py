@@ -20,21 +20,18 @@ def baseline_readings(recording: Recording, readings: Readings) -> Readings:
     return mean if mean.enough(recording.scene) or not len(usable) else readings[usable[:1]].mean()
 
 
-def deciding_frame(recording: Recording, readings: Readings, resting: Readings) -> int | None:
-    """Return the measured frame, of those with enough readings, that differs most from rest.
+def deciding_frames(recording: Recording, readings: Readings, resting: Readings) -> NDArray[np.intp]:
+    """Return the measured frame that differs most from rest, and frames that decide with it.
 
-    None where there is none.
+    These are spread evenly over the frames that differ half as far from rest. Frames without enough readings are left
+    out.
     """
     frames = recording.measured_frames()
     frames = frames[readings.enough(recording.scene)[frames]]
-    return strongest_frame(readings.plain_values, resting.value, frames) if len(frames) else None
-
-
-def frames_beside(recording: Recording, readings: Readings, resting: Readings, frame: int) -> NDArray[np.intp]:
-    """Return frames that decide with the deciding one: spread evenly over those that differ half as far from rest."""
-    frames = recording.measured_frames()
-    frames = frames[readings.enough(recording.scene)[frames]]
+    if not len(frames):
+        return frames
     change = mean_change(readings.plain_values, resting.value)
-    loaded = frames[(change[frames] >= change[frame] / 2) & (frames != frame)]
+    strongest = strongest_frame(readings.plain_values, resting.value, frames)
+    loaded = frames[(change[frames] >= change[strongest] / 2) & (frames != strongest)]
     spread = np.linspace(0, len(loaded) - 1, MAX_NEIGHBOURS if len(loaded) else 0)
-    return np.asarray(loaded[np.unique(spread.round().astype(int))])
+    return np.append(strongest, loaded[np.unique(spread.round().astype(int))])

@@ -15,7 +15,7 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
 from lampest.estimate.cells_fit import fitted
-from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
+from lampest.estimate.deciding import baseline_readings, deciding_frames
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise import MIN_EXCESS, NoiseEstimate
 from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
@@ -100,10 +100,9 @@ def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Dat
     The second description, by changes since rest, needs unloaded frames.
     """
     scene, resting = recording.scene, baseline_readings(recording, readings)
-    frame = deciding_frame(recording, readings, resting)
-    if frame is None:
+    frames = deciding_frames(recording, readings, resting)
+    if not len(frames):
         return
-    frames = [frame, *frames_beside(recording, readings, resting, frame)]
 
     def posed(penalty: Term, behind: Background) -> tuple[list[Data], Cost]:
         objective = Estimator((Misfit(weighting="noise"), penalty), "reduced")

@@ -32,20 +32,13 @@ WEAKEST_LAST = (*OPTIMA, Status.APPROXIMATE)  # statuses that count as estimates
 Network = tuple[Estimator, Scene, Readings]
 
 
-def begin_stream(
-    estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseEstimate | None = None
-) -> Stream:
+def begin_stream(estimator: Estimator, scene: Scene, period: float, resting: Readings) -> Stream:
     """Return the stream of a scene with or without modules; the parameters are those of `Stream.begin`.
 
     Raises InputError as `Stream.begin`, and as `network_scenes`.
     """
-    scenes, layout = network_scenes(scene, estimator), scene.panel.modules
-    undivided = layout is None or layout.coupled
-    parts = [resting if undivided or layout is None else resting.of_module(layout, n) for n in range(len(scenes))]
-    networks = [
-        module if module is None else (estimator, module, part) for module, part in zip(scenes, parts, strict=True)
-    ]
-    return begin_networks(scene, networks, period, noise)
+    pairs = zip(network_scenes(scene, estimator), network_readings(scene, resting), strict=True)
+    return begin_networks(scene, [None if own is None else (estimator, own, part) for own, part in pairs], period)
 
 
 @ONE_BLAS_THREAD
@@ -95,6 +88,14 @@ def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
     if layout.coupled:
         return [_coupled_scene(scene, estimator)]
     return [None if number in scene.dead_modules else module for number, module in enumerate(scene.of_modules)]
+
+
+def network_readings(scene: Scene, readings: Readings) -> list[Readings]:
+    """Return the readings of each network that is estimated on its own, dead modules included."""
+    layout = scene.panel.modules
+    if layout is None or layout.coupled:
+        return [readings]
+    return [readings.of_module(layout, number) for number in range(layout.count)]
 
 
 def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:

@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, Term
 from lampest.estimate.batch import push_block
-from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
+from lampest.estimate.deciding import baseline_readings, deciding_frames
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.modules import begin_networks, network_scenes
+from lampest.estimate.modules import begin_networks, network_readings, network_scenes
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.outliers import WINDOW
 from lampest.estimate.prepared import Prepared
@@ -166,15 +165,15 @@ def first_stream(
         Time between frames, s; by default that of the recording.
     """
     scene, layout = recording.scene, recording.scene.panel.modules
+    recordings = [recording] if layout is None or layout.coupled else recording.modules
+    parts = zip(network_scenes(scene, estimator), recordings, network_readings(scene, readings), strict=True)
     networks, similar = list[_Network | None](), dict[Hashable, list[_Network]]()
-    for number, network_scene in enumerate(network_scenes(scene, estimator)):
+    for own, part, read in parts:
         network = None
-        if network_scene is not None:
-            undivided = layout is None or layout.coupled
-            part = replace(recording, scene=network_scene) if undivided else recording.modules[number]
-            read = readings if undivided or layout is None else readings.of_module(layout, number)
+        if own is not None:
+            part = replace(part, scene=own)
             network = part, read, baseline_readings(part, read)
-            similar.setdefault(converter_and_faults(network_scene), []).append(network)
+            similar.setdefault(converter_and_faults(own), []).append(network)
         networks.append(network)
     chosen = {kind: _weighted(estimator, several) for kind, several in similar.items()}
     begun = [n and (chosen[converter_and_faults(n[0].scene)], n[0].scene, n[2]) for n in networks]
@@ -184,7 +183,8 @@ def first_stream(
 def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     """Return the estimator with open weights from the deciding frames of similar networks.
 
-    For a single network the frames of `frames_beside` count, too. Without measured frames the estimator is unchanged.
+    Of a single network all frames of `deciding_frames` count, of several the first. Without measured frames the
+    estimator is unchanged.
 
     Parameters
     ----------
@@ -193,31 +193,23 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     """
     if not estimator.automatic or estimator.auto_weight.per == "frame":
         return estimator
-    deciding = [(*network, frame) for network in networks if (frame := deciding_frame(*network)) is not None]
+    count = 1 if len(networks) > 1 else None
+    deciding = [
+        (part.scene, resting, read[frame])
+        for part, read, resting in networks
+        for frame in deciding_frames(part, read, resting)[:count]
+    ]
     if not deciding:
         return estimator
-    if len(networks) == 1:
-        deciding += [(*networks[0], frame) for frame in frames_beside(*networks[0], deciding[0][3])]
-        numbers: Sequence[int] = range(len(deciding))
-    else:
-        numbers = strongest(
-            [float(mean_change(read.plain_values[f], resting.value)) for _, read, resting, f in deciding]
-        )
-    parts = (deciding[number] for number in numbers)
-    first, *further = [
-        deciding_data(estimator, part.scene, resting, read[frame]) for part, read, resting, frame in parts
-    ]
-    part = deciding[numbers[0]][0]
-    return with_chosen_weights(estimator, part.scene, first, None, further)
+    numbers = strongest([float(mean_change(frame.plain_values, resting.value)) for _, resting, frame in deciding])
+    first, *further = [deciding_data(estimator, *deciding[number]) for number in numbers]
+    return with_chosen_weights(estimator, deciding[numbers[0]][0], first, None, further)
 
 
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:
     """Return the data from which weights are chosen: one frame, with its baseline where terms compare the two."""
-    if not estimator.relative:
-        return estimator.data(frame.alone(), Background(scene))
-    if estimator.joint_start:
-        return estimator.data(resting.together(frame), Background(scene))
-    return Stream.begin(estimator, scene, float("inf"), resting).given(frame)[0]
+    stream = Stream.unrested(estimator, scene, float("inf"), resting)
+    return (stream.with_rest() if estimator.relative else stream).given(frame)[0]
 
 
 def frame_period(recording: Recording) -> float:
@@ -288,19 +280,15 @@ class Parts:
         stream = start = self.stream
         for number, frames in enumerate(self.stored.blocks):
             carried = done(number)
-            if self.independent:
-                stream = start = self.stream
             part = self._part(frames) if carried is None or not start.rested else None
             if carried is not None:
                 # a finished part: its memory continues the stream; a joint baseline is found again by its frames
                 start = start if part is None else self._with_baseline(start, part)
+                stream = start if self.independent else carried.onto(start)
             elif part is not None:
                 stream, estimates = part.solve(stream)
-                carried = CarriedOver.of(stream)
-                yield number, estimates, carried
-                start = stream.restarted(self.stream)
-            if carried is not None and not self.independent:
-                stream = carried.onto(start)
+                yield number, estimates, CarriedOver.of(stream)
+                stream = start = self.stream if self.independent else stream.restarted(self.stream)
 
     def _part(self, frames: range) -> MeasuredPart | None:
         """Return the measured frames of a range, together with the lead; None where no frame is measured."""

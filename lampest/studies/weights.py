@@ -20,7 +20,7 @@ from scipy.special import erfcx
 from lampest.cost.cost import Cost
 from lampest.cost.problem import NO_DUAL, Data
 from lampest.cost.terms import Term, term_kind
-from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
+from lampest.estimate.deciding import baseline_readings, deciding_frames
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import named_method
 from lampest.estimate.objective import Rule
@@ -66,13 +66,12 @@ class WeightSubject:
         """Return the deciding frame of a recording, with the baseline if terms need it; None without usable frames."""
         readings, scene, estimator = recording.readings(), recording.scene, case.estimator
         resting = baseline_readings(recording, readings)
-        frame = deciding_frame(recording, readings, resting)
-        if frame is None:
+        frames = deciding_frames(recording, readings, resting)
+        if not len(frames):
             return None
-        frames = [frame, *frames_beside(recording, readings, resting, frame)]
         solves = tuple(deciding_data(estimator, scene, resting, readings[number]) for number in frames)
         cost = estimator.cost(scene, len(solves[0].measured), partial=solves[0].partial)
-        return cls(case, recording, frame, WeightSearch(cost, solves, estimator.solver))
+        return cls(case, recording, int(frames[0]), WeightSearch(cost, solves, estimator.solver))
 
     @property
     def data(self) -> Data:

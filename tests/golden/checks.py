@@ -16,7 +16,7 @@ from golden.estimates import simulated
 
 import lampest as lp
 from lampest.estimate import changed_cells, noise, outliers
-from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
+from lampest.estimate.deciding import baseline_readings, deciding_frames
 from lampest.estimate.model_check import Explanation, module_factors, noise_factor
 from lampest.estimate.nuisances import CircuitEffects, beside_a_load
 from lampest.estimate.nuisances import candidates as possible_effects
@@ -226,7 +226,7 @@ def scatter_row() -> dict[str, Any]:
     recording = recorded()
     measured, readings = recording.measured_frames(), recording.readings()
     resting = baseline_readings(recording, readings)
-    frame = deciding_frame(recording, readings, resting)
+    lonely, (frame, *beside) = recording.time == 4, deciding_frames(recording, readings, resting)
     return {
         "scatter": [noise.scatter(part - part.mean(axis=0), loud, 8) for part in parts.values()],
         "few frames": [noise.scatter(part[:4] - part[:4].mean(axis=0), loud, 3) for part in parts.values()],
@@ -236,8 +236,8 @@ def scatter_row() -> dict[str, Any]:
         "excess": [noise.noted_excess(*pair) for pair in ((500.0, 300.0), (310.0, 300.0), (0.0, 0.0))],
         "shown": [noise.shown_noise(recording.scene.circuit, factor) for factor in (0.0, 0.5, 3.0)], "frame": frame,
         "unknown": noise_factor(replace(readings, sigma=None)), "factor": noise_factor(readings[:4]),
-        "lonely": frames_beside(replace(recording, role=(recording.time == 4).astype(np.uint8)), readings, resting, 4),
-        "beside": frames_beside(recording, readings, resting, frame),
+        "lonely": deciding_frames(replace(recording, role=lonely.astype(np.uint8)), readings, resting)[1:],
+        "beside": np.array(beside),
         "possible": [str(each) for each in possible_effects((3, 4))], "scattered": detection._scattered(few),
     }  # fmt: skip
 
