@@ -16,7 +16,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_normal, largest_of
-from lampest.recording.readings import Readings
+from lampest.recording.readings import Readings, median
 from lampest.recording.recording import Recording
 
 WINDOW = 4  # neighbouring frames that are compared
@@ -68,15 +68,10 @@ def detect_outliers(
     with np.errstate(divide="ignore", invalid="ignore"):
         for prediction, predict in zip(expected, predictors, strict=True):
             far = _exceeds_threshold(value, scale, prediction)
-            some = far.any(axis=0)  # the scatter of the others is not needed
-            far[:, some] &= ~_is_usual(
-                value[:, some], prediction[0][:, some], first, predict, largest_normal(size, FALSE_ALARM_RATE)
-            )
-            outlying |= far
+            largest = largest_normal(size, FALSE_ALARM_RATE)
+            outlying |= far & ~_is_usual(value, prediction[0], first, predict, largest)
         outlying &= scale > 0
     outlying &= (outlying.mean(axis=(-2, -1), keepdims=True) <= max_share) & (len(value) >= MIN_FRAMES)
-    if not outlying.any():
-        return outlying, value, np.zeros(value.shape)
     # The prediction with the smaller scatter is used; its disagreement with the other one adds to its uncertainty.
     (middle, spread, _), (line, line_spread, _) = expected[0], expected[-1]
     nearer, deviation = line_spread < spread, np.nan_to_num(np.abs(line - middle))
@@ -191,7 +186,7 @@ def without_outliers(
             most = np.maximum(MAX_SHARE, 2 * detected[0].mean(axis=(0, -2, -1), keepdims=True))
         else:
             most = MAX_SHARE
-    resting = np.broadcast_to(median(value[unloaded]) if unloaded.any() else np.nan, value.shape[1:])
+    resting = median(value[unloaded])[0] if unloaded.any() else np.full(value.shape[1:], np.nan)
     lies = unloaded.reshape(-1, *(1,) * resting.ndim)
     outlying &= lies | _alone_in_time(value, scale, resting, ~unloaded)
     if not outlying.any():
@@ -268,9 +263,8 @@ class FramesBefore:
         value = np.stack([frame.plain_values for frame in self.frames])
         scale = readings.sigma * np.fmax(_pair_scale(value, np.broadcast_to(readings.sigma, value.shape))[0], 1.0)
         middle, spread, _ = _by_median(value)
-        expected = middle[None], spread[None], np.ones((1, *middle.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
-            outlying = _exceeds_threshold(readings.plain_values[None], scale[None], expected)[0]
+            outlying = _exceeds_threshold(readings.plain_values, scale, (middle, spread, np.ones(middle.shape)))
         if not outlying.any() or outlying.mean() > MAX_SHARE:
             return readings, count
         network = scene.circuit.network(baseline, scene.circuit.ties(resting.value), scene.wiring)
@@ -278,7 +272,7 @@ class FramesBefore:
             step = np.zeros(scale.shape)
             step[*place] = 1.0
             moved = np.abs(network.forward(step)) / scale
-            outlying[*place] = MIN_RATIO_TO_LINES * _beside(moved[None])[0][*place] > moved[*place]
+            outlying[*place] = MIN_RATIO_TO_LINES * _beside(moved)[*place] > moved[*place]
         return _replaced(readings, outlying, middle, spread), count + int(outlying.sum())
 
 
@@ -336,10 +330,10 @@ def _by_median(neighbours: Array, offset: NDArray[np.intp] | None = None) -> Exp
     offset : integer array
         Not used.
     """
-    middle = median(neighbours)
+    middle = median(neighbours)[0]
     # var(y − median of n) = σ² (1 + π/(2n))
     noise = np.sqrt(1 + np.pi / (2 * len(neighbours)))
-    return middle, MAD_TO_SIGMA * median(np.abs(neighbours - middle)), np.full(middle.shape, noise)
+    return middle, MAD_TO_SIGMA * median(np.abs(neighbours - middle))[0], np.full(middle.shape, noise)
 
 
 def _by_line(neighbours: Array, offset: NDArray[np.intp]) -> Expected:
@@ -377,25 +371,12 @@ def _exceeds_threshold(value: Array, scale: Array, expected: Expected) -> NDArra
     # |y − ŷ| > max(6 σ √(1 + …), 3 spread).
     # Within the scatter of the neighbours, so that an arriving load is not flagged.
     far: NDArray[np.bool_] = deviation > np.fmax(OUTLIER_THRESHOLD * noise * scale, MIN_RATIO_TO_SCATTER * spread)
-    some = far.any(axis=(-2, -1))  # frames of panels
-    scale = np.broadcast_to(scale, deviation.shape)[some]
-    far[some] &= ~(deviation[some] <= MIN_RATIO_TO_LINES * _beside(deviation[some] / scale) * scale)
-    return far
+    return far & ~(deviation <= MIN_RATIO_TO_LINES * _beside(deviation / scale) * scale)
 
 
 def _beside(values: Array) -> Array:
-    """Return the larger of the medians over each reading's row and over its column, (frames, rows, columns)."""
-    rows, columns = (median(np.moveaxis(values, axis, 0)) for axis in (2, 1))
-    return np.asarray(np.fmax(rows[:, :, None], columns[:, None, :]))
-
-
-def median(values: Array) -> Array:
-    """Return the median over the first axis without NaN; NaN where all values are."""
-    order = np.sort(values, axis=0)  # NaN last
-    count = np.sum(~np.isnan(values), axis=0)
-    low, high = np.maximum(count - 1, 0) // 2, count // 2
-    picked = [np.take_along_axis(order, np.minimum(at, len(order) - 1)[None], axis=0)[0] for at in (low, high)]
-    return np.asarray((picked[0] + picked[1]) / 2)
+    """Return the larger of the medians over each reading's row and over its column, (…, rows, columns)."""
+    return np.fmax(median(values, -1), median(values, -2))
 
 
 def _pair_scale(value: Array, sigma: Array) -> Array:
@@ -417,4 +398,4 @@ def _pair_scale(value: Array, sigma: Array) -> Array:
     if not difference.size:
         return np.full((1, *value.shape[1:-2], 1, 1), np.nan)
     panels = np.moveaxis(difference, over, (0, 1, 2)).reshape(-1, *value.shape[1:-2])
-    return np.asarray(MAD_TO_SIGMA * median(panels))[None, ..., None, None]
+    return np.asarray(MAD_TO_SIGMA * median(panels))[..., None, None]

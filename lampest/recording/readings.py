@@ -54,12 +54,12 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
     """
     # Source: Tukey, Exploratory Data Analysis, 1977, chapter 11.
     residual = np.where(known, np.log(np.where(known, value, 1.0)), np.nan)
-    expected, between = _median(residual.reshape(*residual.shape[:-2], 1, -1), -1), np.zeros(residual.shape)
-    residual = residual - expected
-    effects = {axis: np.zeros_like(_median(residual, axis)) for axis in (-1, -2)}
+    expected = np.nan_to_num(median(residual.reshape(*residual.shape[:-2], 1, -1), -1))
+    residual, between = residual - expected, np.zeros(residual.shape)
+    effects = {axis: np.zeros_like(median(residual, axis)) for axis in (-1, -2)}
     for _ in range(6):  # panels of 3 × 3 to 64 × 64 with holes change by less than their spread after two
         for axis in effects:
-            step = _median(residual, axis)
+            step = np.nan_to_num(median(residual, axis))
             effects[axis], residual = effects[axis] + step, residual - step
     # Lines without a known reading have the mean effect of the others, with the variance of these.
     for axis, effect in effects.items():
@@ -72,11 +72,11 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
     return expected, between
 
 
-def _median(values: Array, axis: int) -> Array:
-    """Return medians along an axis, which is kept, ignoring NaN; 0 without numbers. Faster than nanmedian."""
-    ordered, count = np.sort(values, axis=axis), np.isfinite(values).sum(axis=axis, keepdims=True)
+def median(values: Array, axis: int = 0) -> Array:
+    """Return medians along an axis, which is kept, without NaN; NaN where all values are. Faster than nanmedian."""
+    ordered, count = np.sort(values, axis=axis), np.sum(~np.isnan(values), axis=axis, keepdims=True)  # NaN last
     low, high = (np.take_along_axis(ordered, np.maximum(count - more, 0) // 2, axis) for more in (1, 0))
-    return np.where(count > 0, (low + high) / 2, 0.0)
+    return np.asarray((low + high) / 2)
 
 
 @dataclass(frozen=True, eq=False)

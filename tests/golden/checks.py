@@ -33,6 +33,7 @@ from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.panel.effects import LineLeak, LooseContact
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.scene import OwnOfModule
+from lampest.recording.readings import median
 from lampest.report.detect import detection
 from lampest.report.detect.answer import Detected, alarming, event_table, load_table
 
@@ -207,7 +208,7 @@ def outliers_row() -> dict[str, Any]:
         "loaded": outliers.without_outliers(course > 16000, loaded, rest),
         "two frames": outliers.without_outliers(none[:2, 0], loaded[7:9], rest[7:9])[0].sum(),
         "live": live, "impossible": outliers.impossible_readings(scene.circuit, impossible),
-        "median": outliers.median(value), "touch": outliers.detect_outliers(touched, 1e-3 * touched)[0].sum(),
+        "median": median(value)[0], "touch": outliers.detect_outliers(touched, 1e-3 * touched)[0].sum(),
     }  # fmt: skip
 
 
