@@ -229,8 +229,8 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
         Returns one column of each P + 1, (hypotheses, cells), for one cell's number of each hypothesis, (hypotheses,).
     """
     index, total, taken = np.arange(len(vector)), np.zeros(len(vector)), np.zeros(vector.shape, dtype=bool)
-    rows = np.empty((len(vector), 16, vector.shape[1]))  # of the pivoted Cholesky factors of the cells taken
-    for number in range(vector.shape[1]):
+    rows = np.zeros((len(vector), 0, vector.shape[1]))  # of the pivoted Cholesky factors of the cells taken
+    for _ in range(vector.shape[1]):
         pivots = np.maximum(size, 1e-300)
         gains = np.where(taken, -np.inf, vector**2 / pivots - np.log(pivots) - MOVED_COST)
         cells = np.argmax(gains, axis=1)
@@ -239,15 +239,12 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
         if not active.any():
             break
         total, taken[index[active], cells[active]] = total + np.where(active, largest, 0.0), True
-        if number == rows.shape[1]:
-            rows = np.concatenate([rows, np.empty_like(rows)], axis=1)
-        before = rows[:, :number]
         # Schur complement by the new cell c: column ← column − Σ_k l_k l_kc, s ← s − column s_c/p, and the diagonal
         # loses l².
-        added = column(cells) - np.matmul(before[index, :, cells][:, None], before)[:, 0]
+        added = column(cells) - np.matmul(rows[index, :, cells][:, None], rows)[:, 0]
         pivot = np.where(active, added[index, cells], 1.0)[:, None]
         added = np.where(active[:, None], added, 0.0)
         vector = vector - added * (vector[index, cells][:, None] / pivot)
-        rows[:, number] = added / np.sqrt(pivot)
-        size = size - rows[:, number] ** 2
+        rows = np.concatenate([rows, (added / np.sqrt(pivot))[:, None]], axis=1)
+        size = size - rows[:, -1] ** 2
     return total

@@ -243,8 +243,8 @@ class Estimates:
     @property
     def cell_resistance(self) -> Array:
         """r, (frames, rows, columns) ohm; NaN at a crossing without a cell."""
-        cells, panel = np.stack([step.cell_resistance for step in self.steps]), self.recording.scene.panel
-        return cells if panel.cells is None else np.where(panel.present, cells, np.nan)
+        cells = np.stack([step.cell_resistance for step in self.steps])
+        return np.where(self.recording.scene.panel.present, cells, np.nan)
 
     @property
     def relative_change(self) -> Array:
@@ -277,6 +277,8 @@ class Estimates:
     pressure_common = Barred("_pressed", "Standard deviation of the pressure, kPa: of what cells share.")
     pressure_lower = Barred("_pressed", "Lower end of the 95 % interval of the pressure, kPa.")
     pressure_upper = Barred("_pressed", "Upper end of the 95 % interval of the pressure, kPa.")
+    saturated = Barred("_pressed", "Whether the response does not determine the pressure.")
+    pressing = Barred("_pressed", "Whether a load presses, beyond errors and the film's residue of earlier loads.")
 
     @property
     def reading_sigma(self) -> Array | None:
@@ -308,16 +310,6 @@ class Estimates:
         """Standard deviation of the baseline's cells, (rows, columns) ohm."""
         bars = None if self._bars is None else self.baseline_bars
         return None if bars is None else self.baseline_resistance * bars.deviation
-
-    @property
-    def saturated(self) -> NDArray[np.bool_] | None:
-        """Whether the response does not determine the pressure, (frames, rows, columns)."""
-        return None if self.pressure is None or self._load is None else self._load.saturated.astype(bool)
-
-    @property
-    def pressing(self) -> NDArray[np.bool_] | None:
-        """Whether a load presses, beyond errors and the film's residue of earlier loads, (frames, rows, columns)."""
-        return None if self.pressure is None or self._load is None else self._load.pressing.astype(bool)
 
     @property
     def tared(self) -> tuple[str, ...] | None:
@@ -395,12 +387,13 @@ class Estimates:
         return barred_maps(self.cell_resistance, self.baseline_resistance, self.steps)
 
     @property
-    def _pressed(self) -> dict[str, Array] | None:
+    def _pressed(self) -> dict[str, Any] | None:
         load = None if self.recording.scene.response is None else self._load
         if load is None:
             return None
-        parts = ("errors", "own", "common", "lower", "upper")
-        return {"pressure": load.pressure} | {f"pressure_{part}": getattr(load, part) for part in parts}
+        errors = {f"pressure_{part}": getattr(load, part) for part in ("errors", "own", "common", "lower", "upper")}
+        verdicts = {"saturated": load.saturated.astype(bool), "pressing": load.pressing.astype(bool)}
+        return {"pressure": load.pressure} | errors | verdicts
 
     @cached_property
     def _load(self) -> Pressure | None:

@@ -46,6 +46,7 @@ MIN_SAMPLES_PER_CHANNEL = 1.5
 MEDIAN_EFFICIENCY = 0.37  # of the median size as an estimate of σ, as a share of the readings (Hampel, 1974)
 PAIR_MEDIAN = 0.7960  # of the root mean square of two differences that share a frame, over √2 σ (by simulation)
 MIN_MEDIAN_NOISE = 0.5  # LSB: with less, most codes repeat, and the median of their differences shows no noise
+NO_RIPPLE = np.zeros((1, 0))  # root of the covariance, for any number of channels
 
 # Errors that the readings of a frame share: the texts of the summary and of warnings.
 SHARED = (
@@ -192,9 +193,7 @@ def without_effects(noise: NoiseEstimate, recording: Recording, besides: Circuit
     if besides is None or besides.pair is None:
         return noise
     unloaded = recording.role == UNLOADED
-    frame, no_ripple = noise.frame, np.zeros((recording.scene.panel.shape[1 - recording.scene.circuit.by_columns], 0))
-    if frame is None:
-        frame = FrameNoise(recording.scene, int(unloaded.sum()), 0.0, no_ripple, no_ripple)
+    frame = noise.frame or FrameNoise(recording.scene, int(unloaded.sum()), 0.0, NO_RIPPLE, NO_RIPPLE)
     readings = without_effects_of(besides.pair, noise.readings, unloaded)
     frame = replace(frame, effect_errors=remaining_errors(besides.pair))
     return replace(noise, readings=readings, frame=frame, corrected_effects=besides)
@@ -436,8 +435,8 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
     quiet, moving = float(of_second[calmest].mean()) * MAD_TO_SIGMA, float(of_first[calmest].mean()) / PAIR_MEDIAN
     if quiet > 1 and moving > MIN_EXCESS * quiet:
         return None
-    no_ripple, count = np.zeros((1, 0)), int(np.isfinite(second[usable]).sum() / usable.sum() * MEDIAN_EFFICIENCY)
-    return Scatter(quiet, max(count, 1), 0.0, no_ripple, no_ripple)
+    count = int(np.isfinite(second[usable]).sum() / usable.sum() * MEDIAN_EFFICIENCY)
+    return Scatter(quiet, max(count, 1), 0.0, NO_RIPPLE, NO_RIPPLE)
 
 
 def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:

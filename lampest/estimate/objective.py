@@ -267,8 +267,6 @@ def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: NDArray
         return readings
     missing = readings.missing(scene) & stand_ins[:, None, None]
     bounded = readings.bounds if readings.sigma is not None else np.zeros(readings.seen.shape, dtype=bool)
-    if not np.any(missing | bounded):
-        return readings
     noise = readings.value * UNKNOWN_NOISE if readings.sigma is None else readings.sigma
     # own: noise of each bound and substitute; usual: geometric mean of σ over the frame's values
     wide, usual = noise.copy(), np.ones((len(noise), 1, 1))

@@ -7,7 +7,6 @@ computation is inverted.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from functools import cache
 from itertools import product
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -130,16 +129,10 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
             )
 
 
-@cache
-def types_of(kind: Any) -> dict[str, Any]:
-    """Return the types of the settings of a kind by name."""
-    return get_type_hints(kind)
-
-
 def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
     """Return the words that each literal setting of a kind may have; the first setting is its name."""
-    types = {field.name: types_of(kind)[field.name] for field in fields(kind)}
-    return {name: get_args(type_) for name, type_ in types.items() if get_origin(type_) is Literal}
+    types, names = get_type_hints(kind), [field.name for field in fields(kind)]
+    return {name: get_args(types[name]) for name in names if get_origin(types[name]) is Literal}
 
 
 def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
@@ -147,7 +140,7 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
 
     The converter, the resistor and all other common settings are those of the specified circuit.
     """
-    words, types = choices(kind), types_of(kind)
+    words, types = choices(kind), get_type_hints(kind)
     names = {field.name for field in fields(kind)} - words.keys()
     shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
     if "converter_volt" not in names:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.model_check import ModelCheck, module_factors, noise_factor
-from lampest.estimate.noise import NoiseEstimate
+from lampest.estimate.noise import NO_RIPPLE, NoiseEstimate
 from lampest.estimate.nuisances import TAKEN_OFF
 from lampest.estimate.rivals import changes_beyond_noise, choices
 from lampest.estimate.saturation import saturated
@@ -65,8 +65,7 @@ def touched(recording: Recording) -> bool:
     ):
         return False
     assert unloaded.sigma is not None
-    no_ripple = np.zeros((scene.panel.shape[1 - scene.circuit.by_columns], 0))
-    supply = FrameNoise(scene, len(unloaded.value), MAX_GAIN, no_ripple, no_ripple)
+    supply = FrameNoise(scene, len(unloaded.value), MAX_GAIN, NO_RIPPLE, NO_RIPPLE)
     panelled = replace(
         Panelled.of(scene, ModelErrors().of_scene(scene, 0.0)),
         common=lambda measured: supply.columns(measured[None], baseline=False),
