@@ -155,24 +155,19 @@ def _in_batches(stream: Stream, readings: Readings, *, partial: bool) -> bool:
     A batch continues from an earlier estimate and has the reduced formulation, unwired two-point readouts, the
     solver's default limits and known weights.
     """
-    estimator, method = stream.estimator, stream.estimator.method
-    if stream.first or not stream.rested:
-        return False
-    if not isinstance(method, OptimalMethod) or method.kind not in ("reduced", "auto"):
-        return False
-    if not isinstance(stream.scene.circuit, TwoPointReadout) or stream.scene.wiring is not None:
-        return False
-    if estimator.weighs_previous or estimator.solver.time_limit_s is not None or estimator.solver.starts is not None:
-        return False
-    if partial and (stream.track is not None or not bool(readings.enough(stream.scene))):
-        return False
-    return not estimator.automatic or estimator.auto_weight.per == "recording"
+    estimator, method, settings = stream.estimator, stream.estimator.method, stream.estimator.solver
+    reduced = isinstance(method, OptimalMethod) and method.kind in ("reduced", "auto")
+    unwired = isinstance(stream.scene.circuit, TwoPointReadout) and stream.scene.wiring is None
+    unlimited = settings.time_limit_s is None and settings.starts is None
+    weighted = not estimator.weighs_previous and (not estimator.automatic or estimator.auto_weight.per == "recording")
+    complete = not partial or (stream.track is None and bool(readings.enough(stream.scene)))
+    return stream.rested and not stream.first and reduced and unwired and unlimited and weighted and complete
 
 
 @lru_cache(maxsize=256)
 def _unweighted(estimator: Estimator) -> Estimator:
     """Return the estimator with all weights 1; equal ones share one object, so that streams are grouped by identity."""
-    unit = replace(estimator, terms=tuple(replace(term, weight=1.0) for term in estimator.terms))
+    unit = estimator.with_weights([1.0] * len(estimator.terms))
     return unit if unit == estimator else _unweighted(unit)
 
 

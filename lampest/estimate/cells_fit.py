@@ -162,8 +162,6 @@ class CellsFit(SumOfSquares):
 
         It is the standard deviation of the readings that the cells would give without effects, in units of σ.
         """
-        if all(effect.changed(self.network) is self.network for effect in self.effects):
-            return np.ones(self.cells.shape)
         assert self.readings.sigma is not None
         dry = self.network.sensitivity() / self.readings.sigma.reshape(-1, 1)
         # diag(J₀ P J₀ᵀ), with J₀ the Jacobian over σ without effects and P the covariance of the log cells

@@ -217,10 +217,9 @@ class Objective:
         # The bounds hold for measured values. One-sided and missing readings leave their cells free on that side.
         lower, upper = self.bounds.limits(scene.circuit, measured, sigma, scene.wiring)
         apparent = scene.circuit.apparent_resistance(measured)
-        if readings.partial:
-            nearly_shorted = scene.circuit.nearly_shorted(measured)
-            lower = np.where((readings.side == AT_MOST) | (readings.seen < 1), nearly_shorted, lower)
-            upper = np.where(readings.side != 0, apparent * OPEN_FACTOR, upper)
+        nearly_shorted = scene.circuit.nearly_shorted(measured)
+        lower = np.where((readings.side == AT_MOST) | (readings.seen < 1), nearly_shorted, lower)
+        upper = np.where(readings.side != 0, apparent * OPEN_FACTOR, upper)
         if not scene.whole:
             # cells that the scene states to be open or shorted are fixed near 10⁹ or 10⁻⁶ of the panel's geometric mean
             typical = np.exp(np.mean(np.log(apparent), axis=(-2, -1), keepdims=True))

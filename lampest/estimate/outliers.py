@@ -170,8 +170,7 @@ def without_outliers(
     Readings
         The readings without them.
     """
-    if impossible.any():
-        readings = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
+    readings = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
     value = readings.plain_values
     sigma = np.ones(value.shape) if readings.sigma is None else readings.sigma
     outlying, instead, spread = np.zeros(value.shape, dtype=bool), value.copy(), np.zeros(value.shape)
@@ -189,8 +188,6 @@ def without_outliers(
     resting = median(value[unloaded])[0] if unloaded.any() else np.full(value.shape[1:], np.nan)
     lies = unloaded.reshape(-1, *(1,) * resting.ndim)
     outlying &= lies | _alone_in_time(value, scale, resting, ~unloaded)
-    if not outlying.any():
-        return impossible, readings
     left = replace(readings, seen=np.where(outlying & lies, 0.0, readings.seen))
     return outlying | impossible, _replaced(left, outlying & ~lies, instead, spread)
 
@@ -256,8 +253,7 @@ class FramesBefore:
         """
         impossible = impossible_readings(scene.circuit, readings.alone())[0]
         count = int(impossible.sum())
-        if count:
-            readings = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
+        readings = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
         if len(self.frames) < MIN_FRAMES or readings.sigma is None or np.isnan(baseline).any():
             return readings, count
         value = np.stack([frame.plain_values for frame in self.frames])

@@ -178,9 +178,7 @@ def _sense(first: Array, second: Array) -> float:
     Values that are not finite are ignored; without any other the result is 0.
     """
     known = np.isfinite(first) & np.isfinite(second)
-    if not known.any():
-        return 0.0
-    first, second = (values[known] - values[known].mean() for values in (first, second))
+    first, second = (values[known] - values[known].sum() / max(known.sum(), 1) for values in (first, second))
     return float(np.sum(first * second))
 
 

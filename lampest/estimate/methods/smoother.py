@@ -270,7 +270,8 @@ class Walk:
         """
         # d/dS κ² S/(κ² + S) = 1/(1 + S/κ²)², then the chain rule through K and log(1 + a)
         slope = averaged(1 / (1 + self._size(squares) / self.most**2) ** 2) / self.deviation**2
-        return np.asarray(self._scale * slope / (1 + self.unrest(squares)) + ASSUMED.jump**-2)
+        scale = (1 + self.most**2 / (1 + self.most**2)) * (1 + self.most**-2) ** 2  # k
+        return np.asarray(scale * slope / (1 + self.unrest(squares)) + ASSUMED.jump**-2)
 
     def unrest(self, squares: Array) -> Array:
         """Return a, the unrest of every cell, (cells,)."""
@@ -312,11 +313,6 @@ class Walk:
         """
         jumps = (self._size(squares) > self.most**2).reshape(-1, *shape)
         return touching(jumps).reshape(squares.shape)
-
-    @property
-    def _scale(self) -> float:
-        """k."""
-        return (1 + self.most**2 / (1 + self.most**2)) * (1 + self.most**-2) ** 2
 
     def _size(self, squares: Array) -> Array:
         """Return S = K E x²/q², (frames − 1, cells)."""
