@@ -126,7 +126,7 @@ def _solved_together(
     partial = ((readings.side != 0) | (readings.seen < 1)).any(axis=(1, 2)).tolist()
     for number, stream in enumerate(streams):
         if stream is not None and _in_batches(stream, readings[number], partial=partial[number]):
-            kind = id(_unweighted(stream.estimator)), stream.scene.faults, partial[number]
+            kind = _unweighted(stream.estimator), stream.scene.faults, partial[number]
             groups.setdefault(kind, []).append(number)
             batchable[number] = stream
     cores = 1 if parent_process() else len(os.sched_getaffinity(0))  # of several processes each has one
@@ -166,9 +166,8 @@ def _in_batches(stream: Stream, readings: Readings, *, partial: bool) -> bool:
 
 @lru_cache(maxsize=256)
 def _unweighted(estimator: Estimator) -> Estimator:
-    """Return the estimator with all weights 1; equal ones share one object, so that streams are grouped by identity."""
-    unit = estimator.with_weights([1.0] * len(estimator.terms))
-    return unit if unit == estimator else _unweighted(unit)
+    """Return the estimator with all weights 1."""
+    return estimator.with_weights([1.0] * len(estimator.terms))
 
 
 def _solved_batch(

@@ -290,10 +290,7 @@ class FittedPair:
         constant, (resting, frame) = tuple(effect for effect in stepped if not effect.since), self.frames
         early = resting.refitted(resting.measured, constant) if constant else resting
         late = frame.refitted(frame.measured, stepped)
-        if early is None or late is None:
-            return None
-        after = replace(self, frames=(early, late))
-        return after if np.all(np.isfinite(after.change)) else None
+        return None if early is None or late is None else replace(self, frames=(early, late))
 
     def settled(self, effects: Sequence[Effect], *, constant: bool = True) -> "FittedPair | None":
         """Return the pair with the most probable sizes of these effects; None where no cells fit.

@@ -322,7 +322,7 @@ def _by_median(neighbours: Array, offset: NDArray[np.intp] | None = None) -> Exp
 
     Parameters
     ----------
-    beside : array, shape (neighbours, frames, …)
+    neighbours : array, shape (neighbours, frames, …)
     offset : integer array
         Not used.
     """
@@ -337,7 +337,7 @@ def _by_line(neighbours: Array, offset: NDArray[np.intp]) -> Expected:
 
     Parameters
     ----------
-    beside : array, shape (neighbours, frames, …)
+    neighbours : array, shape (neighbours, frames, …)
     offset : integer array, shape (neighbours, frames)
         Distance of each neighbour in frames.
     """

@@ -10,13 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.model_check import ModelCheck, Question, check_of_modules
 from lampest.estimate.model_error import scaled, with_model_error, with_reading_error
-from lampest.estimate.noise import (
-    NoiseEstimate,
-    estimate_noise,
-    noise_of_modules,
-    with_still_cells,
-    without_effects,
-)
+from lampest.estimate.noise import NoiseEstimate, estimate_noise, noise_of_modules, with_still_cells, without_effects
 from lampest.estimate.nuisances import CircuitEffects
 from lampest.estimate.outliers import frozen_readings, impossible_readings, without_outliers, without_readings
 from lampest.estimate.saturation import with_saturated_stage
@@ -141,7 +135,8 @@ class Prepared:
     def _check(self) -> ModelCheck:
         """The check without the numbers that no frame can determine."""
         if self.layout is not None:
-            return check_of_modules(self.recording, self.layout, lambda number: self._module(number)._check)
+            living = {number: module for number, module in enumerate(self.modules) if module is not None}
+            return check_of_modules(self.recording, self.layout, lambda number: living[number]._check)
         if self.cleaned.readings.sigma is None:
             return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
         with suppress(*BROKEN), np.errstate(all="ignore"):
@@ -149,11 +144,6 @@ class Prepared:
             left_out = f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""
             return replace(check, sentence=check.sentence + left_out)
         return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
-
-    def _module(self, number: int) -> "Prepared":
-        module = self.modules[number]
-        assert module is not None
-        return module
 
     @cached_property
     @ONE_BLAS_THREAD
