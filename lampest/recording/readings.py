@@ -336,8 +336,6 @@ def _numbered(network: Array, seen: Array) -> tuple[Array, Array]:
     `seen` is 0 for all readings of a frame without any finite number.
     """
     known = (seen > 0) & np.isfinite(network) & (network > 0)
-    if np.all(known | (seen == 0)):
-        return network, seen
     largest = np.max(network, axis=(-2, -1), keepdims=True, initial=0.0, where=known)
     smallest = np.min(network, axis=(-2, -1), keepdims=True, initial=np.inf, where=known)
     network = np.where(known, network, np.where(network > 0, largest, smallest))
@@ -357,17 +355,11 @@ def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = N
     if np.all(whole):
         return value
     known = ((whole if seen is None else seen) > 0) & (side == VALUE)
-    shape = (-1, *value.shape[-2:])
-    filled, valid, present = value.copy().reshape(shape), known.reshape(shape), (whole > 0).reshape(shape)
-    odd = ~present.all(axis=(1, 2))
-    filled[odd] = np.where(present[odd], filled[odd], stand_in(filled[odd], valid[odd]))
-    return filled.reshape(value.shape)
+    return np.where(whole > 0, value, stand_in(value, known))
 
 
 def _filled(values: Array, seen: Array) -> Array:
     """Return frames with their geometric mean in place of missing readings; 1 if all of a frame are missing."""
-    if np.all(seen):
-        return values
     logarithm = np.log(np.where(seen > 0, values, 1.0))
     count = np.maximum(seen.sum(axis=(-2, -1), keepdims=True), 1)
     mean = np.exp((logarithm * seen).sum(axis=(-2, -1), keepdims=True) / count)
