@@ -222,9 +222,6 @@ def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
 
 def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
     """Return the frames of a table with one row of the panel a line; further fields are the row's name or the time."""
-    single, titles = table.source.counts[table.lines] == 1, ""
-    if table.width > 2 and np.any(single) and not np.all(single):
-        table, titles = table.only(~single), "; a number alone in a line is taken as a title"
     extra = table.width - shape[1]
     labels, times = _before_the_row(table, extra, shape[0])
     columns, order = _column_order(table, extra, shape[1])
@@ -240,7 +237,7 @@ def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
         begins = np.unique(frame, return_index=True)[1].tolist()
     timing = table.timing(times, begins) or table.title_timing(begins, title)
     named = "rows from top to bottom" if labels is None else "rows by their names"
-    note = f"one row a line, {shape[0]} lines a frame; {named}, {order}{left_out}{titles}"
+    note = f"one row a line, {shape[0]} lines a frame; {named}, {order}{left_out}"
     return table.frames((frame[:, None], row[:, None], columns), fields, shape, timing, note)
 
 

@@ -407,7 +407,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     values = np.array(numbers, dtype=float).reshape(fields.shape)
     words = np.array([number is None for number in numbers], dtype=bool).reshape(fields.shape)
     # Lines with readings, and their width: the usual number of fields without empty ones at the end.
-    data = _data_lines(source, values, words)
+    data = _data_lines(source, words)
     often = Counter(counts[data].tolist())
     usual = max(often, key=lambda count: (often[count], count), default=0)
     width = usual
@@ -459,14 +459,14 @@ def _names(fields: NDArray[Any], header: int) -> tuple[list[str], bool]:
     return [f"{name} {unit}".strip() for name, unit in zip(above, names, strict=True)] if units else names, units
 
 
-def _data_lines(source: FieldLines, values: Array, words: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _data_lines(source: FieldLines, words: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return whether a line has a number or a word for a missing one, and few other words, boolean (lines,)."""
     fields, filled = source.fields, source.fields != ""
     strange = {text for text in set(fields[words].tolist()) if not is_stamp(text) and line_of(text) is None}
     foreign, total = np.zeros(len(fields), dtype=int), filled.sum(axis=1)
     np.add.at(foreign, np.nonzero(words)[0], [text in strange for text in fields[words]])
     few = ((foreign <= 1) & (2 * foreign < total)) | (4 * foreign < total)
-    few &= (source.counts > 1) | ~np.isnan(values[:, 0]) | words[:, 0] | (source.counts.max() == 1)  # dashes alone
+    few &= (source.counts > 1) | (source.counts.max() <= 2)  # dashes or a number alone are titles
     return np.asarray(few & ~source.comment & (filled & ~words).any(axis=1))
 
 

@@ -55,11 +55,11 @@ ELECTRIC = re.compile(r".*(ohms?|[ωΩΩ]|volts?)|.?v", re.IGNORECASE)
 ROW, COLUMN = r"(?:r|rows?|zeile|z|y)", r"(?:c|cols?|columns?|spalte|s|x)"
 GAP = r"[_,;/|=\[\]()]*"
 CELLS = (
-    re.compile(rf"(?:[a-z]+{GAP})??{ROW}{GAP}(?P<row>\d+){GAP}{COLUMN}{GAP}(?P<column>\d+){GAP}"),
-    re.compile(rf"(?:[a-z]+{GAP})??{COLUMN}{GAP}(?P<column>\d+){GAP}{ROW}{GAP}(?P<row>\d+){GAP}"),
-    re.compile(rf"(?:[a-z]+{GAP}|{GAP})(?P<row>\d+)[_,;/|x\[\]()]+(?P<column>\d+){GAP}"),
+    re.compile(rf"(?:[a-z]+{GAP})??{ROW}{GAP}(?P<row>\d{{1,9}}){GAP}{COLUMN}{GAP}(?P<column>\d{{1,9}}){GAP}"),
+    re.compile(rf"(?:[a-z]+{GAP})??{COLUMN}{GAP}(?P<column>\d{{1,9}}){GAP}{ROW}{GAP}(?P<row>\d{{1,9}}){GAP}"),
+    re.compile(rf"(?:[a-z]+{GAP}|{GAP})(?P<row>\d{{1,9}})[_,;/|x\[\]()]+(?P<column>\d{{1,9}}){GAP}"),
 )
-ONE_NUMBER = re.compile(rf"([^\W\d]*){GAP}(\d+){GAP}")
+ONE_NUMBER = re.compile(rf"([^\W\d]*){GAP}(\d{{1,9}}){GAP}")
 
 MAX_LENGTH = 100  # characters of a name or a number that are analysed; patterns would take long for more
 # Words for missing or infinite numbers, as written by NumPy, R, MATLAB, JSON, Arduino's Print (ovf), multimeters (OL),
@@ -103,16 +103,14 @@ def role_of(name: str) -> str | None:
 def cell_of(name: str) -> tuple[int, int] | None:
     """Return (row, column) of names such as r0c0, R1C1, 'row 0 col 3', c3_r0, cell_0_3, (0, 3), [0][3]; else None."""
     word, _ = parted(name)
-    for match in filter(None, (pattern.fullmatch(word) for pattern in CELLS)):
-        if len(match[1]) + len(match[2]) < 12:
-            return int(match["row"]), int(match["column"])
-    return None
+    matches = filter(None, (pattern.fullmatch(word) for pattern in CELLS))
+    return next(((int(match["row"]), int(match["column"])) for match in matches), None)
 
 
 def line_of(name: str) -> tuple[str, int] | None:
     """Return word and number, such as ('r', 3), of names such as R3, 'row 3', 3 or col_3; None for other names."""
     match = ONE_NUMBER.fullmatch(parted(name)[0])
-    return (match[1].strip("_"), int(match[2])) if match and len(match[2]) < 10 else None
+    return (match[1].strip("_"), int(match[2])) if match else None
 
 
 def units_of(names: Sequence[str]) -> tuple[str, ...]:
@@ -267,8 +265,7 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     largest = float(np.max(values[_longest_growing(values)], initial=0.0))
     integers = bool(np.all(finite == np.round(finite)))
-    rises = np.concatenate([[False], steps[:-1] > COUNTER / 2])  # a cut stamp rises before it falls; no wrap-around
-    again = np.cumsum(np.concatenate([[False], (steps < -COUNTER / 2) & ~rises]))
+    again = np.cumsum(np.diff(values, prepend=values[:1]) < -COUNTER / 2)
     # Unit: as specified, by the name, by the usual step of whole numbers, or by the size of times since 1970.
     word, suffix = parted(name)
     named = unit or TIME_UNIT_OF_WORD.get(suffix.lower()) or TIME_UNIT_OF_WORD.get(word)
