@@ -25,11 +25,10 @@ from lampest.files.whole import folder_beside
 from lampest.panel.panel import Array, Panel, as_panels_have
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene, read_scene, scene_text
-from lampest.recording.acquisition import Acquisition, group_of, stored_fields, undamaged_frames
+from lampest.recording.acquisition import FORMAT, Acquisition, group_of, stored_fields, undamaged_frames
 from lampest.recording.foreign.unit import check_unit, recorded_values
 from lampest.recording.readings import Readings, check_sigma
 
-FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1
 MIN_CHANGE = 0.01  # least relative change of readings or cells by a load or a common error, far above drift
 MAX_READINGS = 2_000_000  # readings of a recording in memory at once: 2 GB, because error bars take 1 kB for each

@@ -14,8 +14,8 @@ from lampest.files.document import plain_content
 from lampest.files.errors import InputError, first_and_more
 from lampest.panel.panel import Array
 from lampest.panel.scene import Faults, Scene
+from lampest.recording.acquisition import FORMAT as RECORDING
 from lampest.recording.readings import touching_columns, touching_rows
-from lampest.recording.recording import FORMAT as RECORDING
 from lampest.recording.recording import (
     MAX_READINGS,
     MEASURED,

@@ -26,11 +26,11 @@ from lampest.files.process import deaf, ending_signals
 from lampest.files.whole import check_output, folder_beside, is_locked, locked, own
 from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import EVENTS, FRAME_FIELDS, Rows, blocks, group_of
+from lampest.recording.acquisition import EVENTS, FORMAT, FRAME_FIELDS, Rows, blocks, group_of
 from lampest.recording.board.protocol import MAX_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples
-from lampest.recording.recording import FORMAT, MEASURED, UNLOADED, Recording, opened, recording_file, save_parts
+from lampest.recording.recording import MEASURED, UNLOADED, Recording, StoredRecording, recording_file, save_parts
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot or separator: a visible file within the folder
 
@@ -409,7 +409,7 @@ def repair(path: Path) -> tuple[int, int]:
     with hdf5.existing_file(path) as file:
         closed = "lampest_unfinished" not in file.attrs
     if closed:
-        return len(opened(path).role), 0
+        return StoredRecording.of(path).frames, 0
     if is_locked(path):
         raise InputError(f"{path}: still being recorded")
     with folder_beside(path) as folder:
@@ -427,15 +427,11 @@ def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float
     """Rewrite the journal at `path`, or another one, as a recording at `path`; return scene, frames and noise."""
     own(path)
     with deaf():
-        recording = opened(journal or path)
-        if isinstance(recording, Recording):
-            noise = noise_from_repeats([recording])
-            _with_sigma(recording, noise).save(path)
-        else:
-            overlapping = (range(max(part.start - 1, 0), part.stop) for part in recording.blocks)
-            noise = noise_from_repeats(recording.part(part) for part in overlapping)
-            save_parts(path, (_with_sigma(recording.part(part), noise) for part in recording.blocks))
-        return recording.scene, len(recording.role), noise
+        recording = StoredRecording.of(journal or path)
+        overlapping = (range(max(part.start - 1, 0), part.stop) for part in recording.blocks)
+        noise = noise_from_repeats(recording.part(part) for part in overlapping)
+        save_parts(path, (_with_sigma(recording.part(part), noise) for part in recording.blocks))
+        return recording.scene, recording.frames, noise
 
 
 def _with_sigma(recording: Recording, noise: float | None) -> Recording:
