@@ -87,6 +87,11 @@ codes("blocks that are cut", BROKEN, *SENTENCES, expected=with_nan(VOLT_OF_CODES
 LONG = blocks(",", "\n\n", np.concatenate([CODES, CODES[:, :1]], axis=1))
 refused("long blocks", LONG, "m.csv:1: a block of 4 lines, where the panel has 3 rows", scene=LOADED)
 
+MEANS, STEPS = CODES + CODES % 20 / 20, "as such they lie on the converter's steps"
+taken("means of codes", lines(MEANS), STEPS, expected=1024e3 / (MEANS + 0.5) - 1000, scene=DIVIDER)
+RAILS = "no other unit is within the converter's rails"
+taken("resistances far above the reference", lines(1000 * FRAMES), RAILS, expected=1000 * FRAMES, scene=DIVIDER)
+
 TEN = VOLT_OF_CODES[np.arange(10) % 4]
 
 
@@ -138,6 +143,8 @@ taken("a data frame without its index", UNNAMED, "line 1 taken as header", "cell
 taken("readings that count", lines(np.arange(60).reshape(4, 15)), expected=np.arange(60).reshape(FRAMES.shape))
 for title in ("Resistance (kOhm)", "# all values in kΩ", "Unit: kOhm"):
     taken(title, [title, "# 10 ohm in series", *lines(WIDE)], "unit kohm, as the header says", expected=1000 * FRAMES)
+CLOCKS = ["time,millis," + ",".join(NAMED), *(f"12:00:0{n},{7 * n},{line}" for n, line in enumerate(lines(WIDE)))]
+taken("two clocks, of which the first counts", CLOCKS, "column 'time'", times=FOUR)
 TWO_DIGITS = [",".join(np.array(names("R{r}{c}", 1).split(","))[ORDER]), *lines(WIDE[:, ORDER])]
 taken("cells of two digits", TWO_DIGITS, "by their numbers from 11, a digit for the row and one for the column")
 taken(
@@ -198,13 +205,10 @@ for first, swap in itertools.product((0, 1), (False, True)):
 AGAIN = lines(np.delete(long_table(FRAMES)[:, :3], 22, axis=0))
 SENTENCE = "a new frame begins where a cell comes again"
 taken("single values without frames", AGAIN, SENTENCE, expected=with_nan(FRAMES, (1, 1, 2)))
-refused("a cell twice in one frame", lines(long_table(FRAMES[[0, 0]])[:16, :3]), "the same cell as in line 1")
 SPARE = np.column_stack([WIDE[:, :7], np.zeros(4), WIDE[:, 7:]])
 OWN, SENTENCE = lines(long_table(FRAMES)[:, [3, 2, 0, 1]]), "one value a line as frame, value, row, column"
 taken("values in a layout of one's own", OWN, SENTENCE, layout="frame, ohm, row, column")
 taken("frames in a layout of one's own", lines(SPARE), layout=",".join([*NAMED[:7], "-", *NAMED[7:]]))
-SENTENCE = "4 columns, but `layout` names 3"
-refused("a layout of other columns", lines(long_table(FRAMES)), SENTENCE, layout="row,column,value")
 for header, line, times in (
     ("millis,row,col,R [ohm]", "{ms},{r},{c},{v}", FOUR / 10),
     ("timestamp;Zeile;Spalte;Widerstand", "2025-01-31 12:00:00,{f};R{r};C{c};{v}", FOUR / 10),
@@ -265,11 +269,9 @@ REFUSED |= {
     name: given(text, message, missing="refuse")
     for name, text, message in (
         ("two fields", "1,2\n3,4\n", ":1: 2 fields; 3 × 5 cells need 15, 16 with the time, or 3 or 4 for row, column"),
-        ("a gap", lines_with(1, 3, ""), ":2:4: the reading of row 0, column 3 is missing"),
         ("a number with _", lines_with(1, 3, "1_000"), ":2:4: '1_000' is no number"),
         ("a negative reading", lines_with(3, 14, "-2"), ":4:15: -2 must be a positive resistance in ohm"),
         ("two of 15 cells", "0,0,5\n0,1,6\n", "row 0, column 2 is missing"),
-        ("a column beyond", "1,1,5\n3,6,6\n", ":2:2: column 6 is beyond the panel's 1 to 5"),
         ("a row beyond", "0,0,5\n3,0,6\n", ":2:1: row 3 is beyond the panel's 0 to 2"),
         ("a negative row", "-1,0,5\n", ":1:1: row -1 is beyond"),
         ("one of 15 cells", "frame,row,column,value\n4,0,0,5\n", "the reading of row 0, column 1 is missing"),

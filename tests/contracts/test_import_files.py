@@ -33,7 +33,7 @@ from lampest import (
 )
 from tests.small_files import run_command
 
-T0 = datetime.datetime(2025, 1, 31, 12, 0, 0)
+T0, TEN_SECONDS, TENS = datetime.datetime(2025, 1, 31, 12, 0, 0), datetime.timedelta(seconds=10), 10 * np.arange(4)
 VOLTS = 5.0 * 1000.0 / (FRAMES + 1000.0)  # across the reference: R = (Vcc − V)/V·Rref
 LAST = FRAMES.transpose(1, 2, 0)
 GARBAGE = np.random.default_rng(3).bytes(4000)
@@ -147,6 +147,7 @@ FILES = {
         {"Notes": [["hello"]], "Data": sheet_of(FRAMES, GAPS)}, "sheet Data", "row 3 taken as", expected=HOLES, **HALVES
     ),
     "dates beside times of day": book({"A": DATED}, times=np.arange(4), start="2025-01-31T12:00:00"),
+    "durations": book({"A": [MEAN[0], *([n * TEN_SECONDS, *row[2:]] for n, row in enumerate(CLOCK))]}, times=TENS),
     "a chosen sheet": book(TWO_SHEETS, variable="B", expected=2 * FRAMES, **HALVES),
     "blocks in a sheet": book({"A": [[float(x) for x in row] for frame in FRAMES for row in [*frame, []]]}),
 }
@@ -235,7 +236,6 @@ REFUSED = [
     array(with_value(FRAMES, -1, 3, 2, 1).transpose(1, 2, 0), "m.npy[2, 1, 3]: -1 must be a positive resistance"),
     array(BEYOND, "m.npy[0, 1, 2]: 1024 is no code of a 10-bit", scene=DIVIDER, unit="code"),
     array(FRAMES, "volt values need a scene with a readout", unit="volt"),
-    array(FRAMES, "code values need a scene with a readout", unit="code"),
     array(FRAMES, "`layout` is for tables", layout="row,column,value"),
     array(FRAMES, "the scene's panel has 3 × 5 cells, not 5 × 3", scene=DIVIDER, rows=5, columns=3, absent="m.npy"),
     array(FRAMES, "the unit 'V' is unknown; there are ohm, kohm, volt, mV, code", unit="V", absent="m.npy"),

@@ -249,8 +249,6 @@ def _rows_of_sheet(sheet: Any, least: int) -> Iterator[FieldLine]:
 
 def _text_of_cell(value: Any) -> str:
     """Return a cell as the text of a text file, with all digits of a number."""
-    if isinstance(value, datetime.timedelta):
-        value = value.total_seconds()
     if isinstance(value, datetime.datetime) and value.time() == datetime.time():
         value = value.date()  # the time of day may be in the next cell
     return "" if value is None else str(value).strip().removesuffix(".0" if isinstance(value, float) else "")
@@ -472,8 +470,6 @@ def _data_lines(source: FieldLines, words: NDArray[np.bool_]) -> NDArray[np.bool
 
 def _header_line(fields: NDArray[Any], data: NDArray[np.bool_], numeric: NDArray[np.bool_], width: int) -> int | None:
     """Return the header: the first data line if it counts columns, or the previous line if it names the fields."""
-    if not np.any(data):
-        return None
     first = int(np.argmax(data))
     begin, numbers = fields[first][0], [text for text in fields[first][1:] if text]
     counted = [list(map(str, range(start, start + len(numbers)))) for start in (0, 1)]
