@@ -76,9 +76,8 @@ class CircuitNumber:
 
     @property
     def differ(self) -> bool:
-        """Whether lines differ significantly, and by more than the written decimals."""
-        least = 10.0**-DIGITS
-        return any(bool(np.any(np.abs(lines.off_ohm) > SIGNIFICANT * lines.sigma_ohm + least)) for lines in self.lines)
+        """Whether lines differ significantly."""
+        return any(bool(np.any(np.abs(lines.off_ohm) > SIGNIFICANT * lines.sigma_ohm)) for lines in self.lines)
 
     @property
     def label(self) -> str:

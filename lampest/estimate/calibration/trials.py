@@ -151,8 +151,6 @@ def _valid(name: str, readout: Readout, volt: Array, across: int) -> NDArray[np.
         Axis of the lines that are not driven.
     """
     valid = np.isfinite(volt)
-    if len(volt) < MIN_SAMPLE:
-        return valid
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # all-NaN lines
         deviation = (volt - np.nanmedian(volt, axis=0)) / readout.lsb_volt
