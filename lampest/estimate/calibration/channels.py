@@ -160,9 +160,8 @@ def _likelihoods(recording: Recording) -> list[tuple[Array, Array, int]]:
     usable = np.flatnonzero(noise.readings.enough(recording.scene))
     for block in np.array_split(usable, max(round(len(usable) / BLOCK), 1)):
         with suppress(*BROKEN):
-            if len(block) > 1:
-                joint = method.least_cost(stream, [noise.readings[frame] for frame in block])
-                parts.append((*joint.shared_estimate, len(block)))
+            joint = method.least_cost(stream, [noise.readings[frame] for frame in block])
+            parts.append((*joint.shared_estimate, len(block)))
     return parts
 
 

@@ -41,7 +41,6 @@ ENDS = np.unique(np.outer((-1, 0, 1), 0.5 * 2.0 ** (np.arange(19) / 3)))
 # Assumed standard deviation of ψ from one interval to the next; that of the level of ψ is 1. The published curve has a
 # corner at 2.5 kPa, beyond which its slope is twelve times smaller, and other films have none.
 STEP_SD = 0.6
-MIN_SD = 1e-3  # least standard deviation of ln(r/r0)
 START, RANGE = (0.2, 0.05), (1e-3, 2.0)  # initial spread and scatter, relative, and their limits
 ROUNDS = 4  # alternations of least squares and evidence
 PER_OCTAVE, MIN_KPA = 3, 0.25  # points of the table in an octave, and the one next to 0 kPa
@@ -87,7 +86,7 @@ class Loaded:
     def expected(self, fitted: "FittedResponse") -> tuple[Array, Array]:
         """Return x, the expected ln(r/r0), and the variance by the estimate and the load's position, (n,) each."""
         response, position = (fitted.parts(part).sum(axis=-1)[self.felt] for part in self.falls)
-        return response, np.maximum(self.sd[self.felt], MIN_SD) ** 2 + position**2
+        return response, self.sd[self.felt] ** 2 + position**2
 
     def weight(self, fitted: "FittedResponse") -> Array:
         """Return 1/σ of every response, (n,), with σ² = sd² + position² + scatter² x²."""
@@ -143,7 +142,7 @@ class FittedResponse:
     @property
     def _mean(self) -> Array:
         """Weights (cells + pieces,) of the mean of ln κ over touched cells; the mean belongs to the curve."""
-        return np.concatenate([self.touched / max(self.touched.sum(), 1), np.zeros(len(self.pieces))])
+        return np.concatenate([self.touched / self.touched.sum(), np.zeros(len(self.pieces))])
 
     def parts(self, falls: Array) -> Array:
         """Return the summands −κ_i e^{ψ_k} a_ik of ln(r/r0), (..., cells, pieces), which are its slopes by ψ, too."""
@@ -465,6 +464,6 @@ def _responses(recording: Recording, loads: Sequence[KnownLoad]) -> Iterator[Arr
         row, column = divmod(int(np.argmax(np.abs(mean))), mean.shape[1])
         moved = float(np.ptp(logarithm[solved, row, column]))
         noticed = moved > SIGNIFICANT * float(np.median(sd[solved, row, column]))
-        within = moved / max(abs(float(mean[row, column])), 1e-300) if noticed else 0.0
+        within = moved / abs(float(mean[row, column])) if noticed else 0.0
         parts.append((mean, np.sqrt((sd[solved] ** 2).mean(axis=0)), within))
     return map(np.array, zip(*parts, strict=True))
