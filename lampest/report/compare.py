@@ -8,7 +8,7 @@ from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from string import Formatter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,11 +115,10 @@ def data_error(case: CaseResult) -> Array:
     return np.where(case.valued, relative_error(case.reading_model, case.measured), np.nan)
 
 
-def weighted_residual(case: CaseResult) -> Array | None:
-    """Return (model − measured)/σ, (frames, rows, columns); NaN where a reading is no value, None without σ."""
-    if case.sigma is None:
-        return None
-    return np.asarray(np.where(case.valued, (case.reading_model - case.measured) / case.sigma, np.nan))
+def weighted_residual(case: CaseResult) -> Array:
+    """Return (model − measured)/σ, (frames, rows, columns); NaN where a reading is no value, and without σ."""
+    sigma = np.nan if case.sigma is None else case.sigma
+    return np.where(case.valued, (case.reading_model - case.measured) / sigma, np.nan)
 
 
 def compare_files(paths: Sequence[str | Path], frames: range | None = None) -> list[Row]:
@@ -200,10 +199,14 @@ def model_notes(rows: Sequence[Row]) -> list[str]:
 
 
 def comma_separated(rows: Iterable[Iterable[object]]) -> str:
-    """Return rows of values as CSV, empty for None; see `no_formula`."""
-    stream = io.StringIO()
-    csv.writer(stream, lineterminator="\n").writerows([no_formula(value) for value in row] for row in rows)
+    """Return rows of values as CSV; see `write_rows`."""
+    write_rows(stream := io.StringIO(), rows)
     return stream.getvalue()
+
+
+def write_rows(stream: TextIO, rows: Iterable[Iterable[object]]) -> None:
+    """Write rows of values as CSV, empty for None; see `no_formula`."""
+    csv.writer(stream, lineterminator="\n").writerows(map(no_formula, row) for row in rows)
 
 
 def write_csv(path: str | Path, rows: Sequence[Row]) -> None:

@@ -290,7 +290,6 @@ def scales_row() -> dict[str, Any]:
                 scale.ticks, scale.colours.name,
             ) for scale in scales
         ],
-        "numbers": [style.plain_number(x) for x in (0.0, 0.001, 12.5, 12345.0, -3.0)],
         "round": [style.round_numbers(0.3, 70.0), style.round_numbers(250.0, 900.0)],
         "texts": [
             style.change_text(250.0, 100.0), style.change_text(-3.0, 100.0),
@@ -367,10 +366,9 @@ def published_row() -> dict[str, Any]:
         set_config_content=str, IRREGULAR_RATE=0.0, StreamInfo=Element, local_clock=lambda: 5.0,
         StreamOutlet=lambda info: outlets.append(Element(info)) or outlets[-1],
     )  # fmt: skip
-    clock = SimpleNamespace(time=lambda: 60.0, monotonic=iter((0.0, 0.1, 0.35, 0.4, 0.5, 0.7)).__next__)
+    clock = SimpleNamespace(time=lambda: 60.0)
     client, answer = MagicMock(connect_timeout=1.0), SimpleNamespace(is_failure=False)
-    ends = [SimpleNamespace(rc=rc, is_published=lambda done=done: done) for rc, done in ((0, 1), (1, 0), *[(0, 0)] * 3)]
-    client.publish.side_effect, client.socket.return_value = ends, None
+    client.socket.return_value, client.is_connected.side_effect = None, (True, True, False, True, True, True)
     client.loop_start.side_effect = lambda: client.on_connect(None, None, None, answer)
     packets = patch("pythonosc.udp_client.UDPClient.send", lambda _, bundle: outlets.append(bundle.dgram))
     broker, waited = patch("paho.mqtt.client.Client", lambda _: client), list[Any]()
@@ -401,6 +399,7 @@ def published_row() -> dict[str, Any]:
         "client": [
             each.call_args.args for each in (
                 client.connect, client.username_pw_set, client.reconnect_delay_set, connected.setsockopt,
+                client.max_queued_messages_set,
             )
         ],
     }  # fmt: skip

@@ -319,9 +319,8 @@ def predicted(case: CaseResult) -> Array:
     their own prediction. |z| is limited to 5, so that few outliers do not decide. Source: Mallows, Technometrics 15,
     1973.
     """
-    residual = weighted_residual(case)
-    assert residual is not None and case.resolution is not None
-    return np.asarray(np.minimum(residual**2, 25.0) + 2 * case.resolution)
+    assert case.resolution is not None
+    return np.asarray(np.minimum(weighted_residual(case) ** 2, 25.0) + 2 * case.resolution)
 
 
 CELL_ERROR = Criterion(

@@ -238,10 +238,9 @@ def figures(case: CaseResult) -> dict[str, Any]:
     Counts are int; None if unknown.
     """
     residual, lower, upper = weighted_residual(case), case.cell_resistance_lower, case.cell_resistance_upper
-    spread = None if residual is None else MAD_TO_SIGMA * np.abs(residual)
     known: dict[str, Any] = figures_of(case, np.ones(len(case.time), bool))
-    known |= statistics(None if residual is None else residual**2, "residuals: {} of ((model − measured)/σ)²", "mean")
-    known[SPREAD] = statistics(spread, "{}", "median")["median"]
+    known |= statistics(residual**2, "residuals: {} of ((model − measured)/σ)²", "mean")
+    known[SPREAD] = statistics(MAD_TO_SIGMA * np.abs(residual), "{}", "median")["median"]
     if lower is not None and upper is not None:
         widths = 100 * (upper - lower) / case.cell_resistance
         known |= statistics(widths, "95 % intervals: {} width [% of the cell]", "mean")

@@ -10,7 +10,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure as Figure
-from matplotlib.ticker import FuncFormatter, LogLocator
+from matplotlib.ticker import LogLocator
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
@@ -211,8 +211,8 @@ class ResidualPlot(MapsPlot):
     def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale, list[maps.Tile]]:
         """Return the maps and their scale."""
         unit, label, least = "σ", "(model − measured) / noise σ", 3.0
-        residuals = [residual for case in cases if (residual := weighted_residual(case)) is not None]
-        if len(residuals) < len(cases):
+        residuals = list(map(weighted_residual, cases))
+        if any(case.sigma is None for case in cases):
             unit, label, least = "%", "(model − measured) / measured [%]", 0.1
             residuals = [percent_change(case.reading_model, case.measured) for case in cases]
         tiles = []
@@ -254,8 +254,7 @@ class CertaintyPlot(MapsPlot):
             scales.append(maps.signed_scale(ratios, "error / standard deviation", least=3.0, most=5.0))
             values += ratios
         titles = [case.estimator for case in cases] + [""] * (len(values) - len(cases))
-        known = [np.where(np.isfinite(tile), tile, np.nan) for tile in values]
-        return scales, [maps.Tile(title, tile) for title, tile in zip(titles, known, strict=True)]
+        return scales, [maps.Tile(title, tile) for title, tile in zip(titles, values, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -360,5 +359,5 @@ def _draw_lines(axes: Axes, key: str, cases: Sequence[CaseResult], errors: Seque
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter(FuncFormatter(style.plain_number))
+        axis.set_major_formatter(style.PLAIN_NUMBER)
         axis.set_minor_formatter("")

@@ -14,7 +14,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import BoundaryNorm, Colormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FixedLocator, FuncFormatter
+from matplotlib.ticker import FixedLocator
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
@@ -185,7 +185,7 @@ class MapPainter:
             extendfrac=0.04,
             spacing="uniform",
             ticks=None if ticks is None else FixedLocator(ticks),
-            format=None if ticks is None else FuncFormatter(style.plain_number),
+            format=None if ticks is None else style.PLAIN_NUMBER,
             aspect=aspect,
             pad=0.02,
         )

@@ -22,6 +22,7 @@ TEXT_POINT, SMALL_POINT = 8, 6.5
 BLUE, ORANGE = "#0072B2", "#D55E00"
 SUFFIXES = (".png", ".svg", ".pdf")
 PICTURES = "pictures are written as .png, .svg or .pdf"
+PLAIN_NUMBER = "{x:g}"  # format of ticks without powers of ten
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -115,11 +116,6 @@ def verbatim() -> Iterator[None]:
     """Draw texts verbatim, without formulas, in figures made within this context."""
     with rc_context({"text.parse_math": False}):
         yield
-
-
-def plain_number(value: float, _: int | None = None) -> str:
-    """Format the number of a tick without powers of ten."""
-    return f"{value:g}".replace("-", "−")
 
 
 def round_numbers(low: float, high: float) -> list[float]:

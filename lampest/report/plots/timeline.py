@@ -10,11 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter
 
 from lampest.report.detect.answer import CUP, LAMPREY, PRESSES, SUCKS, Detected
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, change_scale
-from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure, plain_number, write_all
+from lampest.report.plots.style import PLAIN_NUMBER, SMALL_POINT, TEXT_POINT, dressed, new_figure, write_all
 
 # Those of Okabe and Ito, apart for the colour-blind.
 COLOURS = {LAMPREY: "#D55E00", SUCKS: "#E69F00", CUP: "#56B4E9", PRESSES: "0.6"}
@@ -59,7 +58,7 @@ def _course(axes: Axes, answer: Detected) -> None:
         mark = axes.text(attachment.since_s, 0.98 - 0.07 * (number % 4), f" {name}", **look)
         mark.set_path_effects([withStroke(linewidth=2, foreground="white")])
     axes.set_xlim(time[0], time[-1])
-    axes.yaxis.set_major_formatter(FuncFormatter(plain_number))
+    axes.yaxis.set_major_formatter(PLAIN_NUMBER)
     dressed(axes, "time [s]", "readings differ from rest\n[standard deviations]")
 
 
