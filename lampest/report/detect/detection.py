@@ -102,7 +102,7 @@ class Known:
             if len(course) < 2:
                 return Detected.unknown(self.name, "one frame shows no change; three are needed")
             return self.detected(watch.ended(), frame_rate([time for time, _ in course]), np.array(course).T)
-        except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+        except (ArithmeticError, ValueError) as error:
             return Detected.unknown(self.name, logged_reason(error, self.name))
 
     def detected(self, watch: Watch | ImageWatch, rate: float, course: Array | None = None) -> Detected:

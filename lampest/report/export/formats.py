@@ -1,6 +1,5 @@
 """Export formats: one long table (CSV, Parquet) and labelled arrays (MATLAB 5, Zarr)."""
 
-import csv
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, extra
-from lampest.report.words import no_formula
+from lampest.report.compare import write_rows
 from lampest.runs.case import CaseResult, about, all_columns, places_of, series_of
 from lampest.runs.columns import FRAMES, Series
 
@@ -70,11 +69,10 @@ class CsvExport(Export):
         assert beside is not None
         tables, meanings = long_tables(cases)
         with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(meanings)
+            write_rows(file, [meanings])
             for table in tables:
-                known = [_texts(table[column]) if column in table else repeat("") for column in meanings]
-                writer.writerows(zip(*known, strict=False))  # the repeated ones have no end
+                known = [table[column].tolist() if column in table else repeat(None) for column in meanings]
+                write_rows(file, zip(*known, strict=False))  # the repeated ones have no end
         columns = [
             {"name": column, "datatype": CSV_KINDS.get(np.dtype(meaning.dtype).kind, "string")}
             | {"dc:description": meaning.long_name, "schema:unitText": meaning.units}
@@ -118,12 +116,6 @@ class ParquetExport(Export):
 def _words(meaning: Series) -> dict[str, str]:
     """Return value → word of a flag."""
     return {str(value): word for value, word in meaning.flags}
-
-
-def _texts(values: Values) -> list[object]:
-    """Return values for CSV, '' for missing ones."""
-    hidden = np.ma.getmaskarray(values).tolist()
-    return ["" if masked else no_formula(value) for value, masked in zip(values.data.tolist(), hidden, strict=True)]
 
 
 def long_tables(cases: Sequence[CaseResult]) -> tuple[list[Table], dict[str, Series]]:
