@@ -1,4 +1,4 @@
-"""Comparison of estimators by a criterion with bootstrap intervals, and a recommendation."""
+"""Comparison of estimators by a criterion with intervals of its mean, and a recommendation."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
+from lampest.posterior.interval import student_two_sided
 from lampest.report.compare import weighted_residual
 from lampest.report.words import counted, digits, listed, median_text
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 
-DRAWS = 2000  # bootstrap draws, which determine the 2.5th percentile to 0.06 standard deviations
 NONE = "–"
 HARD = "\N{NO-BREAK SPACE}"
-Picks = NDArray[np.intp]
 Recordings = Mapping[str, Mapping[str, CaseResult]]  # name → estimator → case
 
 
@@ -168,7 +167,7 @@ def matched(recordings: Recordings) -> Matched:
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure and the ends of its 95 % bootstrap interval (percentiles)."""
+    """A figure and the ends of its 95 % interval."""
 
     value: float
     lower: float
@@ -176,10 +175,10 @@ class Interval:
 
 
 def block_length(values: Array) -> int:
-    """Return the block length of a bootstrap: n^(1/3), or the correlation length if longer, at most n/3.
+    """Return the number of frames in a block: n^(1/3), or the correlation length if longer, at most n/3.
 
     The correlation length is the first lag at which the autocorrelation of the estimators' differences is below 1/e.
-    Source of n^(1/3): Hall, Horowitz, Jing, Biometrika 82, 1995.
+    Source of n^(1/3): Flegal and Jones, Ann. Stat. 38, 2010.
 
     Parameters
     ----------
@@ -195,18 +194,17 @@ def block_length(values: Array) -> int:
     return int(min(max(ceil(count ** (1 / 3)), memory), longest))
 
 
-def picks(count: int, block: int, generator: np.random.Generator) -> Picks:
-    """Draw units in circular blocks of neighbours, shape (draws, count); blocks of 1 are the ordinary bootstrap.
+def mean_interval(values: Array, block: int) -> Interval:
+    """Return the mean of values, shape (units,), with its interval x̄ ± t·s/√n from the means of n blocks of neighbours.
 
-    Source: Politis and Romano, in LePage and Billard (eds.), Exploring the Limits of Bootstrap, 1992.
+    A single block tells nothing of the error. Of 3, 5 and 10 normal values the interval holds the mean in 95 %, that of
+    a percentile bootstrap in 76, 86 and 90 %; of 20 values of an autoregression with 0.8 in 73 % and 54 %.
+    Source: Schmeiser, Oper. Res. 30, 1982 (batch means).
     """
-    starts = generator.integers(count, size=(DRAWS, ceil(count / block)))
-    return ((starts[:, :, None] + np.arange(block)) % count).reshape(DRAWS, -1)[:, :count]
-
-
-def mean_interval(values: Array, drawn: Picks) -> Interval:
-    """Return the mean of values, shape (units,), with its interval."""
-    return Interval(float(np.mean(values)), *np.percentile(values[drawn].mean(axis=1), (2.5, 97.5)).tolist())
+    mean, means = float(np.mean(values)), [part.mean() for part in np.array_split(values, len(values) // block)]
+    degrees = len(means) - 1
+    reach = float(student_two_sided(degrees) * np.std(means, ddof=1) / np.sqrt(len(means))) if degrees else np.inf
+    return Interval(mean, mean - reach, mean + reach)
 
 
 def between(interval: Interval, unit: str = "", sign: str = "") -> str:
@@ -286,7 +284,7 @@ class Comparison:
     values : array, shape (units, estimators)
         Criterion of each unit.
     block : int
-        Number of neighbouring units that the bootstrap draws together; 1 for recordings.
+        Number of neighbouring units whose mean counts as one value; 1 for recordings.
     standings : tuple of Standing
         Best first.
     """
@@ -307,8 +305,7 @@ class Comparison:
 def log_error(case: CaseResult) -> Array:
     """Return 100·|ln(r/r_true)|, (frames, rows, columns) percent; NaN for failed frames. Requires the truth."""
     assert case.truth is not None
-    positive = np.maximum(case.cell_resistance, np.finfo(float).tiny)
-    return np.asarray(100 * np.abs(np.log(positive / case.truth)))
+    return np.asarray(100 * np.abs(np.log(case.cell_resistance / case.truth)))
 
 
 def predicted(case: CaseResult) -> Array:
@@ -340,7 +337,7 @@ PREDICTION = Criterion(
 )
 
 
-def comparison_of(batch: Batch, generator: np.random.Generator) -> Comparison | None:
+def comparison_of(batch: Batch) -> Comparison | None:
     """Compare estimators by the best criterion that the results allow.
 
     This is the error against the truth, or else the predicted error of new readings, which requires their noise and the
@@ -363,14 +360,13 @@ def comparison_of(batch: Batch, generator: np.random.Generator) -> Comparison | 
         units = tuple(f"frame {number}" for number in cases[0].frame[match.chosen[0]])
     values = _values(match, criterion.per_cell, criterion.average)
     block = block_length(values) if single else 1
-    drawn = picks(len(values), block, generator.spawn(1)[0])
     # geometric mean over the units of the median time per frame
     times = np.exp(_values(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median).mean(axis=0))
     order = np.argsort(values.mean(axis=0), kind="stable")
     wins, standings = np.sum(values == values.min(axis=1, keepdims=True), axis=0), []
-    for number in order:  # against the smallest mean, with the same bootstrap draws for all
+    for number in order:  # against the smallest mean
         chosen_values, best = values[:, number], values[:, order[0]]
-        intervals = mean_interval(chosen_values, drawn), mean_interval(chosen_values - best, drawn)
+        intervals = mean_interval(chosen_values, block), mean_interval(chosen_values - best, block)
         standings.append(Standing(match.estimators[number], *intervals, int(wins[number]), float(times[number])))
     return Comparison(criterion, match, units, values, block, tuple(standings))
 
@@ -420,7 +416,10 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
         if len(match.estimators) > 1 and match.recordings:
             gap = "A ranking needs the true cells, or the noise of the readings and the resolution. Neither is known."
         return Advice(None, headline, (gap,), left_out)
-    warnings = (*_few(comparison), *left_out)
+    warnings = left_out
+    if comparison.over_frames:
+        only = "One recording only: the intervals describe its frames, not other subjects or days."
+        warnings = (only, *left_out)
     best = comparison.standings[0]
     # Differences of 5 % are invisible in maps and forces.
     similar = [row for row in comparison.standings if row.mean.value <= (1 + 0.05) * best.mean.value]
@@ -442,7 +441,7 @@ def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing])
     points = criterion.difference_unit
     basis = f"mean over {counted(units, 'recording')} with {counted(comparison.match.frames, 'frame')}"
     if comparison.over_frames:
-        basis = f"mean over {counted(units, 'frame')} of one recording, drawn in blocks of {comparison.block}"
+        basis = f"mean over {counted(units, 'frame')} of one recording, in blocks of {comparison.block}"
     yield f"{best.estimator} has the smallest {criterion.name}: {between(best.mean, criterion.unit)}, {basis}."
     differences = [f"{row.estimator} ({between(row.difference, points, '+')})" for row in alike if row is not best]
     if differences:
@@ -463,11 +462,3 @@ def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing])
             "The truth is unknown. The ranking uses the error with which new readings would be predicted, which "
             "depends on the noise that the results state."
         )
-
-
-def _few(comparison: Comparison) -> Iterator[str]:
-    if comparison.over_frames:
-        yield "One recording only: the intervals describe its frames, not other subjects or days."
-    if len(comparison.units) < 5:
-        noun = counted(len(comparison.units), "frame" if comparison.over_frames else "recording")
-        yield f"{noun} only: intervals from fewer than 5 are unreliable, usually too short."

@@ -54,7 +54,7 @@ def write_report(
 def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done, total: None) -> str:
     """Return the page as HTML; on_recording : as in `write_report`."""
     distinct, _ = compared.without_copies(batch.recordings)
-    comparison = compared.comparison_of(batch, np.random.default_rng(20190604).spawn(1)[0])  # always the same draws
+    comparison = compared.comparison_of(batch)
     advice = compared.advise(batch, comparison)
     by_estimator = {name: [cases[name] for cases in distinct.values() if name in cases] for name in batch.estimators}
     if advice.estimator is not None:
@@ -76,7 +76,6 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         others=sections[MAX_SHOWN:],
         most=MAX_SHOWN,
         origins={name: case for cases in [*batch.recordings.values()][::-1] for name, case in cases.items()},
-        draws=compared.DRAWS,
         counted=counted,
         digits=digits,
     )
