@@ -259,12 +259,8 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
             estimator = settings.estimators[method].estimator(formulation, settings.solver)
             runs[name].append(reconstruct(recording, estimator))
     costs = list(_costs(runs[REFERENCE][0]))
-    objective = np.array(
-        [
-            [_objective(*cost, cells) for cost, cells in zip(costs, run[0].cell_resistance, strict=True)]
-            for run in runs.values()
-        ]
-    )
+    pairs = [zip(costs, run[0].cell_resistance, strict=True) for run in runs.values()]
+    objective = np.array([[Evaluation.at(*cost, cells[None]).objective for cost, cells in pair] for pair in pairs])
     # (φ − φ_best)/(φ_best + φ_noise)
     least = np.nanmin(objective, axis=0)
     gaps = (objective - least) / (least + [_noise_cost(*cost) for cost in costs])
@@ -310,13 +306,6 @@ def _costs(reference: Estimates) -> Iterator[tuple[Cost, Data]]:
     for frame, previous in zip(reference.frame, estimates, strict=True):
         data, _ = replace(stream, previous=previous).given(readings[frame])
         yield estimator.cost(recording.scene, len(data.measured), partial=data.partial), data
-
-
-def _objective(cost: Cost, data: Data, cells: Array) -> float:
-    if not np.all(np.isfinite(cells)):
-        return float("nan")
-    # A formulation with other data, the joint pair, may exceed the bounds by rounding, and must not gain by that.
-    return Evaluation.at(cost, data, np.clip(cells, data.lower[0], data.upper[0])[None]).objective
 
 
 def _noise_cost(cost: Cost, data: Data) -> float:
