@@ -203,8 +203,8 @@ def page_row() -> dict[str, Any]:
     ranked = [(each, compared.Batch.of(("c.h5",), each)) for each in batches]
     judged = [compared.comparison_of(each) for _, each in ranked]
     return {
-        "blind": [(each.standings, each.values, each.block, each.units) for each in blind if each is not None],
-        "standings": standing.standings, "values": standing.values, "block": standing.block, "units": standing.units,
+        "blind": [(each.standings, each.values, each.units) for each in blind if each is not None],
+        "standings": standing.standings, "values": standing.values, "units": standing.units,
         "milliseconds": {row.estimator: row.milliseconds for row in standing.standings},
         "advice": [advice, *(compared.advise(each, known) for (_, each), known in zip(ranked, judged, strict=True))],
         "matched": [
@@ -218,7 +218,6 @@ def page_row() -> dict[str, Any]:
         "disagreements": page.disagreements(invented()[:3]),
         "doubts": page.doubts("LSM", [page.figures(case) for case in invented()[::3]]),
         "frames": page.frames_text([3, 5, 6, 7, 9]),
-        "length": [compared.block_length(part[:, None]) for part in (np.arange(30.0), np.sin(np.arange(40.0)))],
         "between": [
             compared.between(compared.Interval(2.131, 1.95, 2.361), "%", "+"),
             compared.between(compared.Interval(123.4, 123.39, 123.42)), weights_of(invented()[:2]),

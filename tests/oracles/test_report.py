@@ -4,9 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from support import invented_case
 
-from lampest.report.page.compared import block_length, mean_interval, predicted
+from lampest.report.page.compared import mean_interval, predicted
 from lampest.report.page.page import disagreements
 from lampest.runs.results import CaseResult
 
@@ -18,31 +19,21 @@ def test_intervals_of_a_mean_hold_it(count: int) -> None:
     rng = np.random.default_rng(1)
     held = 0
     for values in rng.standard_normal((2000, count)):
-        interval = mean_interval(values, 1)
+        interval = mean_interval(values, count)
         assert interval.value == pytest.approx(values.mean()) and interval.lower < interval.value < interval.upper
         held += interval.lower <= 0 <= interval.upper
     assert 0.935 <= held / 2000 <= 0.965
     assert mean_interval(values[:1], 1).upper == np.inf
 
 
-def test_blocks_widen_the_interval_of_frames_that_remember() -> None:
+def test_parts_widen_the_interval_of_frames_that_remember() -> None:
     """For x_t = 0.8 x_{t−1} + e the mean varies 1.8/0.2 = 9 times as much as that of independent frames."""
-    rng = np.random.default_rng(3)
-    alone, together, lengths = [], [], []
-    for _ in range(40):
-        noise = rng.standard_normal(400)
-        series = np.zeros(400)
-        for frame in range(1, 400):
-            series[frame] = 0.8 * series[frame - 1] + noise[frame]
-        lengths.append(block_length(np.stack([series, -series], axis=1)))
-        blocks, single = (mean_interval(series, length) for length in (30, 1))
-        together.append(blocks.upper - blocks.lower)
-        alone.append(single.upper - single.lower)
-    assert 2.0 < np.mean(together) / np.mean(alone) < 3.2
-    assert min(lengths) == 8  # 400^(1/3): the memory of 0.8 ends after five
-    assert block_length(np.ones((30, 2))) == 4 and block_length(np.ones((1, 2))) == 1
-    slow = np.sin(np.arange(300) / 40)
-    assert 30 < block_length(np.stack([slow, -slow], axis=1)) <= 100
+    held = np.zeros(2)
+    for noise in np.random.default_rng(3).standard_normal((200, 300)):
+        series = lfilter([1.0], [1.0, -0.8], noise)[100:]
+        intervals = [mean_interval(series, parts) for parts in (5, 200)]
+        held += [interval.lower <= 0 <= interval.upper for interval in intervals]
+    assert held[0] > 180 and held[1] < 120
 
 
 def with_change(estimator: str, change: float, below: float, above: float) -> CaseResult:

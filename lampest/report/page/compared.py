@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,9 @@ from lampest.report.words import counted, digits, listed, median_text
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 
+# Successive parts of a recording whose means are taken as independent. Intervals of 20, 60 and 200 frames of an
+# autoregression with 0.8 hold the mean in 77, 91 and 94 %, with parts as long as the correlation in 71, 80 and 81 %.
+MAX_PARTS = 5
 NONE = "–"
 HARD = "\N{NO-BREAK SPACE}"
 Recordings = Mapping[str, Mapping[str, CaseResult]]  # name → estimator → case
@@ -174,36 +176,13 @@ class Interval:
     upper: float
 
 
-def block_length(values: Array) -> int:
-    """Return the number of frames in a block: n^(1/3), or the correlation length if longer, at most n/3.
+def mean_interval(values: Array, parts: int) -> Interval:
+    """Return the mean of values, shape (units,), with the interval x̄ ± t·s/√n of the means of n successive parts.
 
-    The correlation length is the first lag at which the autocorrelation of the estimators' differences is below 1/e.
-    Source of n^(1/3): Flegal and Jones, Ann. Stat. 38, 2010.
-
-    Parameters
-    ----------
-    values : array, shape (frames, estimators)
+    Infinite for a single part. Source: Schmeiser, Oper. Res. 30, 1982 (batch means).
     """
-    count = len(values)
-    series = values - values.mean(axis=1, keepdims=True)
-    series = series - series.mean(axis=0)
-    power, longest, memory = float(np.sum(series**2)), max(1, count // 3), 0
-    if np.isfinite(power) and power > 0:
-        while memory < longest and np.sum(series[memory:] * series[: count - memory]) > power / np.e:
-            memory += 1
-    return int(min(max(ceil(count ** (1 / 3)), memory), longest))
-
-
-def mean_interval(values: Array, block: int) -> Interval:
-    """Return the mean of values, shape (units,), with its interval x̄ ± t·s/√n from the means of n blocks of neighbours.
-
-    A single block tells nothing of the error. Of 3, 5 and 10 normal values the interval holds the mean in 95 %, that of
-    a percentile bootstrap in 76, 86 and 90 %; of 20 values of an autoregression with 0.8 in 73 % and 54 %.
-    Source: Schmeiser, Oper. Res. 30, 1982 (batch means).
-    """
-    mean, means = float(np.mean(values)), [part.mean() for part in np.array_split(values, len(values) // block)]
-    degrees = len(means) - 1
-    reach = float(student_two_sided(degrees) * np.std(means, ddof=1) / np.sqrt(len(means))) if degrees else np.inf
+    mean, means = float(np.mean(values)), [part.mean() for part in np.array_split(values, parts)]
+    reach = float(student_two_sided(parts - 1) * np.std(means, ddof=1) / np.sqrt(parts)) if parts > 1 else np.inf
     return Interval(mean, mean - reach, mean + reach)
 
 
@@ -283,8 +262,6 @@ class Comparison:
         Recordings, or the frames of a single one.
     values : array, shape (units, estimators)
         Criterion of each unit.
-    block : int
-        Number of neighbouring units whose mean counts as one value; 1 for recordings.
     standings : tuple of Standing
         Best first.
     """
@@ -293,7 +270,6 @@ class Comparison:
     match: Matched
     units: tuple[str, ...]
     values: Array
-    block: int
     standings: tuple[Standing, ...]
 
     @property
@@ -359,16 +335,16 @@ def comparison_of(batch: Batch) -> Comparison | None:
     if single:
         units = tuple(f"frame {number}" for number in cases[0].frame[match.chosen[0]])
     values = _values(match, criterion.per_cell, criterion.average)
-    block = block_length(values) if single else 1
+    parts = min(len(values), MAX_PARTS) if single else len(values)
     # geometric mean over the units of the median time per frame
     times = np.exp(_values(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median).mean(axis=0))
     order = np.argsort(values.mean(axis=0), kind="stable")
     wins, standings = np.sum(values == values.min(axis=1, keepdims=True), axis=0), []
     for number in order:  # against the smallest mean
         chosen_values, best = values[:, number], values[:, order[0]]
-        intervals = mean_interval(chosen_values, block), mean_interval(chosen_values - best, block)
+        intervals = mean_interval(chosen_values, parts), mean_interval(chosen_values - best, parts)
         standings.append(Standing(match.estimators[number], *intervals, int(wins[number]), float(times[number])))
-    return Comparison(criterion, match, units, values, block, tuple(standings))
+    return Comparison(criterion, match, units, values, tuple(standings))
 
 
 def _values(match: Matched, per_cell: Callable[[CaseResult], Array], average: Callable[..., Any]) -> Array:
@@ -441,7 +417,7 @@ def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing])
     points = criterion.difference_unit
     basis = f"mean over {counted(units, 'recording')} with {counted(comparison.match.frames, 'frame')}"
     if comparison.over_frames:
-        basis = f"mean over {counted(units, 'frame')} of one recording, in blocks of {comparison.block}"
+        basis = f"mean over {counted(units, 'frame')} of one recording"
     yield f"{best.estimator} has the smallest {criterion.name}: {between(best.mean, criterion.unit)}, {basis}."
     differences = [f"{row.estimator} ({between(row.difference, points, '+')})" for row in alike if row is not best]
     if differences:
