@@ -85,7 +85,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
             for path, node in _within(file, group):
                 if path in joined:
                     first = begin.get(path.split("/", 1)[0], 0)
-                    _append(target[path], node, first)
+                    target[path][first : first + len(node)] = node[...]
                 elif path in plans and plans[path].owner == part:
                     file.copy(node, target, path, without_attrs=True)
     # Attributes and scales, once all datasets exist.
@@ -95,19 +95,6 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
             target[path].make_scale(path.rsplit("/", 1)[-1])
     for path, plan in plans.items():
         hdf5.attach_scales(target, {path: tuple(scale.removeprefix(f"{group}/") for scale in plan.scales)})
-
-
-def _append(target: h5py.Dataset, part: h5py.Dataset, first: int) -> None:
-    """Write a part's values into a dataset from frame `first` on; chunks with equal layout are copied compressed."""
-    length, names = target.chunks[0], ("chunks", "dtype", "compression")
-    alike = all(getattr(target, name) == getattr(part, name) for name in names)
-    complete = len(part) - len(part) % length if alike and first % length == 0 else 0
-    for begin in range(0, complete, length):
-        origin = (0,) * (target.ndim - 1)
-        mask, packed = part.id.read_direct_chunk((begin, *origin))
-        target.id.write_direct_chunk((first + begin, *origin), packed, mask)
-    if complete < len(part):
-        target[first + complete : first + len(part)] = part[complete:]
 
 
 def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> DatasetPlan:
