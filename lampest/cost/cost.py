@@ -250,8 +250,6 @@ class Entries:
         Whether there are nonzeros between cells and readings.
     on_diagonal : pair of arrays
         Numbers and places of the nonzeros on the diagonal.
-    alone : bool
-        Whether all nonzeros are on the diagonal.
     """
 
     cells: NDArray[np.intp]
@@ -260,7 +258,6 @@ class Entries:
     at_model: NDArray[np.intp] | None
     crossed: bool
     on_diagonal: tuple[NDArray[np.intp], NDArray[np.intp]]
-    alone: bool
 
     @classmethod
     def of(cls, rows: NDArray[np.intp], columns: NDArray[np.intp], count: int) -> "Entries":
@@ -272,7 +269,7 @@ class Entries:
         # Nonzeros that are neither between cells nor between readings couple the two.
         pivots, crossed = np.flatnonzero(rows == columns), len(cells) + len(model) < len(rows)
         at_cells, on_diagonal = (rows[cells], columns[cells]), (pivots, rows[pivots])
-        return cls(cells, at_cells, model, at_model, crossed, on_diagonal, len(pivots) == len(rows))
+        return cls(cells, at_cells, model, at_model, crossed, on_diagonal)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, MAX_DENSE, restricted, steihaug
 from lampest.solvers.bounds import MILLIONTH, free_cells, lower_along, within_bounds
-from lampest.solvers.hessian import Hessian, matrix_between
+from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel
 
 # Of a cell's posterior standard deviation: allowed length of the remaining Newton step where the noise is known.
@@ -168,7 +168,7 @@ def _confirmed(
 
 def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
     """Return the certificate by a Cholesky factor; where that fails, by eigenvectors."""
-    matrix, slope = matrix_between(hessian.matrix, free), hessian.gradient[free]
+    matrix, slope = hessian.matrix[np.ix_(free, free)], hessian.gradient[free]
     # Usual curvature from a cell's own reading: the median weight of the readings times J_cc²
     weight = hessian.curvature[hessian.curvature > 0]
     usual = np.median(weight) * hessian.own_response**2 if len(weight) else np.ones(len(hessian.own_response))

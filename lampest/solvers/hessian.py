@@ -62,12 +62,8 @@ class Hessian:
         return replace(self, at=self.at.elsewhere(cells))
 
     def some(self, panels: Numbers) -> "Hessian":
-        """Return the derivatives at the chosen panels, with the gradient and the terms that are already computed."""
-        chosen = replace(self, at=self.at.some(panels))
-        for name in ("gradient", "_smooth_terms"):
-            if name in self.__dict__:
-                chosen.__dict__[name] = self.__dict__[name][panels]
-        return chosen
+        """Return the derivatives at the chosen panels."""
+        return replace(self, at=self.at.some(panels))
 
     @property
     def position(self) -> Array:
@@ -162,7 +158,7 @@ class Hessian:
         changes, seconds = zip(*(order.products(frame) for order, frame in pairs), strict=True)
         # (diag r; J)ᵀ T (diag r; J)·p: T applied to the changes (δr; δy) = (r·p; J·p)
         move = np.concatenate([cells.ravel() * step, *(change.ravel() for change in changes)])
-        force = self.diagonal_of_terms * move if self._entries[0].alone else self.terms @ move
+        force = self.terms @ move
         through = self.adjoint(force[step.size :].reshape(cells.shape))
         # + N·p + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)·p
         force_of = cells.ravel() * force[: step.size] + through + np.concatenate([second.ravel() for second in seconds])
@@ -235,29 +231,29 @@ class Hessian:
         return np.asarray(self.own + self.penalty_matrix.diagonal())
 
     @cached_property
+    def jacobian(self) -> Array:
+        """J = ∂y/∂u, dense (…, frames · cells, frames · cells)."""
+        return block_diagonal([network.sensitivity() for network in self.at.networks])
+
+    @cached_property
     def matrix(self) -> Array:
         """The Hessian ∇²φ, dense (…, frames · cells, frames · cells)."""
-        jacobians = [network.sensitivity() for network in self.at.networks]
-        matrix = block_diagonal([second.matrix() for second in self._second_orders])
+        matrix, jacobian = block_diagonal([second.matrix() for second in self._second_orders]), self.jacobian
         cells = self._flat(self.at.cell_resistance)
         count, (entries, values) = cells.shape[-1], self._entries
         # N + diag(r) T_rr diag(r)
         row, column = entries.at_cells
         matrix[..., row, column] += values[..., entries.cells] * cells[..., row] * cells[..., column]
-        # + Jᵀ T_yy J; where T_yy is diagonal, frame by frame
+        # + Jᵀ T_yy J
         if entries.at_model is None:
-            jacobian = block_diagonal(jacobians)
             matrix += jacobian.T @ (self.terms[count:, count:] @ jacobian)
         else:
             weight = np.zeros_like(cells)
             weight[..., entries.at_model] = values[..., entries.model]
-            for number, jacobian in enumerate(jacobians):
-                size = count // len(jacobians)
-                span = slice(number * size, (number + 1) * size)
-                matrix[..., span, span] += weighted_square(jacobian, weight[..., span])
+            matrix += weighted_square(jacobian, weight)
         if entries.crossed:
             # + diag(r) T_ry J and its transpose
-            cross = cells[:, None] * (self.terms[:count, count:] @ block_diagonal(jacobians))
+            cross = cells[:, None] * (self.terms[:count, count:] @ jacobian)
             matrix += cross + cross.T
         # + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)
         np.einsum("...ii->...i", matrix)[...] += self.direct - self.through
@@ -266,10 +262,7 @@ class Hessian:
     @cached_property
     def gauss_newton_matrix(self) -> Array:
         """The Gauss–Newton matrix JᵀWJ + PᵀKP, dense."""
-        weights = self.reading_weight.reshape(len(self.at.networks), -1)
-        pairs = zip(self.at.networks, weights, strict=True)
-        blocks = [weighted_square(network.sensitivity(), weight) for network, weight in pairs]
-        return np.asarray(block_diagonal(blocks) + self.penalty_matrix.toarray())
+        return np.asarray(weighted_square(self.jacobian, self.reading_weight.ravel()) + self.penalty_matrix.toarray())
 
     @cached_property
     def _entries(self) -> tuple[Entries, Array]:
@@ -290,16 +283,7 @@ def block_diagonal(blocks: Sequence[Array]) -> Array:
     return blocks[0] if len(blocks) == 1 else np.asarray(linalg.block_diag(*blocks))
 
 
-def matrix_between(matrix: Array, chosen: Numbers) -> Array:
-    """Return the submatrix over the chosen unknowns (numbers); the matrix itself where these are all."""
-    return matrix if len(chosen) == len(matrix) else matrix[np.ix_(chosen, chosen)]
-
-
 def weighted_square(matrix: Array, weight: Array) -> Array:
     """Return AᵀWA, (…, cells, cells), for A (…, rows, cells) and diagonal weights W (…, rows)."""
-    if weight.min(initial=0.0) < 0:
-        return (matrix * weight[..., None]).swapaxes(-1, -2) @ matrix
-    # (√W A)ᵀ(√W A): BLAS computes a product of a matrix with its own transpose at half the cost.
-    scaled = matrix * np.sqrt(weight)[..., None]
-    square: Array = scaled.swapaxes(-1, -2) @ scaled
+    square: Array = (matrix * weight[..., None]).swapaxes(-1, -2) @ matrix
     return square

@@ -20,7 +20,7 @@ from scipy.sparse.linalg import splu
 from lampest.panel.kirchhoff import bipartite_matrix, line_sums
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, restricted
-from lampest.solvers.hessian import Hessian, matrix_between
+from lampest.solvers.hessian import Hessian
 
 # Of the largest entry of a diagonal: double precision does not distinguish a smaller one from zero.
 MIN_DIAGONAL = 1e-12
@@ -285,7 +285,7 @@ def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
     if not hessian.dense:
         return TwoLevel.of(hessian)
     cells, chosen = hessian.at.cell_resistance, np.flatnonzero(free)
-    factor = Cholesky.of(cells, chosen, matrix_between(hessian.matrix, chosen))
+    factor = Cholesky.of(cells, chosen, hessian.matrix[np.ix_(chosen, chosen)])
     return factor or gauss_newton_factor(hessian, free) or TwoLevel.of(hessian)
 
 
@@ -297,7 +297,7 @@ def gauss_newton_factor(hessian: Hessian, free: Free, damping: float = SHIFTS[0]
     if not hessian.dense:
         return None
     chosen, cells = np.flatnonzero(free), hessian.at.cell_resistance
-    matrix = matrix_between(hessian.gauss_newton_matrix, chosen).copy()
+    matrix = hessian.gauss_newton_matrix[np.ix_(chosen, chosen)]
     matrix.flat[:: len(matrix) + 1] = floored(np.diag(matrix))
     tried = (Cholesky.of(cells, chosen, matrix, shift) for shift in (damping, *SHIFTS) if shift >= damping)
     return next((factor for factor in tried if factor is not None), None)

@@ -18,7 +18,7 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.trust_region import SUFFICIENT_DECREASE
 from lampest.solvers.bounds import MILLIONTH, MIN_DECREASE_SHARE
 from lampest.solvers.certificate import clear_of_rounding
-from lampest.solvers.hessian import Hessian, matrix_between
+from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky
 from lampest.solvers.projected_newton import STEPS
 from lampest.solvers.smoothing import Smoothing
@@ -74,9 +74,6 @@ class InverseHessians:
 
     def newton(self, panels: Numbers, gradient: Array) -> Array:
         """Return M⁻¹ g, (chosen panels, cells)."""
-        if panels[-1] - panels[0] == len(panels) - 1:
-            inverses = self.inverse[panels[0] : panels[-1] + 1]
-            return np.asarray((inverses @ gradient[..., None])[..., 0])
         step = np.empty_like(gradient)
         for row, panel in enumerate(panels.tolist()):  # without a copy of their matrices
             np.matmul(self.inverse[panel], gradient[row], out=step[row])
@@ -100,7 +97,7 @@ class InverseHessians:
             matrix, free = matrices[number], np.flatnonzero(points.free[number])
             scale = np.abs(np.diag(matrix))
             inverse = np.diag(1 / np.where(scale > 0, scale, 1.0))
-            factor = Cholesky.of(points.position[number], free, matrix_between(matrix, free)) if len(free) else None
+            factor = Cholesky.of(points.position[number], free, matrix[np.ix_(free, free)]) if len(free) else None
             positive = factor is not None and clear_of_rounding(factor.triangle, factor.norm)
             if factor is not None and positive:
                 inverse[np.ix_(free, free)] = factor.inverse()
