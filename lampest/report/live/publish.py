@@ -9,6 +9,7 @@ import re
 import socket
 import time
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from lampest.report.live.handover import FAREWELL_SECONDS, Newest
 from lampest.report.live.message import COMPACT, FORMAT, VERDICTS, Message, View
 from lampest.report.live.server import MAX_STREAMS, TURN_SECONDS, Access, ip_named
 
-MAX_UNCONFIRMED = 6  # messages that a broker has not confirmed, 0.2 s of them at 30 frames a second
+LATEST_SECONDS = 0.2  # longest confirmation time of a broker before following messages are left out
 LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 Send = Callable[[Message], None]
 Say = Callable[[str], None]
@@ -184,7 +185,7 @@ class OscPublish(Publish):
 class MqttPublish(Publish):
     """`mqtt://USER:PASSWORD@HOST:PORT/TOPIC`: the message as JSON to a topic of a broker, quality of service 1.
 
-    A message is lost rather than late: none is sent while MAX_UNCONFIRMED others have not been confirmed.
+    A message is lost rather than late: none is sent while another has not been confirmed for 0.2 s.
     """
 
     kind: ClassVar[str] = "mqtt"
@@ -204,12 +205,16 @@ class MqttPublish(Publish):
         client.on_socket_open = lambda *event: event[2].setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         client.reconnect_delay_set(1, 10)  # s
         client.username_pw_set(self.user, self.password)
-        client.max_queued_messages_set(MAX_UNCONFIRMED)
-        answers = list[Any]()
+        waiting, answers = deque[tuple[Any, float]](), list[Any]()  # not confirmed, and when sent
 
         def send(message: Message) -> None:
-            if client.is_connected():
-                client.publish(self.path, message.text(), qos=1)
+            while waiting and waiting[0][0].is_published():
+                waiting.popleft()
+            time_now = time.monotonic()
+            if client.is_connected() and (not waiting or time_now - waiting[0][1] < LATEST_SECONDS):
+                info = client.publish(self.path, message.text(), qos=1)
+                if info.rc == 0:  # else the connection has just ended; such a message is never confirmed
+                    waiting.append((info, time_now))
 
         try:
             client.on_connect = client.on_disconnect = lambda *event: answers.append(event[3])
