@@ -15,24 +15,11 @@ from lampest.recording.board.record import Progress, record, repair
 from tests.bodies import frame_body
 
 
-def sent_frames(log: Path) -> list[tuple[Frame, bool]]:
-    """What the board sent according to the simulated line's log, and whether every byte of it arrived unharmed."""
-    pairs = np.frombuffer(log.read_bytes()[: 2 * (log.stat().st_size // 2)], np.uint8).reshape(-1, 2)
-    wire, hurt = pairs[:, 0].tobytes(), pairs[:, 1] != 0
-    zeros = np.flatnonzero(pairs[:, 0] == 0)
-    found = []
-    for begin, end in pairwise(zeros):
-        for item in Receiver().feed(wire[begin : end + 1])[1]:
-            if isinstance(item, Frame):
-                found.append((item, not hurt[begin : end + 1].any()))
-    return found
-
-
 @pytest.mark.parametrize(
     "frames", [pytest.param(400, marks=pytest.mark.slow), pytest.param(10_000, marks=pytest.mark.soak)]
 )
 def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(tmp_path: Path, frames: int) -> None:
-    """Recorded until the board has sent so many frames."""
+    """Recorded until the board has sent so many frames; the log holds each byte sent, and whether it was hurt."""
     cells = some_cells(np.random.default_rng(8), 40)
     hurt = ("--flip", 0.004, "--drop", 0.003, "--duplicate", 0.003, "--loop", "--log", tmp_path / "log")
     with bench(tmp_path, cells, *hurt) as board:
@@ -40,7 +27,12 @@ def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(tmp_path: P
     found = Recording.load(tmp_path / "r.h5")
     last, got = found.acquisition.sequence[-1], found.acquisition.sequence.tolist()
     assert not found.acquisition.session.any(), "damage must not look like a restart"
-    sent = [(frame, whole) for frame, whole in sent_frames(tmp_path / "log") if frame.sequence <= last]
+    log, sent = (tmp_path / "log").read_bytes(), []
+    pairs = np.frombuffer(log[: len(log) // 2 * 2], np.uint8).reshape(-1, 2)
+    for begin, end in pairwise(np.flatnonzero(pairs[:, 0] == 0)):
+        for item in Receiver().feed(pairs[begin : end + 1, 0].tobytes())[1]:
+            if isinstance(item, Frame) and item.sequence <= last:
+                sent.append((item, not pairs[begin : end + 1, 1].any()))
     by_number = {frame.sequence: frame for frame, _ in sent}
     wrong = sum(
         frame_body(by_number[number]) != frame_body(Frame(20, number, device_ms, missed, sums))

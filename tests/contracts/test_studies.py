@@ -57,16 +57,6 @@ GROUPS = {  # of the measurements in the HDF5 file
 }  # fmt: skip
 
 
-def check_audit(rows: list[Row], group: h5py.Group, out: str) -> None:
-    nothing, noisy = rows
-    assert (nothing["effect"], nothing["verdict"]) in (("nothing", "covered"), ("nothing", "wide"))
-    assert (noisy["reported"], noisy["verdict"]) == ("3", "reported") and float(noisy["cells"]) > 80
-    assert float(noisy["chi_square"]) > 5 > 2 > float(nothing["chi_square"])
-    assert "measured in unloaded frames; the scene specifies" in out
-    held, cells = group["cells_covered"][3:].sum(), group["cells"][3:].sum()
-    assert cells == 3 * 2 * 30 and 100 * held / cells == pytest.approx(float(noisy["cells"]), rel=1e-4)
-
-
 def started(folder: Path, *words: str) -> SimpleNamespace:
     """Run Python as a user does; return code, out and err."""
     environment = {**os.environ, "COLUMNS": "100", "PYTHONPATH": str(ROOT)}
@@ -108,7 +98,13 @@ def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
             assert values.attrs["units"] and values.attrs["long_name"], name
         assert len({len(values) for values in datasets.values()}) == 1
         if study == "audit":
-            check_audit(table_of(stem.with_suffix(".csv")), group, done.out)
+            nothing, noisy = table_of(stem.with_suffix(".csv"))
+            assert (nothing["effect"], nothing["verdict"]) in (("nothing", "covered"), ("nothing", "wide"))
+            assert (noisy["reported"], noisy["verdict"]) == ("3", "reported") and float(noisy["cells"]) > 80
+            assert float(noisy["chi_square"]) > 5 > 2 > float(nothing["chi_square"])
+            assert "measured in unloaded frames; the scene specifies" in done.out
+            held, cells = group["cells_covered"][3:].sum(), group["cells"][3:].sum()
+            assert cells == 3 * 2 * 30 and 100 * held / cells == pytest.approx(float(noisy["cells"]), rel=1e-4)
         assert ("memory_mb" in group) == (study in ("bench", "tradeoff"))
         assert "memory_mb" not in group or np.all(np.abs(group["memory_mb"][()] - 1000) < 990)
     pictures = [*out.glob("*.png")]

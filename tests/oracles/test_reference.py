@@ -125,20 +125,16 @@ def test_clean_readings_show_no_error_of_the_model(seed: int, unloaded: int) -> 
     assert in_intervals(estimate).mean() > 0.88
 
 
-def without_a_tenth(path: Path) -> tuple[Recording, Recording, Array]:
-    """A recording, the same without a tenth of its readings, and which these are."""
-    whole = Recording.load(path)
-    readings, rng = whole.readings(), np.random.default_rng(3)
-    usable = readings.plain & whole.scene.panel.present & ~impossible_readings(whole.scene.circuit, readings)
-    withheld = usable & (rng.random(usable.shape) < 0.1)
-    return whole, replace(whole, recorded=np.where(withheld, np.nan, whole.recorded)), withheld
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["insole_walking", "insole_standing"])
 @pytest.mark.parametrize(("loss", "least"), [(Squared(), 0.88), (Student(corner=4.0), 0.9)])
 def test_withheld_readings_of_a_real_sensor_lie_within_their_intervals(name: str, loss: Loss, least: float) -> None:
-    whole, recording, withheld = without_a_tenth(Path(__file__).parents[2] / "data" / f"{name}.h5")
+    """A tenth of the usable readings is withheld."""
+    whole = Recording.load(Path(__file__).parents[2] / "data" / f"{name}.h5")
+    readings, rng = whole.readings(), np.random.default_rng(3)
+    usable = readings.plain & whole.scene.panel.present & ~impossible_readings(whole.scene.circuit, readings)
+    withheld = usable & (rng.random(usable.shape) < 0.1)
+    recording = replace(whole, recorded=np.where(withheld, np.nan, whole.recorded))
     estimate = lampest.reconstruct(recording, [Misfit(weighting="noise", loss=loss), LogGradient()])
     sigma, model = estimate.reading_sigma, np.stack([step.solution.reading[-1] for step in estimate.steps])
     assert np.all(sigma[estimate.solved] > 0) and np.all(np.isfinite(sigma[estimate.solved]))  # of missing ones, too

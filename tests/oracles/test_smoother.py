@@ -69,8 +69,12 @@ def test_stiffness_is_the_slope_of_the_cost_of_a_walk() -> None:
     assert_allclose(Walk(0.01, 3.0).stiffness(squares).ravel(), slope, rtol=1e-4)
 
 
-def beside_its_end(chance: int) -> Joint:
-    """Φ of three frames of squares, with errors that one frame shares, off its end and far from its anchor."""
+@pytest.mark.parametrize("chance", [0, 2])
+def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(chance: int) -> None:
+    """The residuals of which Φ is the sum of squares, and their derivatives by differences.
+
+    Three frames of squares, with errors that one frame shares, off the end of Φ and far from its anchor.
+    """
     made, rng = panel(3, 2, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)), np.random.default_rng(2)
     estimator, readings = Estimator((Misfit(weighting="noise"),), "reduced"), made.readings()
     data = [estimator.data(readings[frame].alone(), Background(made.scene)) for frame in range(3)]
@@ -82,13 +86,7 @@ def beside_its_end(chance: int) -> Joint:
     position = np.hstack([cells + 1e-3 * rng.standard_normal(cells.shape), rng.standard_normal((3, chance))])
     stiffness = rng.uniform(10, 1e4, (2, 4))
     joint = replace(begun, anchor=anchor, drawn=drawn, position=position, stiffness=stiffness).sharing()
-    return replace(joint, shift=0.1 * rng.standard_normal(len(joint.shift)))
-
-
-@pytest.mark.parametrize("chance", [0, 2])
-def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(chance: int) -> None:
-    """The residuals of which Φ is the sum of squares, and their derivatives by differences."""
-    joint = beside_its_end(chance)
+    joint = replace(joint, shift=0.1 * rng.standard_normal(len(joint.shift)))
     size, sharing = joint.position.size, joint.shared.shape[2]
 
     def residuals(point: Array) -> Array:

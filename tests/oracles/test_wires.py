@@ -269,25 +269,20 @@ def test_known_contacts_are_not_estimated() -> None:
     assert np.median(np.abs(scores(done))) < 1.5
 
 
-def held_by_capacitor(volt: Array, by_columns: bool, rounds: int = 3) -> Array:
-    """What a capacitor holds after each channel of a frame that is scanned over and over, one after the other."""
-    scan = volt.T if by_columns else volt
-    kept, result = 0.0, np.empty_like(scan)
-    for _ in range(rounds):
-        for place, value in np.ndenumerate(scan):
-            kept += (1 - FRACTION) * (value - kept)
-            result[place] = kept
-    return result.T if by_columns else result
-
-
 def volts(readout: Readout, shape: tuple[int, ...]) -> Array:
     return np.asarray(np.random.default_rng(4).uniform(0.2, 0.8, size=shape) * readout.supply_volt)
 
 
 @each_converter
 def test_remembers_channel_by_channel(readout: Readout) -> None:
+    """A capacitor holds a part of each channel of a frame that is scanned over and over, one after the other."""
     volt = volts(readout, (5, 4))
-    expected = held_by_capacitor(volt, getattr(readout, "driven", "rows") == "columns")
+    expected, kept = np.empty_like(volt), 0.0
+    by_columns = getattr(readout, "driven", "rows") == "columns"
+    for _ in range(3):
+        for place, value in np.ndenumerate(volt.T if by_columns else volt):
+            kept += (1 - FRACTION) * (value - kept)
+            expected[place[::-1] if by_columns else place] = kept
     assert_allclose(with_memory(readout, FRACTION, volt), expected, rtol=1e-12)
     assert_allclose(with_memory(readout, FRACTION, volt[None])[0], expected, rtol=1e-12)
 

@@ -9,7 +9,6 @@ from support import live_pictures
 
 from lampest import (
     UNLOADED,
-    Array,
     Estimator,
     InputError,
     OralDisc,
@@ -88,17 +87,6 @@ def samples_of(recording: Recording) -> list[Sample]:
     return [Sample(frame, hello, recording.scene, float(frame.sequence), 0.0, 0, 0) for frame in frames]
 
 
-def own_loop(recording: Recording, estimator: Estimator) -> tuple[Array, Array]:
-    """Cells (frames, rows, columns) and baseline as a user's program gets them from bare arrays and a scene."""
-    scene, cells = recording.scene, []
-    unloaded = Readings.of(scene, recording.resistance[recording.role == UNLOADED])
-    stream = Stream.begin(estimator, scene, 1.0, unloaded.mean())
-    for resistance in recording.resistance[recording.role != UNLOADED]:
-        stream, step = stream.push(Readings.of(scene, resistance))
-        cells.append(step.solution.cell_resistance[-1])
-    return np.stack(cells), stream.baseline_resistance
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_every_way_in_gives_the_same_cells(name: str) -> None:
@@ -114,9 +102,15 @@ def test_every_way_in_gives_the_same_cells(name: str) -> None:
             take_sample(engine, sample)
 
     # A recording's frames are solved in blocks, others one by one: both to the solver's tolerance.
-    cells, baseline = own_loop(recording, case.estimator)
+    # A user's program has bare arrays and a scene.
+    scene, cells = recording.scene, []
+    unloaded = Readings.of(scene, recording.resistance[recording.role == UNLOADED])
+    stream = Stream.begin(case.estimator, scene, 1.0, unloaded.mean())
+    for resistance in recording.resistance[recording.role != UNLOADED]:
+        stream, step = stream.push(Readings.of(scene, resistance))
+        cells.append(step.solution.cell_resistance[-1])
     assert_allclose(cells, found.cell_resistance, rtol=1e-7)
-    assert_allclose(baseline, found.baseline_resistance, rtol=1e-9)
+    assert_allclose(stream.baseline_resistance, found.baseline_resistance, rtol=1e-9)
     replayed = live_pictures(case.estimator, 3, lambda engine: from_recording(engine, recording, 1e9, None))
     boarded = live_pictures(case.estimator, 3, board)
     for pictures in (replayed, boarded):
