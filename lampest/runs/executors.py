@@ -27,35 +27,49 @@ from lampest.files.typed import ByKind, Configuration, check_not_negative, check
 Function = Callable[[Any], Any]
 
 
-class Workers(ProcessPoolExecutor):
-    """Fresh processes that ignore Ctrl-C, and that are killed at the end.
+class Worker(ProcessPoolExecutor):
+    """Fresh process that ignores Ctrl-C, and that is killed at the end.
 
-    Each begins with a call of `begun`, where it is given, with these arguments.
+    It begins with a call of `begun`, where it is given, with these arguments.
 
     Attributes
     ----------
     processes : mapping
-        The processes, by their number.
+        The process, once it has started, by its number.
     """
 
-    def __init__(self, count: int, begun: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()) -> None:
-        super().__init__(count, get_context("spawn"), _begin, (begun, arguments))
+    def __init__(self, begun: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()) -> None:
+        super().__init__(1, get_context("spawn"), _begin, (begun, arguments))
         self.processes = self._processes
 
     def begin(self, function: Function, argument: Any) -> "Future[bytes]":
-        """Hand a task to an idle process, or to one that is started; the result is pickled."""
+        """Hand a task to the process, which the first task starts.
+
+        The result is pickled; it is BrokenProcessPool if the process is dead.
+        """
         # Blocked, so that even the imports of a process are undisturbed. Starting the tracker would unblock them again.
         resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL)
         try:
-            return self.submit(_answer, function, argument)
+            future = self.submit(_answer, function, argument)
+        except BrokenProcessPool as error:  # it died after its last task
+            future = Future()
+            future.set_exception(error)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        # The process alone keeps the pipe of results open: if it dies within one, reading ends.
+        self._result_queue._writer.close()  # type: ignore[attr-defined]
+        return future
 
     def kill(self) -> None:
-        """Kill the processes; calls that have not ended raise BrokenProcessPool."""
+        """Kill the process."""
         for process in list(self.processes.values()):
             process.kill()
+
+    @property
+    def hung(self) -> bool:
+        """Whether the process, which is dead, was ended by the alarm of `ended_where_hung`."""
+        return any(process.exitcode == -signal.SIGALRM for process in self.processes.values())
 
     def __exit__(self, *error: object) -> None:
         self.kill()
@@ -166,28 +180,29 @@ class Processes(Executor):
 
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
         """Yield results, as `Executor.results`."""
-        waiting, suspects, deaths = deque(range(len(arguments))), deque[int](), Counter[int]()
-        while waiting or suspects:
-            # A death breaks a pool. Each task in flight is repeated alone, so that its next death is its own.
-            queue, count = (suspects, 1) if suspects else (waiting, min(self.workers or cores(), len(waiting)))
-            flying: dict[Future[bytes], int] = {}
-            with Workers(count) as pool, suppress(BrokenProcessPool):
-                while queue or flying:
-                    while queue and len(flying) < count:
-                        flying[pool.begin(function, arguments[queue[0]])] = queue[0]
-                        queue.popleft()
-                    for future in wait(flying, return_when=FIRST_COMPLETED).done:
+        waiting, deaths = deque(range(len(arguments))), Counter[int]()
+        with ExitStack() as stack:
+            idle = [stack.enter_context(Worker()) for _ in range(min(self.workers or cores(), len(arguments)))]
+            flying: dict[Future[bytes], tuple[Worker, int]] = {}
+            while waiting or flying:
+                while waiting and idle:
+                    worker, number = idle.pop(), waiting.popleft()
+                    flying[worker.begin(function, arguments[number])] = worker, number
+                for future in wait(flying, return_when=FIRST_COMPLETED).done:
+                    worker, number = flying.pop(future)
+                    try:
                         outcome = pickle.loads(future.result())
-                        yield arguments[flying.pop(future)], outcome
-            hung = any(process.exitcode == -signal.SIGALRM for process in pool.processes.values())
-            for number in flying.values():
-                deaths[number] += 1
-                if hung and len(flying) == 1:
-                    yield arguments[number], TimeoutError(HUNG)
-                elif deaths[number] == MAX_TRIES:
-                    yield arguments[number], RuntimeError(DIED)
-                else:
-                    suspects.append(number)
+                    except BrokenProcessPool:
+                        worker.shutdown()
+                        idle.append(stack.enter_context(Worker()))
+                        deaths[number] += 1
+                        if not worker.hung and deaths[number] < MAX_TRIES:
+                            waiting.append(number)
+                            continue
+                        outcome = TimeoutError(HUNG) if worker.hung else RuntimeError(DIED)
+                    else:
+                        idle.append(worker)
+                    yield arguments[number], outcome
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -51,13 +52,13 @@ def dying_once(task: Task) -> Any:
 
 
 def test_ctrl_c_while_a_task_is_handed_over_leaves_no_worker_at_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    hand_over = executors.Workers.begin
+    hand_over = executors.Worker.begin
 
-    def interrupted(workers: executors.Workers, function: Any, argument: Any) -> Any:
-        hand_over(workers, function, argument)
+    def interrupted(worker: executors.Worker, function: Any, argument: Any) -> Any:
+        hand_over(worker, function, argument)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(executors.Workers, "begin", interrupted)
+    monkeypatch.setattr(executors.Worker, "begin", interrupted)
     with pytest.raises(KeyboardInterrupt) as held:  # as is its frame, so that no collector ends the worker
         list(Processes(2).results(time.sleep, [60, 60]))
     assert held and not multiprocessing.active_children()
@@ -103,6 +104,23 @@ def test_task_that_kills_its_worker_costs_no_other(executor: Any) -> None:
     assert outcomes == answers | {DEATH: "its process died 4 times"}
 
 
+def half_written(mark: Path) -> str:
+    """Die in the middle of writing a result, the first time."""
+    if not mark.exists():
+        mark.touch()
+        frame: Any = sys._getframe()
+        while "result_queue" not in frame.f_locals:
+            frame = frame.f_back
+        os.write(frame.f_locals["result_queue"]._writer.fileno(), struct.pack("!i", 1_000_000) + b"begun")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "whole"
+
+
+def test_a_worker_that_dies_in_the_middle_of_its_result_holds_up_nobody(tmp_path: Path) -> None:
+    marks = [tmp_path / name for name in "ab"]
+    assert sorted(Processes(2).results(half_written, marks)) == [(mark, "whole") for mark in marks]
+
+
 def test_ctrl_c_that_compiled_code_took_for_its_own_ends_a_batch() -> None:
     def compiled(cause: BaseException | None) -> Any:
         raise SystemError("returned a result with an exception set") from cause
@@ -131,8 +149,8 @@ def hanging(seconds: float) -> float:
 
 def test_workers_end_with_a_command_that_is_killed() -> None:
     """They hold its output, so that whoever reads it would wait forever."""
-    asked = "import os, time; from lampest.runs.executors import Workers; workers = Workers(2)"
-    asked += "; workers.begin(time.sleep, 100), workers.begin(pow, 2).exception(60), os.kill(os.getpid(), 9)"
+    asked = "import os, time; from lampest.runs.executors import Worker; busy, idle = Worker(), Worker()"
+    asked += "; busy.begin(time.sleep, 100), idle.begin(pow, 2).exception(60), os.kill(os.getpid(), 9)"
     done = subprocess.run([sys.executable, "-c", asked], stdout=subprocess.PIPE, timeout=60)
     assert done.returncode == -signal.SIGKILL
 

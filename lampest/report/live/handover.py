@@ -9,7 +9,7 @@ from contextvars import ContextVar
 from threading import Condition, Thread
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from lampest.runs.executors import Workers
+from lampest.runs.executors import Worker
 
 FAREWELL_SECONDS = 1.0  # time for the last item to reach a listener
 DESK = ContextVar[Callable[[Any], Any]]("desk")  # function of a process that answers tasks
@@ -86,7 +86,7 @@ class Beside(Generic[T]):
         self._queued, self._on_answer, self._on_gone = queued, on_answer, on_gone
         self._changed, self._ending, self.gone = Condition(), False, False
         self._waiting: list[T] = []
-        self._workers = Workers(1, _open_desk, (desk,))
+        self._worker = Worker(_open_desk, (desk,))
         self._thread = Thread(target=self._serve, name="lampest-beside", daemon=True)
         self._thread.start()
 
@@ -107,18 +107,18 @@ class Beside(Generic[T]):
         """Drop waiting tasks and end the process."""
         with self._changed:
             self._waiting = []
-        self._workers.kill()
+        self._worker.kill()
         self.finish()
 
     def _serve(self) -> None:
         try:
             while (task := self._next()) is not None:
-                self._on_answer(task, pickle.loads(self._workers.begin(_at_desk, task).result()))
+                self._on_answer(task, pickle.loads(self._worker.begin(_at_desk, task).result()))
         except BrokenProcessPool:
             self.gone = True
             self._on_gone()
         finally:
-            self._workers.shutdown()
+            self._worker.shutdown()
 
     def _next(self) -> T | None:
         with self._changed:
