@@ -1,5 +1,6 @@
 """Recognition of attachments in recordings and results, frame by frame of the readings."""
 
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -186,8 +187,8 @@ def detect_recording(
     if not len(measured):
         raise InputError(f"{path}: no frame is measured (role 1)")
     head = Prepared(stored.part(range(int(measured[-1]) + 1)))
-    watched, warnings = known_of(head, patch_mm), warnings_of(head.recording, recognition_noise(head), head.check)
-    messages = tuple(warning for warning in warnings if not warning.startswith((TOUCHED, UNEVENLY)))
+    watched, doubts = known_of(head, patch_mm), warnings_of(head.recording, recognition_noise(head), head.check)
+    messages = tuple(doubt for doubt in doubts if not doubt.startswith((TOUCHED, UNEVENLY)))
     if isinstance(watched, Detected):
         return replace(watched, warnings=messages)
     requested = range(stored.frames) if frames is None else frames
@@ -253,12 +254,8 @@ def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -
 
 def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
     """Return σ (rows, columns) from differences of successive frames, and a note on its origin."""
-    seen = np.isfinite(value).any(axis=0)
-    steps = np.isfinite(np.diff(value, axis=0)).any(axis=0)
-    median, relative = np.full((2, *seen.shape), np.nan)
-    median[seen] = np.nanmedian(value[:, seen], axis=0)
-    with np.errstate(invalid="ignore"):
-        relative[steps] = sigma_of_frames(np.log(value[:, steps]))
-    size = float(np.nanmedian(relative)) if steps.any() else 0.0
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # of cells that have no value
+        median, relative = np.nanmedian(value, axis=0), sigma_of_frames(np.log(value))
+        size = float(np.nan_to_num(np.nanmedian(relative)))
     message = f"the noise is unknown: {100 * size:.2g} % a reading, from differences of neighbouring frames"
-    return median * np.fmax(np.nan_to_num(relative), max(size, 1e-6)), (message,)
+    return median * np.fmax(relative, max(size, 1e-6)), (message,)

@@ -286,8 +286,7 @@ def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: N
     sigma, resting_sigma, least = readings.sigma_of_values, resting.sigma_of_values, np.asarray(NOTICED_PERCENT / 100)
     if sigma is not None and resting_sigma is not None:
         least = OUTLIER_THRESHOLD * np.hypot(sigma / readings.shown, resting_sigma / resting.shown)
-    with np.errstate(invalid="ignore"):
-        noticed = np.abs(moved) > least
+    noticed = np.abs(moved) > least
     change = np.log(ratio[~open_cell & np.isfinite(ratio)])
     if not np.any(noticed) or not change.size:
         return NOTHING
