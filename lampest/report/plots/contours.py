@@ -320,9 +320,7 @@ class SweepPlot(Plot):
         for axes_row, name in zip(grid, quantities, strict=True):
             for axes, key in zip(axes_row, keys, strict=True):
                 _draw_lines(axes, key, cases, [values[name] for values in figures])
-                style.dressed(axes, "", QUANTITIES[name] if axes is axes_row[0] else "")
-        for axes, key in zip(grid[-1], keys, strict=True):
-            style.dressed(axes, key, "")
+                style.dressed(axes, key if name == quantities[-1] else "", QUANTITIES[name] if key == keys[0] else "")
         style.shared_legend(figure, grid, "lower center", ncols=3)
         return style.labelled(figure, "", "", cases[0].recording)
 
