@@ -12,7 +12,6 @@ from lampest.files.errors import InputError
 if TYPE_CHECKING:
     from lampest.estimate.calibration import Calibration
     from lampest.recording.board.record import Progress, Recorded
-    from lampest.recording.recording import Recording
 
 PORT = "Serial port such as /dev/ttyACM0, or a URL. Default: the Arduino. Repeat it for each module, in order."
 Port = Annotated[list[str] | None, screen.option(PORT)]
@@ -122,7 +121,12 @@ def calibrate(
 
             calibration = calibrate_channels(recordings)
         else:
-            calibration = _with_resistors(recordings, words, tolerance)
+            from lampest.estimate.calibration.resistors import calibrate_resistors
+            from lampest.estimate.calibration.trials import known_resistors
+
+            named = zip(recordings, words * (len(recordings) // len(words)), strict=True)
+            tables = [known_resistors(word, recording.scene.panel) for recording, word in named]
+            calibration = calibrate_resistors(recordings, tables, tolerance)
     if out is None:
         screen.say_text(calibration.text().removesuffix("\n"))
     else:
@@ -130,16 +134,6 @@ def calibrate(
         screen.say(f"{calibration.summary}: {out}")
     for warning in calibration.warnings:
         screen.warn(warning)
-
-
-def _with_resistors(recordings: "list[Recording]", words: list[str], tolerance: float) -> "Calibration":
-    """Return the calibration with the resistors that words name, one for all recordings or one for each."""
-    from lampest.estimate.calibration.resistors import calibrate_resistors
-    from lampest.estimate.calibration.trials import known_resistors
-
-    named = zip(recordings, words * (len(recordings) // len(words)), strict=True)
-    tables = [known_resistors(word, recording.scene.panel) for recording, word in named]
-    return calibrate_resistors(recordings, tables, tolerance)
 
 
 def live(

@@ -116,14 +116,13 @@ def refuse_large(cases: "Sequence[Case]") -> None:
     from lampest.files.process import in_bytes, memory_limit
     from lampest.recording.recording import recording_file
 
-    panels: dict[Path, Panel | None] = {}
+    panels: dict[Path, Panel] = {}
     for path in {case.path for case in cases}:
         # An unreadable recording fails later, as a case of its own.
         with suppress(InputError), recording_file(path) as (_, scene, _, _):
             panels[path] = scene.panel
-    for case in cases:
-        panel = panels.get(case.path)
-        seconds, size = case.estimator.effort(panel) if panel else (0.0, 0.0)
+    for case in (case for case in cases if case.path in panels):
+        seconds, size = case.estimator.effort(panels[case.path])
         if seconds > 120 or size > memory_limit():
             raise InputError(
                 f"{case.path}: {case.name} takes about {seconds / 60:.0f} min and {in_bytes(size)} of memory for the "

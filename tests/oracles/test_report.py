@@ -70,3 +70,5 @@ def test_prediction_error_is_what_fresh_readings_deviate_by() -> None:
         expected = 1 + share**2 + (1 - share) ** 2 * 0.49
         assert np.mean(predicted(known)) == pytest.approx(expected, rel=0.03)
         assert np.mean((fresh - model) ** 2) == pytest.approx(expected, rel=0.03)
+        far = predicted(dataclasses.replace(known, reading_model=model + 100))  # outliers do not decide
+        assert np.all(far == 25 + 2 * share)
