@@ -10,7 +10,6 @@ from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from lampest.files.errors import InputError
@@ -28,9 +27,7 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 def new_figure(height: float, width: float = WIDTH_INCH) -> Figure:
     """Return an empty figure; sizes in inches. Half of WIDTH_INCH fits a phone."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=(width, height), layout="constrained")
 
 
 def labelled(figure: Figure, x: str, y: str, title: str = "") -> Figure:
