@@ -139,9 +139,8 @@ class Detected:
     @property
     def chosen(self) -> Attachment | None:
         """The attachment of the answer: the last one that is present, or the last one."""
-        pairs = zip(self.attachments, self.called, strict=True)
-        named = [load for load, name in pairs if name == self.answer]
-        return next((load for load in reversed(named) if load.present), named[-1] if named else None)
+        pairs = zip(reversed(self.attachments), reversed(self.called), strict=True)
+        return max((load for load, name in pairs if name == self.answer), key=lambda load: load.present, default=None)
 
     @property
     def sentence(self) -> str:
