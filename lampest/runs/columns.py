@@ -53,7 +53,6 @@ def _check(sentence: str, right: Callable[[Array, NDArray[np.bool_]], Any], *, p
 
 
 finite = _check("must be finite", lambda values, solved: np.isfinite(values))
-positive = _check("must be positive and finite everywhere", lambda values, solved: (values > 0) & (values < np.inf))
 positive_or_missing = _check(
     "must be positive and finite, or NaN", lambda values, solved: np.isnan(values) | ((values > 0) & (values < np.inf))
 )
@@ -270,15 +269,17 @@ def _frame_numbers(done: Estimates) -> NDArray[np.intp]:
 
 
 def _truth(done: Estimates) -> Array | None:
-    """Return true cells, (frames, rows, columns) ohm, or None."""
+    """Return true cells, (frames, rows, columns) ohm, NaN where the scene has no intact cell, or None."""
     cells = done.recording.truth_cell_resistance
-    return None if cells is None else cells[done.frame]
+    return None if cells is None else np.where(done.recording.scene.broken, np.nan, cells[done.frame])
 
 
 def _truth_baseline(done: Estimates) -> Array | None:
-    """Return the mean of true unloaded cells, (rows, columns) ohm, or None."""
+    """Return the mean of true unloaded cells, (rows, columns) ohm, NaN without an intact cell, or None."""
     cells, unloaded = done.recording.truth_cell_resistance, done.recording.role == UNLOADED
-    return cells[unloaded].mean(axis=0) if cells is not None and np.any(unloaded) else None
+    if cells is None or not np.any(unloaded):
+        return None
+    return np.where(done.recording.scene.broken, np.nan, cells[unloaded].mean(axis=0))
 
 
 def _of_terms(done: Estimates, values: Sequence[Array] | Sequence[tuple[float, ...]]) -> dict[str, Array]:
@@ -421,9 +422,11 @@ class Content(Validated):
     bound_readings: NDArray[np.int64] | None = _counts(
         "readings at a rail, zero, or below the series resistance", shared=True, default=None
     )
-    truth: Array | None = _maps("ohm", "true cell resistance", positive, value=_truth, shared=True, default=None)
+    truth: Array | None = _maps(
+        "ohm", "true cell resistance", positive_or_missing, value=_truth, shared=True, default=None
+    )
     truth_baseline: Array | None = _cells(
-        "mean true unloaded cell resistance", positive, value=_truth_baseline, shared=True, default=None
+        "mean true unloaded cell resistance", positive_or_missing, value=_truth_baseline, shared=True, default=None
     )
     # The estimate of every frame, and the outcome of its solve.
     cell_resistance: Array = _maps("ohm", "estimated cell resistance", numbers_if_solved, not_zero_or_less)

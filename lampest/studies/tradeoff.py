@@ -291,10 +291,10 @@ def errors(estimates: Estimates) -> tuple[Array, Array]:
     # changed cells: by more than 5 % from the median of the true unloaded cells
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     resting = np.median(truth[unloaded], axis=0) if len(unloaded) else truth[0]
-    error = relative_error(estimates.cell_resistance, truth[estimates.frame])
+    error = np.where(recording.scene.broken, np.nan, relative_error(estimates.cell_resistance, truth[estimates.frame]))
     changed = np.abs(truth[estimates.frame] / resting - 1) > 0.05  # as `TradeoffFrame.changed_error` says
-    inside = [np.median(part[cells]) if cells.any() else np.nan for part, cells in zip(error, changed, strict=True)]
-    return np.median(error, axis=(1, 2)), np.array(inside)
+    inside = [np.nanmedian(part[cells]) if cells.any() else np.nan for part, cells in zip(error, changed, strict=True)]
+    return np.nanmedian(error, axis=(1, 2)), np.array(inside)
 
 
 def _costs(reference: Estimates) -> Iterator[tuple[Cost, Data]]:

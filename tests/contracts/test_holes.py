@@ -1,5 +1,6 @@
 """Readings that are missing, at a rail or beyond what bounds allow: they refuse nothing, and sentences say so."""
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 
 import lampest
+from lampest import Faults, Panel, Simulation, read_results, simulate
+from lampest.report.page import page
 from tests.estimates import recording_of
 
 Command = Callable[..., SimpleNamespace]
@@ -59,6 +62,22 @@ def test_a_batch_loses_a_file_that_is_cut_off_and_no_more(tmp_path: Path, lampes
         given = file["entry/holes/recording"]
         assert given["missing_readings"][()].tolist() == [1, 5, 20, 0, 0] and given["bound_readings"][0] == 1
         assert np.isnan(given["resistance"][1, 3]).all() and given["reading_side"][0, 2, 2] == 1
+
+
+def test_errors_and_coverage_are_those_of_intact_cells(tmp_path: Path, lampest: Command) -> None:
+    """Of a panel with a hole, an open and a shorted cell and a dead row; the report compares two estimators on it."""
+    places = tuple((*place, 10.0 * place[1], 10.0 * place[0]) for place in np.ndindex(6, 6) if place != (0, 0))
+    broken = Faults(open=((1, 1),), shorted=((2, 3),), dead_rows=(5,))
+    scene = dataclasses.replace(LOADED, panel=Panel(6, 6, cells=places), faults=broken)
+    simulate(Simulation(1, 3, scene, frames=4)).save(tmp_path / "broken.h5")
+    (tmp_path / "run.yaml").write_text(RUN.format("broken.h5").replace("misfit: {}", "misfit: {weighting: noise}"))
+    assert lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out").code == 0
+    results = tmp_path / "out" / "results.h5"
+    for case in read_results(results).cases:
+        known = page.figures(case)
+        assert known["cell error mean [%]"] < 2 and known[page.COVERED] > 80
+    assert lampest("compare", results, "--report", tmp_path / "page.html").code == 0
+    assert "has the smallest error of the cells" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
 def test_a_row_that_never_answers_is_named(tmp_path: Path, lampest: Command) -> None:

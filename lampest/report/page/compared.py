@@ -301,7 +301,7 @@ CELL_ERROR = Criterion(
     "%",
     "100·|ln(r/r_true)|, its median over cells and frames; the truth is known",
     log_error,
-    np.median,
+    np.nanmedian,
 )
 PREDICTION = Criterion(
     "prediction error",

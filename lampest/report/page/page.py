@@ -245,7 +245,7 @@ def figures(case: CaseResult) -> dict[str, Any]:
         known |= statistics(widths, "95 % intervals: {} width [% of the cell]", "mean")
         known["95 % intervals with an open end"] = int(np.sum(np.isinf(widths)))
         if case.truth is not None:
-            within = ((lower <= case.truth) & (case.truth <= upper))[case.solved]
+            within = ((lower <= case.truth) & (case.truth <= upper))[case.solved][np.isfinite(case.truth[case.solved])]
             known[COVERED] = 100 * float(np.mean(within)) if within.size else None
     known |= statistics(case.data_share, "share of an estimate that comes from the data, {} [1]", "median")
     known["cells at the lower bound"] = int(np.sum(case.at_lower_bound != 0))
