@@ -226,7 +226,7 @@ def _image(
 def _listen(board: int, port: str, own: Scene, period: float | None, arrived: Arrived, ended: Event) -> None:
     """Queue a board's samples and states until the end, then None.
 
-    An error before the first sample ends the queue. After a later error the port is opened again, any number of times:
+    An error before the first sample ends all boards. After a later error the port is opened again, any number of times:
     hubs that hang are unplugged and plugged in again.
     """
     sessions = 0
@@ -240,7 +240,5 @@ def _listen(board: int, port: str, own: Scene, period: float | None, arrived: Ar
                     arrived.put((board, replace(sample, session=sessions - 1)))
         except InputError as error:
             arrived.put((board, str(error) if sessions else error))
-            if not sessions:
-                break
             ended.wait(RETRY_SECONDS)
     arrived.put((board, None))

@@ -207,16 +207,15 @@ class Scanning:
         `after` is the next frame, whose clock follows that of `frame` if the numbers have restarted.
         """
         assert self.before is not None and self.last is not None
-        newest = max(self.before.time, self.last.time)
         steps, elapsed_ms = _since(self.before.frame, frame)
         if steps == 1 or 0 < 1e3 * steps * self.hello.period <= self._most_ms(self.before.host_time):
             moved = (steps + frame.missed) * self.hello.period
-            return self._sample(frame, newest + moved, steps - 1, 0, CLOCK_JUMPED)
+            return self._sample(frame, self.last.time + moved, steps - 1, 0, CLOCK_JUMPED)
         if not (0 < elapsed_ms < COUNTER // 2 and self._follows(after, frame, time.time())):
             return None
         # Longer gaps are impossible here: after SILENCE_SECONDS the board is identified anew.
         moved = min(elapsed_ms / 1000, SILENCE_SECONDS + max(time.time() - self.last.host_time, self.hello.period))
-        return self._sample(frame, newest + moved, max(round(moved / self.hello.period) - 1, 0), anew=1)
+        return self._sample(frame, self.last.time + moved, max(round(moved / self.hello.period) - 1, 0), anew=1)
 
 
 def _since(before: Frame, frame: Frame) -> tuple[int, int]:
