@@ -473,11 +473,11 @@ def _check_fit(fit: CircuitFit) -> None:
     if fdtrc(freedom, repeated, fit.chi_square / freedom) < 1e-7:  # of good calibrations may be refused
         deviation = np.abs(fit.residual) / fit.sigma
         index = int(deviation.argmax())
-        names = [trial.name for trial in trials for _ in range(trial.used.sum())]
-        row, column = np.concatenate([np.argwhere(trial.used) for trial in trials])[index]
+        places = [(trial.name, *place) for trial in trials for place in np.argwhere(trial.used)]
+        name, row, column = places[index]
         measured = fit.problem.measured[index]
         raise InputError(
-            f"{names[index]}: no calibration: row {row}, column {column} reads {spoken(measured)}, but behind the "
+            f"{name}: no calibration: row {row}, column {column} reads {spoken(measured)}, but behind the "
             f"circuit that fits best the known resistors give {spoken(measured - fit.residual[index])}; noise and "
             f"tolerances explain {100 * np.mean(deviation < 3):.0f} % of the readings"
         )
