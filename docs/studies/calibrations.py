@@ -48,8 +48,8 @@ class Draw:
         """Frames through the true board; cells (rows, columns), or one set for each frame."""
         frames = cells if cells.ndim == 3 else np.repeat(cells[None], self.frames, axis=0)
         series = self.truth if self.told.circuit.unit == "ohm" else [np.zeros(n) for n in self.told.panel.shape]
-        total = self.actual.simulated(frames, self.told, *series)
-        sums = sums_of_codes(self.actual, total, Unmodelled(outlier_probability=1e-4), seed)
+        volt = self.actual.volt_from_recorded(self.actual.simulated(frames, self.told, *series))
+        sums = sums_of_codes(self.actual, volt, Unmodelled(outlier_probability=1e-4), seed)
         values, time = self.told.circuit.recorded_from_sums(sums, self.actual.readings), np.arange(float(len(sums)))
         return Recording(self.told, values, time, np.ones(len(sums), dtype=np.uint8), name="r")
 

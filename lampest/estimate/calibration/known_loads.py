@@ -132,12 +132,9 @@ class KnownLoads:
         def moved(*step: float) -> Array:
             return np.stack([load.pressure(panel, patch, *step) for load in self.loads])
 
-        pressure = moved()
-        if not shift:
-            return pressure, np.zeros_like(pressure)
         # σ_p = √((Δp_x/2)² + (Δp_y/2)²), from displacements by ± place_mm
         across, down = moved(shift, 0.0) - moved(-shift, 0.0), moved(0.0, shift) - moved(0.0, -shift)
-        return pressure, np.hypot(across, down) / 2
+        return moved(), np.hypot(across, down) / 2
 
 
 def read_known_loads(path: Path) -> KnownLoads:

@@ -168,13 +168,11 @@ def measured(
     if scene.readout is None:
         return total, None
     # Voltages at the converter: memory of the previous channel, gain, ripple, nonlinearity, saturation; then codes.
+    volt = actual.volt_from_recorded(total)
     if scene.converter_memory is not None:
-        volt = with_memory(actual, scene.converter_memory, actual.volt_from_recorded(total))
-        total = actual.recorded_from_volt(volt)
-    if unmodelled.supply_ripple_lsb or unmodelled.gain_spread or unmodelled.inl_lsb or unmodelled.saturation:
-        volt = _disturbed(actual, actual.volt_from_recorded(total), unmodelled, seed, period_s)
-        total = actual.recorded_from_volt(volt)
-    sums = sums_of_codes(actual, total, unmodelled, seed, on_frame)
+        volt = with_memory(actual, scene.converter_memory, volt)
+    volt = _disturbed(actual, volt, unmodelled, seed, period_s)
+    sums = sums_of_codes(actual, volt, unmodelled, seed, on_frame)
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
 
 
@@ -230,20 +228,19 @@ def _channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int, *, late: bo
 
 
 def sums_of_codes(
-    readout: Readout, total: Array, unmodelled: Unmodelled, seed: int, on_frame: Callable[[], None] = lambda: None
+    readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int, on_frame: Callable[[], None] = lambda: None
 ) -> NDArray[np.int64]:
-    """Return Σ code(V + noise) over `readings` conversions of recorded readings `total`, (frames, rows, columns).
+    """Return Σ code(V + noise) over `readings` conversions of voltages V, (frames, rows, columns).
 
     Outliers are random codes.
     """
     noise, outliers = random_stream(seed, "noise"), random_stream(seed, "outliers")
     sigma = readout.noise_volt() * (1.0 if unmodelled.noise_factor is None else unmodelled.noise_factor)
-    sums = np.empty(total.shape, dtype=np.int64)
-    for frame, volt in enumerate(readout.volt_from_recorded(total)):
-        sums[frame] = 0
+    sums = np.zeros(volt.shape, dtype=np.int64)
+    for frame, exact in enumerate(volt):
         for first in range(0, readout.readings, 64):  # 64 conversions at once
-            shape = (min(64, readout.readings - first), *volt.shape)
-            codes = readout.code_from_volt(volt + sigma * noise.standard_normal(shape))
+            shape = (min(64, readout.readings - first), *exact.shape)
+            codes = readout.code_from_volt(exact + sigma * noise.standard_normal(shape))
             if unmodelled.outlier_probability > 0:
                 hit = outliers.random(shape) < unmodelled.outlier_probability
                 codes = np.where(hit, outliers.integers(0, 2**readout.adc_bits, shape), codes)
