@@ -160,9 +160,8 @@ def measured(
         axis = 2 if actual.by_columns else 1
         lines = [part.take(line, axis) for line, part in enumerate([total, *passes])]
         total = np.stack(lines, axis=axis)
-    if unmodelled.reading_error:
-        normal = random_stream(seed, "readings").standard_normal(scene.panel.shape)
-        total = total * np.exp(unmodelled.reading_error * normal)
+    normal = random_stream(seed, "readings").standard_normal(scene.panel.shape)
+    total = total * np.exp((unmodelled.reading_error or 0.0) * normal)
     if actual.unit == "ohm" and not np.all(total > 0):
         raise ValueError("unmodelled.channel_spread_ohm makes a resistance negative; give a series resistance above it")
     if scene.readout is None:

@@ -85,9 +85,9 @@ class Course(Configuration):
         Suction starts at the end of the approach.
         """
         touched = time - self.start_s
-        factor = 1 + self.breathing_depth * np.sin(2 * np.pi * self.breathing_hz * touched)
-        if self.release_at_s is not None:
-            factor = factor * (1 - _ramp(time - self.release_at_s, self.release_s))
+        released = time - (np.inf if self.release_at_s is None else self.release_at_s)
+        breathing = 1 + self.breathing_depth * np.sin(2 * np.pi * self.breathing_hz * touched)
+        factor = breathing * (1 - _ramp(released, self.release_s))
         suction = _ramp(touched - self.approach_s, self.attachment_s)
         # Pumps: an exponential loss by pump_loss per period, made up within PUMPED_S at the begin of the next one.
         if self.pump_s:
@@ -95,8 +95,7 @@ class Course(Configuration):
             lost = (1 - self.pump_loss) ** (np.mod(since, self.pump_s) / self.pump_s)
             rising = (since >= self.pump_s) * (1 - _ramp(np.mod(since, self.pump_s), PUMPED_S))
             suction = suction * (lost - (lost - 1 + self.pump_loss) * rising)
-        if self.release_at_s is not None:
-            suction = suction * (1 + self.pull_off * _ramp(time - self.release_at_s + PUMPED_S, PUMPED_S))
+        suction = suction * (1 + self.pull_off * _ramp(released + PUMPED_S, PUMPED_S))
         return _ramp(touched, self.approach_s) * factor, suction * factor
 
 
@@ -301,9 +300,8 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 
     with np.errstate(over="ignore", under="ignore", invalid="ignore"):
         ratio = _film_ratio(simulation, time, later_s)
-        if unmodelled.response_loss or unmodelled.response_spread:
-            loss, spread = unmodelled.response_loss or 0.0, unmodelled.response_spread or 0.0
-            ratio = ratio ** ((1 - loss) * np.exp(spread * normal("response")))
+        loss, spread = unmodelled.response_loss or 0.0, unmodelled.response_spread or 0.0
+        ratio = ratio ** ((1 - loss) * np.exp(spread * normal("response")))
         rate = unmodelled.drift_per_minute * normal("drift") + (unmodelled.common_drift_per_minute or 0.0)
         drift = np.exp(rate / 60 * time[:, None, None])
         unloaded = simulation.cells.resistance_ohm * np.exp(simulation.cells.spread * normal("cells"))
