@@ -2,7 +2,7 @@
 
 Plain least squares of two-point readings begins at the convex start. A frame that follows another begins at the
 previous estimate. A first frame whose cost may have several minima begins at the baseline, at equal cells, and at the
-convex start, or at scattered cells for readouts without one.
+readout's own start.
 """
 
 from collections.abc import Iterable, Iterator
@@ -108,7 +108,7 @@ def starts(cost: Cost, data: Data, previous: Array | None) -> Iterator[Array]:
     if previous is not None:
         yield previous
     yield data.uniform_start
-    yield convex(data, None) if data.readout.unique else next(scattered(data))
+    yield convex(data, None)
 
 
 def scattered(data: Data) -> Iterator[Array]:

@@ -259,6 +259,16 @@ def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.2
 
 
+@pytest.mark.parametrize("readout", [one for one in READOUTS.values() if one.unit == "volt"])
+def test_a_start_of_cells_that_are_alike_reproduces_the_readings(readout: Any) -> None:
+    """Within the change of log g at which its rounds end; from cells nearby it ends there, too."""
+    cells = cells_of(shape=(ROWS, COLUMNS)) ** 0.5 * 50.0
+    exact, open_end = readout.exact_reading(cells), np.full(cells.shape, np.inf)
+    for near in (None, 1.3 * cells):
+        assert_allclose(readout.start(exact, open_end, near), cells, rtol=0.02)
+    assert readout.start(exact, np.full(cells.shape, 2000.0)).max() == 2000.0
+
+
 def test_a_file_with_a_readout_that_nobody_knows_says_so_when_it_is_written_and_when_it_is_read(tmp_path: Path) -> None:
     recording = simulate(Simulation(1, 5, Scene(Panel(*SHAPE), UNLIKE), frames=2))
     odd = replace(recording, scene=replace(recording.scene, readout=Divider()))

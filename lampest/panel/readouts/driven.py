@@ -19,6 +19,7 @@ import numpy as np
 
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration, check_ranges
+from lampest.panel.network import inverse_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.lines import (
@@ -39,6 +40,9 @@ from lampest.panel.readouts.lines import (
 from lampest.panel.readouts.readout import MIN_LOAD_SHARE, SHORT_SHARE, FreeTest, Readout, Surroundings
 
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
+# Alternating start: rounds, change of log g at convergence, and range of conductances about those of the closed form,
+# beyond which a reading no longer depends on its cell (tests/oracles).
+MAX_ROUNDS, CONVERGED, MIN_RATIO, MAX_RATIO = 40, 1e-3, 0.02, 1e3
 
 
 class DrivenReadout(Readout):
@@ -147,9 +151,12 @@ class DrivenReadout(Readout):
         """Return V_ij = c_j·U_i·Z_ij/D_i/k_j."""
         drive, load, gain = (np.broadcast_to(part, mutual.shape) for part in self._circuit(mutual.shape))
         driven, sensed = of_side(self.driven, row, column)
-        # D: Rd of lines at ground, Rd + Z_ii of floating lines
-        resistance = driven + drive if self.idle_floats else drive
-        volt = mutual * gain * self._supply(resistance) / resistance
+        if self.idle_floats:
+            # Floating idle lines: V = c·U(D)·Z_ij/D with D = Rd + Z_ii
+            resistance = driven + drive
+            volt = mutual * gain * self._supply(resistance) / resistance
+        else:
+            volt = mutual * (self.driving_volt * gain / drive)
         # One load at a time: /k_j, k_j = 1 + Z_jj/Rs_j
         return volt if self.all_loaded else volt / (sensed * (1 / load) + 1)
 
@@ -177,6 +184,54 @@ class DrivenReadout(Readout):
         remainder = 1 - share.sum(axis=driven, keepdims=True)
         # A negative remainder is noise, or the substitute of a dead line. Then the load counts as one more cell.
         return np.asarray(load * np.where(remainder > MIN_LOAD_SHARE, remainder, 1 / (1 + share.shape[driven])) / share)
+
+    def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
+        """Return cells that reproduce the readings, (rows, columns) ohm, by alternating potentials and cells.
+
+        The cells determine the potentials u_p of all driven lines p while i is driven and j is read. Given these
+        potentials, Σ_p g_pj (u_p − v_ij) = v_ij/Rs_j is linear in the cells of one sensed line. The alternation
+        converges in about six rounds, and in up to 40 for large Rd. The result is a start, not an estimate: its
+        conductances stay within MIN_RATIO and MAX_RATIO of those of the uniform start.
+        """
+        drive, load, gain = self._circuit(measured.shape)
+        volt, ideal = self._turned(measured / gain), self._turned(1 / self.uniform_start(measured))
+        drive, load = drive.ravel(), load.ravel()
+        conductance = ideal if near is None else np.clip(self._turned(1 / near), MIN_RATIO * ideal, MAX_RATIO * ideal)
+        for _ in range(MAX_ROUNDS):
+            potentials, before = self._driven_potentials(conductance, volt, drive, load), conductance
+            # One linear system for each sensed line j: rows i (driven while j is read), unknowns g_pj.
+            solved = np.linalg.solve(potentials - volt.T[:, :, None], (volt / load).T[:, :, None])[:, :, 0].T
+            conductance = np.clip(solved, MIN_RATIO * ideal, MAX_RATIO * ideal)
+            if np.abs(np.log(conductance / before)).max() < CONVERGED:
+                break
+        return np.asarray(np.minimum(self._turned(1 / conductance), upper))
+
+    def _turned(self, values: Array) -> Array:
+        """Return values (rows, columns) as (driven, sensed), or the reverse."""
+        return values if self.driven == "rows" else values.T
+
+    def _driven_potentials(self, conductance: Array, volt: Array, drive: Array, load: Array) -> Array:
+        """Return the potentials of driven lines p while j is read and i is driven, (sensed j, driven i, driven p) volt.
+
+        Parameters
+        ----------
+        conductance : array, shape (driven, sensed)
+            Siemens.
+        volt : array, shape (driven, sensed)
+            Voltages of the sensed lines.
+        drive, load : array, shapes (driven,), (sensed,)
+            Rd and Rs, ohm.
+        """
+        count = len(drive)
+        impedance = inverse_of(conductance, np.concatenate([1 / drive, 1 / load if self.all_loaded else 0 * load]))
+        # Potentials of all lines while line i is driven: Z_·i·Vcc/Rd_i
+        at_supply = impedance[:, :count] * (self.driving_volt / drive)
+        open_circuit = np.broadcast_to(at_supply[:count].T, (len(load), count, count))
+        if self.all_loaded:
+            return open_circuit
+        # Sherman–Morrison: the load of line j draws V_j/(Rs_j + Z_jj), which lowers u_p by Z_jp times this current.
+        sinking = at_supply[count:] / (load + np.diag(impedance)[count:])[:, None]
+        return np.asarray(open_circuit - sinking[:, :, None] * impedance[count:, None, :count])
 
     def nearly_shorted(self, measured: Array) -> Array:
         """Return cells that count as shorts, also bounded by a share of the uniform start, (…, rows, columns) ohm.
@@ -376,6 +431,17 @@ class LoadedColumnsReadout(DrivenReadout):
 
     def _lost(self, current: Array) -> Array:
         return super()._lost(current) if self.diode is None else self.diode.drop(current)
+
+    def _driven_potentials(self, conductance: Array, volt: Array, drive: Array, load: Array) -> Array:
+        """Return the potentials from currents: Σ_j v_ij/Rs_j through the driven line, none through floating ones.
+
+        For a floating line u_p Σ_j g_pj = Σ_j g_pj v_ij.
+        """
+        potentials = (volt @ conductance.T) / conductance.sum(axis=1)
+        # The driven line is above every sensed one: a lower limit against noise.
+        driven = self._driven_volt((volt / load).sum(axis=1), drive)
+        np.fill_diagonal(potentials, np.maximum(driven, volt.max(axis=1) * (1 + 1e-6)))
+        return np.asarray(potentials[None])
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
         """Return the lower bounds r_ij ≥ u_i/I_i − Rs_j of the cells, (…, rows, columns) ohm.
