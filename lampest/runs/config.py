@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, make_dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -246,17 +245,9 @@ class _Source:
         """Return the case of an estimator of that name."""
         recording = self.path.stem
         content = {"recording": recording, "recording_sha256": self.sha256, "estimator": name, "case_format": 1}
-        entries = {key: value for key, value in (content | plain_content(estimator)).items() if value is not None}
-        # The concatenated texts of the entries, in the order of their keys, are the text of the mapping.
-        resolved = "".join(_block(key, json.dumps(plain_content(entries[key]))) for key in sorted(entries))
+        resolved = to_yaml(content | plain_content(estimator))
         names = (self.path, self.sha256, recording, name)
         return Case(*names, estimator, resolved, hash_of(resolved), self.stored, swept, self.frames)
-
-
-@lru_cache(maxsize=4096)
-def _block(key: str, value: str) -> str:
-    """Return the YAML text of an entry given as JSON; cached, since YAML is slow and cases share most entries."""
-    return to_yaml({key: json.loads(value)})
 
 
 def hash_of(resolved: str) -> str:
