@@ -44,17 +44,14 @@ class FrameNoise:
 
         `baseline` states whether the first frame is the mean of the unloaded ones, whose random errors are smaller.
         """
-        parts = [self._of_frame(frame) for frame in measured]
-        if baseline:
-            parts[0] = parts[0] / np.sqrt(self.unloaded)
-        if self.effect_errors is not None:
-            fractions = [
-                self.effect_errors[int(number > 0 or not baseline)] * frame for number, frame in enumerate(measured)
-            ]
-            parts = [
-                np.column_stack([part, fraction.reshape(len(fraction), -1).T])
-                for part, fraction in zip(parts, fractions, strict=True)
-            ]
+        parts = []
+        for number, frame in enumerate(measured):
+            resting = baseline and number == 0
+            columns = self._of_frame(frame) / (np.sqrt(self.unloaded) if resting else 1.0)
+            if self.effect_errors is not None:
+                fractions = self.effect_errors[0 if resting else 1] * frame
+                columns = np.column_stack([columns, fractions.reshape(len(fractions), -1).T])
+            parts.append(columns)
         return np.asarray(linalg.block_diag(*parts))
 
     def _of_frame(self, measured: Array) -> Array:
