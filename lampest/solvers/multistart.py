@@ -18,19 +18,18 @@ from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.preconditioners import Preconditioner
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.solution import MAX_STARTS, VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
+from lampest.solvers.solution import MAX_STARTS, VERIFIED, Outcome, Solution, Solver, Status, check, failure
 
 BROKEN = (ArithmeticError, ValueError, RuntimeError)  # raised by numpy, LAPACK, SuperLU and CasADi for bad numbers
 # Where the first start of a first frame met negative curvature, 3 of 9 frames of the bench ended 0.5 to 45 % above the
 # best of three starts (docs/studies/speed.md).
 FIRST_STARTS = 3
 MAX_SPENT, MAX_UNSOLVED = 100, 300  # iterations of all starts after which a frame ends: with, and without an estimate
+# Tolerance of polishing steps of readings in volt: they are large compared with their noise, and so is the cost that
+# scales the test of optimality.
+FINE = 1e-12
 START_SPREAD = 20.0  # largest factor between a scattered start and the apparent resistance
 SAME_MINIMUM = 1e-9  # relative difference of cost below which two minima are the same
-LAST_STEPS = Settings(max_iterations=20)
-# Readings in volt are large compared with their noise, and so is the cost that scales the test of optimality: polishing
-# steps of such readouts have a finer tolerance.
-FINE_STEPS = Settings(tolerance=1e-12, max_iterations=20)
 
 
 def best_solution(
@@ -158,11 +157,9 @@ def solved_from(solver: Solver, start: Evaluation) -> Solution:
         settled, unique = solution.strict and solution.kkt_residual <= VERIFIED / 10, start.data.readout.unique
         if isinstance(solver, ProjectedNewton) or outcome.status is not Status.OPTIMUM or (settled and unique):
             return solution
-        # Polish from the solver's cells and, if that gives no strict minimum, from the start. Absolute losses are
-        # smoothed in several widths, for which few steps do not suffice.
-        steps, near_minimum = LAST_STEPS if unique else FINE_STEPS, solution.solved and not len(start.nonsmooth)
-        newton = ProjectedNewton(solver.cost, steps if near_minimum else solver.settings)
-        reached = [solution]
+        # Polish from the solver's cells and, if that gives no strict minimum, from the start.
+        steps = solver.settings if unique else replace(solver.settings, tolerance=FINE)
+        newton, reached = ProjectedNewton(solver.cost, steps), [solution]
         for near in (evaluated(solver.cost, start.data, outcome.cell_resistance), start):
             polished = check(start, replace(newton.solve(start.data, near), iterations=outcome.iterations))
             reached.append(polished)
