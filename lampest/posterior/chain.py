@@ -120,8 +120,6 @@ class Chain:
     @cached_property
     def _root(self) -> Array:
         """E times a square root of the border's covariance, (frames, cells, n)."""
-        if not self.corner.size:
-            return self._follow
         return np.asarray(self._follow @ np.linalg.cholesky(self.border_covariance))
 
     def shared_variance(self, frame: int) -> Array:

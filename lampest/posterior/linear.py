@@ -104,8 +104,6 @@ class LinearModel:
     @cached_property
     def unread_rows(self) -> NDArray[np.bool_]:
         """Whether a penalty involves a free cell whose own reading is missing, boolean (penalty rows,)."""
-        if not self.unread.any():
-            return np.zeros(len(self.penalty_term), dtype=bool)
         return np.asarray(abs(self.penalty_jacobian)[:, self.free[self.unread]].sum(axis=1) > 0)
 
     @cached_property

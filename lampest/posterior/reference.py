@@ -318,7 +318,7 @@ class ReferenceFit:
             matrix[np.diag_indices(len(matrix))] += MODEL.ridge * np.trace(matrix) / len(matrix)
             covariance, log_volume = inverse_and_volume(matrix)
             slope = jacobian.T @ (readings * residual) + self.steps.T @ (steps * step)
-            change = self._within_bounds(matrix, covariance, slope)
+            change = self._within_bounds(matrix, slope)
             # Residuals and steps at û, and their variances diag(J S Jᵀ) and diag(D S Dᵀ).
             missed, stepped = residual + jacobian @ change, step + self.steps @ change
             missed_variance = np.sum((jacobian @ covariance) * jacobian, axis=1)
@@ -345,17 +345,15 @@ class ReferenceFit:
         )
         return replace(updated, change=change, bound=float(bound), residual_variance=residual_variance)
 
-    def _within_bounds(self, matrix: Array, covariance: Array, slope: Array) -> Array:
+    def _within_bounds(self, matrix: Array, slope: Array) -> Array:
         """Return the Gauss–Newton step of the cells, with cells at active bounds held.
 
-        `matrix` is the upper triangle of the Hessian, `covariance` its inverse.
+        `matrix` is the upper triangle of the Hessian.
         """
         lower, upper = (np.ravel(bound[self.frame])[self.cells] for bound in self.data.log_bounds)
         place = self.position[self.cells]
         # Active set: fixed cells, and cells that the gradient presses against a bound; Newton step of the others.
         held = (upper <= lower) | ((place <= lower) & (slope > 0)) | ((place >= upper) & (slope < 0))
-        if not held.any():
-            return np.asarray(-covariance @ slope)
         free, change = np.flatnonzero(~held), np.zeros(len(slope))
         symmetric = np.triu(matrix) + np.triu(matrix, 1).T
         change[free] = -np.linalg.solve(symmetric[np.ix_(free, free)], slope[free])
