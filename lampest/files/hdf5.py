@@ -132,14 +132,18 @@ def write_dataset(
     """
     data = np.asarray(data)
     if data.shape and data.size > 64:  # fewer are not worth compression
-        length = max(1, min(len(data), CHUNK // int(np.prod(data.shape[1:]))))
         packing = PACKED if _shrinks(data) else UNPACKED
-        dataset: Any = group.create_dataset(name, data=data, chunks=(length, *data.shape[1:]), **packing)
+        dataset: Any = group.create_dataset(name, data=data, chunks=chunk_of(data.shape), **packing)
     else:
         dataset = write_plain(group, name, data)
     set_attributes(dataset, units=units, long_name=long_name, **further)
     if any(scales):
         attach_scales(group, {name: scales})
+
+
+def chunk_of(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the shape of a chunk of whole frames of a dataset."""
+    return max(1, min(shape[0], CHUNK // int(np.prod(shape[1:])))), *shape[1:]
 
 
 def _shrinks(data: NDArray[Any]) -> bool:

@@ -20,8 +20,6 @@ class DatasetPlan(NamedTuple):
     ----------
     shape : tuple of int
         Shape of the dataset.
-    length : int
-        Length of its chunks along the first axis.
     packing : mapping
         Options of compression and checksums.
     dtype : dtype
@@ -36,7 +34,6 @@ class DatasetPlan(NamedTuple):
     """
 
     shape: tuple[int, ...]
-    length: int
     packing: Mapping[str, Any]
     dtype: Any
     scales: tuple[str, ...]
@@ -78,8 +75,8 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     joined = {path: plan for path, plan in plans.items() if plan.along and len(parts) > 1}
     for path, plan in joined.items():
         shape = (_lengths(plans)[path.split("/", 1)[0]], *plan.shape[1:])
-        fill, chunks = np.nan if plan.dtype.kind == "f" else None, (plan.length, *shape[1:])
-        target.create_dataset(path, shape, plan.dtype, chunks=chunks, fillvalue=fill, **plan.packing)
+        fill = np.nan if plan.dtype.kind == "f" else None
+        target.create_dataset(path, shape, plan.dtype, chunks=hdf5.chunk_of(shape), fillvalue=fill, **plan.packing)
     for part, begin in zip(parts, begins, strict=True):
         with hdf5.existing_file(part) as file:
             for path, node in _within(file, group):
@@ -102,13 +99,11 @@ def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> 
     scales = () if dataset.is_scale else tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims)
     along = f"{dataset.name if dataset.is_scale else (*scales, '')[0]}".endswith(f"/{TIME}")
     shape, dtype = dataset.shape, dataset.dtype
-    length = 1 if not shape else dataset.chunks[0] if dataset.chunks else max(shape[0], 1)
     packing = hdf5.PACKED if dataset.compression or not dataset.chunks else hdf5.UNPACKED
     if before is not None and along:
-        shape, length = (before.shape[0] + shape[0], *shape[1:]), max(before.length, length)
-        packing = before.packing
+        shape, packing = (before.shape[0] + shape[0], *shape[1:]), before.packing
         dtype = max(before.dtype, dtype, key=lambda kind: int(kind.itemsize))
-    return DatasetPlan(tuple(shape), length, packing, dtype, scales, bool(dataset.is_scale), along, owner)
+    return DatasetPlan(tuple(shape), packing, dtype, scales, bool(dataset.is_scale), along, owner)
 
 
 def _lengths(plans: Mapping[str, DatasetPlan]) -> dict[str, int]:
