@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.batch import push_streams, solve_baselines
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise import MAX_NAMED, NoiseEstimate
+from lampest.estimate.noise import MAX_NAMED, NoiseEstimate, named_modules
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
@@ -276,15 +276,8 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
 
 def _sentence(layout: Modules, steps: Sequence[Step | None], status: Status) -> str:
     """Return the weakest status of the modules, and the reasons why modules have no estimate, in words."""
-    reasons: dict[str, list[int]] = {}
-    for number, step in enumerate(steps):
-        if step is None or not step.solution.solved:
-            reasons.setdefault("dead" if step is None else step.status, []).append(number)
-    if sum(map(len, reasons.values())) == len(steps):
+    unsolved = {n: step for n, step in enumerate(steps) if step is None or not step.solution.solved}
+    if len(unsolved) == len(steps):
         return status.value
-    messages = [status.value]
-    for reason, numbers in reasons.items():
-        named = ", ".join(str(list(layout.place(number))) for number in numbers[:MAX_NAMED])
-        more = f" and {len(numbers) - MAX_NAMED} more" if len(numbers) > MAX_NAMED else ""
-        messages.append(f"module{'s' if len(numbers) > 1 else ''} {named}{more}: {reason}")
-    return "; ".join(messages)
+    reasons = {number: "dead" if step is None else step.status for number, step in unsolved.items()}
+    return "; ".join([status.value, *named_modules(layout, reasons, MAX_NAMED)])

@@ -8,7 +8,7 @@ A component is kept where χ² of its deviations against the noise has a tail pr
 variance is that of its deviations less the noise's, times ν/(ν − 2), the variance of Student's t with ν degrees.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -289,6 +289,25 @@ def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[Nois
     joined = Readings.of_parts(layout, readings)
     image = NoiseEstimate(layout.joined(outliers), (), joined, of_modules=tuple(every))
     return image.with_warnings(*messages[:MAX_NAMED], more)
+
+
+def named_modules(layout: Modules, texts: Mapping[int, str], most: int | None = None) -> tuple[str, ...]:
+    """Return sentences on modules, one for each text: 'modules [0, 1], [0, 2] and 3 more: dead'.
+
+    Parameters
+    ----------
+    layout : Modules
+    texts : mapping
+        Number of a module to its text.
+    most : int, optional
+        Largest number of named modules in a sentence.
+    """
+    sentences = []
+    for text in dict.fromkeys(texts.values()):
+        names = [str(list(layout.place(number))) for number in texts if texts[number] == text]
+        more = f" and {len(names) - most} more" if most and len(names) > most else ""
+        sentences.append(f"module{'s' if len(names) > 1 else ''} {', '.join(names[:most])}{more}: {text}")
+    return tuple(sentences)
 
 
 def shown_noise(readout: Readout, factor: float) -> tuple[float, float]:

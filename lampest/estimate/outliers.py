@@ -38,18 +38,16 @@ Expected = tuple[Array, Array, Array]
 Predictor = Callable[[Array, NDArray[np.intp]], Expected]  # arguments: the neighbours, and their offsets in frames
 
 
-def detect_outliers(
-    value: Array, scale: Array, max_share: float | Array = 1.0
-) -> tuple[NDArray[np.bool_], Array, Array]:
+def detect_outliers(value: Array, scale: Array, max_share: float = 1.0) -> tuple[NDArray[np.bool_], Array, Array]:
     """Flag readings that deviate from the prediction of their neighbouring frames.
 
     Parameters
     ----------
-    value : array, shape (frames, ..., rows, columns)
+    value : array, shape (frames, rows, columns)
         Readings in temporal order; NaN where missing.
     scale : array, same shape
         Standard deviations of the readings; where it is zero, nothing is flagged.
-    max_share : float or array
+    max_share : float
         Frames with a larger share of flagged readings were touched, and are not flagged.
 
     Returns
@@ -64,7 +62,7 @@ def detect_outliers(
     first = np.clip(frames - WINDOW // 2, 0, len(value) - width)
     expected = [_from_window(value, first, frames - first, predict) for predict in predictors]
     scale = np.broadcast_to(median(scale), scale.shape)  # of the frames around: that of a touched cell is another
-    outlying, size = np.zeros(value.shape, dtype=bool), len(value) * value.shape[-2] * value.shape[-1]
+    outlying, size = np.zeros(value.shape, dtype=bool), value.size
     with np.errstate(divide="ignore", invalid="ignore"):
         for prediction, predict in zip(expected, predictors, strict=True):
             far = _exceeds_threshold(value, scale, prediction)
@@ -120,31 +118,30 @@ def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool
     ----------
     circuit : Readout
     readings : Readings
-        (frames, ..., rows, columns).
+        (frames, rows, columns).
 
     Returns
     -------
     boolean array, same shape
     """
-    shape, sigma = readings.value.shape, readings.sigma_of_values
-    if sigma is None:
-        return np.zeros(shape, dtype=bool)
-    value, sigma = (values.reshape(-1, *shape[-2:]) for values in (readings.value, sigma))
+    value, sigma = readings.value, readings.sigma_of_values
     outliers, frames = np.zeros(value.shape, dtype=bool), np.arange(len(value))
+    if sigma is None:
+        return outliers
     for _ in range(int(MAX_SHARE * value[0].size) + 1):
         broken = np.zeros(len(frames), dtype=bool)
         for test in circuit.free_tests(value[frames], np.where(outliers, np.inf, sigma)[frames]):
             if test.single is None:
                 continue
             # the largest excess of all frames decides on the significance
-            broken |= (significant := largest_of(test.excess, test.count * shape[0]) < FALSE_ALARM_RATE)
+            broken |= (significant := largest_of(test.excess, test.count * len(value)) < FALSE_ALARM_RATE)
             place = test.single.reshape(len(frames), -1).argmax(axis=1)
             outliers.reshape(len(outliers), -1)[frames[significant], place[significant]] = True
         frames = frames[broken]
         if not len(frames):
             break
     outliers[frames] = False
-    return outliers.reshape(shape)
+    return outliers
 
 
 def without_outliers(
@@ -152,20 +149,20 @@ def without_outliers(
 ) -> tuple[NDArray[np.bool_], Readings]:
     """Return the outliers and the readings without them: unloaded outliers are omitted, measured ones replaced.
 
-    Bounds are never outliers. Each of several panels is judged on its own.
+    Bounds are never outliers.
 
     Parameters
     ----------
-    impossible : boolean array, shape (frames, ..., rows, columns)
+    impossible : boolean array, shape (frames, rows, columns)
         Readings that no cells allow; they are omitted in all frames.
     readings : Readings
-        (frames, ..., rows, columns).
+        (frames, rows, columns).
     unloaded : boolean array, shape (frames,)
         Unloaded and measured frames are compared separately, because a load arrives between them.
 
     Returns
     -------
-    boolean array, shape (frames, ..., rows, columns)
+    boolean array, shape (frames, rows, columns)
         The outliers.
     Readings
         The readings without them.
@@ -177,16 +174,16 @@ def without_outliers(
     # The specified σ may be wrong, so it is rescaled by the median change from frame to frame, which is noise.
     seen = [_pair_scale(value[chosen], sigma[chosen]) for chosen in (unloaded, ~unloaded)]
     scale = sigma * np.fmax(seen[0] if unloaded.sum() >= MIN_FRAMES else seen[1], float(readings.sigma is not None))
-    most: float | Array = 1.0
+    most = 1.0
     for chosen in (unloaded, ~unloaded):
         if chosen.sum() >= MIN_FRAMES:
             detected = detect_outliers(value[chosen], scale[chosen], most)
             outlying[chosen], instead[chosen], spread[chosen] = detected
-            most = np.maximum(MAX_SHARE, 2 * detected[0].mean(axis=(0, -2, -1), keepdims=True))
+            most = max(MAX_SHARE, 2 * float(detected[0].mean()))
         else:
             most = MAX_SHARE
     resting = median(value[unloaded])[0] if unloaded.any() else np.full(value.shape[1:], np.nan)
-    lies = unloaded.reshape(-1, *(1,) * resting.ndim)
+    lies = unloaded[:, None, None]
     outlying &= lies | _alone_in_time(value, scale, resting, ~unloaded)
     left = replace(readings, seen=np.where(outlying & lies, 0.0, readings.seen))
     return outlying | impossible, _replaced(left, outlying & ~lies, instead, spread)
@@ -200,9 +197,9 @@ def _alone_in_time(value: Array, scale: Array, resting: Array, measured: NDArray
 
     Parameters
     ----------
-    value, scale : array, shape (frames, ..., rows, columns)
+    value, scale : array, shape (frames, rows, columns)
         Readings and their standard deviations.
-    resting : array, shape (..., rows, columns)
+    resting : array, shape (rows, columns)
         Median of the unloaded frames.
     measured : boolean array, shape (frames,)
     """
@@ -257,7 +254,7 @@ class FramesBefore:
         if len(self.frames) < MIN_FRAMES or readings.sigma is None or np.isnan(baseline).any():
             return readings, count
         value = np.stack([frame.plain_values for frame in self.frames])
-        scale = readings.sigma * np.fmax(_pair_scale(value, np.broadcast_to(readings.sigma, value.shape))[0], 1.0)
+        scale = readings.sigma * np.fmax(_pair_scale(value, np.broadcast_to(readings.sigma, value.shape)), 1.0)
         middle, spread, _ = _by_median(value)
         with np.errstate(divide="ignore", invalid="ignore"):
             outlying = _exceeds_threshold(readings.plain_values, scale, (middle, spread, np.ones(middle.shape)))
@@ -341,7 +338,7 @@ def _by_line(neighbours: Array, offset: NDArray[np.intp]) -> Expected:
     offset : integer array, shape (neighbours, frames)
         Distance of each neighbour in frames.
     """
-    offset = offset.reshape(*offset.shape, *(1,) * (neighbours.ndim - 2))
+    offset = offset[..., None, None]
     centre = offset.mean(axis=0)
     centred = offset - centre
     size = np.sum(centred**2, axis=0)
@@ -375,23 +372,16 @@ def _beside(values: Array) -> Array:
     return np.fmax(median(values, -1), median(values, -2))
 
 
-def _pair_scale(value: Array, sigma: Array) -> Array:
+def _pair_scale(value: Array, sigma: Array) -> float:
     """Return the ratio of the noise to σ, from the median size of differences between successive frames.
+
+    It is NaN without differences.
 
     Parameters
     ----------
-    value, sigma : array, shape (frames, …, rows, columns)
+    value, sigma : array, shape (frames, rows, columns)
         Differences are divided by √(σ₀² + σ₁²), not the readings by σ: σ depends on the reading, and the ratio of a
         reading to its own σ hardly varies.
-
-    Returns
-    -------
-    array, shape (1, …, 1, 1)
-        One ratio for each panel; NaN without differences.
     """
     difference = np.abs(np.diff(value, axis=0)) / np.hypot(sigma[1:], sigma[:-1])
-    over = (0, value.ndim - 2, value.ndim - 1)
-    if not difference.size:
-        return np.full((1, *value.shape[1:-2], 1, 1), np.nan)
-    panels = np.moveaxis(difference, over, (0, 1, 2)).reshape(-1, *value.shape[1:-2])
-    return np.asarray(MAD_TO_SIGMA * median(panels))[..., None, None]
+    return MAD_TO_SIGMA * float(median(difference.ravel())[0]) if difference.size else np.nan

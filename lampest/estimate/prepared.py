@@ -1,6 +1,5 @@
 """Preparation of a recording: readings, noise, effects, check of the circuit and warnings, each determined once."""
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,7 +17,6 @@ from lampest.estimate.warnings import warnings_of
 from lampest.files.errors import InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Modules
-from lampest.panel.readouts import Readout
 from lampest.panel.systematic import systematic_of, unobservable_numbers
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -56,13 +54,10 @@ class Prepared:
     recording : Recording
     whole_recording : NoiseEstimate or None
         For a part of a longer recording: noise, effects and motion of the whole; else None.
-    cleaned_module : Cleaned or None
-        For a module: its cleaned readings, determined together with those of the other modules; else None.
     """
 
     recording: Recording
     whole_recording: NoiseEstimate | None = None
-    cleaned_module: Cleaned | None = None
 
     @classmethod
     def of(cls, recording: "Recording | Prepared") -> "Prepared":
@@ -83,18 +78,18 @@ class Prepared:
         """The preparation of each module, None for a dead one; () for a single network."""
         if self.layout is None:
             return ()
-        dead = self.recording.scene.dead_modules
-        living = [number for number in range(self.layout.count) if number not in dead]
-        parts = [self.recording.modules[number] for number in living]
+        dead, parts = self.recording.scene.dead_modules, enumerate(self.recording.modules)
         known = self.whole_recording.of_modules if self.whole_recording else (None,) * self.layout.count
-        cleaned_parts = zip(living, parts, cleaned_together(parts), strict=True)
-        prepared = {number: Prepared(part, known[number], cleaned) for number, part, cleaned in cleaned_parts}
-        return tuple(prepared.get(number) for number in range(self.layout.count))
+        return tuple(None if number in dead else Prepared(part, known[number]) for number, part in parts)
 
     @cached_property
     def cleaned(self) -> Cleaned:
         """The readings of a single network without outliers."""
-        return self.cleaned_module or cleaned_together([self.recording])[0]
+        frozen = frozen_readings(self.recording)
+        recording = with_saturated_stage(without_readings(self.recording, frozen))
+        readings = recording.readings()
+        impossible = impossible_readings(recording.scene.circuit, readings)
+        return Cleaned(recording, frozen, *without_outliers(impossible, readings, recording.role == UNLOADED))
 
     @cached_property
     def frame_noise(self) -> NoiseEstimate:
@@ -178,22 +173,3 @@ class Prepared:
     def warnings(self) -> tuple[str, ...]:
         """Contradictions of the scene and pitfalls, one line each."""
         return warnings_of(self.recording, self.noise, self.check)
-
-
-def cleaned_together(recordings: Sequence[Recording]) -> list[Cleaned]:
-    """Return the cleaned readings of networks of one shape that were recorded together, such as modules."""
-    frozen = [frozen_readings(recording) for recording in recordings]
-    measured = map(without_readings, recordings, frozen)
-    passed = [with_saturated_stage(recording) for recording in measured]
-    first, *further = [recording.readings() for recording in passed]
-    joint, similar = first.together(*further, axis=-3), dict[Readout, list[int]]()
-    for place, recording in enumerate(passed):
-        similar.setdefault(recording.scene.circuit, []).append(place)
-    impossible = np.zeros(joint.value.shape, dtype=bool)
-    for circuit, places in similar.items():
-        impossible[:, places] = impossible_readings(circuit, joint[:, places])
-    outliers, readings = without_outliers(impossible, joint, passed[0].role == UNLOADED)
-    return [
-        Cleaned(recording, frozen[place], outliers[:, place], readings[:, place])
-        for place, recording in enumerate(passed)
-    ]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.model_check import ModelCheck, module_factors, noise_factor
-from lampest.estimate.noise import NO_RIPPLE, NoiseEstimate
+from lampest.estimate.noise import NO_RIPPLE, NoiseEstimate, named_modules
 from lampest.estimate.nuisances import TAKEN_OFF
 from lampest.estimate.rivals import changes_beyond_noise, choices
 from lampest.estimate.saturation import saturated
@@ -123,15 +123,13 @@ def _modules(recording: Recording, readings: Readings) -> tuple[str, ...]:
     if layout is None:
         return ()
     factors, dead, sides = module_factors(recording, layout), scene.dead_modules, layout.split(readings.side)
-    groups: dict[str, list[int]] = {}
+    texts = dict[int, str]()
     for number, factor in factors.items():
         stuck = "every reading is at a rail of the converter, or beyond: is it connected?"
         unread = stuck if sides[:, number].any() else "no reading is a value: is it connected?"
         differs = f"readings at rest are {factor:.3g} times those of the other modules: {MODULE_HINT}"
-        text = "dead, as the scene says" if number in dead else differs if np.isfinite(factor) else unread
-        groups.setdefault(text, []).append(number)
-    named = {text: ", ".join(str(list(layout.place(n))) for n in numbers) for text, numbers in groups.items()}
-    return tuple(f"{'modules' if len(groups[text]) > 1 else 'module'} {at}: {text}" for text, at in named.items())
+        texts[number] = "dead, as the scene says" if number in dead else differs if np.isfinite(factor) else unread
+    return named_modules(layout, texts)
 
 
 def _scatter(recording: Recording, noise: NoiseEstimate) -> str:

@@ -194,7 +194,9 @@ def outliers_row() -> dict[str, Any]:
     apart = np.stack([value, 1000 + 5 * (value - 1000)], axis=1)
     none, rest = np.zeros(apart.shape, dtype=bool), np.arange(16) < 8
     pair = lp.Readings(apart, np.full(apart.shape, 9.0), np.zeros(apart.shape), np.ones(apart.shape))
-    sizes = None, 5 * pair.sigma, 0.2 * pair.sigma
+    sizes, each = (pair.sigma, None, 5 * pair.sigma, 0.2 * pair.sigma), partial(outliers.without_outliers, none[:, 0])
+    panels = [[each(replace(pair, sigma=size)[:, panel], rest) for panel in (0, 1)] for size in sizes]
+    flagged = [np.stack([outlying for outlying, _ in both], axis=1) for both in panels]
     course = value + np.where(rest, 0.0, 3.0)[:, None, None] * (value - np.median(value, axis=0))
     course[np.arange(8, 15), np.arange(7) % 4, np.arange(7) % 5] += (90, 150, 250, 400, -150, -250, 900)
     course[np.arange(8) % 7, np.arange(8) % 4, np.arange(8) % 5] += (120, -120) * 4
@@ -203,8 +205,7 @@ def outliers_row() -> dict[str, Any]:
     impossible = lp.Readings.of(scene, lp.two_point_resistance(cells)[None] * np.where(cells == cells.max(), 9.0, 1.0))
     return {
         "whole": outliers.detect_outliers(value, scale), "few": outliers.detect_outliers(value[:4], scale[:4], 0.1),
-        "scales": [outliers.without_outliers(none, replace(pair, sigma=each), rest)[0] for each in sizes],
-        "panels": outliers.without_outliers(none, pair, rest),
+        "scales": flagged[1:], "panels": (flagged[0], panels[0][0][1].together(panels[0][1][1], axis=1)),
         "loaded": outliers.without_outliers(course > 16000, loaded, rest),
         "two frames": outliers.without_outliers(none[:2, 0], loaded[7:9], rest[7:9])[0].sum(),
         "live": live, "impossible": outliers.impossible_readings(scene.circuit, impossible),
