@@ -105,14 +105,10 @@ def solve_baselines(streams: Sequence[Stream | None]) -> list[Stream | None]:
     first = next(stream for stream in streams if stream is not None)
     resting = [first.resting if stream is None else stream.resting for stream in streams]
     unweighed = [stream and replace(stream, weights=None) for stream in streams]
-    rested = list[Stream | None]()
-    for stream, weighed in zip(streams, _weighed(unweighed, resting[0].together(*resting[1:])), strict=True):
-        if stream is None or weighed is None:
-            rested.append(None)
-            continue
-        known = replace(stream, estimator=weighed.weighted).with_rest()
-        rested.append(replace(known, estimator=stream.estimator))
-    return rested
+    pairs = zip(streams, _weighed(unweighed, resting[0].together(*resting[1:])), strict=True)
+    known = [stream and chosen and replace(stream, estimator=chosen.weighted).with_rest() for stream, chosen in pairs]
+    pairs = zip(streams, known, strict=True)
+    return [stream and rested and replace(rested, estimator=stream.estimator) for stream, rested in pairs]
 
 
 def _solved_together(

@@ -110,11 +110,6 @@ class CellsFit(SumOfSquares):
         return self.network.cell_resistance
 
     @property
-    def small(self) -> bool:
-        """Whether the panel has no more than MAX_CELLS cells, and the fit a Jacobian."""
-        return bool(self.jacobian.size)
-
-    @property
     def chi_square(self) -> float:
         """χ² = Σ ((f(r) − y)/σ)²."""
         return 2 * self.cost

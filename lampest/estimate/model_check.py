@@ -367,7 +367,7 @@ class Explanation:
                 if fit is None or (not patient and fit.tail < SIGNIFICANCE):
                     return None
                 fits.append(fit)
-            pair = FittedPair.of(*fits) if len(fits) == 2 and fits[0].small else None
+            pair = FittedPair.of(*fits) if len(fits) == 2 and fits[0].jacobian.size else None
             explanation = cls(rival, tuple(fits), pair)
             return explanation if np.isfinite(explanation.score) else None
         except (InputError, *BROKEN):

@@ -282,10 +282,9 @@ class FittedPair:
         step : array, shape (effects,)
             In units of the priors.
         """
-        sizes = [effect.size + effect.prior * float(more) for effect, more in zip(effects, step, strict=True)]
         stepped = tuple(
-            replace(effect, size=max(size, 0.0) if effect.positive else size)
-            for effect, size in zip(effects, sizes, strict=True)
+            replace(effect, size=max(effect.size + effect.prior * float(more), 0.0 if effect.positive else -np.inf))
+            for effect, more in zip(effects, step, strict=True)
         )
         constant, (resting, frame) = tuple(effect for effect in stepped if not effect.since), self.frames
         early = resting.refitted(resting.measured, constant) if constant else resting

@@ -74,13 +74,9 @@ def possible_errors(
     gain_apart = smoothed.changes(0.0).cost_of(distant) - smoothed.changes(likeliest).cost_of(distant)
     gain = gain_apart + BESIDE_SHARE * (float(costs[0] - costs.min()) - gain_apart)
     # Posterior mean square of e, from the changes and the unloaded panel together.
-    size, certain = 0.0, gain > MIN_ERROR_GAIN
-    if gain > MIN_HINT_GAIN:
-        size = _mean_square(costs[1:] + _unloaded_costs(scene, resting))
-        if size * moves.reach > LINEAR_LIMIT:
-            return Possible(at_least(size), None, certain)
-    assumed = at_least(size)
-    if still.mean() < MIN_STILL_SHARE:
+    size = _mean_square(costs[1:] + _unloaded_costs(scene, resting)) if gain > MIN_HINT_GAIN else 0.0
+    assumed, certain = at_least(size), gain > MIN_ERROR_GAIN
+    if size * moves.reach > LINEAR_LIMIT or still.mean() < MIN_STILL_SHARE:
         return Possible(assumed, None, certain)
     # Neighbours of moved cells are left out, because a load has a skirt.
     changes = moves.changes(assumed.reading_error or 0.0)
@@ -136,8 +132,6 @@ def shared_changes(
     noise : FrameNoise or None
         Errors that the readings of a frame share.
     """
-    if not resting.small:
-        return None
     unit = replace(sizes, reading_error=1.0)
 
     def linearised(fit: CellsFit, error: Array, *, baseline: bool) -> list[Array]:
@@ -156,7 +150,7 @@ def shared_changes(
     for number in range(count):
         frame = frames[number]
         fit = fitted(scene, frame, resting.cells) or fitted(scene, frame, patient=True)
-        if fit is None or not fit.small:
+        if fit is None:
             return None
         error, *columns = linearised(_steadied(scene, fit, resting.cells), fit.covariance, baseline=False)
         change.append(np.log(fit.cells / resting.cells).ravel())

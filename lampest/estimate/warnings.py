@@ -39,12 +39,9 @@ def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -
     circuit += f"; it is {TAKEN_OFF}" if taken else ""
     stage = saturated(recording)
     piled = "" if stage is None else stage.sentence
-    uneven = UNEVENLY * (check.loaded_at_rest and not lesser_load)
-    loaded = (
-        f"{TOUCHED}, and changes are against their mean: name others with `lampest tare`"
-        if touched(recording)
-        else uneven
-    )
+    loaded = UNEVENLY * (check.loaded_at_rest and not lesser_load)
+    if touched(recording):
+        loaded = f"{TOUCHED}, and changes are against their mean: name others with `lampest tare`"
     return tuple(filter(None, (*of_readings, loaded, piled, circuit, check.common_change, *learned)))
 
 

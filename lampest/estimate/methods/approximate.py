@@ -16,7 +16,7 @@ from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, steihaug
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import BROKEN, evaluated
-from lampest.solvers.preconditioners import Cholesky, preconditioner
+from lampest.solvers.preconditioners import preconditioner
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation
@@ -112,11 +112,8 @@ class LinearisedMethod(Method):
 
 
 def inverse_hessian(at: Evaluation) -> Linear:
-    """Return the product with H⁻¹ at a point: by its Cholesky factor, or by conjugate gradients on large panels."""
+    """Return the product with H⁻¹ at a point, by conjugate gradients with a factor: one step where it is Cholesky's."""
     hessian = Hessian(at, Smoothing.start(at))
     free = np.ones(len(hessian.gradient), dtype=bool)
-    factor = preconditioner(hessian, free)
-    precondition = factor.over(free, at.cell_resistance)
-    if isinstance(factor, Cholesky):
-        return precondition
+    precondition = preconditioner(hessian, free).over(free, at.cell_resistance)
     return lambda slope: -steihaug(hessian.product, precondition, slope, ACCURACY).step

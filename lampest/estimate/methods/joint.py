@@ -352,11 +352,9 @@ class Joint:
         """The chain for error bars, with the share BELIEVED of the frames' information on z and c."""
         free = replace(self, held=None)
         chain = free.chain.doubting(BELIEVED, free.certainty)
-        return (
-            chain
-            if self.held is None
-            else chain.with_border(np.eye(self._sharing) + BELIEVED * self.shared_estimate[1])
-        )
+        if self.held is None:
+            return chain
+        return chain.with_border(np.eye(self._sharing) + BELIEVED * self.shared_estimate[1])
 
     def stepped(self) -> "Joint":
         """Return the point after a step, halved until Φ does not increase; this point where no step achieves that."""
