@@ -6,6 +6,7 @@ lies inside (chi-bar-squared; Shapiro, Biometrika 72, 1985).
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -80,14 +81,13 @@ class CellsFit(SumOfSquares):
         """Return the fit of given cells, (rows, columns) ohm, to readings of a frame."""
         unaffected = data.network(0, cells)
         network, added = with_effects(effects, scene, unaffected)
-        readings = replace(measured, value=measured.value - added)
-        assert readings.sigma is not None
+        readings, sigma = replace(measured, value=measured.value - added), measured.known_sigma
         # (f(r) − y)/σ; 0 where nothing was read, or a bound is satisfied
-        missed = (network.reading() - readings.value) / readings.sigma
+        missed = (network.reading() - readings.value) / sigma
         counted = (readings.seen > 0) & ((readings.side == 0) | (readings.side * missed < 0))
         jacobian: Array = np.zeros((missed.size, 0))
         if missed.size <= MAX_CELLS:
-            weight = np.where(counted, 1 / readings.sigma, 0.0)
+            weight = np.where(counted, 1 / sigma, 0.0)
             jacobian = network.sensitivity() * weight.reshape(-1, 1) * (data.lower < data.upper).ravel()
         residual = np.where(counted, missed, 0.0).ravel()
         return cls(
@@ -134,9 +134,8 @@ class CellsFit(SumOfSquares):
     @cached_property
     def gain(self) -> Array:
         """K (cells, readings): derivative of the fitted log cells with respect to the readings."""
-        assert self.readings.sigma is not None
         # K = (J̃ᵀ J̃ + ridge)⁻¹ J̃ᵀ/σ, with J̃ = ∂y/∂log r / σ
-        return np.asarray(np.linalg.solve(self.normal, self.jacobian.T / self.readings.sigma.ravel()))
+        return np.asarray(np.linalg.solve(self.normal, self.jacobian.T / self.readings.known_sigma.ravel()))
 
     def response(self, errors: Array) -> Array:
         """Return K U, the change of the log cells (cells, n) by errors U of the readings (n, rows, columns)."""
@@ -157,8 +156,7 @@ class CellsFit(SumOfSquares):
 
         It is the standard deviation of the readings that the cells would give without effects, in units of σ.
         """
-        assert self.readings.sigma is not None
-        dry = self.network.sensitivity() / self.readings.sigma.reshape(-1, 1)
+        dry = self.network.sensitivity() / self.readings.known_sigma.reshape(-1, 1)
         # diag(J₀ P J₀ᵀ), with J₀ the Jacobian over σ without effects and P the covariance of the log cells
         variance = np.sum((dry @ self.covariance) * dry, axis=1)
         return np.asarray(np.sqrt(np.maximum(variance, 1.0))).reshape(self.cells.shape)
@@ -187,31 +185,28 @@ def fitted(
     effects : sequence of Effect
         Effects in the network beside its circuit. With effects the fit that the first loop reaches is returned.
     """
-    try:
-        with np.errstate(all="ignore"):
-            data = cells_alone().data(readings.alone(), Background(scene))
-            data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
-            start = convex(data, None)[0] if near is None else near
+    with suppress(*BROKEN), np.errstate(all="ignore"):
+        data = cells_alone().data(readings.alone(), Background(scene))
+        data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
+        start = convex(data, None)[0] if near is None else near
 
-            def model(position: Array) -> CellsFit:
-                return CellsFit.at(scene, data, readings, np.exp(position).reshape(start.shape), effects)
+        def model(position: Array) -> CellsFit:
+            return CellsFit.at(scene, data, readings, np.exp(position).reshape(start.shape), effects)
 
-            # The Levenberg-Marquardt method suffices where cells explain the readings exactly, which is usual; large
-            # panels are not iterated.
-            loop = FIT if start.size <= MAX_CELLS else replace(FIT, evaluations=1)
-            bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
-            _, fit = loop.minimum(model, np.log(start).ravel(), bounds, lambda at, _: at.chi_square <= EXACT_CHI_SQUARE)
-            if fit.chi_square <= EXACT_CHI_SQUARE or effects:
-                return fit
-            if not patient and fit.chi_square > MAX_CHI_SQUARE * readings.value.size:
-                return None
-            # Elsewhere cells stand at the boundary r = 0, and the solver of the estimates finds the minimum.
-            estimator = cells_alone() if patient else replace(cells_alone(), solver=BRIEF)
-            solver = estimator.problem(scene, 1, float("inf"), partial=data.partial)
-            begun = None if patient else evaluated(solver.cost, data, fit.cells[None])
-            solution = best_solution(solver, data, None) if begun is None else solved_from(solver, begun)
-            if solution.solved:
-                return CellsFit.at(scene, data, readings, solution.cell_resistance[0])
-    except BROKEN:
-        pass
+        # The Levenberg-Marquardt method suffices where cells explain the readings exactly, which is usual; large
+        # panels are not iterated.
+        loop = FIT if start.size <= MAX_CELLS else replace(FIT, evaluations=1)
+        bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
+        _, fit = loop.minimum(model, np.log(start).ravel(), bounds, lambda at, _: at.chi_square <= EXACT_CHI_SQUARE)
+        if fit.chi_square <= EXACT_CHI_SQUARE or effects:
+            return fit
+        if not patient and fit.chi_square > MAX_CHI_SQUARE * readings.value.size:
+            return None
+        # Elsewhere cells stand at the boundary r = 0, and the solver of the estimates finds the minimum.
+        estimator = cells_alone() if patient else replace(cells_alone(), solver=BRIEF)
+        solver = estimator.problem(scene, 1, float("inf"), partial=data.partial)
+        begun = None if patient else evaluated(solver.cost, data, fit.cells[None])
+        solution = best_solution(solver, data, None) if begun is None else solved_from(solver, begun)
+        if solution.solved:
+            return CellsFit.at(scene, data, readings, solution.cell_resistance[0])
     return None

@@ -6,6 +6,7 @@ between the unloaded panel and a loaded frame. A rival is named if its evidence 
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
@@ -142,8 +143,7 @@ class Question:
         """Return the mean of the unloaded frames, and of the standing ones. Raises InputError as `Rival.readings`."""
         chosen, count = np.concatenate([self.resting, self.standing]), len(self.resting)
         read = rival.readings(chosen)
-        assert read.sigma is not None
-        read = replace(read, sigma=self.widening * read.sigma, seen=read.seen * self._usable[chosen])
+        read = replace(read, sigma=self.widening * read.known_sigma, seen=read.seen * self._usable[chosen])
         resting = read[:count].mean()
         return (resting,) if len(self.standing) == 0 else (resting, read[count:].mean())
 
@@ -361,7 +361,7 @@ class Explanation:
             given up at the first frame that it does not explain.
         """
         fits: list[CellsFit] = []
-        try:
+        with suppress(InputError, *BROKEN):
             for number, readings in enumerate(question.readings(rival)):
                 fit = fitted(rival.scene, readings, None if near is None else near.fits[number].cells, patient=patient)
                 if fit is None or (not patient and fit.tail < SIGNIFICANCE):
@@ -370,8 +370,7 @@ class Explanation:
             pair = FittedPair.of(*fits) if len(fits) == 2 and fits[0].jacobian.size else None
             explanation = cls(rival, tuple(fits), pair)
             return explanation if np.isfinite(explanation.score) else None
-        except (InputError, *BROKEN):
-            return None
+        return None
 
     @cached_property
     def _costs(self) -> float:

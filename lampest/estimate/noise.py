@@ -150,9 +150,8 @@ class NoiseEstimate:
         measured : integer array
             Numbers of the measured frames.
         """
-        sigma = self.readings.sigma
+        sigma = self.readings.known_sigma
         moved = np.abs(steps_within_scan(scene, self.readings, measured)).max(axis=0)
-        assert sigma is not None
         count = int(np.sum(np.sqrt(np.mean((moved / sigma) ** 2, axis=(1, 2))) > 1))
         message = (
             f"motion within a scan: as if a scan took all of the time between frames, in {count} frames; "
@@ -414,16 +413,15 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
 
     Without a readout in the scene the voltages are unknown, and the gain multiplies the readings themselves.
     """
-    assert resting.sigma is not None
     circuit, scene, value = recording.scene.circuit, recording.scene, resting.plain_values
     count = np.sum(~np.isnan(value), axis=0)
     if not (count > 1).any():
         return None
     value = np.where(count > 1, value, np.nan)
     middle = np.where(count > 1, np.nansum(value, axis=0) / np.maximum(count, 1), resting.value[0])
-    deviation = (value - middle) / resting.sigma
+    deviation = (value - middle) / resting.known_sigma
     if scene.readout is None:
-        loudness = middle / np.exp(np.log(resting.sigma).mean(axis=0))
+        loudness = middle / np.exp(np.log(resting.known_sigma).mean(axis=0))
     else:
         volt = circuit.volt_from_recorded(circuit.to_recorded(middle, scene))
         loudness = np.asarray(volt / np.broadcast_to(scene.readout.sigma_volt(), volt.shape))
@@ -440,8 +438,7 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
     counts. Where first differences, divided by √2 σ, are larger by MIN_EXCESS, motion remains and the scatter is only
     an upper bound: it is then not taken for noise above the specified one.
     """
-    assert measured.sigma is not None
-    value, sigma = measured.plain_values, measured.sigma[1:-1]
+    value, sigma = measured.plain_values, measured.known_sigma[1:-1]
     if len(value) < 3:
         return None
     second = np.abs(value[2:] - 2 * value[1:-1] + value[:-2]) / (np.sqrt(6) * sigma)

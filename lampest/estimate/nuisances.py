@@ -108,10 +108,8 @@ class Evidence:
 
 def responses(fit: CellsFit, effects: Sequence[Effect]) -> Array:
     """Return the response K U of the log cells to a unit of each θ, (cells, effects), by secants."""
-    # An effect of the size of the secant's step; constant ones and those since the unloaded frames respond alike.
-    small = [replace(effect, since=False, size=SECANT_STEP * effect.prior) for effect in effects]
-    by_effect = {effect: fit.more(effect) / SECANT_STEP for effect in dict.fromkeys(small)}
-    return fit.response(np.stack([by_effect[effect] for effect in small]))
+    small = [replace(effect, size=SECANT_STEP * effect.prior) for effect in effects]
+    return fit.response(np.stack([fit.more(effect) for effect in small]) / SECANT_STEP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -478,8 +476,7 @@ def without_effects_of(pair: FittedPair, readings: Readings, unloaded: NDArray[n
     Readings
         (frames, rows, columns).
     """
-    assert readings.sigma is not None
-    value, sigma, resting = readings.value.copy(), readings.sigma.copy(), pair.frames[0]
+    value, sigma, resting = readings.value.copy(), readings.known_sigma.copy(), pair.frames[0]
     fit, frames = replace(resting, effects=without_late(pair.effects)), np.flatnonzero(~unloaded)
     for numbers in (unloaded, *frames):
         if numbers is not unloaded:

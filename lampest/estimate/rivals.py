@@ -6,6 +6,7 @@ computation is inverted.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -120,13 +121,10 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
             sense = _sense(apparent, _logarithm(circuit, scene, values))
             if circuit == readout or not (sense > 0 or (reversed_too and sense < 0)):
                 continue
-            try:
+            sigma = specified.sigma if circuit.unit == readout.unit else None
+            with suppress(ValueError):  # the kind may have no model of another entry of the scene
                 rival = replace(scene, readout=circuit, series_resistance_ohm=0.0, systematic=None)
-            except ValueError:  # the kind has no model of another entry of the scene
-                continue
-            yield Rival(
-                rival, values, specified.sigma if circuit.unit == readout.unit else None, _kind(circuit, readout)
-            )
+                yield Rival(rival, values, sigma, _kind(circuit, readout))
 
 
 def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
@@ -164,12 +162,10 @@ def _kind(circuit: Readout, specified: Readout) -> str:
 
 def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
     """Return ln of the apparent resistances; NaN where the circuit does not fit the panel or cannot have the values."""
-    try:
-        with np.errstate(all="ignore"):
-            circuit.check(replace(scene, readout=None, series_resistance_ohm=0.0, systematic=None))
-            return np.asarray(np.log(circuit.apparent_resistance(circuit.from_recorded(recorded, scene))))
-    except (InputError, ValueError):
-        return np.full(recorded.shape, np.nan)
+    with suppress(InputError, ValueError), np.errstate(all="ignore"):
+        circuit.check(replace(scene, readout=None, series_resistance_ohm=0.0, systematic=None))
+        return np.asarray(np.log(circuit.apparent_resistance(circuit.from_recorded(recorded, scene))))
+    return np.full(recorded.shape, np.nan)
 
 
 def _sense(first: Array, second: Array) -> float:
@@ -209,9 +205,8 @@ def standing_frames(readings: Readings, frame: int, candidates: NDArray[np.intp]
     noise : float
         Factor on every σ.
     """
-    assert readings.sigma is not None
-    plain = readings.plain & readings.plain[frame]
-    spread = noise * np.hypot(readings.sigma, readings.sigma[frame])
+    plain, sigma = readings.plain & readings.plain[frame], readings.known_sigma
+    spread = noise * np.hypot(sigma, sigma[frame])
     # χ² of the difference of two frames, Σ (y − y₀)²/(σ² + σ₀²)
     square = np.where(plain, (readings.value - readings.value[frame]) / spread, 0.0) ** 2
     similar = chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1)) >= FALSE_ALARM_RATE

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, Term
 from lampest.estimate.batch import push_block
@@ -208,8 +209,9 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
 
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:
     """Return the data from which weights are chosen: one frame, with its baseline where terms compare the two."""
-    stream = Stream.unrested(estimator, scene, float("inf"), resting)
-    return (stream.with_rest() if estimator.relative else stream).given(frame)[0]
+    if not estimator.relative:
+        return estimator.data(frame.alone(), Background(scene))
+    return Stream.begin(estimator, scene, float("inf"), resting).given(frame)[0]
 
 
 def frame_period(recording: Recording) -> float:

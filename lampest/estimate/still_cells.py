@@ -239,19 +239,18 @@ def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
     the largest error, then that of the most probable one of a few errors. Where the cells are not alike, e is
     overestimated rather than underestimated. Raises the errors of `BROKEN`.
     """
-    assert resting.sigma is not None
     data, plain = cells_alone().data(resting.alone(), Background(scene)), resting.plain.ravel()
     share, scatters = np.abs(recorded_share(resting.value, scene)), np.square(ASSUMED.scatters)[:, None]
     cells, costs = np.log(data.uniform_start[0]), np.zeros((1, len(ASSUMED.scatters)))
     for errors, before in ((READING_ERRORS[1::4], READING_ERRORS[-1:]), (READING_ERRORS, READING_ERRORS[1::4])):
         row, column = np.unravel_index(np.argmin(costs), costs.shape)
-        deviation = np.where(resting.plain, np.hypot(resting.sigma, before[row] * share), np.inf)
+        deviation = np.where(resting.plain, np.hypot(resting.known_sigma, before[row] * share), np.inf)
         cells, jacobian = _most_probable(data, resting.value, deviation, ASSUMED.scatters[column], cells)
         missed = resting.value - data.network(0, np.exp(cells)).reading()
         target = missed.ravel() + jacobian @ cells.ravel()
         costs = np.empty((len(errors), len(ASSUMED.scatters)))
         for number, error in enumerate(errors):
-            tau = np.hypot(resting.sigma, error * share).ravel()[plain]
+            tau = np.hypot(resting.known_sigma, error * share).ravel()[plain]
             scaled = jacobian[plain] / tau[:, None]
             values, turned = np.linalg.eigh(scaled @ scaled.T)
             projected, ones = turned.T @ (target[plain] / tau), turned.T @ scaled.sum(axis=1)

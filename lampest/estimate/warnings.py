@@ -61,13 +61,12 @@ def touched(recording: Recording) -> bool:
         or noise_factor(unloaded) == 1
     ):
         return False
-    assert unloaded.sigma is not None
     supply = FrameNoise(scene, len(unloaded.value), MAX_GAIN, NO_RIPPLE, NO_RIPPLE)
     panelled = replace(
         Panelled.of(scene, ModelErrors().of_scene(scene, 0.0)),
         common=lambda measured: supply.columns(measured[None], baseline=False),
     )
-    sigma, values = np.min(np.where(unloaded.plain, unloaded.sigma, np.inf), axis=0), unloaded.plain_values
+    sigma, values = np.min(np.where(unloaded.plain, unloaded.known_sigma, np.inf), axis=0), unloaded.plain_values
     return Watch.begin(panelled, unloaded.mean().value, sigma, values, 0.0).touched(values)
 
 

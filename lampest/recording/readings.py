@@ -243,6 +243,12 @@ class Readings:
         return bool(self.side.any() or (self.seen < 1).any())
 
     @property
+    def known_sigma(self) -> Array:
+        """Standard deviations of readings whose noise is known."""
+        assert self.sigma is not None
+        return self.sigma
+
+    @property
     def sigma_of_values(self) -> Array | None:
         """Standard deviations, infinite for bounds and missing readings; None if unknown."""
         return None if self.sigma is None else np.where(self.plain, self.sigma, np.inf)
