@@ -54,12 +54,8 @@ def touched(recording: Recording) -> bool:
     if recording.scene.panel.modules is not None:
         return any(touched(module) for module in recording.modules)
     unloaded, scene = recording.readings()[recording.role == UNLOADED], recording.scene
-    if (
-        scene.readout is None
-        or scene.panel.crossings > MAX_CELLS
-        or len(unloaded.value) < 2
-        or noise_factor(unloaded) == 1
-    ):
+    few, large = len(unloaded.value) < 2, scene.panel.crossings > MAX_CELLS
+    if scene.readout is None or few or large or noise_factor(unloaded) == 1:
         return False
     supply = FrameNoise(scene, len(unloaded.value), MAX_GAIN, NO_RIPPLE, NO_RIPPLE)
     panelled = replace(

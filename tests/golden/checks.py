@@ -33,7 +33,6 @@ from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.panel.effects import LineLeak, LooseContact
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.scene import OwnOfModule
-from lampest.recording.readings import median
 from lampest.report.detect import detection
 from lampest.report.detect.answer import Detected, alarming, event_table, load_table
 
@@ -177,9 +176,8 @@ def outliers_row() -> dict[str, Any]:
     scene, frames = lp.Scene(PANEL, TWO), outliers.FramesBefore()
     resting, cells = lp.Readings.of(scene, value[:3]).mean(), cells_of(PANEL.shape, spread=0.1)
     live = []
-    for frame in lp.two_point_resistance(np.repeat(cells[None], 7, axis=0)) * (
-        1 + 4e-3 * rng.standard_normal((7, 4, 5))
-    ):
+    noisy = 1 + 4e-3 * rng.standard_normal((7, 4, 5))
+    for frame in lp.two_point_resistance(np.repeat(cells[None], 7, axis=0)) * noisy:
         frame[2, 3] *= 1.3 if len(live) >= 5 else 1.0
         frame[3, 0] *= 1.015 if len(live) == 4 else 1.0
         frame[0, 1] *= 0.7 if len(live) == 6 else 1.0
@@ -209,7 +207,7 @@ def outliers_row() -> dict[str, Any]:
         "loaded": outliers.without_outliers(course > 16000, loaded, rest),
         "two frames": outliers.without_outliers(none[:2, 0], loaded[7:9], rest[7:9])[0].sum(),
         "live": live, "impossible": outliers.impossible_readings(scene.circuit, impossible),
-        "median": median(value)[0], "touch": outliers.detect_outliers(touched, 1e-3 * touched)[0].sum(),
+        "median": outliers.median(value)[0], "touch": outliers.detect_outliers(touched, 1e-3 * touched)[0].sum(),
     }  # fmt: skip
 
 

@@ -208,8 +208,8 @@ class Method(Configuration):
         raise TypeError(f"{self.kind} takes frames one by one")
 
     def _elsewhere(self, state: SequenceState, readings: Readings, near: Array) -> Step:
-        """Return the step of a frame solved with another state, from given cells on."""
-        return self.solve(state, self.given(state, readings)[0], near)
+        """Return the step of a frame solved with another state or other readings, from given cells on."""
+        return self.solve(state, replace(self.given(state, readings)[0], first=False), near)
 
     def _beyond(
         self, state: SequenceState, readings: Readings, solved: Step, model: LinearModel
@@ -217,8 +217,7 @@ class Method(Configuration):
         """Return by how much the intervals of log r exceed those of linear theory, see `beyond_tangents`."""
 
         def moved(readings: Readings) -> Array:
-            data, _ = self.given(state, readings)
-            ended = self.solve(state, replace(data, first=False), solved.solution.cell_resistance)
+            ended = self._elsewhere(state, readings, solved.solution.cell_resistance)
             return np.asarray(np.log(ended.cell_resistance / solved.cell_resistance))
 
         missing = readings.missing(state.scene)
