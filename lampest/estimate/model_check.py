@@ -416,12 +416,12 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
     tried = (*likely, *(with_series(known, question) for known in (*likely, *assumed)))
     quiet = (known for known in tried if known.pair is None or mostly_still(known.pair.moved))
     lawful = (known for known in quiet if not broken_law(known.rival, question))
+
     # Among rivals a resistance in series is one more parameter.
-    best = min(
-        lawful,
-        key=lambda known: known.beyond_noise + PARAMETER_COST * (known.rival.in_series is not None),
-        default=None,
-    )
+    def cost(known: Explanation) -> float:
+        return known.beyond_noise + PARAMETER_COST * (known.rival.in_series is not None)
+
+    best = min(lawful, key=cost, default=None)
     if best is None:
         return BetterExplanation()
     if specified is None or best.pair is None:
