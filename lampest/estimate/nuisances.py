@@ -390,9 +390,7 @@ def find_effects(pairs: Sequence[tuple[str, FittedPair]]) -> CircuitEffects:
         if not (gain > most and mostly_still(grown.moved)):
             continue
         off_by_one = pair.scores_with((), LooseContact.prior * pair.frames[1].gain).min()
-        if off_by_one < grown.evidence.score + MIN_EVIDENCE_GAIN:
-            continue
-        if any(beside_a_load(effect, grown.moved) for effect in grown.effects) or pair.gain_apart(grown) <= 0:
+        if off_by_one < grown.evidence.score + MIN_EVIDENCE_GAIN or pair.gain_apart(grown) <= 0:
             continue
         most, fits_noise = gain, min(fit.tail for fit in grown.frames) >= SIGNIFICANCE
         names = " and ".join(effect.sentence(pair.shape[0]) for effect in grown.effects)
@@ -435,15 +433,6 @@ def _tried(pair: FittedPair) -> Iterator[FittedPair]:
         settled = pair.settled((*pair.effects, effects[number]))
         if settled is not None:
             yield settled
-
-
-def beside_a_load(effect: Effect, moved: NDArray[np.bool_]) -> bool:
-    """Return whether the edge of a load may look like this better contact: most cells of an adjacent line moved."""
-    if not isinstance(effect, LooseContact) or effect.size > 0:
-        return False
-    line, rows = effect.lines[0], len(moved)
-    side, at = (moved, line) if line < rows else (moved.T, line - rows)
-    return any(2 * side[next_one].sum() > side.shape[1] for next_one in (at - 1, at + 1) if 0 <= next_one < len(side))
 
 
 def _together(pair: FittedPair) -> str:

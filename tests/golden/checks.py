@@ -18,7 +18,7 @@ import lampest as lp
 from lampest.estimate import changed_cells, noise, outliers
 from lampest.estimate.deciding import baseline_readings, deciding_frames
 from lampest.estimate.model_check import Explanation, module_factors, noise_factor
-from lampest.estimate.nuisances import CircuitEffects, beside_a_load
+from lampest.estimate.nuisances import CircuitEffects
 from lampest.estimate.nuisances import candidates as possible_effects
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import saturated
@@ -249,10 +249,7 @@ def factors_of_modules(factor: float) -> dict[int, float]:
 
 
 def contacts_row() -> dict[str, Any]:
-    """Contacts that the edge of a load may imitate, effects in words, and noise of frames with many outliers."""
-    loaded = np.zeros((4, 5), dtype=bool)
-    loaded[1, :3] = loaded[1:, 3] = True
-    contacts = [LooseContact((line,), size=size) for line in range(9) for size in (-40.0, 40.0)]
+    """Effects in words, modules that differ, and noise of frames with many outliers."""
     effects: Any = SimpleNamespace(effects=(LooseContact((5,), size=40.0), LineLeak((1,), size=1e-4)), shape=(4, 5))
     rng, recording = np.random.default_rng(5), recorded()
     shared = {}
@@ -267,7 +264,6 @@ def contacts_row() -> dict[str, Any]:
     calm[[8, 20, 33, 59], 1, 2] += 90.0
     wild = rng.standard_t(2, (41, 9, 11)) * np.exp(np.arange(41) / 9)[:, None, None]
     return {
-        "beside": [beside_a_load(contact, loaded) for contact in contacts],
         "modules": [factors_of_modules(factor) for factor in (1.01, 1.1, 1.3, 1.6, 2.5)], "warnings": shared,
         "odd modules": [odd_modules(count) for count in (2, 3)],
         "scores": [explanation.score, explanation.beyond_noise],
