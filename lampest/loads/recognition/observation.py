@@ -104,11 +104,10 @@ class ModelErrors:
             Readings without the resistance in series, in the readout's unit.
         scene : Scene
         """
-        layout, (rows, columns) = scene.panel.modules, measured.shape
+        module, (rows, columns) = scene.panel.network, measured.shape
         row, column = np.indices(measured.shape)
-        if layout is not None:
-            # every module has channels of its own: number its lines separately
-            row, column = row + rows * (column // layout.each.columns), column + columns * (row // layout.each.rows)
+        # every module has channels of its own: number its lines separately
+        row, column = row + rows * (column // module.columns), column + columns * (row // module.rows)
         in_ohm = scene.circuit.unit == "ohm"
         total = (measured + scene.series_ohm if in_ohm else measured).reshape(-1, 1)
         lines = [line.reshape(-1, 1) == np.unique(line) for line in (row, column)] if in_ohm else []
