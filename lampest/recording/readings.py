@@ -160,7 +160,9 @@ class Readings:
         # Finite numbers for bounds, and substitutes for missing readings.
         network, seen = _numbered(network, seen)
         side = np.where(seen > 0, side, VALUE)
-        return cls(_standing_in(network, side, seen), None if noise is None else _filled(noise, seen), side, seen)
+        network = np.where((seen > 0) | scene.panel.present, network, _filled(network, seen))
+        stood = _standing_in(network, side, np.where(scene.panel.present, seen, 1.0), seen)
+        return cls(stood, None if noise is None else _filled(noise, seen), side, seen)
 
     @classmethod
     def _of_modules(cls, scene: Scene, layout: Modules, recorded: Array, sigma: Array | None) -> "Readings":
@@ -354,11 +356,12 @@ def _averaged(value: Array, sigma: Array | None, counted: NDArray[np.bool_]) -> 
     return mean, noise
 
 
-def _standing_in(value: Array, side: Array, seen: Array) -> Array:
-    """Return frames with substitutes for missing readings, predicted from the values among the others."""
-    if np.all(seen):
+def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = None) -> Array:
+    """Return frames with substitutes where `whole` is 0, predicted from the values among the seen readings."""
+    if np.all(whole):
         return value
-    return np.where(seen > 0, value, stand_in(value, (seen > 0) & (side == VALUE)))
+    known = ((whole if seen is None else seen) > 0) & (side == VALUE)
+    return np.where(whole > 0, value, stand_in(value, known))
 
 
 def _filled(values: Array, seen: Array) -> Array:
