@@ -1,6 +1,8 @@
 """Readings that are missing, at a rail or beyond what bounds allow: they refuse nothing, and sentences say so."""
 
+import csv
 import dataclasses
+import re
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,8 +12,7 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest import Faults, Panel, Simulation, read_results, simulate
-from lampest.report.page import page
+from lampest import Faults, Panel, Simulation, simulate
 from tests.estimates import recording_of
 
 Command = Callable[..., SimpleNamespace]
@@ -72,12 +73,13 @@ def test_errors_and_coverage_are_those_of_intact_cells(tmp_path: Path, lampest: 
     simulate(Simulation(1, 3, scene, frames=4)).save(tmp_path / "broken.h5")
     (tmp_path / "run.yaml").write_text(RUN.format("broken.h5").replace("misfit: {}", "misfit: {weighting: noise}"))
     assert lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out").code == 0
-    results = tmp_path / "out" / "results.h5"
-    for case in read_results(results).cases:
-        known = page.figures(case)
-        assert known["cell error mean [%]"] < 2 and known[page.COVERED] > 80
-    assert lampest("compare", results, "--report", tmp_path / "page.html").code == 0
-    assert "has the smallest error of the cells" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    results, report, table = (tmp_path / name for name in ("out/results.h5", "page.html", "table.csv"))
+    assert lampest("compare", results, "--report", report, "--csv", table).code == 0
+    rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+    assert len(rows) == 2 and all(float(row["cell error mean [%]"]) < 2 for row in rows)
+    text = re.sub("<[^>]+>", " ", report.read_text(encoding="utf-8"))
+    assert "has the smallest error of the cells" in text
+    assert float(re.findall(r"truth within its interval \[%\]\s+([\d.]+)", text)[0]) > 80
 
 
 def test_a_row_that_never_answers_is_named(tmp_path: Path, lampest: Command) -> None:
