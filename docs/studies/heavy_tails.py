@@ -12,7 +12,7 @@ from docs.studies.limit import RESTING, SETTINGS
 from lampest.cost.losses import Absolute, Huber, Squared, Student
 from lampest.cost.problem import Data
 from lampest.cost.terms import Gradient, LogRatio, Misfit, TotalVariation, TotalVariationOfChange
-from lampest.estimate.deciding import baseline_readings, deciding_frame
+from lampest.estimate.deciding import baseline_readings, deciding_frames
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import deciding_data
@@ -38,8 +38,8 @@ def excess(made: Recording, estimator: Estimator) -> Array:
     """Rms log error of cells and of changes with the chosen weight over that of the best one, for each."""
     readings, scene, truth = Prepared(made).noise.readings, made.scene, made.truth_cell_resistance
     resting = baseline_readings(made, readings)
-    frame = deciding_frame(made, readings, resting)
-    assert truth is not None and frame is not None
+    frame = deciding_frames(made, readings, resting)[0]
+    assert truth is not None
     data = deciding_data(estimator, scene, resting, readings[frame])
     unloaded = None if estimator.relative else deciding_data(estimator, scene, resting, resting)
     chosen = float(with_chosen_weights(estimator, scene, data, None).terms[1].weight)

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import lampest
-from lampest.estimate.deciding import baseline_readings, deciding_frame
+from lampest.estimate.deciding import baseline_readings, deciding_frames
 from lampest.estimate.modules import begin_networks, network_scenes
 from lampest.estimate.sequence import deciding_data, first_stream
 from lampest.estimate.stream import Stream
@@ -109,8 +109,8 @@ def with_one_weight(penalty: lampest.Term, seed: int) -> str:
     for part, own in zip(recording.modules, network_scenes(scene, estimator), strict=True):
         read = part.readings()
         resting = baseline_readings(part, read)
-        frame = deciding_frame(part, read, resting)
-        assert own is not None and frame is not None
+        frame = deciding_frames(part, read, resting)[0]
+        assert own is not None
         weighted = with_chosen_weights(estimator, own, deciding_data(estimator, own, resting, read[frame]), None)
         chosen.append(float(weighted.terms[1].weight))
         networks.append((weighted, own, resting))

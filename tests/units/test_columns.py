@@ -12,7 +12,7 @@ import lampest
 from lampest import InputError, read_results, write_results
 from lampest.runs.columns import CELLS, FRAMES, Column, positive_or_infinite
 
-LEAST = Column("least_resistance", FRAMES, "ohm", "smallest cell of the frame", lambda done: None, (positive_or_infinite,))
+LEAST = Column("least_resistance", FRAMES, "ohm", "smallest cell", lambda done: None, (positive_or_infinite,))
 
 
 def test_values_that_do_not_fit_their_column(tmp_path: Path) -> None:
