@@ -364,9 +364,10 @@ def published_row() -> dict[str, Any]:
         set_config_content=str, IRREGULAR_RATE=0.0, StreamInfo=Element, local_clock=lambda: 5.0,
         StreamOutlet=lambda info: outlets.append(Element(info)) or outlets[-1],
     )  # fmt: skip
-    clock = SimpleNamespace(time=lambda: 60.0)
+    clock = SimpleNamespace(time=lambda: 60.0, monotonic=iter((0.0, 0.1, 0.35, 0.4, 0.5, 0.7)).__next__)
     client, answer = MagicMock(connect_timeout=1.0), SimpleNamespace(is_failure=False)
-    client.socket.return_value, client.is_connected.side_effect = None, (True, True, False, True, True, True)
+    ends = [SimpleNamespace(rc=rc, is_published=lambda done=done: done) for rc, done in ((0, 1), (1, 0), *[(0, 0)] * 3)]
+    client.publish.side_effect, client.socket.return_value = ends, None
     client.loop_start.side_effect = lambda: client.on_connect(None, None, None, answer)
     packets = patch("pythonosc.udp_client.UDPClient.send", lambda _, bundle: outlets.append(bundle.dgram))
     broker, waited = patch("paho.mqtt.client.Client", lambda _: client), list[Any]()
@@ -397,7 +398,6 @@ def published_row() -> dict[str, Any]:
         "client": [
             each.call_args.args for each in (
                 client.connect, client.username_pw_set, client.reconnect_delay_set, connected.setsockopt,
-                client.max_queued_messages_set,
             )
         ],
     }  # fmt: skip
