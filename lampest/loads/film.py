@@ -122,6 +122,7 @@ class Creep:
 
     @classmethod
     def at_rest(cls, strength: Array) -> "Creep":
+        """Return the creep of a film that has lain unloaded for long: no part has crept."""
         return cls(strength, np.zeros((len(DECADES), *np.shape(strength))))
 
     def after(self, at_once: Array, seconds: float) -> "Creep":
@@ -169,6 +170,7 @@ class FilmMemory:
     def at_rest(
         cls, hysteresis: Array, creep_per_decade: Array, gain: Array, water: Array, response: Response = PUBLISHED
     ) -> "FilmMemory":
+        """Return the memory of a film that has lain unloaded for long."""
         return cls(Plays.at_rest(hysteresis), Creep.at_rest(creep_per_decade), gain, water, response)
 
     def answered(self, pressure: Array, seconds: float) -> tuple["FilmMemory", Array]:
@@ -284,6 +286,7 @@ class FilmKnown:
 
     @classmethod
     def specified(cls, film: Film) -> "FilmKnown":
+        """Return the film as its scene specifies it, before recordings tell more."""
         return cls(film, film.strength("creep_per_decade"))
 
     @property

@@ -55,13 +55,16 @@ class Linearised(Protocol):
     """Interface of a linearised sum of squares; see `SumOfSquares`."""
 
     @property
-    def cost(self) -> float: ...
+    def cost(self) -> float:
+        """Cost, half the sum of squares."""
 
     @property
-    def gradient(self) -> Array: ...
+    def gradient(self) -> Array:
+        """Its gradient, (unknowns,)."""
 
     @property
-    def normal(self) -> Array: ...
+    def normal(self) -> Array:
+        """Normal matrix, (unknowns, unknowns)."""
 
 
 P = TypeVar("P", bound=Linearised)

@@ -217,21 +217,23 @@ class Solution:
 class Solver(Protocol):
     """Interface of the solvers of one cost.
 
-    `prepare` compiles the cost before the first solve. `solve` minimises from a start; a failed solve does not raise.
-
     >>> sorted(name for name in vars(lampest.Solver) if not name.startswith("_"))
     ['cost', 'prepare', 'settings', 'solve']
     """
 
     @property
-    def cost(self) -> Cost: ...
+    def cost(self) -> Cost:
+        """Cost that is minimised."""
 
     @property
-    def settings(self) -> Settings: ...
+    def settings(self) -> Settings:
+        """Tolerance and limits of a solve."""
 
-    def prepare(self) -> None: ...
+    def prepare(self) -> None:
+        """Compile the cost."""
 
-    def solve(self, data: Data, start: Evaluation) -> Outcome: ...
+    def solve(self, data: Data, start: Evaluation) -> Outcome:
+        """Minimise the cost from a start; a failed solve does not raise."""
 
 
 def check(start: Evaluation, outcome: Outcome) -> Solution:

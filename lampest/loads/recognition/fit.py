@@ -226,6 +226,7 @@ class Fitting:
         return np.array([prior[:3] for prior in self._priors.values()]).reshape(-1, 3).T
 
     def pressure(self, parameters: Array, larger: float = 1.0) -> tuple[Array, Array]:
+        """Return the candidate's pressure on patches enlarged by a factor, with its derivatives by φ."""
         return self.candidate.pressure(self.frame.panel, self.patch_mm * larger, parameters)
 
     def explained(self, fit: Fit) -> Array:

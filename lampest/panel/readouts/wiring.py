@@ -151,10 +151,10 @@ class Wiring:
 
     def nodes(self, count: int) -> Array:
         """Return E, (lines, nodes), 1 where a line belongs to a node; lines that touch are one node."""
-        # Every line belongs to the node of the first line of its group.
+        # Every line belongs to the node of the first line that its group names.
         first = np.arange(count)
         for group in self.joined:
-            first[list(group)] = min(group)
+            first[list(group)] = group[0]
         return np.asarray(first[:, None] == np.unique(first), dtype=float)
 
 

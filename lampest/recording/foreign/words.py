@@ -235,7 +235,7 @@ def clock_of(texts: Sequence[str], name: str, where: Where, *, comma: bool, unit
         sentence = f"{way}, s from the first, which is {stamps[0]}{zone}"
     else:  # across midnight
         day = 24 * SECONDS["h"]
-        seconds += day * np.cumsum(np.diff(seconds, prepend=0.0) < -day / 2)
+        seconds[1:] += day * np.cumsum(np.diff(seconds) < -day / 2)
         sentence = f"time of day, s from the first; it began at {texts[0]}, the date is not in the file"
     seconds, cut = _growing(seconds, where)
     return Clock(seconds, stamps[0] if dated else None, f"{sentence}{cut}")
