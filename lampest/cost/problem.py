@@ -75,7 +75,9 @@ class Data:
     def some(self, panels: Panels) -> "Data":
         """Return the data of the chosen panels, or of a single one by its number."""
         given = replace(self.given, **{name: value[panels] for name, value in self.given.named()})
-        return replace(self, given=given, lower=self.lower[panels], upper=self.upper[panels])
+        chosen = replace(self, given=given, lower=self.lower[panels], upper=self.upper[panels])
+        chosen.__dict__["ties"] = self.ties[panels]
+        return chosen
 
     @cached_property
     def flat(self) -> dict[str, Array]:
@@ -198,10 +200,13 @@ class Evaluation:
         return Evaluation.at(self.cost, self.data, cell_resistance, self.own_weights)
 
     def some(self, panels: Panels) -> "Evaluation":
-        """Return the evaluation of the chosen panels, or of one by its number."""
+        """Return the evaluation of the chosen panels, or of one by its number, with the costs already computed."""
         networks = tuple(cast(FloatingNetwork, network).some(panels) for network in self.networks)
         known = self.cell_resistance[panels], self.reading[panels]
-        return Evaluation(self.cost, self.data.some(panels), *known, networks, self.weights[panels])
+        chosen = Evaluation(self.cost, self.data.some(panels), *known, networks, self.weights[panels])
+        if "first" in self.__dict__:
+            chosen.__dict__["first"] = self.first[panels]
+        return chosen
 
     @property
     def weights(self) -> Array:

@@ -83,7 +83,7 @@ def steihaug(
     search = -scaled
     goal = accuracy**2 * strength
     inner, mixed, outer = 0.0, 0.0, strength  # ‖s‖², sᵀMp, ‖p‖²
-    count, negative = 0, False
+    count = 0
     while strength > goal and count < most_products:
         count += 1
         image = product(search)
@@ -96,9 +96,10 @@ def steihaug(
             length = _length_to_radius(radius, inner, mixed, outer)
             if negative:
                 length = min(length, _length_to_largest_change(step, search))
-            inner += 2 * length * mixed + length * length * outer
+            ended = np.sqrt(inner + 2 * length * mixed + length * length * outer)
             step, residual = step + length * search, residual + length * image
-            break
+            # −gᵀs − ½ sᵀHs = −½ sᵀ(g + r) with the residual r = g + Hs
+            return SubproblemStep(step, float(ended), -0.5 * float(step @ (gradient + residual)), negative, count)
         longer = step + length * search
         if admits is not None and count > 1 and not admits(longer):
             break
@@ -110,8 +111,9 @@ def steihaug(
         search = ratio * search - scaled
         # sᵀMp and ‖p‖² of the next search direction p ← βp − z by recursion (Steihaug 1983)
         mixed, outer = ratio * (mixed + length * outer), strength + ratio**2 * outer
-    # −gᵀs − ½ sᵀHs = −½ sᵀ(g + r) with the residual r = g + Hs
-    return SubproblemStep(step, float(np.sqrt(inner)), -0.5 * float(step @ (gradient + residual)), negative, count)
+    return SubproblemStep(
+        step, float(np.sqrt(inner)), -0.5 * float(step @ (gradient + residual)), negative=False, products=count
+    )
 
 
 def _length_to_radius(radius: float, inner: float, mixed: float, outer: float) -> float:

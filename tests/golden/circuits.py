@@ -339,13 +339,20 @@ def shape_row(load: lp.Shape) -> dict[str, Any]:
 
 
 def candidate_row(candidate: Candidate) -> dict[str, Any]:
-    disc, priors = SHAPES["oral_disc"].disc(), candidate.priors(PANEL)
+    mean, disc = candidate.mean(PANEL), SHAPES["oral_disc"].disc()
     start = candidate.start(disc)
-    row = {"start": start, "map": candidate.pressure(PANEL, 6.0, start)}
+    start = start if len(start) == len(mean) else mean
+    row = {
+        "mean": mean,
+        "sd": candidate.sd(PANEL),
+        "priors": candidate.priors(PANEL),
+        "start": start,
+        "map": candidate.pressure(PANEL, 6.0, start),
+    }
     discs = [SHAPES[name].disc() for name in ("rod", "ring", "suction_cup")]
     discs += [disc._replace(diameter_mm=2.0, inner_mm=0.1), disc._replace(rim_kpa=0.01, suction_kpa=-0.02)]
     row |= {"report": candidate.report(start), "blind": candidate.blind(start), "disc": candidate.disc(start)}
-    return row | {"starts": [candidate.start(each) for each in discs], "priors": priors}
+    return row | {"starts": [candidate.start(each) for each in discs], "priors": candidate.priors(PANEL)}
 
 
 def of_loads() -> Rows:

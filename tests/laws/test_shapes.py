@@ -93,7 +93,7 @@ def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> N
     panel, rng = Panel(6, 6), np.random.default_rng(4)
     frame = frame_under(load_of(Rod), panel)
     fitting, whitening = Fitting(candidate, frame, PATCH_MM), Whitening.about(frame)
-    mean, sd = np.array([prior[:2] for prior in candidate.priors(panel).values()]).T
+    mean, sd = candidate.mean(panel), candidate.sd(panel)
     for _ in range(60):
         parameters = mean + SIGNIFICANT * sd * rng.choice([-1, 0, 1], len(mean))
         here = fitting.at(parameters, fitting.about(parameters, whitening))

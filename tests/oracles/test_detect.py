@@ -86,7 +86,7 @@ def disc_of(verdict: Verdict) -> Disc:
 def test_pressure_slopes_are_differences(kind: Candidate) -> None:
     rng = np.random.default_rng(5)
     for _ in range(4):
-        here = np.array([rng.normal(prior.mean, prior.sd / 2) for prior in kind.priors(PANEL).values()])
+        here = kind.mean(PANEL) + 0.5 * kind.sd(PANEL) * rng.standard_normal(len(kind.priors(PANEL)))
         _, slopes = kind.pressure(PANEL, 6.0, here)
         for slope, step in zip(slopes, 1e-6 * np.eye(len(here)), strict=True):
             up, down = (kind.pressure(PANEL, 6.0, here + sign * step)[0] for sign in (1, -1))

@@ -137,8 +137,7 @@ def test_bars_of_suction_and_breath_contain_films_that_no_one_measured(curve: st
 
 def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) -> Array:
     """ln d along a random walk through e^−cost, (samples)."""
-    rng, samples = np.random.default_rng(5), []
-    mean, sd = np.array([prior[:2] for prior in fitting.candidate.priors(SMALL).values()]).T
+    rng, samples, mean, sd = np.random.default_rng(5), [], fitting.candidate.mean(SMALL), fitting.candidate.sd(SMALL)
 
     def cost_at(parameters: Array) -> float:
         error = whitening @ fitting.about(parameters, whitening).residual

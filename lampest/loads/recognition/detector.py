@@ -277,7 +277,7 @@ class Detector:
     def _judged(self, frame: Observation, fits: Sequence[Fit]) -> Verdict:
         """Return the verdict on these fits, on no load, and on an equal pressure on all cells."""
         whitening = Whitening.about(frame)
-        uniform = [self.fitting(kind, frame).best(np.zeros(len(kind.numbers)), whitening) for kind in UNIFORM]
+        uniform = [self.fitting(kind, frame).best(kind.mean(frame.panel), whitening) for kind in UNIFORM]
         return Verdict.of((*uniform, *fits), frame)
 
     def _doubtful(self, frame: Observation, verdict: Verdict, field: Fit) -> bool:

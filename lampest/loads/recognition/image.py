@@ -6,7 +6,7 @@ is block diagonal; loads may lie across seams. A load in several windows is take
 nearest.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
@@ -71,17 +71,16 @@ class WindowScene:
     @property
     def series_ohm(self) -> Array:
         """Resistance in series, (rows, columns) ohm."""
-        return self._joined(np.broadcast_to(scene.series_ohm, scene.panel.shape) for scene in self.scenes)
+        return self._joined(lambda scene, part: scene.series_ohm + part, np.zeros(self.panel.shape))
 
     @property
-    def broken(self) -> NDArray[np.bool_]:
+    def broken(self) -> Array:
         """Whether a crossing has no cell to be estimated, (rows, columns)."""
-        return self._joined(scene.broken for scene in self.scenes)
+        return self._joined(lambda scene, part: scene.broken.astype(float), np.zeros(self.panel.shape))
 
     def uniform_start(self, measured: Array) -> Array:
         """Return the uniform start of every module, as `Readout.uniform_start`."""
-        parts = zip(self.scenes, layout_of(self.panel).split(measured), strict=True)
-        return self._joined(scene.circuit.uniform_start(part) for scene, part in parts)
+        return self._joined(lambda scene, part: scene.circuit.uniform_start(part), measured)
 
     def ties(self, cells: Array) -> Array:
         """Return an empty array, because every module has its own ties."""
@@ -94,8 +93,10 @@ class WindowScene:
         solved = (module.circuit.network(part, module.circuit.ties(part), module.wiring) for module, part in parts)
         return WindowNetwork(layout, tuple(solved))
 
-    def _joined(self, parts: Iterable[NDArray[Any]]) -> NDArray[Any]:
-        return layout_of(self.panel).joined(np.stack([*parts]))
+    def _joined(self, part: Callable[[Scene, Array], Array], image: Array) -> Array:
+        layout = layout_of(self.panel)
+        pairs = zip(self.scenes, layout.split(image), strict=True)
+        return np.asarray(layout.joined(np.stack([part(*pair) for pair in pairs])))
 
 
 @dataclass(frozen=True, eq=False)

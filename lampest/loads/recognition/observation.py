@@ -104,10 +104,11 @@ class ModelErrors:
             Readings without the resistance in series, in the readout's unit.
         scene : Scene
         """
-        module, (rows, columns) = scene.panel.network, measured.shape
+        layout, (rows, columns) = scene.panel.modules, measured.shape
         row, column = np.indices(measured.shape)
-        # every module has channels of its own: number its lines separately
-        row, column = row + rows * (column // module.columns), column + columns * (row // module.rows)
+        if layout is not None:
+            # every module has channels of its own: number its lines separately
+            row, column = row + rows * (column // layout.each.columns), column + columns * (row // layout.each.rows)
         in_ohm = scene.circuit.unit == "ohm"
         total = (measured + scene.series_ohm if in_ohm else measured).reshape(-1, 1)
         lines = [line.reshape(-1, 1) == np.unique(line) for line in (row, column)] if in_ohm else []

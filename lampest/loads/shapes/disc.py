@@ -80,10 +80,11 @@ def pressure_at_places(places: Array, patch_mm: float, disc: Disc, form: Unevenn
     reach = disc.diameter_mm / 2 * (1 + abs(form.along) + abs(form.across)) + patch_mm / 2 + soft
     means = np.zeros((13, *places.shape[1:]))
     near = (np.abs(places[0] - disc.x_mm) < reach) & (np.abs(places[1] - disc.y_mm) < reach)
-    offset = ((np.arange(POINTS) + 0.5) / POINTS - 0.5) * patch_mm
-    x = (places[0, near] - disc.x_mm)[:, None] + np.tile(offset, POINTS)
-    y = (places[1, near] - disc.y_mm)[:, None] + np.repeat(offset, POINTS)
-    means[:, near] = _at_points(x, y, disc, form, soft)
+    if near.any():
+        offset = ((np.arange(POINTS) + 0.5) / POINTS - 0.5) * patch_mm
+        x = (places[0, near] - disc.x_mm)[:, None] + np.tile(offset, POINTS)
+        y = (places[1, near] - disc.y_mm)[:, None] + np.repeat(offset, POINTS)
+        means[:, near] = _at_points(x, y, disc, form, soft)
     return means[0], means[1:]
 
 

@@ -102,6 +102,12 @@ class Candidate(ABC):
         """Return the standard deviation of φ that readings cannot reduce, (parameters,): all patches may share it."""
         return np.zeros(len(parameters))
 
+    def mean(self, panel: Panel) -> Array:
+        return np.array([prior.mean for prior in self.priors(panel).values()])
+
+    def sd(self, panel: Panel) -> Array:
+        return np.array([prior.sd for prior in self.priors(panel).values()])
+
 
 def centre_priors(panel: Panel) -> dict[str, Prior]:
     """Return the priors of x and y of a centre, mm.

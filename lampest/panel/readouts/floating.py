@@ -30,13 +30,16 @@ def grounding(two_point_resistance: Array, parts: Numbers | None = None) -> Arra
 
     The line with the largest Σ 1/R gets a conductance of that size, all others none. A tie at a single line carries no
     current, so that potential differences are those of the paper's equation (5). `parts`, (lines,), contains the number
-    of each line's part; every part has its own ground. None: one part.
+    of each line's part of a single panel; every part has its own ground. None: one part.
     """
     total = line_sums(1 / two_point_resistance)
-    tie, numbers = np.zeros_like(total), np.zeros(total.shape[-1]) if parts is None else parts
-    for part in np.unique(numbers):
-        ground = np.where(numbers == part, total, -1.0).argmax(axis=-1)[..., None]
+    tie = np.zeros_like(total)
+    if parts is None:
+        ground = total.argmax(axis=-1)[..., None]
         np.put_along_axis(tie, ground, np.take_along_axis(total, ground, axis=-1), axis=-1)
+        return tie
+    grounds = [int(np.argmax(np.where(parts == part, total, -1.0))) for part in np.unique(parts)]
+    tie[grounds] = total[grounds]
     return tie
 
 

@@ -290,7 +290,8 @@ class Readout(Converter, ABC):
         rows, columns = cells.shape
         lines, unchanged = rows + columns if channel else 0, self.exact_reading(cells, scene.wiring)
         errors = np.zeros((1 + lines, rows, columns))
-        errors[0] = self.off_by(reference).exact_reading(cells, scene.wiring) - unchanged
+        if reference:
+            errors[0] = self.off_by(reference).exact_reading(cells, scene.wiring) - unchanged
         for line, extra in enumerate(channel * np.eye(lines)):
             recorded = self.simulated(cells, scene, extra[:rows], extra[rows:])
             errors[1 + line] = self.from_recorded(recorded, scene) - unchanged
