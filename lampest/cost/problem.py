@@ -47,6 +47,8 @@ class Data:
         Whether no earlier frame was solved.
     parts : array of int, or None
         See `Scene.parts`.
+    place : int
+        Number that differs between simultaneous solves of many panels: compiled functions store their arguments.
 
     >>> data = found.estimator.data(recording.readings()[2], lampest.cost.given.Background(recording.scene))
     """
@@ -60,17 +62,19 @@ class Data:
     until: float = math.inf
     first: bool = False
     parts: NDArray[np.intp] | None = None
+    place: int = 0
 
     @property
     def panels(self) -> tuple[int, ...]:
         """Shape of the leading axis, (panels,); () of a single panel."""
         return self.measured.shape[:-3]
 
-    def of_panels(self) -> "Data":
-        """Return the data with each frame as a panel of its own."""
+    def of_panels(self, place: int) -> "Data":
+        """Return the data with each frame as a panel of its own, and with another `place`."""
         sources = self.given.sources()
         named = {name: value[:, None] if sources[name].per_frame else value for name, value in self.given.named()}
-        return replace(self, given=replace(self.given, **named), lower=self.lower[:, None], upper=self.upper[:, None])
+        frames = replace(self, given=replace(self.given, **named), lower=self.lower[:, None], upper=self.upper[:, None])
+        return replace(frames, place=place)
 
     def some(self, panels: Panels) -> "Data":
         """Return the data of the chosen panels, or of a single one by its number."""
@@ -139,6 +143,8 @@ class Data:
     @cached_property
     def ties(self) -> Array:
         """Ties of the lines to ground, (…, frames, lines) siemens; (…, frames, modules, lines) of coupled modules."""
+        if self.panels and self.parts is None:
+            return self.readout.ties(self.measured)
         frames = self.measured.reshape(-1, *self.measured.shape[-2:])
         ties = np.stack([self.readout.ties_of_parts(measured, self.parts) for measured in frames])
         return ties.reshape(*self.measured.shape[:-2], *ties.shape[1:])
@@ -155,8 +161,8 @@ class Data:
 
 
 @lru_cache(maxsize=256)
-def _mapped(function: Compiled, panels: int) -> Compiled:
-    """Return a function for many panels at once."""
+def _mapped(function: Compiled, panels: int, place: int) -> Compiled:
+    """Return a function for many panels at once; each `place` has its own, because it stores its arguments."""
     return function.mapped(panels)
 
 
@@ -222,7 +228,7 @@ class Evaluation:
             "weights": self.weights,
             "dual": zeros if dual is None else dual,  # costs with duals are solved panel by panel
         }
-        called = _mapped(function, *panels) if panels else function
+        called = _mapped(function, *panels, self.data.place) if panels else function
         return called(*(values[name] for name in function.names)).reshape(*panels, -1)
 
     @cached_property

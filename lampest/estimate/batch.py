@@ -132,16 +132,17 @@ def _solved_together(
         distinct = len({id(batchable[number]) for number in group})
         blocks += np.array_split(group, max(1, min(cores, distinct // MIN_PANELS_PER_THREAD)))
 
-    def solved(numbers: NDArray[np.intp]) -> dict[int, tuple[Stream, Step]]:
+    def solved(place: int) -> dict[int, tuple[Stream, Step]]:
         with np.errstate(all="ignore"), suppress(*BROKEN):
+            numbers = blocks[place]
             batch = [batchable[number] for number in numbers.tolist()]
-            return _solved_batch(batch, readings[numbers], inverses, numbers)
+            return _solved_batch(batch, readings[numbers], inverses, numbers, place)
         return {}
 
     if len(blocks) < 2:
-        return solved(blocks[0]) if blocks else {}
+        return solved(0) if blocks else {}
     with ThreadPoolExecutor(len(blocks)) as pool:
-        return {number: pair for part in pool.map(solved, blocks) for number, pair in part.items()}
+        return {number: pair for part in pool.map(solved, range(len(blocks))) for number, pair in part.items()}
 
 
 def _in_batches(stream: Stream, readings: Readings, *, partial: bool) -> bool:
@@ -166,7 +167,11 @@ def _unweighted(estimator: Estimator) -> Estimator:
 
 
 def _solved_batch(
-    streams: Sequence[Stream], frames: Readings, inverses: InverseHessians, numbers: NDArray[np.intp]
+    streams: Sequence[Stream],
+    frames: Readings,
+    inverses: InverseHessians,
+    numbers: NDArray[np.intp],
+    place: int,
 ) -> dict[int, tuple[Stream, Step]]:
     """Return the streams of one batch after their frame, and the frame's step, by number; only verified minima.
 
@@ -180,6 +185,8 @@ def _solved_batch(
         As in `push_streams`.
     numbers : integer array
         Numbers of the streams in `inverses`.
+    place : int
+        Number of the batch, as in `Data`.
     """
     begin = perf_counter()
     estimator, behind = _unweighted(streams[0].estimator), streams[0].background
@@ -191,7 +198,7 @@ def _solved_batch(
     cost = estimator.cost(streams[0].scene, 1, partial=data.partial)
     if not serves(cost, data):
         return {}
-    data = data.of_panels()
+    data = data.of_panels(place)
     weights = np.array([[float(term.weight) for term in stream.weighted.terms] for stream in streams])
     start = Evaluation.at(cost, data, np.clip(previous[:, None], data.lower, data.upper), weights)
     ended = solve(start, inverses, numbers, estimator.solver)

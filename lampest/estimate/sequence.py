@@ -22,7 +22,7 @@ from lampest.estimate.stream import CarriedOver, Stream
 from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.panel.panel import Array, check_line_memory
+from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, mean_change
 from lampest.recording.recording import (
@@ -78,7 +78,7 @@ def reconstruct(
         If the noise is needed and unknown, or `recording` is no Recording.
     """
     prepared = Prepared.of(recording)
-    check_line_memory(*prepared.recording.scene.panel.shape)
+    prepared.recording.scene.panel.check_memory()
     readings, frames = prepared.noise.readings, prepared.recording.measured_frames()
     stream = first_stream(prepared.recording, readings, estimator, prepared.noise)
     return MeasuredPart(prepared.recording, frames, readings, prepared).solve(stream, on_frame)[1]

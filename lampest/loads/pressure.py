@@ -200,7 +200,7 @@ def pressure_of(
     if not np.all(usable | (np.isnan(ratio) & np.isnan(lower) & np.isnan(upper))):
         raise ValueError("a resistance over its unloaded value must be positive, finite and within its interval")
     track = PressureTrack.begin(scene, known, tare)
-    if scene.film is None and tare is None:  # no frame depends on earlier ones
+    if not track.remembers:
         return track.pressure(ratio, lower, upper, 0.0, own)
     frames, tared = list[Pressure](), list[str]()
     for number, at in enumerate(np.arange(float(len(ratio))) if time is None else time):
@@ -253,6 +253,11 @@ class PressureTrack:
         watch = None if tare is None else TareWatch(tare)
         return cls(scene, films, np.zeros(films.gain.shape), np.zeros(water.shape), residue, watch=watch)
 
+    @property
+    def remembers(self) -> bool:
+        """Whether the pressure of a frame depends on earlier frames."""
+        return self.scene.film is not None or self.watch is not None
+
     def pressure(self, ratio: Array, lower: Array, upper: Array, time: float, own: Array | None = None) -> Pressure:
         """Return the pressure of the next frame at a time in s, or of several frames if the film has no memory.
 
@@ -304,6 +309,8 @@ class PressureTrack:
 
     def after(self, ratio: Array, time: float) -> "PressureTrack":
         """Return the track after a frame of r/r_baseline (rows, columns) at a time in s; NaN leaves cells unchanged."""
+        if not self.remembers:
+            return self
         change, seconds, track = self._change(ratio), self._seconds(time), self
         zeroed = time if self.zeroed is None else self.zeroed
         if np.isfinite(change).any():

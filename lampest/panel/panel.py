@@ -17,11 +17,11 @@ MAX_UNCHECKED_LINES = 2000  # lines: matrices over fewer lines fit into 100 MB, 
 CellPlace = tuple[int, int, float, float]
 
 
-def check_line_memory(rows: int, columns: int) -> None:
-    """Raise InputError if memory does not suffice for three matrices (lines, lines), such as L and Z."""
+def check_line_memory(rows: int, columns: int, matrices: int = 3) -> None:
+    """Raise InputError if memory does not suffice for `matrices` matrices (lines, lines), such as L and Z."""
     lines = rows + columns
     if lines > MAX_UNCHECKED_LINES:
-        check_memory(24.0 * lines**2, f"a panel of {rows} × {columns} cells ({lines} lines)")
+        check_memory(8.0 * matrices * lines**2, f"a panel of {rows} × {columns} cells ({lines} lines)")
 
 
 @dataclass(frozen=True)
@@ -91,14 +91,6 @@ class Modules(Configuration):
         module, shape = self.each, parts.shape[:-3]
         blocks = parts.reshape(*shape, self.rows, self.columns, module.rows, module.columns)
         return np.moveaxis(blocks, -2, -3).reshape(*shape, *self.shape)
-
-    def block_matrix(self, blocks: NDArray[Any]) -> NDArray[Any]:
-        """Return matrices of the modules (modules, cells, cells) as one over the cells of the image, zero elsewhere."""
-        size = self.count * blocks.shape[-1]
-        numbers = self.split(np.arange(size).reshape(self.shape)).reshape(self.count, -1)
-        matrix = np.zeros((size, size))
-        matrix[numbers[:, :, None], numbers[:, None, :]] = blocks
-        return matrix
 
 
 @dataclass(frozen=True)
@@ -175,6 +167,10 @@ class Panel(Configuration):
         for row, column, *_ in self.cells or ():
             present[row, column] = True
         return present
+
+    def check_memory(self, matrices: int = 3) -> None:
+        """Raise InputError if memory does not suffice for `matrices` matrices (lines, lines)."""
+        check_line_memory(self.rows, self.columns, matrices)
 
     def centres_mm(self) -> tuple[Array, Array]:
         """Return the positions of columns, x_k = k·pitch, and of rows, y_j = j·pitch, in mm, including seams."""

@@ -134,6 +134,8 @@ def _length_to_largest_change(step: Array, search: Array) -> float:
 
 def restricted(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:
     """Return the restriction of a product over `size` unknowns to the chosen ones (numbers), all others zero."""
+    if len(chosen) == size:
+        return product
     full = np.zeros(size)
 
     def part(values: Array) -> Array:

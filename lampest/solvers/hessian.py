@@ -100,8 +100,7 @@ class Hessian:
     @cached_property
     def through(self) -> Array:
         """Part of the gradient through the readings, Jᵀ·∂φ/∂y, (…, cells)."""
-        seconds = self._second_orders
-        return np.concatenate([self._flat(second.network.adjoint(second.weights)) for second in seconds], axis=-1)
+        return np.concatenate([self._flat(second.adjoint()) for second in self._second_orders], axis=-1)
 
     @property
     def by_reading(self) -> Array:

@@ -91,14 +91,14 @@ def network_row(scene: lp.Scene) -> dict[str, Any]:
     second, few = network.second_order(weights), np.array([1, 6, 7])
     row = {
         "reading": network.reading(), "forward": network.forward(step), "adjoint": network.adjoint(weights),
-        "sensitivity": network.sensitivity(), "own": network.own_response(),
-        "products": second.products(step), "second": second.matrix(),
+        "sensitivity": network.sensitivity(), "own": network.own_response(), "condition": network.condition(),
+        "products": second.products(step), "second adjoint": second.adjoint(), "second": second.matrix(),
     }  # fmt: skip
     if scene.panel.modules is None:
         row |= {
             "some": network.sensitivity()[np.ix_(few[:2], few)], "some second": second.matrix()[np.ix_(few, few)],
             "potentials": network.potentials(), "by lines": network.normal_by_lines(weights**2),
-            "condition": network.condition(), "wire": wiring.wire_responses(network, scene.lines or lp.Lines()),
+            "wire": wiring.wire_responses(network, scene.lines or lp.Lines()),
         }  # fmt: skip
     if scene.wiring is not None:
         row["contacts"] = wiring.contact_responses([network])

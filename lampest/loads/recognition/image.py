@@ -37,7 +37,11 @@ class WindowNetwork(NamedTuple):
 
     def sensitivity(self) -> Array:
         """Return the block diagonal Jacobian J, (readings, cells)."""
-        return self.layout.block_matrix(np.stack([network.sensitivity() for network in self.networks]))
+        numbers = self.layout.split(np.arange(np.prod(self.layout.shape)).reshape(self.layout.shape))
+        matrix = np.zeros((numbers.size, numbers.size))
+        for network, index in zip(self.networks, numbers.reshape(len(numbers), -1), strict=True):
+            matrix[np.ix_(index, index)] = network.sensitivity()
+        return matrix
 
 
 @dataclass(frozen=True, eq=False)

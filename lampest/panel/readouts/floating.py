@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lampest.files.typed import typed
 from lampest.panel.kirchhoff import bipartite_matrix, line_sums
-from lampest.panel.network import Entries, Network, NormalByLines, Numbers, across, inverse_of
+from lampest.panel.network import Entries, Loading, Network, NormalByLines, Numbers, across, inverse_of
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, steihaug
 
@@ -72,6 +72,13 @@ class FloatingNetwork(Network):
     @property
     def slopes(self) -> Entries:
         return np.ones((1, 1)), np.ones((1, 1)), np.full((1, 1), -2.0)
+
+    def read_change(self, change: Entries) -> Array:
+        return across(change)
+
+    def loading(self, weights: Array) -> Loading:
+        """Return W = L_w, the Laplacian with the weights as conductances."""
+        return line_sums(weights), -weights
 
     def sensitivity(self) -> Array:
         """Return J = (D∘D)·diag(g), (…, readings, cells)."""
@@ -296,6 +303,7 @@ def _all_pairs(weights: Array, rows: int) -> tuple[Array, Index, Index]:
         Numbers of the two lines of each pair.
     """
     lines, first_column = np.arange(weights.shape[1])[None], rows
+    shorted = bool(np.any(np.isinf(weights)))
     while weights.shape[1] > 2:
         columns = weights.shape[1] - rows
         first, size = (0, rows) if rows >= columns else (rows, columns)
@@ -307,19 +315,22 @@ def _all_pairs(weights: Array, rows: int) -> tuple[Array, Index, Index]:
         for stay, go in ((places[:half], places[half:]), (places[-half:], places[:-half])):
             order = np.concatenate([stay, opposite, go] if first == 0 else [opposite, stay, go])
             parts.append((weights[:, order[:, None], order], lines[:, order]))
-        weights = _without_last(np.concatenate([part for part, _ in parts]), size // 2)
+        weights = _without_last(np.concatenate([part for part, _ in parts]), size // 2, shorted=shorted)
         lines = np.concatenate([part for _, part in parts])[:, : weights.shape[1]]
         rows = half if first == 0 else rows
     return weights[:, 0, 1], lines[:, 0], lines[:, 1] - first_column
 
 
-def _without_last(weights: Array, count: int) -> Array:
+def _without_last(weights: Array, count: int, *, shorted: bool) -> Array:
     """Return the networks after star–mesh elimination of their last `count` lines; `weights` is overwritten."""
     for last in range(weights.shape[1] - 1, weights.shape[1] - 1 - count, -1):
         spokes, mesh = weights[:, last, :last], weights[:, :last, :last]
         # w_ab += w_as·w_sb/Σ_c w_sc
         total = spokes.sum(axis=1, keepdims=True)
         share = np.divide(spokes, total, out=np.zeros_like(spokes), where=total > 0)
+        if not shorted:
+            mesh += spokes[:, :, None] * share[:, None, :]
+            continue
         # Shorts are the limit of one large conductance: all current of the line divides equally among them.
         endless = np.isinf(spokes)
         among = endless / np.maximum(endless.sum(axis=1, keepdims=True), 1)

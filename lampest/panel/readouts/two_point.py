@@ -304,13 +304,25 @@ class BlockNetwork(FloatingNetwork):
         return np.asarray(self.layout.joined(self.inner.adjoint(self.layout.split(weights))))
 
     def sensitivity(self) -> Array:
-        return self.layout.block_matrix(self.inner.sensitivity())
+        return self.scattered(self.inner.sensitivity())
 
     def second_order(self, weights: Array) -> SecondOrder:
         return BlockSecondOrder(self, weights)
 
     def normal_by_lines(self, weight: Array) -> NormalByLines:
         return Network.normal_by_lines(self, weight)
+
+    def condition(self) -> float:
+        """Return the largest condition of all modules; see `Network.condition`."""
+        return self.inner.condition()
+
+    def scattered(self, blocks: Array) -> Array:
+        """Return blocks (modules, cells, cells) as a matrix (cells, cells) over the cells of the image."""
+        size, layout = self.conductance.size, self.layout
+        numbers = layout.split(np.arange(size).reshape(layout.shape)).reshape(layout.count, -1)
+        matrix = np.zeros((size, size))
+        matrix[numbers[:, :, None], numbers[:, None, :]] = blocks
+        return matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,5 +342,9 @@ class BlockSecondOrder(SecondOrder):
         change, second = self._inner.products(layout.split(step))
         return np.asarray(layout.joined(change)), np.asarray(layout.joined(second))
 
+    def adjoint(self) -> Array:
+        """Return Jᵀ·w for the weights, module by module."""
+        return np.asarray(self.network.layout.joined(self._inner.adjoint()))
+
     def matrix(self) -> Array:
-        return self.network.layout.block_matrix(self._inner.matrix())
+        return self.network.scattered(self._inner.matrix())

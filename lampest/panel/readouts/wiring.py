@@ -324,6 +324,10 @@ class WiredSecondOrder(SecondOrder):
 
     network: WiredNetwork
 
+    def adjoint(self) -> Array:
+        """Return Jᵀ·w = g·diag(Dᵀ W D), (rows, columns)."""
+        return np.asarray(self.network.conductance * self.network.drawn(self.loading))
+
     def products(self, step: Array) -> tuple[Array, Array]:
         """Return J·p and H·p = g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D)), (rows, columns) each.
 
