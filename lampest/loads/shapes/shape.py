@@ -103,9 +103,11 @@ class Candidate(ABC):
         return np.zeros(len(parameters))
 
     def mean(self, panel: Panel) -> Array:
+        """Return the prior means of φ, (parameters,)."""
         return np.array([prior.mean for prior in self.priors(panel).values()])
 
     def sd(self, panel: Panel) -> Array:
+        """Return the prior standard deviations of φ, (parameters,)."""
         return np.array([prior.sd for prior in self.priors(panel).values()])
 
 
