@@ -108,8 +108,10 @@ class Evidence:
 
 def responses(fit: CellsFit, effects: Sequence[Effect]) -> Array:
     """Return the response K U of the log cells to a unit of each θ, (cells, effects), by secants."""
-    small = [replace(effect, size=SECANT_STEP * effect.prior) for effect in effects]
-    return fit.response(np.stack([fit.more(effect) for effect in small]) / SECANT_STEP)
+    # An effect of the size of the secant's step; constant ones and those since the unloaded frames respond alike.
+    small = [replace(effect, since=False, size=SECANT_STEP * effect.prior) for effect in effects]
+    by_effect = {effect: fit.more(effect) / SECANT_STEP for effect in dict.fromkeys(small)}
+    return fit.response(np.stack([by_effect[effect] for effect in small]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -219,9 +219,9 @@ class DenseErrors:
         parts: list[tuple[Array, Array | float]] = [
             (self._gain, model.noise**2),
             (self.inverse, model.scale**2 * model.ignorance),
-            (self._pulls, model.scale * self.widening),
-            ((model.pulls[model.free].T @ self.inverse).T, 1.0),
         ]
+        if len(model.penalty_term):
+            parts += [(self._pulls, model.scale * self.widening), ((model.pulls[model.free].T @ self.inverse).T, 1.0)]
         if self.drawn is not None:
             parts.append((self._gain @ self.drawn, 1.0))
         return [(rows * size, rows) for rows, size in parts]
