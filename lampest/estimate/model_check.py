@@ -28,7 +28,7 @@ from lampest.estimate.nuisances import (
     find_effects,
 )
 from lampest.estimate.rivals import Rival, changes_beyond_noise, rivals_of, standing_frames
-from lampest.files.errors import InputError
+from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, SIGNIFICANT
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.observation import patch_of
@@ -36,7 +36,6 @@ from lampest.panel.panel import Array, Modules
 from lampest.posterior.interval import largest_of
 from lampest.recording.readings import Readings, mean_change, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.solvers.multistart import BROKEN
 
 EXPLAINED = "the circuit explains its readings"
 # Deviation of ln of a module's median reading at rest from the other modules: none of 1,640 simulated modules whose

@@ -19,6 +19,7 @@ from lampest.estimate.deciding import baseline_readings, deciding_frames
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise import MIN_EXCESS, NoiseEstimate
 from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
+from lampest.files.errors import BROKEN
 from lampest.files.levels import TWO_SIDED
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
@@ -26,7 +27,6 @@ from lampest.posterior.interval import student_two_sided
 from lampest.posterior.reference import MAX_CELLS, MODEL, ErrorScale, references
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
-from lampest.solvers.multistart import BROKEN
 
 MIN_READINGS = 100  # their largest twentieth measures the tail; with fewer, a single outlier would decide it
 

@@ -14,13 +14,12 @@ from lampest.estimate.nuisances import CircuitEffects
 from lampest.estimate.outliers import frozen_readings, impossible_readings, without_outliers, without_readings
 from lampest.estimate.saturation import with_saturated_stage
 from lampest.estimate.warnings import warnings_of
-from lampest.files.errors import InputError, in_words
+from lampest.files.errors import BROKEN, InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Modules
 from lampest.panel.systematic import systematic_of, unobservable_numbers
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.solvers.multistart import BROKEN
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,7 +69,7 @@ class Step:
 
     def bare(self) -> "Step":
         """Return the step without the parts from which error bars are computed, which take much memory."""
-        return replace(self, solution=replace(self.solution, at=None, dual=None, preconditioner=None))
+        return replace(self, solution=replace(self.solution, at=None, dual=None, carried=None))
 
     def surroundings(self) -> LinearModel | None:
         """Return the linear model at a verified optimum, for error bars; None where there is no such optimum."""

@@ -15,6 +15,9 @@ PACKAGES = {
     "dateutil": "python-dateutil",
 }
 
+# Raised by numpy, LAPACK, SuperLU and CasADi for numbers with which they cannot compute.
+BROKEN = (ArithmeticError, ValueError, RuntimeError)
+
 
 class InputError(ValueError):
     """Mistake of the user, described in one sentence; commands end with exit code 2.

@@ -26,7 +26,7 @@ from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import RESISTORS
 from lampest.estimate.sequence import first_stream
-from lampest.files.errors import InputError
+from lampest.files.errors import BROKEN, InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenReadout
 from lampest.panel.readouts.lines import of_side
@@ -34,7 +34,6 @@ from lampest.panel.scene import Scene, SeriesPerLine, Systematic
 from lampest.panel.systematic import USUAL, systematic_of
 from lampest.posterior.covariance import positive_inverse
 from lampest.recording.recording import Recording
-from lampest.solvers.multistart import BROKEN
 
 BLOCK = 50  # frames that are solved together; ten blocks take as long as one of all their frames
 UNCHANGED = 0.9  # ratio of the deviations after and before: above it the recordings determine hardly any channel
