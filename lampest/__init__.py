@@ -51,8 +51,12 @@ if TYPE_CHECKING:
     from lampest.estimate.methods.method import OptimalMethod as OptimalMethod
     from lampest.estimate.methods.smoother import SmootherMethod as SmootherMethod
     from lampest.estimate.model_check import ModelCheck as ModelCheck
+    from lampest.estimate.own_program import OwnProgram as OwnProgram
+    from lampest.estimate.own_program import OwnSolution as OwnSolution
+    from lampest.estimate.own_program import program as program
     from lampest.estimate.state import Step as Step
     from lampest.estimate.stream import Stream as Stream
+    from lampest.estimate.witness import Verify as Verify
     from lampest.files.errors import InputError as InputError
     from lampest.loads.pressure import Tare as Tare
     from lampest.loads.shapes import Block as Block
@@ -164,6 +168,7 @@ def reconstruct(
     error_bars: Literal["auto"] | bool = "auto",
     auto_weight: AutoWeight | None = None,
     tare: Tare | None = None,
+    verify: Verify | None = None,
     progress: bool | Callable[[int, int], None] = False,
 ) -> Reconstruction:
     """Estimate the cells of every measured frame, r̂ = argmin Σ weight·loss(residual) within the bounds.
@@ -188,6 +193,8 @@ def reconstruct(
         None stands for AutoWeight().
     tare : Tare, or None
         When the zero of pressures is taken anew; None: never.
+    verify : Verify, or None
+        Frames that IPOPT solves again on the nodal program, from another start. None stands for Verify(): none.
     progress : bool or callable
         True draws a bar with the numbers of finished and of all frames and the remaining time. A function is called
         after every frame with both numbers.
@@ -214,6 +221,7 @@ def reconstruct(
     from lampest.report.reconstruction import Reconstruction
 
     options: dict[str, Any] = {"solver": solver, "bounds": bounds, "auto_weight": auto_weight, "tare": tare}
+    options["verify"] = verify
     estimator = Estimator(
         default_terms(recording) if terms is None else checked_terms(terms),
         formulation,

@@ -22,7 +22,7 @@ from lampest.files.errors import BROKEN
 from lampest.panel.readouts import TwoPointReadout
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
-from lampest.solvers.projected_lbfgs import InverseHessians, serves, solve
+from lampest.solvers.projected_lbfgs import NAME, InverseHessians, serves, solve
 from lampest.solvers.solution import VERIFIED, Outcome, Status, solution_at
 
 MIN_PANELS_PER_THREAD = 20  # with fewer panels in a thread, threads cost more than they save
@@ -210,7 +210,7 @@ def _solved_batch(
         status = Status.HELD if bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
         iterations = int(ended.iterations[row])
         outcome = Outcome(at.cell_resistance, NO_DUAL, status, iterations, carried=stream.prepared)
-        solution = solution_at(at, float(points.residual[row]), outcome, status)
+        solution = replace(solution_at(at, float(points.residual[row]), outcome, status), solver=NAME)
         step = Step(solution, seconds, stream_weights, weight_sigma=stream.weighted.weight_sigma)
         after[int(numbers[row])] = stream.estimator.method.after(stream, step, frames[row])
     return after

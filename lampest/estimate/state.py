@@ -7,6 +7,7 @@ import numpy as np
 
 from lampest.cost.given import Background
 from lampest.estimate.objective import Objective
+from lampest.estimate.witness import Verification
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
@@ -38,6 +39,8 @@ class Step:
         Status of an image of modules; else ''.
     weight_sigma : tuple of float
         Standard deviations of ln λ, see `Objective`.
+    verification : Verification or None
+        Comparison with a second solve by IPOPT; None where none was requested.
 
     >>> step = found.steps[0]
     >>> step.cell_resistance.shape, step.status
@@ -51,6 +54,7 @@ class Step:
     bars_seconds: float = 0.0
     sentence: str = ""
     weight_sigma: tuple[float, ...] = ()
+    verification: Verification | None = None
 
     @property
     def cell_resistance(self) -> Array:

@@ -5,16 +5,16 @@ minima. A warm start has IPOPT's own multipliers of an earlier solve, and a smal
 Source: Wächter & Biegler, Mathematical Programming 106, 2006.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import casadi
 import numpy as np
 
+from lampest.formulation.instance import Instance, Multipliers, ProgramResult
 from lampest.formulation.program import Program
 from lampest.panel.compiled import CasadiOwner, guarded
-from lampest.panel.panel import Array
 
 PUSH = 1e-9  # distance that IPOPT keeps from a bound, relative to max(bound, 1); far below the accuracy of a cell
 # MUMPS orders by approximate minimum degree (0), the fastest: see docs/studies/speed.md. A relaxed bound of 0 would let
@@ -62,63 +62,6 @@ class Limits:
 
 
 @dataclass(frozen=True, eq=False)
-class Multipliers:
-    """Multipliers of a solved program, in its units.
-
-    Attributes
-    ----------
-    of_bounds : array, shape (unknowns,)
-    of_equations : array, shape (constraints,)
-    scale, cost_scale : float
-        Units of resistances in ohm, and of the cost.
-    """
-
-    of_bounds: Array
-    of_equations: Array
-    scale: float
-    cost_scale: float
-
-    def in_units(self, program: Program, scale: float, cost_scale: float) -> "Multipliers":
-        """Return the multipliers in other units.
-
-        Multipliers are ∂f/∂(right-hand side), f = φ/`cost_scale`. Balances have no unit; conductances are in 1/`scale`,
-        voltages in `scale`.
-        """
-        share = self.cost_scale / cost_scale
-        of_bounds = program.unknown.named(self.of_bounds * share)
-        of_bounds["conductance"] = of_bounds["conductance"] * self.scale / scale
-        stacked = program.unknown.stacked(of_bounds)
-        return replace(
-            self, of_bounds=stacked, of_equations=self.of_equations * share, scale=scale, cost_scale=cost_scale
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class ProgramResult:
-    """ProgramResult of IPOPT.
-
-    Attributes
-    ----------
-    unknown : array, shape (unknowns,)
-    of_bounds : array, shape (unknowns,)
-        Multipliers of the bounds; positive at an upper one.
-    of_equations : array, shape (constraints,)
-    status : str
-        IPOPT's return status.
-    iterations : int
-    convex : bool
-        Whether no iteration had to correct the inertia: the Lagrangian had no negative curvature along the equations.
-    """
-
-    unknown: Array
-    of_bounds: Array
-    of_equations: Array
-    status: str
-    iterations: int
-    convex: bool
-
-
-@dataclass(frozen=True, eq=False)
 class Interface(CasadiOwner):
     """IPOPT's interface to one program; derivatives are built once, for cold and for warm starts.
 
@@ -140,32 +83,15 @@ class Interface(CasadiOwner):
         _ = self._cold
 
     @guarded
-    def minimise(
-        self,
-        start: Array,
-        parameter: Array,
-        bounds: tuple[Array, Array],
-        multipliers: Multipliers | None = None,
-        equations: tuple[Array | float, Array | float] = (0.0, 0.0),
-    ) -> ProgramResult:
-        """Return IPOPT's result from a start, warm with multipliers.
-
-        Parameters
-        ----------
-        start : array, shape (unknowns,)
-        parameter : array, shape (parameters,)
-        bounds : pair of arrays, shape (unknowns,) each
-        multipliers : Multipliers, optional
-            In the program's units.
-        equations : pair of arrays, shape (constraints,) each, or numbers
-            Limits of the constraints.
-        """
+    def minimise(self, instance: Instance, multipliers: Multipliers | None = None) -> ProgramResult:
+        """Return IPOPT's result for an instance of the program; a warm start has multipliers in its units."""
         solver = self._cold if multipliers is None else self._warm
         warm = {}
         if multipliers is not None:
             warm = {"lam_x0": multipliers.of_bounds, "lam_g0": multipliers.of_equations}
-        (lbx, ubx), (lbg, ubg) = bounds, equations
-        result = solver(x0=start, p=parameter, lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg, **warm)
+        limits = {"lbx": instance.lower, "ubx": instance.upper}
+        limits |= {"lbg": instance.equations[0], "ubg": instance.equations[1]}
+        result = solver(x0=instance.start, p=instance.parameter, **limits, **warm)
         stats = solver.stats()
         unknown, of_bounds, of_equations = (np.asarray(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
         convex = not any(stats["iterations"]["regularization_size"])

@@ -22,13 +22,13 @@ import casadi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lampest.cost.cost import Cost, Symbols, lowered, program_groups, summands
+from lampest.cost.cost import Cost, Summand, Symbols, lowered, program_groups, summands
 from lampest.cost.given import Given
 from lampest.cost.losses import Lowered
 from lampest.files.errors import InputError
 from lampest.formulation.circuit import Circuit
 from lampest.formulation.patterns import Excitation, NetworkSymbols
-from lampest.panel.compiled import CasadiOwner
+from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 
@@ -266,16 +266,33 @@ class Program(CasadiOwner):
         return replace(self, constraints=(*self.constraints, constraint))
 
     @cached_property
-    def lowered(self) -> list[Lowered]:
-        """Costs w·ρ(x) of all terms in the form of an interior-point method, `Loss.lowered`."""
+    def groups(self) -> list[list[Summand]]:
+        """Costs w·ρ(x) of all terms and frames, in groups that are lowered together."""
         pairs = []
         size = self.cost.frames
         for first in range(0, self.conductance.shape[1], size):
             block = slice(first, first + size)
             symbols = Symbols(self.cell_resistance[:, block], self.reading[:, block], self._given_of(block))
             pairs += self.cost.residuals(symbols)
-        groups = program_groups(summands(self.cost.terms, pairs, self.weight))
-        return [lowered(group, self.split_scale) for group in groups]
+        return program_groups(summands(self.cost.terms, pairs, self.weight))
+
+    @cached_property
+    def lowered(self) -> list[Lowered]:
+        """The groups in the form of an interior-point method, `Loss.lowered`."""
+        return [lowered(group, self.split_scale) for group in self.groups]
+
+    @guarded
+    def split_residuals(self, unknown: Array, parameter: Array) -> list[Array]:
+        """Return the residuals of each group that is split into p and q, at numbers of x and of the parameters."""
+        values = self._split_residuals(unknown, parameter) if self._split_residuals.n_out() else ()
+        several = values if isinstance(values, tuple) else (values,)
+        return [np.asarray(value).ravel() for value in several]
+
+    @cached_property
+    def _split_residuals(self) -> casadi.Function:
+        split = [group for group in self.groups if group[0].loss.enters != "whole"]
+        residuals = [casadi.densify(casadi.vertcat(*(part.residual for part in group))) for group in split]
+        return casadi.Function("split", [self.unknown.column, self.parameter.column], residuals)
 
     def _given_of(self, block: slice) -> Given:
         """Return the inputs of one block of frames."""

@@ -14,6 +14,7 @@ from lampest.cost.terms import AnyTerm, Term, term_types
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
 from lampest.estimate.sequence import check_by_parts
+from lampest.estimate.witness import Verify
 from lampest.files import sweep
 from lampest.files.document import Document, adapter, plain_content, read_document, to_yaml, validated
 from lampest.files.errors import InputError
@@ -68,6 +69,7 @@ class Choices:
     error_bars: Literal["auto"] | bool = "auto"
     auto_weight: AutoWeight = AutoWeight()
     tare: Tare | None = None
+    verify: Verify = Verify("strongest")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -105,7 +105,7 @@ class ProjectedNewton(Solver):
     @property
     def name(self) -> str:
         """The solver in words."""
-        return "projected Newton"
+        return "Newton"
 
     def continued(self, carried: object) -> "ProjectedNewton":
         """Return the solver that begins with the preconditioner of the frame before."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.files.typed import Validated, check_positive_fields, check_ranges, typed
-from lampest.formulation.ipopt import Multipliers
+from lampest.formulation.instance import Multipliers
 from lampest.panel.panel import Array
 from lampest.solvers.bounds import MILLIONTH, bounds_matter
 from lampest.solvers.certificate import Certificate, Definiteness, certificate

@@ -21,7 +21,8 @@ from lampest.estimate.weights import EvidencePoint
 from lampest.files.errors import InputError
 from lampest.files.typed import members_of
 from lampest.formulation.circuit import Circuit
-from lampest.formulation.ipopt import Interface, ProgramResult
+from lampest.formulation.instance import ProgramResult, on_bounds
+from lampest.formulation.ipopt import Interface
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
 from lampest.panel import least_squares
@@ -241,12 +242,15 @@ def begun_row(cost: str, circuit: str, form: str) -> list[Any]:
     """What IPOPT is given, and what becomes of some results of it."""
     at, scene, given, rng = point(cost, circuit), TINY[circuit], dict[str, Any](), np.random.default_rng(4)
 
-    def minimise(interface: Interface, start: Any, parameter: Any, limits: Any, warm: Any = None) -> ProgramResult:
-        given.update(start=start, parameter=parameter, lower=limits[0], upper=limits[1])
-        pull = rng.standard_normal(len(start))
+    def minimise(interface: Interface, instance: Any, warm: Any = None) -> ProgramResult:
+        given.update(
+            start=instance.start, parameter=instance.parameter, lower=instance.lower, upper=instance.upper,
+            units=[instance.scale, instance.cost_scale, instance.split_scale],
+        )  # fmt: skip
+        pull = rng.standard_normal(len(instance.start))
         pull[:3] = 1e3, -1e3, 0.0
         equations = rng.standard_normal(interface.program.equation.column.shape[0])
-        ended = start * np.exp(0.1 * rng.standard_normal(len(start)))
+        ended = instance.start * np.exp(0.1 * rng.standard_normal(len(instance.start)))
         return ProgramResult(ended, pull, equations, "Search_Direction_Becomes_Too_Small", 7, convex=True)
 
     with patch.object(Interface, "minimise", minimise):
@@ -259,7 +263,7 @@ def limits_row() -> list[lp.Array]:
     """Cells that multipliers of bounds move: on a bound, near it, within, and between equal bounds."""
     low, high = np.array([1.0, 1, 1, 1, 2, 2, 0, 1]), np.array([5.0, 5, 5, 5, 8, 8, 50, 1])
     at, pull = np.array([1.0, 1 + 1e-8, 5, 4.9, 3, 7.5, 1e-3, 1]), np.array([-2.0, 3, 4, -5, 6, -7, 8, 9])
-    return [by_ipopt.on_bounds(at, size * pull, low, high) for size in (-1, 1, 40)]
+    return [on_bounds(at, size * pull, low, high) for size in (-1, 1, 40)]
 
 
 def certificate_row(cost: str, circuit: str, decades: float) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from lampest.estimate.contacts import with_contacts
 from lampest.estimate.objective import Objective
 from lampest.estimate.state import UNKNOWN_SD, AnyState, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
+from lampest.estimate.witness import Witness, compared, testimony
 from lampest.files.errors import BROKEN
 from lampest.files.process import delayed_interrupt, ended_where_hung
 from lampest.files.typed import Configuration
@@ -173,6 +174,31 @@ class Method(Configuration):
         if len(data.measured) == 2:
             state, step = with_contacts(state, readings, step, self._elsewhere)
         return self.after(state, step, readings)
+
+    def verified(self, state: AnyState, readings: Readings, after: AnyState, step: Step) -> tuple[AnyState, Step]:
+        """Return the state after a frame and its step, compared with a second solve by IPOPT from another start.
+
+        A lower optimum of the witness takes the place of the first one.
+
+        Parameters
+        ----------
+        state : SequenceState
+            State before the frame.
+        readings : Readings
+            The frame, (rows, columns).
+        after, step
+            State after the frame, and its step.
+        """
+        before = replace(state, estimator=state.estimator.with_weights(step.weights, step.weight_sigma))
+        data, previous = self.given(before, readings)
+        cost = before.estimator.cost(state.scene, len(data.measured), partial=data.partial)
+        witness = testimony(cost, data, previous, state.estimator.solver)
+        comparison = compared(step.solution, witness)
+        if comparison.witness is not Witness.LOWER:
+            return after, replace(step, verification=comparison)
+        lower = replace(step, solution=witness, verification=comparison)
+        after, lower = self.after(before, lower, readings)
+        return replace(after, estimator=state.estimator), lower
 
     def after(self, state: AnyState, step: Step, readings: Readings) -> tuple[AnyState, Step]:
         """Return the state after a solved frame, and its step with error bars where the state requests them."""
