@@ -149,7 +149,8 @@ def test_all_examples_together_keep_the_rules_of_the_house(copy: Path) -> None:
                 run(copy, command)
                 new.append(command.split()[-1])
         new += re.findall(r"^\+class (\w+)", fence.text, flags=re.MULTILINE) if fence.language == "diff" else []
-    assert len(new) == len(EXAMPLES), "each page moves one file or one class into the house"
+    joining = set(EXAMPLES) - {"constraint"}  # parts of a notebook's own program stay there
+    assert len(new) == len(joining), "each page moves one file or one class into the house"
     run(copy, "python -m pytest -q -x tests/contracts/test_architecture.py -k 'keeps_the_rule or reached or twelve'")
     run(copy, "ruff check lampest && ruff format --check lampest")
     run(copy, "mypy")
