@@ -61,8 +61,8 @@ class ProgramResult:
     status : str
         IPOPT's return status.
     iterations : int
-    convex : bool
-        Whether no iteration had to correct the inertia: the Lagrangian had no negative curvature along the equations.
+    corrected : bool
+        Whether IPOPT corrected the inertia in any iteration: there was negative curvature along the equations.
     """
 
     unknown: Array
@@ -70,7 +70,7 @@ class ProgramResult:
     of_equations: Array
     status: str
     iterations: int
-    convex: bool
+    corrected: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ cells, multipliers those with which IPOPT ended the frame before.
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import log
 
 import numpy as np
 
@@ -32,6 +33,7 @@ STATUS = {
 }
 # The unit of the objective is the cost of a cell at readings of zero; that of an optimum is decades smaller.
 ACCURACY = 1e-4
+FAR = log(4.0)  # of ln r: a frame whose cells move less stays in its valley, even where IPOPT corrects the inertia
 
 
 @dataclass(frozen=True)
@@ -79,13 +81,15 @@ class Ipopt(Solver):
         instance = Instance.of(self._interface.program, circuit, self.patterns, [start])
         result, iterations = self._minimise(instance)
         status = STATUS.get(result.status, Status.BREAKDOWN)
+        cells = instance.cells_of(result)
+        moved = float(np.abs(np.log(cells / start.cell_resistance)).max())
         return Outcome(
-            instance.cells_of(result),
+            cells,
             instance.duals_of(result, self.cost.slope),
             status,
             iterations,
             carried=instance.multipliers_of(result) if status is Status.OPTIMUM else None,
-            convex=result.convex,
+            convex=not (result.corrected and moved > FAR),
         )
 
     def _minimise(self, instance: Instance) -> tuple[ProgramResult, int]:

@@ -101,7 +101,7 @@ def test_a_solver_that_returns_its_start_is_found_out(
 ) -> None:
     def start_of(interface: Interface, instance: Instance, warm: Multipliers | None = None) -> ProgramResult:
         zeros = np.zeros_like(instance.start), np.zeros_like(instance.equations[0])
-        return ProgramResult(instance.start, *zeros, "Solve_Succeeded", 0, convex=True)
+        return ProgramResult(instance.start, *zeros, "Solve_Succeeded", 0)
 
     monkeypatch.setattr(Interface, "minimise", start_of)
     found = lampest.reconstruct(
