@@ -1,6 +1,7 @@
 """Tables of text as people have them: frames, times and sentences, or a refusal with its place."""
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 from contracts import imports
 from contracts.imports import CODES, COLUMNS, DIVIDER, FRAMES, LOADED, ROWS, VOLT_OF_CODES, given, lines, names
+
+from lampest import LoadedColumnsReadout, TwoPointReadout
 
 WIDE = FRAMES.reshape(4, -1)
 FOUR = np.arange(4)
@@ -89,6 +92,68 @@ refused("long blocks", LONG, "m.csv:1: a block of 4 lines, where the panel has 3
 
 MEANS, STEPS = CODES + CODES % 20 / 20, "as such they lie on the converter's steps"
 taken("means of codes", lines(MEANS), STEPS, expected=1024e3 / (MEANS + 0.5) - 1000, scene=DIVIDER)
+EIGHT = replace(LOADED, readout=replace(LOADED.readout, readings=8))
+OF_EIGHT = CODES + CODES % 8 / 8 + 2000
+RAISED = (OF_EIGHT + 0.5) * 3.3 / 4096
+for name, written in (
+    ("Serial.print", [[f"{value:.2f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
+    ("cut digits", [[f"{int(100 * value) / 100:.2f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
+    ("three digits", [[f"{value:.3f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
+):
+    rounded = (np.array(written, dtype=float).reshape(CODES.shape) + 0.5) * 3.3 / 4096
+    taken(
+        f"means of eight codes by {name}", map(",".join, written), "unit code, guessed", expected=rounded, scene=EIGHT
+    )
+    two_point = replace(DIVIDER, readout=TwoPointReadout(supply_volt=3.3, adc_bits=12, readings=8))
+    resistances = two_point.readout.recorded_from_volt(rounded)
+    taken(
+        f"means of a divider by {name}",
+        map(",".join, written),
+        "unit code, guessed: ",
+        expected=resistances,
+        scene=two_point,
+    )
+    ways = "may be mV or code (codes would be whole numbers, by the scene); say which with `unit='mV'`"
+    refused(f"means of eight codes by {name} where readings is 1", map(",".join, written), ways, scene=LOADED)
+FILTERED = CODES * 0.937 + 0.013
+refused("filtered codes of a divider", lines(FILTERED), "may be ohm or", "mV or code", scene=DIVIDER)
+MILLIVOLTS = np.round(CODES * 5000 / 1024)
+FIVE_VOLT = replace(LOADED, readout=LoadedColumnsReadout(load_ohm=10_000.0, supply_volt=5.0, adc_bits=10, readings=1))
+for name, written in (("rounded", MILLIVOLTS), ("cut", CODES * 5000 // 1023)):
+    taken(f"{name} millivolts", lines(written), "unit mV, guessed", expected=written / 1000, scene=FIVE_VOLT)
+taken(
+    "whole numbers",
+    lines(CODES),
+    "whole numbers, within 0 to 4095",
+    "whole mV would look alike",
+    scene=LOADED,
+    expected=VOLT_OF_CODES,
+)
+WHOLE = "may be ohm or code, the whole numbers of a converter, which need a scene; say which with `unit='ohm'`"
+refused("whole numbers without a scene", lines(CODES), WHOLE)
+refused("resistances of either size", lines(FRAMES / 10), "may be ohm or kohm; say which with")
+taken("small kiloohms", lines(FRAMES / 1000), "kohm, guessed: values from 0.2", "too small for ohm", expected=FRAMES)
+PRESSED = CODES * (CODES > 500)
+refused(
+    "pressures without a scene", lines(PRESSED), "of them are 0, as in pressures or codes; a resistance of 0 is a short"
+)
+for unit in ("%", "N", "kPa", "mmHg", "a.u.", "g", "µS", "1/kOhm", "MOhm", "degC"):
+    for header in (f"r{{r}}c{{c}} [{unit}]", f"R{{r}}C{{c}} ({unit})"):
+        refused(
+            f"{header} as unit",
+            [names(header), *lines(WIDE)],
+            f"says '{unit}'" if unit in ("N", "kPa", "mmHg", "g") else f"unit '{unit}'",
+        )
+        taken(f"{header} overridden", [names(header), *lines(WIDE)], "unit ohm, as specified", unit="ohm")
+for header in ("pressure_r{r}c{c}", "r{r}c{c}_kpa", "Force R{r}C{c}"):
+    refused(header, [names(header), *lines(WIDE)], "readings must be ohm, kohm, volt, mV or code")
+for beside in ("Average Pressure (mmHg)", "peak [kPa]"):
+    pressures = [f"time,{beside},{names('r{r}c{c}')}", *(f"{n},7,{line}" for n, line in enumerate(lines(WIDE)))]
+    refused(f"{beside} beside the cells", pressures, "readings must be ohm, kohm, volt, mV or code")
+refused("a title of pressures", ["Pressure (mmHg)", *lines(WIDE)], "the header says 'mmHg'")
+taken(
+    "temperatures beside resistances", [f"{names('r{r}c{c} [ohm]')},T [degC]", *(f"{line},21" for line in lines(WIDE))]
+)
 RAILS = "no other unit is within the converter's rails"
 taken("resistances far above the reference", lines(1000 * FRAMES), RAILS, expected=1000 * FRAMES, scene=DIVIDER)
 
@@ -140,7 +205,9 @@ UNITS_BELOW = [",".join(np.array(NAMED)[ORDER]), ",".join(["kOhm"] * 15), *lines
 taken("units below the names", UNITS_BELOW, "line 2 taken as header, with the names of the line above")
 UNNAMED = [",".join(map(str, range(15))), *lines(WIDE)]
 taken("a data frame without its index", UNNAMED, "line 1 taken as header", "cells by their numbers from 0, row by row")
-taken("readings that count", lines(np.arange(60).reshape(4, 15)), expected=np.arange(60).reshape(FRAMES.shape))
+taken(
+    "readings that count", lines(np.arange(60).reshape(4, 15)), expected=np.arange(60).reshape(CODES.shape), unit="ohm"
+)
 for title in ("Resistance (kOhm)", "# all values in kΩ", "Unit: kOhm"):
     taken(title, [title, "# 10 ohm in series", *lines(WIDE)], "unit kohm, as the header says", expected=1000 * FRAMES)
 CLOCKS = ["time,millis," + ",".join(NAMED), *(f"12:00:0{n},{7 * n},{line}" for n, line in enumerate(lines(WIDE)))]
@@ -254,7 +321,7 @@ for word, sign in zip(WORDS, itertools.cycle((",", ";", "\t"))):
     refused(name, text, "m.csv:2:14: the reading of row 2, column 3 is missing", missing="refuse")
 INFINITE = FRAMES.copy()
 INFINITE[1, 0, 0] = np.inf
-taken("infinity in ohm", lines(INFINITE), "1 reading at or beyond a rail", expected=INFINITE, scene=DIVIDER)
+taken("infinity in ohm", lines(INFINITE), "1 reading at or beyond a rail", expected=INFINITE, scene=DIVIDER, unit="ohm")
 OPEN = [lines(CODES)[0], "inf," + ",".join(map(str, CODES[1].ravel()[1:])), *lines(CODES[2:])]
 codes("infinity in codes", OPEN, "1 reading missing", expected=with_nan(VOLT_OF_CODES, (1, 0, 0)))
 

@@ -115,7 +115,7 @@ FILES = {
     "frames, columns, rows": array(FRAMES.transpose(0, 2, 1), "read as (frames", transpose=True),
     "one transposed frame": array(FRAMES[0].T, expected=FRAMES[:1], transpose=True),
     "frames last": array(LAST, "read as (rows, columns, frames)"),
-    "frames first or last": array(CUBE, AMBIGUOUS, expected=CUBE, rows=2, columns=2),
+    "frames first or last": array(CUBE, AMBIGUOUS, expected=CUBE, rows=2, columns=2, unit="ohm"),
     "lines with resistances of their own": array(
         FRAMES,
         f"series resistance rows from 70 to {69 + ROWS} ohm, columns 71 ohm",

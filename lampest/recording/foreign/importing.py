@@ -114,7 +114,7 @@ def import_file(  # noqa: PLR0913 # the options of a command
             raise InputError(f"{place}: the reading of row {row}, column {column} is missing")
     kind, reason = unit, f"unit {unit}, as specified"
     if kind is None:
-        kind, reason = understood_unit(values, units_of(frames.words), scene, path)
+        kind, reason = understood_unit(values, _named_units(frames, path), scene, path)
     scene, given = scene or Scene(panel), scene is not None
     recorded = recorded_values(values, kind, scene, frames.place, path)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
@@ -123,6 +123,14 @@ def import_file(  # noqa: PLR0913 # the options of a command
     recording = Recording(scene, series, time, role[chosen], name=path.stem, start_time=clock.start)
     notes = (*frames.notes, reason, clock.sentence, _assumed(scene, given=given), gaps, *_summary(recording))
     return recording, tuple(map(printable, filter(None, notes)))
+
+
+def _named_units(frames: Frames, path: Path) -> tuple[str, ...]:
+    """Return the units that the file's own words permit. Raises InputError with the file if they are not imported."""
+    try:
+        return units_of(frames.words)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:

@@ -23,11 +23,12 @@ from lampest.recording.foreign.words import (
     has_decimal_comma,
     is_stamp,
     line_of,
+    names_pressure,
+    names_unit,
     number_of,
     parted,
     role_of,
     states_unit,
-    units_of,
 )
 
 MAX_FIELDS = 10_000_000  # 50 bytes each in memory
@@ -346,8 +347,10 @@ class ReadingsTable:
         chosen = frame >= 0
         number[frame[chosen], row[chosen], column[chosen]] = index[chosen]
         names = tuple(self.names[field] for field in fields)
-        titles = (text for text in self.before[0] if text.split() != " ".join(self.names).split())
-        words = names if units_of(names) else tuple(filter(states_unit, titles))
+        titles = [text for text in self.before[0] if text.split() != " ".join(self.names).split()]
+        # Where the readings' own names are silent, titles and the quantities beside the cells speak.
+        beside = (name for field, name in enumerate(self.names) if field not in fields and names_pressure(name))
+        words = names if any(map(names_unit, names)) else (*filter(states_unit, titles), *beside)
 
         def named(at: int) -> str:
             return self.source.source if at < 0 else self.place(*divmod(at, self.width))
