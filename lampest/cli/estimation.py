@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from lampest.cli import screen
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,7 +83,6 @@ def run(
     yes
         Also solve panels whose first frame takes minutes or more memory than there is.
     """
-    from lampest.report.words import counted
     from lampest.runs.batch import run_batch
     from lampest.runs.config import read_run
     from lampest.runs.executors import local
@@ -169,7 +168,7 @@ def import_(
     Parameters
     ----------
     file
-        CSV or other text, .xlsx, .npy, .npz or .mat.
+        CSV or other text, .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet, or a folder of frames.
     out
         New recording file.
     rows

@@ -44,6 +44,11 @@ def meant(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {close[0]}?" if close else ""
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a count with its noun, such as '1 recording' or '1,200 frames'."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
 def first_and_more(items: Sequence[Any], most: int = 10) -> str:
     """Return '3, 5 and 7 more': the first items, and the number of those beyond `most`."""
     more = f" and {len(items) - most} more" if len(items) > most else ""

@@ -29,7 +29,7 @@ DOORS: dict[str, tuple[str, ...]] = {
     ),
     "h5py": ("files.hdf5", "files.checksums", "files.parts", "recording", "runs.results"),
     "xarray": ("runs.case", "report.export.formats"), "pandas": ("runs.case",), "mpmath": ("studies.certified",),
-    **dict.fromkeys(("pyarrow", "zarr"), ("report.export.formats",)),
+    "pyarrow": ("recording.foreign.records", "report.export.formats"), "zarr": ("report.export.formats",),
     **dict.fromkeys(("pynwb", "hdmf"), ("report.export.nwb",)),
     **dict.fromkeys(("pylsl", "pythonosc", "paho", "websockets"), ("report.live.publish",)),
     "openpyxl": ("recording.foreign",), "serial": ("recording.board",),

@@ -59,6 +59,7 @@ LABVIEW += ["X_Value\t" + "\t".join(["Channel", *(f"Channel_{n}" for n in range(
 LABVIEW += [*(f"{n / 2:.6f}\t{line}\t" for n, line in enumerate(lines(CODES, "\t"))), ""]
 codes("empty columns beside the cells", "\r\n".join(LABVIEW), "empty columns left out: Comment", times=FOUR / 2)
 
+NAMES_OF_CELLS = names("r{r}c{c}").split(",")
 NUMBERED = [(number, row, line) for number, frame in enumerate(CODES) for row, line in enumerate(lines(frame))]
 BLOCKS = {
     "blank lines": "boot...\n" + blocks("\t", "\n\n"),
@@ -183,6 +184,106 @@ del LOST[LOST.index("Frame 4 t=400 ms") + 2]
 SENTENCE = "has 2 of 3 lines and is missing"
 codes("a row that was lost", LOST, SENTENCE, expected=with_nan(TEN, (4,)), times=0.1 * np.arange(10))
 
+# Fields beside the readings.
+
+TABS = ["\t\t".join([str(600 + n), str(row), *line.split(",")]) + "\t\t" for n, row, line in NUMBERED]
+codes("two tabs between fields", TABS, "empty columns left out", "field 1 frame, field 2 row")
+ALIGNED = ["\t".join(f"{value}\t" if int(value) < 500 else value for value in line.split(",")) for line in lines(CODES)]
+codes("columns aligned by tabs", ALIGNED, "separated by one or more tabs", "one frame a line")
+for sign in ("\t", ",", " ", ";"):
+    plain = [sign.join([str(600 + n), str(row), *line.split(",")]) for n, row, line in NUMBERED]
+    codes(
+        f"frame and row before the values: {sign!r}", plain, "no header: field 1 frame, field 2 row", absent="transpose"
+    )
+LOST_ROWS = [line for number, line in enumerate(plain) if number not in (1, 2, 3)]
+codes("lost rows beside frame and row", LOST_ROWS, expected=with_nan(VOLT_OF_CODES, (0, [1, 2]), (1, 0)))
+STAMPED = [f"{0.25 * n:.2f},{row},{line}" for n, row, line in NUMBERED]
+codes("time and row before the values", STAMPED, "no header: field 1 time, field 2 row", times=FOUR / 4)
+for first, second, times, noted in (
+    ("HH,MM,SS", "12,59,{s}", FOUR, "HH, MM, SS are one time"),
+    ("hour,minute,second,ms", "23,59,5{s},250", FOUR, "hour, minute, second, ms are one time"),
+    ("Hour,Min,Sec", "7,5,1{s}.5", FOUR, "are one time"),
+    ("year,month,day,hour,minute,second", "2025,1,31,12,0,{s}", FOUR, "year, month, day are one date"),
+):
+    clocked = [f"{second.format(s=n)},{line}" for n, line in enumerate(lines(CODES))]
+    start = "2025-01-31T12:00:00.000000" if "year" in first else None
+    head = ",".join([first, *NAMES_OF_CELLS])
+    codes(f"columns {first}", [head, *clocked], noted, times=times, start=start)
+for lead, noted, times in (
+    ("12,59,{s}", "hour, minute, second are one time", FOUR),
+    ("{n},12,59,{s}", "no header: field 1 frame", FOUR),
+    ("7,{ms}", "field 1 left out", FOUR / 4),
+    ("DATA,{ms}", "field 1 left out", FOUR / 4),
+    ("{n},{ms}", "field 1 frame, field 2 time", FOUR / 4),
+):
+    led = [f"{lead.format(s=n, n=n + 100, ms=250 * n)},{line}" for n, line in enumerate(lines(CODES))]
+    codes(f"{lead} before a frame", led, noted, "one frame a line, cells row by row", times=times)
+    marked = [f"{line},255" for line in led]
+    codes(f"{lead} before a frame, and a mark", marked, "left out: beside the readings", times=times)
+for end in ("255", "END", "*", "-1"):
+    ended = [f"{line},{end}" for line in lines(CODES)]
+    codes(f"{end} at the end of a frame", ended, "field 16 left out: beside the readings", "one frame a line")
+    rows_ended = [f"{line},{end}" for frame in CODES for line in lines(frame)]
+    codes(f"{end} at the end of a row", rows_ended, "field 6 left out", "one row a line, 3 lines a frame")
+GROWING = [f"{line},{n}" for n, line in enumerate(lines(CODES))]
+refused("a counter at the end of a frame", GROWING, ":2:1: times must be finite and grow", scene=LOADED)
+NUMBERS = [str(value) for value in CODES.ravel()]
+codes("one number a line", NUMBERS, "one number a line, 15 lines a frame; row by row")
+codes("one number a line, of which some lack", NUMBERS[:-4], expected=with_nan(VOLT_OF_CODES, (3, 2, slice(1, None))))
+SEPARATED = [text for frame in CODES for text in ("", *map(str, frame.ravel()))]
+codes("one number a line between blank lines", SEPARATED, "one number a line")
+TITLED = [text for n, frame in enumerate(CODES) for text in (f"Frame {n}: t = {250 * n} ms", *map(str, frame.ravel()))]
+codes("one number a line below titles", TITLED, "one number a line", times=FOUR / 4)
+COUNTED = [f"{number % 15} {value}" for number, value in enumerate(CODES.ravel())]
+codes("a cell's number and a value a line", COUNTED, "one value a line as cell, value")
+refused(
+    "too few numbers", NUMBERS[:7], ":1: 1 field; 3 × 5 cells need 15", "`layout` says what each field is", scene=LOADED
+)
+
+WORDS_BEFORE = "Frame,Timestamp,Average,Range Max"
+for first in (0, 1):
+    counted = ",".join(str(number + first) for number in range(15))
+    measured = [f"{n},2024-09-26T15:15:0{n}.01-05:00,104.2,260,{line}" for n, line in enumerate(lines(CODES))]
+    start = "2024-09-26T15:15:00.01-05:00"
+    sentence = f"cells by their numbers from {first}"
+    codes(
+        f"words and numbers from {first}", [f"{WORDS_BEFORE},{counted}", *measured], sentence, times=FOUR, start=start
+    )
+for title in (
+    " Frame Index: {n}, Measurement Time(sec): 0.{ms}", "Time [ms]: {ms}, n: {n}", "# Elapsed (us) = {ms}000",
+    "Frame {n} time: {ms} msec", "Sample {n} at time=0.{ms} sec",
+):  # fmt: skip
+    titled = [title.format(n=n, ms=250 * n + 100) + "\n" + "\n".join(lines(CODES[n])) for n in range(4)]
+    if "0." in title:
+        titled = [text.replace(f"0.{250 * n + 100}", f"{0.1 + n / 4:.3f}", 1) for n, text in enumerate(titled)]
+    codes(f"blocks below {title}", titled, "before each block", times=0.1 + FOUR / 4)
+CLOCKED = [f"Time: 12:00:0{n}.5\n" + "\n".join(lines(CODES[n])) for n in range(4)]
+codes("blocks below times of day", CLOCKED, "time of day", times=FOUR)
+
+# Bytes that are no text.
+
+LOG = [list(line) for line in lines(np.tile(CODES, (5, 1, 1)))]
+FIVE = np.tile(VOLT_OF_CODES, (5, 1, 1))
+for bad in (b"\xff", b"\x80", b"\0", b"\xc3"):
+    content = bytearray("\n".join("".join(line) for line in LOG).encode())
+    place = content.index(b"\n", 200) + 2  # the second digit of a line
+    content[place : place + 1] = bad
+    number = content[:place].count(b"\n")
+    gap = f"bytes that are no text: their fields in line {number + 1} are missing"
+    codes(f"{bad!r} in a serial log", bytes(content), gap, expected=with_nan(FIVE, (number, 0, 0)))
+    comma = content.index(b",", place)
+    content[place : place + 1], content[comma : comma + 1] = b"5", bad
+    cut = np.delete(FIVE, number, axis=0)
+    codes(f"{bad!r} in place of a comma", bytes(content), f"left out: line {number + 1}", expected=cut)
+
+# Columns that a layout skips.
+
+SKIPPED = ",".join(["-", *["-", "-"], *NAMES_OF_CELLS])
+BEFORE = [f"a,{n},7,{line}" for n, line in enumerate(lines(CODES))]
+codes("skipped columns", BEFORE, "fields 1, 2, 3 left out, as `layout` says", layout=SKIPPED, absent="left out: -")
+ROW_LAYOUT = [f"x,{line},{n}" for n, row, line in NUMBERED]
+codes("skipped columns beside rows", ROW_LAYOUT, "one row a line", layout="-,c0,c1,c2,c3,c4,-")
+
 # Headers.
 
 NAMED = names("r{r}c{c}").split(",")
@@ -199,7 +300,9 @@ TURNED = [names("r{c}c{r}"), *lines(FRAMES)]
 FEWER = [names("r{r}c{c}").removesuffix(",r2c4"), *lines(WIDE[:, :14])]
 PANDAS = [",".join(["frame", *map(str, range(15))]), *(f"{n},{line}" for n, line in enumerate(lines(FRAMES)))]
 taken("names of a transposed panel", TURNED, transpose=True)
-taken("a cell without a column", FEWER, "1 cells have no column", expected=with_nan(FRAMES, (slice(None), 2, 4)))
+taken(
+    "a cell without a column", FEWER, "1 cell without a column, missing", expected=with_nan(FRAMES, (slice(None), 2, 4))
+)
 taken("a data frame", PANDAS, "left out: frame", times=FOUR)
 UNITS_BELOW = [",".join(np.array(NAMED)[ORDER]), ",".join(["kOhm"] * 15), *lines(WIDE[:, ORDER] / 1000)]
 taken("units below the names", UNITS_BELOW, "line 2 taken as header, with the names of the line above")
@@ -296,7 +399,7 @@ for header, line, times in (
 
 SMALL = FRAMES[:, :2, :3]
 taken("three columns", "\n\n".join("\n".join(lines(frame)) for frame in SMALL), expected=SMALL, rows=2, columns=3)
-WIDER = lines(np.ones((14, 7)))
+WIDER = lines(np.full((14, 7), 0.5))
 refused("a table of the panel's columns", WIDER, "7 fields; 7 × 5 cells need", "with `transpose` it would", rows=7)
 
 # Lines of a sketch.

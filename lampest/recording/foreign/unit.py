@@ -83,6 +83,7 @@ def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tupl
             return certain, "as such they lie on the converter's steps"
         if whole and "code" in units and not set(RESISTANCES) & set(units):
             also = "; whole mV would look alike" if "mV" in units and in_steps["mV"] is None else ""
+            also += "; most are 0, as of open cells or in pressures, which are no readings" if middle == 0 else ""
             return ["code"], f"whole numbers, within 0 to {top} of a {readout.adc_bits}-bit converter{also}"
         expected = "whole numbers" if readout.readings == 1 else f"means of {readout.readings} whole numbers"
         return units, "" if counted or "code" not in units else f" (codes would be {expected}, by the scene)"
@@ -129,7 +130,7 @@ def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
     nearest = _in_volt(values, digit, unit, readout)
     cut = _in_volt(values + digit, digit, unit, readout)
     half = nearest[1]
-    # A value then is on a step by chance with a probability of ½ at most, and twelve values once in 500 times, in 8 tries.
+    # A value is on a step by chance with a probability of ½ at most: of twelve, in eight tries, once in 500 times.
     if len(values) < 12 or np.median(half) * 4 > readout.lsb_volt / readout.readings:
         return None
     for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):  # many programs take the latter

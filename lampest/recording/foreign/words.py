@@ -57,12 +57,12 @@ TIME_UNIT_OF_WORD = _by_word(
     h="h hour hours",
 )
 # Units and quantities of loads, which a resistance follows but is not.
-PRESSURE_UNITS = frozenset(
-    "pa kpa mpa hpa mmhg mmh2o cmh2o psi bar mbar atm torr n/cm2 n/mm2 n/cm² n/mm² kg/cm2".split()
+PRESSURE_UNITS = _by_word(
+    pressure="pa kpa mpa hpa mmhg mmh2o cmh2o psi bar mbar atm torr n/cm2 n/mm2 n/cm² n/mm² kg/cm2"
 )
-LOADS = PRESSURE_UNITS | frozenset(
-    "n newton newtons g gram grams kg lb lbs lbf kgf pressure pressures druck force forces kraft weight gewicht load last "
-    "conductance leitwert temperature temperatur".split()
+LOADS = PRESSURE_UNITS | _by_word(
+    load="n newton newtons g gram grams kg lb lbs lbf kgf pressure pressures druck force forces kraft weight gewicht "
+    "load last conductance leitwert temperature temperatur"
 )
 UNITS = {*UNITS_OF_WORD, *TIME_UNIT_OF_WORD, *PRESSURE_UNITS}
 BRACKETED = re.compile(
@@ -154,7 +154,7 @@ def _units_of_one(name: str) -> tuple[str, ...]:
     stem, unit = parted(name)
     if unit in ("v", "V"):
         return ("volt",)
-    if load := load_of(name):
+    if load := load_named(name):
         raise InputError(
             f"the header says {load!r}: readings must be ohm, kohm, volt, mV or code, from which cells are computed. "
             "If they are, `unit` says which"
@@ -167,8 +167,8 @@ def _units_of_one(name: str) -> tuple[str, ...]:
     return next((QUANTITIES.get(name, (name,)) for name in names), ())
 
 
-def load_of(name: str) -> str:
-    """Return the word for the quantity or the unit of a load in a name, such as 'mmHg' or 'pressure'; '' without one."""
+def load_named(name: str) -> str:
+    """Return the word for a load's quantity or unit in a name, such as 'mmHg' or 'pressure'; '' without one."""
     stem, unit = parted(name)
     if unit.lower() in UNITS_OF_WORD or unit in ("v", "V"):
         return ""  # 'pressure sensor [mV]' holds voltages
@@ -361,6 +361,11 @@ def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
     inner = np.interp(number, known, seconds[known])
     places = ", ".join(where(int(place)) for place in cut[:5]) + (", ..." if len(cut) > 5 else "")
     return inner, f"; the time at {places} is missing or does not grow, and is interpolated"
+
+
+def grows(values: Array) -> bool:
+    """Return whether numbers increase, but for the few that cut lines may have."""
+    return bool(np.mean(_longest_growing(values)) >= 1 - MAX_CUT)
 
 
 def _longest_growing(values: Array) -> NDArray[np.bool_]:
