@@ -75,10 +75,13 @@ def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
     return f"{count} solved: {status[int(np.argmin(solved))]}"
 
 
+UNREFERENCED = "no frame is unloaded (role 0), so changes and pressures are against the first measured frame"
+
+
 def _roles(role: NDArray[np.uint8]) -> str:
     unloaded = int((role == UNLOADED).sum())
     if unloaded == 0:
-        return "no frame is unloaded (role 0), so changes and pressures are against the first measured frame"
+        return UNREFERENCED
     return "only one frame is unloaded, so that nothing shows the noise: record five or more" if unloaded == 1 else ""
 
 

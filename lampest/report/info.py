@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.warnings import UNREFERENCED
 from lampest.files import hdf5
 from lampest.files.document import plain_content
 from lampest.files.errors import InputError, first_and_more
@@ -199,7 +200,8 @@ def _results_lines(results: Results) -> list[str]:
     for case in results.cases[:1]:
         place = strongest_index([case])
         where = f"frame {case.frame[place]} at {case.time[place]:g} s"
-        lines.append(f"cells of {case.recording} × {case.estimator} in {where}, change against the unloaded panel:")
+        against = "the first measured frame" if UNREFERENCED in case.warnings else "the unloaded panel"
+        lines.append(f"cells of {case.recording} × {case.estimator} in {where}, change against {against}:")
         lines += shaded_map(case.relative_change[place])
     return lines
 

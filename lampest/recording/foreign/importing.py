@@ -318,6 +318,7 @@ def _summary(recording: Recording) -> Iterator[str]:
     least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
     beyond = int(np.sum((recorded < least) | (recorded > largest) | (recorded == 0) | np.isposinf(recorded)))
     if beyond:
-        yield f"{counted(beyond, 'reading')} at or beyond a rail of the converter: kept as bounds"
+        rail = "zero or infinite" if scene.readout is None else "at or beyond a rail of the converter"
+        yield f"{counted(beyond, 'reading')} {rail}: kept as bounds"
     cells, unloaded = " × ".join(map(str, scene.panel.shape)), int(np.sum(recording.role == UNLOADED))
     yield f"{counted(len(recorded), 'frame')} of {cells} cells, the first {unloaded} unloaded"
