@@ -7,6 +7,7 @@ import numpy as np
 
 from lampest.cost.given import Background
 from lampest.estimate.objective import Objective
+from lampest.files.errors import brief
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
@@ -51,6 +52,10 @@ class Step:
     bars_seconds: float = 0.0
     sentence: str = ""
     weight_sigma: tuple[float, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return the object in one line, arrays by their shapes."""
+        return brief(self)
 
     @property
     def cell_resistance(self) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError, in_words
+from lampest.files.errors import InputError, brief, in_words
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT, UNUSUAL
 from lampest.files.typed import real_array
 from lampest.panel.panel import Array, Modules, beyond_any_panel, check_line_memory
@@ -102,6 +102,10 @@ class Readings:
     sigma: Array | None
     side: Array
     seen: Array
+
+    def __repr__(self) -> str:
+        """Return the object in one line, arrays by their shapes."""
+        return brief(self)
 
     @classmethod
     def of(cls, scene: Scene, recorded: Array, sigma: Array | None = None) -> "Readings":

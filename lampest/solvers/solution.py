@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
+from lampest.files.errors import brief
 from lampest.files.typed import Validated, check_positive_fields, check_ranges, typed
 from lampest.panel.panel import Array
 from lampest.solvers.bounds import MILLIONTH, bounds_matter
@@ -197,6 +198,10 @@ class Solution:
     preconditioner: Preconditioner | None = None
     convex: bool = False
     starts: int = 1
+
+    def __repr__(self) -> str:
+        """Return the object in one line, arrays by their shapes."""
+        return brief(self)
 
     @property
     def solved(self) -> bool:

@@ -4,15 +4,15 @@ import re
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError, counted, meant, printable
+from lampest.files.errors import InputError, counted, in_words, meant, printable
 from lampest.files.typed import installed, typed
 from lampest.files.whole import note_read
-from lampest.panel.panel import Panel
+from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.foreign import LAYOUTS
 from lampest.recording.foreign.arrays import (
@@ -27,10 +27,17 @@ from lampest.recording.foreign.arrays import (
 )
 from lampest.recording.foreign.layouts import frames_of
 from lampest.recording.foreign.records import READERS as RECORDS
-from lampest.recording.foreign.records import records_of
-from lampest.recording.foreign.table import FieldLines, lines_of_sheets, lines_of_text, readings_table
+from lampest.recording.foreign.records import records_of, text_of_value
+from lampest.recording.foreign.table import (
+    FieldLine,
+    FieldLines,
+    field_lines,
+    lines_of_sheets,
+    lines_of_text,
+    readings_table,
+)
 from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
-from lampest.recording.foreign.words import Clock, units_of
+from lampest.recording.foreign.words import Clock, role_of, units_of
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 NOT_READ = dict.fromkeys((".h5", ".hdf5"), "save the array as .npy; lampest's own recordings need no import") | {
@@ -122,6 +129,21 @@ def import_file(  # noqa: PLR0913 # the options of a command
         raise InputError(f"`layout='{layout}'` is no import format{hint}")
     layout = by_name.get(path.suffix.lower()) if layout is None else by_name.get(str(layout), layout)
     frames = _frames(path, panel, transpose=transpose, variable=variable, layout=layout)
+    return _recording(path, frames, panel, scene, unit, baseline_frames, missing, period, time_unit)
+
+
+def _recording(  # noqa: PLR0913 # the options of an import
+    path: Path,
+    frames: Frames,
+    panel: Panel,
+    scene: Scene | None,
+    unit: str | None,
+    baseline_frames: int,
+    missing: str = "mark",
+    period: float | None = None,
+    time_unit: Literal["s", "ms", "us"] | None = None,
+) -> tuple[Recording, tuple[str, ...]]:
+    """Return frames as a recording in the scene's unit, and the notes; see `import_file`."""
     values, count = frames.values, len(frames.values)
     values[~panel.present & ~(values > 0)] = np.nan
     if not 0 <= baseline_frames <= count:
@@ -142,6 +164,48 @@ def import_file(  # noqa: PLR0913 # the options of a command
     recording = Recording(scene, series, time, role[chosen], name=path.stem, start_time=clock.start)
     notes = (*frames.notes, reason, clock.sentence, _assumed(scene, given=given), gaps, *_summary(recording))
     return recording, tuple(map(printable, filter(None, notes)))
+
+
+def recording_of_table(
+    table: Any, unit: str | None, baseline: int, scene: Scene | None, rows: int | None, columns: int | None
+) -> Recording:
+    """Return the recording of a data frame; see `Recording.from_dataframe`."""
+    if not all(hasattr(table, name) for name in ("columns", "index", "itertuples")):
+        raise InputError(f"from_dataframe needs a pandas.DataFrame, not {in_words(table)}")
+    panel = _panel(rows, columns, scene)
+    check_unit(unit, scene, "table")
+    indexed = getattr(table.index, "name", None) is not None or hasattr(table.index, "tz")
+    names = [str(table.index.name or "time")] * indexed + [str(name) for name in table.columns]
+    lines = [FieldLine(0, names)]
+    for number, values in enumerate(table.itertuples(index=indexed, name=None), 1):
+        lines.append(FieldLine(number, [text_of_value(value) for value in values]))
+
+    def at(number: int, field: int | None) -> str:
+        return f"table: line {number - 1}" + ("" if field is None else f", column {names[field]!r}")
+
+    frames = frames_of(readings_table(field_lines("table", "line", at, (), lines)), panel.shape)
+    return _recording(Path("recording"), frames, panel, scene, unit, baseline)[0]
+
+
+def labelled_array(data: Any) -> tuple[Array, Array | None, str | None]:
+    """Return the values (frames, rows, columns), the times in s and the unit of a labelled array.
+
+    Raises InputError if it is none, or if its dimensions are not time, row and column.
+    """
+    if not all(hasattr(data, name) for name in ("dims", "coords", "attrs", "transpose")) or hasattr(data, "data_vars"):
+        raise InputError(f"from_xarray needs an xarray.DataArray, not {in_words(data)}; of a Dataset name a variable")
+    places = {role_of(str(name)): name for name in data.dims}
+    frame = places.get("time", places.get("frame"))
+    wanted = [frame, places.get("row"), places.get("column")]
+    if None in wanted or len(data.dims) != len(wanted):
+        raise InputError(f"the dimensions must be time, row and column, not {', '.join(map(str, data.dims))}")
+    values, seconds = np.asarray(data.transpose(*wanted).values, dtype=float), None
+    if frame in data.coords and role_of(str(frame)) == "time":
+        times = np.asarray(data.coords[frame].values)
+        dated = times.dtype.kind in "mM"
+        seconds = (times - times[0]) / np.timedelta64(1, "s") if dated else times.astype(float)
+    units = data.attrs.get("units")
+    return values, seconds, None if units is None else str(units)
 
 
 def _named_units(frames: Frames, path: Path) -> tuple[str, ...]:

@@ -90,14 +90,17 @@ def _table(path: Path, records: Sequence[dict[str, Any]]) -> FieldLines:
         return f"{path}: record {number}" + ("" if field is None else f", {names[field]!r}")
 
     lines = [FieldLine(0, ["" if name == INDEX else name for name in names])]
-    lines += [FieldLine(n, [_text(record.get(name)) for name in names]) for n, record in enumerate(records, 1)]
+    lines += [FieldLine(n, [text_of_value(record.get(name)) for name in names]) for n, record in enumerate(records, 1)]
     return field_lines(str(path), "record", at, [f"{len(records)} records"], lines)
 
 
-def _text(value: Any) -> str:
+def text_of_value(value: Any) -> str:
+    """Return a value as the text of a text file, with all digits of a number."""
+    if value is None:
+        return ""
     if isinstance(value, datetime):
         return value.isoformat()
-    return "" if value is None else repr(float(value)).removesuffix(".0") if isinstance(value, int | float) else value
+    return repr(float(value)).removesuffix(".0") if isinstance(value, int | float | np.number) else str(value)
 
 
 def _of_json(path: Path) -> Any:
