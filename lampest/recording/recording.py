@@ -26,7 +26,8 @@ from lampest.panel.panel import Array, Panel, as_panels_have
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene, read_scene, scene_text
 from lampest.recording.acquisition import FORMAT, Acquisition, group_of, stored_fields, undamaged_frames
-from lampest.recording.foreign.unit import check_unit, recorded_values
+from lampest.recording.foreign.labelled import frames_of_table, labelled_array, named_units, panel_of
+from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
 from lampest.recording.readings import Readings, check_sigma
 
 UNLOADED, MEASURED = ROLES = 0, 1
@@ -278,10 +279,15 @@ class Recording(Validated):
         >>> lampest.Recording.from_dataframe(table, rows=1, columns=2)
         Recording(recording: 2 frames (0 unloaded) of 1 × 2 cells, 0 to 0.5 s)
         """
-        from lampest.recording.foreign.importing import recording_of_table  # which makes recordings
-
         known = read_scene(scene) if isinstance(scene, str | Path) else scene
-        return recording_of_table(table, unit, baseline, known, rows, columns)
+        panel = panel_of(rows, columns, known)
+        check_unit(unit, known, "table")
+        frames = frames_of_table(table, panel.shape)
+        values = np.where(panel.present, frames.values, np.nan)
+        named = unit or understood_unit(values, named_units(frames, "table"), known, "table")[0]
+        clock = None if frames.timing is None else frames.timing(None)
+        made = cls.from_array(values, named, baseline, known or Scene(panel), None if clock is None else clock.seconds)
+        return made if clock is None else replace(made, start_time=clock.start)
 
     @classmethod
     def from_xarray(
@@ -313,8 +319,6 @@ class Recording(Validated):
         >>> lampest.Recording.from_xarray(data, baseline=1)
         Recording(recording: 4 frames (1 unloaded) of 2 × 3 cells, 0 to 3 s)
         """
-        from lampest.recording.foreign.importing import labelled_array
-
         values, seconds, named = labelled_array(data)
         return cls.from_array(values, unit or named or "ohm", baseline, scene, seconds)
 

@@ -226,7 +226,15 @@ for end in ("255", "END", "*", "-1"):
     rows_ended = [f"{line},{end}" for frame in CODES for line in lines(frame)]
     codes(f"{end} at the end of a row", rows_ended, "field 6 left out", "one row a line, 3 lines a frame")
 GROWING = [f"{line},{n}" for n, line in enumerate(lines(CODES))]
-refused("a counter at the end of a frame", GROWING, ":2:1: times must be finite and grow", scene=LOADED)
+codes("a counter at the end of a frame", GROWING, "no header: field 16 frame")
+# matsense (PyPI) writes the values, the frame's number and the microseconds since 1970.
+MATSENSE = [
+    f"{line.replace(',', '.0,')}.0,{7 + n},{1738324800000000 + 40_000 * n}" for n, line in enumerate(lines(CODES))
+]
+START = "2025-01-31T12:00:00Z"
+codes("a recording of matsense", MATSENSE, "field 16 frame, field 17 time", times=FOUR / 25, start=START)
+TIMED_ROWS = [f"{line},{0.5 * n:.1f}" for n, row, line in NUMBERED]
+codes("a time at the end of each row", TIMED_ROWS, "no header: field 6 time", "one row a line", times=FOUR / 2)
 NUMBERS = [str(value) for value in CODES.ravel()]
 codes("one number a line", NUMBERS, "one number a line, 15 lines a frame; row by row")
 codes("one number a line, of which some lack", NUMBERS[:-4], expected=with_nan(VOLT_OF_CODES, (3, 2, slice(1, None))))

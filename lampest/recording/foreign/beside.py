@@ -60,8 +60,9 @@ def _joined(table: ReadingsTable, fields: Sequence[int], texts: Sequence[str], n
 def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
     """Return a table without a header with names for the fields beside the readings, and without marks.
 
-    Before the readings these are a clock, a frame's or a row's number, or marks; after them marks only, which are the
-    same in every line. Where they cannot be told, and where a single field leads, the table is returned unchanged.
+    These are a clock, a time, a frame's number, or marks, which are the same in every line, before or after the
+    readings; a row's number stands before. Where they cannot be told, and where a single field leads, the table is
+    returned unchanged.
     """
     turned = table.width == shape[0] != shape[1]
     if any(table.names) or len(table.lines) < MIN_LINES or turned:
@@ -72,54 +73,59 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
         if not 1 <= extra <= MAX_BESIDE:
             continue
         for trailing in range(extra + 1):
-            if not np.all(marks[table.width - trailing :]):
-                break
-            names = _leading(table, extra - trailing, rows, marks)
+            lead, end = range(extra - trailing), range(table.width - trailing, table.width)
+            names = _told(table, [*lead, *end], len(lead), rows, marks)
             if names is None:
                 continue
             alone = len(names) == 1 and names != [SKIPPED] and not trailing
-            return table if alone else _named(table, names, trailing)
+            return table if alone else _named(table, names, len(lead))
     return table
 
 
-def _named(table: ReadingsTable, names: Sequence[str], trailing: int) -> ReadingsTable:
-    """Return the table with names of its leading fields; fields with the name '-' and trailing ones are left out."""
-    clock = [field for field, name in enumerate(names) if name in CLOCK]
-    every = (*names, *[""] * (table.width - len(names) - trailing), *[SKIPPED] * trailing)
-    said = [f"field {field + 1} {name}" for field, name in enumerate(names) if name != SKIPPED]
-    marks = [f"field {field + 1}" for field, name in enumerate(every) if name == SKIPPED]
+def _named(table: ReadingsTable, names: Sequence[str], lead: int) -> ReadingsTable:
+    """Return the table with its named fields first, of which `lead` stood there, and without those called '-'."""
+    trailing = len(names) - lead
+    order = [*range(lead), *range(table.width - trailing, table.width), *range(lead, table.width - trailing)]
+    said = [f"field {order[at] + 1} {name}" for at, name in enumerate(names) if name != SKIPPED]
+    marks = [f"field {order[at] + 1}" for at, name in enumerate(names) if name == SKIPPED]
     notes = [f"no header: {', '.join(said)}; `layout` says otherwise"] if said else []
     notes += [f"{', '.join(marks)} left out: beside the readings, and no time"] if marks else []
-    table = replace(table, names=every, notes=(*table.notes, *notes))
+    every = (*names, *[""] * (table.width - len(names)))
+    table = replace(table.only(columns=order), names=every, notes=(*table.notes, *notes))
+    clock = [field for field, name in enumerate(names) if name in CLOCK]
     table = _joined(table, clock, _clock_texts(table, clock), "time") if clock else table
     return table.only(columns=[field for field, name in enumerate(table.names) if name != SKIPPED])
 
 
-def _leading(table: ReadingsTable, count: int, rows: int, marks: NDArray[np.bool_]) -> list[str] | None:
-    """Return names of the fields before the readings; None if one of them cannot be explained."""
-    names = [_name_of(table, field, rows, mark=bool(marks[field])) for field in range(count)]
-    for field in range(count - 2):
-        if _is_clock(table.values[:, field : field + 3]):
-            names[field : field + 3] = CLOCK
+def _told(
+    table: ReadingsTable, fields: Sequence[int], lead: int, rows: int, marks: NDArray[np.bool_]
+) -> list[str] | None:
+    """Return names of the fields beside the readings, of which `lead` stand before; None if one cannot be told."""
+    leading = [_is_row(table.fields[:, field], rows) for field in fields[:lead]] if rows > 1 else []
+    names: list[str | None] = [
+        "row" if at < len(leading) and leading[at] else _name_of(table, field, rows, mark=bool(marks[field]))
+        for at, field in enumerate(fields)
+    ]
+    for at in range(lead - 2):
+        if _is_clock(table.values[:, fields[at : at + 3]]):
+            names[at : at + 3] = CLOCK
             break
-    if None in names or (rows > 1 and count > 1 and "row" not in names):
+    numbered = lead == 0 or (lead == 1 and names[0] == SKIPPED) or "row" in names
+    if None in names or (rows > 1 and len(fields) > 1 and not numbered):
         return None
     known = [name or SKIPPED for name in names]
-    clock = next((field for field, name in enumerate(known) if name == "hour"), None)
-    first = known.index("time") if "time" in known else None
+    first = "hour" if "hour" in known else "time"
     return [
-        SKIPPED if name == "time" and (field != first or clock is not None) else name
-        for field, name in enumerate(known)
+        SKIPPED if name == "time" and (first == "hour" or at != known.index("time")) else name
+        for at, name in enumerate(known)
     ]
 
 
 def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str | None:
-    """Return what a field before the readings is: 'time', 'frame', 'row', or '-' for a mark; None if nothing fits."""
+    """Return what a field beside the readings is: 'time', 'frame', or '-' for a mark; None if nothing fits."""
     texts, values = table.fields[:, field], table.values[:, field]
     if all(is_stamp(text) for text in set(texts[table.words[:, field]])) and table.words[:, field].all():
         return "time"
-    if rows > 1 and _is_row(texts, rows):
-        return "row"
     if mark:
         return SKIPPED
     steps = np.diff(values)

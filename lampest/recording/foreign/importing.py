@@ -4,15 +4,15 @@ import re
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError, counted, in_words, meant, printable
+from lampest.files.errors import InputError, counted, meant, printable
 from lampest.files.typed import installed, typed
 from lampest.files.whole import note_read
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
 from lampest.recording.foreign import LAYOUTS
 from lampest.recording.foreign.arrays import (
@@ -25,19 +25,18 @@ from lampest.recording.foreign.arrays import (
     frames_of_arrays,
     joined_frames,
 )
+from lampest.recording.foreign.labelled import named_units, panel_of
 from lampest.recording.foreign.layouts import frames_of
 from lampest.recording.foreign.records import READERS as RECORDS
-from lampest.recording.foreign.records import records_of, text_of_value
+from lampest.recording.foreign.records import records_of
 from lampest.recording.foreign.table import (
-    FieldLine,
     FieldLines,
-    field_lines,
     lines_of_sheets,
     lines_of_text,
     readings_table,
 )
 from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
-from lampest.recording.foreign.words import Clock, role_of, units_of
+from lampest.recording.foreign.words import Clock
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 NOT_READ = dict.fromkeys((".h5", ".hdf5"), "save the array as .npy; lampest's own recordings need no import") | {
@@ -121,7 +120,7 @@ def import_file(  # noqa: PLR0913 # the options of a command
     path = Path(path)
     if missing not in ("mark", "skip-frame", "refuse"):
         raise InputError(f"missing readings: '{missing}' is unknown; there are mark, skip-frame, refuse")
-    panel = _panel(rows, columns, scene)
+    panel = panel_of(rows, columns, scene)
     check_unit(unit, scene, path)
     layouts = (*LAYOUTS, *installed("lampest.layouts", Layout))
     by_name = {name: known for known in layouts for name in (known.kind, *known.suffixes)}
@@ -155,7 +154,7 @@ def _recording(  # noqa: PLR0913 # the options of an import
             raise InputError(f"{place}: the reading of row {row}, column {column} is missing")
     kind, reason = unit, f"unit {unit}, as specified"
     if kind is None:
-        kind, reason = understood_unit(values, _named_units(frames, path), scene, path)
+        kind, reason = understood_unit(values, named_units(frames, path), scene, path)
     scene, given = scene or Scene(panel), scene is not None
     recorded = recorded_values(values, kind, scene, frames.place, path)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
@@ -164,72 +163,6 @@ def _recording(  # noqa: PLR0913 # the options of an import
     recording = Recording(scene, series, time, role[chosen], name=path.stem, start_time=clock.start)
     notes = (*frames.notes, reason, clock.sentence, _assumed(scene, given=given), gaps, *_summary(recording))
     return recording, tuple(map(printable, filter(None, notes)))
-
-
-def recording_of_table(
-    table: Any, unit: str | None, baseline: int, scene: Scene | None, rows: int | None, columns: int | None
-) -> Recording:
-    """Return the recording of a data frame; see `Recording.from_dataframe`."""
-    if not all(hasattr(table, name) for name in ("columns", "index", "itertuples")):
-        raise InputError(f"from_dataframe needs a pandas.DataFrame, not {in_words(table)}")
-    panel = _panel(rows, columns, scene)
-    check_unit(unit, scene, "table")
-    indexed = getattr(table.index, "name", None) is not None or hasattr(table.index, "tz")
-    names = [str(table.index.name or "time")] * indexed + [str(name) for name in table.columns]
-    lines = [FieldLine(0, names)]
-    for number, values in enumerate(table.itertuples(index=indexed, name=None), 1):
-        lines.append(FieldLine(number, [text_of_value(value) for value in values]))
-
-    def at(number: int, field: int | None) -> str:
-        return f"table: line {number - 1}" + ("" if field is None else f", column {names[field]!r}")
-
-    frames = frames_of(readings_table(field_lines("table", "line", at, (), lines)), panel.shape)
-    return _recording(Path("recording"), frames, panel, scene, unit, baseline)[0]
-
-
-def labelled_array(data: Any) -> tuple[Array, Array | None, str | None]:
-    """Return the values (frames, rows, columns), the times in s and the unit of a labelled array.
-
-    Raises InputError if it is none, or if its dimensions are not time, row and column.
-    """
-    if not all(hasattr(data, name) for name in ("dims", "coords", "attrs", "transpose")) or hasattr(data, "data_vars"):
-        raise InputError(f"from_xarray needs an xarray.DataArray, not {in_words(data)}; of a Dataset name a variable")
-    places = {role_of(str(name)): name for name in data.dims}
-    frame = places.get("time", places.get("frame"))
-    wanted = [frame, places.get("row"), places.get("column")]
-    if None in wanted or len(data.dims) != len(wanted):
-        raise InputError(f"the dimensions must be time, row and column, not {', '.join(map(str, data.dims))}")
-    values, seconds = np.asarray(data.transpose(*wanted).values, dtype=float), None
-    if frame in data.coords and role_of(str(frame)) == "time":
-        times = np.asarray(data.coords[frame].values)
-        dated = times.dtype.kind in "mM"
-        seconds = (times - times[0]) / np.timedelta64(1, "s") if dated else times.astype(float)
-    units = data.attrs.get("units")
-    return values, seconds, None if units is None else str(units)
-
-
-def _named_units(frames: Frames, path: Path) -> tuple[str, ...]:
-    """Return the units that the file's own words permit. Raises InputError with the file if they are not imported."""
-    try:
-        return units_of(frames.words)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-
-
-def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
-    """Return the requested panel, or the scene's; both must agree."""
-    if scene is not None:
-        shape = scene.panel.shape
-        size = (shape[0] if rows is None else rows, shape[1] if columns is None else columns)
-        if shape != size:
-            raise InputError(f"the scene's panel has {shape[0]} × {shape[1]} cells, not {size[0]} × {size[1]}")
-        return scene.panel
-    if rows is None or columns is None:
-        raise InputError("how large is the panel? Say `rows` and `columns`, or give a `scene`")
-    try:
-        return Panel(rows, columns)
-    except ValueError as error:
-        raise InputError(f"{rows} × {columns}: {error}") from error
 
 
 def _frames(path: Path, panel: Panel, *, transpose: bool, variable: str | None, layout: str | Layout | None) -> Frames:

@@ -26,7 +26,7 @@ PLAIN_NUMBER = "{x:g}"  # format of ticks without powers of ten
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-class Picture(Figure):
+class ShownFigure(Figure):
     """A figure that notebooks show without pyplot."""
 
     def _repr_png_(self) -> bytes:
@@ -35,7 +35,7 @@ class Picture(Figure):
 
 def new_figure(height: float, width: float = WIDTH_INCH) -> Figure:
     """Return an empty figure; sizes in inches. Half of WIDTH_INCH fits a phone."""
-    return Picture(figsize=(width, height), layout="constrained")
+    return ShownFigure(figsize=(width, height), layout="constrained")
 
 
 def labelled(figure: Figure, x: str, y: str, title: str = "") -> Figure:
