@@ -228,9 +228,8 @@ for end in ("255", "END", "*", "-1"):
 GROWING = [f"{line},{n}" for n, line in enumerate(lines(CODES))]
 codes("a counter at the end of a frame", GROWING, "no header: field 16 frame")
 # matsense (PyPI) writes the values, the frame's number and the microseconds since 1970.
-MATSENSE = [
-    f"{line.replace(',', '.0,')}.0,{7 + n},{1738324800000000 + 40_000 * n}" for n, line in enumerate(lines(CODES))
-]
+FLOATS = [f"{line.replace(',', '.0,')}.0" for line in lines(CODES)]
+MATSENSE = [f"{line},{7 + n},{1738324800000000 + 40_000 * n}" for n, line in enumerate(FLOATS)]
 START = "2025-01-31T12:00:00Z"
 codes("a recording of matsense", MATSENSE, "field 16 frame, field 17 time", times=FOUR / 25, start=START)
 TIMED_ROWS = [f"{line},{0.5 * n:.1f}" for n, row, line in NUMBERED]

@@ -24,12 +24,13 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
 
     Raises InputError if these do not determine the layout, or if the table does not fit the panel.
     """
-    table = described(with_one_clock(table), shape)
-    cells, names = shape[0] * shape[1], table.names
+    table = with_one_clock(table)
     # One value a line; else one frame a line; else one row a line; else again without empty columns.
     order = _single_values(table, shape)
     if order is not None:
         return _frames_of_single_values(table, shape, order)
+    table = described(table, shape)
+    cells, names = shape[0] * shape[1], table.names
     if table.width == 1 and shape[1] > 1 and len(table.lines) >= cells:
         return _frames_of_numbers(table, shape)
     named = _cells_by_name(table.source.source, names, shape) or _cells_by_number(names, shape)
