@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from lampest.cost.terms import Term as Term
     from lampest.cost.terms import TotalVariation as TotalVariation
     from lampest.cost.terms import TotalVariationOfChange as TotalVariationOfChange
+    from lampest.cost.terms import Weight as Weight
     from lampest.cost.terms import term_types as term_types
     from lampest.estimate.estimates import Estimates as Estimates
     from lampest.estimate.estimator import AutoWeight as AutoWeight

@@ -102,12 +102,13 @@ def _unit(recording: Recording, readings: Readings) -> str:
         return ""
     if readout.floor_code is not None:  # codes that were not recorded say nothing of the unit
         recorded = np.where(readings.plain, recorded, np.nan)
-    volt = float(np.nanmedian(circuit.volt_from_recorded(recorded)))
-    steps = min(volt, readout.full_scale_volt - volt) / readout.lsb_volt
+    # In a wrong unit all readings are near a rail; of an open film all but the loaded ones are.
+    volt = circuit.volt_from_recorded(recorded)
+    steps = float(np.nanmax(np.minimum(volt, readout.full_scale_volt - volt))) / readout.lsb_volt
     if steps >= MIN_STEPS_FROM_RAIL:
         return ""
     return (
-        f"the median reading, {np.nanmedian(recorded):.3g} {circuit.unit}, is {max(steps, 0.0):.2g} "
+        f"no reading, in the median {np.nanmedian(recorded):.3g} {circuit.unit}, is more than {max(steps, 0.0):.2g} "
         f"steps of the converter from a rail: are readings in {circuit.unit}, and is the scene's readout right?"
     )
 

@@ -32,7 +32,7 @@ DOORS: dict[str, tuple[str, ...]] = {
     "pyarrow": ("recording.foreign.records", "report.export.formats"), "zarr": ("report.export.formats",),
     **dict.fromkeys(("pynwb", "hdmf"), ("report.export.nwb",)),
     **dict.fromkeys(("pylsl", "pythonosc", "paho", "websockets"), ("report.live.publish",)),
-    "openpyxl": ("recording.foreign",), "serial": ("recording.board",),
+    "openpyxl": ("recording.foreign", "report.export.formats"), "serial": ("recording.board",),
     **dict.fromkeys(("psutil", "threadpoolctl"), ("files.process",)),
     **dict.fromkeys(("pydantic", "ruamel"), ("files.document",)),
     "matplotlib": ("report.plots", "studies"), "jinja2": ("report.page",),

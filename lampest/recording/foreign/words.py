@@ -62,7 +62,7 @@ PRESSURE_UNITS = _by_word(
 )
 LOADS = PRESSURE_UNITS | _by_word(
     load="n newton newtons g gram grams kg lb lbs lbf kgf pressure pressures druck force forces kraft weight gewicht "
-    "load last conductance leitwert temperature temperatur"
+    "load last conductance leitwert temperature"
 )
 UNITS = {*UNITS_OF_WORD, *TIME_UNIT_OF_WORD, *PRESSURE_UNITS}
 BRACKETED = re.compile(
