@@ -225,6 +225,8 @@ for end in ("255", "END", "*", "-1"):
     codes(f"{end} at the end of a frame", ended, "field 16 left out: beside the readings", "one frame a line")
     rows_ended = [f"{line},{end}" for frame in CODES for line in lines(frame)]
     codes(f"{end} at the end of a row", rows_ended, "field 6 left out", "one row a line, 3 lines a frame")
+RISING = np.arange(60).reshape(4, 3, 5) / 10 + 50
+taken("readings that rise from field to field and from line to line", lines(RISING), expected=RISING, unit="ohm")
 GROWING = [f"{line},{n}" for n, line in enumerate(lines(CODES))]
 codes("a counter at the end of a frame", GROWING, "no header: field 16 frame")
 # matsense (PyPI) writes the values, the frame's number and the microseconds since 1970.

@@ -64,8 +64,8 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
     readings; a row's number stands before. Where they cannot be told, and where a single field leads, the table is
     returned unchanged.
     """
-    turned = table.width == shape[0] != shape[1]
-    if any(table.names) or len(table.lines) < MIN_LINES or turned:
+    fits = table.width in (shape[0] * shape[1], *shape)  # or it would with rows and columns exchanged
+    if any(table.names) or len(table.lines) < MIN_LINES or fits:
         return table
     marks = np.array([np.all(column == column[0]) and column[0] != "" for column in table.fields.T])
     for needed, rows in ((shape[0] * shape[1], 1), (shape[1], shape[0])):
@@ -79,6 +79,8 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
                 continue
             alone = len(names) == 1 and names != [SKIPPED] and not trailing
             return table if alone else _named(table, names, len(lead))
+        if extra == 1:
+            return table
     return table
 
 
