@@ -227,7 +227,7 @@ PLAIN_WORDS = {
     "a valid boolean": "true or false",
 }
 # Resistors as on their labels: 3.3k, 4k7, '140 ohm', '3300'
-LABELLED = re.compile(r"(\d+(?:\.\d+)?|\.\d+)\s*([kKMR]?)(\d*)\s*(?:ohms?|Ω|Ω)?")
+LABELLED = re.compile(r"(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?|\.\d+)\s*([kKMR]?)(\d*)\s*(?:ohms?|Ω|Ω)?")
 FACTOR_OF_LETTER = {"": 1.0, "R": 1.0, "k": 1e3, "K": 1e3, "M": 1e6}
 
 

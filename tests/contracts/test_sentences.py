@@ -45,6 +45,7 @@ def starter(tmp_path: Path, lampest: Command) -> Path:
     [
         ("readout.load_ohm=3.3k", "readout.load_ohm: must be a number or a list, not '3.3k': write 3300"),
         ("readout.load_ohm='3300'", "not '3300': write 3300, without quotation marks"),
+        ("readout.load_ohm='1e3'", "not '1e3': write 1000, without quotation marks"),
         ("readout.load_ohm=4k7", "not '4k7': write 4700"),
         ("readout.load_ohm=10 kOhm", "not '10 kOhm'"),
         ("readout.load_ohm=1M", "not '1M': write 1000000"),
