@@ -241,12 +241,13 @@ def _plain_words(message: str, content: Any, location: Sequence[Any]) -> str:
         content = content.get(part) if isinstance(content, dict) else content[part] if isinstance(part, int) else None
     if not isinstance(content, str | int | float):
         return message
-    label = LABELLED.fullmatch(content.strip()) if isinstance(content, str) and "number" in message else None
+    written = content.strip() if isinstance(content, str) and "number" in message else ""
+    label = LABELLED.fullmatch(written)
     if label is None:
         return f"{message}, not {in_words(content)}"
     digits = f"{label[1]}.{label[3]}" if label[3] else label[1]
     number = float(digits) * FACTOR_OF_LETTER[label[2]] if digits.count(".") < 2 else None
-    quoted = ", without quotation marks" if content.strip() == label[1] else ""
+    quoted = ", without quotation marks" if written == label[1] else ""
     return f"{message}, not {content!r}" + ("" if number is None else f": write {number:.12g}{quoted}")
 
 

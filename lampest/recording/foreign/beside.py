@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.panel.panel import Array
 from lampest.recording.foreign.arrays import Shape
 from lampest.recording.foreign.table import ReadingsTable
 from lampest.recording.foreign.words import PART_OF_CLOCK, grows, is_stamp, line_of, parted
@@ -146,7 +147,7 @@ def _is_row(texts: NDArray[np.object_], rows: int) -> bool:
     return first in (0, 1) and int(numbers.max()) - first == rows - 1 and bool(np.all(follows))
 
 
-def _is_clock(values: NDArray[np.float64]) -> bool:
+def _is_clock(values: Array) -> bool:
     """Return whether three columns are hour, minute and second that do not run backwards."""
     hour, minute, second = values.T
     whole = np.all(values[:, :2] == np.round(values[:, :2]))

@@ -232,7 +232,7 @@ def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | L
         raise InputError(f"{path}: claims more data than the memory holds") from error
 
 
-def _of_folder(path: Path, shape: Shape, variable: str | None, layout: str | None) -> Frames:
+def _of_folder(path: Path, shape: Shape, variable: str | None, layout: str | Layout | None) -> Frames:
     """Return the frames of all files in a folder, in the order of the numbers in their names."""
     files = [file for file in path.iterdir() if file.is_file() and not file.name.startswith(".")]
     files.sort(key=lambda file: [part.zfill(20) for part in re.split(r"(\d+)", file.name)])

@@ -447,10 +447,10 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     names, units = ([""] * width, False) if header is None else _names(fields[:, :width], header)
     if header is not None:
         differs[header - units] = False
-        above = ", with the names of the line above" * units
-        named = source.lines[header].number == 0  # of records, whose names are no line
+        above = ", with the names of the line above" if units else ""
+        of_records = source.lines[header].number == 0  # of records, whose names are no line
         notes.append(
-            f"{source.word}s name their fields" if named else f"{source.called(header)} taken as header{above}"
+            f"{source.word}s name their fields" if of_records else f"{source.called(header)} taken as header{above}"
         )
     damaged = data & broken.any(axis=1)
     if np.any(damaged):

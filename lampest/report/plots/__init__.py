@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from mimetypes import guess_type
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -185,7 +186,7 @@ def picture(
     InputError
         For an unknown plot or frame, and if there is nothing to draw.
     """
-    given = {name: end for name, end in ends.items() if end is not None}
+    given: dict[str, Any] = {name: end for name, end in ends.items() if end is not None}
     plot = replace(_chosen(show, frame), **given)
     drawable = plot.drawable(cases)
     if not drawable:

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.axes import Axes
+from matplotlib.axes import Axes as Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure as Figure
 from matplotlib.ticker import LogLocator
