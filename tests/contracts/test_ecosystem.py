@@ -89,3 +89,13 @@ def test_numpy_on_the_symbols_of_a_term_is_quiet() -> None:
 def test_dependencies_are_locked(name: str) -> None:
     locks = (ROOT / "requirements.lock").read_text() + (ROOT / "requirements-dev.lock").read_text()
     assert re.search(rf"^{name.replace('_', '-')}=={constraint(name.replace('_', '-'))} ", locks, re.MULTILINE)
+
+
+def test_every_extra_is_documented() -> None:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8").partition("[project.optional-dependencies]")[2]
+    extras = set(re.findall(r"^(\w+) = \[", text.partition("\n[project.scripts]")[0], re.MULTILINE))
+    table = (ROOT / "docs" / "faq.md").read_text(encoding="utf-8").partition("## Which extras")[2]
+    named = {
+        name for row in re.findall(r"^\| (`[^|]+) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)
+    }
+    assert named == extras
