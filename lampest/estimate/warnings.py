@@ -15,10 +15,10 @@ from lampest.loads.recognition.observation import ModelErrors
 from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Panelled, Watch
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.recording import UNLOADED, UNREFERENCED, Recording
 
 MIN_CHANNELS = 5  # channels with less load than unloaded; fewer may be single outliers
-MIN_STEPS_FROM_RAIL = 16  # steps of the converter: a median reading closer to a rail is known to 6 % at best
+MIN_STEPS_FROM_RAIL = 16  # steps of the converter: a reading closer to a rail is known to 6 % at best
 MODULE_HINT = (
     "is its reference, series resistance or film another one? The scene's `modules` says what a module has of its own"
 )
@@ -73,9 +73,6 @@ def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
         return ""
     count = "no frame is" if failed == len(solved) else f"{failed} of {len(solved)} frames are not"
     return f"{count} solved: {status[int(np.argmin(solved))]}"
-
-
-UNREFERENCED = "no frame is unloaded (role 0), so changes and pressures are against the first measured frame"
 
 
 def _roles(role: NDArray[np.uint8]) -> str:

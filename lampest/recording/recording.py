@@ -31,6 +31,7 @@ from lampest.recording.foreign.unit import check_unit, recorded_values, understo
 from lampest.recording.readings import Readings, check_sigma
 
 UNLOADED, MEASURED = ROLES = 0, 1
+UNREFERENCED = "no frame is unloaded (role 0), so changes and pressures are against the first measured frame"
 MIN_CHANGE = 0.01  # least relative change of readings or cells by a load or a common error, far above drift
 MAX_READINGS = 2_000_000  # readings of a recording in memory at once: 2 GB, because error bars take 1 kB for each
 PART_READINGS = 500_000  # readings of a part of a longer recording

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.warnings import UNREFERENCED
 from lampest.files import hdf5
 from lampest.files.document import plain_content
 from lampest.files.errors import InputError, first_and_more
@@ -22,6 +21,7 @@ from lampest.recording.recording import (
     MEASURED,
     PART_READINGS,
     UNLOADED,
+    UNREFERENCED,
     Recording,
     StoredRecording,
     opened,
