@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from lampest.cli import screen
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,7 +83,6 @@ def run(
     yes
         Also solve panels whose first frame takes minutes or more memory than there is.
     """
-    from lampest.report.words import counted
     from lampest.runs.batch import run_batch
     from lampest.runs.config import read_run
     from lampest.runs.executors import local
@@ -142,10 +141,11 @@ def simulate(config: Path, out: screen.Output = None, assign: screen.Assign = No
     """
     from lampest.recording.simulation import run as run_simulation
 
+    replaced = out is not None and out.is_file()
     with screen.progress("frames", counted=True) as on_frame:
         written_files = run_simulation(config, out, on_frame, tuple(assign or ()))
     for path in written_files:
-        screen.say(path)
+        screen.say(screen.written(path, replaced=replaced))
 
 
 def import_(
@@ -169,7 +169,7 @@ def import_(
     Parameters
     ----------
     file
-        CSV or other text, .xlsx, .npy, .npz or .mat.
+        CSV or other text, .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet, or a folder of frames.
     out
         New recording file.
     rows
@@ -206,12 +206,13 @@ def import_(
         "missing": missing,
         "layout": layout,
     }
+    replaced = out.is_file()
     with screen.progress("reading"):
         recording, notes = import_file(file, rows, columns, agreed, unit, baseline, time_unit=time_unit, **options)
         recording.save(out)
     for line in understood_lines(recording, notes):
         screen.say(screen.as_options(line))
-    screen.say(out)
+    screen.say(screen.written(out, replaced=replaced))
 
 
 def tare(file: Path, frames: Annotated[str, screen.option()], out: screen.NewFile) -> None:
@@ -231,7 +232,8 @@ def tare(file: Path, frames: Annotated[str, screen.option()], out: screen.NewFil
     recording = Recording.load(file)
     named = frames_named(frames, len(recording.role))
     made, change = tared(recording, named)
+    replaced = out.is_file()
     made.save(out)
-    screen.say(f"unloaded: frames {named[0]} to {named[-1]}: {out}")
+    screen.say(f"unloaded: frames {named[0]} to {named[-1]}: {screen.written(out, replaced=replaced)}")
     if change > MIN_CHANGE:
         screen.warn(f"readings change by up to {100 * change:.1f} % within these frames; did a load come or go?")

@@ -114,7 +114,7 @@ def export(
     results
         A results file.
     to
-        csv, parquet, mat, zarr, nwb, or an added format.
+        csv, xlsx, parquet, mat, zarr, nwb, or an added format.
     out
         Output file. Default: beside the results.
     recording

@@ -4,6 +4,7 @@
 Weights are parameters of the compiled functions: costs that differ in nothing else share these.
 """
 
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -112,7 +113,9 @@ def _residual_of(term: Term, state: State) -> casadi.SX:
     """Return a term's residual (rows, 1). Raises InputError if it is no column, or constant."""
     name = f"term {term_kind(term)}: residual(state)"
     try:
-        residual = casadi.SX(term.residual(state))
+        with warnings.catch_warnings():  # np.log of a symbol is CasADi's; its notice of a change of types is for others
+            warnings.filterwarnings("ignore", r"\s*casadi: a numpy function", FutureWarning)
+            residual = casadi.SX(term.residual(state))
     except Exception as error:
         hint = "" if term.needs_previous else "; a term that reads state.previous or state.baseline says needs_previous"
         pairs = "" if state.panel.cells is None else ", and gradients of listed cells have a row for each pair"

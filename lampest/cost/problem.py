@@ -14,6 +14,7 @@ from scipy import sparse
 
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
+from lampest.files.errors import brief
 from lampest.panel.compiled import Compiled, guarded, with_entries
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -63,6 +64,10 @@ class Data:
     first: bool = False
     parts: NDArray[np.intp] | None = None
     place: int = 0
+
+    def __repr__(self) -> str:
+        """Return the object in one line, arrays by their shapes."""
+        return brief(self)
 
     @property
     def panels(self) -> tuple[int, ...]:

@@ -230,7 +230,9 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
             # Only of a converter it is known how small the noise may be: its step.
             used = factor if smaller and recording.sigma is None else used
             assumed = float(np.mean(readout.assumed_noise))
-            message = f"noise {noise_lsb:.2g} LSB, measured in {where}; the scene specifies {assumed:.3g} LSB"
+            measured_text, specified_text = f"{noise_lsb:.2g} LSB", f"{assumed:.2g} LSB"
+            if measured_text != specified_text:
+                message = f"noise {measured_text}, measured in {where}; the scene specifies {specified_text}"
     elif readout is not None and unloaded >= (MIN_UNLOADED_FRAMES if readout.noise_lsb is None else 2):
         used = shown_noise(readout, ratio)[1]
     frame = None

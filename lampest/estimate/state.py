@@ -8,6 +8,7 @@ import numpy as np
 from lampest.cost.given import Background
 from lampest.estimate.objective import Objective
 from lampest.estimate.witness import Verification
+from lampest.files.errors import brief
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
@@ -55,6 +56,10 @@ class Step:
     sentence: str = ""
     weight_sigma: tuple[float, ...] = ()
     verification: Verification | None = None
+
+    def __repr__(self) -> str:
+        """Return the object in one line, arrays by their shapes."""
+        return brief(self)
 
     @property
     def cell_resistance(self) -> Array:

@@ -584,6 +584,9 @@ class Scene(Configuration):
         return Wiring(lines, joined, self.contacts) if wired else None
 
 
+CHECKED_DEFAULTS = {"polarity"}  # frames tell them: the check of the circuit names the other one where it fits better
+
+
 @typed
 def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
     """Return the scene of a YAML file, which is the whole file or its entry `scene`.
@@ -607,7 +610,7 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
         f"{name}.{entry.name}"
         for name, part in parts.items()
         for entry in fields(part)
-        if entry.name not in specified[name] and getattr(part, entry.name)
+        if entry.name not in specified[name] | CHECKED_DEFAULTS and getattr(part, entry.name)
     )
     return replace(scene, assumed=scene.assumed or left_open)
 

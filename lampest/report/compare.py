@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.witness import Witness
+from lampest.files.errors import counted
 from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
-from lampest.report.words import counted, digits, no_formula, text_of
+from lampest.report.words import digits, no_formula, text_of
 from lampest.runs.case import data_frame
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, read_results
 

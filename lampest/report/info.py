@@ -21,6 +21,7 @@ from lampest.recording.recording import (
     MEASURED,
     PART_READINGS,
     UNLOADED,
+    UNREFERENCED,
     Recording,
     StoredRecording,
     opened,
@@ -199,7 +200,8 @@ def _results_lines(results: Results) -> list[str]:
     for case in results.cases[:1]:
         place = strongest_index([case])
         where = f"frame {case.frame[place]} at {case.time[place]:g} s"
-        lines.append(f"cells of {case.recording} × {case.estimator} in {where}, change against the unloaded panel:")
+        against = "the first measured frame" if UNREFERENCED in case.warnings else "the unloaded panel"
+        lines.append(f"cells of {case.recording} × {case.estimator} in {where}, change against {against}:")
         lines += shaded_map(case.relative_change[place])
     return lines
 

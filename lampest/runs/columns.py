@@ -453,7 +453,10 @@ class Content(Validated):
         as_volt="reading_model",
     )
     reading_sigma: Array | None = _maps(
-        "ohm", "standard deviation of a reading about the model's, noise and model error included", default=None
+        "ohm",
+        "standard deviation of a reading about the model's, noise and model error included",
+        as_volt="reading_sigma",
+        default=None,
     )
     open_cell: NDArray[np.uint8] = _flag(
         "1: cannot be distinguished from an open cell", "conducts", "cannot_be_told_from_open"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
+from lampest.files.errors import brief
 from lampest.files.typed import Validated, check_positive_fields, check_ranges, typed
 from lampest.formulation.instance import Multipliers
 from lampest.panel.panel import Array
@@ -207,6 +208,10 @@ class Solution:
     convex: bool = False
     starts: int = 1
     solver: str = ""
+
+    def __repr__(self) -> str:
+        """Return the object in one line, arrays by their shapes."""
+        return brief(self)
 
     @property
     def solved(self) -> bool:
