@@ -1,0 +1,285 @@
+#include "network.h"
+
+#include <math.h>
+#include <string.h>
+
+/* out (m x n) = a (m x k) b (k x n), added to out if `add`. Two rows and four columns at once: 2 loads for 3 products. */
+static void multiply(const float *restrict a, const float *restrict b, float *restrict out, uint8_t m, uint8_t k,
+                     uint8_t n, bool add) {
+    for (uint8_t i = 0; i < m; i += 2) {
+        const float *first = a + i * k;
+        const float *second = i + 1 < m ? first + k : first;
+        for (uint8_t l = 0; l < n; l += 4) {
+            const uint8_t width = n - l < 4 ? n - l : 4;
+            float x0 = 0, x1 = 0, x2 = 0, x3 = 0, y0 = 0, y1 = 0, y2 = 0, y3 = 0;
+            const float *column = b + l;
+            if (width == 4) {
+                for (uint8_t q = 0; q < k; q++, column += n) {
+                    const float f = first[q], s = second[q];
+                    const float c0 = column[0], c1 = column[1], c2 = column[2], c3 = column[3];
+                    x0 += f * c0, x1 += f * c1, x2 += f * c2, x3 += f * c3;
+                    y0 += s * c0, y1 += s * c1, y2 += s * c2, y3 += s * c3;
+                }
+            } else {
+                const uint8_t second_column = width > 1, third_column = width > 2 ? 2 : 0;
+                for (uint8_t q = 0; q < k; q++, column += n) {
+                    const float f = first[q], s = second[q];
+                    const float c0 = column[0], c1 = column[second_column], c2 = column[third_column];
+                    x0 += f * c0, x1 += f * c1, x2 += f * c2;
+                    y0 += s * c0, y1 += s * c1, y2 += s * c2;
+                }
+            }
+            const float x[4] = {x0, x1, x2, x3}, y[4] = {y0, y1, y2, y3};
+            float *row = out + i * n + l;
+            for (uint8_t c = 0; c < width; c++) row[c] = add ? row[c] + x[c] : x[c];
+            if (i + 1 < m) for (uint8_t c = 0; c < width; c++) row[n + c] = add ? row[n + c] + y[c] : y[c];
+        }
+    }
+}
+
+/* out (n x n) = a' b of two matrices m x n, four columns of each at once. */
+static void multiply_transposed(const float *restrict a, const float *restrict b, float *restrict out, uint8_t m,
+                                uint8_t n) {
+    for (uint8_t k = 0; k < n; k += 2) {
+        const uint8_t next = k + 1 < n;
+        for (uint8_t l = 0; l < n; l += 4) {
+            const uint8_t width = n - l < 4 ? n - l : 4;
+            const uint8_t o1 = width > 1 ? 1 : 0, o2 = width > 2 ? 2 : 0, o3 = width > 3 ? 3 : 0;
+            float x0 = 0, x1 = 0, x2 = 0, x3 = 0, y0 = 0, y1 = 0, y2 = 0, y3 = 0;
+            const float *left = a + k, *right = b + l;
+            for (uint8_t i = 0; i < m; i++, left += n, right += n) {
+                const float f = left[0], s = left[next];
+                const float c0 = right[0], c1 = right[o1], c2 = right[o2], c3 = right[o3];
+                x0 += f * c0, x1 += f * c1, x2 += f * c2, x3 += f * c3;
+                y0 += s * c0, y1 += s * c1, y2 += s * c2, y3 += s * c3;
+            }
+            const float x[4] = {x0, x1, x2, x3}, y[4] = {y0, y1, y2, y3};
+            memcpy(out + k * n + l, x, width * sizeof(float));
+            if (next) memcpy(out + (k + 1) * n + l, y, width * sizeof(float));
+        }
+    }
+}
+
+/* Invert a symmetric positive definite matrix in place, by sweeps of Gauss and Jordan; false at a pivot that is none. */
+static bool invert(float *s, uint8_t n) {
+    for (uint8_t p = 0; p < n; p++) {
+        float *pivot_row = s + p * n;
+        const float pivot = pivot_row[p];
+        if (!(pivot > 0) || !isfinite(pivot)) return false;
+        const float scale = 1 / pivot;
+        for (uint8_t i = 0; i < n; i++) {
+            if (i == p) continue;
+            float *row = s + i * n;
+            const float factor = row[p] * scale;
+            for (uint8_t k = 0; k < n; k++) row[k] -= factor * pivot_row[k];
+            row[p] = -factor;
+        }
+        for (uint8_t k = 0; k < n; k++) pivot_row[k] *= scale;
+        pivot_row[p] = scale;
+    }
+    return true;
+}
+
+/* Ties of two-point readings: the line of the shorter side with the largest conductance is at ground. */
+static void ground_one_line(network *net) {
+    const uint8_t m = net->m, n = net->n;
+    float largest = 0;
+    uint8_t ground = 0;
+    for (uint8_t k = 0; k < n; k++) {
+        float sum = 0;
+        for (uint8_t i = 0; i < m; i++) sum += net->conductance[i * n + k];
+        if (sum > largest) largest = sum, ground = k;
+    }
+    memset(net->tie, 0, (m + n) * sizeof(float));
+    net->tie[m + ground] = largest;
+}
+
+bool network_solve(network *net) {
+    const uint8_t m = net->m, n = net->n;
+    if (net->floats) ground_one_line(net);
+    for (uint8_t i = 0; i < m; i++) {
+        const float *g = net->conductance + i * n;
+        float sum = net->tie[i];
+        for (uint8_t k = 0; k < n; k++) sum += g[k];
+        if (!(sum > 0) || !isfinite(sum)) return false;
+        net->total[i] = sum;
+        const float inverse = 1 / sum;
+        for (uint8_t k = 0; k < n; k++) net->share[i * n + k] = g[k] * inverse;
+    }
+    /* S without subtraction: off the diagonal -G'H, and on it what leads to ground less the rest of the row. */
+    multiply_transposed(net->share, net->conductance, net->inverse, m, n);
+    for (uint8_t k = 0; k < n; k++) {
+        float diagonal = net->tie[m + k];
+        for (uint8_t i = 0; i < m; i++) diagonal += net->share[i * n + k] * net->tie[i];
+        float *row = net->inverse + k * n;
+        for (uint8_t l = 0; l < n; l++) {
+            if (l == k) continue;
+            diagonal += row[l];
+            row[l] = -row[l];
+        }
+        row[k] = diagonal;
+    }
+    if (!invert(net->inverse, n)) return false;
+    multiply(net->share, net->inverse, net->mutual, m, n, n, false);
+    for (uint8_t i = 0; i < m; i++) {
+        float own = 1 / net->total[i];
+        for (uint8_t k = 0; k < n; k++) own += net->share[i * n + k] * net->mutual[i * n + k];
+        net->own_long[i] = own;
+    }
+    return true;
+}
+
+void network_readings(network *net, float *reading) {
+    const uint8_t m = net->m, n = net->n;
+    const lampest_constants *c = net->constants;
+    for (uint8_t i = 0; i < m; i++) {
+        for (uint8_t k = 0; k < n; k++) {
+            const uint16_t cell = i * n + k;
+            const float in = net->own_long[i], out = net->inverse[k * n + k], mutual = net->mutual[cell];
+            if (net->floats) {
+                reading[cell] = in + out - 2 * mutual;
+                continue;
+            }
+            const uint8_t d = net->long_driven ? i : k, s = net->long_driven ? k : i;
+            const float driven = net->long_driven ? in : out, sensed = net->long_driven ? out : in;
+            const float path = c->drive[d] + c->release[d] * driven, loaded = 1 + c->load[s] * sensed;
+            const float both = c->release[d] * c->load[s];
+            const float scale = 1 / (path * loaded - both * mutual * mutual);
+            const float y = c->gain[s] * mutual * scale;
+            reading[cell] = y;
+            const float to_driven = -y * scale * c->release[d] * loaded, to_sensed = -y * scale * c->load[s] * path;
+            net->slope_long[cell] = net->long_driven ? to_driven : to_sensed;
+            net->slope_short[cell] = net->long_driven ? to_sensed : to_driven;
+            net->slope_mutual[cell] = c->gain[s] * scale + 2 * y * scale * both * mutual;
+        }
+    }
+}
+
+void network_own_response(const network *net, float *response) {
+    const uint8_t m = net->m, n = net->n;
+    for (uint8_t i = 0; i < m; i++) {
+        for (uint8_t k = 0; k < n; k++) {
+            const uint16_t cell = i * n + k;
+            const float a = net->own_long[i] - net->mutual[cell], b = net->inverse[k * n + k] - net->mutual[cell];
+            const float across = net->floats ? (a + b) * (a + b)
+                                             : net->slope_long[cell] * a * a + net->slope_short[cell] * b * b -
+                                                   net->slope_mutual[cell] * a * b;
+            response[cell] = net->conductance[cell] * across;
+        }
+    }
+}
+
+/* Z X Z for X = [diag(x_long), X; X', diag(x_short)] with X in net->middle, which is lost: `mutual_part` gets the
+ * mutual part, x_long and x_short the diagonals.
+ *
+ * Z = [diag(1/a), 0; 0, 0] + [H; 1] S^-1 [H', 1]. With Q = diag(1/a) (x_long H + X) and
+ * C = x_short + H'Y + Y'H, Y = x_long H / 2 + X, the mutual part is (Q + H S^-1 C) S^-1. */
+static void sandwich(network *net, float *mutual_part) {
+    const uint8_t m = net->m, n = net->n;
+    float *x = net->middle, *c = net->small, *f = net->small2;
+    for (uint8_t i = 0; i < m; i++) {
+        const float half = 0.5f * net->x_long[i];
+        for (uint8_t k = 0; k < n; k++) x[i * n + k] += half * net->share[i * n + k];
+    }
+    multiply_transposed(net->share, x, c, m, n);
+    for (uint8_t k = 0; k < n; k++) {
+        for (uint8_t l = 0; l <= k; l++) {
+            const float sum = c[k * n + l] + c[l * n + k];
+            c[k * n + l] = c[l * n + k] = sum;
+        }
+        c[k * n + k] += net->x_short[k];
+    }
+    multiply(c, net->inverse, f, n, n, n, false); /* C S^-1 */
+    for (uint8_t k = 0; k < n; k++) {
+        float sum = 0;
+        for (uint8_t l = 0; l < n; l++) sum += net->inverse[k * n + l] * f[l * n + k];
+        net->x_short[k] = sum;
+    }
+    /* Q in place of Y, then Q + (H S^-1) C, whose own diagonal is known before the last product with S^-1. */
+    float *sum = net->middle;
+    for (uint8_t i = 0; i < m; i++) {
+        const float inverse = 1 / net->total[i], half = 0.5f * net->x_long[i];
+        const float *share = net->share + i * n, *mutual = net->mutual + i * n;
+        float own = net->x_long[i] * inverse * inverse;
+        for (uint8_t k = 0; k < n; k++) {
+            const float q = inverse * (sum[i * n + k] + half * share[k]);
+            sum[i * n + k] = q;
+            own += q * mutual[k];
+        }
+        net->x_long[i] = own;
+    }
+    multiply(net->mutual, c, sum, m, n, n, true);
+    for (uint8_t i = 0; i < m; i++) {
+        float own = 0;
+        for (uint8_t k = 0; k < n; k++) own += sum[i * n + k] * net->mutual[i * n + k];
+        net->x_long[i] += own;
+    }
+    multiply(sum, net->inverse, mutual_part, m, n, n, false);
+}
+
+/* X of changed cells, with conductances q: the Laplacian of q. */
+static void put_laplacian(network *net, const float *scale, const float *values) {
+    const uint8_t m = net->m, n = net->n;
+    memset(net->x_short, 0, n * sizeof(float));
+    for (uint8_t i = 0; i < m; i++) {
+        float sum = 0;
+        for (uint8_t k = 0; k < n; k++) {
+            const uint16_t cell = i * n + k;
+            const float q = scale ? scale[cell] * values[cell] : values[cell];
+            sum += q;
+            net->x_short[k] += q;
+            net->middle[cell] = -q;
+        }
+        net->x_long[i] = sum;
+    }
+}
+
+/* b' K b over each cell, b its +1 and -1, of a K that `sandwich` left; times `scale` if there is one. */
+static void take_across(const network *net, float *mutual_part, const float *scale) {
+    const uint8_t m = net->m, n = net->n;
+    for (uint8_t i = 0; i < m; i++) {
+        for (uint8_t k = 0; k < n; k++) {
+            const uint16_t cell = i * n + k;
+            const float across = net->x_long[i] + net->x_short[k] - 2 * mutual_part[cell];
+            mutual_part[cell] = scale ? scale[cell] * across : across;
+        }
+    }
+}
+
+void network_forward(network *net, const float *p, float *reading) {
+    const uint8_t m = net->m, n = net->n;
+    put_laplacian(net, net->conductance, p); /* dZ = Z L(g p) Z, as dg = -g du */
+    sandwich(net, reading);
+    if (net->floats) {
+        take_across(net, reading, NULL);
+        return;
+    }
+    for (uint8_t i = 0; i < m; i++) {
+        for (uint8_t k = 0; k < n; k++) {
+            const uint16_t cell = i * n + k;
+            reading[cell] = net->slope_long[cell] * net->x_long[i] + net->slope_short[cell] * net->x_short[k] +
+                            net->slope_mutual[cell] * reading[cell];
+        }
+    }
+}
+
+void network_adjoint(network *net, const float *w, float *cells) {
+    const uint8_t m = net->m, n = net->n;
+    if (net->floats) {
+        put_laplacian(net, NULL, w); /* two-point readings: their slopes are those of a Laplacian */
+    } else {
+        memset(net->x_short, 0, n * sizeof(float));
+        for (uint8_t i = 0; i < m; i++) {
+            float sum = 0;
+            for (uint8_t k = 0; k < n; k++) {
+                const uint16_t cell = i * n + k;
+                sum += net->slope_long[cell] * w[cell];
+                net->x_short[k] += net->slope_short[cell] * w[cell];
+                net->middle[cell] = 0.5f * net->slope_mutual[cell] * w[cell];
+            }
+            net->x_long[i] = sum;
+        }
+    }
+    sandwich(net, cells);
+    take_across(net, cells, net->conductance);
+}
