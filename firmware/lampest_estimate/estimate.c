@@ -1,8 +1,6 @@
 #include "lampest_estimate.h"
 
-#include <math.h>
-#include <string.h>
-
+#include "arithmetic.h"
 #include "network.h"
 #include "terms.h"
 
@@ -184,10 +182,10 @@ static void move(workspace *w, const float *from, float scale) {
         bounds_of(w, cell, &least, &largest);
         const float step = fmaxf(fminf(scale * w->x[cell], LARGEST_STEP), -LARGEST_STEP);
         w->u[cell] = from[cell] + step;
-        float ohm = expf(w->u[cell]);
+        float ohm = exponential(w->u[cell]);
         if (ohm < least || ohm > largest) {
             ohm = ohm < least ? least : largest;
-            w->u[cell] = logf(ohm);
+            w->u[cell] = logarithm(ohm);
         }
         w->net.conductance[cell] = 1 / ohm;
     }
@@ -224,7 +222,7 @@ static void product(workspace *w) {
 
 static float dot(const float *a, const float *b, uint16_t count) {
     float sum = 0;
-    for (uint16_t cell = 0; cell < count; cell++) sum += a[cell] * b[cell];
+    for (uint16_t cell = 0; cell < count; cell++) sum = FUSED(a[cell], b[cell], sum);
     return sum;
 }
 
@@ -255,8 +253,8 @@ static float conjugate_gradients(workspace *w, uint16_t most, float enough, floa
         if (!(curvature > 0)) break;
         const float length = slope / curvature;
         for (uint16_t cell = 0; cell < cells; cell++) {
-            w->x[cell] += length * w->p[cell];
-            w->r[cell] -= length * w->q[cell];
+            w->x[cell] = FUSED(length, w->p[cell], w->x[cell]);
+            w->r[cell] = FUSED(-length, w->q[cell], w->r[cell]);
         }
         before = slope;
         decreases[iteration % TAIL] = length * slope;
@@ -351,7 +349,7 @@ static bool constants_are_sound(const lampest_constants *c) {
 static bool set_cells(workspace *w, const float *u) {
     for (uint16_t cell = 0; cell < w->cells; cell++) {
         w->u[cell] = u[cell];
-        w->net.conductance[cell] = w->view.absent && w->absent[cell] ? 0 : expf(-u[cell]);
+        w->net.conductance[cell] = w->view.absent && w->absent[cell] ? 0 : exponential(-u[cell]);
     }
     if (!network_solve(&w->net)) return false;
     network_readings(&w->net, w->reading);
@@ -369,7 +367,7 @@ lampest_outcome lampest_begin(lampest_panel *panel, float *memory) {
         for (uint8_t column = 0; column < c->columns; column++) {
             const uint16_t outside = row * c->columns + column, cell = cell_number(c, row, column);
             w.absent[cell] = c->present && !c->present[outside];
-            w.baseline[cell] = logf(c->baseline[outside]);
+            w.baseline[cell] = logarithm(c->baseline[outside]);
         }
     }
     if (c->driven) {

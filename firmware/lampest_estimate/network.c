@@ -1,63 +1,68 @@
 #include "network.h"
 
-#include <math.h>
-#include <string.h>
+#include "arithmetic.h"
 
-/* out (m x n) = a (m x k) b (k x n), added to out if `add`. Two rows and four columns at once: 2 loads for 3 products. */
-static void multiply(const float *restrict a, const float *restrict b, float *restrict out, uint8_t m, uint8_t k,
-                     uint8_t n, bool add) {
+/* The products of two rows or columns of a with four, two or one of b: the block of a product that stays in registers.
+ * From one factor to the next a goes on by `a_step` and b by `b_step` numbers; `second` is where the second one of a
+ * stands. */
+#define BLOCK(width)                                                                                                   \
+    static inline void block##width(const float *a, uint16_t a_step, uint16_t second, const float *b, uint16_t b_step, \
+                                    uint8_t count, float *x, float *y)
+
+BLOCK(4) {
+    float x0 = 0, x1 = 0, x2 = 0, x3 = 0, y0 = 0, y1 = 0, y2 = 0, y3 = 0;
+    for (; count; count--, a += a_step, b += b_step) {
+        const float f = a[0], s = a[second], b0 = b[0], b1 = b[1], b2 = b[2], b3 = b[3];
+        x0 = FUSED(f, b0, x0), x1 = FUSED(f, b1, x1), x2 = FUSED(f, b2, x2), x3 = FUSED(f, b3, x3);
+        y0 = FUSED(s, b0, y0), y1 = FUSED(s, b1, y1), y2 = FUSED(s, b2, y2), y3 = FUSED(s, b3, y3);
+    }
+    x[0] = x0, x[1] = x1, x[2] = x2, x[3] = x3, y[0] = y0, y[1] = y1, y[2] = y2, y[3] = y3;
+}
+
+BLOCK(2) {
+    float x0 = 0, x1 = 0, y0 = 0, y1 = 0;
+    for (; count; count--, a += a_step, b += b_step) {
+        const float f = a[0], s = a[second], b0 = b[0], b1 = b[1];
+        x0 = FUSED(f, b0, x0), x1 = FUSED(f, b1, x1), y0 = FUSED(s, b0, y0), y1 = FUSED(s, b1, y1);
+    }
+    x[0] = x0, x[1] = x1, y[0] = y0, y[1] = y1;
+}
+
+BLOCK(1) {
+    float x0 = 0, y0 = 0;
+    for (; count; count--, a += a_step, b += b_step) {
+        x0 = FUSED(a[0], b[0], x0), y0 = FUSED(a[second], b[0], y0);
+    }
+    x[0] = x0, y[0] = y0;
+}
+
+/* out (m x n) = A b, b (k x n), added to out if `add`. A's rows are `a_row` numbers apart, its columns `a_step`. */
+static void multiply_strided(const float *a, uint16_t a_row, uint16_t a_step, const float *b, float *out, uint8_t m,
+                             uint8_t k, uint8_t n, bool add) {
+    float x[4], y[4];
     for (uint8_t i = 0; i < m; i += 2) {
-        const float *first = a + i * k;
-        const float *second = i + 1 < m ? first + k : first;
-        for (uint8_t l = 0; l < n; l += 4) {
-            const uint8_t width = n - l < 4 ? n - l : 4;
-            float x0 = 0, x1 = 0, x2 = 0, x3 = 0, y0 = 0, y1 = 0, y2 = 0, y3 = 0;
-            const float *column = b + l;
-            if (width == 4) {
-                for (uint8_t q = 0; q < k; q++, column += n) {
-                    const float f = first[q], s = second[q];
-                    const float c0 = column[0], c1 = column[1], c2 = column[2], c3 = column[3];
-                    x0 += f * c0, x1 += f * c1, x2 += f * c2, x3 += f * c3;
-                    y0 += s * c0, y1 += s * c1, y2 += s * c2, y3 += s * c3;
-                }
-            } else {
-                const uint8_t second_column = width > 1, third_column = width > 2 ? 2 : 0;
-                for (uint8_t q = 0; q < k; q++, column += n) {
-                    const float f = first[q], s = second[q];
-                    const float c0 = column[0], c1 = column[second_column], c2 = column[third_column];
-                    x0 += f * c0, x1 += f * c1, x2 += f * c2;
-                    y0 += s * c0, y1 += s * c1, y2 += s * c2;
-                }
-            }
-            const float x[4] = {x0, x1, x2, x3}, y[4] = {y0, y1, y2, y3};
+        const uint16_t second = i + 1 < m ? a_row : 0;
+        uint8_t width;
+        for (uint8_t l = 0; l < n; l += width) {
+            width = n - l >= 4 ? 4 : n - l >= 2 ? 2 : 1;
+            if (width == 4) block4(a + i * a_row, a_step, second, b + l, n, k, x, y);
+            else if (width == 2) block2(a + i * a_row, a_step, second, b + l, n, k, x, y);
+            else block1(a + i * a_row, a_step, second, b + l, n, k, x, y);
             float *row = out + i * n + l;
             for (uint8_t c = 0; c < width; c++) row[c] = add ? row[c] + x[c] : x[c];
-            if (i + 1 < m) for (uint8_t c = 0; c < width; c++) row[n + c] = add ? row[n + c] + y[c] : y[c];
+            if (second) for (uint8_t c = 0; c < width; c++) row[n + c] = add ? row[n + c] + y[c] : y[c];
         }
     }
 }
 
-/* out (n x n) = a' b of two matrices m x n, four columns of each at once. */
-static void multiply_transposed(const float *restrict a, const float *restrict b, float *restrict out, uint8_t m,
-                                uint8_t n) {
-    for (uint8_t k = 0; k < n; k += 2) {
-        const uint8_t next = k + 1 < n;
-        for (uint8_t l = 0; l < n; l += 4) {
-            const uint8_t width = n - l < 4 ? n - l : 4;
-            const uint8_t o1 = width > 1 ? 1 : 0, o2 = width > 2 ? 2 : 0, o3 = width > 3 ? 3 : 0;
-            float x0 = 0, x1 = 0, x2 = 0, x3 = 0, y0 = 0, y1 = 0, y2 = 0, y3 = 0;
-            const float *left = a + k, *right = b + l;
-            for (uint8_t i = 0; i < m; i++, left += n, right += n) {
-                const float f = left[0], s = left[next];
-                const float c0 = right[0], c1 = right[o1], c2 = right[o2], c3 = right[o3];
-                x0 += f * c0, x1 += f * c1, x2 += f * c2, x3 += f * c3;
-                y0 += s * c0, y1 += s * c1, y2 += s * c2, y3 += s * c3;
-            }
-            const float x[4] = {x0, x1, x2, x3}, y[4] = {y0, y1, y2, y3};
-            memcpy(out + k * n + l, x, width * sizeof(float));
-            if (next) memcpy(out + (k + 1) * n + l, y, width * sizeof(float));
-        }
-    }
+/* out (m x n) = a (m x k) b (k x n), added to out if `add`. */
+static void multiply(const float *a, const float *b, float *out, uint8_t m, uint8_t k, uint8_t n, bool add) {
+    multiply_strided(a, k, 1, b, out, m, k, n, add);
+}
+
+/* out (n x n) = a' b of two matrices m x n. */
+static void multiply_transposed(const float *a, const float *b, float *out, uint8_t m, uint8_t n) {
+    multiply_strided(a, 1, n, b, out, n, m, n, false);
 }
 
 /* Invert a symmetric positive definite matrix in place, by sweeps of Gauss and Jordan; false at a pivot that is none. */
@@ -71,7 +76,7 @@ static bool invert(float *s, uint8_t n) {
             if (i == p) continue;
             float *row = s + i * n;
             const float factor = row[p] * scale;
-            for (uint8_t k = 0; k < n; k++) row[k] -= factor * pivot_row[k];
+            for (uint8_t k = 0; k < n; k++) row[k] = FUSED(-factor, pivot_row[k], row[k]);
             row[p] = -factor;
         }
         for (uint8_t k = 0; k < n; k++) pivot_row[k] *= scale;
