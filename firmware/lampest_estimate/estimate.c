@@ -52,7 +52,7 @@ static workspace arrange(const lampest_panel *panel) {
     net->total = TAKE(m), net->own_long = TAKE(m), net->x_long = TAKE(m), net->x_short = TAKE(n), net->tie = TAKE(m + n);
     if (c->driven) net->slope_long = TAKE(cells), net->slope_short = TAKE(cells), net->slope_mutual = TAKE(cells);
     w.view = (cells_view){.constants = c, .m = m, .n = n, .u = w.u, .baseline = w.baseline,
-                          .conductance = net->conductance};
+                          .conductance = net->conductance, .slope = net->middle};
     if (relative) w.view.previous = TAKE(cells);
     w.side = (uint8_t *)TAKE((cells + 3) / 4), w.absent = (uint8_t *)TAKE((cells + 3) / 4);
 #undef TAKE
@@ -78,7 +78,7 @@ static float reading_of(const lampest_constants *c, float volt, uint8_t row, uin
     *slope = c->reference_ohm * c->supply_volt / (base * base) * c->ohm_scale;
     ohm *= c->ohm_scale;
     if (c->shunt_siemens > 0) {
-        const float without = fmaxf(1 / ohm - c->shunt_siemens, 1e-6f * c->shunt_siemens);
+        const float without = larger(1 / ohm - c->shunt_siemens, 1e-6f * c->shunt_siemens);
         *slope /= (ohm * without) * (ohm * without);
         ohm = 1 / without;
     }
@@ -112,7 +112,7 @@ static bool read_sums(workspace *w, const uint16_t *sums, lampest_status *status
             float reading = reading_of(c, volt_of(c, sum), row, column, &slope);
             const float sigma = slope * c->sigma_volt[c->sigma_count > 1 ? outside : 0];
             const float least = c->driven ? 0 : REACH * sigma;
-            if (reading <= least && side != AT_LEAST) side = AT_MOST, reading = fmaxf(reading, 0) + REACH * sigma;
+            if (reading <= least && side != AT_LEAST) side = AT_MOST, reading = larger(reading, 0) + REACH * sigma;
             if (side == VALUE) values++, row_has[row] = column_has[column] = true;
             else status->saturated++;
             w->side[cell] = side, w->measured[cell] = reading;
@@ -135,8 +135,8 @@ static bool read_sums(workspace *w, const uint16_t *sums, lampest_status *status
 static inline float deviation_of(const workspace *w, uint16_t cell) {
     const float x = (w->reading[cell] - w->measured[cell]) * w->precision[cell];
     switch (w->side[cell]) {
-        case AT_LEAST: return fminf(x, 0);
-        case AT_MOST: return fmaxf(x, 0);
+        case AT_LEAST: return smaller(x, 0);
+        case AT_MOST: return larger(x, 0);
         default: return x;
     }
 }
@@ -163,8 +163,8 @@ static void bounds_of(const workspace *w, uint16_t cell, float *least, float *la
     if (!c->native_bounds || w->side[cell] != VALUE) return;
     /* r >= R, as parallel paths lower a reading. An open cell in place of R^2/sigma changes the reading by sigma. */
     const float measured = w->measured[cell], alone = 2 * measured * w->cells / (float)(w->net.m + w->net.n - 1);
-    *least = fmaxf(*least, measured);
-    *largest = fmaxf(fminf(*largest, fmaxf(measured * measured * w->precision[cell], alone)), *least);
+    *least = larger(*least, measured);
+    *largest = larger(smaller(*largest, larger(measured * measured * w->precision[cell], alone)), *least);
 }
 
 static bool evaluate(workspace *w, float *cost) {
@@ -180,7 +180,7 @@ static void move(workspace *w, const float *from, float scale) {
         if (w->view.absent && w->absent[cell]) continue;
         float least, largest;
         bounds_of(w, cell, &least, &largest);
-        const float step = fmaxf(fminf(scale * w->x[cell], LARGEST_STEP), -LARGEST_STEP);
+        const float step = larger(smaller(scale * w->x[cell], LARGEST_STEP), -LARGEST_STEP);
         w->u[cell] = from[cell] + step;
         float ohm = exponential(w->u[cell]);
         if (ohm < least || ohm > largest) {
@@ -262,7 +262,7 @@ static float conjugate_gradients(workspace *w, uint16_t most, float enough, floa
         float sum = 0;
         for (uint8_t last = 0; last < TAIL; last++) sum += decreases[last];
         if (iteration + 1 >= TAIL) *tail = sum;
-        if (iteration + 1 >= TAIL && sum < fmaxf(enough, share * total)) break;
+        if (iteration + 1 >= TAIL && sum < larger(enough, share * total)) break;
     }
     return total;
 }

@@ -2,55 +2,51 @@
 
 #include "arithmetic.h"
 
-/* The products of two rows or columns of a with four, two or one of b: the block of a product that stays in registers.
- * From one factor to the next a goes on by `a_step` and b by `b_step` numbers; `second` is where the second one of a
- * stands. */
-#define BLOCK(width)                                                                                                   \
-    static inline void block##width(const float *a, uint16_t a_step, uint16_t second, const float *b, uint16_t b_step, \
-                                    uint8_t count, float *x, float *y)
-
-BLOCK(4) {
-    float x0 = 0, x1 = 0, x2 = 0, x3 = 0, y0 = 0, y1 = 0, y2 = 0, y3 = 0;
-    for (; count; count--, a += a_step, b += b_step) {
-        const float f = a[0], s = a[second], b0 = b[0], b1 = b[1], b2 = b[2], b3 = b[3];
-        x0 = FUSED(f, b0, x0), x1 = FUSED(f, b1, x1), x2 = FUSED(f, b2, x2), x3 = FUSED(f, b3, x3);
-        y0 = FUSED(s, b0, y0), y1 = FUSED(s, b1, y1), y2 = FUSED(s, b2, y2), y3 = FUSED(s, b3, y3);
-    }
-    x[0] = x0, x[1] = x1, x[2] = x2, x[3] = x3, y[0] = y0, y[1] = y1, y[2] = y2, y[3] = y3;
-}
-
-BLOCK(2) {
-    float x0 = 0, x1 = 0, y0 = 0, y1 = 0;
-    for (; count; count--, a += a_step, b += b_step) {
-        const float f = a[0], s = a[second], b0 = b[0], b1 = b[1];
-        x0 = FUSED(f, b0, x0), x1 = FUSED(f, b1, x1), y0 = FUSED(s, b0, y0), y1 = FUSED(s, b1, y1);
-    }
-    x[0] = x0, x[1] = x1, y[0] = y0, y[1] = y1;
-}
-
-BLOCK(1) {
-    float x0 = 0, y0 = 0;
-    for (; count; count--, a += a_step, b += b_step) {
-        x0 = FUSED(a[0], b[0], x0), y0 = FUSED(a[second], b[0], y0);
-    }
-    x[0] = x0, y[0] = y0;
-}
-
-/* out (m x n) = A b, b (k x n), added to out if `add`. A's rows are `a_row` numbers apart, its columns `a_step`. */
-static void multiply_strided(const float *a, uint16_t a_row, uint16_t a_step, const float *b, float *out, uint8_t m,
-                             uint8_t k, uint8_t n, bool add) {
-    float x[4], y[4];
-    for (uint8_t i = 0; i < m; i += 2) {
-        const uint16_t second = i + 1 < m ? a_row : 0;
-        uint8_t width;
-        for (uint8_t l = 0; l < n; l += width) {
-            width = n - l >= 4 ? 4 : n - l >= 2 ? 2 : 1;
-            if (width == 4) block4(a + i * a_row, a_step, second, b + l, n, k, x, y);
-            else if (width == 2) block2(a + i * a_row, a_step, second, b + l, n, k, x, y);
-            else block1(a + i * a_row, a_step, second, b + l, n, k, x, y);
-            float *row = out + i * n + l;
-            for (uint8_t c = 0; c < width; c++) row[c] = add ? row[c] + x[c] : x[c];
-            if (second) for (uint8_t c = 0; c < width; c++) row[n + c] = add ? row[n + c] + y[c] : y[c];
+/* out (m x n) = A b, b (k x n), added to out if `add`. A's rows are `row` numbers apart, its columns `step`.
+ *
+ * Two rows of A with five, four, or one column of b at once stay in registers: seven loads for ten products. */
+static void multiply_strided(const float *a, unsigned row, unsigned step, const float *b, float *out, unsigned m,
+                             unsigned k, unsigned n, bool add) {
+    for (unsigned i = 0; i < m; i += 2, a += 2 * row, out += 2 * n) {
+        const bool pair = i + 1 < m;
+        const unsigned second = pair ? row : 0;
+        float *upper = out, *lower = pair ? out + n : out;
+        for (unsigned l = 0; l < n;) {
+            const float *left = a, *right = b + l, *const end = right + k * n;
+            if (n - l >= 4) {
+                const bool five = n - l == 5 || n - l >= 10 || n - l == 9;
+                float x0 = 0, x1 = 0, x2 = 0, x3 = 0, x4 = 0, y0 = 0, y1 = 0, y2 = 0, y3 = 0, y4 = 0;
+                if (add) {
+                    x0 = upper[l], x1 = upper[l + 1], x2 = upper[l + 2], x3 = upper[l + 3];
+                    y0 = lower[l], y1 = lower[l + 1], y2 = lower[l + 2], y3 = lower[l + 3];
+                    if (five) x4 = upper[l + 4], y4 = lower[l + 4];
+                }
+                if (five) {
+                    for (; right != end; left += step, right += n) {
+                        const float f = left[0], s = left[second];
+                        const float b0 = right[0], b1 = right[1], b2 = right[2], b3 = right[3], b4 = right[4];
+                        x0 = FUSED(f, b0, x0), x1 = FUSED(f, b1, x1), x2 = FUSED(f, b2, x2), x3 = FUSED(f, b3, x3);
+                        y0 = FUSED(s, b0, y0), y1 = FUSED(s, b1, y1), y2 = FUSED(s, b2, y2), y3 = FUSED(s, b3, y3);
+                        x4 = FUSED(f, b4, x4), y4 = FUSED(s, b4, y4);
+                    }
+                } else {
+                    for (; right != end; left += step, right += n) {
+                        const float f = left[0], s = left[second];
+                        const float b0 = right[0], b1 = right[1], b2 = right[2], b3 = right[3];
+                        x0 = FUSED(f, b0, x0), x1 = FUSED(f, b1, x1), x2 = FUSED(f, b2, x2), x3 = FUSED(f, b3, x3);
+                        y0 = FUSED(s, b0, y0), y1 = FUSED(s, b1, y1), y2 = FUSED(s, b2, y2), y3 = FUSED(s, b3, y3);
+                    }
+                }
+                lower[l] = y0, lower[l + 1] = y1, lower[l + 2] = y2, lower[l + 3] = y3;
+                upper[l] = x0, upper[l + 1] = x1, upper[l + 2] = x2, upper[l + 3] = x3;
+                if (five) lower[l + 4] = y4, upper[l + 4] = x4;
+                l += five ? 5 : 4;
+            } else {
+                float x = add ? upper[l] : 0, y = add ? lower[l] : 0;
+                for (; right != end; left += step, right += n) x = FUSED(left[0], *right, x), y = FUSED(left[second], *right, y);
+                lower[l] = y, upper[l] = x;
+                l++;
+            }
         }
     }
 }

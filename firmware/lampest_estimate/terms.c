@@ -27,7 +27,8 @@ typedef struct {
     float *diagonal;/* GRADIENT: added to */
 } work;
 
-static inline float value_of(const work w, uint16_t cell) {
+/* What the term compares. */
+INLINE float value_of(const work w, uint16_t cell) {
     switch (w.term.quantity) {
         case LAMPEST_LOG: return w.view.u[cell];
         case LAMPEST_OHM: return 1 / w.view.conductance[cell];
@@ -37,41 +38,42 @@ static inline float value_of(const work w, uint16_t cell) {
     }
 }
 
-/* dv/du. */
-static inline float slope_of(const work w, uint16_t cell) {
-    switch (w.term.quantity) {
-        case LAMPEST_LOG: return 1;
-        case LAMPEST_OHM: return 1 / w.view.conductance[cell];
-        case LAMPEST_CHANGE: return 100 / (w.view.conductance[cell] * w.view.previous[cell]);
-        default: return 100;
+/* Its derivative by u, for all cells. */
+static void find_slopes(const cells_view *view, lampest_quantity quantity) {
+    for (uint16_t cell = 0; cell < view->m * view->n; cell++) {
+        const bool none = view->absent && view->absent[cell];
+        float slope = quantity == LAMPEST_LOG ? 1 : 100;
+        if (!none && quantity == LAMPEST_OHM) slope = 1 / view->conductance[cell];
+        if (!none && quantity == LAMPEST_CHANGE) slope = 100 / (view->conductance[cell] * view->previous[cell]);
+        view->slope[cell] = none ? 0 : slope;
     }
 }
 
 /* One residual, x = factor (v_second - v_first), or x = v_first where second is first; returns its cost. */
-static inline float residual(const work w, task what, uint16_t first, uint16_t second, float factor) {
-    if (w.view.absent && (w.view.absent[first] || w.view.absent[second])) return 0;
+INLINE float residual(const work w, task what, uint16_t first, uint16_t second, float factor) {
     const bool alone = first == second;
+    if (w.view.absent && (w.view.absent[first] || w.view.absent[second])) return 0;
     float x = 0, stiffness = w.term.weight;
     if (what != PRODUCT || w.term.loss != LAMPEST_SQUARED) {
         x = alone ? value_of(w, first) : factor * (value_of(w, second) - value_of(w, first));
         if (what == COST) return w.term.weight * loss_of(w.term.loss, w.term.corner, x);
         stiffness *= stiffness_of(w.term.loss, w.term.corner, x);
     }
-    const float d_first = alone ? slope_of(w, first) : -factor * slope_of(w, first);
-    const float d_second = alone ? 0 : factor * slope_of(w, second);
-    if (what == PRODUCT) x = alone ? d_first * w.p[first] : FUSED(d_second, w.p[second], d_first * w.p[first]);
+    const float to_first = alone ? w.view.slope[first] : -factor * w.view.slope[first];
+    const float to_second = alone ? 0 : factor * w.view.slope[second];
+    if (what == PRODUCT) x = alone ? to_first * w.p[first] : FUSED(to_second, w.p[second], to_first * w.p[first]);
     const float pull = stiffness * x;
-    w.out[first] = FUSED(d_first, pull, w.out[first]);
-    if (!alone) w.out[second] = FUSED(d_second, pull, w.out[second]);
+    w.out[first] = FUSED(to_first, pull, w.out[first]);
+    if (!alone) w.out[second] = FUSED(to_second, pull, w.out[second]);
     if (what == GRADIENT) {
-        w.diagonal[first] += stiffness * d_first * d_first;
-        if (!alone) w.diagonal[second] += stiffness * d_second * d_second;
+        w.diagonal[first] += stiffness * to_first * to_first;
+        if (!alone) w.diagonal[second] += stiffness * to_second * to_second;
     }
     return 0;
 }
 
 /* All residuals along one direction of the rectangle: `lines` lines of `count` cells that are `step` apart. */
-static inline float along(const work w, task what, uint8_t lines, uint8_t line_step, uint8_t count, uint8_t step) {
+INLINE float along(const work w, task what, uint8_t lines, uint8_t line_step, uint8_t count, uint8_t step) {
     float cost = 0;
     for (uint8_t line = 0; line < lines; line++) {
         uint16_t here = line * line_step;
@@ -87,7 +89,7 @@ static inline float along(const work w, task what, uint8_t lines, uint8_t line_s
     return cost;
 }
 
-static inline float all_residuals(const work w, task what) {
+INLINE float all_residuals(const work w, task what) {
     const lampest_constants *c = w.view.constants;
     const uint8_t m = w.view.m, n = w.view.n;
     float cost = 0;
@@ -113,12 +115,15 @@ float penalty_cost(const cells_view *view) {
 void penalty_gradient(const cells_view *view, float *gradient, float *diagonal) {
     for (uint8_t number = 0; number < view->constants->term_count; number++) {
         const lampest_term term = view->constants->terms[number];
+        find_slopes(view, term.quantity);
         all_residuals((work){.view = *view, .term = term, .out = gradient, .diagonal = diagonal}, GRADIENT);
     }
 }
 
 void penalty_product(const cells_view *view, const float *p, float *out) {
     for (uint8_t number = 0; number < view->constants->term_count; number++) {
-        all_residuals((work){.view = *view, .term = view->constants->terms[number], .p = p, .out = out}, PRODUCT);
+        const lampest_term term = view->constants->terms[number];
+        find_slopes(view, term.quantity);
+        all_residuals((work){.view = *view, .term = term, .p = p, .out = out}, PRODUCT);
     }
 }

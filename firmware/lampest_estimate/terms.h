@@ -13,7 +13,8 @@ typedef struct {
     const float *u, *baseline; /* ln of the cells */
     const float *conductance;  /* siemens */
     const float *previous;     /* cells of the previous frame in ohm; NULL where no term needs them */
-    const uint8_t *absent;                /* 1 for crossings without a cell, along the longer side */
+    const uint8_t *absent;     /* 1 for crossings without a cell, along the longer side; NULL: all have one */
+    float *slope;              /* work: dv/du of the cells */
 } cells_view;
 
 float loss_of(lampest_loss loss, float corner, float x);
