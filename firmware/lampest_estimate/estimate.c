@@ -10,6 +10,7 @@
 #define REACH 3.0f          /* standard deviations: a two-point reading that is so small is a bound */
 #define LARGEST_OHM 1e9f
 #define SMALLEST_OHM 1e-3f
+#define SMALLEST 1e-30f     /* what lines share where no reading tells */
 
 typedef enum { AT_MOST, VALUE, AT_LEAST, ABSENT } side_of_reading;
 
@@ -21,7 +22,11 @@ typedef struct {
     float *baseline, *u;   /* ln of the cells at rest, and of the estimate */
     float *resting;        /* mean of the unloaded readings */
     float *measured, *precision, *reading; /* measured readings, 1/sigma (0: missing), and what the model predicts */
-    float *gradient, *diagonal;            /* half the gradient; 1 / diagonal of the Hessian, 0 where a cell is held */
+    float *gradient;       /* half the gradient */
+    float *diagonal;       /* 1 / diagonal of the Hessian without what lines share; 0 where a cell is held */
+    float *lines;          /* over the lines, and */
+    float *coarse;         /* over the shorter side squared: parts of T, see `linearise` */
+    float *sums;           /* over the lines */
     float *x, *r, *p, *q;                  /* conjugate gradients */
     uint8_t *side, *absent;                /* side_of_reading; 1 without a cell */
     network net;
@@ -50,6 +55,7 @@ static workspace arrange(const lampest_panel *panel) {
     net->conductance = TAKE(cells), net->share = TAKE(cells), net->mutual = TAKE(cells), net->middle = TAKE(cells);
     net->inverse = TAKE(n * n), net->small = TAKE(n * n), net->small2 = TAKE(n * n);
     net->total = TAKE(m), net->own_long = TAKE(m), net->x_long = TAKE(m), net->x_short = TAKE(n), net->tie = TAKE(m + n);
+    w.lines = TAKE(m + n), w.sums = TAKE(m + n), w.coarse = TAKE(n * n);
     if (c->driven) net->slope_long = TAKE(cells), net->slope_short = TAKE(cells), net->slope_mutual = TAKE(cells);
     w.view = (cells_view){.constants = c, .m = m, .n = n, .u = w.u, .baseline = w.baseline,
                           .conductance = net->conductance, .slope = net->middle};
@@ -191,25 +197,105 @@ static void move(workspace *w, const float *from, float scale) {
     }
 }
 
-/* Half the gradient, and the inverse diagonal of the Gauss-Newton matrix: 0 where a cell is held at its bound. */
-static void linearise(workspace *w) {
-    float *gradient = w->gradient, *diagonal = w->diagonal;
+static float dot(const float *a, const float *b, uint16_t count) {
+    float sum = 0;
+    for (uint16_t cell = 0; cell < count; cell++) sum = FUSED(a[cell], b[cell], sum);
+    return sum;
+}
+
+/* Half the gradient, and the preconditioner at this point.
+ *
+ * M = D + G U S U' G approximates J' W J + penalties: D has each reading's response to its own cell and the diagonal of
+ * the penalties, S what readings share along their lines (`network_line_responses`). By Woodbury's formula
+ * M^-1 = D^-1 - V T V', V = D^-1 G U, T = (S^-1 + U' G D^-1 G U)^-1. Held cells have no place in it: D^-1 is 0.
+ * T^-1 = [E, C; C', F] with E and F diagonal: the longer side is eliminated, as in the network. `lines` has 1/E, and
+ * `coarse` (F - C' C / E)^-1. */
+static bool linearise(workspace *w) {
+    float *gradient = w->gradient, *diagonal = w->diagonal, *weight = w->x;
+    const float *g = w->net.conductance;
+    const uint8_t m = w->net.m, n = w->net.n;
     network_own_response(&w->net, diagonal);
     for (uint16_t cell = 0; cell < w->cells; cell++) {
-        const float x = deviation_of(w, cell), curvature = curvature_of(w, cell, x);
-        diagonal[cell] *= diagonal[cell] * curvature;
-        gradient[cell] = w->precision[cell] > 0 ? curvature * x / w->precision[cell] : 0;
+        const float x = deviation_of(w, cell);
+        weight[cell] = curvature_of(w, cell, x);
+        diagonal[cell] *= diagonal[cell] * weight[cell];
+        gradient[cell] = w->precision[cell] > 0 ? weight[cell] * x / w->precision[cell] : 0;
     }
     network_adjoint(&w->net, gradient, gradient);
+    network_line_responses(&w->net, weight, w->lines);
     penalty_gradient(&w->view, gradient, diagonal);
     for (uint16_t cell = 0; cell < w->cells; cell++) {
         float least, largest;
         bounds_of(w, cell, &least, &largest);
-        const float ohm = 1 / w->net.conductance[cell];
+        const float ohm = 1 / g[cell];
         const bool held = (ohm <= least && gradient[cell] > 0) || (ohm >= largest && gradient[cell] < 0);
         const bool none = (w->view.absent && w->absent[cell]) || held || !(diagonal[cell] > 0);
         diagonal[cell] = none ? 0 : 1 / diagonal[cell];
     }
+    float *const lines = w->lines, *const coarse = w->coarse;
+    for (uint8_t line = 0; line < m + n; line++) lines[line] = lines[line] > SMALLEST ? 1 / lines[line] : 1 / SMALLEST;
+    for (uint16_t cell = 0; cell < w->cells; cell++) w->x[cell] = g[cell] * g[cell] * diagonal[cell]; /* C */
+    memset(coarse, 0, n * n * sizeof(float));
+    for (uint8_t i = 0; i < m; i++) {
+        const float *c = w->x + i * n;
+        for (uint8_t k = 0; k < n; k++) lines[i] += c[k], lines[m + k] += c[k];
+        lines[i] = 1 / lines[i];
+        for (uint8_t k = 0; k < n; k++) {
+            const float factor = -c[k] * lines[i];
+            for (uint8_t l = 0; l < n; l++) coarse[k * n + l] = FUSED(factor, c[l], coarse[k * n + l]);
+        }
+    }
+    for (uint8_t k = 0; k < n; k++) coarse[k * n + k] += lines[m + k];
+    return invert(coarse, n);
+}
+
+/* p = M^-1 r + turn p, the turn being the present r' M^-1 r, which is returned, times `turn_by_slope`. */
+static float precondition(workspace *w, float turn_by_slope) {
+    const uint8_t m = w->net.m, n = w->net.n;
+    const float *g = w->net.conductance;
+    float *const of_long = w->sums, *const of_short = w->sums + m;
+    float *const shared = w->net.x_short; /* C' E^-1 times the sums of the longer side */
+    float slope = 0;
+    memset(of_short, 0, n * sizeof(float));
+    memset(shared, 0, n * sizeof(float));
+    for (uint8_t i = 0; i < m; i++) {
+        float sum = 0;
+        for (uint8_t k = 0; k < n; k++) {
+            const uint16_t cell = i * n + k;
+            const float z = w->diagonal[cell] * w->r[cell], drawn = g[cell] * z;
+            slope = FUSED(z, w->r[cell], slope);
+            sum += drawn;
+            of_short[k] += drawn;
+            w->q[cell] = z;
+        }
+        of_long[i] = sum;
+        const float part = sum * w->lines[i];
+        slope = FUSED(-part, sum, slope);
+        for (uint8_t k = 0; k < n; k++) {
+            const uint16_t cell = i * n + k;
+            shared[k] = FUSED(part, g[cell] * g[cell] * w->diagonal[cell], shared[k]);
+        }
+    }
+    for (uint8_t k = 0; k < n; k++) shared[k] = of_short[k] - shared[k];
+    for (uint8_t k = 0; k < n; k++) {
+        of_short[k] = dot(w->coarse + k * n, shared, n);
+        slope = FUSED(-of_short[k], shared[k], slope);
+    }
+    const float turn = slope * turn_by_slope;
+    for (uint8_t i = 0; i < m; i++) {
+        float answer = of_long[i];
+        for (uint8_t k = 0; k < n; k++) {
+            const uint16_t cell = i * n + k;
+            answer = FUSED(-of_short[k], g[cell] * g[cell] * w->diagonal[cell], answer);
+        }
+        answer *= w->lines[i];
+        for (uint8_t k = 0; k < n; k++) {
+            const uint16_t cell = i * n + k;
+            const float drawn = w->diagonal[cell] * g[cell] * (answer + of_short[k]);
+            w->p[cell] = FUSED(turn, w->p[cell], w->q[cell] - drawn);
+        }
+    }
+    return slope;
 }
 
 /* q = (J' W J + penalties) p. */
@@ -218,12 +304,6 @@ static void product(workspace *w) {
     for (uint16_t cell = 0; cell < w->cells; cell++) w->q[cell] *= curvature_of(w, cell, deviation_of(w, cell));
     network_adjoint(&w->net, w->q, w->q);
     penalty_product(&w->view, w->p, w->q);
-}
-
-static float dot(const float *a, const float *b, uint16_t count) {
-    float sum = 0;
-    for (uint16_t cell = 0; cell < count; cell++) sum = FUSED(a[cell], b[cell], sum);
-    return sum;
 }
 
 /* Solve the linear system for x, the right-hand side in r, by preconditioned conjugate gradients.
@@ -235,17 +315,13 @@ static float conjugate_gradients(workspace *w, uint16_t most, float enough, floa
     const uint16_t cells = w->cells;
     float decreases[TAIL] = {0}, total = 0, before = 0;
     memset(w->x, 0, cells * sizeof(float));
+    memset(w->p, 0, cells * sizeof(float));
     *tail = INFINITY;
     for (uint16_t iteration = 0; iteration < most; iteration++) {
-        float slope = 0;
-        for (uint16_t cell = 0; cell < cells; cell++) slope += w->r[cell] * w->r[cell] * w->diagonal[cell];
+        const float slope = precondition(w, before);
         if (!(slope > 0)) {
             if (slope == 0) *tail = 0;
             break;
-        }
-        const float turn = iteration ? slope / before : 0;
-        for (uint16_t cell = 0; cell < cells; cell++) {
-            w->p[cell] = w->r[cell] * w->diagonal[cell] + (iteration ? turn * w->p[cell] : 0);
         }
         product(w);
         ++*products;
@@ -256,7 +332,7 @@ static float conjugate_gradients(workspace *w, uint16_t most, float enough, floa
             w->x[cell] = FUSED(length, w->p[cell], w->x[cell]);
             w->r[cell] = FUSED(-length, w->q[cell], w->r[cell]);
         }
-        before = slope;
+        before = 1 / slope;
         decreases[iteration % TAIL] = length * slope;
         total += length * slope;
         float sum = 0;
@@ -276,7 +352,10 @@ static void minimise(workspace *w, lampest_panel *panel, lampest_status *status)
     cost = cost_of(w);
     status->left = INFINITY;
     while (status->steps < c->steps && !status->settled) {
-        linearise(w);
+        if (!linearise(w)) {
+            status->outcome = LAMPEST_FAILED;
+            break;
+        }
         for (uint16_t cell = 0; cell < w->cells; cell++) w->r[cell] = -w->gradient[cell];
         float tail;
         const float predicted = conjugate_gradients(w, c->products, 0.5f * enough, 0.01f, &tail, &status->products);

@@ -36,7 +36,7 @@ extern "C" {
  * previous frame; else 0. */
 #define LAMPEST_MEMORY(rows, columns, driven, relative)                                                     \
     ((17 + 3 * (driven) + (relative)) * (rows) * (columns) +                                                \
-     3 * ((rows) < (columns) ? (rows) * (rows) : (columns) * (columns)) + 4 * ((rows) + (columns)) + 2)
+     4 * ((rows) < (columns) ? (rows) * (rows) : (columns) * (columns)) + 6 * ((rows) + (columns)) + 2)
 
 typedef enum { LAMPEST_SQUARED, LAMPEST_HUBER, LAMPEST_STUDENT } lampest_loss;
 

@@ -61,8 +61,7 @@ static void multiply_transposed(const float *a, const float *b, float *out, uint
     multiply_strided(a, 1, n, b, out, n, m, n, false);
 }
 
-/* Invert a symmetric positive definite matrix in place, by sweeps of Gauss and Jordan; false at a pivot that is none. */
-static bool invert(float *s, uint8_t n) {
+bool invert(float *s, uint8_t n) {
     for (uint8_t p = 0; p < n; p++) {
         float *pivot_row = s + p * n;
         const float pivot = pivot_row[p];
@@ -283,4 +282,47 @@ void network_adjoint(network *net, const float *w, float *cells) {
     }
     sandwich(net, cells);
     take_across(net, cells, net->conductance);
+}
+
+/* dy/dg of a reading by a cell whose ends have, towards the reading's long and short line, potential differences u, v. */
+INLINE float response_to(const network *net, uint16_t cell, float u, float v) {
+    if (net->floats) return (u - v) * (u - v);
+    return net->slope_long[cell] * u * u + net->slope_short[cell] * v * v + net->slope_mutual[cell] * u * v;
+}
+
+void network_line_responses(const network *net, const float *weight, float *s) {
+    const uint8_t m = net->m, n = net->n;
+    const float *g = net->conductance, *z = net->mutual;
+    memset(s, 0, (m + n) * sizeof(float));
+    float *const column = net->small; /* conductances of the short lines */
+    memset(column, 0, n * sizeof(float));
+    for (uint16_t cell = 0, k = 0; cell < m * n; cell++, k = k + 1 < n ? k + 1 : 0) column[k] += g[cell];
+    for (uint8_t i = 0; i < m; i++) {
+        const float own = net->own_long[i];
+        float *const beta = net->x_short; /* sums over the other long lines */
+        memset(beta, 0, n * sizeof(float));
+        for (uint8_t other = 0; other < m; other++) {
+            if (other == i) continue;
+            float between = 0; /* Z of the two long lines */
+            for (uint8_t k = 0; k < n; k++) between = FUSED(net->share[i * n + k], z[other * n + k], between);
+            for (uint8_t k = 0; k < n; k++) {
+                const float u = between - z[i * n + k], v = z[other * n + k] - net->inverse[k * n + k];
+                beta[k] = FUSED(g[other * n + k], response_to(net, i * n + k, u, v), beta[k]);
+            }
+        }
+        for (uint8_t k = 0; k < n; k++) {
+            const uint16_t cell = i * n + k;
+            float alpha = 0, along_i = 0, along_k = column[k] - g[cell];
+            for (uint8_t other = 0; other < n; other++) {
+                if (other == k) continue;
+                const float u = own - z[i * n + other], v = z[cell] - net->inverse[k * n + other];
+                alpha = FUSED(g[i * n + other], response_to(net, cell, u, v), alpha);
+                along_i += g[i * n + other];
+            }
+            const float a = along_i > 0 ? alpha / along_i : 0, b = along_k > 0 ? beta[k] / along_k : 0;
+            const float w = weight[cell];
+            s[i] += w * a * a;
+            s[m + k] += w * b * b;
+        }
+    }
 }

@@ -47,4 +47,16 @@ void network_own_response(const network *net, float *response);
 void network_forward(network *net, const float *p, float *reading);
 void network_adjoint(network *net, const float *w, float *cells);
 
+/* How readings depend on the other cells of their two lines, as S over all lines (m, then n) of
+ *
+ *     J' W J = own part + G U diag(S) U' G,    U the incidence of cells and lines, G the conductances.
+ *
+ * The response of the reading of i and k to each other cell of line i is replaced by its mean alpha_ik over these cells,
+ * weighted by their conductances, that to the other cells of k by beta_ik: S_i = sum_k w alpha^2, S_k = sum_i w beta^2.
+ * (Entries w alpha beta between i and k save no iteration.) */
+void network_line_responses(const network *net, const float *weight, float *s);
+
+/* Invert a symmetric positive definite matrix in place, by sweeps of Gauss and Jordan; false at a pivot that is none. */
+bool invert(float *s, uint8_t n);
+
 #endif
