@@ -316,12 +316,12 @@ static float conjugate_gradients(workspace *w, uint16_t most, float enough, floa
     float decreases[TAIL] = {0}, total = 0, before = 0;
     memset(w->x, 0, cells * sizeof(float));
     memset(w->p, 0, cells * sizeof(float));
-    *tail = INFINITY;
+    *tail = 0;
     for (uint16_t iteration = 0; iteration < most; iteration++) {
         const float slope = precondition(w, before);
         if (!(slope > 0)) {
             if (slope == 0) *tail = 0;
-            break;
+            break; /* nothing is left, or the arithmetic is at its end */
         }
         product(w);
         ++*products;
@@ -337,20 +337,31 @@ static float conjugate_gradients(workspace *w, uint16_t most, float enough, floa
         total += length * slope;
         float sum = 0;
         for (uint8_t last = 0; last < TAIL; last++) sum += decreases[last];
-        if (iteration + 1 >= TAIL) *tail = sum;
+        *tail = sum;
         if (iteration + 1 >= TAIL && sum < larger(enough, share * total)) break;
     }
     return total;
 }
 
+/* Let the estimate be these cells; false if their network cannot be solved. */
+static bool set_cells(workspace *w, const float *u) {
+    for (uint16_t cell = 0; cell < w->cells; cell++) {
+        w->u[cell] = u[cell];
+        w->net.conductance[cell] = w->view.absent && w->absent[cell] ? 0 : exponential(-u[cell]);
+    }
+    if (!network_solve(&w->net)) return false;
+    network_readings(&w->net, w->reading);
+    return true;
+}
+
 /* Gauss and Newton: linearise, solve, and move within the bounds, as long as the budget lasts. */
-static void minimise(workspace *w, lampest_panel *panel, lampest_status *status) {
+static void minimise(workspace *w, lampest_status *status) {
     const lampest_constants *c = w->constants;
     const float enough = c->within * c->within * w->cells;
     float cost;
     network_readings(&w->net, w->reading);
     cost = cost_of(w);
-    status->left = INFINITY;
+    status->left = cost;
     while (status->steps < c->steps && !status->settled) {
         if (!linearise(w)) {
             status->outcome = LAMPEST_FAILED;
@@ -371,7 +382,7 @@ static void minimise(workspace *w, lampest_panel *panel, lampest_status *status)
         if (!lower) {
             memset(w->x, 0, w->cells * sizeof(float));
             move(w, w->q, 1);
-            if (!evaluate(w, &cost)) status->outcome = LAMPEST_FAILED;
+            if (!evaluate(w, &cost) && !set_cells(w, w->baseline)) status->outcome = LAMPEST_FAILED;
             status->left = predicted;
             break;
         }
@@ -380,7 +391,6 @@ static void minimise(workspace *w, lampest_panel *panel, lampest_status *status)
         cost = next;
         status->settled = status->left <= enough || predicted <= enough;
     }
-    panel->cost = cost;
 }
 
 static bool sound(float value, float least, float largest) {
@@ -424,23 +434,13 @@ static bool constants_are_sound(const lampest_constants *c) {
            all_sound(c->gain, sensed, 1e-12f, 1e12f);
 }
 
-/* Let the estimate be these cells; false if their network cannot be solved. */
-static bool set_cells(workspace *w, const float *u) {
-    for (uint16_t cell = 0; cell < w->cells; cell++) {
-        w->u[cell] = u[cell];
-        w->net.conductance[cell] = w->view.absent && w->absent[cell] ? 0 : exponential(-u[cell]);
-    }
-    if (!network_solve(&w->net)) return false;
-    network_readings(&w->net, w->reading);
-    return true;
-}
-
 lampest_outcome lampest_begin(lampest_panel *panel, float *memory) {
     const lampest_constants *c = panel->constants;
     panel->ready = false;
     if (!c || !memory || !constants_are_sound(c)) return LAMPEST_BAD_CONSTANTS;
     panel->memory = memory;
     panel->baselines = 0;
+    panel->solved = false;
     workspace w = arrange(panel);
     for (uint8_t row = 0; row < c->rows; row++) {
         for (uint8_t column = 0; column < c->columns; column++) {
@@ -473,7 +473,8 @@ lampest_status lampest_frame(lampest_panel *panel, const uint16_t *sums, float *
                 previous[cell] = w.net.conductance[cell] > 0 ? 1 / w.net.conductance[cell] : 1;
             }
         }
-        minimise(&w, panel, &status);
+        minimise(&w, &status);
+        panel->solved = status.outcome == LAMPEST_FINE;
     }
     for (uint8_t row = 0; row < c->rows; row++) {
         for (uint8_t column = 0; column < c->columns; column++) {
@@ -490,13 +491,74 @@ float lampest_cell(const lampest_panel *panel, uint8_t row, uint8_t column) {
     return 1 / w.net.conductance[cell_number(panel->constants, row, column)];
 }
 
+/* Whether a cell of `u` lies further below the others, relative to the baseline of the constants, than cells at rest do.
+ * A drift of all cells, as of a film that warms up, is none. */
+static bool under_load(const workspace *w) {
+    const lampest_constants *c = w->constants;
+    float *change = w->q;
+    uint16_t count = 0;
+    for (uint8_t row = 0; row < c->rows; row++) {
+        for (uint8_t column = 0; column < c->columns; column++) {
+            const uint16_t cell = cell_number(c, row, column);
+            if (w->view.absent && w->absent[cell]) continue;
+            change[count++] = w->u[cell] - logarithm(c->baseline[row * c->columns + column]);
+        }
+    }
+    float least = INFINITY, middle = 0;
+    for (uint16_t one = 0; one < count; one++) {
+        uint16_t below = 0;
+        for (uint16_t other = 0; other < count; other++) {
+            below += change[other] < change[one] || (change[other] == change[one] && other < one);
+        }
+        if (below == count / 2) middle = change[one];
+        least = smaller(least, change[one]);
+    }
+    return least < middle - c->loaded_limit;
+}
+
 lampest_status lampest_baseline(lampest_panel *panel, const uint16_t *sums) {
     lampest_status status = {.outcome = LAMPEST_FINE};
-    (void)panel, (void)sums;
+    if (!panel->ready) {
+        status.outcome = LAMPEST_BAD_CONSTANTS;
+        return status;
+    }
+    workspace w = arrange(panel);
+    if (!read_sums(&w, sums, &status)) return status;
+    const float before = panel->baselines, mean_precision = sqrtf(before + 1);
+    for (uint16_t cell = 0; cell < w.cells; cell++) {
+        const bool known = panel->baselines && w.resting[cell] > 0;
+        if (w.side[cell] != VALUE) continue;
+        if (known) w.measured[cell] = (w.resting[cell] * before + w.measured[cell]) / (before + 1);
+        w.precision[cell] *= known ? mean_precision : 1;
+    }
+    w.view.at_rest = true;
+    if (set_cells(&w, w.baseline)) minimise(&w, &status);
+    else status.outcome = LAMPEST_FAILED;
+    if (status.outcome == LAMPEST_FINE && under_load(&w)) status.outcome = LAMPEST_UNDER_LOAD;
+    if (status.outcome != LAMPEST_FINE) {
+        set_cells(&w, w.baseline);
+        return status;
+    }
+    memcpy(w.baseline, w.u, w.cells * sizeof(float));
+    for (uint16_t cell = 0; cell < w.cells; cell++) {
+        if (w.side[cell] == VALUE) w.resting[cell] = w.measured[cell];
+        else if (!panel->baselines) w.resting[cell] = 0;
+    }
+    if (panel->baselines < UINT8_MAX) panel->baselines++;
+    panel->solved = true;
     return status;
 }
 
 float lampest_deviation(lampest_panel *panel, uint8_t row, uint8_t column, uint16_t products) {
-    (void)panel, (void)row, (void)column, (void)products;
-    return 0;
+    if (!panel->ready || !panel->solved || row >= panel->constants->rows || column >= panel->constants->columns) return -1;
+    workspace w = arrange(panel);
+    const uint16_t cell = cell_number(panel->constants, row, column);
+    if (!linearise(&w) || !(w.diagonal[cell] > 0)) return -1;
+    /* The decrease of e'x - x'Ax/2 on its way to e'A^-1 e / 2 is the variance of the cell. */
+    memset(w.r, 0, w.cells * sizeof(float));
+    w.r[cell] = 1;
+    uint16_t spent = 0;
+    float tail;
+    const float variance = conjugate_gradients(&w, products, 0, 0.01f, &tail, &spent);
+    return isfinite(variance) && variance > 0 ? sqrtf(variance) : -1;
 }

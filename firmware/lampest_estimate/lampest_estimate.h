@@ -135,9 +135,8 @@ typedef struct {
     const lampest_constants *constants;
     /* All that follows is set by lampest_begin. */
     float *memory;
-    bool ready, solved;
+    bool ready, solved; /* constants are sound; a frame or a baseline was estimated */
     uint8_t baselines; /* unloaded frames whose mean is the baseline; 0: that of the constants */
-    float cost;
 } lampest_panel;
 
 /* Check the constants and start from their baseline. `memory` has the floats that the header declares. */
@@ -153,7 +152,8 @@ lampest_status lampest_frame(lampest_panel *panel, const uint16_t *sums, float *
 float lampest_cell(const lampest_panel *panel, uint8_t row, uint8_t column);
 
 /* Standard deviation of ln r of one cell at the present estimate, from noise and penalties. It takes one solve of the
- * linear system, at most `products` products, so that the bars of a frame can be spread over many calls. */
+ * linear system, at most `products` products, so that the bars of a frame can be spread over many calls. Negative where
+ * it is not known: before the first frame, without a cell, or where the cell is at a bound. */
 float lampest_deviation(lampest_panel *panel, uint8_t row, uint8_t column, uint16_t products);
 
 #ifdef __cplusplus

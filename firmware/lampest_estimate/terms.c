@@ -16,25 +16,26 @@ float stiffness_of(lampest_loss loss, float corner, float x) {
     return size <= corner ? 1 : corner / size;
 }
 
-/* What is asked of the rows of a term: its cost, half its gradient with the diagonal of its Hessian, or a product. */
-typedef enum { COST, GRADIENT, PRODUCT } task;
+/* What is asked of the rows of a term: its cost, half its gradient with the diagonal of its Hessian, or a product,
+ * of which that with squares alone is the shorter one. */
+typedef enum { COST, GRADIENT, PRODUCT, ROBUST_PRODUCT } task;
 
 typedef struct {
     cells_view view;
     lampest_term term;
     const float *p; /* PRODUCT: the vector */
     float *out;     /* GRADIENT, PRODUCT: added to */
-    float *diagonal;/* GRADIENT: added to */
+    float *diagonal; /* GRADIENT: added to */
 } work;
 
 /* What the term compares. */
-INLINE float value_of(const work w, uint16_t cell) {
-    switch (w.term.quantity) {
-        case LAMPEST_LOG: return w.view.u[cell];
-        case LAMPEST_OHM: return 1 / w.view.conductance[cell];
-        case LAMPEST_CHANGE: return 100 / (w.view.conductance[cell] * w.view.previous[cell]) - 100;
-        case LAMPEST_LOG_OF_BASELINE: return 100 * (w.view.u[cell] - w.view.baseline[cell]);
-        default: return 100 * (w.view.u[cell] - logarithm(w.view.previous[cell]));
+static float value_of(const work *w, uint16_t cell) {
+    switch (w->term.quantity) {
+        case LAMPEST_LOG: return w->view.u[cell];
+        case LAMPEST_OHM: return 1 / w->view.conductance[cell];
+        case LAMPEST_CHANGE: return 100 / (w->view.conductance[cell] * w->view.previous[cell]) - 100;
+        case LAMPEST_LOG_OF_BASELINE: return 100 * (w->view.u[cell] - w->view.baseline[cell]);
+        default: return 100 * (w->view.u[cell] - logarithm(w->view.previous[cell]));
     }
 }
 
@@ -49,26 +50,42 @@ static void find_slopes(const cells_view *view, lampest_quantity quantity) {
     }
 }
 
-/* One residual, x = factor (v_second - v_first), or x = v_first where second is first; returns its cost. */
-INLINE float residual(const work w, task what, uint16_t first, uint16_t second, float factor) {
-    const bool alone = first == second;
+/* The residual x = factor (v_second - v_first), or x = v_first where second is first. */
+static float residual(const work *w, uint16_t first, uint16_t second, float factor) {
+    return first == second ? value_of(w, first) : factor * (value_of(w, second) - value_of(w, first));
+}
+
+static float stiffness_at(const work *w, uint16_t first, uint16_t second, float factor) {
+    return w->term.weight * stiffness_of(w->term.loss, w->term.corner, residual(w, first, second, factor));
+}
+
+/* Add a residual's part of half the gradient, and of the Hessian's diagonal. */
+static void add_gradient(const work *w, uint16_t first, uint16_t second, float factor) {
+    const float stiffness = stiffness_at(w, first, second, factor);
+    const float pull = stiffness * residual(w, first, second, factor);
+    const float to_second = factor * w->view.slope[second], to_first = factor * w->view.slope[first];
+    w->out[second] = FUSED(to_second, pull, w->out[second]);
+    w->diagonal[second] += stiffness * to_second * to_second;
+    if (first == second) return;
+    w->out[first] = FUSED(-to_first, pull, w->out[first]);
+    w->diagonal[first] += stiffness * to_first * to_first;
+}
+
+/* Do with a residual what is asked for; returns its cost. Only the product, which is asked for most often, is inline. */
+INLINE float visit(const work w, task what, uint16_t first, uint16_t second, float factor) {
     if (w.view.absent && (w.view.absent[first] || w.view.absent[second])) return 0;
-    float x = 0, stiffness = w.term.weight;
-    if (what != PRODUCT || w.term.loss != LAMPEST_SQUARED) {
-        x = alone ? value_of(w, first) : factor * (value_of(w, second) - value_of(w, first));
-        if (what == COST) return w.term.weight * loss_of(w.term.loss, w.term.corner, x);
-        stiffness *= stiffness_of(w.term.loss, w.term.corner, x);
-    }
-    const float to_first = alone ? w.view.slope[first] : -factor * w.view.slope[first];
-    const float to_second = alone ? 0 : factor * w.view.slope[second];
-    if (what == PRODUCT) x = alone ? to_first * w.p[first] : FUSED(to_second, w.p[second], to_first * w.p[first]);
-    const float pull = stiffness * x;
-    w.out[first] = FUSED(to_first, pull, w.out[first]);
-    if (!alone) w.out[second] = FUSED(to_second, pull, w.out[second]);
+    if (what == COST) return w.term.weight * loss_of(w.term.loss, w.term.corner, residual(&w, first, second, factor));
     if (what == GRADIENT) {
-        w.diagonal[first] += stiffness * to_first * to_first;
-        if (!alone) w.diagonal[second] += stiffness * to_second * to_second;
+        add_gradient(&w, first, second, factor);
+        return 0;
     }
+    const float stiffness = what == ROBUST_PRODUCT ? stiffness_at(&w, first, second, factor) : w.term.weight;
+    const float to_second = factor * w.view.slope[second], to_first = factor * w.view.slope[first];
+    float x = to_second * w.p[second];
+    if (first != second) x = FUSED(-to_first, w.p[first], x);
+    const float pull = stiffness * x;
+    w.out[second] = FUSED(to_second, pull, w.out[second]);
+    if (first != second) w.out[first] = FUSED(-to_first, pull, w.out[first]);
     return 0;
 }
 
@@ -78,12 +95,12 @@ INLINE float along(const work w, task what, uint8_t lines, uint8_t line_step, ui
     for (uint8_t line = 0; line < lines; line++) {
         uint16_t here = line * line_step;
         if (w.term.difference == LAMPEST_STEPS) {
-            for (uint8_t at = 1; at < count; at++, here += step) cost += residual(w, what, here, here + step, 1);
+            for (uint8_t at = 1; at < count; at++, here += step) cost += visit(w, what, here, here + step, 1);
             continue;
         }
         for (uint8_t at = 0; count > 1 && at < count; at++, here += step) {
             const bool low = at == 0, high = at + 1 == count;
-            cost += residual(w, what, low ? here : here - step, high ? here : here + step, low || high ? 1 : 0.5f);
+            cost += visit(w, what, low ? here : here - step, high ? here : here + step, low || high ? 1 : 0.5f);
         }
     }
     return cost;
@@ -94,19 +111,32 @@ INLINE float all_residuals(const work w, task what) {
     const uint8_t m = w.view.m, n = w.view.n;
     float cost = 0;
     if (w.term.difference == LAMPEST_VALUES) {
-        for (uint16_t cell = 0; cell < m * n; cell++) cost += residual(w, what, cell, cell, 1);
+        for (uint16_t cell = 0; cell < m * n; cell++) cost += visit(w, what, cell, cell, 1);
         return cost;
     }
     if (!c->pairs) return along(w, what, m, n, n, 1) + along(w, what, n, 1, m, n);
     for (uint16_t pair = 0; pair < c->pair_count; pair++) {
-        cost += residual(w, what, c->pairs[pair].first, c->pairs[pair].second, 1 / c->pairs[pair].distance);
+        cost += visit(w, what, c->pairs[pair].first, c->pairs[pair].second, 1 / c->pairs[pair].distance);
     }
     return cost;
+}
+
+static void add_product(const work w) {
+    all_residuals(w, PRODUCT);
+}
+
+static void add_robust_product(const work w) {
+    all_residuals(w, ROBUST_PRODUCT);
+}
+
+static bool takes_part(const cells_view *view, const lampest_term *term) {
+    return !view->at_rest || term->quantity == LAMPEST_LOG || term->quantity == LAMPEST_OHM;
 }
 
 float penalty_cost(const cells_view *view) {
     float cost = 0;
     for (uint8_t number = 0; number < view->constants->term_count; number++) {
+        if (!takes_part(view, view->constants->terms + number)) continue;
         cost += all_residuals((work){.view = *view, .term = view->constants->terms[number]}, COST);
     }
     return cost;
@@ -115,6 +145,7 @@ float penalty_cost(const cells_view *view) {
 void penalty_gradient(const cells_view *view, float *gradient, float *diagonal) {
     for (uint8_t number = 0; number < view->constants->term_count; number++) {
         const lampest_term term = view->constants->terms[number];
+        if (!takes_part(view, &term)) continue;
         find_slopes(view, term.quantity);
         all_residuals((work){.view = *view, .term = term, .out = gradient, .diagonal = diagonal}, GRADIENT);
     }
@@ -123,7 +154,10 @@ void penalty_gradient(const cells_view *view, float *gradient, float *diagonal) 
 void penalty_product(const cells_view *view, const float *p, float *out) {
     for (uint8_t number = 0; number < view->constants->term_count; number++) {
         const lampest_term term = view->constants->terms[number];
+        if (!takes_part(view, &term)) continue;
         find_slopes(view, term.quantity);
-        all_residuals((work){.view = *view, .term = term, .p = p, .out = out}, PRODUCT);
+        const work w = {.view = *view, .term = term, .p = p, .out = out};
+        if (term.loss == LAMPEST_SQUARED) add_product(w);
+        else add_robust_product(w);
     }
 }

@@ -15,6 +15,7 @@ typedef struct {
     const float *previous;     /* cells of the previous frame in ohm; NULL where no term needs them */
     const uint8_t *absent;     /* 1 for crossings without a cell, along the longer side; NULL: all have one */
     float *slope;              /* work: dv/du of the cells */
+    bool at_rest;              /* the baseline is estimated: terms that compare with it or with a frame before have no part */
 } cells_view;
 
 float loss_of(lampest_loss loss, float corner, float x);
