@@ -559,6 +559,6 @@ float lampest_deviation(lampest_panel *panel, uint8_t row, uint8_t column, uint1
     w.r[cell] = 1;
     uint16_t spent = 0;
     float tail;
-    const float variance = conjugate_gradients(&w, products, 0, 0.01f, &tail, &spent);
+    const float variance = conjugate_gradients(&w, products, 0, 1e-3f, &tail, &spent);
     return isfinite(variance) && variance > 0 ? sqrtf(variance) : -1;
 }
