@@ -103,10 +103,11 @@ static bool read_sums(workspace *w, const uint16_t *sums, lampest_status *status
             const uint16_t outside = row * c->columns + column, cell = cell_number(c, row, column);
             uint16_t sum = sums[outside];
             w->side[cell] = ABSENT, w->precision[cell] = 0, w->measured[cell] = 1;
-            if (w->view.absent && w->absent[cell]) continue;
-            cells++, row_is[row] = column_is[column] = true;
+            /* A crossing without a cell has a reading, too, which tells of the cells around it. */
+            const bool counts = !(w->view.absent && w->absent[cell]);
+            if (counts) cells++, row_is[row] = column_is[column] = true;
             if (sum > c->top_sum) {
-                status->missing++;
+                status->missing += counts;
                 continue;
             }
             /* The network's reading rises with the sum unless it is mirrored, or a divider that is read across its reference. */
@@ -119,8 +120,8 @@ static bool read_sums(workspace *w, const uint16_t *sums, lampest_status *status
             const float sigma = slope * c->sigma_volt[c->sigma_count > 1 ? outside : 0];
             const float least = c->driven ? 0 : REACH * sigma;
             if (reading <= least && side != AT_LEAST) side = AT_MOST, reading = larger(reading, 0) + REACH * sigma;
-            if (side == VALUE) values++, row_has[row] = column_has[column] = true;
-            else status->saturated++;
+            if (side != VALUE) status->saturated += counts;
+            else if (counts) values++, row_has[row] = column_has[column] = true;
             w->side[cell] = side, w->measured[cell] = reading;
             w->precision[cell] = 1 / (c->plain_sigma > 0 ? c->plain_sigma : sigma);
         }

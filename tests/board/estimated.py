@@ -41,7 +41,7 @@ def pressed_cells(scene, frames=8, rest=3, seed=0, ohm=4000.0, strength=1.2):
         place = np.array([rows - 1, columns - 1]) * (0.3 + 0.3 * share)
         distance = np.hypot(*(np.indices((rows, columns)) - place[:, None, None]))
         cells.append(resting * np.exp(-strength * (frame >= rest) * np.exp(-((distance / 1.2) ** 2))))
-    return np.array(cells)
+    return np.where(scene.panel.present, cells, 1e12)
 
 
 def sums_of(scene, cells, seed=1):

@@ -16,6 +16,7 @@ from lampest.panel.scene import Scene
 from lampest.runs.case import CaseResult
 
 MAX_LINES = 64  # of a side: LAMPEST_MAX_LINES
+MAX_OHM = 1e9  # of a cell: LARGEST_OHM
 MAX_SUM = 65535  # sums are unsigned numbers of 16 bits
 # Kind of a penalty → what it compares, and how; its reference decides between baseline and previous frame.
 PENALTIES = {
@@ -288,9 +289,13 @@ def _plain_sigma(case: CaseResult) -> float:
 
 
 def _largest(case: CaseResult) -> float:
-    """Return an upper bound of the cells in ohm, far above all that the frames show."""
-    known = case.cell_resistance[np.isfinite(case.cell_resistance)]
-    return min(1e9, 10 * float(known.max()))
+    """Return the upper bound of all cells in ohm: where single precision, or the noise, sees no difference."""
+    readout = case.scene.circuit
+    if not isinstance(readout, DrivenReadout) or case.sigma is None:
+        return MAX_OHM
+    whole = case.valued.all(axis=(1, 2))
+    limits = readout.resolution(case.measured[whole], case.sigma[whole])
+    return float(min(MAX_OHM, np.max(limits, initial=0.0) or MAX_OHM))
 
 
 def _loss(term: Mapping[str, Any]) -> tuple[str, float]:
