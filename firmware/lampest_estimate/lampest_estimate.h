@@ -6,10 +6,10 @@
  *     cost(u) = sum_i rho((y_i(u) - measured_i) / sigma_i) + sum_terms weight rho(residual(u)),   u = ln(cell in ohm),
  *
  * by Gauss-Newton steps with conjugate gradients. A frame begins at the estimate of the frame before it. The constants
- * of a panel are written by `lampest export RESULTS --to c` as a header, which also declares the memory:
+ * of a panel are written by `lampest export RESULTS --to c` as a header, which also says how much memory they need:
  *
- *     static lampest_panel panel = {&mat};
- *     static float memory[MAT_MEMORY];
+ *     static lampest_panel panel = {&panel_constants};
+ *     static float memory[PANEL_MEMORY];
  *
  *     lampest_begin(&panel, memory);
  *     lampest_baseline(&panel, sums);                                   // unloaded; as often as wanted

@@ -17,7 +17,7 @@ def number(value: float) -> str:
 
 
 def header(constants: Constants, name: str, about: Iterable[str]) -> str:
-    """Return the header that declares `name`, a `lampest_constants`, and NAME_MEMORY, the floats that it needs.
+    """Return the header that declares name_constants, and the numbers NAME_ROWS, NAME_COLUMNS and NAME_MEMORY.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
     floats("baseline", constants.baseline)
     fields += [("loaded_limit", number(constants.loaded_limit))]
     fields += [("steps", str(budget.steps)), ("products", str(budget.products)), ("within", number(budget.within))]
-    guard = f"{name.upper()}_H"
+    guard = f"{name.upper()}_CONSTANTS_H"
     comment = "\n".join(f" * {line}".rstrip() for line in about)
     memory = f"LAMPEST_MEMORY({rows}, {columns}, {int(constants.lines is not None)}, {int(constants.relative)})"
     body = "\n".join(f"    .{field} = {value}," for field, value in _in_order(fields))
@@ -83,7 +83,7 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
         f"#define {name.upper()}_ROWS {rows}\n#define {name.upper()}_COLUMNS {columns}\n"
         f"#define {name.upper()}_MEMORY {memory}\n\n"
         + "\n".join(arrays)
-        + f"\nstatic const lampest_constants {name} = {{\n{body}\n}};\n\n#endif\n"
+        + f"\nstatic const lampest_constants {name}_constants = {{\n{body}\n}};\n\n#endif\n"
     )
 
 
@@ -97,8 +97,9 @@ ORDER = (
 
 
 def _in_order(fields: list[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Return fields in the order of their declaration."""
-    return sorted(fields, key=lambda field: ORDER.index(field[0]))
+    """Return all fields in the order of their declaration, as compilers of C++ want them; 0 where there is none."""
+    known = dict(fields)
+    return [(field, known.get(field, "0")) for field in ORDER]
 
 
 def _circuit(constants: Constants, fields: list[tuple[str, str]], floats: object) -> None:

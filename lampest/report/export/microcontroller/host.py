@@ -30,7 +30,7 @@ static lampest_panel panel = {&varied};
 static float memory[PANEL_MEMORY];
 int host_bytes(void) { return sizeof memory + sizeof panel; }
 int host_begin(int steps, int products, float within) {
-    varied = panel_;
+    varied = panel_constants;
     varied.steps = steps, varied.products = products, varied.within = within;
     return lampest_begin(&panel, memory);
 }
@@ -135,8 +135,7 @@ def compiled(constants: Constants, *flags: str) -> Iterator[Host]:
         raise InputError("no C compiler here (cc, gcc or clang), with which the trade of budgets is measured")
     with tempfile.TemporaryDirectory(prefix="lampest-") as folder:
         place = Path(folder)
-        text = header(constants, "panel_", ()).replace("PANEL__", "PANEL_")
-        (place / "panel_constants.h").write_text(text, encoding="ascii")
+        (place / "panel_constants.h").write_text(header(constants, "panel", ()), encoding="ascii")
         (place / "host.c").write_text(HOST, encoding="ascii")
         files = [str(path) for path in sources() if path.suffix == ".c"]
         build = [command, *FLAGS, *flags, f"-I{library_folder()}", str(place / "host.c"), *files]
