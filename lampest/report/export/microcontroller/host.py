@@ -26,21 +26,21 @@ HOST = """
 #include "panel_constants.h"
 #include <string.h>
 static lampest_constants varied;
-static lampest_panel panel = {&varied};
+lampest_panel host_panel = {&varied};
 static float memory[PANEL_MEMORY];
-int host_bytes(void) { return sizeof memory + sizeof panel; }
+int host_bytes(void) { return sizeof memory + sizeof host_panel; }
 int host_begin(int steps, int products, float within) {
     varied = panel_constants;
     varied.steps = steps, varied.products = products, varied.within = within;
-    return lampest_begin(&panel, memory);
+    return lampest_begin(&host_panel, memory);
 }
 static void put(lampest_status s, float *numbers) {
     const float values[] = {s.outcome, s.settled, s.steps, s.products, s.saturated, s.missing, s.dead_line, s.left};
     memcpy(numbers, values, sizeof values);
 }
-void host_frame(const uint16_t *sums, float *change, float *numbers) { put(lampest_frame(&panel, sums, change), numbers); }
-void host_baseline(const uint16_t *sums, float *numbers) { put(lampest_baseline(&panel, sums), numbers); }
-float host_deviation(int row, int column, int products) { return lampest_deviation(&panel, row, column, products); }
+void host_frame(const uint16_t *sums, float *change, float *numbers) { put(lampest_frame(&host_panel, sums, change), numbers); }
+void host_baseline(const uint16_t *sums, float *numbers) { put(lampest_baseline(&host_panel, sums), numbers); }
+float host_deviation(int row, int column, int products) { return lampest_deviation(&host_panel, row, column, products); }
 """
 
 
