@@ -10,7 +10,7 @@
 #define TIMER ((volatile unsigned long *)0x40000000)
 #define TICK 40ul
 
-static lampest_panel panel = {&panel_constants};
+static lampest_panel panel = {.constants = &panel_constants};
 static float memory[PANEL_MEMORY];
 static float change[PANEL_ROWS * PANEL_COLUMNS];
 

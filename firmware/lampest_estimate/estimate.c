@@ -18,9 +18,7 @@ typedef enum { AT_MOST, VALUE, AT_LEAST, ABSENT } side_of_reading;
 typedef struct {
     const lampest_constants *constants;
     uint16_t cells;
-    float precision_scale; /* sqrt of the number of frames that the readings are the mean of */
     float *baseline, *u;   /* ln of the cells at rest, and of the estimate */
-    float *resting;        /* mean of the unloaded readings */
     float *measured, *precision, *reading; /* measured readings, 1/sigma (0: missing), and what the model predicts */
     float *gradient;       /* half the gradient */
     float *diagonal;       /* 1 / diagonal of the Hessian without what lines share; 0 where a cell is held */
@@ -44,8 +42,8 @@ static workspace arrange(const lampest_panel *panel) {
     }
     float *free = panel->memory;
 #define TAKE(count) (free += (count), free - (count))
-    workspace w = {.constants = c, .cells = cells, .precision_scale = 1};
-    w.baseline = TAKE(cells), w.u = TAKE(cells), w.resting = TAKE(cells);
+    workspace w = {.constants = c, .cells = cells};
+    w.baseline = TAKE(cells), w.u = TAKE(cells);
     w.measured = TAKE(cells), w.precision = TAKE(cells), w.reading = TAKE(cells);
     w.gradient = TAKE(cells), w.diagonal = TAKE(cells);
     w.x = TAKE(cells), w.r = TAKE(cells), w.p = TAKE(cells), w.q = TAKE(cells);
@@ -525,26 +523,18 @@ lampest_status lampest_baseline(lampest_panel *panel, const uint16_t *sums) {
     }
     workspace w = arrange(panel);
     if (!read_sums(&w, sums, &status)) return status;
-    const float before = panel->baselines, mean_precision = sqrtf(before + 1);
-    for (uint16_t cell = 0; cell < w.cells; cell++) {
-        const bool known = panel->baselines && w.resting[cell] > 0;
-        if (w.side[cell] != VALUE) continue;
-        if (known) w.measured[cell] = (w.resting[cell] * before + w.measured[cell]) / (before + 1);
-        w.precision[cell] *= known ? mean_precision : 1;
-    }
     w.view.at_rest = true;
     if (set_cells(&w, w.baseline)) minimise(&w, &status);
     else status.outcome = LAMPEST_FAILED;
     if (status.outcome == LAMPEST_FINE && under_load(&w)) status.outcome = LAMPEST_UNDER_LOAD;
-    if (status.outcome != LAMPEST_FINE) {
-        set_cells(&w, w.baseline);
-        return status;
+    if (status.outcome == LAMPEST_FINE) {
+        const float share = 1.0f / (1 + panel->baselines);
+        for (uint16_t cell = 0; cell < w.cells; cell++) {
+            w.baseline[cell] = FUSED(share, w.u[cell] - w.baseline[cell], w.baseline[cell]);
+        }
     }
-    memcpy(w.baseline, w.u, w.cells * sizeof(float));
-    for (uint16_t cell = 0; cell < w.cells; cell++) {
-        if (w.side[cell] == VALUE) w.resting[cell] = w.measured[cell];
-        else if (!panel->baselines) w.resting[cell] = 0;
-    }
+    if (!set_cells(&w, w.baseline)) status.outcome = LAMPEST_FAILED;
+    if (status.outcome != LAMPEST_FINE) return status;
     if (panel->baselines < UINT8_MAX) panel->baselines++;
     panel->solved = true;
     return status;

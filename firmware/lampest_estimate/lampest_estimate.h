@@ -35,7 +35,7 @@ extern "C" {
 /* Floats of the working memory. `driven` is 1 for circuits with driven lines, `relative` where a term compares with the
  * previous frame; else 0. */
 #define LAMPEST_MEMORY(rows, columns, driven, relative)                                                     \
-    ((17 + 3 * (driven) + (relative)) * (rows) * (columns) +                                                \
+    ((16 + 3 * (driven) + (relative)) * (rows) * (columns) +                                                \
      4 * ((rows) < (columns) ? (rows) * (rows) : (columns) * (columns)) + 6 * ((rows) + (columns)) + 2)
 
 typedef enum { LAMPEST_SQUARED, LAMPEST_HUBER, LAMPEST_STUDENT } lampest_loss;
@@ -136,7 +136,7 @@ typedef struct {
     /* All that follows is set by lampest_begin. */
     float *memory;
     bool ready, solved; /* constants are sound; a frame or a baseline was estimated */
-    uint8_t baselines; /* unloaded frames whose mean is the baseline; 0: that of the constants */
+    uint8_t baselines; /* unloaded frames whose mean, in ln r, is the baseline; 0: that of the constants */
 } lampest_panel;
 
 /* Check the constants and start from their baseline. `memory` has the floats that the header declares. */

@@ -12,8 +12,13 @@ CIRCUITS = {
     "driven_columns": {"kind": "loaded_columns", "load_ohm": 1000.0, "noise_lsb": 0.7, "driven": "columns"},
     "grounded_all": {"kind": "grounded", "sense": "all", "drive_ohm": 50.0, "load_ohm": 1000.0, "noise_lsb": 0.7},
     "grounded_one": {"kind": "grounded", "sense": "one", "drive_ohm": 50.0, "load_ohm": 1000.0, "noise_lsb": 0.7},
-    "virtual_ground": {"kind": "virtual_ground", "drive_ohm": 70.0, "sense_ohm": 70.0, "feedback_ohm": 500.0,
-                       "noise_lsb": 0.7},
+    "virtual_ground": {
+        "kind": "virtual_ground",
+        "drive_ohm": 70.0,
+        "sense_ohm": 70.0,
+        "feedback_ohm": 500.0,
+        "noise_lsb": 0.7,
+    },
 }
 READOUTS = {
     "two_point": lampest.TwoPointReadout,
@@ -50,7 +55,9 @@ def sums_of(scene, cells, seed=1):
     readout = scene.circuit
     zero = np.zeros(scene.panel.rows), np.zeros(scene.panel.columns)
     volt = readout.volt_from_recorded(np.array([readout.simulated(frame, scene, *zero) for frame in cells]))
-    codes = volt[..., None] / readout.lsb_volt + readout.noise_lsb * rng.standard_normal((*volt.shape, readout.readings))
+    codes = volt[..., None] / readout.lsb_volt + readout.noise_lsb * rng.standard_normal(
+        (*volt.shape, readout.readings)
+    )
     return np.clip(np.floor(codes), 0, 2**readout.adc_bits - 1).sum(axis=-1).astype(np.uint16)
 
 

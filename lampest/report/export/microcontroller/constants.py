@@ -272,8 +272,12 @@ def _sigma_volt(case: CaseResult, recorded: Array) -> Array:
         raise InputError(f"{case.recording} × {case.estimator}: no reading is a value")
     typical = float(np.nanmedian(sigma))
     with np.errstate(invalid="ignore"):
-        each = np.array([[_median(sigma[:, row, column], typical) for column in range(sigma.shape[2])]
-                         for row in range(sigma.shape[1])])
+        each = np.array(
+            [
+                [_median(sigma[:, row, column], typical) for column in range(sigma.shape[2])]
+                for row in range(sigma.shape[1])
+            ]
+        )
     return np.full_like(each, typical) if np.allclose(each, typical, rtol=1e-3) else each
 
 
@@ -302,9 +306,7 @@ def _loss(term: Mapping[str, Any]) -> tuple[str, float]:
     """Return the enumerator of a loss and its corner. Raises InputError for a loss that C does not have."""
     loss = term.get("loss", {"kind": "squared"})
     if loss["kind"] not in LOSSES:
-        raise InputError(
-            f"the C library has no loss {loss['kind']!r} ({term['kind']}): it has {', '.join(LOSSES)}"
-        )
+        raise InputError(f"the C library has no loss {loss['kind']!r} ({term['kind']}): it has {', '.join(LOSSES)}")
     return LOSSES[loss["kind"]], float(loss.get("corner", 1.0))
 
 
@@ -323,4 +325,3 @@ def _penalty(term: Mapping[str, Any], case: CaseResult, scale: float) -> Penalty
     if not weights.size:
         raise InputError(f"{case.recording} × {case.estimator}: no frame is solved, so that {kind} has no weight")
     return Penalty(quantity, difference, loss, corner, float(np.median(weights)) / scale)
-

@@ -79,7 +79,7 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
     memory = f"LAMPEST_MEMORY({rows}, {columns}, {int(constants.lines is not None)}, {int(constants.relative)})"
     body = "\n".join(f"    .{field} = {value}," for field, value in _in_order(fields))
     return (
-        f"/*\n{comment}\n */\n#ifndef {guard}\n#define {guard}\n\n#include \"lampest_estimate.h\"\n\n"
+        f'/*\n{comment}\n */\n#ifndef {guard}\n#define {guard}\n\n#include "lampest_estimate.h"\n\n'
         f"#define {name.upper()}_ROWS {rows}\n#define {name.upper()}_COLUMNS {columns}\n"
         f"#define {name.upper()}_MEMORY {memory}\n\n"
         + "\n".join(arrays)
@@ -126,5 +126,3 @@ def _circuit(constants: Constants, fields: list[tuple[str, str]], floats: object
         rows = series[:, 0] - series[:, 0].min()
         columns = series[0] - rows[0]
         floats("series", np.concatenate([rows, columns]))
-
-

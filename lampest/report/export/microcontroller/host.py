@@ -26,7 +26,7 @@ HOST = """
 #include "panel_constants.h"
 #include <string.h>
 static lampest_constants varied;
-lampest_panel host_panel = {&varied};
+lampest_panel host_panel = {.constants = &varied};
 static float memory[PANEL_MEMORY];
 int host_bytes(void) { return sizeof memory + sizeof host_panel; }
 int host_begin(int steps, int products, float within) {
@@ -139,7 +139,9 @@ def compiled(constants: Constants, *flags: str) -> Iterator[Host]:
         (place / "host.c").write_text(HOST, encoding="ascii")
         files = [str(path) for path in sources() if path.suffix == ".c"]
         build = [command, *FLAGS, *flags, f"-I{library_folder()}", str(place / "host.c"), *files]
-        done = subprocess.run([*build, "-o", str(place / "host.so"), "-lm"], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [*build, "-o", str(place / "host.so"), "-lm"], capture_output=True, text=True, check=False
+        )
         if done.returncode:
             raise InputError(f"{command} does not compile the C library: {done.stderr.strip().splitlines()[:1]}")
         library = ctypes.CDLL(str(place / "host.so"))

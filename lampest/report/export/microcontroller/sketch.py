@@ -207,7 +207,9 @@ def _measured(
     sums = constants.sums_of(case)[:VECTOR_FRAMES]
     if compiler() is None:
         if wishes.any:
-            raise InputError("--within and --milliseconds need a C compiler here (cc, gcc or clang), to measure budgets")
+            raise InputError(
+                "--within and --milliseconds need a C compiler here (cc, gcc or clang), to measure budgets"
+            )
         with np.errstate(invalid="ignore", divide="ignore"):
             optimum = np.nan_to_num(np.log(case.cell_resistance / case.baseline_resistance)[:VECTOR_FRAMES])
         note = "no C compiler here (cc, gcc or clang): budgets are not measured, the usual one is taken"
@@ -216,7 +218,9 @@ def _measured(
     table: tuple[Trade, ...] = ()
     with compiled(constants) as host:
         if case.sigma_own is None and not wishes.any:
-            notes.append("these results have no error bars, in which deviations would be told: the usual budget is taken")
+            notes.append(
+                "these results have no error bars, in which deviations would be told: the usual budget is taken"
+            )
         else:
             table = trades(host, constants, case)
             trade, aim = chosen(table, wishes.within, wishes.milliseconds, wishes.processor)

@@ -90,7 +90,13 @@ def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, .
             raise InputError("no frame of these results is solved, so that there is nothing to compare with")
         spent = instructions(constants, frames.products - frames.steps, frames.steps)
         second = float(deviation[min(1, len(deviation) - 1)])
-        measures = (float(np.median(deviation)), float(deviation.max()), second, float(spent.mean()), float(spent.max()))
+        measures = (
+            float(np.median(deviation)),
+            float(deviation.max()),
+            second,
+            float(spent.mean()),
+            float(spent.max()),
+        )
         found.append(Trade(budget, *measures))
     return tuple(found)
 
