@@ -150,6 +150,32 @@ def test_sixteen_by_sixteen_cells_take_six_million_instructions_and_32_kilobytes
     np.testing.assert_allclose(reckoned, counted, rtol=0.15)
 
 
+def test_the_mega_estimates_eight_by_eight_cells_in_two_seconds(tmp_path):
+    sums, case = solved_case(scene_of("two_point", 8, 8), [NOISY, lampest.LogGradient(weight=1.0)], error_bars=False)
+    constants = Constants.of(case).within(Budget(2, 6, 0.05))
+    with compiled(constants) as host:
+        found = host.frames(sums[:2], constants.budget)
+        assert host.bytes < 6000
+    (tmp_path / "panel_constants.h").write_text(header(constants, "panel", ()))
+    rows = ", ".join("{" + ", ".join(map(str, frame.ravel())) + "}" for frame in sums[:2])
+    vector = f"#define VECTOR_FRAMES 2\nstatic const uint16_t vector_sums[2][64] = {{{rows}}};\n"
+    (tmp_path / "test_vector.h").write_text(vector)
+    words = [
+        "make",
+        "-s",
+        "-C",
+        str(FIRMWARE),
+        f"PANEL={tmp_path}",
+        f"BUILD={tmp_path / 'build'}",
+        "FRAMES=2",
+        "CELLS=64",
+    ]
+    said = subprocess.run([*words, "mega"], capture_output=True, text=True, check=True).stdout.splitlines()
+    *cycles, changes = [line for line in said if not line.startswith("Loaded")]
+    assert max(map(int, cycles)) / 16e6 < 2.5  # seconds
+    np.testing.assert_allclose(np.array(changes.split(), float).reshape(8, 8), found.log_change[-1], atol=0.01)
+
+
 def test_the_library_takes_24_kilobytes_of_flash(tmp_path):
     words = ["make", "-s", "-C", str(FIRMWARE), f"BUILD={tmp_path}", "estimate-size"]
     assert int(subprocess.run(words, capture_output=True, text=True, check=True).stdout) < 24_000

@@ -215,14 +215,19 @@ class Constants:
         turned = [(cells % columns) * rows + cells // columns for cells in (first, second)]
         return turned[0], turned[1], distance
 
+    @property
+    def rises(self) -> bool:
+        """Whether a reading of the network grows with its sum."""
+        readout = self.scene.circuit
+        if isinstance(readout, TwoPointReadout):
+            return readout.measured_across == "sensor"
+        return readout.direction > 0
+
     def sums_of(self, case: CaseResult) -> NDArray[np.uint16]:
         """Return the sums of codes of the frames, (frames, rows, columns); missing readings are 65535."""
         sums = self._sums(self.scene.circuit.to_recorded(case.measured, self.scene))
         if case.reading_side is not None:
-            rises = self.scene.circuit.direction > 0 and not (
-                self.lines is None and self.scene.circuit.measured_across == "reference"  # type: ignore[union-attr]
-            )
-            high = case.reading_side == (1 if rises else -1)
+            high = case.reading_side == (1 if self.rises else -1)
             sums = np.where(case.reading_side != 0, np.where(high, self.top_sum, 0), sums)
         missing = ~np.isfinite(case.measured)
         return np.where(missing, MAX_SUM, sums).astype(np.uint16)
@@ -232,7 +237,7 @@ class Constants:
         readout = self.scene.circuit
         with np.errstate(invalid="ignore"):
             sums = (readout.volt_from_recorded(recorded) / readout.lsb_volt - 0.5) * readout.readings
-        return np.clip(np.nan_to_num(np.round(sums)), 0, self.top_sum)
+        return np.asarray(np.clip(np.nan_to_num(np.round(sums)), 0, self.top_sum))
 
 
 def check_scene(scene: Scene) -> None:

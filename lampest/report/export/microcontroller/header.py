@@ -1,11 +1,13 @@
 """The constants of an estimator as a C header."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.report.export.microcontroller.constants import Constants, Lines
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.driven import DrivenReadout
+from lampest.report.export.microcontroller.constants import Constants
 
 NUMBERS_A_LINE = 8
 
@@ -42,7 +44,7 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
 
     def floats(field: str, values: Array) -> None:
         """Declare an array of floats."""
-        array(field, "float", map(number, np.ravel(values)))
+        array(field, "float", (number(float(value)) for value in np.ravel(values)))
 
     if panel.cells is not None:
         array("present", "uint8_t", (str(int(cell)) for cell in panel.present.ravel()))
@@ -89,11 +91,46 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
 
 # The fields of lampest_constants in the order of their declaration, which C++ demands of designated initialisers.
 ORDER = (
-    "rows columns present pairs pair_count driven rows_driven tie drive release load gain top_sum low_sum high_sum "
-    "volt_per_sum volt_at_zero supply_volt mirrored reference_ohm across_reference ohm_scale shunt_siemens series "
-    "sigma_volt sigma_count plain_sigma data_loss data_corner terms term_count least_ohm largest_ohm native_bounds "
-    "baseline loaded_limit steps products within"
-).split()
+    "rows",
+    "columns",
+    "present",
+    "pairs",
+    "pair_count",
+    "driven",
+    "rows_driven",
+    "tie",
+    "drive",
+    "release",
+    "load",
+    "gain",
+    "top_sum",
+    "low_sum",
+    "high_sum",
+    "volt_per_sum",
+    "volt_at_zero",
+    "supply_volt",
+    "mirrored",
+    "reference_ohm",
+    "across_reference",
+    "ohm_scale",
+    "shunt_siemens",
+    "series",
+    "sigma_volt",
+    "sigma_count",
+    "plain_sigma",
+    "data_loss",
+    "data_corner",
+    "terms",
+    "term_count",
+    "least_ohm",
+    "largest_ohm",
+    "native_bounds",
+    "baseline",
+    "loaded_limit",
+    "steps",
+    "products",
+    "within",
+)
 
 
 def _in_order(fields: list[tuple[str, str]]) -> list[tuple[str, str]]:
@@ -102,22 +139,20 @@ def _in_order(fields: list[tuple[str, str]]) -> list[tuple[str, str]]:
     return [(field, known.get(field, "0")) for field in ORDER]
 
 
-def _circuit(constants: Constants, fields: list[tuple[str, str]], floats: object) -> None:
+def _circuit(constants: Constants, fields: list[tuple[str, str]], floats: Callable[[str, Array], None]) -> None:
     """Add the circuit's numbers to the fields."""
-    assert callable(floats)
-    scene, lines = constants.scene, constants.lines
-    if isinstance(lines, Lines):
-        fields += [("driven", "true"), ("rows_driven", str(scene.circuit.driven == "rows").lower())]  # type: ignore[union-attr]
-        fields += [("mirrored", str(scene.circuit.mirrored).lower())]
+    scene, lines, readout = constants.scene, constants.lines, constants.scene.circuit
+    if lines is not None and isinstance(readout, DrivenReadout):
+        fields += [("driven", "true"), ("rows_driven", str(readout.driven == "rows").lower())]
+        fields += [("mirrored", str(readout.mirrored).lower())]
         for field in ("tie", "drive", "release", "load", "gain"):
             floats(field, getattr(lines, field))
         return
-    readout = scene.circuit
-    across = readout.measured_across == "reference"  # type: ignore[union-attr]
-    input_ohm = readout.input_ohm  # type: ignore[union-attr]
-    scale = 1 / (1 + readout.reference_ohm / input_ohm) if across and input_ohm else 1.0  # type: ignore[union-attr]
+    assert isinstance(readout, TwoPointReadout)
+    across, input_ohm = readout.measured_across == "reference", readout.input_ohm
+    scale = 1 / (1 + readout.reference_ohm / input_ohm) if across and input_ohm else 1.0
     shunt = 1 / input_ohm if input_ohm and not across else 0.0
-    fields += [("driven", "false"), ("reference_ohm", number(readout.reference_ohm))]  # type: ignore[union-attr]
+    fields += [("driven", "false"), ("reference_ohm", number(readout.reference_ohm))]
     fields += [("across_reference", str(across).lower()), ("ohm_scale", number(scale))]
     fields += [("shunt_siemens", number(shunt))]
     if np.any(scene.series_ohm):

@@ -38,9 +38,13 @@ static void put(lampest_status s, float *numbers) {
     const float values[] = {s.outcome, s.settled, s.steps, s.products, s.saturated, s.missing, s.dead_line, s.left};
     memcpy(numbers, values, sizeof values);
 }
-void host_frame(const uint16_t *sums, float *change, float *numbers) { put(lampest_frame(&host_panel, sums, change), numbers); }
+void host_frame(const uint16_t *sums, float *change, float *numbers) {
+    put(lampest_frame(&host_panel, sums, change), numbers);
+}
 void host_baseline(const uint16_t *sums, float *numbers) { put(lampest_baseline(&host_panel, sums), numbers); }
-float host_deviation(int row, int column, int products) { return lampest_deviation(&host_panel, row, column, products); }
+float host_deviation(int row, int column, int products) {
+    return lampest_deviation(&host_panel, row, column, products);
+}
 """
 
 

@@ -12,9 +12,9 @@ from lampest.report.export.microcontroller.constants import Budget, Constants
 from lampest.report.export.microcontroller.host import Host
 from lampest.runs.case import CaseResult
 
-# Instructions a microsecond. Cortex-M4F at 120 MHz, 1.2 cycles an instruction; Cortex-M7 at 600 MHz, two instructions in
-# 1.3 cycles; the two Cortex-M33 of an RP2350, of which one is used, at 150 MHz as the M4; an ESP32 at 240 MHz, whose
-# loads wait. All are reckoned, not measured on a board.
+# Instructions a microsecond, reckoned and not measured on a board. Cortex-M4F at 120 MHz: 1.2 cycles an instruction;
+# Cortex-M7 at 600 MHz: two instructions in 1.3 cycles; one Cortex-M33 of an RP2350 at 150 MHz: as the M4; an ESP32 at
+# 240 MHz: 1.6 cycles, as its loads wait.
 PROCESSORS = {"cortex-m4f": 100.0, "cortex-m7": 900.0, "rp2350": 125.0, "esp32": 150.0}
 BUDGETS = (
     *(Budget(1, products, 0.0) for products in (3, 5, 8)),
