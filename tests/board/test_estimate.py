@@ -3,6 +3,7 @@
 import ctypes
 import shutil
 import subprocess
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from typer.testing import CliRunner
 
 import lampest
 from lampest.cli import app
-from lampest.report.export.microcontroller.constants import Budget, Constants
+from lampest.report.export.microcontroller.constants import Budget, Constants, Lines
 from lampest.report.export.microcontroller.header import header
 from lampest.report.export.microcontroller.host import HOST, compiled, library_folder, sources
 from lampest.report.export.microcontroller.sketch import export_sketch
@@ -409,6 +410,19 @@ def test_what_c_does_not_have_is_refused(scene, terms, sentence):
     _, case = solved_case(scene, terms)
     with pytest.raises(lampest.InputError, match=sentence):
         Constants.of(case)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldReadout(lampest.GroundedReadout):
+    """Idle driven lines are wired to ground, the driven one has a resistor."""
+
+    def ties(self, measured):
+        return np.concatenate([np.full(len(measured), 1e6), np.full(measured.shape[1], 1e-3)])
+
+
+def test_lines_that_are_held_while_idle_and_driven_through_a_resistor_are_refused():
+    with pytest.raises(lampest.InputError, match="held at ground while idle"):
+        Lines.of(HeldReadout(), (4, 4))
 
 
 def test_a_budget_is_the_smallest_that_fits(lamprey):

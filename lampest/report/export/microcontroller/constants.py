@@ -28,6 +28,7 @@ PENALTIES = {
     "log_ratio": ("LAMPEST_LOG_OF_", "LAMPEST_VALUES"),
 }
 LOSSES = {"squared": "LAMPEST_SQUARED", "huber": "LAMPEST_HUBER", "student": "LAMPEST_STUDENT"}
+MAX_RELEASE = 1e3  # Rd/Rp or Rs/Rq: single precision keeps four digits of 1 + a Z
 COMPARES = ("LAMPEST_CHANGE", "LAMPEST_LOG_OF_PREVIOUS")  # with the previous frame
 MIN_LOADED_LIMIT = 0.2  # ln r: a fifth below the other cells is no drift
 LOADED_DEVIATIONS = 8.0  # standard deviations of a cell
@@ -99,6 +100,11 @@ class Lines:
         release, free_load = 1 - drive * driven, 1 / load - sensed
         release = np.where(np.abs(release) < 1e-9, 0.0, release)
         free_load = np.where(np.abs(free_load) < 1e-9 / load, 0.0, free_load)
+        if np.any(np.abs(release) > MAX_RELEASE) or np.any(np.abs(free_load) * load > MAX_RELEASE):
+            raise InputError(
+                "the C library has no lines that are held at ground while idle, and driven or loaded through a resistor: "
+                "single precision loses what differs"
+            )
         return cls(tie, drive, release, free_load, readout.driving_volt * gain)
 
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import lampest
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
+from lampest.recording.datasets import folder
 from lampest.report.export.microcontroller.constants import Budget, Constants
 from lampest.report.export.microcontroller.header import header
 
@@ -49,10 +49,8 @@ float host_deviation(int row, int column, int products) {
 
 
 def library_folder() -> Path:
-    """Return the folder of the C library: that of an installed package, or that of the source."""
-    package = Path(lampest.__file__).parent
-    installed = package / "shipped" / "lampest_estimate"
-    return installed if installed.is_dir() else package.parent / "firmware" / "lampest_estimate"
+    """Return the folder of the C library."""
+    return folder() / "firmware" / "lampest_estimate"
 
 
 def sources() -> tuple[Path, ...]:
@@ -137,8 +135,8 @@ def compiled(constants: Constants, *flags: str) -> Iterator[Host]:
     command = compiler()
     if command is None:
         raise InputError("no C compiler here (cc, gcc or clang), with which the trade of budgets is measured")
-    with tempfile.TemporaryDirectory(prefix="lampest-") as folder:
-        place = Path(folder)
+    with tempfile.TemporaryDirectory(prefix="lampest-") as name:
+        place = Path(name)
         (place / "panel_constants.h").write_text(header(constants, "panel", ()), encoding="ascii")
         (place / "host.c").write_text(HOST, encoding="ascii")
         files = [str(path) for path in sources() if path.suffix == ".c"]
