@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 
 import lampest
 from lampest.cli import app
-from lampest.report.export.microcontroller.constants import Budget, Constants, Lines
+from lampest.report.export.microcontroller.constants import Budget, CircuitLines, Constants
 from lampest.report.export.microcontroller.header import header
 from lampest.report.export.microcontroller.host import HOST, compiled, library_folder, sources
 from lampest.report.export.microcontroller.sketch import export_sketch
-from lampest.report.export.microcontroller.trade import chosen, instructions, trades
+from lampest.report.export.microcontroller.trade import chosen_budget, instructions, trades
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 NOISY = lampest.Misfit(weighting="noise")
@@ -422,7 +422,7 @@ class HeldReadout(lampest.GroundedReadout):
 
 def test_lines_that_are_held_while_idle_and_driven_through_a_resistor_are_refused():
     with pytest.raises(lampest.InputError, match="held at ground while idle"):
-        Lines.of(HeldReadout(), (4, 4))
+        CircuitLines.of(HeldReadout(), (4, 4))
 
 
 def test_a_budget_is_the_smallest_that_fits(lamprey):
@@ -430,10 +430,10 @@ def test_a_budget_is_the_smallest_that_fits(lamprey):
     constants = Constants.of(case)
     with compiled(constants) as host:
         table = trades(host, constants, case)
-    exact, _ = chosen(table, 0.02, None, None)
+    exact, _ = chosen_budget(table, 0.02, None, None)
     assert exact.median <= 0.02
     assert all(trade.median > 0.02 for trade in table if trade.most_instructions < exact.most_instructions)
-    fast, _ = chosen(table, None, 10.0, "cortex-m4f")
+    fast, _ = chosen_budget(table, None, 10.0, "cortex-m4f")
     assert fast.milliseconds("cortex-m4f") <= 10
     assert fast.median == min(trade.median for trade in table if trade.milliseconds("cortex-m4f") <= 10)
 

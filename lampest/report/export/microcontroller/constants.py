@@ -37,7 +37,7 @@ MAX_ROUNDED = 0.02  # of a code: sums further from whole numbers are averages of
 
 @dataclass(frozen=True)
 class Budget:
-    """What a frame may cost.
+    """Largest work of a frame.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Penalty:
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
+class CircuitLines:
     """Circuit of driven lines: V_ij = gain_j Z_ij / ((drive_i + release_i Z_ii)(1 + load_j Z_jj) − …).
 
     Attributes
@@ -86,7 +86,7 @@ class Lines:
     gain: Array
 
     @classmethod
-    def of(cls, readout: DrivenReadout, shape: tuple[int, int]) -> "Lines":
+    def of(cls, readout: DrivenReadout, shape: tuple[int, int]) -> "CircuitLines":
         """Return the circuit's numbers. Raises InputError for a circuit that is not of this form."""
         if getattr(readout, "diode", None) is not None:
             raise InputError("the C library has no diodes: drive the lines without one, or estimate on a computer")
@@ -102,8 +102,8 @@ class Lines:
         free_load = np.where(np.abs(free_load) < 1e-9 / load, 0.0, free_load)
         if np.any(np.abs(release) > MAX_RELEASE) or np.any(np.abs(free_load) * load > MAX_RELEASE):
             raise InputError(
-                "the C library has no lines that are held at ground while idle, and driven or loaded through a resistor: "
-                "single precision loses what differs"
+                "the C library has no lines that are held at ground while idle, and driven or loaded through a "
+                "resistor: single precision loses what differs"
             )
         return cls(tie, drive, release, free_load, readout.driving_volt * gain)
 
@@ -115,7 +115,7 @@ class Constants:
     Attributes
     ----------
     scene : Scene
-    lines : Lines or None
+    lines : CircuitLines or None
         Driven lines; None for two-point readings.
     sigma_volt : array, shape (rows, columns)
         Standard deviation of a reading at the converter.
@@ -134,7 +134,7 @@ class Constants:
     """
 
     scene: Scene
-    lines: Lines | None
+    lines: CircuitLines | None
     sigma_volt: Array
     plain_sigma: float
     data_loss: str
@@ -153,7 +153,7 @@ class Constants:
         scene = case.scene
         check_scene(scene)
         readout = scene.circuit
-        lines = Lines.of(readout, scene.panel.shape) if isinstance(readout, DrivenReadout) else None
+        lines = CircuitLines.of(readout, scene.panel.shape) if isinstance(readout, DrivenReadout) else None
         recorded = readout.to_recorded(case.measured, scene)
         sigma_volt = _sigma_volt(case, recorded)
         content = parse_document(case.case_yaml, f"{case.recording} × {case.estimator}").content

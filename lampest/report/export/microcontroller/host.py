@@ -64,7 +64,7 @@ def compiler() -> str | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
+class Answers:
     """Answers of the library to frames.
 
     Attributes
@@ -113,13 +113,13 @@ class Host:
         """Return the standard deviation of ln r of a cell."""
         return float(self.library.host_deviation(row, column, products))
 
-    def frames(self, sums: NDArray[np.uint16], budget: Budget) -> Frames:
+    def frames(self, sums: NDArray[np.uint16], budget: Budget) -> Answers:
         """Return the answers to frames (frames, rows, columns) from the baseline on."""
         if outcome := self.begin(budget):
             raise InputError(f"the C library refuses its constants (outcome {outcome})")
         answers = [self.frame(frame) for frame in sums]
         status = np.array([numbers for _, numbers in answers])
-        return Frames(np.array([change for change, _ in answers]), *status.T)
+        return Answers(np.array([change for change, _ in answers]), *status.T)
 
     def _call(self, function: Any, sums: NDArray[np.uint16], *, changes: bool) -> tuple[Array, Array]:
         held = np.ascontiguousarray(sums, np.uint16)

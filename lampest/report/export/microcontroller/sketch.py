@@ -15,7 +15,7 @@ from lampest.panel.panel import Array
 from lampest.report.export.microcontroller.constants import Budget, Constants
 from lampest.report.export.microcontroller.header import header, number
 from lampest.report.export.microcontroller.host import compiled, compiler, sources
-from lampest.report.export.microcontroller.trade import PROCESSORS, Trade, chosen, trades
+from lampest.report.export.microcontroller.trade import PROCESSORS, Trade, chosen_budget, trades
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 
@@ -115,7 +115,7 @@ class Sketch:
 
 @dataclass(frozen=True)
 class Wishes:
-    """What a user asks of the budget, see `trade.chosen`. Raises InputError for an unknown processor."""
+    """A user's requests for the budget, see `trade.chosen_budget`. Raises InputError for an unknown processor."""
 
     within: float | None = None
     milliseconds: float | None = None
@@ -223,7 +223,7 @@ def _measured(
             )
         else:
             table = trades(host, constants, case)
-            trade, aim = chosen(table, wishes.within, wishes.milliseconds, wishes.processor)
+            trade, aim = chosen_budget(table, wishes.within, wishes.milliseconds, wishes.processor)
             constants = constants.within(replace(trade.budget, within=aim))
         notes.append(f"working memory {host.bytes / 1000:.1f} kB")
         answers = host.frames(sums, constants.budget).log_change

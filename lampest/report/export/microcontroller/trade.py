@@ -31,7 +31,7 @@ FOR_OPERATION, FOR_CELL, FOR_STEP_CELL, FOR_STEP_LINES, FOR_FRAME_CELL = 3.56, 1
 
 @dataclass(frozen=True)
 class Trade:
-    """What a budget buys.
+    """Accuracy and work of a budget.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, .
     return tuple(found)
 
 
-def chosen(
+def chosen_budget(
     table: Sequence[Trade], within: float | None, milliseconds: float | None, processor: str | None
 ) -> tuple[Trade, float]:
     """Return the budget that a user's wishes name, and the deviation at which its frames may end earlier.
