@@ -124,13 +124,18 @@ static bool read_sums(workspace *w, const uint16_t *sums, lampest_status *status
             w->precision[cell] = 1 / (c->plain_sigma > 0 ? c->plain_sigma : sigma);
         }
     }
+    uint16_t lines = 0;
     for (uint8_t line = c->columns; line-- > 0;) {
+        lines += column_is[line];
         if (column_is[line] && !column_has[line]) status->dead_line = c->rows + line + 1;
     }
     for (uint8_t line = c->rows; line-- > 0;) {
+        lines += row_is[line];
         if (row_is[line] && !row_has[line]) status->dead_line = line + 1;
     }
-    if (2 * values >= cells) return true;
+    /* One value less than lines describes a panel with one factor for each line; bounds tell the rest. */
+    const uint16_t half = (cells + 1) / 2, least = half < lines - 1 ? half : lines - 1;
+    if (values >= least && 2 * status->missing <= cells) return true;
     status->outcome = LAMPEST_TOO_FEW;
     return false;
 }

@@ -115,7 +115,7 @@ typedef struct {
 typedef enum {
     LAMPEST_FINE,
     LAMPEST_BAD_CONSTANTS, /* a number is no number, or out of range: nothing is estimated */
-    LAMPEST_TOO_FEW,       /* half of the readings or more are missing or bounds: the estimate stays */
+    LAMPEST_TOO_FEW,       /* most readings are missing, or too few are values and not bounds: the estimate stays */
     LAMPEST_UNDER_LOAD,    /* a baseline of a panel that is touched: the old one stays */
     LAMPEST_FAILED         /* the arithmetic broke down: the estimate stays */
 } lampest_outcome;
