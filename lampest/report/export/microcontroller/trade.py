@@ -23,7 +23,8 @@ BUDGETS = (
     *(Budget(5, products, 0.0) for products in (20, 40)),
 )
 DEFAULT_WITHIN = 0.05  # standard deviations of a cell's own error, which nobody sees
-MAX_FRAMES = 40  # of a recording, evenly over its beginning: enough for a median
+MIN_FRAMES, MAX_FRAMES = 6, 40  # the first ones of a recording: enough for a median
+MAX_OPERATIONS = 2_000_000  # of a product of all frames together: a minute for all budgets at 64 × 64 cells
 # Instructions of a Cortex-M4F, fitted to 60 counts of QEMU from 4 × 4 to 16 × 16 cells, all within 10 %
 # (tests/board/test_estimate.py): of a product for each operation of its matrices and each cell, of a step, of a frame.
 FOR_OPERATION, FOR_CELL, FOR_STEP_CELL, FOR_STEP_LINES, FOR_FRAME_CELL = 3.56, 136.0, 3040.0, 7.4, 271.0
@@ -55,14 +56,19 @@ class Trade:
         return self.most_instructions / PROCESSORS[processor] / 1000
 
 
+def operations_of(constants: Constants) -> int:
+    """Return 6·m·n² + 2·n³, the multiplications of the matrices of a product, m ≥ n lines."""
+    longer, shorter = sorted(constants.scene.panel.shape, reverse=True)
+    return int(6 * longer * shorter**2 + 2 * shorter**3)
+
+
 def instructions(constants: Constants, products: Array, steps: Array) -> Array:
     """Return the instructions of frames on a Cortex-M4F.
 
-    products : conjugate-gradient iterations. The matrices of a product take 6·m·n² + 2·n³ operations, m ≥ n lines.
+    products : conjugate-gradient iterations.
     """
     longer, shorter = sorted(constants.scene.panel.shape, reverse=True)
-    cells = longer * shorter
-    operations = 6 * longer * shorter**2 + 2 * shorter**3
+    cells, operations = longer * shorter, operations_of(constants)
     of_step = FOR_STEP_CELL * cells + FOR_STEP_LINES * longer * cells
     return products * (FOR_OPERATION * operations + FOR_CELL * cells) + steps * of_step + FOR_FRAME_CELL * cells
 
@@ -71,7 +77,8 @@ def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, .
     """Return what each budget buys on the first frames of a case. Raises InputError without error bars."""
     if case.sigma_own is None:
         raise InputError("these results have no error bars, in which the deviation would be told")
-    count = min(MAX_FRAMES, len(case.frame))
+    affordable = max(MIN_FRAMES, MAX_OPERATIONS // operations_of(constants))
+    count = min(MAX_FRAMES, affordable, len(case.frame))
     sums = constants.sums_of(case)[:count]
     with np.errstate(invalid="ignore", divide="ignore"):
         optimum = np.log(case.cell_resistance / case.baseline_resistance)[:count]
