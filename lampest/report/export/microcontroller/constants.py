@@ -261,7 +261,7 @@ def check_scene(scene: Scene) -> None:
             raise InputError(f"the C library {sentence}")
     readout = scene.circuit
     if not isinstance(readout, TwoPointReadout | DrivenReadout):
-        raise InputError(f"the C library has no circuit {readout.kind!r}")  # type: ignore[attr-defined]
+        raise InputError(f"the C library has no such circuit: {readout.description()}")
     if readout.readings * (2**readout.adc_bits - 1) > MAX_SUM:
         raise InputError(
             f"sums of {readout.readings} readings of {readout.adc_bits} bits exceed 16 bits: give fewer readings"
