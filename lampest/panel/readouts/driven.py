@@ -141,6 +141,11 @@ class DrivenReadout(Readout):
         drive = along(self.driven, per_line("drive_ohm", self.drive_ohm, driven))
         return drive if self.idle_floats else np.maximum(drive, MIN_OHM), load, gain
 
+    def lines_of_circuit(self, shape: tuple[int, ...]) -> tuple[Array, Array, Array]:
+        """Return Rd of the driven lines in ohm, Rs of the sensed lines in ohm, and their c."""
+        drive, load, gain = (part.ravel() for part in self._circuit(shape))
+        return drive, load, gain
+
     def ties(self, measured: Array) -> Array:
         """Return the ties: 1/Rd of driven lines unless they float, 1/Rs of sensed lines if all are loaded, siemens."""
         drive, load, _ = (part.ravel() for part in self._circuit(measured.shape))
