@@ -63,12 +63,13 @@ if TYPE_CHECKING:
     from lampest.loads.shapes import SuctionCup as SuctionCup
     from lampest.panel.panel import Array as Array
     from lampest.panel.panel import Panel as Panel
+    from lampest.panel.readouts import DrivenReadout as DrivenReadout
     from lampest.panel.readouts import GroundedReadout as GroundedReadout
     from lampest.panel.readouts import LoadedColumnsReadout as LoadedColumnsReadout
     from lampest.panel.readouts import Readout as Readout
     from lampest.panel.readouts import TwoPointReadout as TwoPointReadout
     from lampest.panel.readouts import VirtualGroundReadout as VirtualGroundReadout
-    from lampest.panel.readouts.driven import Diode as Diode
+    from lampest.panel.readouts.diode import Diode as Diode
     from lampest.panel.readouts.floating import two_point_resistance as two_point_resistance
     from lampest.panel.readouts.wiring import ContactPrior as ContactPrior
     from lampest.panel.readouts.wiring import Contacts as Contacts

@@ -297,8 +297,22 @@ def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
     inside = [(place, fault) for place, fault in inside if place[: len(within)] == within]
     place, worst = max(inside, key=lambda pair: (len(pair[0]), pair[1]["type"] == "value_error"))
     if worst["type"] == "value_error":
-        return place, worst["msg"].removeprefix("Value error, ")
+        message = worst["msg"].removeprefix("Value error, ")
+        return (*place, *_named_first(message, content, place)), message
     return place, _sentence_of([fault for where, fault in inside if where == place])
+
+
+def _named_first(message: str, content: Any, place: tuple[Any, ...]) -> tuple[str, ...]:
+    """Return the keys below `place` that a message names in its first word, such as readout.groups; () without any."""
+    for part in place:
+        content = content[part]
+    named: list[str] = []
+    for key in message.split(" ", 1)[0].rstrip(":,;").split("."):
+        if not isinstance(content, dict) or key not in content:
+            break
+        named.append(key)
+        content = content[key]
+    return tuple(named)
 
 
 def _sentence_of(faults: Sequence[Any]) -> str:

@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from lampest.files.document import MAX_NUMBER, MIN_NUMBER
@@ -244,6 +245,18 @@ def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
         candidates &= ~within
     after = np.flatnonzero(candidates)
     return after[after > number]
+
+
+def connected_parts(conducting: NDArray[np.bool_]) -> NDArray[np.intp] | None:
+    """Return the number of the connected part of each line, (lines,); None if the cells connect all lines.
+
+    `conducting`, (rows, columns), states which crossings conduct.
+    """
+    rows, columns = conducting.shape
+    lines = np.zeros((rows + columns,) * 2, dtype=bool)
+    lines[:rows, rows:] = conducting
+    count, parts = scipy.sparse.csgraph.connected_components(lines, directed=False)
+    return None if count == 1 else np.asarray(parts, dtype=np.intp)
 
 
 def beyond_any_panel(values: Array) -> NDArray[np.bool_]:

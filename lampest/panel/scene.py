@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from lampest.files.document import read_document, to_yaml, validated
 from lampest.files.typed import Configuration, check_positive_fields, check_range, check_ranges, members_of, typed
-from lampest.panel.panel import Array, Modules, Panel
+from lampest.panel.panel import Array, Modules, Panel, connected_parts
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.lines import MAX_OHM, PerLine, as_tuple, check_resistors, lines_text, per_line
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
@@ -569,11 +568,7 @@ class Scene(Configuration):
         """Number of the connected part of each line, (lines,); None if cells connect all lines."""
         if self.whole:
             return None
-        rows, columns = self.panel.shape
-        lines = np.zeros((rows + columns,) * 2, dtype=bool)
-        lines[:rows, rows:] = ~self.open_cells
-        count, parts = scipy.sparse.csgraph.connected_components(lines, directed=False)
-        return None if count == 1 else np.asarray(parts, dtype=np.intp)
+        return connected_parts(~self.open_cells)
 
     @cached_property
     def wiring(self) -> Wiring | None:

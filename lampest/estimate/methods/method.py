@@ -257,6 +257,11 @@ class OptimalMethod(Method):
                 f"formulation: {self.kind} knows neither lines, contacts nor faults.joined_rows and joined_columns; "
                 "take reduced"
             )
+        if not has_node_voltages(scene):
+            raise InputError(
+                f"formulation: {self.kind} knows neither several addresses (readout.groups) nor lines that 0 ohm hold "
+                "at ground; take reduced"
+            )
 
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
         """Return the solver of the formulation.
@@ -267,7 +272,7 @@ class OptimalMethod(Method):
         kind = self.kind
         if kind == "auto":
             slow = cost.panel.crossings <= NODAL_CELLS and period >= NODAL_PERIOD
-            kind = "nodal" if slow and scene.wiring is None else "reduced"
+            kind = "nodal" if slow and scene.wiring is None and has_node_voltages(scene) else "reduced"
         return _solver(cost, scene.circuit, kind, settings)
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
@@ -277,6 +282,12 @@ class OptimalMethod(Method):
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
         """Return the preconditioner of a solved single frame for the next one, else None."""
         return solution.preconditioner if solution.solved and len(solution.cell_resistance) == 1 else None
+
+
+def has_node_voltages(scene: Scene) -> bool:
+    """Return whether one network with finite ties gives all readings of a scene."""
+    addresses = scene.circuit.addresses(np.ones(scene.panel.network.shape))
+    return len(addresses) == 1 and bool(np.isfinite(addresses[0].ties).all())
 
 
 @lru_cache(maxsize=32)

@@ -59,6 +59,23 @@ class FreeTest:
     single: Array | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Address:
+    """Readings that are taken at the same time, with the state of all lines meanwhile.
+
+    Attributes
+    ----------
+    ties : array, shape (lines,)
+        Ties of the lines to ground, siemens: of idle lines, and of the loads that are a part of Z. Infinite where a
+        line is held at ground; see `lampest.panel.network.DifferenceNetwork` for its entries.
+    read : boolean array, shape (rows, columns)
+        Which readings are taken.
+    """
+
+    ties: Array
+    read: NDArray[np.bool_]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Readout(Converter, ABC):
     """Base of readouts: the circuit of a kind, with the fields of its converter from `Converter`.
@@ -130,6 +147,14 @@ class Readout(Converter, ABC):
         """Return the cells (…, rows, columns) ohm that would give each reading if they were alone on the panel."""
 
     # Consequences of the circuit.
+
+    def addresses(self, measured: Array) -> tuple[Address, ...]:
+        """Return the addresses of a scan, for readings (rows, columns).
+
+        `reading` takes the entries of Z = (L(g) + diag(t))⁻¹ with the ties t of the address at which a reading is
+        taken. Most circuits have one.
+        """
+        return (Address(self.ties(measured), np.ones(measured.shape, dtype=bool)),)
 
     def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
         """Return the ties t; `parts`, (lines,), is the number of each line's part, None for a connected panel."""
