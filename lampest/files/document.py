@@ -298,7 +298,8 @@ def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
     place, worst = max(inside, key=lambda pair: (len(pair[0]), pair[1]["type"] == "value_error"))
     if worst["type"] == "value_error":
         message = worst["msg"].removeprefix("Value error, ")
-        return (*place, *_named_first(message, content, place)), message
+        named = _named_first(message, content, place)
+        return (*place, *named), message.removeprefix(".".join(named) + ": ")
     return place, _sentence_of([fault for where, fault in inside if where == place])
 
 

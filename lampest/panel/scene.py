@@ -420,7 +420,7 @@ class Scene(Configuration):
             raise ValueError("converter_memory must be zero or positive, and below 1")
         if self.contacts is not None:
             self.contacts.mean(self.panel.shape), self.contacts.deviation(self.panel.shape)
-        self.circuit.check(self)
+        (self.readout or self.circuit).check(self)
 
     def _check_modules(self) -> None:
         """Raise ValueError if an entry of `modules` is not allowed, or does not fit its scene."""
@@ -524,13 +524,23 @@ class Scene(Configuration):
     @cached_property
     def circuit(self) -> Readout:
         """Circuit by which readings follow from cells: the readout, or two-point resistances without one."""
-        return TwoPointReadout() if self.readout is None else self.readout
+        return TwoPointReadout() if self.readout is None else self.readout.in_scene(self)
 
     @property
     def series_ohm(self) -> Array:
         """Resistance in series with every reading in ohm, to be broadcast to (rows, columns)."""
         series = self.series_resistance_ohm
         return series.ohm(self.panel) if isinstance(series, SeriesPerLine) else np.array(series)
+
+    @property
+    def series_lines(self) -> tuple[Array, Array]:
+        """Resistance in series with each row and with each column, ohm; half of a number that is for both channels."""
+        rows, columns = self.panel.network.shape
+        series = self.series_resistance_ohm
+        if not isinstance(series, SeriesPerLine):
+            return np.full(rows, series / 2), np.full(columns, series / 2)
+        row, column = (f"series_resistance_ohm.{side}" for side in ("rows", "columns"))
+        return per_line(row, series.rows, rows), per_line(column, series.columns, columns)
 
     @property
     def series_text(self) -> str:

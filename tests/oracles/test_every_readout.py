@@ -195,6 +195,53 @@ def test_any_states_of_idle_lines_read_what_the_netlist_says(driven: Any, groups
     assert read > 100
 
 
+@pytest.mark.parametrize("input_ohm", [None, 30e3])
+def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> None:
+    """Two-point readings of two and three groups, their channels told for each line, against netlists."""
+    rng = np.random.default_rng(4)
+    rows, columns = (tuple(np.round(rng.uniform(50, 90, size=count), 1)) for count in (5, 6))
+    truth = 3000 * np.exp(0.4 * rng.normal(size=(1, 5, 6)))
+    for groups in (((0, 2, 4), (5, 1, 3)), ((0, 1), (2, 3), (4, 5))):
+        two_point = replace(TWO_POINT, groups=groups, input_ohm=input_ohm)
+        scene = Scene(Panel(5, 6), two_point, SeriesPerLine(rows, columns), systematic="none")
+        states = {"drive_ohm": rows, "sense_ohm": columns, "load_ohm": two_point.reference_ohm, "input_ohm": input_ohm}
+        volt = volts(truth[0], DrivenReadout(groups=groups, **states))
+        recorded = two_point.recorded_from_volt(volt)[None]
+        assert_allclose(scene.circuit.simulated(truth, scene, np.zeros(5), np.zeros(6)), recorded, rtol=1e-11)
+        recording = recording_of(scene, np.concatenate([recorded, recorded]), 1)
+        assert_allclose(reconstruct(recording, Estimator(LSM)).cell_resistance, truth, rtol=1e-4)
+        told_nothing = replace(recording, scene=replace(scene, readout=replace(two_point, groups=None)))
+        assert np.median(reconstruct(told_nothing, Estimator(LSM)).cell_resistance / truth) > 1.1
+
+
+@pytest.mark.parametrize(
+    ("readout", "message"),
+    [
+        ("{kind: driven, load_ohm: .inf}", "load_ohm, idle_ohm and idle_load_ohm are all infinite"),
+        ("{kind: driven, idle_ohm: 0, load_ohm: .inf, idle_load_ohm: 0}", "ratios of cells alone"),
+        ("{kind: two_point, idle_ohm: 0}", "t.yaml:3:28: readout.idle_ohm: "),
+        ("{kind: two_point, measured_across: sensor, groups: [[0, 1], [2]]}", "measured_across must be reference"),
+        ("{kind: driven, groups: [[0, 1], [1, 2]]}", "t.yaml:3:25: readout.groups: groups overlap: line 1"),
+        ("{kind: driven, groups: [[0], [1]]}", "t.yaml:3:25: readout.groups: column 2 is left out"),
+        (
+            "{kind: grounded, groups: [[0, 1], [2, 3]]}",
+            "t.yaml:3:27: readout.groups: there is no column 3",
+        ),
+        ("{kind: driven, driven: columns, groups: [[0, 1], []]}", "every multiplexer has at least one line"),
+        ("{kind: driven, drive_volt: 1, polarity: down}", "drive_volt and converter_volt have no place"),
+    ],
+)
+def test_keys_that_contradict_each_other_are_refused_where_they_stand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, readout: str, message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("t.yaml").write_text(f"# a scene\npanel: {{rows: 4, columns: 3}}\nreadout: {readout}\n")
+    with pytest.raises(InputError) as raised:
+        lampest.read_scene("t.yaml")
+    assert message in str(raised.value)
+    assert str(raised.value).startswith("t.yaml:")
+
+
 def wired_volts(cells: Array, scene: Scene) -> Array:
     """Volt at the converter of a wired panel, resistor by resistor."""
     readout: Any = scene.circuit

@@ -128,7 +128,7 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
 
 def _corrected(scene: Scene, errors: Array) -> Scene:
     """Return the scene with its reference and channels corrected by these errors."""
-    readout: Any = scene.circuit.off_by(float(errors[0]))
+    readout: Any = (scene.readout or scene.circuit).off_by(float(errors[0]))
     more = np.split(errors[1:], [scene.panel.rows])
     if isinstance(readout, DrivenCircuit):
         driven: Any = readout.with_channels(*more)

@@ -33,11 +33,14 @@ from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.diode import Diode
 from lampest.panel.readouts.floating import convex_start, uniform_factor
 from lampest.panel.readouts.lines import (
+    Groups,
     LineNumber,
     PerLine,
     Side,
     along,
     as_tuple,
+    check_apart,
+    check_groups,
     check_resistors,
     lines_text,
     of_side,
@@ -53,8 +56,6 @@ OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cel
 # Alternating start: rounds, change of log g at convergence, and range of conductances about those of the closed form,
 # beyond which a reading no longer depends on its cell (tests/oracles).
 MAX_ROUNDS, CONVERGED, MIN_RATIO, MAX_RATIO = 40, 1e-3, 0.02, 1e3
-
-Groups = tuple[tuple[int, ...], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,28 +176,6 @@ def _addresses(groups: Groups) -> list[NDArray[np.intp]]:
     """Return the sensed lines of each address: the k-th one of every group that has so many."""
     count = max(map(len, groups))
     return [np.array([group[k] for group in groups if k < len(group)], dtype=np.intp) for k in range(count)]
-
-
-def check_apart(groups: Groups) -> None:
-    """Raise ValueError unless groups are not empty and name every line once."""
-    if not groups or not all(groups):
-        raise ValueError("groups: every multiplexer has at least one line")
-    lines = [line for group in groups for line in group]
-    twice = next((line for line in lines if lines.count(line) > 1), None)
-    if twice is not None:
-        raise ValueError(f"groups overlap: line {twice} is listed twice, but it is behind one multiplexer")
-
-
-def check_groups(groups: Groups | None, side: Side, count: int) -> None:
-    """Raise ValueError unless groups, if any, name every one of `count` lines of a side."""
-    if groups is None:
-        return
-    lines = {line for group in groups for line in group}
-    name = side.removesuffix("s")
-    if beyond := sorted(lines - set(range(count))):
-        raise ValueError(f"readout.groups: there is no {name} {beyond[0]}; {side} are numbered from 0 to {count - 1}")
-    if missing := sorted(set(range(count)) - lines):
-        raise ValueError(f"readout.groups leave out {name} {missing[0]}; every one is behind a multiplexer")
 
 
 class DrivenCircuit(Readout):

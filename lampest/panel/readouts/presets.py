@@ -9,8 +9,8 @@ import numpy as np
 from lampest.files.typed import check_ranges
 from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.diode import Diode
-from lampest.panel.readouts.driven import DrivenCircuit, Groups, LineStates
-from lampest.panel.readouts.lines import MIN_OHM, PerLine, Side, lines_text, opposite, parallel, per_line
+from lampest.panel.readouts.driven import DrivenCircuit, LineStates
+from lampest.panel.readouts.lines import MIN_OHM, Groups, PerLine, Side, lines_text, opposite, parallel, per_line
 
 
 @dataclass(frozen=True, kw_only=True)

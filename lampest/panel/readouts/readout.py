@@ -33,6 +33,10 @@ class Surroundings(Protocol):
         """Resistance in series with every reading, ohm, to be broadcast to (rows, columns)."""
 
     @property
+    def series_lines(self) -> tuple[Array, Array]:
+        """Resistance in series with each row, (rows,), and with each column, (columns,), ohm."""
+
+    @property
     def wiring(self) -> Wiring | None:
         """Wire, contacts and touching lines; None without any."""
 
@@ -127,6 +131,10 @@ class Readout(Converter, ABC):
                 "series_resistance_ohm belongs to readout.kind: two_point; with others a channel's resistance is part "
                 "of the readout's drive_ohm or sense_ohm"
             )
+
+    def in_scene(self, scene: Surroundings) -> "Readout":
+        """Return the circuit that gives the readings of a scene."""
+        return self
 
     @abstractmethod
     def description(self) -> str:
