@@ -33,7 +33,7 @@ def init(
     folder
         Folder, created if missing; existing files are kept.
     readout
-        Your circuit: two_mux, pull_ups, grounded or amplifiers.
+        Your circuit: two_mux, parallel_mux, pull_ups, pull_downs, grounded, grounded_one, amplifiers or diodes.
     rows
         Rows of your panel, such as 16.
     columns

@@ -335,7 +335,11 @@ def _location(fault: Any, content: Any) -> tuple[Any, ...]:
     """Return the location of a fault without the keys by which the validator names alternatives of a type."""
     place: list[Any] = []
     parts = fault["loc"]
+    chosen: Any = None  # the mapping whose kind was passed: a kind may be called as one of its keys
     for number, part in enumerate(parts):
+        if isinstance(content, dict) and content.get("kind") == part and chosen is not content:
+            chosen = content
+            continue
         inside = isinstance(content, list) and isinstance(part, int) and part < len(content)
         if inside or (isinstance(content, dict) and part in content):
             content = content[part]
