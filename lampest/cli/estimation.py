@@ -163,6 +163,7 @@ def import_(
     transpose: bool = False,
     variable: str | None = None,
     layout: str | None = None,
+    resting: Path | None = None,
 ) -> None:
     """Convert measurements of another program to a recording, and report how they were interpreted.
 
@@ -194,6 +195,8 @@ def import_(
         The variable of a .mat or .npz file, the sheet of an .xlsx file.
     layout
         A table's columns, such as time,row,column,value, or an installed layout.
+    resting
+        The resting frame that firmware subtracted, for baseline: subtracted.
     """
     from lampest.recording.foreign.importing import import_file
     from lampest.report.info import understood_lines
@@ -205,6 +208,7 @@ def import_(
         "period": period,
         "missing": missing,
         "layout": layout,
+        "resting": resting,
     }
     with screen.progress("reading"):
         recording, notes = import_file(file, rows, columns, agreed, unit, baseline, time_unit=time_unit, **options)

@@ -375,6 +375,9 @@ class Scene(Configuration):
         Response curve of the film and gains of its cells, see `lampest.panel.response`; None: no pressures.
     assumed : tuple of str
         Entries that the scene's file leaves to lampest's defaults, such as readout.readings.
+    baseline : {'raw', 'subtracted'}, or None
+        'raw': readings are as converted, also where most are 0 at rest; 'subtracted': the firmware subtracted a resting
+        frame, which an import adds again. None: raw, and refused at import where they look otherwise.
     purpose : {'mat'}, or None
         'mat': contacts of any form, no suction. None: also mouths and cups.
     subject, experiment : MeasuredSubject, or None
@@ -398,6 +401,7 @@ class Scene(Configuration):
     contacts: Contacts | None = None
     film: Film | None = None
     response: AnyResponse | None = None
+    baseline: Literal["raw", "subtracted"] | None = None
     purpose: Literal["mat"] | None = None
     subject: MeasuredSubject | None = None
     experiment: Experiment | None = None
