@@ -417,7 +417,7 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
     likely = likely[:MAX_CANDIDATES]
     assumed = [] if specified is None else [specified]
     tried = [*likely, *(with_series(known, question) for known in (*likely, *assumed))]
-    tried += [with_memory(known, question) for known in assumed]
+    tried += [with_converter_memory(known, question) for known in assumed]
     quiet = (known for known in tried if known.pair is None or mostly_still(known.pair.moved))
     lawful = (known for known in quiet if not broken_law(known.rival, question))
 
@@ -474,7 +474,7 @@ def with_series(given: Explanation, question: Question) -> Explanation:
     return replace(best, rival=replace(best.rival, at_limit=at_limit)) if best.rival.in_series is not None else best
 
 
-def with_memory(given: Explanation, question: Question) -> Explanation:
+def with_converter_memory(given: Explanation, question: Question) -> Explanation:
     """Return a circuit's explanation with the most probable memory of the converter, or the given one.
 
     A scene that states a memory keeps it.

@@ -5,7 +5,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from lampest.files.document import MAX_NUMBER, MIN_NUMBER
@@ -253,10 +252,16 @@ def connected_parts(conducting: NDArray[np.bool_]) -> NDArray[np.intp] | None:
     `conducting`, (rows, columns), states which crossings conduct.
     """
     rows, columns = conducting.shape
-    lines = np.zeros((rows + columns,) * 2, dtype=bool)
-    lines[:rows, rows:] = conducting
-    count, parts = scipy.sparse.csgraph.connected_components(lines, directed=False)
-    return None if count == 1 else np.asarray(parts, dtype=np.intp)
+    row, column = np.arange(rows), np.arange(rows, rows + columns)
+    # Every line takes the least number of its part, which passes from rows to columns and back.
+    changed = True
+    while changed:
+        before = row, column
+        column = np.minimum(column, np.where(conducting, row[:, None], rows + columns).min(axis=0))
+        row = np.minimum(row, np.where(conducting, column, rows + columns).min(axis=1))
+        changed = not (np.array_equal(row, before[0]) and np.array_equal(column, before[1]))
+    first, parts = np.unique(np.concatenate([row, column]), return_inverse=True)
+    return None if len(first) == 1 else np.asarray(parts, dtype=np.intp)
 
 
 def beyond_any_panel(values: Array) -> NDArray[np.bool_]:

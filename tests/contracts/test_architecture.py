@@ -23,7 +23,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
 DOORS: dict[str, tuple[str, ...]] = {
     "casadi": ("panel.compiled", "panel.network", "cost", "solvers.ipopt"),
     "scipy": (
-        "panel.compiled", "panel.readouts", "panel.response", "panel.scene", "loads", "cost.problem",
+        "panel.compiled", "panel.readouts", "panel.response", "loads", "cost.problem",
         "recording.readings", "estimate.calibration", "estimate.model_check", "solvers", "posterior",
         "report.export.formats", "studies",
     ),

@@ -1,6 +1,6 @@
 """Readings of a divider with a reference resistor, as resistances: what all circuits share that record them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf
 from typing import ClassVar, Literal, Self
 
@@ -11,9 +11,10 @@ from lampest.panel.readouts.lines import LineNumber, check_resistors
 from lampest.panel.readouts.readout import SHORT_SHARE, Readout, Surroundings
 
 
-@dataclass(frozen=True, kw_only=True)
 class Divider(Readout):
     """Base of readouts whose recorded value is that of the divider equation, as if the converter took no current.
+
+    Kinds are dataclasses that declare its keys in the files' order.
 
     It includes the scene's series resistance. The keys are those of `TwoPointReadout`. Raises ValueError if a number is
     out of range. Source: paper, equation (1) (across the sensor) and section V.B (across the reference).

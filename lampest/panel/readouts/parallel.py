@@ -36,6 +36,8 @@ class ParallelDividers(Divider):
     """
 
     columns: Groups
+    reference_ohm: float = 1000.0
+    input_ohm: float | None = None
     row_ohm: PerLine = 0.0
     column_ohm: PerLine = 0.0
 
