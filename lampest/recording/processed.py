@@ -12,7 +12,7 @@ from lampest.panel.panel import Array
 ZERO_SHARE = 0.5  # of the resting readings exactly at 0: noise about 0 is clipped at half of them
 NEGATIVE_SHARE = 0.05  # of all readings; single ones are marks of a failed conversion
 MIN_THRESHOLD = 8  # codes between 0 and the next reading; noise and small loads fill them in readings as converted
-MIN_READINGS = 50  # that show whether such codes are empty
+MIN_READINGS = 50  # of a file; with fewer, empty codes and zeros are chance
 AS_CONVERTED = "send what the converter gives (analogRead), without subtraction, threshold, scale or filter"
 OPEN_CELLS = "if all cells are open at rest and nothing is subtracted, say baseline: raw in the scene"
 
@@ -30,10 +30,12 @@ def processing_of(codes: Array, resting: NDArray[np.bool_], present: NDArray[np.
         Crossings with a cell.
     """
     read = codes[:, present]
-    read = np.where(np.isfinite(read), read, np.nan)
-    if np.sum(read < 0) > NEGATIVE_SHARE * np.isfinite(read).sum():
+    known = np.isfinite(read)
+    if known.sum() < MIN_READINGS:
+        return ""
+    if np.sum(read < 0) > NEGATIVE_SHARE * known.sum():
         return f"codes below 0, down to {np.nanmin(read):g}: the firmware subtracts a resting frame; {AS_CONVERTED}"
-    zero, known = read == 0, np.isfinite(read)
+    zero = read == 0
     above = read[known & ~zero]
     if resting.any() and known[resting].any():
         share = zero[resting].sum() / known[resting].sum()
@@ -42,7 +44,7 @@ def processing_of(codes: Array, resting: NDArray[np.bool_], present: NDArray[np.
                 f"{100 * share:.0f} % of the unloaded readings are exactly 0: the firmware subtracts a resting frame "
                 f"and clips at 0, or has a threshold; {AS_CONVERTED}; {OPEN_CELLS}"
             )
-    if above.size >= MIN_READINGS and zero.sum() > ZERO_SHARE * known.sum() and above.min() >= MIN_THRESHOLD:
+    if above.size and zero.sum() > ZERO_SHARE * known.sum() and above.min() >= MIN_THRESHOLD:
         return (
             f"{100 * zero.sum() / known.sum():.0f} % of the readings are exactly 0, and none lies between 0 and "
             f"{above.min():g}: the firmware has a threshold; {AS_CONVERTED}; {OPEN_CELLS}"
