@@ -51,12 +51,13 @@ from .loads.shapes import Shape as Shape
 from .loads.shapes import SuctionCup as SuctionCup
 from .panel.panel import Array as Array
 from .panel.panel import Panel as Panel
+from .panel.readouts import DrivenReadout as DrivenReadout
 from .panel.readouts import GroundedReadout as GroundedReadout
 from .panel.readouts import LoadedColumnsReadout as LoadedColumnsReadout
 from .panel.readouts import Readout as Readout
 from .panel.readouts import TwoPointReadout as TwoPointReadout
 from .panel.readouts import VirtualGroundReadout as VirtualGroundReadout
-from .panel.readouts.driven import Diode as Diode
+from .panel.readouts.diode import Diode as Diode
 from .panel.readouts.floating import two_point_resistance as two_point_resistance
 from .panel.readouts.wiring import ContactPrior as ContactPrior
 from .panel.readouts.wiring import Contacts as Contacts

@@ -33,7 +33,7 @@ def init(
     folder
         Folder, created if missing; existing files are kept.
     readout
-        Your circuit: two_mux, pull_ups, grounded or amplifiers.
+        Your circuit: two_mux, parallel_mux, pull_ups, pull_downs, grounded, grounded_one, amplifiers or diodes.
     rows
         Rows of your panel, such as 16.
     columns
@@ -163,6 +163,7 @@ def import_(
     transpose: bool = False,
     variable: str | None = None,
     layout: str | None = None,
+    resting: Path | None = None,
 ) -> None:
     """Convert measurements of another program to a recording, and report how they were interpreted.
 
@@ -194,6 +195,8 @@ def import_(
         The variable of a .mat or .npz file, the sheet of an .xlsx file.
     layout
         A table's columns, such as time,row,column,value, or an installed layout.
+    resting
+        The resting frame that firmware subtracted, for baseline: subtracted.
     """
     from lampest.recording.foreign.importing import import_file
     from lampest.report.info import understood_lines
@@ -205,6 +208,7 @@ def import_(
         "period": period,
         "missing": missing,
         "layout": layout,
+        "resting": resting,
     }
     replaced = out.is_file()
     with screen.progress("reading"):

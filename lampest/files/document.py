@@ -337,8 +337,23 @@ def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
     inside = [(place, fault) for place, fault in inside if place[: len(within)] == within]
     place, worst = max(inside, key=lambda pair: (len(pair[0]), pair[1]["type"] == "value_error"))
     if worst["type"] == "value_error":
-        return place, worst["msg"].removeprefix("Value error, ")
+        message = worst["msg"].removeprefix("Value error, ")
+        named = _named_first(message, content, place)
+        return (*place, *named), message.removeprefix(".".join(named) + ": ")
     return place, _sentence_of([fault for where, fault in inside if where == place])
+
+
+def _named_first(message: str, content: Any, place: tuple[Any, ...]) -> tuple[str, ...]:
+    """Return the keys below `place` that a message names in its first word, such as readout.groups; () without any."""
+    for part in place:
+        content = content[part]
+    named: list[str] = []
+    for key in message.split(" ", 1)[0].rstrip(":,;").split("."):
+        if not isinstance(content, dict) or key not in content:
+            break
+        named.append(key)
+        content = content[key]
+    return tuple(named)
 
 
 def _sentence_of(faults: Sequence[Any]) -> str:
@@ -360,7 +375,11 @@ def _location(fault: Any, content: Any) -> tuple[Any, ...]:
     """Return the location of a fault without the keys by which the validator names alternatives of a type."""
     place: list[Any] = []
     parts = fault["loc"]
+    chosen: Any = None  # the mapping whose kind was passed: a kind may be called as one of its keys
     for number, part in enumerate(parts):
+        if isinstance(content, dict) and content.get("kind") == part and chosen is not content:
+            chosen = content
+            continue
         inside = isinstance(content, list) and isinstance(part, int) and part < len(content)
         if inside or (isinstance(content, dict) and part in content):
             content = content[part]

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from lampest.files.document import read_document, to_yaml, validated
 from lampest.files.typed import Configuration, check_positive_fields, check_range, check_ranges, members_of, typed
-from lampest.panel.panel import Array, Modules, Panel
+from lampest.panel.panel import Array, Modules, Panel, connected_parts
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.lines import MAX_OHM, PerLine, as_tuple, check_resistors, lines_text, per_line
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
@@ -376,6 +375,9 @@ class Scene(Configuration):
         Response curve of the film and gains of its cells, see `lampest.panel.response`; None: no pressures.
     assumed : tuple of str
         Entries that the scene's file leaves to lampest's defaults, such as readout.readings.
+    baseline : {'raw', 'subtracted'}, or None
+        'raw': readings are as converted, also where most are 0 at rest; 'subtracted': the firmware subtracted a resting
+        frame, which an import adds again. None: raw, and refused at import where they look otherwise.
     purpose : {'mat'}, or None
         'mat': contacts of any form, no suction. None: also mouths and cups.
     subject, experiment : MeasuredSubject, or None
@@ -399,6 +401,7 @@ class Scene(Configuration):
     contacts: Contacts | None = None
     film: Film | None = None
     response: AnyResponse | None = None
+    baseline: Literal["raw", "subtracted"] | None = None
     purpose: Literal["mat"] | None = None
     subject: MeasuredSubject | None = None
     experiment: Experiment | None = None
@@ -421,7 +424,7 @@ class Scene(Configuration):
             raise ValueError("converter_memory must be zero or positive, and below 1")
         if self.contacts is not None:
             self.contacts.mean(self.panel.shape), self.contacts.deviation(self.panel.shape)
-        self.circuit.check(self)
+        (self.readout or self.circuit).check(self)
 
     def _check_modules(self) -> None:
         """Raise ValueError if an entry of `modules` is not allowed, or does not fit its scene."""
@@ -525,13 +528,23 @@ class Scene(Configuration):
     @cached_property
     def circuit(self) -> Readout:
         """Circuit by which readings follow from cells: the readout, or two-point resistances without one."""
-        return TwoPointReadout() if self.readout is None else self.readout
+        return TwoPointReadout() if self.readout is None else self.readout.in_scene(self)
 
     @property
     def series_ohm(self) -> Array:
         """Resistance in series with every reading in ohm, to be broadcast to (rows, columns)."""
         series = self.series_resistance_ohm
         return series.ohm(self.panel) if isinstance(series, SeriesPerLine) else np.array(series)
+
+    @property
+    def series_lines(self) -> tuple[Array, Array]:
+        """Resistance in series with each row and with each column, ohm; half of a number that is for both channels."""
+        rows, columns = self.panel.network.shape
+        series = self.series_resistance_ohm
+        if not isinstance(series, SeriesPerLine):
+            return np.full(rows, series / 2), np.full(columns, series / 2)
+        row, column = (f"series_resistance_ohm.{side}" for side in ("rows", "columns"))
+        return per_line(row, series.rows, rows), per_line(column, series.columns, columns)
 
     @property
     def series_text(self) -> str:
@@ -569,11 +582,7 @@ class Scene(Configuration):
         """Number of the connected part of each line, (lines,); None if cells connect all lines."""
         if self.whole:
             return None
-        rows, columns = self.panel.shape
-        lines = np.zeros((rows + columns,) * 2, dtype=bool)
-        lines[:rows, rows:] = ~self.open_cells
-        count, parts = scipy.sparse.csgraph.connected_components(lines, directed=False)
-        return None if count == 1 else np.asarray(parts, dtype=np.intp)
+        return connected_parts(~self.open_cells)
 
     @cached_property
     def wiring(self) -> Wiring | None:

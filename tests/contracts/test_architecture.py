@@ -24,7 +24,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
 DOORS: dict[str, tuple[str, ...]] = {
     "casadi": ("panel.compiled", "panel.network", "cost", "formulation"),
     "scipy": (
-        "panel.compiled", "panel.readouts", "panel.response", "panel.scene", "loads", "cost.problem",
+        "panel.compiled", "panel.readouts", "panel.response", "loads", "cost.problem",
         "recording.readings", "estimate.calibration", "estimate.model_check", "formulation", "solvers", "posterior",
         "report.export.formats", "studies",
     ),

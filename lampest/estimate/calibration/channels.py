@@ -28,7 +28,7 @@ from lampest.estimate.rivals import RESISTORS
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import BROKEN, InputError
 from lampest.panel.panel import Array
-from lampest.panel.readouts.driven import DrivenReadout
+from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.lines import of_side
 from lampest.panel.scene import Scene, SeriesPerLine, Systematic
 from lampest.panel.systematic import USUAL, systematic_of
@@ -127,9 +127,9 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
 
 def _corrected(scene: Scene, errors: Array) -> Scene:
     """Return the scene with its reference and channels corrected by these errors."""
-    readout: Any = scene.circuit.off_by(float(errors[0]))
+    readout: Any = (scene.readout or scene.circuit).off_by(float(errors[0]))
     more = np.split(errors[1:], [scene.panel.rows])
-    if isinstance(readout, DrivenReadout):
+    if isinstance(readout, DrivenCircuit):
         driven: Any = readout.with_channels(*more)
         return replace(scene, readout=_rounded(driven))
     known = scene.series_resistance_ohm

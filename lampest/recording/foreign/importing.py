@@ -3,8 +3,9 @@
 import re
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError, counted, meant, printable
 from lampest.files.typed import installed, typed
 from lampest.files.whole import note_read
-from lampest.panel.panel import Panel
+from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.foreign import LAYOUTS
 from lampest.recording.foreign.arrays import (
@@ -35,8 +36,9 @@ from lampest.recording.foreign.table import (
     lines_of_text,
     readings_table,
 )
-from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
+from lampest.recording.foreign.unit import RESISTANCES, check_unit, recorded_values, understood_unit
 from lampest.recording.foreign.words import Clock
+from lampest.recording.processed import AS_CONVERTED, normalised, processing_of, restored
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 NOT_READ = dict.fromkeys((".h5", ".hdf5"), "save the array as .npy; lampest's own recordings need no import") | {
@@ -70,6 +72,7 @@ def import_file(  # noqa: PLR0913 # the options of a command
     missing: str = "mark",
     layout: str | Layout | None = None,
     time_unit: Literal["s", "ms", "us"] | None = None,
+    resting: str | Path | None = None,
 ) -> tuple[Recording, tuple[str, ...]]:
     r"""Import a file as a recording of rows × columns cells.
 
@@ -100,6 +103,9 @@ def import_file(  # noqa: PLR0913 # the options of a command
         the file's suffix, otherwise by the header, or by the number of columns.
     time_unit : {'s', 'ms', 'us'}, or None
         Unit of times that are numbers; None: by the column's name, otherwise by the numbers.
+    resting : str, Path, or None
+        File with the resting frame that the firmware subtracted, for scenes with `baseline: subtracted`: it is added
+        again, and becomes the only unloaded frame.
 
     Returns
     -------
@@ -156,13 +162,57 @@ def _recording(  # noqa: PLR0913 # the options of an import
     if kind is None:
         kind, reason = understood_unit(values, named_units(frames, path), scene, path)
     scene, given = scene or Scene(panel), scene is not None
-    recorded = recorded_values(values, kind, scene, frames.place, path)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
+    if resting is not None or scene.baseline == "subtracted":
+        values, scene = _restored(values, scene, role, resting, path, layout)
+    elif scene.baseline is None:
+        _check_unprocessed(values, kind, scene, role, path)
+    recorded = recorded_values(values, kind, scene, frames.place, path)
     chosen, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
     series, time = recorded[chosen], clock.seconds[chosen]
     recording = Recording(scene, series, time, role[chosen], name=path.stem, start_time=clock.start)
     notes = (*frames.notes, reason, clock.sentence, _assumed(scene, given=given), gaps, *_summary(recording))
     return recording, tuple(map(printable, filter(None, notes)))
+
+
+def _check_unprocessed(values: Array, unit: str, scene: Scene, role: NDArray[np.uint8], path: Path) -> None:
+    """Raise InputError for readings in volt or codes that firmware has changed; see `processing_of`."""
+    readout = scene.readout
+    if readout is None or unit in RESISTANCES or readout.floor_code is not None:
+        return
+    reason = processing_of(values, role == UNLOADED, scene.panel.present)
+    if not reason and unit == "volt":
+        reason = normalised(values, readout.full_scale_volt)
+    if reason:
+        raise InputError(f"{path}: these are no readings as the converter gives them: {reason}")
+
+
+def _restored(
+    values: Array, scene: Scene, role: NDArray[np.uint8], resting: str | Path | None, path: Path, layout: Any
+) -> tuple[Array, Scene]:
+    """Return readings with the resting frame of a file added, unloaded frames as this frame, and the scene without it.
+
+    Raises InputError unless both the scene and a file say that a frame was subtracted.
+    """
+    if scene.baseline != "subtracted":
+        raise InputError(f"{path}: a resting frame is added where the scene says baseline: subtracted")
+    if resting is None:
+        raise InputError(
+            f"{path}: the scene says baseline: subtracted; give the resting frame that was subtracted "
+            f"(--resting FILE), or {AS_CONVERTED}"
+        )
+    frames = _frames(Path(resting), scene.panel, transpose=False, variable=None, layout=layout)
+    with np.errstate(invalid="ignore"):
+        frame = frames.values.mean(axis=0)
+    if not np.all(np.isfinite(frame[scene.panel.present])):
+        raise InputError(f"{resting}: the resting frame has no value at a cell")
+    raw = restored(values, frame)
+    if not np.any(role == UNLOADED):
+        raise InputError(
+            f"{path}: say how many frames at the beginning are unloaded (--baseline); the resting frame is theirs"
+        )
+    raw[role == UNLOADED] = frame
+    return raw, replace(scene, baseline="raw")
 
 
 def _frames(path: Path, panel: Panel, *, transpose: bool, variable: str | None, layout: str | Layout | None) -> Frames:
