@@ -55,7 +55,7 @@ class OwnProgram(CasadiOwner):
         The symbols: cells, voltages, readings, parameters.
     evaluations : tuple of Evaluation
         Costs of the frames at their starts.
-    circuit : Circuit
+    circuits : tuple of Circuit
     settings : Settings
 
     >>> program = lampest.program(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)], frames=[2, 3])
@@ -65,7 +65,7 @@ class OwnProgram(CasadiOwner):
 
     symbols: Program
     evaluations: tuple[Evaluation, ...]
-    circuit: Circuit
+    circuits: tuple[Circuit, ...]
     settings: Settings
     formulation: str = "nodal"
 
@@ -106,7 +106,7 @@ class OwnProgram(CasadiOwner):
         """Solve by IPOPT, and check the result; a failed solve does not raise."""
         tolerance = ACCURACY * self.settings.tolerance
         interface = Interface(self.symbols, Limits(tolerance, self.settings.max_iterations), scaled=True)
-        instance = Instance.of(self.symbols, self.circuit, EXCITATIONS[self.formulation], self.evaluations)
+        instance = Instance.of(self.symbols, self.circuits, EXCITATIONS[self.formulation], self.evaluations)
         return OwnSolution(instance, interface, interface.minimise(instance))
 
 
@@ -295,6 +295,6 @@ def program(
         data = estimator.data(readings[frame].alone(), background)
         cost = estimator.cost(scene, 1, partial=readings.partial)
         evaluations.append(evaluated(cost, data, data.uniform_start))
-    circuit = Circuit.of(scene.panel.shape, scene.wiring)
-    symbols = Program.build(cost, scene.circuit, circuit, EXCITATIONS[formulation], blocks=len(chosen))
-    return OwnProgram(symbols, tuple(evaluations), circuit, estimator.solver, formulation)
+    circuits = Circuit.of_readout(scene.circuit, scene.panel.shape, scene.wiring)
+    symbols = Program.build(cost, scene.circuit, circuits, EXCITATIONS[formulation], blocks=len(chosen))
+    return OwnProgram(symbols, tuple(evaluations), circuits, estimator.solver, formulation)

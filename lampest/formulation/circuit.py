@@ -5,7 +5,7 @@ resist, the wire: one node on the row and one on the column of every crossing. N
 are one node. Without wire, contacts and touching lines the nodes are the lines, rows before columns.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lampest.panel.kirchhoff import current_balance
 from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
 
 Nodes = NDArray[np.intp]
@@ -40,6 +41,10 @@ class Circuit:
     wire_ends : array of int, shape (2, wires)
         Nodes at both ends of every piece of wire or contact.
     wire_siemens : array, shape (wires,)
+    held : boolean array, shape (rows + columns,)
+        Whether a line's terminal is held at ground.
+    read : boolean array, shape (rows, columns)
+        Readings that are taken with this state of the lines.
     """
 
     shape: tuple[int, int]
@@ -48,16 +53,26 @@ class Circuit:
     cell_ends: Nodes
     wire_ends: Nodes
     wire_siemens: Array
+    held: NDArray[np.bool_]
+    read: NDArray[np.bool_]
+
+    @classmethod
+    def of_readout(cls, readout: Readout, shape: tuple[int, int], wiring: Wiring | None) -> "tuple[Circuit, ...]":
+        """Return the circuit of every address of a readout."""
+        circuit = cls.of(shape, wiring)
+        addresses = readout.addresses(np.ones(shape))
+        return tuple(replace(circuit, held=np.isinf(address.ties), read=address.read) for address in addresses)
 
     @classmethod
     def of(cls, shape: tuple[int, int], wiring: Wiring | None) -> "Circuit":
-        """Return the circuit of a panel of rows × columns cells."""
+        """Return the circuit of a panel of rows × columns cells, without lines at ground."""
         rows, columns = shape
+        state = np.zeros(rows + columns, dtype=bool), np.ones(shape, dtype=bool)
         lines = np.arange(rows + columns)
         row, column = (numbers.ravel() for numbers in np.indices(shape))
         if wiring is None:
             none = np.zeros((2, 0), dtype=np.intp)
-            return cls(shape, len(lines), lines, np.stack([row, rows + column]), none, np.zeros(0))
+            return cls(shape, len(lines), lines, np.stack([row, rows + column]), none, np.zeros(0), *state)
         # Before nodes are joined: terminals, then the row's and the column's node of every crossing.
         crossings = np.arange(rows * columns).reshape(shape)
         on_row = len(lines) + crossings
@@ -70,12 +85,29 @@ class Circuit:
         count, node = scipy.sparse.csgraph.connected_components(links, directed=False)
         resisting = ohm > 0
         cell_ends = node[np.stack([on_row.ravel(), on_column.ravel()])]
-        return cls(shape, int(count), node[lines], cell_ends, node[ends[:, resisting]], 1 / ohm[resisting])
+        return cls(shape, int(count), node[lines], cell_ends, node[ends[:, resisting]], 1 / ohm[resisting], *state)
 
     @property
     def lines_only(self) -> bool:
-        """Whether every line is one node of its own, without wire."""
-        return self.count == len(self.terminals) and not len(self.wire_siemens)
+        """Whether every line is one node of its own, without wire, and none is held at ground."""
+        return self.count == len(self.terminals) and not len(self.wire_siemens) and not self.held.any()
+
+    @cached_property
+    def free(self) -> Nodes:
+        """Nodes that are not held at ground."""
+        return np.setdiff1d(np.arange(self.count), self.terminals[self.held])
+
+    def potentials(self, lines: Nodes) -> Array:
+        """Return the given potentials: 1 V at held lines among the excited ones, 0 elsewhere, (nodes, patterns)."""
+        volt = np.zeros((self.count, len(lines)))
+        volt[self.terminals[lines], np.arange(len(lines))] = self.held[lines]
+        return volt
+
+    def currents(self, lines: Nodes) -> Array:
+        """Return the given currents: 1 A into lines that are excited and not held, 0 elsewhere, (nodes, patterns)."""
+        into = np.zeros((self.count, len(lines)))
+        into[self.terminals[lines], np.arange(len(lines))] = ~self.held[lines]
+        return into
 
     @cached_property
     def incidence(self) -> casadi.DM:
@@ -113,14 +145,16 @@ class Circuit:
         return casadi.SX(out + casadi.diag(self.at_terminals @ tie) @ voltage)
 
     def voltages(self, cell_resistance: Array, tie: Array) -> Array:
-        """Return the voltages of all nodes for a unit current into each terminal, (nodes, lines) V/A.
+        """Return the voltages of all nodes for each line's excitation, (nodes, lines).
+
+        A line that is held at ground is excited by 1 V, any other line by 1 A into its terminal.
 
         Parameters
         ----------
         cell_resistance : array, shape (rows, columns)
             Ohm.
         tie : array, shape (lines,)
-            Ties of the terminals to ground in siemens.
+            Ties of the terminals to ground in siemens; those of held lines do not count.
 
         Raises
         ------
@@ -129,15 +163,20 @@ class Circuit:
         """
         cells = _incidence(self.count, self.cell_ends)
         wire = _incidence(self.count, self.wire_ends)
-        ground = np.bincount(self.terminals, tie, self.count)
-        admittance = (
+        ground = np.bincount(self.terminals, np.where(self.held, 0.0, tie), self.count)
+        admittance = scipy.sparse.csc_array(
             (cells * (1 / cell_resistance.ravel())) @ cells.T
             + (wire * self.wire_siemens) @ wire.T
             + scipy.sparse.diags_array(ground)
         )
-        into = np.zeros((self.count, len(self.terminals)))
-        into[self.terminals, np.arange(len(self.terminals))] = 1.0
-        return np.asarray(scipy.sparse.linalg.splu(admittance.tocsc()).solve(into))
+        lines = np.arange(len(self.terminals))
+        volt = self.potentials(lines)
+        into = self.currents(lines) - admittance @ volt
+        free = self.free
+        if len(free):
+            factor = scipy.sparse.linalg.splu(admittance[free][:, free].tocsc())
+            volt[free] = factor.solve(into[free])
+        return volt
 
 
 def _wire(wiring: Wiring, on_row: Nodes, on_column: Nodes) -> tuple[Nodes, Array]:

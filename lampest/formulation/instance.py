@@ -106,13 +106,18 @@ class Instance:
     split_scale: float
 
     @classmethod
-    def of(cls, program: Program, circuit: Circuit, excitation: Excitation, blocks: Sequence[Evaluation]) -> "Instance":
+    def of(
+        cls, program: Program, circuits: Sequence[Circuit], excitation: Excitation, blocks: Sequence[Evaluation]
+    ) -> "Instance":
         """Return the instance that begins at the cells of the evaluations, one for each block of frames."""
-        known = _Known(circuit, excitation, blocks)
+        known = _Known(circuits, excitation, blocks)
         scale = float(np.exp(np.mean(np.log(known.uniform))))
         cost_scale = float(np.mean([float(block.cell_costs) or block.cost_scale for block in blocks]))
         voltages = known.voltages(known.cells, scale)
-        size = {name: np.maximum(np.abs(part), MIN_VOLTAGE * np.abs(part).max()) for name, part in voltages.items()}
+        size = {
+            name: np.maximum(np.abs(part), MIN_VOLTAGE * np.abs(part).max(initial=0.0))
+            for name, part in voltages.items()
+        }
         units = {"scale": scale, "cost_scale": cost_scale, **{unit_of(name): part for name, part in size.items()}}
         values = {**known.given, "tie": known.tie * scale, "weights": blocks[0].weights, **units}
 
@@ -179,7 +184,7 @@ def on_bounds(conductance: Array, multiplier: Array, low: Array, high: Array) ->
 class _Known:
     """Data of all blocks, frame by frame."""
 
-    circuit: Circuit
+    circuits: Sequence[Circuit]
     excitation: Excitation
     blocks: Sequence[Evaluation]
 
@@ -209,8 +214,10 @@ class _Known:
 
     @property
     def tie(self) -> Array:
-        """Ties of the lines, (frames, lines) siemens."""
-        return self._frames([data.ties for data in self.data])
+        """Ties of the lines, (frames, addresses, lines) siemens; 0 for lines at ground, which the circuit knows."""
+        ties = self._frames([data.ties for data in self.data])
+        ties = ties.reshape(len(ties), len(self.circuits), -1)
+        return np.where(np.isinf(ties), 0.0, ties)
 
     @property
     def upper(self) -> Array:
@@ -239,8 +246,9 @@ class _Known:
     def voltages(self, cells: Array, scale: float) -> dict[str, Array]:
         """Return the voltages of cells (frames, rows, columns) by name, frame after frame, in `scale`."""
         readout = self.data[0].readout
-        frames = [
-            self.excitation.voltages(self.circuit, readout, self.circuit.voltages(one, tie))
-            for one, tie in zip(cells, self.tie, strict=True)
+        solved = [
+            self.excitation.voltages(circuit, readout, circuit.voltages(one, tie))
+            for one, ties in zip(cells, self.tie, strict=True)
+            for circuit, tie in zip(self.circuits, ties, strict=True)
         ]
-        return {name: np.concatenate([frame[name] for frame in frames]) / scale for name in frames[0]}
+        return {name: np.concatenate([part[name] for part in solved]) / scale for name in solved[0]}

@@ -9,6 +9,7 @@ Source: paper, equations (2)-(9).
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
@@ -44,6 +45,23 @@ class NetworkSymbols:
     units: dict[str, casadi.SX]
     balance: casadi.SX
     reading: casadi.SX
+
+
+def joined_addresses(circuits: Sequence[Circuit], networks: Sequence[NetworkSymbols]) -> NetworkSymbols:
+    """Return the network of one frame from those of its addresses, each with the readings that it takes."""
+    if len(networks) == 1:
+        return networks[0]
+    names = networks[0].voltages
+    reading = casadi.SX(networks[0].reading.shape[0], 1)
+    for circuit, network in zip(circuits, networks, strict=True):
+        chosen = np.flatnonzero(circuit.read).tolist()
+        reading[chosen] = network.reading[chosen]
+    return NetworkSymbols(
+        {name: casadi.vertcat(*(network.voltages[name] for network in networks)) for name in names},
+        {name: casadi.vertcat(*(network.units[name] for network in networks)) for name in names},
+        casadi.vertcat(*(network.balance for network in networks)),
+        reading,
+    )
 
 
 @dataclass(eq=False)
@@ -122,20 +140,18 @@ class Nodal(Excitation):
             return _network_of_lines(circuit, readout, conductance, tie, scale)
         lines, pattern = _patterns(circuit, readout)
         unknowns = _Unknowns()
-        voltage = unknowns.new("node_voltage", circuit.count, len(lines))
-        into = circuit.at_terminals[:, lines.tolist()]
-        balance = circuit.balance(conductance, tie, scale, voltage) - into
+        entries, balance = _excited(unknowns, "node_voltage", circuit, lines, conductance, tie, scale)
         impedance = casadi.SX(len(pattern), len(pattern))
         for line, number in enumerate(pattern):
             if number >= 0:
-                impedance[:, line] = voltage[circuit.terminals.tolist(), int(number)]
+                impedance[:, line] = entries[:, int(number)]
                 impedance[line, :] = impedance[:, line].T
-        return unknowns.network(casadi.vec(balance), _reading(circuit, readout, impedance, scale))
+        return unknowns.network(balance, _reading(circuit, readout, impedance, scale))
 
     def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
         """Return the voltages of a solved network; see `Excitation.voltages`."""
         if not circuit.lines_only:
-            return {"node_voltage": response[:, _patterns(circuit, readout)[0]].T.ravel()}
+            return {"node_voltage": response[np.ix_(circuit.free, _patterns(circuit, readout)[0])].T.ravel()}
         driven, far = _sides(circuit.shape)
         half = response[np.ix_(driven, driven)][np.tril_indices(len(driven))]
         voltages = {"driven_voltage": half, "far_voltage": response[np.ix_(far, driven)].T.ravel()}
@@ -182,39 +198,39 @@ class PerPixel(Excitation):
         self, circuit: Circuit, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX
     ) -> NetworkSymbols:
         """Return the network; see `Excitation.network`."""
-        cells = circuit.incidence.shape[1]
-        row_of, column_of = _terminals_of_cells(circuit)
         unknowns = _Unknowns()
-        balances, measured = [], {}
-        for name, into in self._injections(circuit, readout).items():
-            voltage = unknowns.new(name, circuit.count, cells)
-            balances.append(casadi.vec(circuit.balance(conductance, tie, scale, voltage) - into))
-            measured[name] = (casadi.sum1(row_of * voltage).T, casadi.sum1(column_of * voltage).T)
-        balance = casadi.vertcat(*balances)
-        if "pixel_voltage" in measured:
-            at_row, at_column = measured["pixel_voltage"]
+        row, column = _lines_of_cells(circuit)
+        numbers = list(range(len(row)))
+        if isinstance(readout, TwoPointReadout) and not circuit.held.any():
+            voltage = unknowns.new("pixel_voltage", circuit.count, len(row))
+            into = circuit.currents(row) - circuit.currents(column)
+            balance = casadi.vec(circuit.balance(conductance, tie, scale, voltage) - casadi.DM(into))
+            at_row, at_column = (_chosen(voltage, circuit.terminals[line], numbers) for line in (row, column))
             return unknowns.network(balance, scale * (at_row - at_column))
-        own_row, mutual = measured["from_row_voltage"]
-        own_column = measured.get("from_column_voltage", (None, mutual))[1]
-        entries = [_grid(circuit, entry) for entry in (own_row, own_column, mutual)]
-        return unknowns.network(balance, _read(readout, entries, scale))
+        from_row, balance = _excited(unknowns, "from_row_voltage", circuit, row, conductance, tie, scale)
+        own_row, mutual = (_chosen(from_row, line, numbers) for line in (row, column))
+        own_column = mutual
+        if reads_own(readout, *circuit.shape)[1]:
+            entries, more = _excited(unknowns, "from_column_voltage", circuit, column, conductance, tie, scale)
+            own_column = _chosen(entries, column, numbers)
+            balance = casadi.vertcat(balance, more)
+        entries_of_cells = [
+            _unit(circuit, row, row, scale) * own_row,
+            _unit(circuit, column, column, scale) * own_column,
+            _unit(circuit, row, column, scale) * mutual,
+        ]
+        reading = readout.reading(*(_grid(circuit, entry) for entry in entries_of_cells))
+        return unknowns.network(balance, casadi.vec(casadi.SX(reading).T))
 
     def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
         """Return the voltages of a solved network; see `Excitation.voltages`."""
         row, column = _lines_of_cells(circuit)
-        by_row, by_column = response[:, row], response[:, column]
-        if isinstance(readout, TwoPointReadout):
-            return {"pixel_voltage": (by_row - by_column).T.ravel()}
-        values = {"from_row_voltage": by_row.T.ravel(), "from_column_voltage": by_column.T.ravel()}
-        return {name: values[name] for name in self._injections(circuit, readout)}
-
-    def _injections(self, circuit: Circuit, readout: Readout) -> dict[str, casadi.DM]:
-        """Return the currents into the nodes, (nodes, cells), by the name of the voltages that they cause."""
-        row_of, column_of = _terminals_of_cells(circuit)
-        if isinstance(readout, TwoPointReadout):
-            return {"pixel_voltage": row_of - column_of}
-        reads_column = reads_own(readout, *circuit.shape)[1]
-        return {"from_row_voltage": row_of} | ({"from_column_voltage": column_of} if reads_column else {})
+        if isinstance(readout, TwoPointReadout) and not circuit.held.any():
+            return {"pixel_voltage": (response[:, row] - response[:, column]).T.ravel()}
+        values = {"from_row_voltage": response[np.ix_(circuit.free, row)].T.ravel()}
+        if reads_own(readout, *circuit.shape)[1]:
+            values["from_column_voltage"] = response[np.ix_(circuit.free, column)].T.ravel()
+        return values
 
 
 EXCITATIONS: dict[str, Excitation] = {patterns.kind: patterns for patterns in (Nodal(), PerPixel())}
@@ -250,20 +266,51 @@ def _reads_far(circuit: Circuit, readout: Readout) -> bool:
     return reads_own(readout, rows, columns)[0 if rows >= columns else 1]
 
 
+def _excited(
+    unknowns: _Unknowns,
+    name: str,
+    circuit: Circuit,
+    lines: Numbers,
+    conductance: casadi.SX,
+    tie: casadi.SX,
+    scale: casadi.SX,
+) -> tuple[casadi.SX, casadi.SX]:
+    """Return the entries K of all lines for the excitation of some, (lines, patterns), and the current balance.
+
+    K is the voltage of a line, or the current that a line at ground takes; see `DifferenceNetwork`.
+    """
+    voltage = casadi.SX(casadi.DM(circuit.potentials(lines)))
+    voltage[circuit.free.tolist(), :] = unknowns.new(name, len(circuit.free), len(lines))
+    out = circuit.balance(conductance, tie, scale, voltage) - casadi.DM(circuit.currents(lines))
+    entries = voltage[circuit.terminals.tolist(), :]
+    held = np.flatnonzero(circuit.held)
+    if len(held):
+        entries[held.tolist(), :] = -out[circuit.terminals[held].tolist(), :]
+    return entries, casadi.vec(out[circuit.free.tolist(), :])
+
+
+def _unit(circuit: Circuit, first: Numbers, second: Numbers, scale: casadi.SX) -> casadi.SX:
+    """Return the unit of K between pairs of lines, (pairs, 1): `scale` ohm, its inverse between lines at ground."""
+    power = 1.0 - circuit.held[first].astype(float) - circuit.held[second].astype(float)
+    return casadi.vertcat(*(scale**exponent for exponent in power.tolist()))
+
+
+def _chosen(values: casadi.SX, rows: Numbers, columns: list[int]) -> casadi.SX:
+    """Return one entry of each column, (columns, 1)."""
+    return casadi.vertcat(*(values[int(row), column] for row, column in zip(rows, columns, strict=True)))
+
+
 def _reading(circuit: Circuit, readout: Readout, impedance: casadi.SX, scale: casadi.SX) -> casadi.SX:
-    """Return the readings (cells, 1) from the impedance between the lines' terminals, (lines, lines) in `scale`."""
+    """Return the readings (cells, 1) from K between the lines, (lines, lines) in units of `scale`."""
     rows, columns = circuit.shape
     own = casadi.diag(impedance)
-    own_row = casadi.repmat(own[:rows], 1, columns)
-    own_column = casadi.repmat(own[rows:].T, rows, 1)
-    return _read(readout, [own_row, own_column, impedance[:rows, rows:]], scale)
-
-
-def _read(readout: Readout, entries: list[casadi.SX], scale: casadi.SX) -> casadi.SX:
-    """Return h(Z_jj, Z_kk, Z_jk), (cells, 1), of entries (rows, columns) in `scale`."""
-    inner, outer = (1, scale) if readout.homogeneous else (scale, 1)
-    reading = casadi.SX(outer * readout.reading(*(inner * entry for entry in entries)))
-    return casadi.vec(reading.T)
+    entries = [casadi.repmat(own[:rows], 1, columns), casadi.repmat(own[rows:].T, rows, 1), impedance[:rows, rows:]]
+    if readout.homogeneous and not circuit.held.any():
+        return casadi.vec((scale * readout.reading(*entries)).T)
+    row, column = _lines_of_cells(circuit)
+    pairs = ((row, row), (column, column), (row, column))
+    units = [_grid(circuit, _unit(circuit, *pair, scale)) for pair in pairs]
+    return casadi.vec(casadi.SX(readout.reading(*(unit * entry for unit, entry in zip(units, entries, strict=True)))).T)
 
 
 def _grid(circuit: Circuit, values: casadi.SX) -> casadi.SX:
@@ -276,9 +323,3 @@ def _lines_of_cells(circuit: Circuit) -> tuple[Numbers, Numbers]:
     """Return the numbers of the row line and of the column line of every cell, (cells,) each."""
     row, column = (numbers.ravel() for numbers in np.indices(circuit.shape))
     return row, circuit.shape[0] + column
-
-
-def _terminals_of_cells(circuit: Circuit) -> tuple[casadi.DM, casadi.DM]:
-    """Return 1 at the terminal of every cell's row, and of its column, (nodes, cells) each."""
-    row, column = _lines_of_cells(circuit)
-    return circuit.at_terminals[:, row.tolist()], circuit.at_terminals[:, column.tolist()]

@@ -13,7 +13,7 @@ derivative everywhere enters by parts p, q ≥ 0 of its residuals (`Loss.lowered
 Source: paper, equations (2)-(24); Wächter & Biegler, Mathematical Programming 106, 2006 (the method of IPOPT).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -27,7 +27,7 @@ from lampest.cost.given import Given
 from lampest.cost.losses import Lowered
 from lampest.files.errors import InputError
 from lampest.formulation.circuit import Circuit
-from lampest.formulation.patterns import Excitation, NetworkSymbols
+from lampest.formulation.patterns import Excitation, NetworkSymbols, joined_addresses
 from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
@@ -130,7 +130,7 @@ class Program(CasadiOwner):
     given : Given
         Readings, noise and earlier frames.
     tie, weight, scale, cost_scale, split_scale : casadi.SX
-        Ties (lines, frames) in 1/s, weights of the terms, s in ohm, size of the cost, and of the split residuals.
+        Ties (lines, frames · addresses) in 1/s, weights of the terms, s in ohm, units of costs and split residuals.
     own : mapping of str to OwnUnknown
         Unknowns that a user adds.
     added : casadi.SX, shape (1, 1)
@@ -155,15 +155,34 @@ class Program(CasadiOwner):
     constraints: tuple[Constraint, ...] = ()
 
     @classmethod
-    def build(cls, cost: Cost, readout: Readout, circuit: Circuit, patterns: Excitation, blocks: int = 1) -> "Program":
-        """Return the program of a cost on a circuit, over a number of independent blocks of frames."""
+    def build(
+        cls, cost: Cost, readout: Readout, circuits: Sequence[Circuit], patterns: Excitation, blocks: int = 1
+    ) -> "Program":
+        """Return the program of a cost, over a number of independent blocks of frames.
+
+        Parameters
+        ----------
+        cost : Cost
+        readout : Readout
+        circuits : sequence of Circuit
+            Circuit of each address of the readout.
+        patterns : Excitation
+        blocks : int
+        """
         frames = blocks * cost.frames
         rows, columns = cost.panel.shape
-        tie = casadi.SX.sym("tie", rows + columns, frames)
+        tie = casadi.SX.sym("tie", rows + columns, frames * len(circuits))
         scale, cost_scale, split_scale = (casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale"))
         conductance = casadi.SX.sym("conductance", rows * columns, frames)
         networks = tuple(
-            patterns.network(circuit, readout, conductance[:, frame], tie[:, frame], scale) for frame in range(frames)
+            joined_addresses(
+                circuits,
+                [
+                    patterns.network(circuit, readout, conductance[:, frame], tie[:, frame * len(circuits) + at], scale)
+                    for at, circuit in enumerate(circuits)
+                ],
+            )
+            for frame in range(frames)
         )
         return cls(
             cost,

@@ -77,8 +77,8 @@ class Ipopt(Solver):
         """Minimise from `start`. A failed solve does not raise; the outcome's status states the failure."""
         if data.overdue:
             return Outcome(start.cell_resistance, np.zeros_like(self.cost.slope), Status.TIME, 0)
-        circuit = _circuit(self.cost.panel.shape, self.wiring)
-        instance = Instance.of(self._interface.program, circuit, self.patterns, [start])
+        circuits = _circuits(self.readout, self.cost.panel.shape, self.wiring)
+        instance = Instance.of(self._interface.program, circuits, self.patterns, [start])
         result, iterations = self._minimise(instance)
         status = STATUS.get(result.status, Status.BREAKDOWN)
         cells = instance.cells_of(result)
@@ -110,8 +110,8 @@ class Ipopt(Solver):
 
 
 @lru_cache(maxsize=32)
-def _circuit(shape: tuple[int, int], wiring: Wiring | None) -> Circuit:
-    return Circuit.of(shape, wiring)
+def _circuits(readout: Readout, shape: tuple[int, int], wiring: Wiring | None) -> tuple[Circuit, ...]:
+    return Circuit.of_readout(readout, shape, wiring)
 
 
 @guarded
@@ -119,7 +119,7 @@ def _circuit(shape: tuple[int, int], wiring: Wiring | None) -> Circuit:
 def _interface(
     cost: Cost, readout: Readout, wiring: Wiring | None, patterns: Excitation, settings: Settings
 ) -> Interface:
-    program = Program.build(cost, readout, _circuit(cost.panel.shape, wiring), patterns)
+    program = Program.build(cost, readout, _circuits(readout, cost.panel.shape, wiring), patterns)
     seconds = np.inf if settings.time_limit_s is None else settings.time_limit_s
     interface = Interface(program, Limits(ACCURACY * settings.tolerance, settings.max_iterations, seconds))
     interface.prepare()

@@ -20,7 +20,16 @@ CIRCUITS = {
         "noise_lsb": 0.7,
     },
 }
+CIRCUITS["pull_downs"] = {
+    "kind": "driven",
+    "drive_ohm": 70.0,
+    "idle_ohm": 3300.0,
+    "load_ohm": 1000.0,
+    "idle_load_ohm": float("inf"),
+    "noise_lsb": 0.7,
+}
 READOUTS = {
+    "driven": lampest.DrivenReadout,
     "two_point": lampest.TwoPointReadout,
     "loaded_columns": lampest.LoadedColumnsReadout,
     "grounded": lampest.GroundedReadout,

@@ -3,7 +3,6 @@
 import ctypes
 import shutil
 import subprocess
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -413,17 +412,9 @@ def test_what_c_does_not_have_is_refused(scene, terms, sentence):
         Constants.of(case)
 
 
-@dataclass(frozen=True, kw_only=True)
-class HeldReadout(lampest.GroundedReadout):
-    """Idle driven lines are wired to ground, the driven one has a resistor."""
-
-    def ties(self, measured):
-        return np.concatenate([np.full(len(measured), 1e6), np.full(measured.shape[1], 1e-3)])
-
-
 def test_lines_that_are_held_while_idle_and_driven_through_a_resistor_are_refused():
-    with pytest.raises(lampest.InputError, match="held at ground while idle"):
-        CircuitLines.of(HeldReadout(), (4, 4))
+    with pytest.raises(lampest.InputError, match="hold at ground while they are idle"):
+        CircuitLines.of(lampest.DrivenReadout(idle_ohm=0.0), (4, 4))
 
 
 def test_a_budget_is_the_smallest_that_fits(lamprey):

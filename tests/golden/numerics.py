@@ -104,7 +104,7 @@ def loss_row(loss: lp.Loss) -> dict[str, Any]:
 def program_row(formulation: str, loss: lp.Loss) -> dict[str, Any]:
     """A nonlinear program at some point: its objective, constraints and derivatives."""
     cost = Cost(PANEL, (lp.Misfit(), lp.LogGradient(weight=0.7, loss=loss)), 1)
-    program = Program.build(cost, lp.TwoPointReadout(), Circuit.of(PANEL.shape, None), EXCITATIONS[formulation])
+    program = Program.build(cost, lp.TwoPointReadout(), [Circuit.of(PANEL.shape, None)], EXCITATIONS[formulation])
     rng = np.random.default_rng(2)
     x, p = (np.exp(0.3 * rng.standard_normal(symbol.shape[0])) for symbol in (program.nlp["x"], program.nlp["p"]))
     multipliers = rng.standard_normal(program.nlp["g"].shape[0])

@@ -154,7 +154,7 @@ def test_the_hessian_is_the_derivative_of_the_gradient(
     program = Program.build(
         Cost(PANEL, (Misfit(), term(weight=0.7, loss=loss, **words)), frames),
         TwoPointReadout(),
-        Circuit.of(PANEL.shape, None),
+        [Circuit.of(PANEL.shape, None)],
         EXCITATIONS[formulation],
     )
     nlp, multiplier = program.nlp, casadi.SX.sym("multiplier", program.nlp["g"].shape[0])

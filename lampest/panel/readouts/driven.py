@@ -283,11 +283,6 @@ class DrivenCircuit(Readout):
         pairs = zip(self._ties(measured, None), self._equation(measured.shape).read_at, strict=True)
         return tuple(Address(ties, read > 0) for ties, read in pairs)
 
-    def lines_of_circuit(self, shape: tuple[int, ...]) -> tuple[Array, Array, Array]:
-        """Return Rd of the driven lines in ohm, Rs of the sensed lines in ohm, and their c."""
-        drive, load, gain = (part.ravel() for part in self._circuit(shape))
-        return drive, load, gain
-
     def ties(self, measured: Array) -> Array:
         """Return the ties, (lines,) siemens; (addresses, lines) of a circuit with several addresses.
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,7 +134,10 @@ def import_file(  # noqa: PLR0913 # the options of a command
         raise InputError(f"`layout='{layout}'` is no import format{hint}")
     layout = by_name.get(path.suffix.lower()) if layout is None else by_name.get(str(layout), layout)
     frames = _frames(path, panel, transpose=transpose, variable=variable, layout=layout)
-    return _recording(path, frames, panel, scene, unit, baseline_frames, missing, period, time_unit)
+    rest = None
+    if resting is not None:
+        rest = Path(resting), _frames(Path(resting), panel, transpose=False, variable=None, layout=layout)
+    return _recording(path, frames, panel, scene, unit, baseline_frames, missing, period, time_unit, rest)
 
 
 def _recording(  # noqa: PLR0913 # the options of an import
@@ -147,6 +150,7 @@ def _recording(  # noqa: PLR0913 # the options of an import
     missing: str = "mark",
     period: float | None = None,
     time_unit: Literal["s", "ms", "us"] | None = None,
+    resting: tuple[Path, Frames] | None = None,
 ) -> tuple[Recording, tuple[str, ...]]:
     """Return frames as a recording in the scene's unit, and the notes; see `import_file`."""
     values, count = frames.values, len(frames.values)
@@ -164,7 +168,7 @@ def _recording(  # noqa: PLR0913 # the options of an import
     scene, given = scene or Scene(panel), scene is not None
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
     if resting is not None or scene.baseline == "subtracted":
-        values, scene = _restored(values, scene, role, resting, path, layout)
+        values, scene = _restored(values, scene, role, resting, path)
     elif scene.baseline is None:
         _check_unprocessed(values, kind, scene, role, path)
     recorded = recorded_values(values, kind, scene, frames.place, path)
@@ -188,7 +192,7 @@ def _check_unprocessed(values: Array, unit: str, scene: Scene, role: NDArray[np.
 
 
 def _restored(
-    values: Array, scene: Scene, role: NDArray[np.uint8], resting: str | Path | None, path: Path, layout: Any
+    values: Array, scene: Scene, role: NDArray[np.uint8], resting: tuple[Path, Frames] | None, path: Path
 ) -> tuple[Array, Scene]:
     """Return readings with the resting frame of a file added, unloaded frames as this frame, and the scene without it.
 
@@ -201,11 +205,11 @@ def _restored(
             f"{path}: the scene says baseline: subtracted; give the resting frame that was subtracted "
             f"(--resting FILE), or {AS_CONVERTED}"
         )
-    frames = _frames(Path(resting), scene.panel, transpose=False, variable=None, layout=layout)
+    file, frames = resting
     with np.errstate(invalid="ignore"):
         frame = frames.values.mean(axis=0)
     if not np.all(np.isfinite(frame[scene.panel.present])):
-        raise InputError(f"{resting}: the resting frame has no value at a cell")
+        raise InputError(f"{file}: the resting frame has no value at a cell")
     raw = restored(values, frame)
     if not np.any(role == UNLOADED):
         raise InputError(

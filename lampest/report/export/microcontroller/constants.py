@@ -11,7 +11,7 @@ from lampest.files.document import parse_document
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.driven import DrivenReadout
+from lampest.panel.readouts.driven import DrivenCircuit, equation_of
 from lampest.panel.scene import Scene
 from lampest.runs.case import CaseResult
 
@@ -86,26 +86,35 @@ class CircuitLines:
     gain: Array
 
     @classmethod
-    def of(cls, readout: DrivenReadout, shape: tuple[int, int]) -> "CircuitLines":
+    def of(cls, readout: DrivenCircuit, shape: tuple[int, int]) -> "CircuitLines":
         """Return the circuit's numbers. Raises InputError for a circuit that is not of this form."""
         if getattr(readout, "diode", None) is not None:
             raise InputError("the C library has no diodes: drive the lines without one, or estimate on a computer")
-        if getattr(readout, "groups", None) is not None:
+        equation = equation_of(readout, *shape)
+        if len(equation.ties) > 1:
             raise InputError("the C library has no multiplexers in parallel (readout.groups)")
-        drive, load, gain = readout.lines_of_circuit(shape)
-        tie = readout.ties(np.ones(shape))
+        if np.isinf(equation.ties).any():
+            raise InputError(
+                "the C library has no lines that 0 ohm hold at ground while they are idle: give idle_ohm or "
+                "idle_load_ohm of the switch"
+            )
         by_rows = readout.driven == "rows"
-        driven, sensed = (tie[: shape[0]], tie[shape[0] :]) if by_rows else (tie[shape[0] :], tie[: shape[0]])
-        # Rp = 1/tie of a driven line, Rq = 1/tie of a sensed one. Rounding must not leave a rest of what cancels.
-        release, free_load = 1 - drive * driven, 1 / load - sensed
-        release = np.where(np.abs(release) < 1e-9, 0.0, release)
-        free_load = np.where(np.abs(free_load) < 1e-9 / load, 0.0, free_load)
-        if np.any(np.abs(release) > MAX_RELEASE) or np.any(np.abs(free_load) * load > MAX_RELEASE):
+
+        def along_driven(values: Array) -> Array:
+            return values[:, 0] if by_rows else values[0]
+
+        def along_sensed(values: Array) -> Array:
+            return values[0] if by_rows else values[:, 0]
+
+        drive, release = map(along_driven, equation.drive_terms)
+        load, gain = along_sensed(equation.load_terms[1]), along_sensed(equation.gain)
+        if np.any(np.abs(release) > MAX_RELEASE) or np.any(np.abs(load) * along_sensed(equation.load) > MAX_RELEASE):
             raise InputError(
                 "the C library has no lines that are held at ground while idle, and driven or loaded through a "
                 "resistor: single precision loses what differs"
             )
-        return cls(tie, drive, release, free_load, readout.driving_volt * gain)
+        tie = readout.ties(np.full(shape, readout.driving_volt / 2))
+        return cls(tie, drive, release, load, readout.driving_volt * gain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +162,7 @@ class Constants:
         scene = case.scene
         check_scene(scene)
         readout = scene.circuit
-        lines = CircuitLines.of(readout, scene.panel.shape) if isinstance(readout, DrivenReadout) else None
+        lines = CircuitLines.of(readout, scene.panel.shape) if isinstance(readout, DrivenCircuit) else None
         recorded = readout.to_recorded(case.measured, scene)
         sigma_volt = _sigma_volt(case, recorded)
         content = parse_document(case.case_yaml, f"{case.recording} × {case.estimator}").content
@@ -260,7 +269,7 @@ def check_scene(scene: Scene) -> None:
         if known:
             raise InputError(f"the C library {sentence}")
     readout = scene.circuit
-    if not isinstance(readout, TwoPointReadout | DrivenReadout):
+    if not isinstance(readout, TwoPointReadout | DrivenCircuit):
         raise InputError(f"the C library has no such circuit: {readout.description()}")
     if readout.readings * (2**readout.adc_bits - 1) > MAX_SUM:
         raise InputError(
@@ -306,7 +315,7 @@ def _plain_sigma(case: CaseResult) -> float:
 def _largest(case: CaseResult) -> float:
     """Return the upper bound of all cells in ohm: where single precision, or the noise, sees no difference."""
     readout = case.scene.circuit
-    if not isinstance(readout, DrivenReadout) or case.sigma is None:
+    if not isinstance(readout, DrivenCircuit) or case.sigma is None:
         return MAX_OHM
     whole = case.valued.all(axis=(1, 2))
     limits = readout.resolution(case.measured[whole], case.sigma[whole])

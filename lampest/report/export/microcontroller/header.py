@@ -6,7 +6,7 @@ import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.driven import DrivenReadout
+from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.report.export.microcontroller.constants import Constants
 
 NUMBERS_A_LINE = 8
@@ -142,7 +142,7 @@ def _in_order(fields: list[tuple[str, str]]) -> list[tuple[str, str]]:
 def _circuit(constants: Constants, fields: list[tuple[str, str]], floats: Callable[[str, Array], None]) -> None:
     """Add the circuit's numbers to the fields."""
     scene, lines, readout = constants.scene, constants.lines, constants.scene.circuit
-    if lines is not None and isinstance(readout, DrivenReadout):
+    if lines is not None and isinstance(readout, DrivenCircuit):
         fields += [("driven", "true"), ("rows_driven", str(readout.driven == "rows").lower())]
         fields += [("mirrored", str(readout.mirrored).lower())]
         for field in ("tie", "drive", "release", "load", "gain"):
