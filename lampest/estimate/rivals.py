@@ -21,7 +21,7 @@ from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
 from lampest.files.typed import members_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, DrivenReadout, Readout
-from lampest.panel.readouts.lines import opposite
+from lampest.panel.readouts.lines import Side, opposite
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
@@ -158,7 +158,7 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
         side = getattr(readout, "driven", None)
         if side is not None:  # the scene's rows may be those of the file, too
             with suppress(ValueError):
-                exchanged = replace(scene, readout=replace(readout, driven=opposite(side)), systematic=None)  # type: ignore[type-var]
+                exchanged = replace(scene, readout=_changed(readout, driven=opposite(side)), systematic=None)
                 yield replace(ordered, scene=exchanged, kind=f"{BY_COLUMNS}, readout.driven: {opposite(side)}")
 
 
@@ -170,9 +170,14 @@ def _by_columns(scene: Scene) -> NDArray[np.intp] | None:
     return np.arange(rows * columns).reshape(columns, rows).T.ravel()
 
 
+def _changed(circuit: Any, **settings: Any) -> Any:
+    """Return a circuit with other settings of its kind."""
+    return replace(circuit, **settings)
+
+
 def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
     """Generate the specified circuit with two and four multiplexers of sensed lines, in blocks of lines."""
-    names = {field.name for field in fields(specified)}  # type: ignore[arg-type]
+    names = {field.name for field in fields(specified)}
     if "groups" not in names or getattr(specified, "measured_across", "reference") == "sensor":
         return
     rows, columns = scene.panel.shape
@@ -181,7 +186,7 @@ def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
         size = -(-sensed // count)
         blocks = tuple(tuple(range(first, min(first + size, sensed))) for first in range(0, sensed, size))
         if len(blocks) == count and size > 1:
-            yield replace(specified, groups=blocks)  # type: ignore[type-var]
+            yield _changed(specified, groups=blocks)
 
 
 def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
@@ -218,7 +223,8 @@ def _held(specified: Any) -> Iterator[DrivenReadout]:
         return
     names = ("supply_volt", "adc_bits", "readings", "noise_lsb", "floor_code", "passes_volt", "drive_ohm", "sense_ohm")
     shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
-    for driven, idle_load in product(("rows", "columns"), (None, 0.0, inf)):
+    sides: tuple[Side, ...] = ("rows", "columns")
+    for driven, idle_load in product(sides, (None, 0.0, inf)):
         with suppress(ValueError):
             yield DrivenReadout(driven=driven, idle_ohm=0.0, load_ohm=resistor, idle_load_ohm=idle_load, **shared)
 

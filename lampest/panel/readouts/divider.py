@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from math import inf
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -73,7 +73,8 @@ class Divider(Readout):
         return np.asarray(sigma * slope ** (2 if self.measured_across == "sensor" else 1))
 
     def off_by(self, fraction: float) -> Self:
-        return replace(self, reference_ohm=self.reference_ohm * (1 + fraction))
+        changes: dict[str, Any] = {"reference_ohm": self.reference_ohm * (1 + fraction)}
+        return replace(self, **changes)
 
     def line_numbers(self) -> tuple[LineNumber, ...]:
         return (LineNumber("series_resistance_ohm", ("rows", "columns"), channel=True, in_scene=True),)

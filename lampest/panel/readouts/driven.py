@@ -409,8 +409,9 @@ class DrivenCircuit(Readout):
         The cells determine the potentials u_p of all driven lines p while i is driven and j is read. Given these
         potentials, Σ_p g_pj (u_p − v_ij) = v_ij/Rs_j is linear in the cells of one sensed line. The alternation
         converges in about six rounds, and in up to 40 for large Rd. The result is a start, not an estimate: its
-        conductances stay within MIN_RATIO and MAX_RATIO of those of the uniform start. Without loads the equations
-        determine ratios of cells alone, and the start is the uniform one.
+        conductances stay within MIN_RATIO and MAX_RATIO of those of the uniform start. Where driven lines float and
+        idle sensed lines conduct to ground, it need not converge. Without loads the equations determine ratios of cells
+        alone, and the start is the uniform one.
         """
         equation = self._equation(measured.shape)
         load = equation.states.load
