@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.garbled import GarbledLines, garbled_lines, garbled_sentence, readings_of
 from lampest.estimate.model_check import ModelCheck, Question, check_of_modules
 from lampest.estimate.model_error import scaled, with_model_error, with_reading_error
 from lampest.estimate.noise import NoiseEstimate, estimate_noise, noise_of_modules, with_still_cells, without_effects
@@ -30,8 +31,9 @@ class Cleaned:
     Attributes
     ----------
     recording : Recording
-        Its scene includes a saturated stage where the readings show one; frozen readings are missing.
+        Its scene includes a saturated stage where the readings show one; frozen and garbled readings are missing.
     frozen : boolean array, shape (rows, columns)
+    garbled : tuple of GarbledLines
     outliers : boolean array, shape (frames, rows, columns)
     readings : Readings
         Unloaded outliers are missing, measured ones are replaced by the prediction of neighbouring frames.
@@ -39,6 +41,7 @@ class Cleaned:
 
     recording: Recording
     frozen: NDArray[np.bool_]
+    garbled: tuple[GarbledLines, ...]
     outliers: NDArray[np.bool_]
     readings: Readings
 
@@ -85,11 +88,12 @@ class Prepared:
     @cached_property
     def cleaned(self) -> Cleaned:
         """The readings of a single network without outliers."""
-        frozen = frozen_readings(self.recording)
-        recording = with_saturated_stage(without_readings(self.recording, frozen))
+        frozen, garbled = frozen_readings(self.recording), garbled_lines(self.recording)
+        intact = without_readings(self.recording, frozen | readings_of(garbled, self.recording))
+        recording = with_saturated_stage(intact)
         readings = recording.readings()
         impossible = impossible_readings(recording.scene.circuit, readings)
-        return Cleaned(recording, frozen, *without_outliers(impossible, readings, recording.role == UNLOADED))
+        return Cleaned(recording, frozen, garbled, *without_outliers(impossible, readings, recording.role == UNLOADED))
 
     @cached_property
     def frame_noise(self) -> NoiseEstimate:
@@ -102,7 +106,8 @@ class Prepared:
         warning = (
             f"one value in all frames at {' and at '.join(places)}, while noise changes the other readings: left out"
         )
-        return noise.with_warnings(warning if places else "")
+        lost = garbled_sentence(self.cleaned.garbled)
+        return noise.with_warnings(*filter(None, (warning if places else "", lost)))
 
     @cached_property
     @ONE_BLAS_THREAD
