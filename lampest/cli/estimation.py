@@ -102,6 +102,7 @@ def run(
     if report.aside:
         screen.warn(f"existing results of other cases were renamed: {report.aside}")
     screen.print_notes(f"warning: {line}" for line in report.warnings)
+    screen.print_notes(f"advice: {line}" for line in report.advice)
     for name, sentence in report.failed:
         screen.warn(f"{name} failed: {sentence}")
     if report.lost:
@@ -195,6 +196,7 @@ def import_(
     layout
         A table's columns, such as time,row,column,value, or an installed layout.
     """
+    from lampest.audit.health import Health
     from lampest.recording.foreign.importing import import_file
     from lampest.report.info import understood_lines
 
@@ -211,6 +213,8 @@ def import_(
         recording.save(out)
     for line in understood_lines(recording, notes):
         screen.say(screen.as_options(line))
+    for line in Health.of(recording).lines:
+        screen.say(line)
     screen.say(out)
 
 

@@ -171,7 +171,7 @@ class Along:
     def roughness(self) -> Array:
         """Median size of second differences of ln y along each line, (frames, lines)."""
         logarithm = np.log(np.maximum(self.values, self.scale))
-        return np.nan_to_num(np.nanmedian(np.abs(np.diff(logarithm, 2, axis=2)), axis=2))
+        return np.nan_to_num(median(np.abs(np.diff(logarithm, 2, axis=2)), 2)[:, :, 0])
 
     @cached_property
     def _least_rough(self) -> Array:
@@ -181,10 +181,12 @@ class Along:
     @cached_property
     def _lost(self) -> NDArray[np.bool_]:
         """Whether a line has a single value, beyond those of all other frames, (frames, lines)."""
-        largest, smallest = np.nanmax(self.values, axis=2), np.nanmin(self.values, axis=2)
-        above = smallest > largest_of_others(np.nanmax(largest, axis=1))[:, None]
-        below = largest < -largest_of_others(-np.nanmin(smallest, axis=1))[:, None]
-        return np.asarray((above | below) & (largest - smallest < self.scale))
+        known = np.isfinite(self.values)
+        largest = np.max(self.values, axis=2, initial=-np.inf, where=known)
+        smallest = np.min(self.values, axis=2, initial=np.inf, where=known)
+        above = smallest > largest_of_others(largest.max(axis=1))[:, None]
+        below = largest < -largest_of_others(-smallest.min(axis=1))[:, None]
+        return np.asarray((above | below) & known.any(axis=2) & (largest < smallest + self.scale))
 
     def garbled(self, frame: int) -> NDArray[np.intp]:
         """Return the garbled lines of a frame."""
@@ -207,22 +209,27 @@ class Along:
             return False
         previous, current, following = self.values[frame - 1 : frame + 2, lines]
         whole, first = self.expected[frame], self.values[0]
-        deviation = float(np.nanmedian(np.abs(current - whole[lines])))
-        if MIN_IMPROVEMENT * float(np.nanmedian(np.abs(following - previous))) > deviation:
+        deviation = middle(np.abs(current - whole[lines]))
+        if MIN_IMPROVEMENT * middle(np.abs(following - previous)) > deviation:
             return False
         for steps, order in product((*range(-MAX_DISPLACEMENT, 0), *range(1, MAX_DISPLACEMENT + 1)), ORDERS):
             displaced = np.roll(whole.ravel(order=order), steps).reshape(whole.shape, order=order)
             missed = np.abs(current - displaced[lines])
-            explained = np.mean(missed[np.isfinite(missed)] < UNUSUAL * self.scale)
+            known = np.isfinite(missed)
+            explained = np.sum(missed[known] < UNUSUAL * self.scale) / max(int(known.sum()), 1)
             film = np.roll(first.ravel(order=order), steps).reshape(first.shape, order=order) - first
-            structured = float(np.nanmedian(np.abs(film))) > OUTLIER_THRESHOLD * self.scale
-            if structured and explained > MIN_EXPLAINED and MIN_IMPROVEMENT * float(np.nanmedian(missed)) < deviation:
+            structured = middle(np.abs(film)) > OUTLIER_THRESHOLD * self.scale
+            if structured and explained > MIN_EXPLAINED and MIN_IMPROVEMENT * middle(missed) < deviation:
                 return True
         return False
 
 
 def largest_of_others(values: Array) -> Array:
-    """Return the largest value of the other frames for each frame, (frames,); NaN is ignored."""
-    known = np.where(np.isnan(values), -np.inf, values)
-    first = int(np.argmax(known))
-    return np.where(np.arange(len(known)) == first, np.delete(known, first).max(), known[first])
+    """Return the largest value of the other frames for each frame, (frames,)."""
+    first = int(np.argmax(values))
+    return np.where(np.arange(len(values)) == first, np.delete(values, first).max(), values[first])
+
+
+def middle(values: Array) -> float:
+    """Return the median of all values; NaN are ignored, and NaN is returned without any value."""
+    return float(median(values.ravel())[0]) if values.size else np.nan

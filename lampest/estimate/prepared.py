@@ -127,8 +127,18 @@ class Prepared:
     @cached_property
     def check(self) -> ModelCheck:
         """The check of the circuit; its sentence names the numbers of the circuit that no frame can determine."""
-        check, unshown = self._check, unobservable_numbers(self.recording.scene)
-        return replace(check, sentence=f"{check.sentence}; {unshown}") if check.explains and unshown else check
+        check = self._check
+        unshown = unobservable_numbers(self.recording.scene, self._scale_error) if check.explains else ""
+        return replace(check, sentence=f"{check.sentence}; {unshown}") if unshown else check
+
+    @property
+    def _scale_error(self) -> float | None:
+        """Error of the changes by the numbers that no frame shows; None where it is unknown."""
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            if self.layout is None and self.cleaned.readings.sigma is not None:
+                explanation = self.question.explanation
+                return None if explanation is None or explanation.pair is None else explanation.pair.scale_error
+        return None
 
     @cached_property
     @ONE_BLAS_THREAD

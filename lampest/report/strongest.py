@@ -78,7 +78,7 @@ def strongest_readings(recording: Recording) -> tuple[int, Array] | None:
     unloaded, intact = recording.role == UNLOADED, ~garbled.any(axis=(1, 2))
     if not np.any(unloaded) or not np.any(~unloaded & intact):
         return None
-    recorded = np.where(garbled, np.nan, recording.recorded)
+    recorded = np.where(garbled | recording.scene.blind, np.nan, recording.recorded)
     resting, frames = mean_reading(recorded[unloaded]), np.flatnonzero(~unloaded & intact)
     frame = int(frames[furthest(recorded[frames], resting)])
     with np.errstate(divide="ignore", invalid="ignore"):
