@@ -35,15 +35,14 @@ WELL = {  # what the table says of a room without a finding
     "order": "neighbours change alike",
 }
 OPEN_OHM, SHORT_OHM = 1e9, 1e-3
-MAX_ASIDE = 0.02  # of the converter's range: a reading this close to that of a fault has it
-MIN_DISTANCE = 5.0  # times MAX_ASIDE or the noise: how far other readings lie from those of a fault
+MAX_ASIDE = 0.12  # of the way from the voltage of a short to that of a usual cell: no load is there in every frame
+MIN_DISTANCE = 2.0  # times the noise: how far the readings of living lines lie from those of dead ones
 # Least shift in ln y that two touching lines have over single ones on a uniform panel, so that it shows; share of it
 # that is observed. Loads in the middle make two rows of a uniform film equal in every reading, and shift none.
 MIN_SHIFT, MIN_SHIFT_SHARE = 0.1, 0.5
 MIN_NOISE_FRAMES = 4  # unloaded frames that show whose noise is larger
 MAX_NOISE_RATIO = {"line": 2.0, "cell": 4.0}  # of a line's or a cell's standard deviation to the usual one
 MAX_GAP = 2.5  # median intervals between frames: beyond it frames are missing
-MIN_ASIDE_OF_SHORT = 0.1  # of the distance between the voltages of a short and of a usual cell
 MAX_NAMED = 6  # places in one sentence
 
 
@@ -131,17 +130,18 @@ class _View:
         return median(self.volts[unloaded] if unloaded.any() else self.volts)[0]
 
     @cached_property
-    def tolerance(self) -> float:
-        """Deviation by which a voltage may miss that of a fault, volt."""
-        noise = 0.0 if self.scene.readout is None else OUTLIER_THRESHOLD * self.scene.readout.lsb_volt
-        return max(noise, MAX_ASIDE * self.scene.circuit.full_scale_volt)
+    def noise(self) -> float:
+        """Deviation of a voltage that noise and rounding never exceed, volt."""
+        circuit = self.scene.circuit
+        return circuit.lsb_volt + OUTLIER_THRESHOLD * float(np.mean(circuit.sigma_volt()))
 
     def volts_of(self, cells: Array, faults: Faults | None = None) -> Array:
         """Return the voltages of cells (rows, columns) ohm under the scene's circuit, with other faults if given."""
         scene = self.scene if faults is None else replace(self.scene, faults=faults)
         circuit = scene.circuit
         exact = circuit.exact_reading(cells, scene.wiring)
-        return np.asarray(circuit.volt_from_recorded(circuit.to_recorded(exact, scene)))
+        volts = circuit.volt_from_recorded(circuit.to_recorded(exact, scene))
+        return np.asarray(np.clip(volts, 0.0, circuit.full_scale_volt))
 
     @cached_property
     def usual_ohm(self) -> float:
@@ -164,9 +164,9 @@ def _dead_lines(view: _View) -> Iterator[Finding]:
     with suppress(*BROKEN, InputError), np.errstate(all="ignore"):
         without = view.volts_of(np.full(view.scene.panel.shape, OPEN_OHM))
         distance = np.abs(view.volts - without)
-        bare = np.where(np.isnan(distance), 0.0, distance).max(axis=0) < view.tolerance
+        bare = np.where(np.isnan(distance), 0.0, distance).max(axis=0) < view.noise
         bare &= ~np.isnan(distance).all(axis=0)
-        away = median(distance)[0] > MIN_DISTANCE * view.tolerance / 2
+        away = median(distance)[0] > MIN_DISTANCE * view.noise
         for name, axis in (("row", 1), ("column", 0)):
             dead = np.flatnonzero(bare.all(axis=axis))
             living = np.delete(away, dead, axis=1 - axis)
@@ -220,7 +220,7 @@ def _is_shifted(view: _View, name: str, group: Sequence[int]) -> bool:
     faults = replace(view.scene.faults or Faults(), **{f"joined_{name}s": (tuple(group),)})
     axis = 1 if name == "row" else 0
     effects = [
-        median(np.log(np.maximum(volts, view.tolerance / 10)), axis).ravel()
+        median(np.log(np.maximum(volts, view.scene.circuit.lsb_volt)), axis).ravel()
         for volts in (view.resting, view.volts_of(cells, faults))
     ]
     others = np.delete(effects[0], group)
@@ -261,8 +261,8 @@ def _shorted_cells(view: _View) -> Iterator[Finding]:
         expected = float(view.volts_of(short)[row, column])
         volts = view.volts[:, row, column]
         known = volts[np.isfinite(volts)]
-        apart = view.tolerance < MIN_ASIDE_OF_SHORT * abs(expected - usual)
-        if apart and len(known) and np.abs(known - expected).max() < view.tolerance:
+        aside = MAX_ASIDE * abs(expected - usual)
+        if aside > view.noise and len(known) and np.abs(known - expected).max() < aside:
             shorted.append([int(row), int(column)])
     shorted = [place for place in shorted if not view.scene.shorted_cells[*place]]
     if shorted:
