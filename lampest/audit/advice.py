@@ -23,7 +23,7 @@ ENTRY = re.compile(r"([a-z_.]+)(?:: | near )([^,()]+)")  # 'readout.kind: ground
 
 @dataclass(frozen=True, eq=False)
 class Audit:
-    """What a recording says about its scene.
+    """Audit of a recording: its verdict, health and advice.
 
     Attributes
     ----------

@@ -13,7 +13,7 @@ from lampest.panel.scene import Scene
 
 @dataclass(frozen=True)
 class Finding:
-    """What a recording shows, with its evidence and the line of the scene that says so.
+    """Something that a recording shows, with its evidence and the line of the scene that says so.
 
     Attributes
     ----------

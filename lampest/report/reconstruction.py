@@ -74,7 +74,7 @@ class Reconstruction(Estimates):
 
     @property
     def advice(self) -> tuple[str, ...]:
-        """What the recording suggests beyond its scene, with the evidence and the line to add; computed when asked.
+        """Suggestions of the recording beyond its scene, with evidence and the line to add; computed when asked.
 
         >>> found.advice
         ()
