@@ -117,7 +117,7 @@ def _changes(recording: Recording, volts: Array, unloaded: NDArray[np.bool_]) ->
     noise = float(np.sqrt(np.sum(steps[known] ** 2) / (2 * max(int(known.sum()), 1))))
     noise = max(noise, 0.0 if readout is None else readout.lsb_volt)
     strong = (np.abs(interaction(change)) > OUTLIER_THRESHOLD * noise).sum(axis=(1, 2)) >= MIN_CHANGED
-    return change[strong]
+    return np.asarray(change[strong])
 
 
 def interaction(change: Array) -> Array:

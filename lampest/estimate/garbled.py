@@ -138,7 +138,7 @@ def _noise(recording: Recording, values: Array) -> float:
     steps = np.abs(np.diff(values, axis=0))
     measured = MAD_TO_SIGMA / np.sqrt(2) * float(median(steps.ravel())[0])
     readout = recording.scene.readout
-    return measured if readout is None else max(measured, readout.lsb_volt)
+    return measured if readout is None else max(measured, float(readout.lsb_volt))
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +164,8 @@ class Along:
     @property
     def transposed(self) -> "Along":
         """The lines of the other side."""
-        values, expected, far = (part.swapaxes(1, 2) for part in (self.values, self.expected, self.far))
-        return Along(values, expected, far, self.scale)
+        values, expected = (part.swapaxes(1, 2) for part in (self.values, self.expected))
+        return Along(values, expected, self.far.swapaxes(1, 2), self.scale)
 
     @cached_property
     def roughness(self) -> Array:
@@ -176,7 +176,7 @@ class Along:
     @cached_property
     def _least_rough(self) -> Array:
         """Roughness of a garbled line, (frames,): beyond that of the lines of all other frames."""
-        return np.fmax(MIN_ROUGHNESS, MIN_ROUGHNESS_RATIO * largest_of_others(self.roughness.max(axis=1)))
+        return np.asarray(np.fmax(MIN_ROUGHNESS, MIN_ROUGHNESS_RATIO * largest_of_others(self.roughness.max(axis=1))))
 
     @cached_property
     def _lost(self) -> NDArray[np.bool_]:
@@ -227,7 +227,7 @@ class Along:
 def largest_of_others(values: Array) -> Array:
     """Return the largest value of the other frames for each frame, (frames,)."""
     first = int(np.argmax(values))
-    return np.where(np.arange(len(values)) == first, np.delete(values, first).max(), values[first])
+    return np.asarray(np.where(np.arange(len(values)) == first, np.delete(values, first).max(), values[first]))
 
 
 def middle(values: Array) -> float:
