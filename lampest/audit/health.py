@@ -127,7 +127,7 @@ class _View:
     def resting(self) -> Array:
         """Median voltages of the unloaded frames, or of all without any, (rows, columns)."""
         unloaded = self.recording.role == UNLOADED
-        return median(self.volts[unloaded] if unloaded.any() else self.volts)[0]
+        return np.asarray(median(self.volts[unloaded] if unloaded.any() else self.volts)[0])
 
     @cached_property
     def noise(self) -> float:
@@ -217,7 +217,8 @@ def _is_structured(view: _View, name: str, group: Sequence[int]) -> bool:
 def _is_shifted(view: _View, name: str, group: Sequence[int]) -> bool:
     """Return whether the unloaded readings of lines deviate from the other ones as those of touching lines do."""
     cells = np.full(view.scene.panel.shape, view.usual_ohm)
-    faults = replace(view.scene.faults or Faults(), **{f"joined_{name}s": (tuple(group),)})
+    known, joined = view.scene.faults or Faults(), (tuple(group),)
+    faults = replace(known, joined_rows=joined) if name == "row" else replace(known, joined_columns=joined)
     axis = 1 if name == "row" else 0
     effects = [
         median(np.log(np.maximum(volts, view.scene.circuit.lsb_volt)), axis).ravel()

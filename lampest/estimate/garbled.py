@@ -136,7 +136,7 @@ def _expected(values: Array) -> tuple[Array, Array]:
 def _noise(recording: Recording, values: Array) -> float:
     """Return the standard deviation of the noise: by changes from frame to frame, at least that of the converter."""
     steps = np.abs(np.diff(values, axis=0))
-    measured = MAD_TO_SIGMA / np.sqrt(2) * float(median(steps.ravel())[0])
+    measured = float(MAD_TO_SIGMA / np.sqrt(2) * median(steps.ravel())[0])
     readout = recording.scene.readout
     return measured if readout is None else max(measured, float(readout.lsb_volt))
 
