@@ -27,7 +27,12 @@ from lampest.solvers.multistart import evaluated
 SIDE, MEAN_OHM = 6, 3000.0
 SCENE = lampest.Scene(lampest.Panel(SIDE, SIDE))
 MISFIT = lampest.Misfit(weighting="noise")
-PRIORS: dict[str, lampest.Term] = {"log_gradient": lampest.LogGradient(), "gradient": lampest.Gradient()}
+PRIORS: dict[str, lampest.Term] = {
+    "log_gradient": lampest.LogGradient(),
+    "gradient": lampest.Gradient(),
+    "log_ratio": lampest.LogRatio(loss=lampest.Squared()),
+}
+BASELINE_NOISE = 1e-6  # σ/R of the unloaded frame, which is as good as exact
 SETTINGS = {"low noise": (0.002, 0.3), "medium noise": (0.02, 0.15), "high noise": (0.06, 0.06)}  # σ/R; sd of a step
 LEVELS = (0.5, 0.8, 0.95)
 CELLS = (0, SIDE * SIDE // 2 + 2)  # one cell of each draw: cells of the same draw are not independent
@@ -36,6 +41,8 @@ POINTS, BAND_DRAWS = 20, 2000  # of a band
 
 def prior_root(penalty: lampest.Term) -> Array:
     """A root of the covariance of u = ln(r/3 kΩ) for λ = 1; of `gradient`, u stands for r/3 kΩ − 1."""
+    if penalty.needs_previous:
+        return np.eye(SIDE * SIDE) / 100  # the residuals are 100 u
     estimator = lampest.Estimator((MISFIT, replace(penalty, weight=1.0)), "reduced")
     cells = np.full((1, SIDE, SIDE), MEAN_OHM)
     readings = two_point_resistance(cells)
@@ -79,7 +86,8 @@ def calibration(penalty: lampest.Term, noise: float, step: float, chosen: bool, 
     draws, seed : int
     """
     in_ohm = isinstance(penalty, lampest.Gradient)
-    weight = 1 / (step * (MEAN_OHM if in_ohm else 1.0)) ** 2
+    against_baseline = penalty.needs_previous
+    weight = 1 / (step * (MEAN_OHM if in_ohm else 100.0 if against_baseline else 1.0)) ** 2
     root, rng = prior_root(penalty) / np.sqrt(weight), np.random.default_rng(seed)
     scores, weights = [], []
     for _ in range(draws):
@@ -87,7 +95,13 @@ def calibration(penalty: lampest.Term, noise: float, step: float, chosen: bool, 
         cells = MEAN_OHM * (np.maximum(1 + u, 0.1) if in_ohm else np.exp(u))
         exact = two_point_resistance(cells)
         readings, sigma = exact * (1 + noise * rng.standard_normal(exact.shape)), noise * exact
-        recording = lampest.Recording(SCENE, readings, np.zeros(1), np.ones(1, dtype=np.uint8), sigma=sigma)
+        role = np.ones(1, dtype=np.uint8)
+        if against_baseline:
+            resting = two_point_resistance(np.full_like(cells, MEAN_OHM))
+            readings = np.concatenate([resting, readings])
+            sigma = np.concatenate([BASELINE_NOISE * resting, sigma])
+            role = np.array([0, 1], dtype=np.uint8)
+        recording = lampest.Recording(SCENE, readings, np.arange(float(len(role))), role, sigma=sigma)
         terms = (MISFIT, replace(penalty, weight="auto" if chosen else weight))
         results = lampest.reconstruct(recording, terms, bounds=lampest.Bounds("none", "none"))
         deviation = np.asarray(results.cell_resistance_errors) / results.cell_resistance

@@ -53,7 +53,8 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
         inputs = [path for path in named if isinstance(path, Path)]
         if missing := [path for path in inputs if not path.exists() and command is not estimation.init]:
             raise InputError(f"{missing[0]}: no such file")
-        with sparing(() if options.get("repair") else inputs):  # a repair replaces its inputs
+        replaced = options.get("repair") or options.get("apply")  # these rewrite their inputs
+        with sparing(() if replaced else inputs):
             refuse_inputs([options[name] for name in outputs if isinstance(options.get(name), Path)])
             command(**options)
 

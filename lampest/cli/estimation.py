@@ -101,6 +101,7 @@ def run(
     if report.aside:
         screen.warn(f"existing results of other cases were renamed: {report.aside}")
     screen.print_notes(f"warning: {line}" for line in report.warnings)
+    screen.print_notes(f"advice: {line}" for line in report.advice)
     for name, sentence in report.failed:
         screen.warn(f"{name} failed: {sentence}")
     if report.lost:
@@ -198,6 +199,7 @@ def import_(
     resting
         The resting frame that firmware subtracted, for baseline: subtracted.
     """
+    from lampest.audit.health import Health
     from lampest.recording.foreign.importing import import_file
     from lampest.report.info import understood_lines
 
@@ -216,6 +218,8 @@ def import_(
         recording.save(out)
     for line in understood_lines(recording, notes):
         screen.say(screen.as_options(line))
+    for line in Health.of(recording).lines:
+        screen.say(line)
     screen.say(screen.written(out, replaced=replaced))
 
 

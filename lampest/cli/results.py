@@ -266,8 +266,11 @@ def schema() -> None:
     screen.say_text(json.dumps(json_schema(), indent=2))
 
 
-def info(file: Path, picture: screen.Output = None) -> None:
+def info(file: Path, picture: screen.Output = None, apply: bool = False) -> None:
     """Describe a file and draw the frame with the strongest change as a small map.
+
+    Of a recording also the health of the panel, the verdict on its circuit, and advice: what the recording suggests
+    beyond its scene, with the evidence and the line to add.
 
     Parameters
     ----------
@@ -275,11 +278,13 @@ def info(file: Path, picture: screen.Output = None) -> None:
         A recording or a results file.
     picture
         Draw the strongest frame into this .png, .svg or .pdf.
+    apply
+        Write the lines of the advice into the recording's scene.
     """
-    from lampest.report.info import describe
+    from lampest.report.info import apply_advice, describe
 
     with screen.progress("reading"):
-        lines = describe(file)
+        lines = apply_advice(file) if apply else describe(file)
     for line in lines:
         screen.say(line)
     if picture is not None:

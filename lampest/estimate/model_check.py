@@ -41,6 +41,9 @@ EXPLAINED = "the circuit explains its readings"
 # Deviation of ln of a module's median reading at rest from the other modules: none of 1,640 simulated modules whose
 # cells scatter by 0.2 exceeds it, and a reference that is off by 20 % does.
 MIN_AWAY = 0.15
+# −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings with the right circuit
+# nearly all gain less (docs/theory/model_check.md).
+DOUBTFUL_GAIN = 15.0
 MAX_MISSING = 0.1  # share of missing readings or bounds: with a fifth, moved cells can no longer be identified
 MAX_SERIES_SHARE = 0.98  # of the largest resistance in series that readings allow: all of it would short the panel
 # Median standard deviation of the log cells beyond which linear theory does not hold: 8 bits and one reading on 12 x 8
@@ -73,6 +76,8 @@ class ModelCheck:
         Whether `better` names effects beside the circuit.
     loaded_at_rest : bool
         Whether a load may lie on the unloaded panel.
+    doubts : tuple of str
+        Reasons why a circuit that explains the readings is not certain.
 
     >>> lampest.ModelCheck(True, "the circuit explains its readings").mark
     'yes'
@@ -85,13 +90,19 @@ class ModelCheck:
     common_change: str = ""
     by_effect: bool = False
     loaded_at_rest: bool = False
+    doubts: tuple[str, ...] = ()
 
     @property
     def mark(self) -> str:
-        """The result in a word: 'yes', 'no', 'noise' where only σ is in doubt, or 'not checked'."""
-        if self.explains is None:
-            return "not checked"
-        return "no" if not self.explains else "yes" if self.noise == 1 else "noise"
+        """The verdict: 'yes', 'no', or 'doubtful' where the circuit was not checked or something speaks against it."""
+        if self.explains is False:
+            return "no"
+        return "doubtful" if self.explains is None or self.doubts else "yes"
+
+    def with_doubts(self, *doubts: str) -> "ModelCheck":
+        """Return the check with further doubts, which its sentence states; empty and known ones are ignored."""
+        further = tuple(doubt for doubt in doubts if doubt and doubt not in self.doubts)
+        return replace(self, doubts=(*self.doubts, *further), sentence="; ".join((self.sentence, *further)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +208,7 @@ class Question:
         if explanation is None and not fault:
             if not few_bounds:
                 lawful = f"no readings break a law of the circuit; {100 * bounded:.0f} % of them are bounds"
-                return ModelCheck(explains=True, sentence=f"{lawful}, and no cells were fitted")
+                return ModelCheck(explains=True, sentence=lawful).with_doubts("no cells were fitted")
             return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
         # Rivals and effects compete by evidence if enough readings are values.
         best, complete = BetterExplanation(), missing <= MAX_MISSING and (few_bounds or bool(self.below))
@@ -212,13 +223,14 @@ class Question:
             sentence = f"{fault}; {f'{best.name} does' if best.name else 'no other circuit that was tried gives them'}"
         else:
             sentence = f"{best.name} explains the readings better: {best.reason}" if best.name else EXPLAINED
-        if noise > 1:
-            sentence += f"; the unloaded frames scatter by {noise:.2g} times the specified noise, which is allowed for"
         named_best = bool(best.name) and best is besides
         explains = not fault and not best.name
-        return ModelCheck(
+        check = ModelCheck(
             explains, sentence, best.name, noise, besides.common_change, named_best, besides.loaded_at_rest
         )
+        scatter = f"the unloaded frames scatter by {noise:.2g} times the specified noise" if noise > 1 else ""
+        nearly = f"{best.nearly} explains them about as well, or better" if explains and best.nearly else ""
+        return check.with_doubts(scatter, nearly)
 
     def effects(self) -> CircuitEffects:
         """Return the effects beside the circuit, from the frames that changed most and from the last frame."""
@@ -265,7 +277,9 @@ def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[
         sentence += f"; {len(checks)} of {layout.count} modules were checked, those that move most"
     better = next((check.better for check in agreeing.values() if check.better), "")
     loaded = any(check.loaded_at_rest for check in checks.values())
-    return ModelCheck(verdict, sentence, better, max(check.noise for check in checks.values()), loaded_at_rest=loaded)
+    doubts = tuple(dict.fromkeys(doubt for check in agreeing.values() for doubt in check.doubts))
+    noise = max(check.noise for check in checks.values())
+    return ModelCheck(verdict, sentence, better, noise, loaded_at_rest=loaded, doubts=doubts)
 
 
 def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
@@ -431,11 +445,12 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
         return BetterExplanation()
     if specified is None or best.pair is None:
         return BetterExplanation(best.rival.name)
-    gain = specified.beyond_noise - best.beyond_noise
-    if specified.pair is None or gain <= MIN_EVIDENCE_GAIN * best.pair.excess or not best.pair.moved.any():
+    gain = (specified.beyond_noise - best.beyond_noise) / best.pair.excess
+    if specified.pair is None or gain <= DOUBTFUL_GAIN or not best.pair.moved.any():
         return BetterExplanation()
-    if specified.pair.gain_apart(best.pair) <= PARAMETER_COST:
-        return BetterExplanation()
+    if gain <= MIN_EVIDENCE_GAIN or specified.pair.gain_apart(best.pair) <= PARAMETER_COST:
+        # a resistance in series follows hidden errors of the circuit, so that it alone is no doubt
+        return BetterExplanation(nearly=best.rival.name if gain <= MIN_EVIDENCE_GAIN and best.rival.kind else "")
     moved, as_specified = (int(known.moved.sum()) for known in (best.pair, specified.pair))
     return BetterExplanation(best.rival.name, question.loaded, moved, as_specified)
 

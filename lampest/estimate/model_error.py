@@ -120,4 +120,4 @@ def _in_words(factor: float, used: float, scene: Scene) -> str:
     size = ""
     if scene.readout is not None:
         size = f"by {factor * used * float(np.mean(scene.readout.sigma_code())):.2g} LSB, "
-    return f"readings are missed {size}{factor:.2g} times their noise: an error of the model, which error bars include"
+    return f"readings are missed {size}{factor:.2g} times their noise: an error of the model"

@@ -153,10 +153,7 @@ class NoiseEstimate:
         sigma = self.readings.known_sigma
         moved = np.abs(steps_within_scan(scene, self.readings, measured)).max(axis=0)
         count = int(np.sum(np.sqrt(np.mean((moved / sigma) ** 2, axis=(1, 2))) > 1))
-        message = (
-            f"motion within a scan: as if a scan took all of the time between frames, in {count} frames; "
-            "error bars allow for it as far as their neighbours show"
-        )
+        message = f"motion within a scan: as if a scan took all of the time between frames, in {count} frames"
         return replace(self.with_sigma(np.hypot(sigma, moved)), in_motion=True).with_warnings(message)
 
 
@@ -182,7 +179,7 @@ def with_still_cells(noise: NoiseEstimate, recording: Recording, sizes: Systemat
     size = hidden.sizes.reading_error or 0.0 if hidden is not None and hidden.certain else 0.0
     message = (
         f"cells that nobody touched seem to move as if each reading were off by {100 * size:.2g} %, the same in all "
-        "frames, which error bars allow for"
+        "frames"
     )
     return replace(moved, possible_errors=hidden).with_warnings(message if size > (sizes.reading_error or 0.0) else "")
 
@@ -242,9 +239,7 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
     scaled = replace(cleaned, sigma=used * cleaned.sigma)
     noise = replace(unscaled, readings=scaled, factor=ratio, factor_error=error, sigma_factor=used, frame=frame)
     shared = [text.format(size) for (_, text), size in zip(SHARED, noise.shared_sizes, strict=True) if size]
-    return noise.with_warnings(
-        message if used != 1 else "", f"{', '.join(shared)}, which error bars allow for" if shared else ""
-    )
+    return noise.with_warnings(message if used != 1 else "", ", ".join(shared))
 
 
 def _outlier_messages(outliers: NDArray[np.bool_], cleaned: Readings, resting: NDArray[np.bool_]) -> tuple[str, ...]:

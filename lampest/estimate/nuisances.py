@@ -31,7 +31,7 @@ from lampest.estimate.changed_cells import (
 from lampest.files.levels import SIGNIFICANCE, SIGNIFICANT
 from lampest.panel.effects import EFFECTS, Effect, LooseContact
 from lampest.panel.panel import Array
-from lampest.panel.systematic import systematic_of
+from lampest.panel.systematic import REFERENCE, SERIES, error_columns, systematic_of
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MIN_CHANGE
 
@@ -42,7 +42,7 @@ MIN_EVIDENCE_GAIN = 36.0
 MAX_CANDIDATES = 3  # rivals or effects that are solved exactly, the best ones of linear theory; effects at a time
 SETTLED_STEP = 0.1  # step of θ in standard deviations below which the iteration ends
 MIN_SPARED_CELLS = 2  # fewer moved cells that an effect must bring: a converter's nonlinearity moves one
-TAKEN_OFF = "taken off the readings, which error bars allow for"
+TAKEN_OFF = "taken off the readings"
 SECANT_STEP = 1e-3  # of the prior's standard deviation
 MIN_REMAINING = 0.1  # of a reading: the lower limit of a corrected reading
 
@@ -62,6 +62,8 @@ class BetterExplanation:
         circuit.
     fits_noise : bool
         Whether cells explain the readings of the unloaded panel and of the frames within their noise.
+    nearly : str
+        A circuit in words that explains the readings better, but not significantly; ''.
     """
 
     name: str = ""
@@ -69,6 +71,7 @@ class BetterExplanation:
     count: int = 0
     count_as_specified: int = 0
     fits_noise: bool = True
+    nearly: str = ""
 
     @property
     def reason(self) -> str:
@@ -137,6 +140,23 @@ class FittedPair:
             for fit in (resting, frame)
         ]
         return cls((resting, frame), responses[1] - responses[0])
+
+    @property
+    def scale_error(self) -> float | None:
+        """Median error of the changes d of moved cells by the numbers that no frame shows, at their tolerances' ends.
+
+        None where the scene has no such numbers, or no cell moves.
+        """
+        scene = self.frames[0].scene
+        if (sizes := systematic_of(scene)) is None or not self.moved.any():
+            return None
+        resting, loaded = (
+            fit.response(error_columns((REFERENCE, SERIES), fit.network, fit.readings.value, scene, sizes))
+            for fit in self.frames
+        )
+        # columns are of one standard deviation: that of the reference's uniform distribution is its half width over √3
+        ends = np.array([np.sqrt(3), *[1.0] * (loaded.shape[1] - 1)])
+        return float(np.median(np.abs((loaded - resting) * ends).sum(axis=1)[self.moved.ravel()]))
 
     @property
     def effects(self) -> tuple[Effect, ...]:

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.garbled import GarbledLines, garbled_lines, garbled_sentence, readings_of
 from lampest.estimate.model_check import ModelCheck, Question, check_of_modules
 from lampest.estimate.model_error import scaled, with_model_error, with_reading_error
 from lampest.estimate.noise import NoiseEstimate, estimate_noise, noise_of_modules, with_still_cells, without_effects
@@ -29,8 +30,9 @@ class Cleaned:
     Attributes
     ----------
     recording : Recording
-        Its scene includes a saturated stage where the readings show one; frozen readings are missing.
+        Its scene includes a saturated stage where the readings show one; frozen and garbled readings are missing.
     frozen : boolean array, shape (rows, columns)
+    garbled : tuple of GarbledLines
     outliers : boolean array, shape (frames, rows, columns)
     readings : Readings
         Unloaded outliers are missing, measured ones are replaced by the prediction of neighbouring frames.
@@ -38,6 +40,7 @@ class Cleaned:
 
     recording: Recording
     frozen: NDArray[np.bool_]
+    garbled: tuple[GarbledLines, ...]
     outliers: NDArray[np.bool_]
     readings: Readings
 
@@ -84,11 +87,12 @@ class Prepared:
     @cached_property
     def cleaned(self) -> Cleaned:
         """The readings of a single network without outliers."""
-        frozen = frozen_readings(self.recording)
-        recording = with_saturated_stage(without_readings(self.recording, frozen))
+        frozen, garbled = frozen_readings(self.recording), garbled_lines(self.recording)
+        intact = without_readings(self.recording, frozen | readings_of(garbled, self.recording))
+        recording = with_saturated_stage(intact)
         readings = recording.readings()
         impossible = impossible_readings(recording.scene.circuit, readings)
-        return Cleaned(recording, frozen, *without_outliers(impossible, readings, recording.role == UNLOADED))
+        return Cleaned(recording, frozen, garbled, *without_outliers(impossible, readings, recording.role == UNLOADED))
 
     @cached_property
     def frame_noise(self) -> NoiseEstimate:
@@ -101,7 +105,8 @@ class Prepared:
         warning = (
             f"one value in all frames at {' and at '.join(places)}, while noise changes the other readings: left out"
         )
-        return noise.with_warnings(warning if places else "")
+        lost = garbled_sentence(self.cleaned.garbled)
+        return noise.with_warnings(*filter(None, (warning if places else "", lost)))
 
     @cached_property
     @ONE_BLAS_THREAD
@@ -121,8 +126,18 @@ class Prepared:
     @cached_property
     def check(self) -> ModelCheck:
         """The check of the circuit; its sentence names the numbers of the circuit that no frame can determine."""
-        check, unshown = self._check, unobservable_numbers(self.recording.scene)
-        return replace(check, sentence=f"{check.sentence}; {unshown}") if check.explains and unshown else check
+        check = self._check
+        unshown = unobservable_numbers(self.recording.scene, self._scale_error) if check.explains else ""
+        return replace(check, sentence=f"{check.sentence}; {unshown}") if unshown else check
+
+    @property
+    def _scale_error(self) -> float | None:
+        """Error of the changes by the numbers that no frame shows; None where it is unknown."""
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            if self.layout is None and self.cleaned.readings.sigma is not None:
+                explanation = self.question.explanation
+                return None if explanation is None or explanation.pair is None else explanation.pair.scale_error
+        return None
 
     @cached_property
     @ONE_BLAS_THREAD

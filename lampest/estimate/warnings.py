@@ -33,7 +33,7 @@ def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -
     lesser_load = "" if check.better else _less_load(recording, readings)
     frames = _roles(recording.role), _times(recording), _unit(recording, readings), _scatter(recording, noise)
     of_readings = (*frames, *_modules(recording, readings), lesser_load)
-    circuit, effects = check.sentence if check.mark in ("no", "not checked") else "", noise.corrected_effects
+    circuit, effects = "" if check.explains else check.sentence, noise.corrected_effects
     taken = "" if effects is None else effects.corrections
     learned = tuple(line for line in noise.warnings if line != taken)  # the circuit's sentence names these effects
     circuit += f"; it is {TAKEN_OFF}" if taken else ""

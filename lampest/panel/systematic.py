@@ -60,10 +60,17 @@ def systematic_of(scene: Scene) -> Systematic | None:
     return USUAL if scene.circuit.series_name else replace(USUAL, series_ohm=None)
 
 
-def unobservable_numbers(scene: Scene) -> str:
+def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
     """Return a sentence on the numbers of a circuit that frames cannot determine, with their assumed tolerances.
 
     The text is ASCII. It is '' for a scene without a readout, and for a readout that states no such numbers.
+
+    Parameters
+    ----------
+    scene : Scene
+    of_changes : float or None
+        Median error of the changes ln(r/r0) of loaded cells by numbers at the ends of their tolerances; None where
+        it is unknown.
     """
     if scene.readout is None:
         return ""
@@ -75,9 +82,14 @@ def unobservable_numbers(scene: Scene) -> str:
     if not known:
         return ""
     named = ", ".join(f"{name} ({size})" for name, size in known.items())
+    remaining = (
+        ""
+        if of_changes is None
+        else f"; at these ends changes of loaded cells are off by {100 * of_changes:.2g} % in the median"
+    )
     return (
-        f"no frame shows the numbers with which all cells scale, assumed {named}; changes in percent hardly depend on "
-        "them; lampest calibrate measures them"
+        f"no frame shows the numbers with which all cells scale, assumed {named}{remaining}; lampest calibrate "
+        "measures them"
     )
 
 
@@ -169,8 +181,9 @@ KNOWN_ERRORS = (  # their sizes are fixed; frames do not determine them
     REFERENCE,
     SharedError("channel_spread_ohm", _channels),
 )
+SERIES = SharedError("series_ohm", _series, "series", "ohm", 1)
 HIDDEN_ERRORS = (  # determined by still cells (`lampest.estimate.still_cells`)
-    SharedError("series_ohm", _series, "series", "ohm", 1),
+    SERIES,
     SharedError("inl_lsb", _curve, "curve", "LSB", SINES),
     SharedError("wire_ohm_per_cell", _wire, "wire", "ohm a cell", 2),
 )

@@ -43,8 +43,8 @@ class ReferenceModel:
         of five times the resistance on a 10 × 10 panel look like errors four times the noise
         (docs/theory/posterior.md).
     prior_variance : float
-        Prior of τ², with the weight of one step. It covers draws of a prior whose steps are smaller than the noise
-        (docs/studies/calibration.md).
+        Prior of τ² between neighbours, with the weight of one step. It covers draws of a prior whose steps are smaller
+        than the noise (docs/studies/calibration.md).
     scale_ratio : float
         Ratio of neighbouring s of the grid. A factor of √2 in σ changes no weight by more than its uncertainty.
     max_scales : int
@@ -308,8 +308,8 @@ class ReferenceFit:
         count, rank = int(value.sum()), min(len(self.steps), len(self.cells) - (not self.origin.any()))
         jacobian = (self.network.sensitivity() / self.sigma[:, None])[np.ix_(rows, self.cells)]
         residual, step = self.residual[rows], self.step
-        # Cells often keep their baseline, but panels rarely have equal cells: no prior of τ² against a baseline.
-        prior_variance = np.finfo(float).tiny if self.origin.any() else MODEL.prior_variance
+        # σ₀² = n/tr(JᵀWJ/s²): the harmonic mean of the variances with which the readings alone determine single cells
+        prior_scale = len(self.cells) * square / float(np.sum(of_readings[:, None] * jacobian**2))
         for number in range(MODEL.max_rounds):
             # S⁻¹ = Jᵀ diag(w/s²) J + Dᵀ diag(v/τ²) D, upper triangle
             readings, steps, previous = of_readings / square, of_steps / variance, variance
@@ -326,9 +326,9 @@ class ReferenceFit:
             # Σ w x²/(n − tr(S Jᵀ W J)) of the values
             free = max(count - float(np.sum((readings * missed_variance)[value])), 1e-3 * len(rows))
             residual_variance = float(np.sum((of_readings * missed**2)[value])) / free
-            # τ² = (Σ v z² + prior)/(γ + 1), γ = rank − tr(S Dᵀ V D) the number of steps that the readings determine
+            # γ = rank − tr(S Dᵀ V D), the number of steps that the readings determine
             determined = max(rank - float(np.sum(steps * stepped_variance)), 0.0)
-            variance = (float(np.sum(of_steps * stepped**2)) + prior_variance) / (determined + 1)
+            variance = self._updated_variance(float(np.sum(of_steps * stepped**2)), determined, variance, prior_scale)
             # Expected precisions w = (ν + 1)/(ν + E x²/s²) and v = (ν + 1)/(ν + E z²/τ²)
             missed_squares, stepped_squares = missed**2 + missed_variance, stepped**2 + stepped_variance
             of_readings = (nu + 1) / (nu + missed_squares / square)
@@ -344,6 +344,29 @@ class ReferenceFit:
             self, reading_weights=weights, step_weights=of_steps, variance=variance, covariance=covariance
         )
         return replace(updated, change=change, bound=float(bound), residual_variance=residual_variance)
+
+    def _updated_variance(self, squares: float, determined: float, variance: float, prior_scale: float) -> float:
+        """Return τ² after an update of expectation–maximisation.
+
+        Between neighbours τ² has a scaled inverse χ² prior of one degree of freedom, τ² = (Σ v z² + prior)/(γ + 1).
+        Against a baseline cells may change by much less than the readings show, and the likelihood of τ² has its
+        maximum at 0. There τ² has the uniform shrinkage prior: σ₀²/(σ₀² + τ²) is uniform between 0 and 1. Its mode in
+        ln τ² fulfils τ² = (Σ v z² + 2 B τ²)/(γ + 2 (1 − B)) with B = σ₀²/(σ₀² + τ²).
+        Source: Daniels, Canadian J. Statistics 27, 1999.
+
+        Parameters
+        ----------
+        squares : float
+            Σ v z² of the steps at û.
+        determined : float
+            γ.
+        variance, prior_scale : float
+            Current τ², and σ₀².
+        """
+        if not self.origin.any():
+            return (squares + MODEL.prior_variance) / (determined + 1)
+        share = prior_scale / (prior_scale + variance)
+        return (squares + 2 * share * variance) / (determined + 2 * (1 - share))
 
     def _within_bounds(self, matrix: Array, slope: Array) -> Array:
         """Return the Gauss–Newton step of the cells, with cells at active bounds held.

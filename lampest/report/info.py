@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,11 @@ from numpy.typing import NDArray
 from lampest.files import hdf5
 from lampest.files.document import plain_content
 from lampest.files.errors import InputError, first_and_more
+from lampest.files.whole import own
 from lampest.panel.panel import Array
-from lampest.panel.scene import Faults, Scene
+from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FORMAT as RECORDING
 from lampest.recording.processed import processing_of
-from lampest.recording.readings import touching_columns, touching_rows
 from lampest.recording.recording import (
     MAX_READINGS,
     MEASURED,
@@ -94,7 +95,7 @@ def _recording_lines(recording: Recording) -> list[str]:
         *_frames(recording.role, recording.time),
         ("start", recording.start_time and f"{recording.start_time} at 0 s"),
         *_scene(recording.scene),
-        *_noise(recording),
+        *_audit(recording),
         ("readings", f"{spanned(recording.recorded, circuit.unit)} ({circuit.signal_name})"),
         *(("", sentence) for sentence in _holes(recording)),
         ("besides", ", ".join(name for name, values in extras.items() if values is not None) or "nothing"),
@@ -106,26 +107,44 @@ def _recording_lines(recording: Recording) -> list[str]:
     return [*lines, f"readings of {where}, the strongest change against the unloaded ones:", *shaded_map(strongest[1])]
 
 
-def _noise(recording: Recording) -> Iterator[Sentence]:
-    """Yield sentences on lines that seem to touch, on the noise of the frames, and warnings."""
-    with suppress(InputError):  # an estimate raises it; a description of the file does not
-        readings, faults = recording.readings(), recording.scene.faults or Faults()
-        for name, known, groups in (
-            ("rows", faults.joined_rows, touching_rows(readings)),
-            ("columns", faults.joined_columns, touching_columns(readings)),
-        ):
-            for group in groups:
-                words = f"{name} {', '.join(map(str, group))} in every frame: if they touch, faults: "
-                if not any(set(group) <= set(joined) for joined in known):
-                    yield "alike", f"{words}{{joined_{name}: [{list(group)}]}} says so"
-    with suppress(InputError):
-        from lampest.estimate.prepared import Prepared  # with all of the estimate, which results do without
+def _audit(recording: Recording) -> Iterator[Sentence]:
+    """Yield the health of the panel, the noise of the frames, the verdict on the circuit, warnings and advice."""
+    from lampest.audit.advice import Audit  # with all of the estimate, which results do without
+    from lampest.estimate.prepared import Prepared
 
-        prepared = Prepared(recording)
-        yield "noise", prepared.frame_noise.summary
+    with suppress(InputError):  # an estimate raises it; a description of the file does not
+        audit = Audit(Prepared(recording))
+        yield from (("health" if not number else "", line) for number, line in enumerate(audit.health.lines))
+        yield "noise", audit.prepared.frame_noise.summary
+        yield "model", f"{audit.verdict.mark}: {audit.verdict.sentence}"
+        told = audit.verdict.sentence
         if (reason := _processing(recording)) and recording.scene.baseline is None:
             yield "warning", f"these are no readings as the converter gives them: {reason}"
-        yield from (("warning", warning) for warning in prepared.warnings)
+        yield from (("warning", warning) for warning in audit.prepared.warnings if warning not in told)
+        yield from (("advice", finding.text) for finding in audit.advice)
+
+
+def apply_advice(path: str | Path) -> list[str]:
+    """Write the lines of a recording's advice into its scene, and return what was done in sentences.
+
+    Raises InputError where the file is no recording that fits into memory.
+    """
+    from lampest.audit.advice import Audit
+    from lampest.audit.finding import with_lines
+    from lampest.estimate.prepared import Prepared
+
+    path = Path(path)
+    own(path)
+    if hdf5.format_of(path) == FORMAT:
+        raise InputError(f"{path}: --apply: results keep the scene of their run; name the recording")
+    recording = opened(path)
+    if not isinstance(recording, Recording):
+        raise InputError(f"{path}: --apply: too long for memory; write the lines into its scene before import")
+    scene, taken, refused = with_lines(recording.scene, Audit(Prepared(recording)).advice)
+    if taken:
+        replace(recording, scene=scene).save(path)
+    done = [f"written to the scene of {path}: {line}" for line in taken]
+    return [*done, *(f"not written: {sentence}" for sentence in refused)] or [f"{path}: no advice has a line to write"]
 
 
 def _processing(recording: Recording) -> str:
@@ -196,6 +215,7 @@ def _results_lines(results: Results) -> list[str]:
                 ("", holes_sentence(missing, bounds)),
                 ("model", shown and f"{first.model_mark}: {first.model_sentence}"),
                 *(("warning", line) for line in first.warnings.split("\n")),
+                *(("advice", line) for line in first.advice.split("\n")),
                 ("film", first.film_sentence),
                 ("noise", first.noise_learned),
             ]

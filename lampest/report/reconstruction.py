@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from lampest.audit.advice import Audit
+from lampest.audit.verdict import verdict
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import extra
 from lampest.panel.panel import Array
@@ -63,6 +66,20 @@ class Reconstruction(Estimates):
         """Penalty → λ (frames), given or chosen by the data."""
         values: Mapping[str, Array] = next(folder for folder in FIGURES if folder.name == "weights").value(self)
         return {term: weight for term, weight in values.items() if term != "misfit"}
+
+    @property
+    def model_check(self) -> ModelCheck:
+        """The verdict on the scene's circuit: 'yes', 'doubtful' or 'no', with all that speaks against it."""
+        return verdict(super().model_check, self.prepared)
+
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """Suggestions of the recording beyond its scene, with evidence and the line to add; computed when asked.
+
+        >>> found.advice
+        ()
+        """
+        return tuple(finding.text for finding in Audit(self.prepared).advice)
 
     def __dir__(self) -> list[str]:
         return list({*super().__dir__()} - INTERNAL)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lampest.estimate.garbled import garbled_lines, readings_of
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.recording import UNLOADED, Recording
@@ -71,15 +72,17 @@ def likely_change(value: Array, resting: Array) -> Array:
 def strongest_readings(recording: Recording) -> tuple[int, Array] | None:
     """Return the strongest frame and the change of its readings in percent of the mean unloaded ones.
 
-    None without unloaded frames or without measured ones.
+    Frames with garbled lines are not considered. None without unloaded frames or without measured ones.
     """
-    unloaded = recording.role == UNLOADED
-    if not np.any(unloaded) or np.all(unloaded):
+    garbled = readings_of(garbled_lines(recording), recording)
+    unloaded, intact = recording.role == UNLOADED, ~garbled.any(axis=(1, 2))
+    if not np.any(unloaded) or not np.any(~unloaded & intact):
         return None
-    resting, frames = mean_reading(recording.recorded[unloaded]), np.flatnonzero(~unloaded)
-    frame = int(frames[furthest(recording.recorded[frames], resting)])
+    recorded = np.where(garbled | recording.scene.blind, np.nan, recording.recorded)
+    resting, frames = mean_reading(recorded[unloaded]), np.flatnonzero(~unloaded & intact)
+    frame = int(frames[furthest(recorded[frames], resting)])
     with np.errstate(divide="ignore", invalid="ignore"):
-        return frame, percent_change(recording.recorded[frame], resting)
+        return frame, percent_change(recorded[frame], resting)
 
 
 def mean_reading(recorded: Array) -> Array:

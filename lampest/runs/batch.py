@@ -55,8 +55,8 @@ class Report:
         New name of a file with results of other cases.
     not_run : int
         Number of cases that no executor ran, for the reason `lost`.
-    warnings : tuple of str
-        Warnings about the results.
+    warnings, advice : tuple of str
+        Warnings about the results, and advice on the scenes, each behind the recording's name.
     """
 
     results: Path | None
@@ -67,6 +67,7 @@ class Report:
     not_run: int = 0
     lost: str = ""
     warnings: tuple[str, ...] = ()
+    advice: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -205,15 +206,20 @@ def run_batch(
         skipped = len(tasks) - len(waiting)
         not_run = len(tasks) - len(finished) - len(failed) if lost else 0
         solved = len(waiting) - len(failed) - not_run
-        warnings = dict.fromkeys(
-            f"{case.recording}: {line}"
-            for case in held
-            if isinstance(case, CaseResult)
-            for line in case.warnings.split("\n")
-            if line
+        warnings, advice = (
+            tuple(
+                dict.fromkeys(
+                    f"{case.recording}: {line}"
+                    for case in held
+                    if isinstance(case, CaseResult)
+                    for line in getattr(case, name).split("\n")
+                    if line
+                )
+            )
+            for name in ("warnings", "advice")
         )
         results = folder / RESULTS if held else None
-        return Report(results, solved, skipped, tuple(failed), aside, not_run, lost, tuple(warnings))
+        return Report(results, solved, skipped, tuple(failed), aside, not_run, lost, warnings, advice)
 
 
 @contextmanager

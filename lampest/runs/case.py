@@ -72,7 +72,9 @@ class CaseResult(Content):
     baseline_status, baseline_solve_time : str, float
         Outcome of the baseline's solve, and its time in s (NaN: not solved separately).
     model_mark : str
-        Whether the circuit explains the recording: 'yes', 'no', 'noise' or 'not checked'.
+        Whether the circuit explains the recording: 'yes', 'doubtful' or 'no'.
+    advice : str
+        What the recording suggests beyond its scene, one line each.
     reading_error : float
         Standard deviation of ln of a constant factor on each reading, estimated from still cells; 0: none.
     frame_noise : mapping

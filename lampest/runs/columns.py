@@ -26,6 +26,7 @@ from lampest.recording.recording import UNLOADED
 
 if TYPE_CHECKING:  # readers of results need not load the solvers
     from lampest.estimate.estimates import Estimates
+    from lampest.estimate.model_check import ModelCheck
     from lampest.estimate.state import Step
 
 FRAMES, CELLS = ("time",), ("row", "column")
@@ -378,6 +379,20 @@ MISFIT = {
 }
 
 
+def _verdict(done: Estimates) -> ModelCheck:
+    """Return the verdict on the scene's circuit."""
+    from lampest.audit.verdict import verdict  # with all of the estimate, which the reading of results does without
+
+    return verdict(done.model_check, done.prepared)
+
+
+def _advice(done: Estimates) -> str:
+    """Return the advice on the scene, one line each."""
+    from lampest.audit.advice import Audit
+
+    return "\n".join(finding.text for finding in Audit(done.prepared).advice)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Content(Validated):
     """Fields of a case, see `lampest.runs.case.CaseResult`."""
@@ -392,8 +407,9 @@ class Content(Validated):
     baseline_status: str = _attribute("baseline_status", "baseline.status")
     baseline_solve_time: float = _attribute("baseline_solve_time_s", "baseline.seconds", float("nan"))
     joint_start: bool = _attribute("joint_start", "joint_start", default=False)
-    model_mark: str = _attribute("model_explains", "model_check.mark")
-    model_sentence: str = _attribute("model_check", "model_check.sentence")
+    model_mark: str = _attribute("model_explains", value=lambda done: _verdict(done).mark)
+    model_sentence: str = _attribute("model_check", value=lambda done: _verdict(done).sentence)
+    advice: str = _attribute("advice", value=lambda done: _advice(done))
     noise_sentence: str = _attribute("noise_check", "noise.sentence")
     noise_learned: str = _attribute("noise_learned", "noise.summary")
     film_sentence: str = _attribute("film", value=lambda done: "" if done.film is None else done.film.sentence)

@@ -21,7 +21,7 @@ from tests.estimates import in_intervals, log_errors, recording_of, rms
 
 NOISE = 0.003  # of the readings
 WEIGHTED = Misfit(weighting="noise")
-SAID = "their noise: an error of the model, which error bars include"
+SAID = "their noise: an error of the model"
 PENALTIES = {
     "two": (LogGradient(), CellResistance()),
     "huber": (LogGradient(loss=Huber(corner=0.3)),),

@@ -1,0 +1,81 @@
+"""A finding in a recording, and the lines of a scene that follow from findings."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from lampest.files.document import parse_document, plain_content, to_yaml, validated
+from lampest.files.errors import InputError
+from lampest.files.typed import members_of
+from lampest.panel.readouts import AnyReadout
+from lampest.panel.scene import Scene
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that a recording shows, with its evidence and the line of the scene that says so.
+
+    Attributes
+    ----------
+    room : str
+        Row of the table of health or of advice: 'lines', 'cells', 'noise', 'readings', 'frames', 'times', 'order',
+        'circuit', 'effects'.
+    what : str
+        The finding, such as 'row 3 is dead'.
+    evidence : str
+        What shows it.
+    line : str
+        YAML of the entries to add to the scene; '' where no entry helps.
+    remedy : str
+        What to do where no entry helps, such as an option of a command; ''.
+    """
+
+    room: str
+    what: str
+    evidence: str
+    line: str = ""
+    remedy: str = ""
+
+    @property
+    def text(self) -> str:
+        """The finding in one line, ASCII."""
+        parts = (self.evidence and f": {self.evidence}", self.line and f"; add to the scene: {self.line}")
+        return f"{self.what}{''.join(parts)}{self.remedy and f'; {self.remedy}'}"
+
+
+def with_line(scene: Scene, line: str) -> Scene:
+    """Return the scene with the entries of a line. Raises InputError where the scene cannot have them."""
+    addition = parse_document(line, "the scene").content
+    content = merged(_fitting(plain_content(scene), addition), addition)
+    made: Scene = validated(parse_document(to_yaml(content), "the scene"), Scene)
+    return replace(made, assumed=scene.assumed)
+
+
+def with_lines(scene: Scene, findings: Iterable[Finding]) -> tuple[Scene, tuple[str, ...], tuple[str, ...]]:
+    """Return the scene with the lines of findings, the lines that it took, and sentences on those that it did not."""
+    taken, refused = list[str](), list[str]()
+    for line in dict.fromkeys(finding.line for finding in findings if finding.line):
+        try:
+            scene = with_line(scene, line)
+            taken.append(line)
+        except InputError as error:
+            refused.append(f"{line}: {str(error).partition(': ')[2]}")
+    return scene, tuple(taken), tuple(refused)
+
+
+def _fitting(content: dict[str, Any], addition: dict[str, Any]) -> dict[str, Any]:
+    """Return a scene's content without the entries that a readout of another kind does not have."""
+    readout, kind = content.get("readout"), addition.get("readout", {}).get("kind")
+    known = {member.kind: {entry.name for entry in fields(member)} for member in members_of(AnyReadout)}
+    if readout is None or kind not in known:
+        return content
+    return content | {"readout": {key: value for key, value in readout.items() if key in known[kind]}}
+
+
+def merged(content: Any, addition: Any) -> Any:
+    """Return content with an addition: mappings are joined, lists extended by new items, other values replaced."""
+    if isinstance(content, Mapping) and isinstance(addition, Mapping):
+        return dict(content) | {key: merged(content.get(key), value) for key, value in addition.items()}
+    if isinstance(content, list) and isinstance(addition, list):
+        return [*content, *(item for item in addition if item not in content)]
+    return addition

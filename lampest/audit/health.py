@@ -1,0 +1,391 @@
+"""Health of a panel and of its recording, in one table: lines, cells, noise, readings, frames, times, order.
+
+All checks read the recording and its scene alone, none an estimate, so that the table is there right after an import.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.audit.finding import Finding
+from lampest.audit.order import order_findings
+from lampest.estimate.garbled import garbled_lines, middle, readings_of
+from lampest.estimate.outliers import frozen_readings
+from lampest.files.errors import InputError, first_and_more
+from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
+from lampest.panel.panel import Array
+from lampest.panel.scene import Faults, Scene
+from lampest.posterior.interval import chi_square_tail
+from lampest.recording.readings import Readings, median, touching_columns, touching_rows
+from lampest.recording.recording import UNLOADED, Recording
+from lampest.solvers.multistart import BROKEN
+
+ROOMS = ("lines", "cells", "noise", "readings", "frames", "times", "order")
+WELL = {  # what the table says of a room without a finding
+    "lines": "none dead, none shorted",
+    "cells": "none shorted, none stuck",
+    "noise": "alike in all lines and cells",
+    "readings": "none missing, none at a rail",
+    "frames": "none garbled, none repeated",
+    "times": "evenly spaced",
+    "order": "neighbours change alike",
+}
+OPEN_OHM, SHORT_OHM = 1e9, 1e-3
+MAX_ASIDE = 0.12  # of the way from the voltage of a short to that of a usual cell: no load is there in every frame
+MIN_DISTANCE = 2.0  # times the noise: how far the readings of living lines lie from those of dead ones
+# Least shift in ln y that two touching lines have over single ones on a uniform panel, so that it shows; share of it
+# that is observed. Loads in the middle make two rows of a uniform film equal in every reading, and shift none.
+MIN_SHIFT, MIN_SHIFT_SHARE = 0.1, 0.5
+MIN_NOISE_FRAMES = 4  # unloaded frames that show whose noise is larger
+MAX_NOISE_RATIO = {"line": 2.0, "cell": 4.0}  # of a line's or a cell's standard deviation to the usual one
+MAX_GAP = 2.5  # median intervals between frames: beyond it frames are missing
+MAX_NAMED = 6  # places in one sentence
+
+
+@dataclass(frozen=True, eq=False)
+class Health:
+    """Health of a panel and of its recording.
+
+    Attributes
+    ----------
+    findings : tuple of Finding
+    frames, unloaded : int
+        Numbers of all and of the unloaded frames.
+    missing, at_rails : float
+        Shares of the readings that are missing, and at a rail of the converter, zero or below the series resistance.
+    """
+
+    findings: tuple[Finding, ...]
+    frames: int
+    unloaded: int
+    missing: float
+    at_rails: float
+
+    @classmethod
+    def of(cls, recording: Recording) -> "Health":
+        """Return the health that a recording shows. Raises InputError where readings contradict the scene."""
+        view = _View(recording)
+        checks = (_dead_lines, _touching_lines, _cells, _noise, _readings, _frames, _times, _order)
+        found = tuple(finding for check in checks for finding in check(view))
+        asked = recording.scene.requested
+        missing, bounds = view.readings.missing(recording.scene)[:, asked], view.readings.bounds[:, asked]
+        unloaded = int((recording.role == UNLOADED).sum())
+        return cls(found, len(recording.role), unloaded, float(missing.mean()), float(bounds.mean()))
+
+    @property
+    def well(self) -> bool:
+        """Whether nothing was found."""
+        return not self.findings
+
+    @property
+    def table(self) -> tuple[tuple[str, str], ...]:
+        """The rows of the table: room and state in words."""
+        rows = list[tuple[str, str]]()
+        for room in ROOMS:
+            texts = [finding.text for finding in self.findings if finding.room == room]
+            rows += [(room if not number else "", text) for number, text in enumerate(texts)] or [(room, WELL[room])]
+        return tuple(rows)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The table as lines of text."""
+        return tuple(f"{room:9} {state}" for room, state in self.table)
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """A recording as the checks look at it."""
+
+    recording: Recording
+
+    @property
+    def scene(self) -> Scene:
+        return self.recording.scene
+
+    @cached_property
+    def garbled(self) -> NDArray[np.bool_]:
+        """Readings that arrived garbled, (frames, rows, columns)."""
+        return readings_of(garbled_lines(self.recording), self.recording)
+
+    @cached_property
+    def readings(self) -> Readings:
+        return self.recording.readings()
+
+    @cached_property
+    def volts(self) -> Array:
+        """Voltages at the converter, (frames, rows, columns); NaN where missing, garbled or not requested."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            volts = self.scene.circuit.volt_from_recorded(self.recording.recorded)
+        known = ~np.isnan(self.recording.recorded) & ~self.garbled & self.scene.requested
+        return np.where(known, volts, np.nan)
+
+    @cached_property
+    def resting(self) -> Array:
+        """Median voltages of the unloaded frames, or of all without any, (rows, columns)."""
+        unloaded = self.recording.role == UNLOADED
+        return np.asarray(median(self.volts[unloaded] if unloaded.any() else self.volts)[0])
+
+    @cached_property
+    def noise(self) -> float:
+        """Deviation of a voltage that noise and rounding never exceed, volt."""
+        circuit = self.scene.circuit
+        return circuit.lsb_volt + OUTLIER_THRESHOLD * float(np.mean(circuit.sigma_volt()))
+
+    def volts_of(self, cells: Array, faults: Faults | None = None) -> Array:
+        """Return the voltages of cells (rows, columns) ohm under the scene's circuit, with other faults if given."""
+        scene = self.scene if faults is None else replace(self.scene, faults=faults)
+        circuit = scene.circuit
+        exact = circuit.exact_reading(cells, scene.wiring)
+        volts = circuit.volt_from_recorded(circuit.to_recorded(exact, scene))
+        return np.asarray(np.clip(volts, 0.0, circuit.full_scale_volt))
+
+    @cached_property
+    def usual_ohm(self) -> float:
+        """Resistance of the cells of a uniform panel whose median voltage is that of the unloaded panel, ohm."""
+        target = middle(self.resting)
+        ohms = np.geomspace(1e1, 1e6, 26)
+        volts = [float(np.median(self.volts_of(np.full(self.scene.panel.shape, ohm)))) for ohm in ohms]
+        return float(ohms[np.argmin(np.nan_to_num(np.abs(np.array(volts) - target), nan=np.inf))])
+
+    @property
+    def modelled(self) -> bool:
+        """Whether the scene has the voltages of a single network."""
+        return self.scene.readout is not None and self.scene.panel.modules is None and self.scene.panel.cells is None
+
+
+def _dead_lines(view: _View) -> Iterator[Finding]:
+    """Find lines without a contact: no reading of theirs ever differs from that of a panel without cells."""
+    if not view.modelled:
+        return
+    with suppress(*BROKEN, InputError), np.errstate(all="ignore"):
+        without = view.volts_of(np.full(view.scene.panel.shape, OPEN_OHM))
+        distance = np.abs(view.volts - without)
+        bare = np.where(np.isnan(distance), 0.0, distance).max(axis=0) < view.noise
+        bare &= ~np.isnan(distance).all(axis=0)
+        away = median(distance)[0] > MIN_DISTANCE * view.noise
+        for name, axis in (("row", 1), ("column", 0)):
+            dead = np.flatnonzero(bare.all(axis=axis))
+            living = np.delete(away, dead, axis=1 - axis)
+            if len(dead) and len(dead) < view.scene.panel.shape[1 - axis] / 2 and living.mean() > 0.9:
+                plural = "s are" if len(dead) > 1 else " is"
+                numbers = first_and_more(dead.tolist(), MAX_NAMED)
+                yield Finding(
+                    "lines",
+                    f"{name}{plural} dead: {numbers}",
+                    "no reading of theirs shows a current in any frame, all others do",
+                    f"faults: {{dead_{name}s: {dead.tolist()}}}",
+                )
+
+
+def _touching_lines(view: _View) -> Iterator[Finding]:
+    """Find rows and columns that touch: their readings are equal, and lower than those of single lines."""
+    if not view.modelled:
+        return
+    with suppress(*BROKEN, InputError), np.errstate(all="ignore"):
+        known = view.scene.faults or Faults()
+        for name, joined, groups in (
+            ("row", known.joined_rows, touching_rows(view.readings)),
+            ("column", known.joined_columns, touching_columns(view.readings)),
+        ):
+            for group in groups:
+                shown = _is_structured(view, name, group) or _is_shifted(view, name, group)
+                if shown and not any(set(group) <= set(other) for other in joined):
+                    yield Finding(
+                        "lines",
+                        f"{name}s {', '.join(map(str, group))} are shorted",
+                        "they read the same in every frame",
+                        f"faults: {{joined_{name}s: [{list(group)}]}}",
+                    )
+
+
+def _is_structured(view: _View, name: str, group: Sequence[int]) -> bool:
+    """Return whether the unloaded readings of other lines differ from each other, so that equal ones are no chance."""
+    lines = view.resting if name == "row" else view.resting.T
+    others = np.delete(lines, group, axis=0)
+    if len(others) < 2:
+        return False
+    distances = np.sqrt(median((others[:, None] - others[None]) ** 2, 2)[:, :, 0])
+    own = np.sqrt(middle((lines[list(group[1:])] - lines[group[0]]) ** 2))
+    least = max(OUTLIER_THRESHOLD * own, 2 * view.scene.circuit.lsb_volt)
+    return bool(np.min(np.nan_to_num(distances, nan=np.inf)[np.triu_indices(len(others), 1)]) > least)
+
+
+def _is_shifted(view: _View, name: str, group: Sequence[int]) -> bool:
+    """Return whether the unloaded readings of lines deviate from the other ones as those of touching lines do."""
+    cells = np.full(view.scene.panel.shape, view.usual_ohm)
+    known, joined = view.scene.faults or Faults(), (tuple(group),)
+    faults = replace(known, joined_rows=joined) if name == "row" else replace(known, joined_columns=joined)
+    axis = 1 if name == "row" else 0
+    effects = [
+        median(np.log(np.maximum(volts, view.scene.circuit.lsb_volt)), axis).ravel()
+        for volts in (view.resting, view.volts_of(cells, faults))
+    ]
+    others = np.delete(effects[0], group)
+    others = others[np.isfinite(others)]
+    if len(others) < 2:
+        return False
+    shifts = [middle(values[list(group)]) - middle(np.delete(values, group)) for values in effects]
+    scatter = MAD_TO_SIGMA * float(np.median(np.abs(others - np.median(others))))
+    expected = shifts[1]
+    least = max(MIN_SHIFT_SHARE * abs(expected), NOISE_REACH * scatter)
+    return bool(abs(expected) > MIN_SHIFT and shifts[0] * np.sign(expected) > least)
+
+
+def _cells(view: _View) -> Iterator[Finding]:
+    """Find cells that short their lines, and readings that never change."""
+    if view.modelled:
+        with suppress(*BROKEN, InputError), np.errstate(all="ignore"):
+            yield from _shorted_cells(view)
+    frozen = np.argwhere(frozen_readings(view.recording)).tolist()
+    if frozen:
+        places = first_and_more([list(place) for place in frozen], MAX_NAMED)
+        yield Finding(
+            "cells",
+            f"readings at {places} are stuck",
+            "they have one value in all frames, while noise changes the others; they are left out",
+        )
+
+
+def _shorted_cells(view: _View) -> Iterator[Finding]:
+    """Find cells whose readings are those of a short circuit in every frame, and far from all others."""
+    cells = np.full(view.scene.panel.shape, view.usual_ohm)
+    usual = middle(view.resting)
+    extreme = np.argsort(-np.abs(np.nan_to_num(view.resting, nan=usual) - usual), axis=None)[:3]
+    shorted = list[list[int]]()
+    for row, column in (np.unravel_index(number, cells.shape) for number in extreme.tolist()):
+        short = cells.copy()
+        short[row, column] = SHORT_OHM
+        expected = float(view.volts_of(short)[row, column])
+        volts = view.volts[:, row, column]
+        known = volts[np.isfinite(volts)]
+        aside = MAX_ASIDE * abs(expected - usual)
+        if aside > view.noise and len(known) and np.abs(known - expected).max() < aside:
+            shorted.append([int(row), int(column)])
+    shorted = [place for place in shorted if not view.scene.shorted_cells[*place]]
+    if shorted:
+        yield Finding(
+            "cells",
+            f"shorted cells: {', '.join(map(str, shorted))}",
+            "the readings are those of a short circuit in every frame",
+            f"faults: {{shorted: {shorted}}}",
+        )
+
+
+def _noise(view: _View) -> Iterator[Finding]:
+    """Find lines and cells whose unloaded readings scatter more than the others."""
+    unloaded = view.volts[view.recording.role == UNLOADED]
+    if len(unloaded) < MIN_NOISE_FRAMES:
+        return
+    # successive differences: a slow drift is no noise; n − 1 of them hold some 2/3 of the degrees of freedom of n − 1
+    steps = np.diff(unloaded, axis=0)
+    square = (steps**2).mean(axis=0) / 2
+    lsb = 0.0 if view.scene.readout is None else view.scene.readout.lsb_volt
+    usual = max(middle(square), lsb**2 / 12)
+    degrees = 2 / 3 * len(steps)
+    if not usual > 0:
+        return
+    ratio, known = np.nan_to_num(square / usual), np.isfinite(square)
+    noisy = {
+        name: np.flatnonzero(
+            (np.sqrt((ratio.sum(axis=axis) - ratio.max(axis=axis)) / np.maximum(known.sum(axis=axis) - 1, 1)))
+            > MAX_NOISE_RATIO["line"]
+        )
+        for name, axis in (("row", 1), ("column", 0))
+    }
+    most = view.scene.panel.shape
+    noisy = {name: lines if len(lines) <= most[name == "column"] / 3 else lines[:0] for name, lines in noisy.items()}
+    for name, lines in noisy.items():
+        if len(lines):
+            size = float(np.sqrt(np.mean(ratio[lines] if name == "row" else ratio[:, lines])))
+            yield Finding(
+                "noise",
+                f"{name}{'s' if len(lines) > 1 else ''} {first_and_more(lines.tolist(), MAX_NAMED)} "
+                f"{'are' if len(lines) > 1 else 'is'} noisy",
+                f"unloaded readings scatter {size:.2g} times as much as the others: is a contact loose?",
+            )
+    inside = np.zeros(square.shape, dtype=bool)
+    inside[noisy["row"]] = True
+    inside[:, noisy["column"]] = True
+    tails = chi_square_tail(degrees * ratio, np.full(ratio.shape, degrees))
+    alone = (ratio > MAX_NOISE_RATIO["cell"] ** 2) & (tails < SIGNIFICANCE / square.size) & ~inside
+    if alone.any():
+        places = first_and_more(np.argwhere(alone).tolist(), MAX_NAMED)
+        size = float(np.sqrt(ratio[alone].max()))
+        yield Finding(
+            "noise", f"readings at {places} are noisy", f"they scatter up to {size:.2g} times as much as usual"
+        )
+
+
+def _readings(view: _View) -> Iterator[Finding]:
+    """Tell the shares of missing readings and of those at rails."""
+    scene, missing, bounds = view.scene, view.readings.missing(view.scene), view.readings.bounds
+    total = max(int(scene.requested.sum()) * len(missing), 1)
+    kinds = ((missing, "missing"), (bounds & scene.requested, "at a rail, zero or below the series resistance"))
+    for which, words in kinds:
+        if which.any():
+            frames = int(which.any(axis=(1, 2)).sum())
+            share = float(f"{100 * which.sum() / total:.2g}")
+            yield Finding("readings", f"{share:g} % {words}", f"{int(which.sum())} in {frames} of {len(which)} frames")
+
+
+def _frames(view: _View) -> Iterator[Finding]:
+    """Find garbled frames, and frames that repeat the one before."""
+    garbled = garbled_lines(view.recording)
+    if garbled:
+        places = first_and_more([lines.name_in_words for lines in garbled], MAX_NAMED)
+        yield Finding("frames", f"garbled: {places}", "left out; they are no readings of this panel")
+    repeated = repeated_frames(view.recording)
+    if len(repeated):
+        count = f"{len(repeated)} of {len(view.recording.role)}"
+        numbers = first_and_more(repeated.tolist(), MAX_NAMED)
+        evidence = f"frames {numbers} equal the one before in every reading, noise included"
+        yield Finding("frames", f"{count} are repeated", evidence, remedy="record each frame once")
+
+
+def repeated_frames(recording: Recording) -> NDArray[np.intp]:
+    """Return the frames that equal the one before in every reading where noise changes some in nearly all others.
+
+    Frames without a value are no copies.
+    """
+    value = recording.recorded[:, recording.scene.requested]
+    known = np.isfinite(value[1:]) & np.isfinite(value[:-1])
+    same = (value[1:] == value[:-1]) & known
+    counts = known.sum(axis=1)
+    if len(value) < 3 or not counts.any():
+        return np.zeros(0, dtype=np.intp)
+    shares = same.sum(axis=1) / np.maximum(counts, 1)
+    copies = (shares == 1) & (counts > 0)
+    others = shares[~copies & (counts > 0)]
+    if not copies.any() or not len(others):
+        return np.zeros(0, dtype=np.intp)
+    # probability that noise repeats all readings of a frame by chance, if the largest share of the others is usual
+    chance = len(copies) * float(others.max()) ** int(np.median(counts))
+    return np.flatnonzero(copies) + 1 if chance < SIGNIFICANCE else np.zeros(0, dtype=np.intp)
+
+
+def _times(view: _View) -> Iterator[Finding]:
+    """Find equal times and gaps."""
+    steps = np.diff(view.recording.time)
+    if not len(steps):
+        return
+    equal = int(np.sum(steps <= 0))
+    if equal:
+        yield Finding(
+            "times", f"{equal} of {len(steps) + 1} frames are not later than the one before", "see their times"
+        )
+    usual = float(np.median(steps))
+    gaps = np.flatnonzero(steps > MAX_GAP * usual) if usual > 0 else np.zeros(0, dtype=int)
+    if len(gaps):
+        longest = float(steps.max())
+        numbers = first_and_more((gaps + 1).tolist(), MAX_NAMED)
+        evidence = f"{longest:.3g} s at most, where {usual:.3g} s are usual: were frames lost?"
+        yield Finding("times", f"gaps before frames {numbers}", evidence)
+
+
+def _order(view: _View) -> Iterator[Finding]:
+    """Find rows and columns in another order than the scene says."""
+    yield from order_findings(view.recording, view.volts)

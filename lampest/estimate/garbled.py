@@ -1,0 +1,235 @@
+"""Detection of garbled frames: lines of a frame whose readings were lost or displaced on their way to the computer.
+
+Transmission fails for one frame or for some of its lines: their readings are bytes of something else, or those of
+other cells. Such readings deviate from the neighbouring frames in whole lines while the other lines do not, and they
+are rougher than the lines ever are, or equal those of cells further along the scan. A load that is present for one
+frame is neither: it changes a patch of cells, which is as smooth in one frame as in the others.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from operator import attrgetter
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import first_and_more
+from lampest.files.levels import MAD_TO_SIGMA, OUTLIER_THRESHOLD, UNUSUAL
+from lampest.panel.panel import Array
+from lampest.recording.readings import median
+from lampest.recording.recording import Recording
+
+MIN_FRAMES = 5  # with fewer, the neighbours of a frame do not show which one is the odd one
+WINDOW = 2  # neighbouring frames before and after
+MIN_RATIO_TO_SCATTER = 3.0  # deviation over the scatter of the neighbours, so that an arriving load is not flagged
+MIN_LINE_SHARE = 0.25  # of deviating readings, beyond which a line counts as affected
+MIN_SHARE, MAX_SHARE_BESIDE = 0.6, 0.05  # of deviating readings in the affected lines, and in the other ones
+MIN_LINE_CELLS = 4  # readings of a line: with fewer, chance makes it as rough as a garbled one
+# Median second difference of ln y along the lines, and its ratio to the largest one of a line of the other frames. That
+# of random bytes is 1.5; film that scatters by 0.3 has 0.5, and loads add little (tests/oracles/test_garbled.py).
+MIN_ROUGHNESS, MIN_ROUGHNESS_RATIO = 0.5, 1.3
+CLEARLY = 1.5  # times as rough: such lines are garbled even if other lines of the frame move as well
+MAX_DISPLACEMENT = 4  # readings along the scan
+# Ratio of the median deviation to that after a displacement, and share of the readings that it explains.
+MIN_IMPROVEMENT, MIN_EXPLAINED = 5.0, 0.95
+ORDERS: tuple[Literal["C", "F"], ...] = ("C", "F")  # of a scan: along the rows, or along the columns
+
+
+@dataclass(frozen=True, eq=False)
+class GarbledLines:
+    """Garbled lines of one frame.
+
+    Attributes
+    ----------
+    frame : int
+        Index of the frame.
+    name : str
+        'row' or 'column'.
+    numbers : tuple of int
+        The lines; all of them if the whole frame is garbled.
+    whole : bool
+    """
+
+    frame: int
+    name: str
+    numbers: tuple[int, ...]
+    whole: bool
+
+    @property
+    def name_in_words(self) -> str:
+        """The lines in words, such as 'rows 2, 3 of frame 14'."""
+        if self.whole:
+            return f"frame {self.frame}"
+        plural = "s" if len(self.numbers) > 1 else ""
+        return f"{self.name}{plural} {', '.join(map(str, self.numbers))} of frame {self.frame}"
+
+    def mask(self, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Return the readings of the lines, boolean (rows, columns)."""
+        flagged = np.zeros(shape, dtype=bool)
+        flagged[(slice(None),) * (self.name == "column") + (list(self.numbers),)] = True
+        return flagged
+
+
+def garbled_lines(recording: Recording) -> tuple[GarbledLines, ...]:
+    """Return the garbled lines of all frames, in temporal order.
+
+    Panels of modules are judged as one image.
+    """
+    values = _signal(recording)
+    if len(values) < MIN_FRAMES or min(values.shape[1:]) < MIN_LINE_CELLS:
+        return ()
+    expected, spread = _expected(values)
+    scale = _noise(recording, values)
+    if not scale > 0:
+        return ()
+    with np.errstate(invalid="ignore"):
+        far = np.abs(values - expected) > np.fmax(OUTLIER_THRESHOLD * scale, MIN_RATIO_TO_SCATTER * spread)
+    found = list[GarbledLines]()
+    rows = Along(values, expected, far, scale)
+    for name, along in (("row", rows), ("column", rows.transposed)):
+        for frame in np.flatnonzero(far.any(axis=(1, 2))).tolist():
+            lines = along.garbled(frame)
+            if len(lines) and not any(other.frame == frame for other in found):
+                found.append(GarbledLines(frame, name, tuple(lines.tolist()), len(lines) == along.values.shape[1]))
+    return tuple(sorted(found, key=attrgetter("frame")))
+
+
+def readings_of(garbled: Sequence[GarbledLines], recording: Recording) -> NDArray[np.bool_]:
+    """Return whether a reading is part of a garbled line, boolean (frames, rows, columns)."""
+    flagged = np.zeros(recording.recorded.shape, dtype=bool)
+    for lines in garbled:
+        flagged[lines.frame] |= lines.mask(flagged.shape[1:])
+    return flagged
+
+
+def garbled_sentence(garbled: Sequence[GarbledLines]) -> str:
+    """Return the garbled lines in words; '' without any."""
+    places = [lines.name_in_words for lines in garbled]
+    return f"garbled and left out: {first_and_more(places)}" if places else ""
+
+
+def _signal(recording: Recording) -> Array:
+    """Return what the converter saw, volt (frames, rows, columns); without a readout the conductance, 1/ohm.
+
+    Bounds are included, because garbled codes may lie at a rail; NaN where missing.
+    """
+    scene, recorded = recording.scene, recording.recorded
+    with np.errstate(divide="ignore", invalid="ignore"):
+        values = 1 / recorded if scene.readout is None else scene.readout.volt_from_recorded(recorded)
+    return np.where(np.isfinite(values) & scene.requested, values, np.nan)
+
+
+def _expected(values: Array) -> tuple[Array, Array]:
+    """Return the median of the neighbours of each frame and their scatter, (frames, rows, columns)."""
+    frames, width = np.arange(len(values)), 2 * WINDOW + 1
+    first = np.clip(frames - WINDOW, 0, len(values) - width)
+    within = first[:, None] + np.arange(width)
+    nearest = within[within != frames[:, None]].reshape(len(frames), width - 1).T
+    neighbours = values[nearest]
+    middle = median(neighbours)[0]
+    return middle, MAD_TO_SIGMA * median(np.abs(neighbours - middle))[0]
+
+
+def _noise(recording: Recording, values: Array) -> float:
+    """Return the standard deviation of the noise: by changes from frame to frame, at least that of the converter."""
+    steps = np.abs(np.diff(values, axis=0))
+    measured = float(MAD_TO_SIGMA / np.sqrt(2) * median(steps.ravel())[0])
+    readout = recording.scene.readout
+    return measured if readout is None else max(measured, float(readout.lsb_volt))
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """Lines of one side of the panel, each along its cells.
+
+    Attributes
+    ----------
+    values, expected : array, shape (frames, lines, cells)
+        What the converter saw, volt, and what the neighbouring frames let expect.
+    far : boolean array, same shape
+        Readings that deviate from the neighbouring frames.
+    scale : float
+        Standard deviation of the noise, volt.
+    """
+
+    values: Array
+    expected: Array
+    far: NDArray[np.bool_]
+
+    scale: float
+
+    @property
+    def transposed(self) -> "Along":
+        """The lines of the other side."""
+        values, expected = (part.swapaxes(1, 2) for part in (self.values, self.expected))
+        return Along(values, expected, self.far.swapaxes(1, 2), self.scale)
+
+    @cached_property
+    def roughness(self) -> Array:
+        """Median size of second differences of ln y along each line, (frames, lines)."""
+        logarithm = np.log(np.maximum(self.values, self.scale))
+        return np.nan_to_num(median(np.abs(np.diff(logarithm, 2, axis=2)), 2)[:, :, 0])
+
+    @cached_property
+    def _least_rough(self) -> Array:
+        """Roughness of a garbled line, (frames,): beyond that of the lines of all other frames."""
+        return np.asarray(np.fmax(MIN_ROUGHNESS, MIN_ROUGHNESS_RATIO * largest_of_others(self.roughness.max(axis=1))))
+
+    @cached_property
+    def _lost(self) -> NDArray[np.bool_]:
+        """Whether a line has a single value, beyond those of all other frames, (frames, lines)."""
+        known = np.isfinite(self.values)
+        largest = np.max(self.values, axis=2, initial=-np.inf, where=known)
+        smallest = np.min(self.values, axis=2, initial=np.inf, where=known)
+        above = smallest > largest_of_others(largest.max(axis=1))[:, None]
+        below = largest < -largest_of_others(-smallest.min(axis=1))[:, None]
+        return np.asarray((above | below) & known.any(axis=2) & (largest < smallest + self.scale))
+
+    def garbled(self, frame: int) -> NDArray[np.intp]:
+        """Return the garbled lines of a frame."""
+        shares, least, roughness = self.far[frame].mean(axis=1), self._least_rough[frame], self.roughness[frame]
+        clear = (shares > MIN_SHARE) & ((roughness > CLEARLY * least) | self._lost[frame])
+        # Lines that deviate as a whole while the others do not.
+        inside = shares > MIN_LINE_SHARE
+        apart = inside.any() and shares[inside].mean() >= MIN_SHARE
+        apart &= inside.all() or shares[~inside].mean() <= MAX_SHARE_BESIDE
+        if apart and (float(np.median(roughness[inside])) > least or self._is_displaced(frame, inside)):
+            return np.flatnonzero(inside)
+        return np.flatnonzero(clear)
+
+    def _is_displaced(self, frame: int, lines: NDArray[np.bool_]) -> bool:
+        """Return whether lines have the readings of cells further along the scan, and of their own before and after.
+
+        A load that jumps is displaced as well, but the film, whose cells differ in the first frame, is not.
+        """
+        if not 0 < frame < len(self.values) - 1:
+            return False
+        previous, current, following = self.values[frame - 1 : frame + 2, lines]
+        whole, first = self.expected[frame], self.values[0]
+        deviation = middle(np.abs(current - whole[lines]))
+        if MIN_IMPROVEMENT * middle(np.abs(following - previous)) > deviation:
+            return False
+        for steps, order in product((*range(-MAX_DISPLACEMENT, 0), *range(1, MAX_DISPLACEMENT + 1)), ORDERS):
+            displaced = np.roll(whole.ravel(order=order), steps).reshape(whole.shape, order=order)
+            missed = np.abs(current - displaced[lines])
+            known = np.isfinite(missed)
+            explained = np.sum(missed[known] < UNUSUAL * self.scale) / max(int(known.sum()), 1)
+            film = np.roll(first.ravel(order=order), steps).reshape(first.shape, order=order) - first
+            structured = middle(np.abs(film)) > OUTLIER_THRESHOLD * self.scale
+            if structured and explained > MIN_EXPLAINED and MIN_IMPROVEMENT * middle(missed) < deviation:
+                return True
+        return False
+
+
+def largest_of_others(values: Array) -> Array:
+    """Return the largest value of the other frames for each frame, (frames,)."""
+    first = int(np.argmax(values))
+    return np.asarray(np.where(np.arange(len(values)) == first, np.delete(values, first).max(), values[first]))
+
+
+def middle(values: Array) -> float:
+    """Return the median of all values; NaN are ignored, and NaN is returned without any value."""
+    return float(median(values.ravel())[0]) if values.size else np.nan

@@ -1,0 +1,86 @@
+"""Advice: what a recording suggests beyond its scene is said with its evidence, and written where a user asks."""
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import lampest
+
+Command = Callable[..., SimpleNamespace]
+
+SHAPE = (8, 8)
+RIGHT = lampest.LoadedColumnsReadout(
+    polarity="up", drive_ohm=150.0, load_ohm=10_000.0, adc_bits=10, readings=1, noise_lsb=1.0
+)
+WRONG = lampest.GroundedReadout(sense="all", drive_ohm=150.0, load_ohm=10_000.0, adc_bits=10, readings=1, noise_lsb=1.0)
+
+
+def written(path: Path, dead_row: int | None = None, readout: lampest.Readout = RIGHT) -> Path:
+    """Write a recording of three pressed corners of a square, made by loaded columns."""
+    rng = np.random.default_rng(5)
+    cells = np.repeat(8000 * np.exp(0.1 * rng.standard_normal((1, *SHAPE))), 12, axis=0)
+    for row, column in ((1, 1), (1, 2), (2, 1)):
+        cells[6:, row, column] = 800.0
+    if dead_row is not None:
+        cells[:, dead_row] = 1e10
+    volts = np.stack([RIGHT.exact_reading(frame) for frame in cells])
+    codes = np.floor(volts / 5 * 1024 + rng.standard_normal(volts.shape))
+    scene = lampest.Scene(lampest.Panel(*SHAPE), readout)
+    lampest.Recording.from_array(np.clip(codes, 0, 1023).astype(int), unit="code", baseline=6, scene=scene).save(path)
+    return path
+
+
+def test_info_prints_health_verdict_and_advice(tmp_path: Path, lampest: Command) -> None:
+    told = lampest("info", written(tmp_path / "dead.h5", dead_row=5)).out
+    assert "row is dead: 5" in told and "faults: {dead_rows: [5]}" in told
+    assert "model      doubtful" in told
+
+
+def test_a_clean_recording_has_no_advice(tmp_path: Path, lampest: Command) -> None:
+    told = lampest("info", written(tmp_path / "clean.h5")).out
+    assert "model      yes" in told and "advice" not in told
+    assert lampest("info", tmp_path / "clean.h5", "--apply").out.strip().endswith("no advice has a line to write")
+
+
+@pytest.mark.parametrize(
+    ("readout", "dead_row", "words"),
+    [(WRONG, None, "kind: loaded_columns"), (RIGHT, 5, "dead_rows")],
+    ids=["another circuit", "a dead row"],
+)
+def test_apply_writes_the_lines_into_the_scene(
+    readout: lampest.Readout, dead_row: int | None, words: str, tmp_path: Path, lampest: Command
+) -> None:
+    path = written(tmp_path / "mine.h5", dead_row, readout)
+    assert "advice" in lampest("info", path).out
+    done = lampest("info", path, "--apply").out
+    assert words in done and done.startswith("written to the scene")
+    ended = lampest("info", path)
+    assert ended.code == 0, ended.err
+    told = ended.out
+    assert "model      yes" in told and words not in told.split("advice")[-1].split("readings")[0]
+
+
+def test_apply_refuses_results_and_leaves_them(tmp_path: Path, lampest: Command) -> None:
+    results = tmp_path / "results.h5"
+    _reconstructed(written(tmp_path / "clean.h5")).save(results)
+    before = results.read_bytes()
+    refused = lampest("info", results, "--apply")
+    assert refused.code == 2 and "name the recording" in refused.err and results.read_bytes() == before
+
+
+def test_python_and_runs_give_the_same_advice(tmp_path: Path, lampest: Command) -> None:
+    path = written(tmp_path / "dead.h5", dead_row=5)
+    found = _reconstructed(path)
+    [line] = [text for text in found.advice if "dead" in text]
+    assert found.model_check.mark == "doubtful" and "row is dead: 5" in found.model_check.sentence
+    (tmp_path / "run.yaml").write_text("schema: 1\nrecordings: [dead.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n")
+    told = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "results").out
+    assert f"advice: dead: {line}" in " ".join(told.split())
+    assert line in lampest("info", tmp_path / "results" / "results.h5").out
+
+
+def _reconstructed(path: Path) -> lampest.Reconstruction:
+    return lampest.reconstruct(lampest.Recording.load(path), [lampest.Misfit()], error_bars=False)

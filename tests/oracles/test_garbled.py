@@ -1,0 +1,79 @@
+"""Frames that arrive garbled are left out, and loads that are present for one frame are not."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lampest.estimate.garbled import garbled_lines
+from lampest.estimate.prepared import Prepared
+from lampest.report.strongest import strongest_readings
+from tests.panels import Plan, recorded
+
+PLANS = range(150)
+MIN_STEPS = 12.0  # of the converter from a cell to the next one, below which a displaced frame hardly differs
+
+
+def garble(codes: NDArray[np.int64], frame: int, kind: str, top: int, rng: np.random.Generator) -> None:
+    """Garble a frame in place."""
+    image = codes[frame]
+    if kind == "two rows":
+        image[rng.choice(len(image), 2, replace=False)] = rng.integers(0, top, (2, image.shape[1]))
+    elif kind == "a column":
+        image[:, rng.integers(image.shape[1])] = rng.integers(0, top, len(image))
+    elif kind == "the frame":
+        image[...] = rng.integers(0, top, image.shape)
+    elif kind == "zeros":
+        image[...] = 0
+    elif kind == "a row of zeros":
+        image[1] = 0
+    elif kind == "a lost code":
+        image[...] = np.roll(image.ravel(), -1).reshape(image.shape)
+
+
+@pytest.mark.parametrize(
+    ("kind", "share"),
+    [("two rows", 0.93), ("a column", 0.82), ("the frame", 0.98), ("zeros", 0.98), ("a row of zeros", 0.96)],
+)
+def test_garbled_lines_of_a_frame_are_found(kind: str, share: float) -> None:
+    found = []
+    for seed in PLANS:
+        plan, rng = Plan.drawn(seed), np.random.default_rng([seed, 9])
+        codes, frame = plan.codes(), int(rng.integers(1, plan.unloaded + plan.measured - 1))
+        garble(codes, frame, kind, 2**plan.scene.circuit.adc_bits, rng)
+        lines = garbled_lines(recorded(plan.scene, codes, plan.unloaded))
+        found.append([line.frame for line in lines] == [frame])
+    assert np.mean(found) > share
+
+
+def test_a_lost_code_displaces_the_remaining_ones() -> None:
+    found = []
+    for seed in range(2 * len(PLANS)):
+        plan = Plan.drawn(seed)
+        codes, frame = plan.codes(), plan.unloaded + plan.measured // 2
+        steps = np.median(np.abs(np.diff(codes[0], axis=1))) / plan.noise_lsb
+        if steps > MIN_STEPS and plan.load in ("none", "stands"):
+            garble(codes, frame, "a lost code", 0, np.random.default_rng(seed))
+            lines = garbled_lines(recorded(plan.scene, codes, plan.unloaded))
+            found.append([line.frame for line in lines] == [frame])
+    assert len(found) > 10 and np.mean(found) > 0.8
+
+
+def test_no_frame_of_clean_recordings_is_garbled() -> None:
+    for seed in PLANS:
+        plan = Plan.drawn(seed)
+        assert not garbled_lines(plan.recording()), seed
+
+
+def test_a_garbled_frame_condemns_no_circuit_and_is_not_the_strongest() -> None:
+    plan = Plan.drawn(4, "two_point")
+    codes, frame = plan.codes(), plan.unloaded + 4
+    garble(codes, frame, "two rows", 2**plan.scene.circuit.adc_bits, np.random.default_rng(3))
+    recording = recorded(plan.scene, codes, plan.unloaded)
+    prepared, strongest = Prepared(recording), strongest_readings(recording)
+    assert prepared.check.explains
+    assert f"of frame {frame}" in " ".join(prepared.warnings)
+    assert strongest is not None and strongest[0] != frame
+    intact = Prepared(plan.recording())
+    np.testing.assert_allclose(
+        prepared.noise.readings.value[frame + 1], intact.noise.readings.value[frame + 1], rtol=1e-12
+    )
