@@ -292,7 +292,7 @@ def _excited(
 def _unit(circuit: Circuit, first: Numbers, second: Numbers, scale: casadi.SX) -> casadi.SX:
     """Return the unit of K between pairs of lines, (pairs, 1): `scale` ohm, its inverse between lines at ground."""
     power = 1.0 - circuit.held[first].astype(float) - circuit.held[second].astype(float)
-    return casadi.vertcat(*(scale**exponent for exponent in power.tolist()))
+    return casadi.SX(casadi.vertcat(*(scale**exponent for exponent in power.tolist())))
 
 
 def _chosen(values: casadi.SX, rows: Numbers, columns: list[int]) -> casadi.SX:
@@ -306,7 +306,7 @@ def _reading(circuit: Circuit, readout: Readout, impedance: casadi.SX, scale: ca
     own = casadi.diag(impedance)
     entries = [casadi.repmat(own[:rows], 1, columns), casadi.repmat(own[rows:].T, rows, 1), impedance[:rows, rows:]]
     if readout.homogeneous and not circuit.held.any():
-        return casadi.vec((scale * readout.reading(*entries)).T)
+        return casadi.vec(casadi.SX(scale * readout.reading(*entries)).T)
     row, column = _lines_of_cells(circuit)
     pairs = ((row, row), (column, column), (row, column))
     units = [_grid(circuit, _unit(circuit, *pair, scale)) for pair in pairs]
