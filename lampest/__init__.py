@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from lampest.cost.terms import TotalVariation as TotalVariation
     from lampest.cost.terms import TotalVariationOfChange as TotalVariationOfChange
     from lampest.cost.terms import term_types as term_types
+    from lampest.estimate.advice import Suggestion as Suggestion
     from lampest.estimate.estimates import Estimates as Estimates
     from lampest.estimate.estimator import AutoWeight as AutoWeight
     from lampest.estimate.estimator import Bounds as Bounds

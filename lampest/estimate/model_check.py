@@ -5,7 +5,7 @@ circuit's inequalities? Two frames: the evidence of a circuit decreases with the
 between the unloaded panel and a loaded frame. A rival is named if its evidence is larger by MIN_EVIDENCE_GAIN.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -32,6 +32,7 @@ from lampest.files.errors import InputError
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, SIGNIFICANT
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.observation import patch_of
+from lampest.panel.effects import EFFECTS, Effect
 from lampest.panel.panel import Array, Modules
 from lampest.posterior.interval import largest_of
 from lampest.recording.readings import Readings, mean_change, strongest_frame
@@ -218,7 +219,7 @@ class Question:
             explains, sentence, best.name, noise, besides.common_change, named_best, besides.loaded_at_rest
         )
 
-    def effects(self) -> CircuitEffects:
+    def effects(self, kinds: Sequence[type[Effect]] = EFFECTS) -> CircuitEffects:
         """Return the effects beside the circuit, from the frames that changed most and from the last frame."""
         scene, explanation = self.specified.scene, self.explanation
         last = np.flatnonzero(self.role == MEASURED)[-1:]
@@ -233,7 +234,7 @@ class Question:
         search = Detector(patch_of(scene.panel)).search(scene.panel)
         intact = np.where(scene.broken, np.nan, np.log(resting.cells))
         loaded = resting.tail >= SIGNIFICANCE and search.lies_on(intact)
-        return replace(find_effects(pairs), loaded_at_rest=loaded)
+        return replace(find_effects(pairs, kinds), loaded_at_rest=loaded)
 
 
 def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[[int], ModelCheck]) -> ModelCheck:
