@@ -91,7 +91,7 @@ class Findings:
     @property
     def unloaded(self) -> NDArray[np.bool_]:
         """Whether a frame is unloaded, boolean (frames,)."""
-        return self.recording.role == UNLOADED
+        return np.asarray(self.recording.role == UNLOADED)
 
     @property
     def measured(self) -> NDArray[np.intp]:
@@ -131,7 +131,7 @@ def _frame_errors(evidence: Findings) -> Iterator[Suggestion]:
         return
     asked = replace(evidence.recording, scene=replace(scene, gain=ESTIMATED, ripple=ESTIMATED))
     scale = evidence.noise.sigma_factor
-    parts = unloaded_scatter(asked, replace(readings, sigma=readings.sigma / scale)[unloaded])
+    parts = unloaded_scatter(asked, replace(readings, sigma=readings.known_sigma / scale)[unloaded])
     if parts is None:
         return
     if parts.gain_tail < SIGNIFICANCE:

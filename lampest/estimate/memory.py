@@ -56,7 +56,7 @@ def memory_gain(recording: Recording) -> float:
     if recording.scene.readout is None or not small or len(set(recording.role.tolist())) < 2:
         return 0.0
     without, likely = _costs(recording, np.array([0.0, LIKELY]))
-    return without - likely if np.isfinite(likely) else 0.0
+    return float(without - likely) if np.isfinite(likely) else 0.0
 
 
 def _costs(recording: Recording, shares: Array) -> Array:
@@ -77,12 +77,12 @@ def _cost(recording: Recording, share: float, frame: int) -> float:
     scene = replace(recording.scene, converter_memory=share)
     readings = Readings.of(scene, recording.recorded, recording.sigma)
     resting, loaded = readings[recording.role == UNLOADED].mean(), readings[frame]
-    fits = fitted(scene, resting, patient=True), fitted(scene, loaded, patient=True)
-    if fits[0] is None or fits[1] is None:
+    base, frame_fit = fitted(scene, resting, patient=True), fitted(scene, loaded, patient=True)
+    if base is None or frame_fit is None:
         return np.inf
     # p(recorded) = p(freed) |∂freed/∂recorded|, (1 − m)⁻¹ for each reading
     jacobian = 2 * np.log1p(-share) * float(np.sum(loaded.seen > 0))
-    return FittedPair.of(*fits).density + fits[0].chi_square + fits[1].chi_square + jacobian
+    return float(FittedPair.of(base, frame_fit).density + base.chi_square + frame_fit.chi_square + jacobian)
 
 
 def with_converter_memory(recording: Recording) -> tuple[Recording, tuple[float, float] | str | None]:

@@ -158,10 +158,10 @@ def _creep(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Nois
     if scene.panel.crossings > MAX_CELLS:
         return noise.undetermined("creep", f"the panel has more than {MAX_CELLS} cells")
     resting = readings[unloaded].mean()
-    fits = fitted(scene, resting, patient=True), fitted(scene, readings[int(measured[-1])], patient=True)
-    if fits[0] is None or fits[1] is None:
+    base, last = fitted(scene, resting, patient=True), fitted(scene, readings[int(measured[-1])], patient=True)
+    if base is None or last is None:
         return noise.undetermined("creep", "no cells explain the unloaded panel and the last frame")
-    evidence = FittedPair.of(*fits).evidence
+    evidence = FittedPair.of(base, last).evidence
     if not mostly_still(evidence.moved) or not np.isfinite(evidence.size[0]):
         return noise.undetermined("creep", "the load touches most cells: record a frame with less load at the end")
     return noise.determined(
@@ -275,5 +275,5 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
     if specified(scene, PASSES) == ESTIMATED:
         low, high = noise.estimated.get(PASSES, (0.0, np.inf))
         readout = replace(readout, passes_volt=(low, high) if np.isfinite(high) else None)
-    own = {key: numbers.get(key) for key in asked if "." not in key}
+    own: dict[str, Any] = {key: numbers.get(key) for key in asked if "." not in key}
     return replace(scene, readout=readout, systematic=systematic, estimated=dict(noise.estimated), **own)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 import scipy
@@ -19,7 +19,7 @@ from lampest.panel.readouts.lines import MAX_OHM, PerLine, as_tuple, check_resis
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
 from lampest.panel.response import AnyResponse, Film
 
-ESTIMATED = "estimated"  # in place of a number: the recording determines it
+ESTIMATED: Final = "estimated"  # in place of a number: the recording determines it
 Size = float | Literal["estimated"]
 
 

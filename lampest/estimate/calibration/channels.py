@@ -83,6 +83,7 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     # prior sizes of all errors, channels included
     prior = systematic_of(scene) or replace(USUAL, series_tolerance_ohm=None, inl_lsb=None, wire_ohm_per_cell=None)
     prior = replace(prior, channel_spread_ohm=prior.channel_spread_ohm or ASSUMED.channel_ohm, reading_error=None)
+    channel_prior = float(prior.channel_spread_ohm)
     scene, (rows, columns) = replace(scene, systematic=prior), scene.panel.shape
     parts = [part for recording in recordings for part in _likelihoods(replace(recording, scene=scene))]
     if not parts:
@@ -117,11 +118,11 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
         scene=_corrected(replace(scene, systematic=sizes), errors),
         summary=summary,
         remarks=(f"from {frames} frames; +- is one standard deviation", summary, *remarks),
-        warnings=() if spread < UNCHANGED * prior.channel_spread_ohm else (HARDLY,),
+        warnings=() if spread < UNCHANGED * channel_prior else (HARDLY,),
         errors=errors,
         covariance=covariance,
         apart=spread,
-        apart_before=prior.channel_spread_ohm,
+        apart_before=channel_prior,
         frames=frames,
     )
 
