@@ -93,7 +93,8 @@ $(VENV)/.installed-supply: $(VENV)/.installed pyproject.toml constraints.txt
 
 # What tests need besides Python: a cross compiler, a simulated microcontroller, a browser and a broker of MQTT.
 board-packages:
-	@missing=; for tool in gcc make avr-gcc avr-g++ avr-objcopy chromium chromedriver; do command -v $$tool >/dev/null || missing=1; done; \
+	@missing=; for tool in gcc make avr-gcc avr-g++ avr-objcopy arm-none-eabi-gcc qemu-system-arm \
+	chromium chromedriver; do command -v $$tool >/dev/null || missing=1; done; \
 	PATH="$$PATH:/usr/sbin" command -v mosquitto >/dev/null || missing=1; \
 	test -d /usr/share/arduino/hardware/arduino/avr/cores/arduino || missing=1; \
 	test -f /usr/include/simavr/sim_avr.h && test -f /usr/include/libelf.h || missing=1; \

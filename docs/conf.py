@@ -36,6 +36,7 @@ sphinx_gallery_conf = {
     "examples_dirs": "examples",
     "gallery_dirs": "gallery",
     "image_scrapers": ("figures.scraper",),
+    "ignore_repr_types": r"ShownFigure",  # a notebook shows the figure; the gallery has its own picture of it
     "download_all_examples": False,
     "show_memory": False,
     "write_computation_times": False,

@@ -7,7 +7,7 @@ from typing import Any
 import mpmath
 import numpy as np
 
-from lampest import Array, LoadedColumnsReadout, Scene, TwoPointReadout, VirtualGroundReadout
+from lampest import Array, DrivenReadout, LoadedColumnsReadout, Scene, TwoPointReadout, VirtualGroundReadout
 
 Node = Hashable
 Resistor = tuple[Node, Node, float]
@@ -126,7 +126,7 @@ def volt_of(matrix: Array, readout: Any, driven: int, sensed: int) -> float:
     if isinstance(readout, VirtualGroundReadout):
         through = [(volt["d", line] - volt["s", sensed]) / ohm for line, ohm in enumerate(matrix[:, sensed])]
         return each(readout.feedback_ohm, matrix.shape[1])[sensed] * sum(through)
-    return volt["load", sensed]
+    return volt[("load", sensed) if ("load", sensed) in volt else ("s", sensed)]
 
 
 def cells_between(matrix: Array) -> list[Resistor]:
@@ -149,6 +149,8 @@ def divider(
 def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
     """Drives, panel, channels and loads of a readout in volt while one line is driven and one is sensed."""
     lines, others = (range(count) for count in matrix.shape)
+    if isinstance(readout, DrivenReadout) or getattr(readout, "groups", None) is not None:
+        return network_of_states(matrix, readout, driven, sensed)
     floating = isinstance(readout, LoadedColumnsReadout)
     drive = each(readout.drive_ohm, len(lines))
     network = cells_between(matrix)
@@ -165,3 +167,27 @@ def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Re
         network += [(("s", line), ("load", line), channels[line]), (("load", line), "low", loads[line])]
         network += [] if readout.input_ohm is None else [(("load", line), "low", readout.input_ohm)]
     return network
+
+
+def network_of_states(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
+    """The same of a circuit that names what idle lines have, or whose sensed lines are behind multiplexers."""
+    count, others = matrix.shape
+    drive = each(readout.drive_ohm, count)
+    idle = each(getattr(readout, "idle_ohm", np.inf if isinstance(readout, LoadedColumnsReadout) else drive), count)
+    network = cells_between(matrix)
+    network += [
+        (("d", line), "high" if line == driven else "low", (drive if line == driven else idle)[line])
+        for line in range(count)
+    ]
+    groups = readout.groups or [range(others)]
+    turn = next(list(group).index(sensed) for group in groups if sensed in group)
+    read = [group[turn] for group in groups if turn < len(group)]
+    loads, channels = each(readout.load_ohm, others), each(getattr(readout, "sense_ohm", 0.0), others)
+    stays = getattr(readout, "idle_load_ohm", None) is None and readout.groups is None
+    for line in range(others):
+        if line in read or stays:
+            network += [(("s", line), ("load", line), channels[line]), (("load", line), "low", loads[line])]
+            network += [] if readout.input_ohm is None else [(("load", line), "low", readout.input_ohm)]
+        elif getattr(readout, "idle_load_ohm", None) is not None:
+            network.append((("s", line), "low", each(readout.idle_load_ohm, others)[line]))
+    return [(first, second, ohm) for first, second, ohm in network if ohm < np.inf]

@@ -17,10 +17,13 @@ from lampest import Absolute, Data, Faults, Huber, Misfit, OptimalMethod, Panel,
 from lampest.cost.cost import Cost
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.stream import Stream
+from lampest.files.errors import BROKEN
+from lampest.formulation.patterns import EXCITATIONS
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
 from lampest.panel.scene import Scene
-from lampest.solvers.ipopt import FORMULATIONS, Ipopt
-from lampest.solvers.multistart import BROKEN, convex, evaluated
+from lampest.solvers.by_ipopt import Ipopt
+from lampest.solvers.convex import convex_cells
+from lampest.solvers.multistart import evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
 from tests.least_cost import Array, Circuit, LeastCost, Penalty
 
@@ -187,9 +190,9 @@ class RandomProblem:
             except (ValueError, ArithmeticError):
                 continue
         solvers: list[tuple[Any, list[Array]]] = [(ProjectedNewton(self.cost, self.estimator.solver), scattered)]
-        if size <= NODAL_CELLS and self.scene.wiring is None:
-            nodal = Ipopt(self.cost, self.scene.circuit, FORMULATIONS["nodal"], self.estimator.solver)
-            solvers.append((nodal, [starts[1], np.log(convex(data, None)).ravel()]))
+        if size <= NODAL_CELLS:
+            nodal = Ipopt(self.cost, self.estimator.solver, self.scene.circuit, self.scene.wiring, EXCITATIONS["nodal"])
+            solvers.append((nodal, [starts[1], np.log(convex_cells(data, None)).ravel()]))
         for solver, places in solvers:
             for place in places:
                 try:

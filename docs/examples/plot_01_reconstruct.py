@@ -12,3 +12,4 @@ recording = lampest.datasets.load("lamprey_35mm")
 found = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise"), lampest.LogGradient()])
 print(found.fit_report())
 figure = found.plot("change")
+figure

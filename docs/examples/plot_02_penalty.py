@@ -20,3 +20,4 @@ for name, terms in {
     error = 100 * np.median(np.abs(found.cell_resistance / truth - 1))
     print(f"{name}: median cell error {error:.1f} %")
 figure = found.plot()
+figure

@@ -17,3 +17,4 @@ recording = lampest.simulate(
 )
 found = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
 figure = found.plot()
+figure

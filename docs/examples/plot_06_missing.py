@@ -22,3 +22,4 @@ error = 100 * found.cell_resistance_errors[-1] / found.cell_resistance[-1]
 print(f"median error bar of measured cells: {np.median(error[~missing]):.1f} %")
 print(f"median error bar of missing cells: {np.median(error[missing]):.1f} %")
 figure = found.plot("certainty")
+figure

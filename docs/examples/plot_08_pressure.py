@@ -12,3 +12,4 @@ found = lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient(weigh
 print(f"largest pressure {found.pressure[-1].max():.0f} kPa, largest suction {found.pressure[-1].min():.0f} kPa")
 print(f"{found.saturated[-1].sum()} cells are saturated")
 figure = found.plot("pressure")
+figure

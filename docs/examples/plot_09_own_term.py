@@ -29,3 +29,4 @@ recording = lampest.datasets.load("rod")
 found = lampest.reconstruct(recording, [lampest.Misfit(), CommonLevel(weight=1.0)], formulation="reduced")
 print(found.status[-1])
 figure = found.plot()
+figure

@@ -34,7 +34,7 @@ CHEAPER = 10
 
 
 @dataclass(frozen=True)
-class Trf:
+class Trf(Solver):
     """½ Σ f² = φ/s over u = log r within the bounds, f = √(2·weight/s)·residual, s = the start's `cost_scale`.
 
     Stops where the scaled gradient falls below the settings' tolerance, as the reduced solver does, or where neither
@@ -111,7 +111,7 @@ class _Point:
 
 
 @dataclass(frozen=True)
-class Lbfgsb:
+class Lbfgsb(Solver):
     """φ/s over u = log r within the bounds, s = the start's `cost_scale`, with the closed-form gradient.
 
     Stops where the projected gradient falls below the settings' tolerance, as the reduced solver does, or where the

@@ -20,6 +20,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
+    epilog="More: lampest show --help (cost terms, schema), lampest study --help (measurements of lampest itself)",
 )
 
 
@@ -122,7 +123,7 @@ def _build() -> None:
         if group not in groups:
             groups[group] = typer.Typer(no_args_is_help=True, help=GROUPS[group])
             epilog = f"Example: lampest {name} {example}".rstrip()
-            app.add_typer(groups[group], name=group, epilog=epilog, rich_help_panel=part)
+            app.add_typer(groups[group], name=group, epilog=epilog, rich_help_panel=part, hidden=True)
         add(group, word, _guarded(command), f"{name} {example}", rich_help_panel=None if group else part)
     for old, new in OLD.items():
         add("", old, _renamed(old, new), new, hidden=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from lampest.cli import screen
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,7 +33,7 @@ def init(
     folder
         Folder, created if missing; existing files are kept.
     readout
-        Your circuit: two_mux, pull_ups, grounded or amplifiers.
+        Your circuit: two_mux, parallel_mux, pull_ups, pull_downs, grounded, grounded_one, amplifiers or diodes.
     rows
         Rows of your panel, such as 16.
     columns
@@ -83,7 +83,6 @@ def run(
     yes
         Also solve panels whose first frame takes minutes or more memory than there is.
     """
-    from lampest.report.words import counted
     from lampest.runs.batch import run_batch
     from lampest.runs.config import read_run
     from lampest.runs.executors import local
@@ -142,10 +141,11 @@ def simulate(config: Path, out: screen.Output = None, assign: screen.Assign = No
     """
     from lampest.recording.simulation import run as run_simulation
 
+    replaced = out is not None and out.is_file()
     with screen.progress("frames", counted=True) as on_frame:
         written_files = run_simulation(config, out, on_frame, tuple(assign or ()))
     for path in written_files:
-        screen.say(path)
+        screen.say(screen.written(path, replaced=replaced))
 
 
 def import_(
@@ -163,13 +163,14 @@ def import_(
     transpose: bool = False,
     variable: str | None = None,
     layout: str | None = None,
+    resting: Path | None = None,
 ) -> None:
     """Convert measurements of another program to a recording, and report how they were interpreted.
 
     Parameters
     ----------
     file
-        CSV or other text, .xlsx, .npy, .npz or .mat.
+        CSV or other text, .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet, or a folder of frames.
     out
         New recording file.
     rows
@@ -194,6 +195,8 @@ def import_(
         The variable of a .mat or .npz file, the sheet of an .xlsx file.
     layout
         A table's columns, such as time,row,column,value, or an installed layout.
+    resting
+        The resting frame that firmware subtracted, for baseline: subtracted.
     """
     from lampest.recording.foreign.importing import import_file
     from lampest.report.info import understood_lines
@@ -205,13 +208,15 @@ def import_(
         "period": period,
         "missing": missing,
         "layout": layout,
+        "resting": resting,
     }
+    replaced = out.is_file()
     with screen.progress("reading"):
         recording, notes = import_file(file, rows, columns, agreed, unit, baseline, time_unit=time_unit, **options)
         recording.save(out)
     for line in understood_lines(recording, notes):
         screen.say(screen.as_options(line))
-    screen.say(out)
+    screen.say(screen.written(out, replaced=replaced))
 
 
 def tare(file: Path, frames: Annotated[str, screen.option()], out: screen.NewFile) -> None:
@@ -231,7 +236,8 @@ def tare(file: Path, frames: Annotated[str, screen.option()], out: screen.NewFil
     recording = Recording.load(file)
     named = frames_named(frames, len(recording.role))
     made, change = tared(recording, named)
+    replaced = out.is_file()
     made.save(out)
-    screen.say(f"unloaded: frames {named[0]} to {named[-1]}: {out}")
+    screen.say(f"unloaded: frames {named[0]} to {named[-1]}: {screen.written(out, replaced=replaced)}")
     if change > MIN_CHANGE:
         screen.warn(f"readings change by up to {100 * change:.1f} % within these frames; did a load come or go?")

@@ -106,26 +106,66 @@ def export(
     recording: str | None = None,
     start: str | None = None,
     frames: FramesNamed = None,
+    estimator: str | None = None,
+    within: screen.Amount = None,
+    milliseconds: screen.Amount = None,
+    processor: str | None = None,
 ) -> None:
-    """Export results to pandas and R, MATLAB and Octave, xarray or NWB, with units and descriptions.
+    """Export results to pandas and R, MATLAB and Octave, xarray or NWB, or an estimator to a microcontroller.
 
     Parameters
     ----------
     results
         A results file.
     to
-        csv, parquet, mat, zarr, nwb, or an added format.
+        csv, xlsx, parquet, mat, zarr, nwb, c, or an added format.
     out
-        Output file. Default: beside the results.
+        Output file, of c a folder. Default: beside the results.
     recording
-        Export this recording only; nwb takes one.
+        Export this recording only; nwb and c take one.
     start
         Start time for nwb if the file has none: 2026-05-04T09:30:00+02:00.
+    estimator
+        Estimator for c, such as LSM. Default: the first.
+    within
+        For c: largest deviation from the optimum in the median frame, in standard deviations of the cells.
+    milliseconds
+        For c: longest time of a frame on --processor.
+    processor
+        For c: cortex-m4f, cortex-m7, rp2350 or esp32.
     """
+    if to == "c":
+        if start is not None or frames is not None:
+            raise InputError("--to c takes no --start and no --frames: it exports an estimator, not frames")
+        _export_sketch(results, out, recording, estimator, (within, milliseconds, processor))
+        return
+    if any(value is not None for value in (estimator, within, milliseconds, processor)):
+        raise InputError("--estimator, --within, --milliseconds and --processor belong to --to c")
     from lampest.report.export import export_results
 
     for file in export_results(results, to, out, recording, start, _frames(frames)):
         screen.say(file)
+
+
+def _export_sketch(
+    results: Path,
+    out: Path | None,
+    recording: str | None,
+    estimator: str | None,
+    wishes: tuple[float | None, float | None, str | None],
+) -> None:
+    """Write a sketch for a microcontroller, and print what budgets buy."""
+    from lampest.report.export.microcontroller.sketch import Wishes, export_sketch
+    from lampest.report.export.microcontroller.trade import table_of
+
+    sketch = export_sketch(results, out, recording, estimator, Wishes(*wishes))
+    for line in sketch.about:
+        screen.say(line)
+    if sketch.table:
+        screen.print_table(table_of(sketch.table))
+    screen.print_notes(sketch.notes)
+    for path in sketch.files:
+        screen.say(path)
 
 
 def detect(

@@ -104,6 +104,11 @@ def say(message: object, to: TextIO | None = None) -> None:
     print(printable(str(message)), file=to, flush=True)
 
 
+def written(path: Path, *, replaced: bool) -> str:
+    """Return the path of a new file, and whether it replaced one."""
+    return f"{path}{' (in place of the file that had this name)' if replaced else ''}"
+
+
 def warn(sentence: object) -> None:
     """Print a sentence on stderr, after the program's name."""
     print(printable(f"lampest: {sentence}"), file=sys.stderr, flush=True)

@@ -4,6 +4,7 @@
 Weights are parameters of the compiled functions: costs that differ in nothing else share these.
 """
 
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -112,7 +113,9 @@ def _residual_of(term: Term, state: State) -> casadi.SX:
     """Return a term's residual (rows, 1). Raises InputError if it is no column, or constant."""
     name = f"term {term_kind(term)}: residual(state)"
     try:
-        residual = casadi.SX(term.residual(state))
+        with warnings.catch_warnings():  # np.log of a symbol is CasADi's; its notice of a change of types is for others
+            warnings.filterwarnings("ignore", r"\s*casadi: a numpy function", FutureWarning)
+            residual = casadi.SX(term.residual(state))
     except Exception as error:
         hint = "" if term.needs_previous else "; a term that reads state.previous or state.baseline says needs_previous"
         pairs = "" if state.panel.cells is None else ", and gradients of listed cells have a row for each pair"
@@ -175,21 +178,15 @@ class CostFunctions:
         Second derivatives of the same function, sparse.
     nonsmooth, nonsmooth_jacobian : Compiled
         Residuals x that enter through duals, and their derivatives.
-    split : Compiled
-        Residuals that an interior-point method splits.
     nonsmooth_terms : array of int
         Number of the term of each residual that enters through a dual.
-    split_blocks : tuple of int
-        Numbers of rows of the blocks of `split`.
     """
 
     first: Compiled
     hessian: Compiled
     nonsmooth: Compiled
     nonsmooth_jacobian: Compiled
-    split: Compiled
     nonsmooth_terms: NDArray[np.intp]
-    split_blocks: tuple[int, ...]
 
     @cached_property
     def entries(self) -> "Entries":
@@ -210,8 +207,7 @@ class CostFunctions:
         lagrangian = smooth + casadi.dot(slope * dual, nonsmooth)
         unknown = symbols.unknown
         gradient = casadi.gradient(lagrangian, unknown)
-        # Residuals that IPOPT splits, and the costs of the terms at y = 0, a part of the scale of the cost.
-        split = [group for group in program_groups(parts) if group[0].loss.enters != "whole"]
+        # Costs of the terms at y = 0, a part of the scale of the cost.
         by_term = casadi.vertcat(*costs)
         # Costs at readings of zero, f(r) = 0
         blank = casadi.substitute(by_term, symbols.reading, casadi.SX.zeros(*symbols.reading.shape))
@@ -220,7 +216,6 @@ class CostFunctions:
             "hessian": casadi.jacobian(gradient, unknown, {"symmetric": True}),
             "nonsmooth": casadi.densify(nonsmooth),
             "nonsmooth_jacobian": casadi.jacobian(nonsmooth, unknown),
-            "split": casadi.densify(stacked([part for group in split for part in group])[0]),
         }
         compiled = {
             name: symbols.compiled(name, output, weights=weights, dual=dual) for name, output in outputs.items()
@@ -230,7 +225,6 @@ class CostFunctions:
             nonsmooth_terms=np.array(
                 [part.term for part in through_duals for _ in range(part.residual.shape[0])], dtype=np.intp
             ),
-            split_blocks=tuple(sum(part.rows for part in group) for group in split),
         )
 
 

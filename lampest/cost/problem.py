@@ -14,6 +14,7 @@ from scipy import sparse
 
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
+from lampest.files.errors import brief
 from lampest.panel.compiled import Compiled, guarded, with_entries
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -63,6 +64,10 @@ class Data:
     first: bool = False
     parts: NDArray[np.intp] | None = None
     place: int = 0
+
+    def __repr__(self) -> str:
+        """Return the object in one line, arrays by their shapes."""
+        return brief(self)
 
     @property
     def panels(self) -> tuple[int, ...]:
@@ -270,11 +275,16 @@ class Evaluation:
             gradient[..., frame, :, :] += network.adjoint(through[..., frame, :, :])
         return gradient
 
+    @property
+    def cell_costs(self) -> Array:
+        """Mean cost φ of a cell if all readings were 0, (…)."""
+        terms, cells = len(self.cost.terms), math.prod(self.cell_resistance.shape[-3:])
+        return np.asarray(self.first[..., terms : 2 * terms].sum(axis=-1) / cells)
+
     @cached_property
     def cost_scales(self) -> Array:
         """Scale of the cost for tests of optimality, (…): φ at this point plus the mean φ of a cell at y = 0."""
-        terms, cells = len(self.cost.terms), math.prod(self.cell_resistance.shape[-3:])
-        scale = self.first[..., terms : 2 * terms].sum(axis=-1) / cells + self.objectives
+        scale = self.cell_costs + self.objectives
         return np.asarray(np.where(scale == 0, 1.0, scale))
 
     @cached_property

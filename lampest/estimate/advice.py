@@ -16,12 +16,12 @@ from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN, CircuitEffects
 from lampest.estimate.resolve import specified
 from lampest.estimate.saturation import saturated
 from lampest.estimate.still_cells import shared_errors
+from lampest.files.errors import BROKEN
 from lampest.files.levels import SIGNIFICANCE
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.scene import ESTIMATED, Scene, Systematic
 from lampest.recording.readings import strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.solvers.multistart import BROKEN
 
 MIN_CERTAINTY = 3.0  # standard deviations of a reading error above zero (tests/oracles/test_noise.py)
 MIN_SHARE_READ = 0.9  # of the unloaded readings that are values: with fewer, films look rough (tests/golden/checks.py)
@@ -64,7 +64,7 @@ class Suggestion:
 
 
 @dataclass(frozen=True, eq=False)
-class Findings:
+class Gathered:
     """Finished estimates of a single network's recording, of which advice is made.
 
     Attributes
@@ -104,7 +104,7 @@ class Findings:
 
 
 @ONE_BLAS_THREAD
-def advice_of(evidence: Findings) -> tuple[Suggestion, ...]:
+def advice_of(evidence: Gathered) -> tuple[Suggestion, ...]:
     """Return the advice on a recording: effects that its readings show and its scene does not name."""
     found = list[Suggestion]()
     for search in (_saturation, _frame_errors, _besides, _memory, _reading_error, _motion):
@@ -116,14 +116,14 @@ def advice_of(evidence: Findings) -> tuple[Suggestion, ...]:
     return tuple(found)
 
 
-def _saturation(evidence: Findings) -> Iterator[Suggestion]:
+def _saturation(evidence: Gathered) -> Iterator[Suggestion]:
     """Yield advice on a stage before the converter that saturates."""
     stage = saturated(evidence.recording) if evidence.names_none("readout.passes_volt") else None
     if stage is not None:
         yield Suggestion(stage.sentence, "readout.passes_volt", ESTIMATED)
 
 
-def _frame_errors(evidence: Findings) -> Iterator[Suggestion]:
+def _frame_errors(evidence: Gathered) -> Iterator[Suggestion]:
     """Yield advice on gain and ripple, from the scatter of the unloaded frames."""
     scene, readings, unloaded = evidence.scene, evidence.noise.readings, evidence.unloaded
     unknown = scene.readout is None or readings.sigma is None or unloaded.sum() < 2
@@ -142,7 +142,7 @@ def _frame_errors(evidence: Findings) -> Iterator[Suggestion]:
         yield Suggestion(f"the lines of a scan vary together by {size:.2g} LSB", "ripple", ESTIMATED)
 
 
-def _besides(evidence: Findings) -> Iterator[Suggestion]:
+def _besides(evidence: Gathered) -> Iterator[Suggestion]:
     """Yield advice on leaks, contacts and a common change of all cells."""
     found = evidence.effects
     if found.name and evidence.check.by_effect and evidence.names_none("leaks", "contacts"):
@@ -152,7 +152,7 @@ def _besides(evidence: Findings) -> Iterator[Suggestion]:
         yield Suggestion(found.common_change, "creep", ESTIMATED)
 
 
-def _memory(evidence: Findings) -> Iterator[Suggestion]:
+def _memory(evidence: Gathered) -> Iterator[Suggestion]:
     """Yield advice on a converter that remembers the channel before."""
     if evidence.names_none("converter_memory") and memory_gain(evidence.recording) > MIN_EVIDENCE_GAIN:
         found = estimated_memory(evidence.recording)
@@ -165,7 +165,7 @@ def _memory(evidence: Findings) -> Iterator[Suggestion]:
             )
 
 
-def _reading_error(evidence: Findings) -> Iterator[Suggestion]:
+def _reading_error(evidence: Gathered) -> Iterator[Suggestion]:
     """Yield advice on errors of each reading that stay the same in all frames."""
     scene, noise, unloaded = evidence.scene, evidence.noise, evidence.unloaded
     if noise.readings.sigma is None or not unloaded.any() or not evidence.names_none("systematic.reading_error"):
@@ -188,7 +188,7 @@ def _reading_error(evidence: Findings) -> Iterator[Suggestion]:
         )
 
 
-def _motion(evidence: Findings) -> Iterator[Suggestion]:
+def _motion(evidence: Gathered) -> Iterator[Suggestion]:
     """Yield advice on loads that move while a frame is scanned."""
     readings, unloaded = evidence.noise.readings, evidence.unloaded
     if readings.sigma is None or not unloaded.any() or not evidence.names_none("motion"):

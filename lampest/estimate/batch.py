@@ -18,11 +18,11 @@ from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
+from lampest.files.errors import BROKEN
 from lampest.panel.readouts import TwoPointReadout
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
-from lampest.solvers.multistart import BROKEN
-from lampest.solvers.projected_lbfgs import InverseHessians, serves, solve
+from lampest.solvers.projected_lbfgs import NAME, InverseHessians, serves, solve
 from lampest.solvers.solution import VERIFIED, Outcome, Status, solution_at
 
 MIN_PANELS_PER_THREAD = 20  # with fewer panels in a thread, threads cost more than they save
@@ -209,8 +209,8 @@ def _solved_batch(
         gradient = points.gradient[row].reshape(at.cell_resistance.shape)
         status = Status.HELD if bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
         iterations = int(ended.iterations[row])
-        outcome = Outcome(at.cell_resistance, NO_DUAL, status, iterations, preconditioner=stream.prepared)
-        solution = solution_at(at, float(points.residual[row]), outcome, status)
+        outcome = Outcome(at.cell_resistance, NO_DUAL, status, iterations, carried=stream.prepared)
+        solution = replace(solution_at(at, float(points.residual[row]), outcome, status), solver=NAME)
         step = Step(solution, seconds, stream_weights, weight_sigma=stream.weighted.weight_sigma)
         after[int(numbers[row])] = stream.estimator.method.after(stream, step, frames[row])
     return after

@@ -17,6 +17,7 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.state import UNKNOWN_SD
+from lampest.files.errors import BROKEN
 from lampest.panel.effects import Effect, effect_on_readings, with_effects
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Network
@@ -25,7 +26,8 @@ from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
-from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated, solved_from
+from lampest.solvers.convex import convex_cells
+from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.solution import Settings
 
 EXACT_CHI_SQUARE = 1e-2  # χ² so small that it changes no verdict
@@ -188,7 +190,7 @@ def fitted(
     with suppress(*BROKEN), np.errstate(all="ignore"):
         data = cells_alone().data(readings.alone(), Background(scene))
         data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
-        start = convex(data, None)[0] if near is None else near
+        start = convex_cells(data, None)[0] if near is None else near
 
         def model(position: Array) -> CellsFit:
             return CellsFit.at(scene, data, readings, np.exp(position).reshape(start.shape), effects)

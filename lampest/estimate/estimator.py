@@ -8,6 +8,7 @@ from lampest.estimate.methods.method import Method
 from lampest.estimate.objective import AutoWeight as AutoWeight
 from lampest.estimate.objective import Bounds as Bounds
 from lampest.estimate.objective import Objective, checked_terms
+from lampest.estimate.witness import Verify
 from lampest.files.errors import InputError, in_words
 from lampest.loads.pressure import Tare
 from lampest.panel.panel import Panel
@@ -38,6 +39,8 @@ class Estimator(Objective):
         Choice of the weights that the terms leave open.
     tare : Tare or None
         When to set the zero of pressures anew because nothing touches the panel; None: never.
+    verify : Verify
+        Frames that IPOPT solves again on the nodal program, from another start.
     weight_sigma : tuple of float
         Standard deviations of ln λ of chosen weights, see `Objective`.
 
@@ -49,7 +52,7 @@ class Estimator(Objective):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", checked_terms(self.terms))  # a list cannot be hashed
-        for name, kind in (("solver", Settings), ("bounds", Bounds), ("auto_weight", AutoWeight)):
+        for name, kind in (("solver", Settings), ("bounds", Bounds), ("auto_weight", AutoWeight), ("verify", Verify)):
             if not isinstance(getattr(self, name), kind):
                 raise InputError(f"{name} must be {kind.__name__}(...), not {in_words(getattr(self, name))}")
         if not isinstance(self.tare, Tare | None):

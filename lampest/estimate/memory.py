@@ -11,12 +11,12 @@ import numpy as np
 
 from lampest.estimate.cells_fit import fitted
 from lampest.estimate.nuisances import FittedPair
+from lampest.files.errors import BROKEN
 from lampest.panel.panel import Array
 from lampest.panel.scene import ESTIMATED
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.solvers.multistart import BROKEN
 
 KEY = "converter_memory"
 MEMORIES = np.linspace(0.0, 0.3, 16)
@@ -85,7 +85,7 @@ def _cost(recording: Recording, share: float, frame: int) -> float:
     return float(FittedPair.of(base, frame_fit).density + base.chi_square + frame_fit.chi_square + jacobian)
 
 
-def with_converter_memory(recording: Recording) -> tuple[Recording, tuple[float, float] | str | None]:
+def with_estimated_memory(recording: Recording) -> tuple[Recording, tuple[float, float] | str | None]:
     """Return the recording with a number for `converter_memory: estimated`, and the estimate or the reason for none."""
     if recording.scene.converter_memory != ESTIMATED:
         return recording, None

@@ -28,7 +28,7 @@ from lampest.estimate.nuisances import (
     find_effects,
 )
 from lampest.estimate.rivals import Rival, changes_beyond_noise, rivals_of, standing_frames
-from lampest.files.errors import InputError
+from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, SIGNIFICANT
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.observation import patch_of
@@ -37,7 +37,6 @@ from lampest.panel.panel import Array, Modules
 from lampest.posterior.interval import largest_of
 from lampest.recording.readings import Readings, mean_change, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.solvers.multistart import BROKEN
 
 EXPLAINED = "the circuit explains its readings"
 # Deviation of ln of a module's median reading at rest from the other modules: none of 1,640 simulated modules whose
@@ -49,6 +48,8 @@ MAX_SERIES_SHARE = 0.98  # of the largest resistance in series that readings all
 # cells leave 1.4, and distinguishable circuits at most 0.2 (docs/studies/model_check.py).
 MAX_CELL_SD = 0.5
 SERIES_POINTS = 5  # resistances in series that are tried, before a search about the best one
+MEMORIES = (0.01, 0.02, 0.04, 0.08, 0.16)  # fractions of the channel before that a converter may keep
+MEMORY_ACCURACY = 0.03  # of the search about the best one, as a share of it
 SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
 
 
@@ -144,7 +145,8 @@ class Question:
         """Return the mean of the unloaded frames, and of the standing ones. Raises InputError as `Rival.readings`."""
         chosen, count = np.concatenate([self.resting, self.standing]), len(self.resting)
         read = rival.readings(chosen)
-        read = replace(read, sigma=self.widening * read.known_sigma, seen=read.seen * self._usable[chosen])
+        usable = rival.ordered(self._usable[chosen])
+        read = replace(read, sigma=self.widening * read.known_sigma, seen=read.seen * usable)
         resting = read[:count].mean()
         return (resting,) if len(self.standing) == 0 else (resting, read[count:].mean())
 
@@ -414,15 +416,18 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
     likely = sorted((known for known in explanations if known and known.score < threshold), key=attrgetter("score"))
     likely = likely[:MAX_CANDIDATES]
     assumed = [] if specified is None else [specified]
-    tried = (*likely, *(with_series(known, question) for known in (*likely, *assumed)))
+    tried = [*likely, *(with_series(known, question) for known in (*likely, *assumed))]
+    tried += [with_converter_memory(known, question) for known in assumed]
     quiet = (known for known in tried if known.pair is None or mostly_still(known.pair.moved))
     lawful = (known for known in quiet if not broken_law(known.rival, question))
 
     # Among rivals a resistance in series is one more parameter.
     def cost(known: Explanation) -> float:
-        return known.beyond_noise + PARAMETER_COST * (known.rival.in_series is not None)
+        numbers = (known.rival.in_series is not None) + (known.rival.scene.converter_memory != memory)
+        return known.beyond_noise + PARAMETER_COST * numbers
 
-    best = min(lawful, key=cost, default=None)
+    memory = question.specified.scene.converter_memory
+    best = min((known for known in lawful if known.rival.name), key=cost, default=None)
     if best is None:
         return BetterExplanation()
     if specified is None or best.pair is None:
@@ -440,7 +445,8 @@ def some_in_series(rival: Rival, question: Question) -> Explanation | None:
     """Return a circuit's explanation with the best one of SERIES_POINTS resistances in series; None without any."""
     most = most_in_series(rival, question)
     points = np.linspace(0.0, most, SERIES_POINTS) if most else ()
-    explanations = (Explanation.of(rival.with_series(ohm), question) for ohm in points)
+    tried = (replace(rival.with_series(ohm), at_limit=ohm in (0.0, most)) for ohm in points)
+    explanations = (Explanation.of(candidate, question) for candidate in tried)
     return min(filter(None, explanations), key=attrgetter("score"), default=None)
 
 
@@ -454,15 +460,44 @@ def with_series(given: Explanation, question: Question) -> Explanation:
 
     def score(ohm: float) -> float:
         nonlocal best
-        explanation = Explanation.of(given.rival.with_series(ohm), question, best)
+        explanation = Explanation.of(replace(given.rival.with_series(ohm), at_limit=False), question, best)
         if explanation is None:
             return np.inf
         best = min(best, explanation, key=attrgetter("score"))
         return explanation.score
 
     ends = max(best.rival.ohm - spacing, 0.0), best.rival.ohm + spacing
-    scipy.optimize.minimize_scalar(score, bounds=ends, method="bounded", options={"xatol": SERIES_ACCURACY * spacing})
-    return best
+    accuracy = SERIES_ACCURACY * spacing
+    scipy.optimize.minimize_scalar(score, bounds=ends, method="bounded", options={"xatol": accuracy})
+    most = (SERIES_POINTS - 1) * spacing
+    at_limit = not 2 * accuracy < best.rival.ohm < most - 2 * accuracy
+    return replace(best, rival=replace(best.rival, at_limit=at_limit)) if best.rival.in_series is not None else best
+
+
+def with_converter_memory(given: Explanation, question: Question) -> Explanation:
+    """Return a circuit's explanation with the most probable memory of the converter, or the given one.
+
+    A scene that states a memory keeps it.
+    """
+    if given.rival.scene.converter_memory is not None or given.rival.scene.readout is None:
+        return given
+    best = given
+
+    def score(fraction: float) -> float:
+        nonlocal best
+        explanation = Explanation.of(given.rival.with_memory(float(fraction)), question, best)
+        if explanation is None:
+            return np.inf
+        best = min(best, explanation, key=attrgetter("score"))
+        return explanation.score
+
+    coarse = min(MEMORIES, key=score)
+    if best is given:
+        return given
+    ends = coarse / 2, 2 * coarse
+    scipy.optimize.minimize_scalar(score, bounds=ends, method="bounded", options={"xatol": MEMORY_ACCURACY * coarse})
+    fraction = best.rival.scene.converter_memory or 0.0
+    return best if MEMORIES[0] / 2 * 1.1 < fraction < MEMORIES[-1] * 1.9 else given
 
 
 def most_in_series(rival: Rival, question: Question) -> float:

@@ -23,7 +23,7 @@ from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import ENDLESS
 from lampest.panel.readouts.readout import in_panel_order
-from lampest.panel.scene import ESTIMATED, Scene, Systematic, number_of
+from lampest.panel.scene import ESTIMATED, Scene, Systematic, plain_size
 from lampest.panel.systematic import READING_ERROR, SHARED_ERRORS, Possible
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import chi_square_tail
@@ -221,7 +221,9 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
             # Only of a converter it is known how small the noise may be: its step.
             used = factor if smaller and recording.sigma is None else used
             assumed = float(np.mean(readout.assumed_noise))
-            message = f"noise {noise_lsb:.2g} LSB, measured in {where}; the scene specifies {assumed:.3g} LSB"
+            measured_text, specified_text = f"{noise_lsb:.2g} LSB", f"{assumed:.2g} LSB"
+            if measured_text != specified_text:
+                message = f"noise {measured_text}, measured in {where}; the scene specifies {specified_text}"
     elif readout is not None and not specified and unloaded >= (MIN_UNLOADED_FRAMES if not asked else 2):
         used = shown_noise(readout, ratio)[1]
     scaled = replace(cleaned, sigma=used * cleaned.sigma)
@@ -235,7 +237,7 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
 
 def _with_specified_frame_noise(noise: NoiseEstimate, scene: Scene, unloaded: int) -> NoiseEstimate:
     """Return the noise with the gain and the ripple that a scene specifies as numbers."""
-    gain, ripple = (number_of(size) or 0.0 for size in (scene.gain, scene.ripple))
+    gain, ripple = (plain_size(size) or 0.0 for size in (scene.gain, scene.ripple))
     if scene.readout is None or not (gain or ripple):
         return noise
     # a ripple that all lines share, independent from channel to channel

@@ -12,6 +12,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term, term_kind
+from lampest.estimate.witness import Verify
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import Configuration
 from lampest.loads.pressure import Tare
@@ -153,6 +154,7 @@ class Objective:
     error_bars: Literal["auto"] | bool = "auto"
     auto_weight: AutoWeight = AutoWeight()
     tare: Tare | None = None
+    verify: Verify = Verify()
     weight_sigma: tuple[float, ...] = ()
 
     def with_terms(self, terms: tuple[Term, ...]) -> Self:

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.advice import Findings, Suggestion, advice_of
-from lampest.estimate.memory import with_converter_memory
+from lampest.estimate.advice import Gathered, Suggestion, advice_of
+from lampest.estimate.memory import with_estimated_memory
 from lampest.estimate.model_check import ModelCheck, Question, check_of_modules
 from lampest.estimate.noise import NoiseEstimate, estimate_noise, noise_of_modules
 from lampest.estimate.nuisances import CircuitEffects
@@ -17,14 +17,13 @@ from lampest.estimate.outliers import frozen_readings, impossible_readings, with
 from lampest.estimate.resolve import resolved, resolved_scene, with_resolved_electronics
 from lampest.estimate.saturation import with_saturated_stage
 from lampest.estimate.warnings import warnings_of
-from lampest.files.errors import InputError, in_words
+from lampest.files.errors import BROKEN, InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.effects import EFFECTS, Effect
 from lampest.panel.panel import Modules
 from lampest.panel.systematic import unobservable_numbers
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
-from lampest.solvers.multistart import BROKEN
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +92,7 @@ class Prepared:
     def cleaned(self) -> Cleaned:
         """The readings of a single network without outliers."""
         kept, recording = self.recording.scene.outliers == "keep", with_saturated_stage(self.recording)
-        recording, memory = with_converter_memory(recording)
+        recording, memory = with_estimated_memory(recording)
         frozen = np.zeros(recording.scene.panel.shape, dtype=bool) if kept else frozen_readings(recording)
         recording = without_readings(recording, frozen)
         readings = recording.readings()
@@ -176,7 +175,7 @@ class Prepared:
         if self.layout is None:
             if self.cleaned.readings.sigma is None:
                 return ()
-            return advice_of(Findings(self.cleaned.recording, self.noise, self.check, self.effects))
+            return advice_of(Gathered(self.cleaned.recording, self.noise, self.check, self.effects))
         found = dict[tuple[str, str], Suggestion]()
         for number, part in enumerate(self.modules):
             for one in () if part is None else part.advice:

@@ -18,6 +18,7 @@ from lampest.estimate.model_error import scaled, with_model_error
 from lampest.estimate.noise import NoiseEstimate, share_of_motion, without_effects
 from lampest.estimate.nuisances import CircuitEffects, FittedPair
 from lampest.estimate.still_cells import shared_errors
+from lampest.files.errors import BROKEN
 from lampest.panel.effects import Effect, LineLeak, LooseContact
 from lampest.panel.scene import ESTIMATED, Scene, Systematic
 from lampest.panel.systematic import (
@@ -31,7 +32,6 @@ from lampest.panel.systematic import (
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.solvers.multistart import BROKEN
 
 BESIDES: dict[str, type[Effect]] = {"leaks": LineLeak, "contacts": LooseContact}
 Effects = Callable[[tuple[type[Effect], ...]], CircuitEffects]

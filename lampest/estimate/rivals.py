@@ -1,14 +1,16 @@
 """Rival circuits of a recording, and the frames that they have to explain.
 
-Rivals are all kinds of readout with the scene's converter and resistor and either side driven, with any resistance in
-series. All rivals share the converter's voltages: where the scene's circuit has computed resistances from them, that
-computation is inverted.
+Rivals are circuits of the one equation with the scene's converter and resistor: every preset with either side driven,
+sensed lines read in parallel, idle lines held by switches; also the scene's circuit with readings in another order.
+Each has any resistance in series. All rivals share the converter's voltages: where the scene's circuit has computed
+resistances from them, that computation is inverted.
 """
 
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from itertools import product
+from math import inf
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -18,7 +20,8 @@ from lampest.files.errors import InputError
 from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
 from lampest.files.typed import members_of
 from lampest.panel.panel import Array
-from lampest.panel.readouts import AnyReadout, Readout
+from lampest.panel.readouts import AnyReadout, DrivenReadout, Readout
+from lampest.panel.readouts.lines import opposite
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
@@ -30,6 +33,8 @@ CALLED = {
     "polarity": "polarity reversed",
     "measured_across": "read across the other resistor",
 }
+BY_COLUMNS = "readings listed column by column (lampest import --transpose)"
+PARALLEL = (2, 4)  # multiplexers in parallel: 16 lines on two of eight or four of four channels
 # Largest noise of a resistance with which the divider's function of Gaussian voltages is still nearly Gaussian, as a
 # fraction. Largest shift of a mean by the same curvature, in its standard deviations.
 MAX_RELATIVE_NOISE, MAX_SHIFT = 0.05, 0.1
@@ -51,6 +56,10 @@ class Rival:
         The kind in words; '' for the specified circuit.
     in_series : float or None
         The tried resistance in series, ohm; None: that of the scene.
+    at_limit : bool
+        Whether this number is at the end of its range, where it is no finding.
+    order : array of int, or None
+        Numbers of the recorded readings, rows first, in the order in which this rival takes them; None: as recorded.
     """
 
     scene: Scene
@@ -58,11 +67,13 @@ class Rival:
     sigma: Array | None
     kind: str = ""
     in_series: float | None = None
+    at_limit: bool = False
+    order: NDArray[np.intp] | None = None
 
     @property
     def name(self) -> str:
-        """The circuit in the words of a scene."""
-        if self.in_series is None:
+        """The circuit in the words of a scene; '' for the specified one, also with a number at its limit."""
+        if self.in_series is None or self.at_limit:
             return self.kind
         series = f"{self.scene.circuit.series_name} near {float(f'{self.in_series:.2g}'):g}"
         return f"{self.kind}, {series}" if self.kind else series
@@ -71,6 +82,18 @@ class Rival:
     def ohm(self) -> float:
         """The resistance in series, ohm: the tried one, or that of the scene."""
         return self.scene.specified_in_series if self.in_series is None else self.in_series
+
+    def with_memory(self, fraction: float) -> "Rival":
+        """Return the rival with a converter that keeps a fraction of the channel before."""
+        named = f"converter_memory near {fraction:.2g}"
+        kind = f"{self.kind}, {named}" if self.kind else named
+        return replace(self, scene=replace(self.scene, converter_memory=fraction), kind=kind)
+
+    def ordered(self, values: Array) -> Array:
+        """Return values of recorded readings (…, rows, columns) in the order of this rival."""
+        if self.order is None:
+            return values
+        return np.asarray(values.reshape(*values.shape[:-2], -1)[..., self.order].reshape(values.shape))
 
     def with_series(self, ohm: float) -> "Rival":
         """Return the rival with another resistance in series, ohm."""
@@ -115,16 +138,50 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
         return
     volt = readout.volt_from_recorded(specified.recorded)
     apparent = _logarithm(readout, scene, specified.recorded)
-    for kind in members_of(AnyReadout):
-        for circuit in _variants(kind, readout):
+    for kind in (None, *members_of(AnyReadout)):
+        for circuit in _in_parallel(readout, scene) if kind is None else _variants(kind, readout):
             values = circuit.recorded_from_volt(volt)
             sense = _sense(apparent, _logarithm(circuit, scene, values))
             if circuit == readout or not (sense > 0 or (reversed_too and sense < 0)):
                 continue
             sigma = specified.sigma if circuit.unit == readout.unit else None
             with suppress(ValueError):  # the kind may have no model of another entry of the scene
-                rival = replace(scene, readout=circuit, series_resistance_ohm=0.0, systematic=None)
+                alike = type(circuit) is type(readout) and circuit.in_series
+                series = scene.series_resistance_ohm if alike else 0.0
+                rival = replace(scene, readout=circuit, series_resistance_ohm=series, systematic=None)
                 yield Rival(rival, values, sigma, _kind(circuit, readout))
+    if (order := _by_columns(scene)) is not None:
+        ordered = replace(specified, order=order)
+        sigma = None if specified.sigma is None else ordered.ordered(specified.sigma)
+        ordered = replace(ordered, recorded=ordered.ordered(specified.recorded), sigma=sigma, kind=BY_COLUMNS)
+        yield ordered
+        side = getattr(readout, "driven", None)
+        if side is not None:  # the scene's rows may be those of the file, too
+            with suppress(ValueError):
+                exchanged = replace(scene, readout=replace(readout, driven=opposite(side)), systematic=None)  # type: ignore[type-var]
+                yield replace(ordered, scene=exchanged, kind=f"{BY_COLUMNS}, readout.driven: {opposite(side)}")
+
+
+def _by_columns(scene: Scene) -> NDArray[np.intp] | None:
+    """Return the order of readings that a file lists column by column; None where a crossing has no reading."""
+    rows, columns = scene.panel.shape
+    if not scene.whole or scene.panel.modules is not None or min(rows, columns) == 1:
+        return None
+    return np.arange(rows * columns).reshape(columns, rows).T.ravel()
+
+
+def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
+    """Generate the specified circuit with two and four multiplexers of sensed lines, in blocks of lines."""
+    names = {field.name for field in fields(specified)}  # type: ignore[arg-type]
+    if "groups" not in names or getattr(specified, "measured_across", "reference") == "sensor":
+        return
+    rows, columns = scene.panel.shape
+    sensed = rows if getattr(specified, "driven", "rows") == "columns" else columns
+    for count in PARALLEL:
+        size = -(-sensed // count)
+        blocks = tuple(tuple(range(first, min(first + size, sensed))) for first in range(0, sensed, size))
+        if len(blocks) == count and size > 1:
+            yield replace(specified, groups=blocks)  # type: ignore[type-var]
 
 
 def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
@@ -138,8 +195,11 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
 
     The converter, the resistor and all other common settings are those of the specified circuit.
     """
+    if kind is DrivenReadout:  # its presets are rivals of their own; what remains has lines that switches hold
+        yield from _held(specified)
+        return
     words, types = choices(kind), get_type_hints(kind)
-    names = {field.name for field in fields(kind)} - words.keys()
+    names = {field.name for field in fields(kind)} - {*words, "groups"}
     shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
     if "converter_volt" not in names:
         shared["supply_volt"] = specified.full_scale_volt
@@ -151,9 +211,28 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
         yield kind(**shared, **dict(zip(words, chosen, strict=True)))
 
 
+def _held(specified: Any) -> Iterator[DrivenReadout]:
+    """Generate circuits whose idle driven lines switches hold at ground, with any idle sensed lines."""
+    resistor = next((getattr(specified, name) for name in RESISTORS if hasattr(specified, name)), None)
+    if resistor is None:
+        return
+    names = ("supply_volt", "adc_bits", "readings", "noise_lsb", "floor_code", "passes_volt", "drive_ohm", "sense_ohm")
+    shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
+    for driven, idle_load in product(("rows", "columns"), (None, 0.0, inf)):
+        with suppress(ValueError):
+            yield DrivenReadout(driven=driven, idle_ohm=0.0, load_ohm=resistor, idle_load_ohm=idle_load, **shared)
+
+
 def _kind(circuit: Readout, specified: Readout) -> str:
     """Return the name of a circuit: the single setting that differs from the specified one, or all its words."""
+    groups = getattr(circuit, "groups", None)
+    if groups is not None and groups != getattr(specified, "groups", None):
+        return f"readout.groups: {[list(group) for group in groups]} (read in parallel)"
+    if groups is None and getattr(specified, "groups", None) is not None and type(circuit) is type(specified):
+        return "no readout.groups (lines read one after the other)"
     words = {name: getattr(circuit, name) for name in choices(type(circuit))}
+    if isinstance(circuit, DrivenReadout):
+        words |= {name: getattr(circuit, name) for name in ("idle_ohm", "idle_load_ohm")}
     differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
     if len(differ) == 1 and differ[0] in CALLED:
         return f"readout.{differ[0]}: {words[differ[0]]} ({CALLED[differ[0]]})"

@@ -134,8 +134,12 @@ class MeasuredPart:
         if stream.estimator.method.needs_all_frames:
             numbers, resting = iter(range(1, count + 1)), self.readings[self.recording.role == UNLOADED]
             stream, steps = stream.sequence(resting, readings, lambda: on_frame(next(numbers, count), count, None))
+        verifies = stream.estimator.verify.chosen(readings, stream.resting) & stream.estimator.method.optimum
         while len(steps) < count:
             for after, step in push_block(stream, readings[len(steps) :]):
+                frame = readings[len(steps)]
+                if verifies[len(steps)] and not stream.modules and step.solution.solved:
+                    after, step = stream.estimator.method.verified(stream, frame, after, step)
                 stream = after
                 steps.append(step)
                 on_frame(len(steps), count, so_far)

@@ -7,6 +7,8 @@ import numpy as np
 
 from lampest.cost.given import Background
 from lampest.estimate.objective import Objective
+from lampest.estimate.witness import Verification
+from lampest.files.errors import brief
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
@@ -38,6 +40,8 @@ class Step:
         Status of an image of modules; else ''.
     weight_sigma : tuple of float
         Standard deviations of ln λ, see `Objective`.
+    verification : Verification or None
+        Comparison with a second solve by IPOPT; None where none was requested.
 
     >>> step = found.steps[0]
     >>> step.cell_resistance.shape, step.status
@@ -51,6 +55,11 @@ class Step:
     bars_seconds: float = 0.0
     sentence: str = ""
     weight_sigma: tuple[float, ...] = ()
+    verification: Verification | None = None
+
+    def __repr__(self) -> str:
+        """Return the object in one line, arrays by their shapes."""
+        return brief(self)
 
     @property
     def cell_resistance(self) -> Array:
@@ -69,7 +78,7 @@ class Step:
 
     def bare(self) -> "Step":
         """Return the step without the parts from which error bars are computed, which take much memory."""
-        return replace(self, solution=replace(self.solution, at=None, dual=None, preconditioner=None))
+        return replace(self, solution=replace(self.solution, at=None, dual=None, carried=None))
 
     def surroundings(self) -> LinearModel | None:
         """Return the linear model at a verified optimum, for error bars; None where there is no such optimum."""

@@ -10,7 +10,7 @@ from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.state import SequenceState, Step
-from lampest.files.errors import InputError, in_words
+from lampest.files.errors import InputError, brief, in_words
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -71,6 +71,10 @@ class Stream(SequenceState):
     weighed_at: float = 0.0
     keeps_weights: bool = False
     modules: "tuple[Stream | None, ...]" = ()
+
+    def __repr__(self) -> str:
+        """Return the object in one line, arrays by their shapes."""
+        return brief(self)
 
     @classmethod
     @ONE_BLAS_THREAD

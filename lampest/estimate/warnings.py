@@ -13,10 +13,10 @@ from lampest.loads.recognition.observation import ModelErrors
 from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Panelled, Watch
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.recording import UNLOADED, UNREFERENCED, Recording
 
 MIN_CHANNELS = 5  # channels with less load than unloaded; fewer may be single outliers
-MIN_STEPS_FROM_RAIL = 16  # steps of the converter: a median reading closer to a rail is known to 6 % at best
+MIN_STEPS_FROM_RAIL = 16  # steps of the converter: a reading closer to a rail is known to 6 % at best
 MODULE_HINT = (
     "is its reference, series resistance or film another one? The scene's `modules` says what a module has of its own"
 )
@@ -74,7 +74,7 @@ def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
 def _roles(role: NDArray[np.uint8]) -> str:
     unloaded = int((role == UNLOADED).sum())
     if unloaded == 0:
-        return "no frame is unloaded (role 0), so changes and pressures are against the first measured frame"
+        return UNREFERENCED
     return "only one frame is unloaded, so that nothing shows the noise: record five or more" if unloaded == 1 else ""
 
 
@@ -95,12 +95,13 @@ def _unit(recording: Recording, readings: Readings) -> str:
         return ""
     if readout.floor_code is not None:  # codes that were not recorded say nothing of the unit
         recorded = np.where(readings.plain, recorded, np.nan)
-    volt = float(np.nanmedian(circuit.volt_from_recorded(recorded)))
-    steps = min(volt, readout.full_scale_volt - volt) / readout.lsb_volt
+    # In a wrong unit all readings are near a rail; of an open film all but the loaded ones are.
+    volt = circuit.volt_from_recorded(recorded)
+    steps = float(np.nanmax(np.minimum(volt, readout.full_scale_volt - volt))) / readout.lsb_volt
     if steps >= MIN_STEPS_FROM_RAIL:
         return ""
     return (
-        f"the median reading, {np.nanmedian(recorded):.3g} {circuit.unit}, is {max(steps, 0.0):.2g} "
+        f"no reading, in the median {np.nanmedian(recorded):.3g} {circuit.unit}, is more than {max(steps, 0.0):.2g} "
         f"steps of the converter from a rail: are readings in {circuit.unit}, and is the scene's readout right?"
     )
 

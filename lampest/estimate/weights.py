@@ -19,7 +19,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import NO_DUAL, Data
 from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.objective import Objective
-from lampest.files.errors import InputError
+from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import MAD_TO_SIGMA
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -28,7 +28,8 @@ from lampest.posterior.covariance import DenseErrors, SampledErrors
 from lampest.posterior.linear import LinearModel, rank
 from lampest.posterior.reference import MAX_CELLS, Reference, references
 from lampest.posterior.spectrum import Spectrum, best_weight, first_weights, next_weights, settled_weights
-from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
+from lampest.solvers.convex import convex_cells
+from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
@@ -67,7 +68,7 @@ def with_chosen_weights(
     cost = estimator.cost(scene, len(data.measured), partial=data.partial)
     similar = tuple(solve for solve in further if solve.partial == data.partial)
     search = WeightSearch(cost, (data, *similar), estimator.solver)
-    first = convex(data, near) if near is None else near
+    first = convex_cells(data, near) if near is None else near
     small = data.measured[0].size <= MAX_CELLS and data.measured.size <= MAX_DENSE
     rule = estimator.auto_weight.rule or ("risk" if small else "evidence")
     if estimator.auto_weight.rule == "evidence" and not data.noise_known:

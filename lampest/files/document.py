@@ -157,7 +157,8 @@ def parse_document(text: str, source: str) -> Document:
         mark = error.problem_mark or error.context_mark
         where = f"{source}:{mark.line + 1}:{mark.column + 1}" if mark else source
         problem = " ".join(str(error.problem or error.context).split()).replace(r"character '\t' that", "a tab, which")
-        raise InputError(f"{where}: {problem}") from error
+        quoted = "; in YAML a * begins an alias: write such a text in quotation marks" if "alias" in problem else ""
+        raise InputError(f"{where}: {problem}{quoted}") from error
     except RecursionError as error:
         raise InputError(f"{source}: nested too deeply, or within itself") from error
     except (YAMLError, ValueError, TypeError, AttributeError) as error:
@@ -203,12 +204,51 @@ def validated(document: Document, kind: Any) -> Any:
     try:
         return adapter(kind).validate_json(json.dumps(document.content), strict=True)
     except ValidationError as error:
-        location, message = _worst(error.errors(include_url=False), document.content)
+        faults = error.errors(include_url=False)
+        location, message = _worst(faults, document.content)
+        message = _plain_words(message, document.content, location)
         if message == UNKNOWN:
             known = _known_keys(kind, document.content, location)
             listed = f"; there are {', '.join(sorted(known))}" if 0 < len(known) <= 12 else ""
             message += meant(str(location[-1]), known) or listed
         raise document.error(location, message) from error
+
+
+PLAIN_WORDS = {
+    "Input should be ": "must be ",
+    "a valid number": "a number",
+    "a valid integer": "a whole number",
+    "a valid array": "a list",
+    "a valid list": "a list",
+    "a valid tuple": "a list",
+    "a valid dictionary": "a mapping",
+    "an object": "a mapping",
+    "a valid string": "a text",
+    "a valid boolean": "true or false",
+}
+# Resistors as on their labels: 3.3k, 4k7, '140 ohm', '3300'
+LABELLED = re.compile(r"(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?|\.\d+)\s*([kKMR]?)(\d*)\s*(?:ohms?|Ω|Ω)?")
+FACTOR_OF_LETTER = {"": 1.0, "R": 1.0, "k": 1e3, "K": 1e3, "M": 1e6}
+
+
+def _plain_words(message: str, content: Any, location: Sequence[Any]) -> str:
+    """Return a validator's sentence in the words of a user's file, with the value, and how a number is written."""
+    if not message.startswith("Input should be "):
+        return message
+    for words, plain in PLAIN_WORDS.items():
+        message = message.replace(words, plain)
+    for part in location:
+        content = content.get(part) if isinstance(content, dict) else content[part] if isinstance(part, int) else None
+    if not isinstance(content, str | int | float):
+        return message
+    written = content.strip() if isinstance(content, str) and "number" in message else ""
+    label = LABELLED.fullmatch(written)
+    if label is None:
+        return f"{message}, not {in_words(content)}"
+    digits = f"{label[1]}.{label[3]}" if label[3] else label[1]
+    number = float(digits) * FACTOR_OF_LETTER[label[2]] if digits.count(".") < 2 else None
+    quoted = ", without quotation marks" if written == label[1] else ""
+    return f"{message}, not {content!r}" + ("" if number is None else f": write {number:.12g}{quoted}")
 
 
 def _out_of_range(content: Any, place: tuple[int | str, ...]) -> Iterator[tuple[int | str, ...]]:
@@ -297,8 +337,23 @@ def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
     inside = [(place, fault) for place, fault in inside if place[: len(within)] == within]
     place, worst = max(inside, key=lambda pair: (len(pair[0]), pair[1]["type"] == "value_error"))
     if worst["type"] == "value_error":
-        return place, worst["msg"].removeprefix("Value error, ")
+        message = worst["msg"].removeprefix("Value error, ")
+        named = _named_first(message, content, place)
+        return (*place, *named), message.removeprefix(".".join(named) + ": ")
     return place, _sentence_of([fault for where, fault in inside if where == place])
+
+
+def _named_first(message: str, content: Any, place: tuple[Any, ...]) -> tuple[str, ...]:
+    """Return the keys below `place` that a message names in its first word, such as readout.groups; () without any."""
+    for part in place:
+        content = content[part]
+    named: list[str] = []
+    for key in message.split(" ", 1)[0].rstrip(":,;").split("."):
+        if not isinstance(content, dict) or key not in content:
+            break
+        named.append(key)
+        content = content[key]
+    return tuple(named)
 
 
 def _sentence_of(faults: Sequence[Any]) -> str:
@@ -320,7 +375,11 @@ def _location(fault: Any, content: Any) -> tuple[Any, ...]:
     """Return the location of a fault without the keys by which the validator names alternatives of a type."""
     place: list[Any] = []
     parts = fault["loc"]
+    chosen: Any = None  # the mapping whose kind was passed: a kind may be called as one of its keys
     for number, part in enumerate(parts):
+        if isinstance(content, dict) and content.get("kind") == part and chosen is not content:
+            chosen = content
+            continue
         inside = isinstance(content, list) and isinstance(part, int) and part < len(content)
         if inside or (isinstance(content, dict) and part in content):
             content = content[part]

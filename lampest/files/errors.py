@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from difflib import get_close_matches
 from typing import Any
 
@@ -14,6 +15,9 @@ PACKAGES = {
     "PIL": "pillow",
     "dateutil": "python-dateutil",
 }
+
+# Raised by numpy, LAPACK, SuperLU and CasADi for numbers with which they cannot compute.
+BROKEN = (ArithmeticError, ValueError, RuntimeError)
 
 
 class InputError(ValueError):
@@ -44,6 +48,11 @@ def meant(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {close[0]}?" if close else ""
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a count with its noun, such as '1 recording' or '1,200 frames'."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
 def first_and_more(items: Sequence[Any], most: int = 10) -> str:
     """Return '3, 5 and 7 more': the first items, and the number of those beyond `most`."""
     more = f" and {len(items) - most} more" if len(items) > most else ""
@@ -55,6 +64,28 @@ def in_words(value: Any) -> str:
     if isinstance(value, type):
         return f"the class {value.__name__}"
     return repr(value) if isinstance(value, str | int | float | None) else f"a {type(value).__name__}"
+
+
+def brief(value: Any) -> str:
+    """Return a dataclass in one line, for notebooks: arrays by their shapes, collections by their lengths."""
+    parts = []
+    for field in fields(value):
+        content = getattr(value, field.name)
+        if content is None:
+            continue
+        shape = getattr(content, "shape", None)
+        if isinstance(shape, tuple) and shape:
+            text = " × ".join(map(str, shape))
+        elif isinstance(content, tuple | list | dict):
+            text = counted(len(content), "item")
+        elif isinstance(content, float):
+            text = f"{content:.4g}"
+        else:
+            text = str(content) if isinstance(content, str | int) else type(content).__name__
+        if len(text) <= 40 and text.isprintable():  # longer texts are files' contents, and sentences
+            parts.append(f"{field.name}={text}")
+    shown = ", ".join(parts[:12]) + ", ..." * (len(parts) > 12)
+    return f"{type(value).__name__}({shown})"
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -84,16 +84,9 @@ class LineLeak(Effect):
         return f"a leak of {1e-3 / self.size:.2g} kohm between {where}{self._since}"
 
     def changed(self, network: Network) -> Network:
-        """Return the network with the leak, Z − Z B (1/G + Bᵀ Z B)⁻¹ Bᵀ Z (Woodbury).
-
-        B are the incidence vectors of the pairs of lines, and G is the size of the leak.
-        """
+        """Return the network with the leak; see `Network.leaking`."""
         unit, lines = np.eye(sum(network.conductance.shape)), list(self.lines)
-        across = unit[:, lines] - unit[:, [line + 1 for line in lines]]
-        towards = network.potentials() @ across
-        # (1/G + Bᵀ Z B)⁻¹ = G (1 + G Bᵀ Z B)⁻¹, which allows G = 0
-        core = np.linalg.inv(np.eye(len(lines)) + self.size * across.T @ towards)
-        return replace(network, _impedance=network.potentials() - self.size * towards @ core @ towards.T)
+        return network.leaking(unit[:, lines] - unit[:, [line + 1 for line in lines]], self.size)
 
 
 class LooseContact(Effect):

@@ -1,6 +1,6 @@
 """Kirchhoff's current law for a matrix of cells.
 
-Symbols: g (rows, columns) cell conductance in siemens; u, v potentials of row and column lines in volt.
+Symbols: g (rows, columns) cell conductance in siemens; V potentials of the nodes in volt, rows before columns.
 """
 
 from typing import Any
@@ -10,27 +10,26 @@ import numpy as np
 from lampest.panel.panel import Array, check_line_memory
 
 
-def current_balance(conductance: Any, row_potential: Any, column_potential: Any) -> tuple[Any, Any]:
-    """Return the net current out of every line: I_j = Σ_k g_jk (u_j − v_k) and I_k = Σ_j g_jk (v_k − u_j).
+def current_balance(incidence: Any, conductance: Any, potentials: Any) -> Any:
+    """Return the net current out of every node through the cells: I = B (g ∘ Bᵀ V), in ampere, as the potentials.
 
-    Returns the two balances in ampere, with the shapes of the potentials. NumPy arrays and CasADi matrices are
-    accepted. Source: paper, equation (2).
+    Of lines it is I_j = Σ_k g_jk (V_j − V_k) for a row and I_k = Σ_j g_jk (V_k − V_j) for a column. CasADi matrices
+    are accepted, as well as NumPy arrays. Source: paper, equation (2).
 
     Parameters
     ----------
-    conductance : array or casadi.SX, shape (rows, columns)
+    incidence : array or casadi.DM, shape (nodes, cells)
+        B: +1 at the node on a cell's row, −1 at the node on its column.
+    conductance : array or casadi.SX, shape (cells, 1)
         Siemens.
-    row_potential, column_potential : array or casadi.SX, shapes (rows, patterns) and (columns, patterns)
-        Volt, one column for each pattern.
+    potentials : array or casadi.SX, shape (nodes, patterns)
+        V in volt, one column for each pattern.
     """
-    rows, columns = conductance.shape
-    from_rows = (conductance @ np.ones((columns, 1))) * row_potential - conductance @ column_potential
-    from_columns = (conductance.T @ np.ones((rows, 1))) * column_potential - conductance.T @ row_potential
-    return from_rows, from_columns
+    return incidence @ (conductance * (incidence.T @ potentials))
 
 
 def laplacian(conductance: Array) -> Array:
-    """Return L with L·(u, v) = current_balance(g, u, v): (…, lines, lines) siemens, singular; paper, equation (3)."""
+    """Return L, L·V = current_balance(B, g, V) of lines: (…, lines, lines) siemens, singular; paper, equation (3)."""
     rows, columns = conductance.shape[-2:]
     check_line_memory(rows, columns)
     return bipartite_matrix(line_sums(conductance), -conductance)

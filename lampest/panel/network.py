@@ -7,8 +7,8 @@ W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]]. CasADi differentiates 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, Protocol
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.compiled import Compiled, guarded
-from lampest.panel.kirchhoff import bipartite, bipartite_matrix, injected, line_sums
+from lampest.panel.kirchhoff import bipartite, bipartite_matrix, injected, laplacian, line_sums
 from lampest.panel.panel import Array, check_line_memory
 
 Numbers = NDArray[np.intp]
@@ -168,6 +168,21 @@ class Network(ABC):
     def potentials(self) -> Array:
         """Return the potential of every line while a unit current enters line `pattern`, (lines, patterns) V/A."""
         return self._impedance
+
+    def leaking(self, across: Array, siemens: float) -> "Network":
+        """Return the network with conductances between lines, for its readings; Woodbury's Z − Z B (1/G + BᵀZB)⁻¹ BᵀZ.
+
+        Parameters
+        ----------
+        across : array, shape (lines, leaks)
+            Incidence B of each leak, +1 and −1 at its lines.
+        siemens : float
+            G of each leak.
+        """
+        towards = self._impedance @ across
+        # (1/G + Bᵀ Z B)⁻¹ = G (1 + G Bᵀ Z B)⁻¹, which allows G = 0
+        core = np.linalg.inv(np.eye(across.shape[1]) + siemens * across.T @ towards)
+        return replace(self, _impedance=self._impedance - siemens * towards @ core @ towards.T)
 
     def condition(self) -> float:
         """Return Σ_l |L_ll Z_ll| over the lines, the amplification of the rounding of L in any reading.
@@ -353,6 +368,245 @@ class TiedNetwork(Network):
     def curvatures(self) -> dict[str, Array]:
         values = zip(CURVATURES, self._derivatives(CURVATURES), strict=True)
         return {name: derivative for name, derivative in values if derivative.any()}
+
+
+@dataclass(frozen=True, eq=False)
+class DifferenceNetwork(TiedNetwork):
+    """Network whose derivatives follow from the potential differences D across its cells.
+
+    A line with a tie of infinite conductance is held at ground. It is excited by a unit potential, any other line by a
+    unit current. With C the conductances between lines that are not held (ties included), −G those between held and
+    other lines, and A those between held lines, K = [[−(A − G C⁻¹ Gᵀ), G C⁻¹], [C⁻¹ Gᵀ, C⁻¹]] and the potentials of all
+    lines for each excitation are P = [[1, G C⁻¹], [0, C⁻¹]], held lines first. Without held lines K = P = Z. In every
+    case D = P·B and ∂K_ab/∂g_c = −D_ac D_bc. Nothing is lost to a tie that is only nearly infinite.
+
+    Attributes
+    ----------
+    ties : array, shape (lines,)
+        Ties t of the terminals to ground, siemens; infinite where a line is held.
+    excited : array, shape (lines, lines)
+        P; row a is the excitation of line a.
+    """
+
+    ties: Array
+    excited: Array
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Whether a line is held at ground, (lines,)."""
+        return np.isinf(self.ties)
+
+    @abstractmethod
+    def driven_through(self, sources: Array) -> Array:
+        """Return X·s, (cells, patterns) volt, for currents s (cells, patterns) ampere that are driven through cells."""
+
+    def potentials(self) -> Array:
+        """Return the potential of every line (lines, patterns) for the excitation of line `pattern`."""
+        return self.excited.T
+
+    def leaking(self, across: Array, siemens: float) -> Network:
+        """Return the network with conductances between lines; see `Network.leaking`."""
+        towards = self.excited @ across
+        # Bᵀ Z B with Z the impedance of the lines that are not held
+        core = np.linalg.inv(np.eye(across.shape[1]) + siemens * across.T @ np.where(self.held[:, None], 0.0, towards))
+        return replace(self, _impedance=self._impedance - siemens * towards @ core @ towards.T)
+
+    def condition(self) -> float:
+        """Return Σ_l |L_ll Z_ll| over the lines that are not held; see `Network.condition`."""
+        driving_point = np.where(self.held, 0.0, self._impedance.diagonal())
+        return float(np.abs(line_sums(self.conductance) * driving_point).sum())
+
+    def changes(self, step: Array) -> Entries:
+        """Return the entries of dK = D·diag(g·p)·Dᵀ."""
+        differences = self.potential_differences
+        return self.entries((differences * (self.conductance * step).ravel()) @ differences.T)
+
+    def drawn(self, loading: Loading) -> Array:
+        """Return diag(Dᵀ W D), (rows, columns)."""
+        differences = self.potential_differences
+        drawn = np.sum(differences * bipartite(*loading, differences), axis=0)
+        return np.asarray(drawn.reshape(self.conductance.shape))
+
+    def _own_differences(self) -> tuple[Array, Array]:
+        rows, columns = self.conductance.shape
+        row, column = np.indices((rows, columns))
+        differences = self.potential_differences.reshape(-1, rows, columns)
+        return differences[row, row, column], differences[rows + column, row, column]
+
+    @cached_property
+    def transfer(self) -> Array:
+        """X (cells, cells), the potential differences for a unit current through every cell; see `SecondOrder`."""
+        return self.driven_through(np.eye(self.conductance.size))
+
+    def second_order(self, weights: Array) -> SecondOrder:
+        return DifferenceSecondOrder(self, weights)
+
+
+@dataclass(frozen=True, eq=False)
+class DifferenceSecondOrder(SecondOrder):
+    """Second derivatives H of a network of potential differences; see `SecondOrder`."""
+
+    network: DifferenceNetwork
+
+    def adjoint(self) -> Array:
+        """Return Jᵀ·w = g·diag(Dᵀ W D), (rows, columns)."""
+        return np.asarray(self.network.conductance * self.network.drawn(self.loading))
+
+    def products(self, step: Array) -> tuple[Array, Array]:
+        """Return J·p and H·p = g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D)), (rows, columns) each.
+
+        dDᵀ = X·(g·p·Dᵀ), and W' is the change of W by the change of the slopes of h.
+        """
+        network, change = self.network, self.network.changes(step)
+        differences = network.potential_differences
+        moved = network.driven_through((differences * (network.conductance * step).ravel()).T).T
+        twice = 2 * np.sum(moved * bipartite(*self.loading, differences), axis=0).reshape(step.shape)
+        return network.read_change(change), network.conductance * (
+            twice + network.drawn(loading_of(*self.change_of_slopes(change)))
+        )
+
+    @property
+    def _between(self) -> Array:
+        """Dᵀ W D, (cells, cells)."""
+        differences = self.network.potential_differences
+        return np.asarray(differences.T @ bipartite(*self.loading, differences))
+
+
+@dataclass(frozen=True, eq=False)
+class HeldNetwork(DifferenceNetwork):
+    """Network of which some lines are held at ground; see `DifferenceNetwork`."""
+
+    @classmethod
+    def solve(cls, cell_resistance: Array, ties: Array, readout: ReadCircuit) -> "HeldNetwork":
+        """Return the solved network of cells (rows, columns) ohm.
+
+        Raises numpy.linalg.LinAlgError if a line is not connected.
+        """
+        entries, potentials = excitations(laplacian(1 / cell_resistance), ties)
+        return cls(cell_resistance, entries, readout, ties, potentials)
+
+    @cached_property
+    def potential_differences(self) -> Array:
+        """D = P·B, (lines, cells): across every cell for the excitation of every line."""
+        differences = self.excited[:, : self.rows, None] - self.excited[:, None, self.rows :]
+        return differences.reshape(len(differences), -1)
+
+    def driven_through(self, sources: Array) -> Array:
+        """Return BᵀZB·s, Z the impedance of the lines that are not held."""
+        currents = sources.reshape(*self.conductance.shape, -1)
+        entering = np.concatenate([currents.sum(axis=1), -currents.sum(axis=0)])
+        potentials = np.where(self.held[:, None], 0.0, self.excited) @ entering
+        return np.asarray(potentials[: self.rows, None] - potentials[None, self.rows :]).reshape(sources.shape)
+
+
+def excitations(admittance: Array, ties: Array) -> tuple[Array, Array]:
+    """Return K and P of `DifferenceNetwork`, (lines, lines) each, from the lines' admittance without ties, siemens.
+
+    `ties` are (lines,) siemens, infinite where a line is held. Raises numpy.linalg.LinAlgError if a line is not
+    connected.
+    """
+    held = np.isinf(ties)
+    other = ~held
+    within = np.linalg.inv(admittance[np.ix_(other, other)] + np.diag(ties[other]))
+    entries, potentials = np.zeros_like(admittance), np.zeros_like(admittance)
+    # Current into held lines from the others: −G = admittance between them
+    between = -admittance[np.ix_(held, other)] @ within
+    entries[np.ix_(other, other)] = potentials[np.ix_(other, other)] = within
+    entries[np.ix_(held, other)] = potentials[np.ix_(held, other)] = between
+    entries[np.ix_(other, held)] = between.T
+    entries[np.ix_(held, held)] = -(admittance[np.ix_(held, held)] + between @ admittance[np.ix_(other, held)])
+    potentials[np.ix_(held, held)] = np.eye(int(held.sum()))
+    return entries, potentials
+
+
+@dataclass(frozen=True, eq=False)
+class AddressedNetwork(Network):
+    """Networks of a panel, one for each address of its readout; every network gives the readings of its address.
+
+    Attributes
+    ----------
+    networks : tuple of Network
+        Network of each address.
+    read_at : array, shape (addresses, rows, columns)
+        1 for the readings of each address, else 0.
+    """
+
+    networks: tuple[Network, ...]
+    read_at: Array
+
+    @classmethod
+    def of(cls, networks: tuple[Network, ...], read_at: Array) -> "AddressedNetwork":
+        """Return the network of all addresses."""
+        impedance = np.stack([network._impedance for network in networks])
+        return cls(networks[0].cell_resistance, impedance, networks, read_at)
+
+    def _selected(self, values: list[Array]) -> Array:
+        """Return the readings (rows, columns, …) of each address from those of all networks."""
+        pairs = zip(self.read_at, values, strict=True)
+        return np.asarray(sum(read.reshape(*read.shape, *(1,) * (part.ndim - 2)) * part for read, part in pairs))
+
+    def read(self, entries: Entries) -> Array:
+        raise NotImplementedError("every address has its own entries")
+
+    @property
+    def slopes(self) -> Entries:
+        raise NotImplementedError("every address has its own slopes")
+
+    def reading(self) -> Array:
+        return self._selected([network.reading() for network in self.networks])
+
+    def forward(self, step: Array) -> Array:
+        return self._selected([network.forward(step) for network in self.networks])
+
+    def adjoint(self, weights: Array) -> Array:
+        pairs = zip(self.networks, self.read_at, strict=True)
+        return np.asarray(sum(network.adjoint(read * weights) for network, read in pairs))
+
+    def sensitivity(self) -> Array:
+        rows = [read.astype(bool).ravel() for read in self.read_at]
+        sensitivity = np.empty((self.conductance.size,) * 2)
+        for network, chosen in zip(self.networks, rows, strict=True):
+            sensitivity[chosen] = network.sensitivity()[chosen]
+        return sensitivity
+
+    def own_response(self) -> Array:
+        return self._selected([network.own_response() for network in self.networks])
+
+    def second_order(self, weights: Array) -> SecondOrder:
+        return AddressedSecondOrder(self, weights)
+
+    def leaking(self, across: Array, siemens: float) -> Network:
+        return AddressedNetwork.of(tuple(network.leaking(across, siemens) for network in self.networks), self.read_at)
+
+    def condition(self) -> float:
+        """Return the largest condition of all addresses; see `Network.condition`."""
+        return max(network.condition() for network in self.networks)
+
+    def response_of(self, response: Callable[[Network], Array]) -> Array:
+        """Return a response of readings (rows, columns, …), each from the network of its address."""
+        return self._selected([response(network) for network in self.networks])
+
+
+@dataclass(frozen=True, eq=False)
+class AddressedSecondOrder(SecondOrder):
+    """Second derivatives H of the networks of all addresses; see `SecondOrder`."""
+
+    network: AddressedNetwork
+
+    @cached_property
+    def _parts(self) -> list[SecondOrder]:
+        pairs = zip(self.network.networks, self.network.read_at, strict=True)
+        return [network.second_order(read * self.weights) for network, read in pairs]
+
+    def adjoint(self) -> Array:
+        return np.asarray(sum(part.adjoint() for part in self._parts))
+
+    def products(self, step: Array) -> tuple[Array, Array]:
+        changes, seconds = zip(*(part.products(step) for part in self._parts), strict=True)
+        return self.network._selected(list(changes)), np.asarray(sum(seconds))
+
+    def matrix(self) -> Array:
+        return np.asarray(sum(part.matrix() for part in self._parts))
 
 
 @guarded

@@ -246,6 +246,24 @@ def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
     return after[after > number]
 
 
+def connected_parts(conducting: NDArray[np.bool_]) -> NDArray[np.intp] | None:
+    """Return the number of the connected part of each line, (lines,); None if the cells connect all lines.
+
+    `conducting`, (rows, columns), states which crossings conduct.
+    """
+    rows, columns = conducting.shape
+    row, column = np.arange(rows), np.arange(rows, rows + columns)
+    # Every line takes the least number of its part, which passes from rows to columns and back.
+    changed = True
+    while changed:
+        before = row, column
+        column = np.minimum(column, np.where(conducting, row[:, None], rows + columns).min(axis=0))
+        row = np.minimum(row, np.where(conducting, column, rows + columns).min(axis=1))
+        changed = not (np.array_equal(row, before[0]) and np.array_equal(column, before[1]))
+    first, parts = np.unique(np.concatenate([row, column]), return_inverse=True)
+    return None if len(first) == 1 else np.asarray(parts, dtype=np.intp)
+
+
 def beyond_any_panel(values: Array) -> NDArray[np.bool_]:
     """Return whether numbers that are finite and not zero are outside the range of physical quantities."""
     size = np.abs(values)

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from lampest.files.document import read_document, to_yaml, validated
 from lampest.files.typed import Configuration, check_positive_fields, check_range, check_ranges, members_of, typed
-from lampest.panel.panel import Array, Modules, Panel
+from lampest.panel.panel import Array, Modules, Panel, connected_parts
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.lines import MAX_OHM, PerLine, as_tuple, check_resistors, lines_text, per_line
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
@@ -127,7 +126,7 @@ class Systematic(Configuration):
     model_error: Size | None = None
 
     def __post_init__(self) -> None:
-        if not 0 <= (number_of(self.reference_tolerance) or 0.0) < 1:
+        if not 0 <= (plain_size(self.reference_tolerance) or 0.0) < 1:
             raise ValueError("reference_tolerance must be zero or positive, and below 1")
         check_sizes(self, MAX_OHM, "channel_spread_ohm", "series_tolerance_ohm", "wire_ohm_per_cell")
         check_sizes(self, 2.0**32, "inl_lsb")
@@ -135,7 +134,7 @@ class Systematic(Configuration):
         check_sizes(self, 1e6, "model_error")
 
 
-def number_of(size: Size | None) -> float | None:
+def plain_size(size: Size | None) -> float | None:
     """Return a size that is a number; None where it is absent or `estimated`."""
     return None if isinstance(size, str) else size
 
@@ -412,6 +411,9 @@ class Scene(Configuration):
         Response curve of the film and gains of its cells, see `lampest.panel.response`; None: no pressures.
     assumed : tuple of str
         Entries that the scene's file leaves to lampest's defaults, such as readout.readings.
+    baseline : {'raw', 'subtracted'}, or None
+        'raw': readings are as converted, also where most are 0 at rest; 'subtracted': the firmware subtracted a resting
+        frame, which an import adds again. None: raw, and refused at import where they look otherwise.
     purpose : {'mat'}, or None
         'mat': contacts of any form, no suction. None: also mouths and cups.
     subject, experiment : MeasuredSubject, or None
@@ -441,6 +443,7 @@ class Scene(Configuration):
     outliers: Literal["exclude", "keep"] | None = None
     film: Film | None = None
     response: AnyResponse | None = None
+    baseline: Literal["raw", "subtracted"] | None = None
     purpose: Literal["mat"] | None = None
     subject: MeasuredSubject | None = None
     experiment: Experiment | None = None
@@ -463,12 +466,12 @@ class Scene(Configuration):
         if self.known_memory is not None and not 0 <= self.known_memory < 1:
             raise ValueError("converter_memory must be zero or positive, and below 1")
         check_sizes(self, 1.0, "gain", "motion")
-        if (creep := number_of(self.creep)) is not None:
+        if (creep := plain_size(self.creep)) is not None:
             check_range("creep", creep, -1, 1)
         check_sizes(self, 2.0**32, "ripple")
         if (prior := self.contact_prior) is not None:
             prior.mean(self.panel.shape), prior.deviation(self.panel.shape)
-        self.circuit.check(self)
+        (self.readout or self.circuit).check(self)
 
     def _check_modules(self) -> None:
         """Raise ValueError if an entry of `modules` is not allowed, or does not fit its scene."""
@@ -572,13 +575,23 @@ class Scene(Configuration):
     @cached_property
     def circuit(self) -> Readout:
         """Circuit by which readings follow from cells: the readout, or two-point resistances without one."""
-        return TwoPointReadout() if self.readout is None else self.readout
+        return TwoPointReadout() if self.readout is None else self.readout.in_scene(self)
 
     @property
     def series_ohm(self) -> Array:
         """Resistance in series with every reading in ohm, to be broadcast to (rows, columns)."""
         series = self.series_resistance_ohm
         return series.ohm(self.panel) if isinstance(series, SeriesPerLine) else np.array(series)
+
+    @property
+    def series_lines(self) -> tuple[Array, Array]:
+        """Resistance in series with each row and with each column, ohm; half of a number that is for both channels."""
+        rows, columns = self.panel.network.shape
+        series = self.series_resistance_ohm
+        if not isinstance(series, SeriesPerLine):
+            return np.full(rows, series / 2), np.full(columns, series / 2)
+        row, column = (f"series_resistance_ohm.{side}" for side in ("rows", "columns"))
+        return per_line(row, series.rows, rows), per_line(column, series.columns, columns)
 
     @property
     def series_text(self) -> str:
@@ -609,13 +622,13 @@ class Scene(Configuration):
     @property
     def known_memory(self) -> float | None:
         """`converter_memory` if it is a number; None otherwise."""
-        return number_of(self.converter_memory)
+        return plain_size(self.converter_memory)
 
     @property
     def common_change(self) -> tuple[float, float]:
         """Change of log r of all cells since the unloaded frames, by temperature and creep, and its deviation."""
         warmth, (creep, creep_sd) = self.temperature, (self.estimated or {}).get("creep", (0.0, 0.0))
-        creep = creep if (known := number_of(self.creep)) is None else known
+        creep = creep if (known := plain_size(self.creep)) is None else known
         if warmth is None:
             return creep, creep_sd
         warming_sd = warmth.difference_kelvin * warmth.coefficient_sd_per_kelvin
@@ -631,11 +644,7 @@ class Scene(Configuration):
         """Number of the connected part of each line, (lines,); None if cells connect all lines."""
         if self.whole:
             return None
-        rows, columns = self.panel.shape
-        lines = np.zeros((rows + columns,) * 2, dtype=bool)
-        lines[:rows, rows:] = ~self.open_cells
-        count, parts = scipy.sparse.csgraph.connected_components(lines, directed=False)
-        return None if count == 1 else np.asarray(parts, dtype=np.intp)
+        return connected_parts(~self.open_cells)
 
     @cached_property
     def wiring(self) -> Wiring | None:
@@ -644,6 +653,9 @@ class Scene(Configuration):
         lines = self.lines or Lines()
         wired = joined or lines.resist or self.contact_prior is not None
         return Wiring(lines, joined, self.contact_prior) if wired else None
+
+
+CHECKED_DEFAULTS = {"polarity"}  # frames tell them: the check of the circuit names the other one where it fits better
 
 
 @typed
@@ -669,7 +681,7 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
         f"{name}.{entry.name}"
         for name, part in parts.items()
         for entry in fields(part)
-        if entry.name not in specified[name] and getattr(part, entry.name)
+        if entry.name not in specified[name] | CHECKED_DEFAULTS and getattr(part, entry.name)
     )
     return replace(scene, assumed=scene.assumed or left_open)
 

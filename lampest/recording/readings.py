@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError, in_words
+from lampest.files.errors import InputError, brief, in_words
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT, UNUSUAL
 from lampest.files.typed import real_array
 from lampest.panel.panel import Array, Modules, beyond_any_panel, check_line_memory
@@ -102,6 +102,10 @@ class Readings:
     sigma: Array | None
     side: Array
     seen: Array
+
+    def __repr__(self) -> str:
+        """Return the object in one line, arrays by their shapes."""
+        return brief(self)
 
     @classmethod
     def of(cls, scene: Scene, recorded: Array, sigma: Array | None = None) -> "Readings":
@@ -375,29 +379,50 @@ def _filled(values: Array, seen: Array) -> Array:
 def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     """Return groups of rows with equal readings in all frames (frames, rows, columns); none if the noise is unknown.
 
-    Two rows that touch are one node: their readings are equal in every column, and differ from those of other rows.
+    Two rows that touch are one node: their readings are equal in every column of every frame, and differ from those of
+    other rows in every frame. Rows of a uniform panel that no load reaches differ from the others only under loads, and
+    not in the frame in which the rows are most alike.
     """
     sigma, rows = readings.sigma_of_values, readings.value.shape[-2]
     if sigma is None:
         return ()
     check_line_memory(rows, 1)
-    value, noise = (part.swapaxes(-1, -2).reshape(-1, rows) for part in (readings.value, sigma))
+    value, noise = readings.value.reshape(-1, *readings.value.shape[-2:]), sigma.reshape(-1, *sigma.shape[-2:])
+    unlike, count = _row_differences(value, noise)
+    # Equal rows: the mean square of n normal differences is 1 ± √(2/n).
+    similar = (unlike <= 1 + UNUSUAL * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)
+    # Groups count only among rows that differ significantly from most others, in the calmest frame, too.
+    distinct = _differ_from_most(unlike, similar | (count < 4))
+    if np.any(distinct):
+        means = np.ma.masked_invalid(np.where(np.isfinite(noise), value, np.nan)).mean(axis=-1)
+        calmest = int(np.argmin(np.ma.filled(means.std(axis=-1), np.inf)))
+        in_calmest, values_there = _row_differences(value[[calmest]], noise[[calmest]])
+        distinct &= _differ_from_most(in_calmest, similar | (values_there < 4))
+    groups, group = scipy.sparse.csgraph.connected_components(similar & distinct & distinct[:, None], directed=False)
+    members = (np.flatnonzero(group == number) for number in range(groups))
+    return tuple(tuple(lines.tolist()) for lines in members if len(lines) > 1)
+
+
+def _row_differences(value: Array, noise: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Return the mean square difference of each two rows in units of their noise, and the number of its values."""
+    rows = value.shape[-2]
+    value, noise = (part.swapaxes(-1, -2).reshape(-1, rows) for part in (value, noise))
     unlike, count = np.zeros((rows, rows)), np.zeros((rows, rows), dtype=np.intp)
-    for row in range(rows):  # mean square difference from every other row in units of their noise, and number of values
+    for row in range(rows):
         spread = np.hypot(noise[:, [row]], noise)
         finite = np.isfinite(spread)
         square = np.where(finite, (value[:, [row]] - value) / np.where(finite, spread, 1.0), 0.0) ** 2
         count[row] = finite.sum(axis=0)
         unlike[row] = square.sum(axis=0) / np.maximum(count[row], 1)
-    # Equal rows: the mean square of n normal differences is 1 ± √(2/n).
-    similar = (unlike <= 1 + UNUSUAL * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)
-    distant = np.where(similar | (count < 4), np.nan, unlike)
-    # Groups count only among rows that differ significantly from most others.
+    return unlike, count
+
+
+def _differ_from_most(unlike: Array, left_out: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return whether a row differs significantly from most of the rows that are not left out, (rows,)."""
+    distant = np.where(left_out, np.nan, unlike)
     with np.errstate(invalid="ignore"):
-        distinct = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in distant]) > SIGNIFICANT**2
-    groups, group = scipy.sparse.csgraph.connected_components(similar & distinct & distinct[:, None], directed=False)
-    members = (np.flatnonzero(group == number) for number in range(groups))
-    return tuple(tuple(lines.tolist()) for lines in members if len(lines) > 1)
+        medians = [np.nanmedian(row) if np.any(row > 0) else 0.0 for row in distant]
+    return np.array(medians) > SIGNIFICANT**2
 
 
 def touching_columns(readings: Readings) -> tuple[tuple[int, ...], ...]:

@@ -27,11 +27,13 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene, read_scene, scene_text
 from lampest.panel.systematic import SERIES
 from lampest.recording.acquisition import FORMAT, Acquisition, group_of, stored_fields, undamaged_frames
-from lampest.recording.foreign.unit import check_unit, recorded_values
+from lampest.recording.foreign.labelled import frames_of_table, labelled_array, named_units, panel_of
+from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
 from lampest.recording.readings import Readings, check_sigma
 
 UNLOADED, MEASURED = ROLES = 0, 1
 FORMER_SERIES = "series_ohm"  # key of `systematic: {series_tolerance_ohm}` in recordings of version 0.1
+UNREFERENCED = "no frame is unloaded (role 0), so changes and pressures are against the first measured frame"
 MIN_CHANGE = 0.01  # least relative change of readings or cells by a load or a common error, far above drift
 MAX_READINGS = 2_000_000  # readings of a recording in memory at once: 2 GB, because error bars take 1 kB for each
 PART_READINGS = 500_000  # readings of a part of a longer recording
@@ -243,6 +245,112 @@ class Recording(Validated):
         role = np.where(np.arange(len(array)) < baseline, UNLOADED, MEASURED).astype(np.uint8)
         seconds = np.arange(len(array), dtype=float) if time is None else time.astype(float)
         return cls(known, recorded, seconds, role)
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        table: Any,
+        unit: str | None = None,
+        baseline: int = 0,
+        scene: Scene | str | Path | None = None,
+        rows: int | None = None,
+        columns: int | None = None,
+    ) -> "Recording":
+        """Return the recording of a pandas.DataFrame, or of another table with `columns` and `itertuples`.
+
+        The names of its columns are understood as those of a file's header (docs/howto/import.md): a line for each
+        frame, each row of a frame, or each value. An index with a name, or of dates, is a column, too.
+
+        Parameters
+        ----------
+        table : DataFrame
+        unit : str or None
+            As for `import_file`.
+        baseline : int
+            Number of frames at the beginning in which nothing loads the panel.
+        scene : Scene, path of a scene's YAML file, or None
+        rows, columns : int or None
+            Size of the panel; None: the scene's.
+
+        Raises
+        ------
+        InputError
+            If the table does not fit the panel, with the line and the column.
+
+        >>> import pandas as pd
+        >>> table = pd.DataFrame({"time_s": [0.0, 0.5], "r0c0": [510.2, 505.1], "r0c1": [480.4, 250.3]})
+        >>> lampest.Recording.from_dataframe(table, rows=1, columns=2)
+        Recording(recording: 2 frames (0 unloaded) of 1 × 2 cells, 0 to 0.5 s)
+        """
+        known = read_scene(scene) if isinstance(scene, str | Path) else scene
+        panel = panel_of(rows, columns, known)
+        check_unit(unit, known, "table")
+        frames = frames_of_table(table, panel.shape)
+        values = np.where(panel.present, frames.values, np.nan)
+        named = unit or understood_unit(values, named_units(frames, "table"), known, "table")[0]
+        clock = None if frames.timing is None else frames.timing(None)
+        made = cls.from_array(values, named, baseline, known or Scene(panel), None if clock is None else clock.seconds)
+        return made if clock is None else replace(made, start_time=clock.start)
+
+    @classmethod
+    def from_xarray(
+        cls,
+        data: Any,
+        unit: str | None = None,
+        baseline: int = 0,
+        scene: Scene | str | Path | None = None,
+    ) -> "Recording":
+        """Return the recording of an xarray.DataArray over time, row and column, in any order.
+
+        Parameters
+        ----------
+        data : DataArray
+            Dimensions are recognised by their names: time (or frame), row (or y), column (or x). Coordinates of the
+            time in s, or dates, are the times of the frames.
+        unit : str or None
+            None: its attribute `units`, otherwise ohm.
+        baseline, scene
+            As for `from_array`.
+
+        Raises
+        ------
+        InputError
+            If dimensions are not recognised, or a value is impossible in this unit and scene.
+
+        >>> import xarray
+        >>> data = xarray.DataArray(np.full((2, 3, 4), 500.0), dims=("row", "column", "time"), attrs={"units": "ohm"})
+        >>> lampest.Recording.from_xarray(data, baseline=1)
+        Recording(recording: 4 frames (1 unloaded) of 2 × 3 cells, 0 to 3 s)
+        """
+        values, seconds, named = labelled_array(data)
+        return cls.from_array(values, unit or named or "ohm", baseline, scene, seconds)
+
+    def plot(
+        self,
+        frame: int | None = None,
+        *,
+        ax: Any = None,
+        figsize: tuple[float, float] | None = None,
+        vmin: float | None = None,
+        vmax: float | None = None,
+    ) -> Any:
+        """Return a Matplotlib figure with a map of a frame's readings, against the unloaded ones where there are some.
+
+        Parameters
+        ----------
+        frame : int, optional
+            By default that of the strongest change, or the first.
+        ax, figsize, vmin, vmax
+            As for `Reconstruction.plot`.
+
+        Raises
+        ------
+        InputError
+            If there is no such frame.
+        """
+        from lampest.report.plots import recording_picture  # loaded where a picture is asked for
+
+        return recording_picture(self, frame, ax, figsize, vmin, vmax)
 
     def save(self, path: str | Path) -> None:
         """Write the recording, completely or not at all. Raises InputError if the file cannot be written."""

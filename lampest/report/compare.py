@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.witness import Witness
+from lampest.files.errors import counted
 from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
-from lampest.report.words import counted, digits, no_formula, text_of
+from lampest.report.words import digits, no_formula, text_of
 from lampest.runs.case import data_frame
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, read_results
 
@@ -30,6 +32,8 @@ MIN_DIFFERENCE = 1e-3  # percent or ms: less is rounding
 MAX_SHOWN = 6  # recordings, estimators of them, and contacts that are shown in full
 STEPS = {"all": "", "initial": " first", "following": " later"}
 NOTES = {  # explanations of headers that begin with the key
+    "verified by IPOPT": "verified by IPOPT: frames solved again on the nodal program from another start "
+    "(the strongest of a recording by default, `verify`): largest difference of ln r between both estimates",
     "solved": "solved: frames at a verified local optimum, the best of all starts; approximate formulations: all "
     "frames with an estimate",
     "data error [%]": "data error: |model − measured| / measured, mean ± standard deviation over all readings",
@@ -163,6 +167,9 @@ def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
     return {
         "frames": int(np.sum(chosen)),
         "frames solved": int(np.sum(good)),
+        "solver": _solver_of(case, good),
+        **statistics(case.iterations[good].astype(float), "iterations {}", "median"),
+        "verified by IPOPT": _verified_text(case, chosen),
         **statistics(case.solve_time[good], "solve time {} [s]", "mean", "sd"),
         **statistics(data_error(case)[good], "data error {} [%]", "mean", "sd"),
         **statistics(errors, "cell error {} [%]", "median", "mean", "95th percentile"),
@@ -174,6 +181,35 @@ def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
         **statistics(case.kkt_residual[good], "worst KKT residual", "largest"),
         **{name: 0 if count is None else int(count[chosen].sum()) for name, count in counts.items()},
     }
+
+
+def _solver_of(case: CaseResult, good: NDArray[np.bool_]) -> str:
+    """Return the solver of the solved frames, with the number of frames of each where there are several."""
+    names = () if case.solver is None else tuple(name for name, chosen in zip(case.solver, good, strict=True) if chosen)
+    counts = {name: names.count(name) for name in dict.fromkeys(names) if name}
+    return ", ".join(name if len(counts) == 1 else f"{name} ({count})" for name, count in counts.items())
+
+
+def _verified_text(case: CaseResult, chosen: NDArray[np.bool_]) -> str:
+    """Return the outcome of the second solves by IPOPT in words; '' where no frame was solved again.
+
+    An agreeing frame has the largest difference of ln r.
+    """
+    if case.verified is None or case.verified_difference is None or case.verified_decrease is None:
+        return ""
+    texts = []
+    same = chosen & (case.verified == Witness.SAME)
+    if same.any():
+        texts.append(f"{case.verified_difference[same].max():.1g}")
+    lower = chosen & (case.verified == Witness.LOWER)
+    if lower.any():
+        decrease = 100 * case.verified_decrease[lower].max()
+        texts.append(f"IPOPT found a cost {decrease:.2g} % lower: kept" if decrease else "IPOPT alone solved it: kept")
+    if np.any(chosen & (case.verified == Witness.HIGHER)):
+        texts.append("IPOPT ended higher")
+    if np.any(chosen & (case.verified == Witness.FAILED)):
+        texts.append("IPOPT reached no optimum")
+    return ", ".join(texts)
 
 
 def _quoted(published: PublishedFigures | None, steps: Steps) -> dict[str, Any]:
@@ -324,7 +360,9 @@ def _over(group: Sequence[Row], header: str, *functions: Callable[[Any], float],
 COLUMNS: Columns = {
     "estimator": "{label}",
     "solved": lambda row: _solved([row]),
-    "time [ms]": lambda row: _plus_minus(row, "solve time {} [s]", 1000),
+    "solver, iterations": "{solver}, {iterations median:.0f}",
+    "time [ms]": lambda row: _over([row], "solve time mean [s]", np.mean, factor=1000),
+    "verified by IPOPT": "{verified by IPOPT}",
     "data error [%]": lambda row: _plus_minus(row, "data error {} [%]"),
     "cell error [%]": "{cell error median [%]:digits} / {cell error 95th percentile [%]:digits}",
     "own / common sd [%]": "{own standard deviation median [%]:digits} / {common standard deviation median [%]:digits}",

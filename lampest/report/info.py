@@ -15,12 +15,14 @@ from lampest.files.errors import InputError, first_and_more
 from lampest.panel.panel import Array
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.acquisition import FORMAT as RECORDING
+from lampest.recording.processed import processing_of
 from lampest.recording.readings import touching_columns, touching_rows
 from lampest.recording.recording import (
     MAX_READINGS,
     MEASURED,
     PART_READINGS,
     UNLOADED,
+    UNREFERENCED,
     Recording,
     StoredRecording,
     opened,
@@ -121,7 +123,18 @@ def _noise(recording: Recording) -> Iterator[Sentence]:
 
         prepared = Prepared(recording)
         yield "noise", prepared.frame_noise.summary
+        if (reason := _processing(recording)) and recording.scene.baseline is None:
+            yield "warning", f"these are no readings as the converter gives them: {reason}"
         yield from (("warning", warning) for warning in prepared.warnings)
+
+
+def _processing(recording: Recording) -> str:
+    """Return what firmware did to the recorded readings; '' where nothing is seen. See `processing_of`."""
+    readout, panel = recording.scene.readout, recording.scene.panel
+    if readout is None or readout.floor_code is not None:
+        return ""
+    codes = np.floor(readout.volt_from_recorded(recording.recorded) / readout.lsb_volt)
+    return processing_of(codes, recording.role == UNLOADED, panel.present)
 
 
 def _scene(scene: Scene) -> Iterator[Sentence]:
@@ -199,7 +212,8 @@ def _results_lines(results: Results) -> list[str]:
     for case in results.cases[:1]:
         place = strongest_index([case])
         where = f"frame {case.frame[place]} at {case.time[place]:g} s"
-        lines.append(f"cells of {case.recording} × {case.estimator} in {where}, change against the unloaded panel:")
+        against = "the first measured frame" if UNREFERENCED in case.warnings else "the unloaded panel"
+        lines.append(f"cells of {case.recording} × {case.estimator} in {where}, change against {against}:")
         lines += shaded_map(case.relative_change[place])
     return lines
 

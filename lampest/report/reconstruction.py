@@ -23,7 +23,7 @@ from lampest.runs.filling import named_result
 from lampest.runs.results import CaseResult, write_results
 
 if TYPE_CHECKING:
-    from lampest.report.plots.contours import Figure, Plot
+    from lampest.report.plots.contours import Axes, Figure, Plot
     from lampest.runs.case import DataFrame, Dataset
 
 INTERNAL = {"of", "tared"}  # attributes that the package's own columns read
@@ -134,16 +134,49 @@ class Reconstruction(Estimates):
         """Return a pandas.DataFrame with a line for every cell of every frame; units are in `attrs["units"]`."""
         return self.result(columns=columns).to_dataframe(columns)
 
-    def plot(self, kind: "str | Plot" = "contours", frame: int | None = None) -> "Figure":
+    @property
+    def reading_model(self) -> Array:
+        """Readings of the estimated cells, (frames, rows, columns) in the readout's unit."""
+        return np.stack([step.solution.reading[-1] for step in self.steps])
+
+    @property
+    def solve_time(self) -> Array:
+        """Wall times of the solves, (frames,) s."""
+        return np.array([step.seconds for step in self.steps])
+
+    def plot(
+        self,
+        kind: "str | Plot" = "contours",
+        frame: int | None = None,
+        *,
+        ax: "Axes | None" = None,
+        figsize: tuple[float, float] | None = None,
+        vmin: float | None = None,
+        vmax: float | None = None,
+    ) -> "Figure":
         """Return a Matplotlib figure of a kind such as `change` or `residuals`, or of your own Plot.
 
-        frame : index into the recording; by default a frame of strong change. Raises InputError for an unknown kind or
-        frame and if there is nothing to draw.
+        Parameters
+        ----------
+        kind : str or Plot
+        frame : int, optional
+            Index into the recording; by default a frame of strong change.
+        ax : Axes, optional
+            Axes into which the map of the estimate alone is drawn; by default a new figure with all maps.
+        figsize : tuple of float, optional
+            Width and height of a new figure in inches.
+        vmin, vmax : float, optional
+            Ends of the colour scale, in its unit.
+
+        Raises
+        ------
+        InputError
+            For an unknown kind or frame, and if there is nothing to draw.
         """
         with extra():
             from lampest.report.plots import picture  # matplotlib takes longer to load than a frame to solve
 
-        return picture((self.result(),), kind, frame)
+        return picture((self.result(),), kind, frame, ax, figsize, vmin=vmin, vmax=vmax)
 
 
 def _median(values: Array | None) -> str:

@@ -7,11 +7,6 @@ import numpy as np
 from lampest.panel.panel import Array
 
 
-def counted(number: int, noun: str) -> str:
-    """Return a count with its noun, such as '1 recording' or '1,200 frames'."""
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
-
-
 def listed(names: Sequence[str]) -> str:
     """Join names, such as 'A, B and C'."""
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

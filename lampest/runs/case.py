@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError, extra
+from lampest.files.errors import InputError, brief, extra
 from lampest.files.typed import installed
 from lampest.panel.panel import Array
 from lampest.panel.scene import scene_text
@@ -87,6 +87,10 @@ class CaseResult(Content):
     >>> found.result().estimator
     'misfit'
     """
+
+    def __repr__(self) -> str:
+        """Return the object in one line, arrays by their shapes."""
+        return brief(self)
 
     def __post_init__(self) -> None:
         check_name(self.recording, "recording")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lampest.estimate.witness import Witness
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.typed import Validated
@@ -263,6 +264,17 @@ def _of_solutions(name: str) -> Callable[[Estimates], Array]:
     return of_steps(lambda step: getattr(step.solution, name))
 
 
+def _of_witness(name: str, absent: float) -> Callable[[Estimates], Array | None]:
+    """Return a function that stacks a field of the verifications, shape (frames,); None where no frame was verified."""
+
+    def values(done: Estimates) -> Array | None:
+        if all(step.verification is None for step in done.steps):
+            return None
+        return np.array([getattr(step.verification, name, absent) for step in done.steps])
+
+    return values
+
+
 def _frame_numbers(done: Estimates) -> NDArray[np.intp]:
     """Return indices into the recording, of which only a part may have been read."""
     return done.frame if done.recording.number is None else done.recording.number[done.frame]
@@ -441,7 +453,10 @@ class Content(Validated):
         as_volt="reading_model",
     )
     reading_sigma: Array | None = _maps(
-        "ohm", "standard deviation of a reading about the model's, noise and model error included", default=None
+        "ohm",
+        "standard deviation of a reading about the model's, noise and model error included",
+        as_volt="reading_sigma",
+        default=None,
     )
     open_cell: NDArray[np.uint8] = _flag(
         "1: cannot be distinguished from an open cell", "conducts", "cannot_be_told_from_open"
@@ -452,6 +467,39 @@ class Content(Validated):
     baseline_resistance: Array = _cells("estimated unloaded cell resistance", possible)
     status: tuple[str, ...] = _frames("1", "how the solve ended", dtype=str)
     iterations: NDArray[np.int64] = _counts("iterations of the solver", value=_of_solutions("iterations"))
+    solver: tuple[str, ...] | None = _frames(
+        "1",
+        "solver that gave the estimate; empty where none did",
+        dtype=str,
+        value=lambda done: tuple(step.solution.solver for step in done.steps),
+        default=None,
+    )
+    verified: NDArray[np.uint8] | None = _frames(
+        "1",
+        "the frame solved again by IPOPT on the nodal program, from another start",
+        dtype=np.uint8,
+        value=_of_witness("witness", Witness.NONE),
+        flags=(
+            (Witness.NONE, "not_solved_again"),
+            (Witness.SAME, "same_optimum"),
+            (Witness.HIGHER, "ipopt_ended_higher"),
+            (Witness.LOWER, "ipopt_ended_lower_and_was_kept"),
+            (Witness.FAILED, "ipopt_reached_no_optimum"),
+        ),
+        default=None,
+    )
+    verified_difference: Array | None = _frames(
+        "1",
+        "largest difference of ln r from the second solve; NaN without one",
+        value=_of_witness("difference", np.nan),
+        default=None,
+    )
+    verified_decrease: Array | None = _frames(
+        "1",
+        "decrease of the cost by the second solve, relative to the first; 0 unless that was lower",
+        value=_of_witness("decrease", 0.0),
+        default=None,
+    )
     starts: NDArray[np.int64] | None = _counts(
         "number of starts; the estimate is the best local optimum that they reached",
         value=_of_solutions("starts"),

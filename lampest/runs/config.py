@@ -14,9 +14,10 @@ from lampest.cost.terms import AnyTerm, Term, term_types
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
 from lampest.estimate.sequence import check_by_parts
+from lampest.estimate.witness import Verify
 from lampest.files import sweep
 from lampest.files.document import Document, adapter, plain_content, read_document, to_yaml, validated
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, meant
 from lampest.files.typed import kinds_of, shipped, typed
 from lampest.files.whole import note_read
 from lampest.loads.pressure import Tare
@@ -68,6 +69,7 @@ class Choices:
     error_bars: Literal["auto"] | bool = "auto"
     auto_weight: AutoWeight = AutoWeight()
     tare: Tare | None = None
+    verify: Verify = Verify("strongest")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,6 +166,7 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     1
     """
     document = read_document(path, settings)
+    _refuse_unknown(path, document, settings)
     recordings: dict[Path, _Source] = {}
     cases: list[Case] = []
     published: dict[str, PublishedFigures] = {}
@@ -189,6 +192,17 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     unique = {case.case_id: case for case in cases}.values()
     distinct = tuple(case for name in order for case in unique if case.recording == name)
     return Run(distinct, published, executor, tuple((name, text) for name, text in scenes.items() if text))
+
+
+def _refuse_unknown(path: Path, document: Document, settings: tuple[str, ...]) -> None:
+    """Raise InputError where a setting reaches into an estimator that the file does not hold."""
+    known = read_document(path).content
+    estimators = known.get("estimators") if isinstance(known, dict) else None
+    for key in (setting.partition("=")[0] for setting in settings):
+        room, *inner = key.split(".")
+        if room == "estimators" and len(inner) > 1 and isinstance(estimators, dict) and inner[0] not in estimators:
+            listed = meant(inner[0], estimators) or f"; there are {', '.join(estimators)}"
+            raise document.error((), f"{key}: there is no estimator {inner[0]!r}{listed}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ import numpy as np
 
 from lampest.files import hdf5
 from lampest.files.document import adapter, parse_document, validated
-from lampest.files.errors import InputError, meant
+from lampest.files.errors import InputError, brief, meant
 from lampest.files.parts import join_parts
 from lampest.files.typed import Configuration, check_not_negative, typed
 from lampest.panel.panel import Array
@@ -80,6 +80,10 @@ class Results:
 
     cases: tuple[CaseResult, ...]
     published: Mapping[str, PublishedFigures] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Return the object in one line, arrays by their shapes."""
+        return brief(self)
 
     def recordings(self) -> tuple[str, ...]:
         """Return the names of the recordings in order."""

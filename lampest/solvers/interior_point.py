@@ -1,8 +1,9 @@
-"""Log-barrier interior-point method for plain least squares of a large panel, where many cells end at a bound.
+"""Log-barrier interior-point method with potentials eliminated.
 
 The method minimises φ(g) − μ Σ log(g − g_low) − μ Σ log(g_high − g) over the conductances g for decreasing μ, by
-Newton's method with the multipliers of the bounds as further unknowns. Without it such frames take ten times the
-products.
+Newton's method with the multipliers of the bounds as further unknowns. It serves twice: a start far from the optimum of
+a cost with several minima follows its central path, which ends in lower minima than steps straight down; and plain
+least squares of a large panel, where many cells end at a bound, take a tenth of the products.
 Source: Nocedal & Wright, Numerical Optimization, 2006, sections 19.2 and 19.3.
 """
 
@@ -18,7 +19,7 @@ from lampest.panel.panel import Array
 from lampest.panel.trust_region import SUFFICIENT_DECREASE, Linear, restricted, steihaug
 from lampest.solvers.certificate import ACCURACY
 from lampest.solvers.hessian import Hessian
-from lampest.solvers.preconditioners import TwoLevel
+from lampest.solvers.preconditioners import Cholesky, Numbers, TwoLevel
 from lampest.solvers.smoothing import Smoothing
 
 
@@ -60,16 +61,14 @@ class InteriorPoint:
 # Without min_step, and with μ reduced after every step, one of two later frames at 100 × 100 takes more than 60 s in
 # place of 5 to 8 s (docs/studies/speed.md).
 METHOD = InteriorPoint()
-SIDES = np.array([1.0, -1.0])[:, None, None]  # change of the distances (g − g_low, g_high − g) with g
+SIDES = np.array([1.0, -1.0])[:, None, None, None]  # change of the distances (g − g_low, g_high − g) with g
 
 
-def by_interior_point(start: Evaluation) -> tuple[Evaluation, int]:
+def central_path(start: Evaluation) -> tuple[Evaluation, int]:
     """Return the point at which the barrier's share of the cost has vanished, and the number of steps.
 
-    Returns `start` and no steps if the method does not apply, and `start` if the method ends at a higher cost.
+    Returns `start` if the path ends at a higher cost.
     """
-    if not crowds_bounds(start):
-        return start, 0
     barrier, steps = Barrier.of(start), 0
     while steps < METHOD.max_steps and not start.data.overdue:
         trial = barrier.advanced() if barrier.added > METHOD.max_barrier_share * barrier.at.objective else None
@@ -80,6 +79,12 @@ def by_interior_point(start: Evaluation) -> tuple[Evaluation, int]:
     return (bounded if bounded.objective < start.objective else start), steps
 
 
+def has_central_path(start: Evaluation) -> bool:
+    """Return whether the method applies: bounds are finite, and no loss is absolute."""
+    data = start.data
+    return bool(np.all(np.isfinite([1 / data.lower, data.upper]))) and not len(start.cost.slope)
+
+
 def crowds_bounds(start: Evaluation) -> bool:
     """Return whether the cost is plain least squares of a large frame with more cells at a bound than lines."""
     hessian, data, cells = Hessian(start, Smoothing.start(start)), start.data, start.cell_resistance
@@ -88,8 +93,7 @@ def crowds_bounds(start: Evaluation) -> bool:
     # 1/(1/r) and exp(log r) of a bound differ from it in their last bits.
     at_bound = np.isclose(cells, data.lower, rtol=1e-12, atol=0) | np.isclose(cells, data.upper, rtol=1e-12, atol=0)
     crowded = np.sum(at_bound & (data.lower < data.upper)) > sum(cells.shape[1:])
-    bounded = np.all(np.isfinite([1 / data.lower, data.upper]))
-    return bool(crowded and bounded and hessian.residual > METHOD.start_tolerance)
+    return bool(crowded and has_central_path(start) and hessian.residual > METHOD.start_tolerance)
 
 
 def reach(distances: Array, change: Array) -> float:
@@ -111,7 +115,7 @@ class Barrier:
     Attributes
     ----------
     at : Evaluation
-    multipliers : array, shape (2, rows, columns)
+    multipliers : array, shape (2, frames, rows, columns)
         Multipliers z and w of the lower and the upper bounds of g, cost/siemens.
     mean : float
         Barrier parameter μ, the target of z·(g − g_low) and w·(g_high − g).
@@ -127,28 +131,28 @@ class Barrier:
     @classmethod
     def of(cls, start: Evaluation) -> "Barrier":
         """Return the first iterate: a point inside the bounds with z·(g − g_low) = w·(g_high − g) = μ."""
-        low, high, conductance = 1 / start.data.upper[0], 1 / start.data.lower[0], 1 / start.cell_resistance[0]
+        low, high, conductance = 1 / start.data.upper, 1 / start.data.lower, 1 / start.cell_resistance
         margin = np.minimum(METHOD.start_margin * float(np.median(conductance)), (high - low) / 50)
-        at = start.elsewhere(1 / np.clip(conductance, low + margin, high - margin)[None])
+        at = start.elsewhere(1 / np.clip(conductance, low + margin, high - margin))
         bare = cls(at, np.zeros((2, *low.shape)), 0.0)
         mean = 0.1 * float(np.mean((np.abs(bare.gradient) * bare.distances.min(axis=0))[bare.moving]))
         return replace(bare, multipliers=over(mean, bare.distances), mean=mean)
 
     @cached_property
     def conductance(self) -> Array:
-        """Conductances g, (rows, columns) siemens."""
-        return np.asarray(1 / self.at.cell_resistance[0])
+        """Conductances g, (frames, rows, columns) siemens."""
+        return np.asarray(1 / self.at.cell_resistance)
 
     @cached_property
     def distances(self) -> Array:
-        """Distances to the bounds (g − g_low, g_high − g), (2, rows, columns) siemens."""
+        """Distances to the bounds (g − g_low, g_high − g), (2, frames, rows, columns) siemens."""
         data = self.at.data
-        return np.stack([self.conductance - 1 / data.upper[0], 1 / data.lower[0] - self.conductance])
+        return np.stack([self.conductance - 1 / data.upper, 1 / data.lower - self.conductance])
 
     @property
     def moving(self) -> NDArray[np.bool_]:
-        """Whether the bounds of a cell differ, boolean (rows, columns)."""
-        return np.asarray(self.at.data.lower[0] < self.at.data.upper[0])
+        """Whether the bounds of a cell differ, boolean (frames, rows, columns)."""
+        return np.asarray(self.at.data.lower < self.at.data.upper)
 
     @cached_property
     def hessian(self) -> Hessian:
@@ -157,7 +161,7 @@ class Barrier:
 
     @cached_property
     def gradient(self) -> Array:
-        """Gradient ∂φ/∂g = −(∂φ/∂u)/g, (rows, columns)."""
+        """Gradient ∂φ/∂g = −(∂φ/∂u)/g, (frames, rows, columns)."""
         return np.asarray(-self.hessian.gradient.reshape(self.conductance.shape) / self.conductance)
 
     @property
@@ -186,7 +190,7 @@ class Barrier:
         current, slope = self.merit(mean), SUFFICIENT_DECREASE * float(np.sum(push * step))
         for _ in range(METHOD.max_halvings):
             with suppress(np.linalg.LinAlgError):
-                trial = Barrier(self.at.elsewhere(1 / (self.conductance + length * step)[None]), push, mean)
+                trial = Barrier(self.at.elsewhere(1 / (self.conductance + length * step)), push, mean)
                 if trial.merit(mean) <= current - slope * length:
                     # δz = (μ − z·δg)/(g − g_low) − z, δw = (μ + w·δg)/(g_high − g) − w, as far as they stay positive
                     change = over(mean - self.multipliers * SIDES * step, self.distances) - self.multipliers
@@ -200,32 +204,48 @@ class Barrier:
 
         Conjugate gradients solve for relative steps δg/g, whose Hessian is ∇²φ + diag(∇φ) + stiffness·g².
         """
-        hessian, free, step = self.hessian, self.moving.ravel(), np.zeros(push.size)
-        chosen, stiff = np.flatnonzero(free), (self.stiffness * self.conductance**2).ravel()
-        precondition = TwoLevel.of(hessian, stiff).over(free, self.at.cell_resistance)
+        chosen = np.flatnonzero(self.moving)
+        stiff = (self.stiffness * self.conductance**2).ravel()
         slope = -(push * self.conductance).ravel()[chosen]
+        step = np.zeros(push.size)
+        step[chosen] = self._dense(chosen, stiff, slope) if self.hessian.dense else self._sparse(chosen, stiff, slope)
+        return step.reshape(push.shape) * self.conductance
+
+    def _dense(self, chosen: Numbers, stiff: Array, slope: Array) -> Array:
+        """Return the relative step of the chosen cells by Cholesky's factor."""
+        hessian = self.hessian
+        exact = hessian.matrix + np.diag(hessian.gradient + stiff)
+        factor = Cholesky.of(self.at.cell_resistance, chosen, exact[np.ix_(chosen, chosen)])
+        if factor is None:
+            squares = hessian.gauss_newton_matrix + np.diag(stiff)
+            factor = Cholesky.of(self.at.cell_resistance, chosen, squares[np.ix_(chosen, chosen)])
+        return np.full(len(chosen), np.nan) if factor is None else -factor.solve(slope)
+
+    def _sparse(self, chosen: Numbers, stiff: Array, slope: Array) -> Array:
+        """Return the relative step of the chosen cells by conjugate gradients."""
+        hessian, free = self.hessian, self.moving.ravel()
+        precondition = TwoLevel.of(hessian, stiff).over(free, self.at.cell_resistance)
         # Accuracy grows as the barrier's share shrinks: residuals of cells at bounds hide those of the others. With
         # ACCURACY throughout, besides the changes named at METHOD, a later frame takes 83 s (docs/studies/speed.md).
         accuracy = ACCURACY * min(1.0, self.added / self.at.objective) ** 0.25
         distances = (self.distances / self.conductance).reshape(2, -1)[:, chosen]
 
         def admits(step: Array) -> bool:
-            return reach(distances, SIDES[:, 0] * step) >= METHOD.min_step
+            return reach(distances, SIDES[:, 0, 0] * step) >= METHOD.min_step
 
         exact: Linear = lambda step: hessian.product(step) + (stiff + hessian.gradient) * step  # noqa: E731
         squares: Linear = lambda step: hessian.gauss_newton_product(step) + stiff * step  # noqa: E731
         for product in (exact, squares):
-            solved = steihaug(restricted(product, chosen, push.size), precondition, slope, accuracy, admits=admits)
+            solved = steihaug(restricted(product, chosen, free.size), precondition, slope, accuracy, admits=admits)
             if not solved.negative:
                 break
-        step[chosen] = solved.step
-        return step.reshape(push.shape) * self.conductance
+        return solved.step
 
     def put_at_bounds(self) -> Evaluation:
-        """Return the evaluation with cells put at each bound whose barrier curvature exceeds that of their reading."""
+        """Return the evaluation with cells put at each bound whose barrier curvature exceeds their own."""
         data = self.at.data
-        # In the conductance: z/(g − g_low) > W·(∂y/∂g)²
-        curvature = self.hessian.own.reshape(self.conductance.shape) / self.conductance**2
+        # In the conductance: z/(g − g_low) > ∂²φ/∂g² of the cell's own reading and penalties
+        curvature = self.hessian.diagonal.reshape(self.conductance.shape) / self.conductance**2
         below, above = over(self.multipliers, self.distances) > curvature
-        cells = np.where(below, data.upper[0], self.at.cell_resistance[0])
-        return self.at.elsewhere(np.where(above, data.lower[0], cells)[None])
+        cells = np.where(below, data.upper, self.at.cell_resistance)
+        return self.at.elsewhere(np.where(above, data.lower, cells))

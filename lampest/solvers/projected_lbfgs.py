@@ -32,6 +32,9 @@ CERTIFIED_DISTANCE = 0.1  # of log r: ∇²φ changes by about this share; beyon
 LAST_STEP = 0.01 * MILLIONTH  # of log r; within CERTIFIED_DISTANCE, M⁻¹ ∇φ is within a tenth of Newton’s step
 
 
+NAME = "L-BFGS"  # of the solver, in tables
+
+
 @dataclass(frozen=True, eq=False)
 class InverseHessians:
     """Inverse Hessians of panels, reused from frame to frame.

@@ -13,17 +13,17 @@ from math import inf, log
 
 import numpy as np
 
-from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import SUFFICIENT_DECREASE, Linear, SubproblemStep, restricted, steihaug
 from lampest.solvers.bounds import MILLIONTH, MIN_DECREASE_SHARE, moved_by
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
+from lampest.solvers.convex import by_convex_program
 from lampest.solvers.hessian import Hessian
-from lampest.solvers.interior_point import by_interior_point
+from lampest.solvers.interior_point import central_path, crowds_bounds, has_central_path
 from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor, preconditioner
 from lampest.solvers.smoothing import Smoothing
-from lampest.solvers.solution import Outcome, Settings, Status
+from lampest.solvers.solution import Outcome, Solver, Status
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ STEPS = Steps()
 
 
 @dataclass(frozen=True)
-class ProjectedNewton:
+class ProjectedNewton(Solver):
     """Solver of one cost on one panel shape.
 
     Attributes
@@ -95,11 +95,25 @@ class ProjectedNewton:
     settings : Settings
     preconditioner : Preconditioner or None
         Preconditioner that the previous frame ended with.
+    from_afar : bool
+        Whether the start is far from an optimum of a cost with several minima, and its central path is followed first.
     """
 
-    cost: Cost
-    settings: Settings
     preconditioner: Preconditioner | None = None
+    from_afar: bool = False
+
+    @property
+    def name(self) -> str:
+        """The solver in words."""
+        return "Newton"
+
+    def continued(self, carried: object) -> "ProjectedNewton":
+        """Return the solver that begins with the preconditioner of the frame before."""
+        return replace(self, preconditioner=carried if isinstance(carried, Preconditioner) else None)
+
+    def cold(self) -> "ProjectedNewton":
+        """Return the solver that follows the central path of the barrier from its start."""
+        return replace(self, preconditioner=None, from_afar=True)
 
     def prepare(self) -> None:
         """Compile the cost, so that the first solve is not charged for it."""
@@ -107,7 +121,9 @@ class ProjectedNewton:
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`. A failed solve does not raise; the outcome's status states the failure."""
-        start, iteration = by_interior_point(start)
+        start, iteration = by_convex_program(start), 0
+        if (self.from_afar and has_central_path(start)) or crowds_bounds(start):
+            start, iteration = central_path(start)
         iterate = Iterate.of(start, Smoothing.start(start), self.preconditioner)
         history, unsettled, tolerance = list[tuple[float, float]](), 0, self.settings.tolerance
         while iteration < self.settings.max_iterations:

@@ -1,15 +1,18 @@
 """Result of a solve: status, outcome of the solver, and checked solution."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
+from lampest.files.errors import brief
 from lampest.files.typed import Validated, check_positive_fields, check_ranges, typed
+from lampest.formulation.instance import Multipliers
 from lampest.panel.panel import Array
 from lampest.solvers.bounds import MILLIONTH, bounds_matter
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
@@ -129,8 +132,8 @@ class Outcome:
     iterations : int
     certificate : Certificate or None
         Certificate of these cells.
-    preconditioner : Preconditioner or None
-        Preconditioner for the next frame.
+    carried : Preconditioner, Multipliers or None
+        What the solver of the next frame can begin with.
     convex : bool
         Whether no direction of negative curvature was met.
     at : Evaluation or None
@@ -146,9 +149,14 @@ class Outcome:
     status: Status
     iterations: int
     certificate: Certificate | None = None
-    preconditioner: Preconditioner | None = None
+    carried: Preconditioner | Multipliers | None = None
     convex: bool = False
     at: Evaluation | None = None
+
+    @property
+    def preconditioner(self) -> Preconditioner | None:
+        """The preconditioner, if that is carried."""
+        return self.carried if isinstance(self.carried, Preconditioner) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,11 +181,13 @@ class Solution:
     at : Evaluation or None
         Evaluation at the cells; None where nothing was solved.
     dual : array or None
-    preconditioner : Preconditioner or None
+    carried : Preconditioner, Multipliers or None
     convex : bool
         See `Outcome`.
     starts : int
         Number of starts that were tried.
+    solver : str
+        Name of the solver.
 
     >>> found.steps[0].solution.solved
     True
@@ -194,9 +204,14 @@ class Solution:
     iterations: int
     at: Evaluation | None = None
     dual: Array | None = None
-    preconditioner: Preconditioner | None = None
+    carried: Preconditioner | Multipliers | None = None
     convex: bool = False
     starts: int = 1
+    solver: str = ""
+
+    def __repr__(self) -> str:
+        """Return the object in one line, arrays by their shapes."""
+        return brief(self)
 
     @property
     def solved(self) -> bool:
@@ -214,24 +229,45 @@ class Solution:
         return self.status in OPTIMA
 
 
-class Solver(Protocol):
-    """Interface of the solvers of one cost.
+@dataclass(frozen=True)
+class Solver(ABC):
+    """Solver of one cost.
+
+    Attributes
+    ----------
+    cost : Cost
+        Cost that is minimised.
+    settings : Settings
+        Tolerance and limits of a solve.
 
     >>> sorted(name for name in vars(lampest.Solver) if not name.startswith("_"))
-    ['cost', 'prepare', 'settings', 'solve']
+    ['cold', 'continued', 'name', 'prepare', 'solve']
     """
 
-    @property
-    def cost(self) -> Cost:
-        """Cost that is minimised."""
+    cost: Cost
+    settings: Settings
 
     @property
-    def settings(self) -> Settings:
-        """Tolerance and limits of a solve."""
+    def name(self) -> str:
+        """The solver in words, for tables; by default the name of its class."""
+        return type(self).__name__
 
     def prepare(self) -> None:
-        """Compile the cost."""
+        """Compile the cost, so that the first solve is not charged for it."""
+        _ = self.cost.functions
 
+    def continued(self, carried: object) -> "Solver":
+        """Return the solver that begins with what the solve of the frame before carries; unchanged if of no use."""
+        return self
+
+    def cold(self) -> "Solver":
+        """Return the solver for a start far from any optimum; by default the same.
+
+        Lower minima are found along the central path of the bounds' barrier than by steps straight down.
+        """
+        return self
+
+    @abstractmethod
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise the cost from a start; a failed solve does not raise."""
 
@@ -348,7 +384,7 @@ def solution_at(at: Evaluation, residual: float, outcome: Outcome, status: Statu
     cells, data = at.cell_resistance, at.data
     ends = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
     fields = (cells, at.reading, at.costs, at.objective, residual, *ends, status, outcome.iterations)
-    return Solution(*fields, at=at, dual=outcome.dual, preconditioner=outcome.preconditioner, convex=outcome.convex)
+    return Solution(*fields, at=at, dual=outcome.dual, carried=outcome.carried, convex=outcome.convex)
 
 
 def failure(cost: Cost, data: Data, status: Status, residual: float, outcome: Outcome) -> Solution:

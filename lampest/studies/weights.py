@@ -26,7 +26,7 @@ from lampest.estimate.methods import named_method
 from lampest.estimate.objective import Rule
 from lampest.estimate.sequence import deciding_data
 from lampest.estimate.weights import WeightSearch, with_chosen_weights
-from lampest.files.errors import InputError
+from lampest.files.errors import BROKEN, InputError
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.covariance import DenseErrors
@@ -37,7 +37,8 @@ from lampest.report.compare import Columns
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure
 from lampest.report.words import text_of
 from lampest.runs.config import Case, Run, read_run
-from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
+from lampest.solvers.convex import convex_cells
+from lampest.solvers.multistart import best_solution, evaluated
 from lampest.studies import study
 from lampest.studies.study import column
 
@@ -281,7 +282,7 @@ def trace(subject: WeightSubject, marks: list[float]) -> Curves:
     """
     low, high = min(marks) / 1e4, max(marks) * 1e4
     with suppress(*BROKEN):  # without free cells the extent is unknown
-        first = evaluated(subject.with_weight(marks[0]), subject.data, convex(subject.data, None))
+        first = evaluated(subject.with_weight(marks[0]), subject.data, convex_cells(subject.data, None))
         least, largest = np.exp(Spectrum.of(LinearModel(first, NO_DUAL)).extent)
         low, high = max(least, low), min(largest, high)
     weights = np.geomspace(min(low, *marks), max(high, *marks), 33).tolist()

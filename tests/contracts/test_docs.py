@@ -8,6 +8,7 @@ Text for people is plain: pages, README and CHANGELOG, comments of the shipped Y
 
 import ast
 import doctest
+import json
 import os
 import re
 import shutil
@@ -15,9 +16,11 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 
 import lampest
@@ -149,7 +152,8 @@ def test_all_examples_together_keep_the_rules_of_the_house(copy: Path) -> None:
                 run(copy, command)
                 new.append(command.split()[-1])
         new += re.findall(r"^\+class (\w+)", fence.text, flags=re.MULTILINE) if fence.language == "diff" else []
-    assert len(new) == len(EXAMPLES), "each page moves one file or one class into the house"
+    joining = set(EXAMPLES) - {"constraint"}  # parts of a notebook's own program stay there
+    assert len(new) == len(joining), "each page moves one file or one class into the house"
     run(copy, "python -m pytest -q -x tests/contracts/test_architecture.py -k 'keeps_the_rule or reached or twelve'")
     run(copy, "ruff check lampest && ruff format --check lampest")
     run(copy, "mypy")
@@ -307,3 +311,39 @@ def test_every_word_is_spelt_right() -> None:
     command = [sys.executable, "-m", "codespell_lib", *options, "lampest", "docs", "configs", "paper", *pages]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
+
+
+# The way of mats, insoles and skins, and pages beside other programs.
+
+HOW_TOS = ("import", "readouts", "outlines", "flexitac", "ros")
+OF_MATS = ("tutorial/mats.md", "tutorial/own_panel.md", *(f"howto/{name}.md" for name in HOW_TOS))
+
+
+@pytest.mark.parametrize("page", [README, *(DOCS / name for name in OF_MATS)], ids=lambda page: page.name)
+def test_the_way_of_mats_speaks_of_mats_alone(page: Path) -> None:
+    assert not re.search("lamprey", page.read_text(encoding="utf-8"), re.IGNORECASE)
+
+
+def test_the_page_of_mats_links_pages_of_mats_and_names_columns_that_exist() -> None:
+    page = DOCS / "tutorial" / "mats.md"
+    text = page.read_text(encoding="utf-8")
+    linked = {(page.parent / target).resolve() for target in re.findall(r"[^!]\[[^]]*\]\(([^)#]+\.md)", text)}
+    assert linked <= {DOCS / name for name in OF_MATS}
+    table = text.partition("| column | unit")[2].partition("\n\n")[0]
+    named = re.findall(r"^\| (`[^|]+) \|", table, re.MULTILINE)
+    names = {name for cells in named for name in re.findall(r"`(\w+)`", cells)}
+    recording = lampest.Recording.from_array(np.full((3, 2, 2), 500.0), baseline=1)
+    found = lampest.reconstruct(replace(recording, sigma=np.ones((2, 2))), [lampest.Misfit(weighting="noise")])
+    assert names - {"reading_model"} <= set(found.to_dataframe().columns)
+
+
+def test_the_code_beside_ros_makes_an_image_of_a_message(tmp_path: Path) -> None:
+    (code,) = (block for language, block in fences(DOCS / "howto" / "ros.md") if language == "python")
+    names: dict[str, Any] = {}
+    exec(compile(code, "cells.py", "exec"), names)
+    message = {"panel": {"rows": 2, "columns": 3}, "cells": [1.5, 2.5, None, 4.0, 5.0, 6.0]}
+    image = names["image"](json.dumps(message))
+    cells = np.frombuffer(image["data"], dtype="<f4").reshape(image["height"], image["width"])
+    np.testing.assert_array_equal(cells, [[1.5, 2.5, np.nan], [4, 5, 6]])
+    assert (image["step"], image["encoding"]) == (12, "32FC1")
+    assert names["image"](json.dumps(message | {"cells": None})) is None

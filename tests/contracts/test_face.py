@@ -1,5 +1,6 @@
 """The public face: every name is there, typed, and cheap until it is used; wrong use is one sentence; defaults."""
 
+import ast
 import dataclasses
 import doctest
 import os
@@ -243,7 +244,9 @@ def known() -> dict[str, object]:
     return {"lampest": lampest, "np": np, "dataclasses": dataclasses, "Path": Path} | made
 
 
-@pytest.mark.parametrize("name", [name for name in lampest.__all__ if name not in ("Array", "UNLOADED", "MEASURED")])
+@pytest.mark.parametrize(
+    "name", [name for name in lampest.__all__ if name not in ("Array", "Weight", "UNLOADED", "MEASURED")]
+)
 def test_examples_in_docstrings_run(
     name: str, known: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -288,3 +291,17 @@ def test_unknown_noise_takes_the_same_rule(few: Recording) -> None:
     open_ended = lampest.reconstruct(silent, [Misfit(), Gradient()], bounds=lampest.Bounds(upper="none"))
     assert np.array_equal(found.cell_resistance, open_ended.cell_resistance)
     assert lampest.reconstruct(silent, [Misfit(), CellResistance(), TotalVariation()]).solved.all()
+
+
+def test_the_stub_and_the_function_have_one_signature() -> None:
+    """`reconstruct` stands in the package itself, and once more in the stub that editors read."""
+    stub, face = (
+        ast.parse((ROOT / "lampest" / f"__init__.{end}").read_text(encoding="utf-8")) for end in ("pyi", "py")
+    )
+    signatures = [
+        ast.unparse(node.args).replace("typing.", "").replace("collections.abc.", "") + ast.unparse(node.returns)
+        for tree in (stub, face)
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef) and node.name == "reconstruct"
+    ]
+    assert len(signatures) == 2 and signatures[0] == signatures[1]

@@ -40,7 +40,7 @@ formulation: reduced
 CONFIGS = Path(__file__).parents[2] / "configs"
 WRONG = {
     "rod_1,4,6,10,,30,360": "loads.csv:2: loads.0: a foot needs x_mm and y_mm",
-    "rod_1,4,6,10,10,30,heavy": "loads.csv:2: loads.0.mass_g: Input should be a valid number",
+    "rod_1,4,6,10,10,30,heavy": "loads.csv:2: loads.0.mass_g: must be a number, not 'heavy'",
     "rod_1,4,,10,10,30,360": "loads.csv:2: each load needs a frame in the columns first and last",
     "rod_1,4,9,10,10,30,360": "rod_1: there is no frame 9, its frames are 0 to 6",
     "rod_1,2,6,10,10,30,360": "rod_1: frames 2 to 6 hold unloaded ones",

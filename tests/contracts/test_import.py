@@ -1,6 +1,7 @@
 """Tables of text as people have them: frames, times and sentences, or a refusal with its place."""
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 from contracts import imports
 from contracts.imports import CODES, COLUMNS, DIVIDER, FRAMES, LOADED, ROWS, VOLT_OF_CODES, given, lines, names
+
+from lampest import LoadedColumnsReadout, TwoPointReadout
 
 WIDE = FRAMES.reshape(4, -1)
 FOUR = np.arange(4)
@@ -56,6 +59,7 @@ LABVIEW += ["X_Value\t" + "\t".join(["Channel", *(f"Channel_{n}" for n in range(
 LABVIEW += [*(f"{n / 2:.6f}\t{line}\t" for n, line in enumerate(lines(CODES, "\t"))), ""]
 codes("empty columns beside the cells", "\r\n".join(LABVIEW), "empty columns left out: Comment", times=FOUR / 2)
 
+NAMES_OF_CELLS = names("r{r}c{c}").split(",")
 NUMBERED = [(number, row, line) for number, frame in enumerate(CODES) for row, line in enumerate(lines(frame))]
 BLOCKS = {
     "blank lines": "boot...\n" + blocks("\t", "\n\n"),
@@ -89,6 +93,68 @@ refused("long blocks", LONG, "m.csv:1: a block of 4 lines, where the panel has 3
 
 MEANS, STEPS = CODES + CODES % 20 / 20, "as such they lie on the converter's steps"
 taken("means of codes", lines(MEANS), STEPS, expected=1024e3 / (MEANS + 0.5) - 1000, scene=DIVIDER)
+EIGHT = replace(LOADED, readout=replace(LOADED.readout, readings=8))
+OF_EIGHT = CODES + CODES % 8 / 8 + 2000
+RAISED = (OF_EIGHT + 0.5) * 3.3 / 4096
+for name, written in (
+    ("Serial.print", [[f"{value:.2f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
+    ("cut digits", [[f"{int(100 * value) / 100:.2f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
+    ("three digits", [[f"{value:.3f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
+):
+    rounded = (np.array(written, dtype=float).reshape(CODES.shape) + 0.5) * 3.3 / 4096
+    taken(
+        f"means of eight codes by {name}", map(",".join, written), "unit code, guessed", expected=rounded, scene=EIGHT
+    )
+    two_point = replace(DIVIDER, readout=TwoPointReadout(supply_volt=3.3, adc_bits=12, readings=8))
+    resistances = two_point.readout.recorded_from_volt(rounded)
+    taken(
+        f"means of a divider by {name}",
+        map(",".join, written),
+        "unit code, guessed: ",
+        expected=resistances,
+        scene=two_point,
+    )
+    ways = "may be mV or code (codes would be whole numbers, by the scene); say which with `unit='mV'`"
+    refused(f"means of eight codes by {name} where readings is 1", map(",".join, written), ways, scene=LOADED)
+FILTERED = CODES * 0.937 + 0.013
+refused("filtered codes of a divider", lines(FILTERED), "may be ohm or", "mV or code", scene=DIVIDER)
+MILLIVOLTS = np.round(CODES * 5000 / 1024)
+FIVE_VOLT = replace(LOADED, readout=LoadedColumnsReadout(load_ohm=10_000.0, supply_volt=5.0, adc_bits=10, readings=1))
+for name, written in (("rounded", MILLIVOLTS), ("cut", CODES * 5000 // 1023)):
+    taken(f"{name} millivolts", lines(written), "unit mV, guessed", expected=written / 1000, scene=FIVE_VOLT)
+taken(
+    "whole numbers",
+    lines(CODES),
+    "whole numbers, within 0 to 4095",
+    "whole mV would look alike",
+    scene=LOADED,
+    expected=VOLT_OF_CODES,
+)
+WHOLE = "may be ohm or code, the whole numbers of a converter, which need a scene; say which with `unit='ohm'`"
+refused("whole numbers without a scene", lines(CODES), WHOLE)
+refused("resistances of either size", lines(FRAMES / 10), "may be ohm or kohm; say which with")
+taken("small kiloohms", lines(FRAMES / 1000), "kohm, guessed: values from 0.2", "too small for ohm", expected=FRAMES)
+PRESSED = CODES * (CODES > 500)
+refused(
+    "pressures without a scene", lines(PRESSED), "of them are 0, as in pressures or codes; a resistance of 0 is a short"
+)
+for unit in ("%", "N", "kPa", "mmHg", "a.u.", "g", "µS", "1/kOhm", "MOhm", "degC"):
+    for header in (f"r{{r}}c{{c}} [{unit}]", f"R{{r}}C{{c}} ({unit})"):
+        refused(
+            f"{header} as unit",
+            [names(header), *lines(WIDE)],
+            f"says '{unit}'" if unit in ("N", "kPa", "mmHg", "g") else f"unit '{unit}'",
+        )
+        taken(f"{header} overridden", [names(header), *lines(WIDE)], "unit ohm, as specified", unit="ohm")
+for header in ("pressure_r{r}c{c}", "r{r}c{c}_kpa", "Force R{r}C{c}"):
+    refused(header, [names(header), *lines(WIDE)], "readings must be ohm, kohm, volt, mV or code")
+for beside in ("Average Pressure (mmHg)", "peak [kPa]"):
+    pressures = [f"time,{beside},{names('r{r}c{c}')}", *(f"{n},7,{line}" for n, line in enumerate(lines(WIDE)))]
+    refused(f"{beside} beside the cells", pressures, "readings must be ohm, kohm, volt, mV or code")
+refused("a title of pressures", ["Pressure (mmHg)", *lines(WIDE)], "the header says 'mmHg'")
+taken(
+    "temperatures beside resistances", [f"{names('r{r}c{c} [ohm]')},T [degC]", *(f"{line},21" for line in lines(WIDE))]
+)
 RAILS = "no other unit is within the converter's rails"
 taken("resistances far above the reference", lines(1000 * FRAMES), RAILS, expected=1000 * FRAMES, scene=DIVIDER)
 
@@ -118,6 +184,115 @@ del LOST[LOST.index("Frame 4 t=400 ms") + 2]
 SENTENCE = "has 2 of 3 lines and is missing"
 codes("a row that was lost", LOST, SENTENCE, expected=with_nan(TEN, (4,)), times=0.1 * np.arange(10))
 
+# Fields beside the readings.
+
+TABS = ["\t\t".join([str(600 + n), str(row), *line.split(",")]) + "\t\t" for n, row, line in NUMBERED]
+codes("two tabs between fields", TABS, "empty columns left out", "field 1 frame, field 2 row")
+ALIGNED = ["\t".join(f"{value}\t" if int(value) < 500 else value for value in line.split(",")) for line in lines(CODES)]
+codes("columns aligned by tabs", ALIGNED, "separated by one or more tabs", "one frame a line")
+for sign in ("\t", ",", " ", ";"):
+    plain = [sign.join([str(600 + n), str(row), *line.split(",")]) for n, row, line in NUMBERED]
+    codes(
+        f"frame and row before the values: {sign!r}", plain, "no header: field 1 frame, field 2 row", absent="transpose"
+    )
+LOST_ROWS = [line for number, line in enumerate(plain) if number not in (1, 2, 3)]
+codes("lost rows beside frame and row", LOST_ROWS, expected=with_nan(VOLT_OF_CODES, (0, [1, 2]), (1, 0)))
+STAMPED = [f"{0.25 * n:.2f},{row},{line}" for n, row, line in NUMBERED]
+codes("time and row before the values", STAMPED, "no header: field 1 time, field 2 row", times=FOUR / 4)
+for first, second, times, noted in (
+    ("HH,MM,SS", "12,59,{s}", FOUR, "HH, MM, SS are one time"),
+    ("hour,minute,second,ms", "23,59,5{s},250", FOUR, "hour, minute, second, ms are one time"),
+    ("Hour,Min,Sec", "7,5,1{s}.5", FOUR, "are one time"),
+    ("year,month,day,hour,minute,second", "2025,1,31,12,0,{s}", FOUR, "year, month, day are one date"),
+):
+    clocked = [f"{second.format(s=n)},{line}" for n, line in enumerate(lines(CODES))]
+    start = "2025-01-31T12:00:00.000000" if "year" in first else None
+    head = ",".join([first, *NAMES_OF_CELLS])
+    codes(f"columns {first}", [head, *clocked], noted, times=times, start=start)
+for lead, noted, times in (
+    ("12,59,{s}", "hour, minute, second are one time", FOUR),
+    ("{n},12,59,{s}", "no header: field 1 frame", FOUR),
+    ("7,{ms}", "field 1 left out", FOUR / 4),
+    ("DATA,{ms}", "field 1 left out", FOUR / 4),
+    ("{n},{ms}", "field 1 frame, field 2 time", FOUR / 4),
+):
+    led = [f"{lead.format(s=n, n=n + 100, ms=250 * n)},{line}" for n, line in enumerate(lines(CODES))]
+    codes(f"{lead} before a frame", led, noted, "one frame a line, cells row by row", times=times)
+    marked = [f"{line},255" for line in led]
+    codes(f"{lead} before a frame, and a mark", marked, "left out: beside the readings", times=times)
+for end in ("255", "END", "*", "-1"):
+    ended = [f"{line},{end}" for line in lines(CODES)]
+    codes(f"{end} at the end of a frame", ended, "field 16 left out: beside the readings", "one frame a line")
+    rows_ended = [f"{line},{end}" for frame in CODES for line in lines(frame)]
+    codes(f"{end} at the end of a row", rows_ended, "field 6 left out", "one row a line, 3 lines a frame")
+RISING = np.arange(60).reshape(4, 3, 5) / 10 + 50
+taken("readings that rise from field to field and from line to line", lines(RISING), expected=RISING, unit="ohm")
+GROWING = [f"{line},{n}" for n, line in enumerate(lines(CODES))]
+codes("a counter at the end of a frame", GROWING, "no header: field 16 frame")
+# matsense (PyPI) writes the values, the frame's number and the microseconds since 1970.
+FLOATS = [f"{line.replace(',', '.0,')}.0" for line in lines(CODES)]
+MATSENSE = [f"{line},{7 + n},{1738324800000000 + 40_000 * n}" for n, line in enumerate(FLOATS)]
+START = "2025-01-31T12:00:00Z"
+codes("a recording of matsense", MATSENSE, "field 16 frame, field 17 time", times=FOUR / 25, start=START)
+TIMED_ROWS = [f"{line},{0.5 * n:.1f}" for n, row, line in NUMBERED]
+codes("a time at the end of each row", TIMED_ROWS, "no header: field 6 time", "one row a line", times=FOUR / 2)
+NUMBERS = [str(value) for value in CODES.ravel()]
+codes("one number a line", NUMBERS, "one number a line, 15 lines a frame; row by row")
+codes("one number a line, of which some lack", NUMBERS[:-4], expected=with_nan(VOLT_OF_CODES, (3, 2, slice(1, None))))
+SEPARATED = [text for frame in CODES for text in ("", *map(str, frame.ravel()))]
+codes("one number a line between blank lines", SEPARATED, "one number a line")
+TITLED = [text for n, frame in enumerate(CODES) for text in (f"Frame {n}: t = {250 * n} ms", *map(str, frame.ravel()))]
+codes("one number a line below titles", TITLED, "one number a line", times=FOUR / 4)
+COUNTED = [f"{number % 15} {value}" for number, value in enumerate(CODES.ravel())]
+codes("a cell's number and a value a line", COUNTED, "one value a line as cell, value")
+refused(
+    "too few numbers", NUMBERS[:7], ":1: 1 field; 3 × 5 cells need 15", "`layout` says what each field is", scene=LOADED
+)
+
+WORDS_BEFORE = "Frame,Timestamp,Average,Range Max"
+for first in (0, 1):
+    counted = ",".join(str(number + first) for number in range(15))
+    measured = [f"{n},2024-09-26T15:15:0{n}.01-05:00,104.2,260,{line}" for n, line in enumerate(lines(CODES))]
+    start = "2024-09-26T15:15:00.01-05:00"
+    sentence = f"cells by their numbers from {first}"
+    codes(
+        f"words and numbers from {first}", [f"{WORDS_BEFORE},{counted}", *measured], sentence, times=FOUR, start=start
+    )
+for title in (
+    " Frame Index: {n}, Measurement Time(sec): 0.{ms}", "Time [ms]: {ms}, n: {n}", "# Elapsed (us) = {ms}000",
+    "Frame {n} time: {ms} msec", "Sample {n} at time=0.{ms} sec",
+):  # fmt: skip
+    titled = [title.format(n=n, ms=250 * n + 100) + "\n" + "\n".join(lines(CODES[n])) for n in range(4)]
+    if "0." in title:
+        titled = [text.replace(f"0.{250 * n + 100}", f"{0.1 + n / 4:.3f}", 1) for n, text in enumerate(titled)]
+    codes(f"blocks below {title}", titled, "before each block", times=0.1 + FOUR / 4)
+CLOCKED = [f"Time: 12:00:0{n}.5\n" + "\n".join(lines(CODES[n])) for n in range(4)]
+codes("blocks below times of day", CLOCKED, "time of day", times=FOUR)
+
+# Bytes that are no text.
+
+LOG = [list(line) for line in lines(np.tile(CODES, (5, 1, 1)))]
+FIVE = np.tile(VOLT_OF_CODES, (5, 1, 1))
+for bad in (b"\xff", b"\x80", b"\0", b"\xc3"):
+    content = bytearray("\n".join("".join(line) for line in LOG).encode())
+    place = content.index(b"\n", 200) + 2  # the second digit of a line
+    content[place : place + 1] = bad
+    number = content[:place].count(b"\n")
+    gap = f"bytes that are no text: their fields in line {number + 1} are missing"
+    codes(f"{bad!r} in a serial log", bytes(content), gap, expected=with_nan(FIVE, (number, 0, 0)))
+    comma = content.index(b",", place)
+    content[place : place + 1], content[comma : comma + 1] = b"5", bad
+    cut = np.delete(FIVE, number, axis=0)
+    codes(f"{bad!r} in place of a comma", bytes(content), f"left out: line {number + 1}", expected=cut)
+
+# Columns that a layout skips.
+
+SKIPPED = ",".join(["-", *["-", "-"], *NAMES_OF_CELLS])
+BEFORE = [f"a,{n},7,{line}" for n, line in enumerate(lines(CODES))]
+codes("skipped columns", BEFORE, "fields 1, 2, 3 left out, as `layout` says", layout=SKIPPED, absent="left out: -")
+ROW_LAYOUT = [f"x,{line},{n}" for n, row, line in NUMBERED]
+codes("skipped columns beside rows", ROW_LAYOUT, "one row a line", layout="-,c0,c1,c2,c3,c4,-")
+
 # Headers.
 
 NAMED = names("r{r}c{c}").split(",")
@@ -134,13 +309,17 @@ TURNED = [names("r{c}c{r}"), *lines(FRAMES)]
 FEWER = [names("r{r}c{c}").removesuffix(",r2c4"), *lines(WIDE[:, :14])]
 PANDAS = [",".join(["frame", *map(str, range(15))]), *(f"{n},{line}" for n, line in enumerate(lines(FRAMES)))]
 taken("names of a transposed panel", TURNED, transpose=True)
-taken("a cell without a column", FEWER, "1 cells have no column", expected=with_nan(FRAMES, (slice(None), 2, 4)))
+taken(
+    "a cell without a column", FEWER, "1 cell without a column, missing", expected=with_nan(FRAMES, (slice(None), 2, 4))
+)
 taken("a data frame", PANDAS, "left out: frame", times=FOUR)
 UNITS_BELOW = [",".join(np.array(NAMED)[ORDER]), ",".join(["kOhm"] * 15), *lines(WIDE[:, ORDER] / 1000)]
 taken("units below the names", UNITS_BELOW, "line 2 taken as header, with the names of the line above")
 UNNAMED = [",".join(map(str, range(15))), *lines(WIDE)]
 taken("a data frame without its index", UNNAMED, "line 1 taken as header", "cells by their numbers from 0, row by row")
-taken("readings that count", lines(np.arange(60).reshape(4, 15)), expected=np.arange(60).reshape(FRAMES.shape))
+taken(
+    "readings that count", lines(np.arange(60).reshape(4, 15)), expected=np.arange(60).reshape(CODES.shape), unit="ohm"
+)
 for title in ("Resistance (kOhm)", "# all values in kΩ", "Unit: kOhm"):
     taken(title, [title, "# 10 ohm in series", *lines(WIDE)], "unit kohm, as the header says", expected=1000 * FRAMES)
 CLOCKS = ["time,millis," + ",".join(NAMED), *(f"12:00:0{n},{7 * n},{line}" for n, line in enumerate(lines(WIDE)))]
@@ -229,7 +408,7 @@ for header, line, times in (
 
 SMALL = FRAMES[:, :2, :3]
 taken("three columns", "\n\n".join("\n".join(lines(frame)) for frame in SMALL), expected=SMALL, rows=2, columns=3)
-WIDER = lines(np.ones((14, 7)))
+WIDER = lines(np.full((14, 7), 0.5))
 refused("a table of the panel's columns", WIDER, "7 fields; 7 × 5 cells need", "with `transpose` it would", rows=7)
 
 # Lines of a sketch.
@@ -254,7 +433,7 @@ for word, sign in zip(WORDS, itertools.cycle((",", ";", "\t"))):
     refused(name, text, "m.csv:2:14: the reading of row 2, column 3 is missing", missing="refuse")
 INFINITE = FRAMES.copy()
 INFINITE[1, 0, 0] = np.inf
-taken("infinity in ohm", lines(INFINITE), "1 reading at or beyond a rail", expected=INFINITE, scene=DIVIDER)
+taken("infinity in ohm", lines(INFINITE), "1 reading at or beyond a rail", expected=INFINITE, scene=DIVIDER, unit="ohm")
 OPEN = [lines(CODES)[0], "inf," + ",".join(map(str, CODES[1].ravel()[1:])), *lines(CODES[2:])]
 codes("infinity in codes", OPEN, "1 reading missing", expected=with_nan(VOLT_OF_CODES, (1, 0, 0)))
 

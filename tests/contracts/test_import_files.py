@@ -2,7 +2,9 @@
 
 import datetime
 import io
+import json
 import os
+import pickle
 import re
 import zipfile
 from collections.abc import Callable, Sequence
@@ -14,6 +16,7 @@ from typing import Any
 import h5py
 import numpy as np
 import openpyxl
+import pandas
 import pytest
 import scipy.io
 from contracts.imports import COLUMNS, DIVIDER, FRAMES, ROWS, check_refused, check_taken, given, imported, lines, names
@@ -115,7 +118,7 @@ FILES = {
     "frames, columns, rows": array(FRAMES.transpose(0, 2, 1), "read as (frames", transpose=True),
     "one transposed frame": array(FRAMES[0].T, expected=FRAMES[:1], transpose=True),
     "frames last": array(LAST, "read as (rows, columns, frames)"),
-    "frames first or last": array(CUBE, AMBIGUOUS, expected=CUBE, rows=2, columns=2),
+    "frames first or last": array(CUBE, AMBIGUOUS, expected=CUBE, rows=2, columns=2, unit="ohm"),
     "lines with resistances of their own": array(
         FRAMES,
         f"series resistance rows from 70 to {69 + ROWS} ohm, columns 71 ohm",
@@ -151,6 +154,78 @@ FILES = {
     "a chosen sheet": book(TWO_SHEETS, variable="B", expected=2 * FRAMES, **HALVES),
     "blocks in a sheet": book({"A": [[float(x) for x in row] for frame in FRAMES for row in [*frame, []]]}),
 }
+
+
+def records(value: Any, *notes: str, name: str = "m.json", **how: Any) -> SimpleNamespace:
+    """A JSON file, or one with a value a line."""
+    text = json.dumps(value) if name.endswith(".json") else "\n".join(map(json.dumps, value))
+    return given(text, *notes, name=name, **how)
+
+
+def listed(values: np.ndarray) -> Any:
+    """Lists of JSON, null where a reading is missing."""
+    return json.loads(json.dumps(values.tolist()).replace("NaN", "null"))
+
+
+def table_of(path: Path, frames: np.ndarray = FRAMES, write: str = "to_parquet", **columns: Any) -> None:
+    named = dict(zip(names("r{r}c{c}").split(","), frames.reshape(len(frames), -1).T, strict=True))
+    getattr(pandas.DataFrame(columns | named), write)(path)
+
+
+def lists_of(path: Path) -> None:
+    pandas.DataFrame({"t": np.arange(4) / 2, "frame": [list(frame.ravel()) for frame in FRAMES]}).to_parquet(path)
+
+
+def folder(write: Callable[[Path, np.ndarray], object], suffix: str) -> Callable[[Path], None]:
+    """Write a file for each frame, of which the numbers have one and two digits."""
+
+    def write_all(path: Path) -> None:
+        path.mkdir()
+        (path / ".hidden").write_text("no frame")
+        for number, frame in enumerate(np.concatenate([FRAMES, FRAMES, FRAMES])):
+            write(path / f"frame{number}{suffix}", frame)
+
+    return write_all
+
+
+def csv_of(path: Path, frame: np.ndarray) -> None:
+    path.write_text("\n".join(lines(frame)))
+
+
+THRICE = np.concatenate([FRAMES, FRAMES, FRAMES])
+DATED_RECORDS = [{"time": f"2025-01-31T12:00:0{n}Z", "grid": listed(frame)} for n, frame in enumerate(FRAMES)]
+TIMED = [{"t": n / 2, "seq": 7 + n, "data": listed(frame.ravel())} for n, frame in enumerate(FRAMES)]
+LONG_RECORDS = [{"frame": f, "row": r, "col": c, "ohm": FRAMES[f, r, c]} for f, r, c in np.ndindex(FRAMES.shape)]
+NAMED_RECORDS = [
+    {"ms": 250 * n} | dict(zip(names("r{r}c{c}").split(","), listed(frame.ravel()), strict=True))
+    for n, frame in enumerate(FRAMES)
+]
+FILES |= {
+    "JSON: frames": records(listed(HOLES), "read as (frames, rows, columns)", expected=HOLES),
+    "JSON: a name beside times": records({"unit": "ohm", "t": [0, 1, 2, 3], "R": listed(FRAMES)}, "array R read as"),
+    "JSON: records": records(TIMED, "array data read as (frames, rows·columns)", times=np.arange(4) / 2),
+    "JSON: records below a name": records(
+        {"device": "mat", "frames": DATED_RECORDS}, "array grid", times=np.arange(4), start="2025-01-31T12:00:00Z"
+    ),
+    "JSON: a record a value": records(LONG_RECORDS, "60 records", "one value a line as frame, row, column, value"),
+    "JSON: a record a frame": records(NAMED_RECORDS, "column 'ms' in ms", times=np.arange(4) / 4),
+    "JSON lines: frames": records(listed(FRAMES), "read as (frames", name="m.jsonl"),
+    "JSON lines: flat frames": records(listed(FRAMES.reshape(4, -1)), "read as (frames", name="m.ndjson"),
+    "JSON lines: records": records(TIMED, "array data read as", name="m.jsonl", times=np.arange(4) / 2),
+    "JSON lines: a frame's cells": records(NAMED_RECORDS, name="m.jsonl", times=np.arange(4) / 4),
+    "JSON lines that are cut": given(
+        "\n".join(map(json.dumps, listed(FRAMES)))[:-9], name="m.jsonl", expected=FRAMES[:3]
+    ),
+    "Parquet": given(table_of, "cells by their names", name="m.parquet"),
+    "Parquet with dates": given(
+        lambda path: table_of(path, time=pandas.to_datetime([f"2025-01-31T12:00:0{n}" for n in range(4)])),
+        name="m.parquet", times=np.arange(4), start="2025-01-31T12:00:00",
+    ),
+    "Parquet of lists": given(lists_of, "array frame read as", name="m.parquet", times=np.arange(4) / 2),
+    "Feather": given(lambda path: table_of(path, write="to_feather"), name="m.feather"),
+    "a folder of tables": given(folder(csv_of, ".csv"), "12 frames of 12 files", name="m", expected=THRICE),
+    "a folder of arrays": given(folder(np.save, ".npy"), "from frame0.npy to frame11.npy", name="m", expected=THRICE),
+}  # fmt: skip
 for axes, values in (("last", LAST), ("first", FRAMES)):
     FILES[f"MATLAB 7.3 with frames {axes}"] = given(
         lambda path, values=values: matlab(path, R=values, t=np.arange(4.0)[None] / 2),
@@ -206,21 +281,49 @@ def truncated(path: Path) -> None:
 BEYOND = np.full((1, ROWS, COLUMNS), 500)
 BEYOND[0, 1, 2] = 1024
 AT_RAIL = ("25 of 30 readings stand at the rail", "is readout.converter_volt, 2.5 V")
+
+
+def mixed(path: Path) -> None:
+    folder(csv_of, ".csv")(path)
+    (path / "notes.txt").write_text("hello")
+
+
+def spoiled(path: Path) -> None:
+    folder(csv_of, ".csv")(path)
+    (path / "frame7.csv").write_text("1,2\n")
+
+
+def pickled(path: Path) -> None:
+    path.write_bytes(pickle.dumps(FRAMES))
+
+
 REFUSED = [
+    *(given(pickled, "a pickle runs code when it is opened", name=f"m{end}") for end in (".pkl", ".pickle", ".p")),
+    given(pickled, "no text table (", ".parquet; `layout` names a layout of your own", name="m.dat"),
+    given(b"PK", "unpack it first", name="m.zip"),
+    records([[1, 2], [3]], "m.json[1]: 1 values, where others have 2"),
+    records({"R": [["a", 2], ["b", 3]]}, "m.json: R: its lists differ in length, or hold what is no number"),
+    records({"R": [1, 2]}, "no array fits 3 × 5 cells; the numeric arrays are: R (2)"),
+    given('{"R": [1, 2}', "no readable .json file", name="m.json"),
+    given("[1, 2]\n[1, 2\n[3]", "m.jsonl:2: no JSON", name="m.jsonl"),
+    given("[" * 100_000, "no readable .json file", name="m.json"),
+    given(GARBAGE, "no readable .parquet file", name="m.parquet"),
+    given(mixed, "a folder of frames holds files of one kind, not .csv, .txt", name="m"),
+    given(spoiled, "frame7.csv:1: 2 fields; 3 × 5 cells need", name="m"),
     given(GARBAGE, "no text table", name="m.csv"),
     given(b"1,2\n\xff\xfe,3", ":2: no text table", name="m.csv"),
     given(b"1" * 2_000_000, ":1: longer than", name="m.csv"),
     given(b"1,2\n" + b"9" * 900_000, "fields", name="m.csv"),
     given(b"\xff\xfe1", "holds no values", name="m.csv"),
     given(sparse, "more than 500000000 are not imported", name="m.csv"),
-    given(Path.mkdir, "no file", name="m.csv"),
+    given(Path.mkdir, "no file in this folder", name="m.csv"),
     given(lambda path: None, "No such file", name="m.csv"),
     given(b"1," * 14 + b"1", "holds nothing by name", "`variable` is for .mat, .npz", variable="R", name="m.csv"),
     *(given(GARBAGE, f"no readable .{kind} file", name=f"m.{kind}") for kind in ("npy", "mat")),
     *(given(b"", f"no readable .{kind} file", name=f"m.{kind}") for kind in ("npy", "mat", "xlsx")),
     *(given(boastful, f"no readable .{kind} file", name=f"m.{kind}") for kind in ("npy", "xlsx")),
     given(truncated, "no readable .npy file", name="m.npy"),
-    given(lambda path: np.save(path, np.array([{}], dtype=object), allow_pickle=True), "no readable", name="m.npy"),
+    given(lambda path: np.save(path, np.array([{}], dtype=object), allow_pickle=True), "pickled objects", name="m.npy"),
     given(boastful, "claims more data than the memory holds", name="m.npz"),
     given(b"PK\x03\x04 no zip", "no readable .npz file", name="m.npz"),
     *(given(bomb, "unpacks to 600000000 bytes, more than 500000000", name=f"m.{kind}") for kind in ("npz", "xlsx")),
@@ -229,7 +332,7 @@ REFUSED = [
     given(b"\xd0\xcf", "save it as .xlsx", name="m.xls"),
     given(b"", ".h5 files are not read; save the array as .npy", name="m.h5"),
     book({"A": [*MEAN, ["mean", *MEAN[1][1:]]]}, "A!A6: 'mean' is no time"),
-    given(whole_sheet, "16384 fields", name="m.xlsx"),
+    given(whole_sheet, "Sheet!1048576: 1 field; 3 × 5 cells need", name="m.xlsx"),
     array(FRAMES.astype(complex), "no plain array of real numbers"),
     array(FRAMES.transpose(0, 2, 1), "with `transpose` it would"),
     array(FRAMES[:, :2], "is 4 × 2 × 5, which fits 3 × 5 cells in no way"),
@@ -250,7 +353,7 @@ REFUSED = [
     array(mostly(2.5), *AT_RAIL, scene=OWN_VOLTAGES, unit="volt"),
     matrices("the numeric arrays are: x (2 × 2)", arrays={"x": np.ones((2, 2))}),
     book({"Data": sheet_of(FRAMES, {(6, 7): "abc"})}, "m.xlsx: Data!H7: 'abc' is no number"),
-    book({"Data": [[1.0]] * 1500 + [[1.0, 2.0, 3.0]]}, "1 fields; 3 × 5 cells need"),  # is not read to its end
+    book({"Data": [[1.0]] * 1500 + [[1.0, 2.0, 3.0]]}, "Data!1501: 3 fields, where row 1 has 1"),
     book(TWO_SHEETS, "no sheet 'C'; there are A, B", variable="C"),
 ]
 

@@ -20,6 +20,11 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.weights import EvidencePoint
 from lampest.files.errors import InputError
 from lampest.files.typed import members_of
+from lampest.formulation.circuit import Circuit
+from lampest.formulation.instance import ProgramResult, on_bounds
+from lampest.formulation.ipopt import Interface
+from lampest.formulation.patterns import EXCITATIONS
+from lampest.formulation.program import Program
 from lampest.panel import least_squares
 from lampest.panel.trust_region import steihaug
 from lampest.posterior import certainty, covariance, interval, spectrum
@@ -28,7 +33,7 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.reference import references
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
-from lampest.solvers import bounds, ipopt, multistart, preconditioners
+from lampest.solvers import bounds, by_ipopt, multistart, preconditioners
 from lampest.solvers.certificate import certificate
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.projected_lbfgs import InverseHessians
@@ -99,7 +104,7 @@ def loss_row(loss: lp.Loss) -> dict[str, Any]:
 def program_row(formulation: str, loss: lp.Loss) -> dict[str, Any]:
     """A nonlinear program at some point: its objective, constraints and derivatives."""
     cost = Cost(PANEL, (lp.Misfit(), lp.LogGradient(weight=0.7, loss=loss)), 1)
-    program = ipopt.Program.build(cost, lp.TwoPointReadout(), ipopt.FORMULATIONS[formulation])
+    program = Program.build(cost, lp.TwoPointReadout(), Circuit.of(PANEL.shape, None), EXCITATIONS[formulation])
     rng = np.random.default_rng(2)
     x, p = (np.exp(0.3 * rng.standard_normal(symbol.shape[0])) for symbol in (program.nlp["x"], program.nlp["p"]))
     multipliers = rng.standard_normal(program.nlp["g"].shape[0])
@@ -143,20 +148,15 @@ def own_terms_row() -> dict[str, Any]:
 
 
 def formulation_row(name: str) -> list[Any]:
-    """Unknown potentials of a solved network, and the multipliers of its equations for some slopes."""
-    form, rows = ipopt.FORMULATIONS[name], list[Any]()
+    """Unknown voltages of a solved network by name, without and with wire."""
+    form, rows = EXCITATIONS[name], list[Any]()
     for readout in (lp.TwoPointReadout(), lp.GroundedReadout(), lp.LoadedColumnsReadout(driven="columns")):
         for shape in ((4, 5), (5, 3), (1, 4)):
             cells = cells_of((5, 5))[: shape[0], : shape[1]]
-            try:
-                form.check(readout)
-            except InputError as error:
-                rows.append(str(error))
-                continue
             tie = readout.ties(readout.exact_reading(cells))
-            potentials = form.potentials(readout, readout.network(cells, tie, None))
-            slope = np.random.default_rng(3).normal(size=len(potentials))
-            rows.append([potentials, form.multipliers(readout, readout.network(cells, tie, None), tie, slope)])
+            for wiring in (None, lp.Scene(lp.Panel(*shape), readout, lines=lp.Lines(20.0, 0.0)).wiring):
+                circuit = Circuit.of(shape, wiring)
+                rows.append(form.voltages(circuit, readout, circuit.voltages(cells, tie)))
     return rows
 
 
@@ -164,7 +164,7 @@ def of_cost() -> Rows:
     variants = [(kind, term, words) for kind, term in lp.term_types().items() for words in options(term)]
     return (
         {f"loss {loss.kind}": partial(loss_row, loss) for loss in LOSSES}
-        | {f"formulation {name}": partial(formulation_row, name) for name in ipopt.FORMULATIONS}
+        | {f"formulation {name}": partial(formulation_row, name) for name in EXCITATIONS}
         | {"own terms": own_terms_row}
         | {
             " ".join([kind, *words.values(), loss.kind]): partial(term_row, term, words, loss)
@@ -177,7 +177,7 @@ def of_cost() -> Rows:
                 name,
                 loss,
             )
-            for name in ipopt.FORMULATIONS
+            for name in EXCITATIONS
             for loss in LOSSES
         }
     )
@@ -229,8 +229,8 @@ def solver_row(cost: str, circuit: str, solver: str) -> dict[str, Any]:
     """The minimum from a start that is far away."""
     begin = point(cost, circuit)
     kinds = {"newton": ProjectedNewton(begin.cost, Settings())}
-    known = begin.cost, TINY[circuit].circuit
-    kinds |= {name: ipopt.Ipopt(*known, form, Settings()) for name, form in ipopt.FORMULATIONS.items()}
+    known = begin.cost, Settings(), TINY[circuit].circuit, TINY[circuit].wiring
+    kinds |= {name: by_ipopt.Ipopt(*known, form) for name, form in EXCITATIONS.items()}
     solution = multistart.best_solution(kinds[solver], begin.data, None)
     return {
         "cells": solution.cell_resistance, "reading": solution.reading, "costs": solution.costs,
@@ -240,28 +240,30 @@ def solver_row(cost: str, circuit: str, solver: str) -> dict[str, Any]:
 
 def begun_row(cost: str, circuit: str, form: str) -> list[Any]:
     """What IPOPT is given, and what becomes of some results of it."""
-    at, circuit_of, given, rng = point(cost, circuit), TINY[circuit].circuit, dict[str, Any](), np.random.default_rng(4)
+    at, scene, given, rng = point(cost, circuit), TINY[circuit], dict[str, Any](), np.random.default_rng(4)
 
-    def minimise(built: ipopt.Built, **arguments: Any) -> Any:
-        given.update(arguments)
-        size, constraints = len(arguments["x0"]), built.solver.size1_in("lam_g0")
-        found = {"x": arguments["x0"] * np.exp(0.1 * rng.standard_normal(size)), "lam_x": rng.standard_normal(size)}
-        found["lam_x"][:3] = 1e3, -1e3, 0.0
-        stats = {"return_status": "Search_Direction_Becomes_Too_Small", "iter_count": 7}
-        return found | {"lam_g": rng.standard_normal(constraints)}, stats
+    def minimise(interface: Interface, instance: Any, warm: Any = None) -> ProgramResult:
+        given.update(
+            start=instance.start, parameter=instance.parameter, lower=instance.lower, upper=instance.upper,
+            units=[instance.scale, instance.cost_scale, instance.split_scale],
+        )  # fmt: skip
+        pull = rng.standard_normal(len(instance.start))
+        pull[:3] = 1e3, -1e3, 0.0
+        equations = rng.standard_normal(interface.program.equation.column.shape[0])
+        ended = instance.start * np.exp(0.1 * rng.standard_normal(len(instance.start)))
+        return ProgramResult(ended, pull, equations, "Search_Direction_Becomes_Too_Small", 7)
 
-    with patch.object(ipopt.Built, "minimise", minimise):
-        outcome = ipopt.Ipopt(at.cost, circuit_of, ipopt.FORMULATIONS[form], Settings()).solve(at.data, at)
+    with patch.object(Interface, "minimise", minimise):
+        solver = by_ipopt.Ipopt(at.cost, Settings(), scene.circuit, scene.wiring, EXCITATIONS[form])
+        outcome = solver.solve(at.data, at)
     return [given, outcome.cell_resistance, outcome.dual, outcome.status, outcome.iterations]
 
 
 def limits_row() -> list[lp.Array]:
-    """Multipliers of bounds, and cells that they move: on a bound, near it, within, and between equal bounds."""
+    """Cells that multipliers of bounds move: on a bound, near it, within, and between equal bounds."""
     low, high = np.array([1.0, 1, 1, 1, 2, 2, 0, 1]), np.array([5.0, 5, 5, 5, 8, 8, 50, 1])
     at, pull = np.array([1.0, 1 + 1e-8, 5, 4.9, 3, 7.5, 1e-3, 1]), np.array([-2.0, 3, 4, -5, 6, -7, 8, 9])
-    limits = ipopt.Limits(low, high)
-    rows = [limits.multipliers(at, sign * pull, 0.01) for sign in (1, -1)]
-    return rows + [limits.settled(at, size * rows[0]) for size in (1, 40)]
+    return [on_bounds(at, size * pull, low, high) for size in (-1, 1, 40)]
 
 
 def certificate_row(cost: str, circuit: str, decades: float) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lampest import Array, two_point_resistance
+from lampest.formulation.circuit import Circuit
 from lampest.panel.kirchhoff import current_balance, injected, laplacian
 from lampest.panel.panel import as_panels_have
 from lampest.panel.readouts.floating import FloatingNetwork, grounding
@@ -53,7 +54,8 @@ def test_current_is_conserved_in_all_forms_of_the_law(cells: Array) -> None:
     conductance, (rows, columns) = 1 / cells, cells.shape
     potentials = np.random.default_rng(2).standard_normal((rows + columns, 3))
     potentials[:, 0] = 1.0
-    balance = np.vstack(current_balance(conductance, potentials[:rows], potentials[rows:]))
+    incidence = np.asarray(Circuit.of((rows, columns), None).incidence)
+    balance = current_balance(incidence, conductance.reshape(-1, 1), potentials)
     size = 1e-13 * conductance.sum() * np.abs(potentials).max()
     assert_allclose(balance.sum(axis=0), 0, atol=size)
     assert_allclose(balance[:, 0], 0, atol=size)

@@ -17,8 +17,10 @@ from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, Huber, Loss, PenaltyEvidence, Squared, Student
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Misfit, State, Term, term_types
+from lampest.formulation.circuit import Circuit
+from lampest.formulation.patterns import EXCITATIONS
+from lampest.formulation.program import Program
 from lampest.solvers.hessian import Hessian
-from lampest.solvers.ipopt import FORMULATIONS, Program
 from lampest.solvers.smoothing import Smoothing
 
 PANEL = Panel(3, 4)
@@ -142,7 +144,7 @@ def test_the_gradient_is_the_derivative_of_the_cost(
 
 
 @pytest.mark.parametrize("frames", [1, 2])
-@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("formulation", EXCITATIONS)
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
 @pytest.mark.parametrize(("term", "words"), VARIANTS)
 def test_the_hessian_is_the_derivative_of_the_gradient(
@@ -152,7 +154,8 @@ def test_the_hessian_is_the_derivative_of_the_gradient(
     program = Program.build(
         Cost(PANEL, (Misfit(), term(weight=0.7, loss=loss, **words)), frames),
         TwoPointReadout(),
-        FORMULATIONS[formulation],
+        Circuit.of(PANEL.shape, None),
+        EXCITATIONS[formulation],
     )
     nlp, multiplier = program.nlp, casadi.SX.sym("multiplier", program.nlp["g"].shape[0])
     lagrangian = 1.3 * nlp["f"] + casadi.dot(multiplier, nlp["g"])
@@ -162,7 +165,7 @@ def test_the_hessian_is_the_derivative_of_the_gradient(
         np.exp(0.3 * rng.standard_normal(symbol.shape[0])) for symbol in (nlp["x"], nlp["p"], multiplier)
     )
     # Resistances of the size of Huber's corner, so that residuals fall on either side of it.
-    names = np.concatenate([np.full(part.numel(), name) for name, part in program.parameters.items()])
+    names = np.concatenate([np.full(size, name) for name, size in program.parameter.sizes.items()])
     p[np.isin(names, ("measured", "previous", "baseline"))] *= CORNER
     upper = np.asarray(program.hessian()(x, p, 1.3, multipliers))
     assert_array_equal(np.tril(upper, -1), 0)

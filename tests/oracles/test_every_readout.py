@@ -1,6 +1,8 @@
 """Every readout against netlists that are solved resistor by resistor, with ideal sources and without Z."""
 
 from dataclasses import replace
+from itertools import product
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +17,19 @@ import lampest
 from lampest import Array, Diode, Estimator, Faults, InputError, Panel, Recording, Settings, Squared, simulate
 from lampest.cost.terms import LogRatio, Misfit
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
+from lampest.panel.readouts import (
+    DrivenReadout,
+    GroundedReadout,
+    LoadedColumnsReadout,
+    Readout,
+    TwoPointReadout,
+    VirtualGroundReadout,
+)
 from lampest.panel.scene import Scene, SeriesPerLine, Systematic
 from lampest.recording.simulation.simulation import Simulation
 from lampest.runs.results import read_results
 from tests.estimates import recording_of
-from tests.netlist import divider, network_of, potentials, volts
+from tests.netlist import divider, network_of, potentials, resistors, volts
 
 ROWS, COLUMNS = 5, 6
 DRIVES, SENSES = tuple(40.0 + 9 * line for line in range(ROWS)), tuple(60.0 + 11 * line for line in range(COLUMNS))
@@ -59,6 +68,29 @@ READOUTS: dict[str, Any] = {
     "virtual, lists": replace(VIRTUAL, drive_ohm=DRIVES, sense_ohm=SENSES, feedback_ohm=SENSES[::-1]),
     "virtual, ideal": replace(VIRTUAL, drive_ohm=0.0, sense_ohm=0.0),
 }
+PULLED = DrivenReadout(drive_ohm=30, idle_ohm=3300, load_ohm=1000, sense_ohm=20, adc_bits=12, noise_lsb=1)
+PAIRS = ((0, 2, 4), (5, 1, 3))
+ONE_NETWORK: dict[str, Any] = {
+    "pull-downs": PULLED,
+    "pull-downs, one": replace(PULLED, idle_load_ohm=inf),
+    "pull-downs, columns down": replace(PULLED, driven="columns", polarity="down", idle_load_ohm=10e3),
+    "floating, one": replace(PULLED, idle_ohm=inf, idle_load_ohm=inf),
+    "floating, drained": replace(PULLED, idle_ohm=inf, idle_load_ohm=800.0),
+}
+# With 30 ohm, other lines held on both sides have two sets of cells that give the same readings to the last digit.
+SEVERAL: dict[str, Any] = {
+    "held": replace(PULLED, idle_ohm=0.0),
+    "held, others held": replace(PULLED, drive_ohm=5, idle_ohm=0.0, idle_load_ohm=0.0),
+    "floating, others held": replace(PULLED, idle_ohm=inf, idle_load_ohm=0.0),
+    "parallel": replace(PULLED, idle_ohm=inf, groups=PAIRS),
+    "parallel, loaded columns": replace(LOADED, groups=PAIRS),
+    "parallel, grounded": replace(ONE, groups=((0, 1, 2, 3), (4, 5))),
+    "parallel, held": replace(PULLED, drive_ohm=5, idle_ohm=0.0, groups=((0, 1), (2, 3), (4, 5)), idle_load_ohm=0.0),
+    "parallel, columns down": replace(
+        PULLED, driven="columns", polarity="down", groups=((0, 1, 2), (3, 4)), idle_load_ohm=2e3
+    ),
+}
+READOUTS |= ONE_NETWORK
 every_readout = pytest.mark.parametrize("readout", READOUTS.values(), ids=READOUTS)
 LSM = (Misfit(weighting="noise"),)
 SMOOTH = (*LSM, LogRatio(weight=10.0, loss=Squared()))
@@ -95,15 +127,22 @@ def truth_of(recording: Recording) -> Array:
 
 
 def test_every_readout_reads_what_the_netlist_says() -> None:
-    for name, readout in READOUTS.items():
+    bare = {"pull-downs, bare": replace(PULLED, load_ohm=inf)}
+    for name, readout in (READOUTS | SEVERAL | bare).items():
         recording = panel_of(readout, 0.0)
         modelled = readout.to_recorded(readout.exact_reading(recording.truth_cell_resistance), recording.scene)
         ideal = getattr(readout, "drive_ohm", 1.0) == 0
         assert_allclose(modelled, recording.recorded, rtol=1e-7 if ideal else 1e-11, err_msg=name)
 
 
-@every_readout
-@pytest.mark.parametrize("formulation", ["reduced", "nodal"])
+@pytest.mark.parametrize(
+    ("formulation", "readout"),
+    [
+        pytest.param(formulation, readout, id=f"{name}-{formulation}")
+        for formulation in ("reduced", "nodal")
+        for name, readout in (READOUTS | (SEVERAL if formulation == "reduced" else {})).items()
+    ],
+)
 def test_clean_readings_give_the_cells(readout: Any, formulation: Any) -> None:
     recording = panel_of(readout, 0.0)
     done = reconstruct(recording, Estimator(LSM, formulation))
@@ -119,6 +158,115 @@ def test_nodal_and_reduced_reach_one_optimum(readout: Any, terms: Any) -> None:
     assert all(step.solution.solved for step in (*nodal.steps, *reduced.steps))
     held = isinstance(readout, GroundedReadout | VirtualGroundReadout)
     assert_allclose(nodal.cell_resistance, reduced.cell_resistance, rtol=1e-6 if held else 1e-5)
+
+
+@pytest.mark.parametrize("driven", ["rows", "columns"])
+@pytest.mark.parametrize("groups", [None, 2, 3])
+def test_any_states_of_idle_lines_read_what_the_netlist_says(driven: Any, groups: int | None) -> None:
+    """Idle lines that float, are held, pulled by less and by more than Rd, on both sides; with outlines and wire."""
+    rng, shape = np.random.default_rng(3), (4, 6) if driven == "rows" else (6, 4)
+    cells = 3000 * np.exp(rng.normal(size=shape))
+    cells[1, 2] = cells[3, 0] = inf  # an outline
+    of_groups = None if groups is None else tuple(tuple(range(first, 6, groups)) for first in range(groups))
+    drives, loads = (
+        tuple(np.round(rng.uniform(*ends, size=count), 1)) for ends, count in (((20, 90), 4), ((1e3, 2e3), 6))
+    )
+    channels = tuple(np.round(rng.uniform(30, 60, size=6), 1))
+    cases = product((inf, 0.0, 25.0, 3300.0), (None, inf, 0.0, 700.0), (loads, inf), (drives, 0.0), ("up", "down"))
+    lines = lampest.Lines(20.0, 30.0, "right", "bottom")
+    read = 0
+    for idle, idle_load, load, drive, polarity in cases:
+        keys = {
+            "idle_ohm": idle,
+            "idle_load_ohm": idle_load,
+            "load_ohm": load,
+            "drive_ohm": drive,
+            "polarity": polarity,
+        }
+        try:
+            readout: Any = DrivenReadout(driven=driven, sense_ohm=channels, groups=of_groups, **keys)
+        except ValueError:  # no current, or no scale
+            continue
+        assert_allclose(readout.to_recorded(readout.exact_reading(cells), None), volts(cells, readout), rtol=1e-11)
+        scene = Scene(Panel(*shape), readout, lines=lines)
+        wired = readout.to_recorded(readout.exact_reading(np.where(np.isinf(cells), 1e9, cells), scene.wiring), scene)
+        assert_allclose(wired, wired_volts(np.where(np.isinf(cells), 1e9, cells), scene), rtol=1e-9, err_msg=str(keys))
+        read += 1
+    assert read > 100
+
+
+@pytest.mark.parametrize("input_ohm", [None, 30e3])
+def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> None:
+    """Two-point readings of two and three groups, their channels told for each line, against netlists."""
+    rng = np.random.default_rng(4)
+    rows, columns = (tuple(np.round(rng.uniform(50, 90, size=count), 1)) for count in (5, 6))
+    truth = 3000 * np.exp(0.4 * rng.normal(size=(1, 5, 6)))
+    for groups in (((0, 2, 4), (5, 1, 3)), ((0, 1), (2, 3), (4, 5))):
+        two_point = replace(TWO_POINT, groups=groups, input_ohm=input_ohm)
+        scene = Scene(Panel(5, 6), two_point, SeriesPerLine(rows, columns), systematic="none")
+        states = {"drive_ohm": rows, "sense_ohm": columns, "load_ohm": two_point.reference_ohm, "input_ohm": input_ohm}
+        volt = volts(truth[0], DrivenReadout(groups=groups, **states))
+        recorded = two_point.recorded_from_volt(volt)[None]
+        assert_allclose(scene.circuit.simulated(truth, scene, np.zeros(5), np.zeros(6)), recorded, rtol=1e-11)
+        recording = recording_of(scene, np.concatenate([recorded, recorded]), 1)
+        assert_allclose(reconstruct(recording, Estimator(LSM)).cell_resistance, truth, rtol=1e-4)
+        told_nothing = replace(recording, scene=replace(scene, readout=replace(two_point, groups=None)))
+        assert np.median(reconstruct(told_nothing, Estimator(LSM)).cell_resistance / truth) > 1.1
+
+
+@pytest.mark.parametrize(
+    ("readout", "message"),
+    [
+        ("{kind: driven, load_ohm: .inf}", "load_ohm, idle_ohm and idle_load_ohm are all infinite"),
+        ("{kind: driven, idle_ohm: 0, load_ohm: .inf, idle_load_ohm: 0}", "ratios of cells alone"),
+        ("{kind: two_point, idle_ohm: 0}", "t.yaml:3:28: readout.idle_ohm: "),
+        ("{kind: two_point, measured_across: sensor, groups: [[0, 1], [2]]}", "measured_across must be reference"),
+        ("{kind: driven, groups: [[0, 1], [1, 2]]}", "t.yaml:3:25: readout.groups: groups overlap: line 1"),
+        ("{kind: driven, groups: [[0], [1]]}", "t.yaml:3:25: readout.groups: column 2 is left out"),
+        (
+            "{kind: grounded, groups: [[0, 1], [2, 3]]}",
+            "readout.groups: there is no column 3",
+        ),
+        (
+            "{kind: driven, driven: columns, groups: [[0, 1], []]}",
+            "t.yaml:3:42: readout.groups: every multiplexer has at least one line",
+        ),
+        ("{kind: driven, drive_volt: 1, polarity: down}", "drive_volt and converter_volt have no place"),
+    ],
+)
+def test_keys_that_contradict_each_other_are_refused_where_they_stand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, readout: str, message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("t.yaml").write_text(f"# a scene\npanel: {{rows: 4, columns: 3}}\nreadout: {readout}\n")
+    with pytest.raises(InputError) as raised:
+        lampest.read_scene("t.yaml")
+    assert message in str(raised.value)
+    assert str(raised.value).startswith("t.yaml:")
+
+
+def wired_volts(cells: Array, scene: Scene) -> Array:
+    """Volt at the converter of a wired panel, resistor by resistor."""
+    readout: Any = scene.circuit
+    rows, columns = cells.shape
+    turned = readout.driven == "columns"
+    terminals = {
+        ("d" if (line < rows) != turned else "s", line if line < rows else line - rows): line
+        for line in range(rows + columns)
+    }
+    volt = np.empty(cells.shape)
+    count = cells.T.shape if turned else cells.shape
+    high, low = (0.0, readout.supply_volt)[:: 1 if readout.polarity == "down" else -1]
+    panel = list(resistors(cells, scene))
+    for driven, sensed in np.ndindex(count):
+        outside = network_of(np.ones(count), readout, driven, sensed)[rows * columns :]
+        network = panel + [
+            (terminals.get(first, first), terminals.get(second, second), ohm) for first, second, ohm in outside
+        ]
+        at = potentials(network, {"high": high, "low": low})
+        place = (sensed, driven) if turned else (driven, sensed)
+        volt[place] = at[("load", sensed) if ("load", sensed) in at else terminals["s", sensed]]
+    return volt
 
 
 @pytest.mark.parametrize(

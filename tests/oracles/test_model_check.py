@@ -2,19 +2,32 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import lampest
 from docs.studies.model_check import named, sound, wrong
-from lampest import OralDisc, Readings, Recording, Scene, Simulation, Systematic, Unmodelled, simulate
+from lampest import (
+    GroundedReadout,
+    LoadedColumnsReadout,
+    OralDisc,
+    Readings,
+    Recording,
+    Scene,
+    Simulation,
+    Systematic,
+    Unmodelled,
+    simulate,
+)
 from lampest.estimate.cells_fit import fitted
 from lampest.estimate.prepared import Prepared
 from lampest.files.typed import members_of
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.posterior.reference import MAX_CELLS
+from lampest.recording.simulation.measure import measured
 from tests.estimates import recording_of
 
 SHAPE = (5, 7)
@@ -25,6 +38,7 @@ CELLS = 3000 * np.exp(np.random.default_rng(4).standard_normal(SHAPE))
 CIRCUITS = (
     TwoPointReadout(),
     lampest.LoadedColumnsReadout(drive_ohm=300.0),
+    lampest.DrivenReadout(drive_ohm=300.0, idle_ohm=3300.0, load_ohm=1000.0),
     lampest.GroundedReadout(drive_ohm=300.0),
     lampest.GroundedReadout(drive_ohm=300.0, driven="columns"),
     lampest.GroundedReadout(drive_ohm=300.0, sense="one"),
@@ -158,3 +172,60 @@ def test_channels_that_differ_are_no_other_resistance_in_series() -> None:
 def test_an_omitted_series_resistance_is_named_where_linear_theory_sees_none(seed: int) -> None:
     _, recording = next(wrong(seed, 10, 10))
     assert "series_resistance_ohm near 1" in Prepared(recording).check.better
+
+
+BLOCKS = ((0, 1, 2, 3), (4, 5, 6, 7))
+WIDE = Panel(8, 8)
+
+
+def wrongly_told(actual: Scene, told: Scene, seed: int, frames: int = 6) -> Recording:
+    """Codes of one scene, six unloaded frames and six with three pressed cells, described by another scene."""
+    rng = np.random.default_rng(seed)
+    cells = np.tile(3000 * np.exp(0.25 * rng.normal(size=actual.panel.shape)), (2 * frames, 1, 1))
+    cells[frames:, 2, 3] /= 4
+    cells[frames:, 2, 4] /= 3
+    cells[frames:, 3, 3] /= 5
+    codes = measured(actual, cells, Unmodelled(), seed)[0]
+    recorded = told.circuit.recorded_from_volt(actual.circuit.volt_from_recorded(codes))
+    role = (np.arange(2 * frames) >= frames).astype(np.uint8)
+    shape = (2 * frames, *told.panel.shape)
+    return Recording(told, recorded.reshape(shape), np.arange(2.0 * frames), role, name="told")
+
+
+CONVERTER: dict[str, Any] = {"adc_bits": 12, "readings": 4, "noise_lsb": 1.0}
+TWO = Scene(WIDE, TwoPointReadout(**CONVERTER), 140.0, systematic="none")
+HOBBY = Scene(WIDE, LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=150.0, **CONVERTER), systematic="none")
+ONE_LOAD = Scene(WIDE, GroundedReadout(sense="one", drive_ohm=70.0, load_ohm=1000.0, **CONVERTER), systematic="none")
+
+
+def grouped(scene: Scene) -> Scene:
+    return replace(scene, readout=replace(scene.readout, groups=BLOCKS))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_multiplexers_in_parallel_are_named(seed: int) -> None:
+    check = Prepared(wrongly_told(grouped(TWO), TWO, seed)).check
+    assert check.better == f"readout.groups: {[list(block) for block in BLOCKS]} (read in parallel)"
+
+
+@pytest.mark.parametrize("scene", [TWO, HOBBY, ONE_LOAD], ids=["two_point", "loaded_columns", "grounded"])
+def test_right_groups_and_none_are_right(scene: Scene) -> None:
+    for actual in (scene, grouped(scene)):
+        assert Prepared(wrongly_told(actual, actual, 1)).check.mark == "yes"
+
+
+@pytest.mark.parametrize("memory", [0.04, 0.08])
+@pytest.mark.parametrize("scene", [TWO, HOBBY], ids=["two_point", "loaded_columns"])
+def test_a_converter_that_remembers_is_named_with_its_number(scene: Scene, memory: float) -> None:
+    check = Prepared(wrongly_told(replace(scene, converter_memory=memory), scene, 2)).check
+    assert check.better.startswith("converter_memory near ")
+    assert float(check.better.split()[-1]) == pytest.approx(memory, rel=0.15)
+
+
+@pytest.mark.parametrize("scene", [TWO, HOBBY], ids=["two_point", "loaded_columns"])
+def test_readings_listed_column_by_column_are_named(scene: Scene) -> None:
+    tall, wide = (replace(scene, panel=Panel(*shape)) for shape in ((12, 8), (8, 12)))
+    recording = wrongly_told(tall, wide, 2)
+    check = Prepared(recording).check
+    other_side = "" if scene is TWO else ", readout.driven: columns"
+    assert check.better == f"readings listed column by column (lampest import --transpose){other_side}"

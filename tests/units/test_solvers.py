@@ -13,9 +13,10 @@ from lampest import Array, Readings, Readout, Term
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.sequence import first_stream
+from lampest.formulation.patterns import EXCITATIONS
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
+from lampest.solvers.by_ipopt import Ipopt
 from lampest.solvers.hessian import Hessian
-from lampest.solvers.ipopt import FORMULATIONS, Ipopt
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.preconditioners import Cholesky
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -108,17 +109,19 @@ def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("kind", "readout"), CASES)
-def test_an_optimum_is_left_alone_and_found_from_near_and_far(kind: str, readout: Readout, method: str) -> None:
-    """Zero iterations: voltages, currents and bounds satisfy all conditions with the multipliers that were given."""
+def test_ipopt_reaches_the_optimum_from_near_and_far(kind: str, readout: Readout, method: str) -> None:
+    """IPOPT never takes the start for the answer; with its own multipliers it needs few iterations."""
     cost, data, cells = problem(readout, method)
-    solver = Ipopt(cost, readout, FORMULATIONS[kind], Settings())
+    solver = Ipopt(cost, Settings(), readout, None, EXCITATIONS[kind])
     optimum = ProjectedNewton(cost, Settings(1e-12)).solve(data, evaluated(cost, data, cells)).cell_resistance
     near = cells * np.exp(0.01 * np.random.default_rng(2).standard_normal(cells.shape))
-    iterations = []
-    for place, tolerance in ((optimum, 1e-12), (near, 1e-4), (data.uniform_start, 1e-4)):
+    iterations, carried = [], None
+    for place in (data.uniform_start, near, near):
         start = evaluated(cost, data, place)
-        solution = check(start, solver.solve(data, start))
+        solution = check(start, solver.continued(carried).solve(data, start))
         assert solution.solved
-        assert_allclose(solution.cell_resistance, optimum, rtol=tolerance)
+        assert_allclose(solution.cell_resistance, optimum, rtol=1e-5)
         iterations.append(solution.iterations)
-    assert iterations[0] == 0 and iterations[1] <= 8 and iterations[1] <= iterations[2]
+        carried = solution.carried if len(iterations) > 1 else None
+    cold, near_cold, warm = iterations
+    assert 0 < warm <= near_cold and near_cold > 0 and cold > 0 and warm <= 8

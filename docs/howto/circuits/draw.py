@@ -151,6 +151,26 @@ def pull_ups() -> Drawing:
     return drawing
 
 
+def parallel_mux() -> Drawing:
+    drawing = Drawing(6.2)
+    drawing.drive(0, "Vcc", "channel")
+    for line in (1, 2):
+        drawing.drive(line, "nothing")
+    drawing.float_column(1)
+    for column in (0, 2):
+        drawing.channel(column, "channel")
+        drawing.load(column, -1.7, name="reference")
+    return drawing
+
+
+def pull_downs() -> Drawing:
+    drawing = Drawing()
+    for line in range(LINES):
+        drawing.drive(line, "ground" if line else "Vcc", "pull-down" if line else "drive")
+        drawing.load(line)
+    return drawing
+
+
 def grounded_all() -> Drawing:
     drawing = Drawing()
     for line in range(LINES):
@@ -192,7 +212,16 @@ def virtual_ground() -> Drawing:
     return drawing
 
 
-CIRCUITS = (two_point, loaded_columns, pull_ups, grounded_all, grounded_one, virtual_ground)
+CIRCUITS = (
+    two_point,
+    parallel_mux,
+    loaded_columns,
+    pull_ups,
+    pull_downs,
+    grounded_all,
+    grounded_one,
+    virtual_ground,
+)
 
 if __name__ == "__main__":
     with mpl.rc_context(STYLE):

@@ -26,15 +26,14 @@ from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import RESISTORS
 from lampest.estimate.sequence import first_stream
-from lampest.files.errors import InputError
+from lampest.files.errors import BROKEN, InputError
 from lampest.panel.panel import Array
-from lampest.panel.readouts.driven import DrivenReadout
+from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.lines import of_side
 from lampest.panel.scene import Scene, SeriesPerLine, Systematic
 from lampest.panel.systematic import USUAL, systematic_of
 from lampest.posterior.covariance import positive_inverse
 from lampest.recording.recording import Recording
-from lampest.solvers.multistart import BROKEN
 
 BLOCK = 50  # frames that are solved together; ten blocks take as long as one of all their frames
 UNCHANGED = 0.9  # ratio of the deviations after and before: above it the recordings determine hardly any channel
@@ -129,9 +128,9 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
 
 def _corrected(scene: Scene, errors: Array) -> Scene:
     """Return the scene with its reference and channels corrected by these errors."""
-    readout: Any = scene.circuit.off_by(float(errors[0]))
+    readout: Any = (scene.readout or scene.circuit).off_by(float(errors[0]))
     more = np.split(errors[1:], [scene.panel.rows])
-    if isinstance(readout, DrivenReadout):
+    if isinstance(readout, DrivenCircuit):
         driven: Any = readout.with_channels(*more)
         return replace(scene, readout=_rounded(driven))
     known = scene.series_resistance_ohm

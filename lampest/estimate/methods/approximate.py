@@ -12,10 +12,11 @@ import numpy as np
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.state import AnyState
+from lampest.files.errors import BROKEN
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, steihaug
 from lampest.solvers.hessian import Hessian
-from lampest.solvers.multistart import BROKEN, evaluated
+from lampest.solvers.multistart import evaluated
 from lampest.solvers.preconditioners import preconditioner
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.smoothing import Smoothing

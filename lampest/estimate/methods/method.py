@@ -17,21 +17,26 @@ from lampest.estimate.contacts import with_contacts
 from lampest.estimate.objective import Objective
 from lampest.estimate.state import UNKNOWN_SD, AnyState, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
-from lampest.files.errors import InputError
+from lampest.estimate.witness import Witness, compared, testimony
+from lampest.files.errors import BROKEN
 from lampest.files.process import delayed_interrupt, ended_where_hung
 from lampest.files.typed import Configuration
+from lampest.formulation.patterns import EXCITATIONS
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
+from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
-from lampest.solvers.ipopt import FORMULATIONS, Ipopt
-from lampest.solvers.multistart import BROKEN, best_solution
+from lampest.solvers.by_ipopt import Ipopt
+from lampest.solvers.multistart import best_solution
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Solution, Solver
 
-NODAL_CELLS, NODAL_PERIOD = 144, 0.5  # most cells, and least period in s, with which IPOPT keeps pace
+NODAL_CELLS = 144  # cells up to which IPOPT takes some hundredths of a second a frame (docs/studies/formulations.md)
+NODAL_PERIOD = 0.5  # s: period from which this is a few hundredths of the time between frames
+FALLBACK_CELLS = 256  # cells up to which a frame that projected Newton does not solve is given to IPOPT
 
 
 @dataclass(frozen=True)
@@ -170,6 +175,31 @@ class Method(Configuration):
             state, step = with_contacts(state, readings, step, self._elsewhere)
         return self.after(state, step, readings)
 
+    def verified(self, state: AnyState, readings: Readings, after: AnyState, step: Step) -> tuple[AnyState, Step]:
+        """Return the state after a frame and its step, compared with a second solve by IPOPT from another start.
+
+        A lower optimum of the witness takes the place of the first one.
+
+        Parameters
+        ----------
+        state : SequenceState
+            State before the frame.
+        readings : Readings
+            The frame, (rows, columns).
+        after, step
+            State after the frame, and its step.
+        """
+        before = replace(state, estimator=state.estimator.with_weights(step.weights, step.weight_sigma))
+        data, previous = self.given(before, readings)
+        cost = before.estimator.cost(state.scene, len(data.measured), partial=data.partial)
+        witness = testimony(cost, data, previous, state.estimator.solver)
+        comparison = compared(step.solution, witness)
+        if comparison.witness is not Witness.LOWER:
+            return after, replace(step, verification=comparison)
+        lower = replace(step, solution=witness, verification=comparison)
+        after, lower = self.after(before, lower, readings)
+        return replace(after, estimator=state.estimator), lower
+
     def after(self, state: AnyState, step: Step, readings: Readings) -> tuple[AnyState, Step]:
         """Return the state after a solved frame, and its step with error bars where the state requests them."""
         track, model, begin = state.track, step.surroundings(), perf_counter()
@@ -247,40 +277,42 @@ class OptimalMethod(Method):
         """
         return self.joint and objective.relative and not objective.weighs_previous
 
-    def check_scene(self, scene: Scene) -> None:
-        """Raise InputError where formulations with node voltages do not support the scene, such as a wired panel."""
-        if self.kind not in FORMULATIONS:
-            return
-        FORMULATIONS[self.kind].check(scene.circuit)
-        if scene.wiring is not None:
-            raise InputError(
-                f"formulation: {self.kind} knows neither lines, contacts nor faults.joined_rows and joined_columns; "
-                "take reduced"
-            )
-
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
         """Return the solver of the formulation.
 
         per_pixel, nodal : IPOPT with node voltages as unknowns. reduced : Newton with potentials eliminated. auto :
-        nodal on unwired panels of up to NODAL_CELLS if frames are at least NODAL_PERIOD apart, else reduced.
+        nodal where IPOPT takes a few hundredths of the time between frames, else reduced: on panels of up to
+        NODAL_CELLS with squared losses, if frames are at least NODAL_PERIOD apart.
         """
         kind = self.kind
         if kind == "auto":
-            slow = cost.panel.crossings <= NODAL_CELLS and period >= NODAL_PERIOD
-            kind = "nodal" if slow and scene.wiring is None else "reduced"
-        return _solver(cost, scene.circuit, kind, settings)
+            squared = all(term.loss.squared for term in cost.terms)
+            few = cost.panel.crossings <= NODAL_CELLS
+            kind = "nodal" if few and squared and period >= NODAL_PERIOD else "reduced"
+        return _solver(cost, scene.circuit, scene.wiring, kind, settings)
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """Return the best optimum of a frame's starts; `prepared` is a preconditioner of an earlier frame or None."""
-        return best_solution(solver, data, previous, prepared)
+        """Return the lowest optimum of a frame's starts; `prepared` is what an earlier solution carries, or None.
+
+        With auto a frame that one solver does not end at an optimum is given to the other one, from the same starts.
+        """
+        solution = best_solution(solver, data, previous, prepared)
+        if self.kind != "auto" or solution.optimum or data.overdue:
+            return solution
+        is_newton = isinstance(solver, ProjectedNewton)
+        if is_newton and solver.cost.panel.crossings > FALLBACK_CELLS:
+            return solution
+        other = _solver(solver.cost, data.readout, data.wiring, "nodal" if is_newton else "reduced", solver.settings)
+        second = best_solution(other, data, previous)
+        return second if second.solved else solution
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
-        """Return the preconditioner of a solved single frame for the next one, else None."""
-        return solution.preconditioner if solution.solved and len(solution.cell_resistance) == 1 else None
+        """Return what the solution of a single frame carries for the next one, else None."""
+        return solution.carried if solution.solved and len(solution.cell_resistance) == 1 else None
 
 
 @lru_cache(maxsize=32)
-def _solver(cost: Cost, readout: Readout, kind: str, settings: Settings) -> Solver:
-    if kind in FORMULATIONS:
-        return Ipopt(cost, readout, FORMULATIONS[kind], settings)
+def _solver(cost: Cost, readout: Readout, wiring: Wiring | None, kind: str, settings: Settings) -> Solver:
+    if kind in EXCITATIONS:
+        return Ipopt(cost, settings, readout, wiring, EXCITATIONS[kind])
     return ProjectedNewton(cost, settings)

@@ -31,7 +31,7 @@ from lampest.estimate.changed_cells import touching
 from lampest.estimate.methods.joint import Joint, error_bars
 from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.state import AnyState, SequenceState, Step
-from lampest.files.errors import InputError
+from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import delayed_interrupt
 from lampest.files.typed import check_positive_fields
@@ -41,7 +41,6 @@ from lampest.posterior.covariance import positive_inverse
 from lampest.posterior.linear import IGNORANCE
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
-from lampest.solvers.multistart import BROKEN
 from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solver, Status, failure, solution_at
 
 MAX_LAST_CHANGE = 1e-3  # of a standard deviation: largest change of a cell by a further Newton step

@@ -3,13 +3,14 @@
 from typing import Annotated
 
 from lampest.files.typed import ByKind
-from lampest.panel.readouts.driven import GroundedReadout as GroundedReadout
-from lampest.panel.readouts.driven import LoadedColumnsReadout as LoadedColumnsReadout
-from lampest.panel.readouts.driven import VirtualGroundReadout as VirtualGroundReadout
+from lampest.panel.readouts.driven import DrivenReadout as DrivenReadout
+from lampest.panel.readouts.presets import GroundedReadout as GroundedReadout
+from lampest.panel.readouts.presets import LoadedColumnsReadout as LoadedColumnsReadout
+from lampest.panel.readouts.presets import VirtualGroundReadout as VirtualGroundReadout
 from lampest.panel.readouts.readout import Readout as Readout
 from lampest.panel.readouts.two_point import TwoPointReadout as TwoPointReadout
 
 AnyReadout = Annotated[
-    TwoPointReadout | LoadedColumnsReadout | GroundedReadout | VirtualGroundReadout,
+    TwoPointReadout | DrivenReadout | LoadedColumnsReadout | GroundedReadout | VirtualGroundReadout,
     ByKind("lampest.readouts", "two_point"),
 ]

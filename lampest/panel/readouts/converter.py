@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.errors import counted
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration, check_range, check_ranges
 from lampest.panel.panel import Array
@@ -90,7 +91,7 @@ class Converter(Configuration):
         """Return the converter's numbers in words."""
         noise = lines_text(self.assumed_noise, "LSB") if self.noise_specified else "as the unloaded frames show it"
         floor = f", codes above {self.floor_code}" if self.floor_code else ""
-        return f"{self.adc_bits} bits, {self.readings} readings, noise {noise}{floor}"
+        return f"{self.adc_bits} bits, {counted(self.readings, 'reading')}, noise {noise}{floor}"
 
     def recorded_from_volt(self, volt: Array) -> Array:
         """Return recorded readings of voltages at the converter, any shape."""

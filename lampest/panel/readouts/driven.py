@@ -1,34 +1,46 @@
-"""Circuits that drive the lines of one side, one after the other, each through a resistance, and sense the other side.
+"""Circuits that drive the lines of one side, one after the other, and sense the other side: one equation for all.
 
-    V_ij = c_j·U_i·Z_ij/D_i/k_j
+Driven line i is at the source U through Rd, idle driven lines are at ground through Rp (infinite: they float; 0: they
+are held). Sensed line j is at ground through Rs while it is read, and through Rq while it is idle. With
+a = 1/Rd − 1/Rp, b = 1/Rs − 1/Rq and Z of the panel with all lines idle,
 
-U_i is the supply, and c_j the share of a sensed line's voltage at the converter. Idle driven lines either are held at
-ground through their Rd (ties 1/Rd, D_i = Rd_i), or float (no ties, D_i = Rd_i + Z_ii). Either all sensed lines have
-their loads all the time (ties 1/Rs, k_j = 1), or only the one that is read (no ties, k_j = 1 + Z_jj/Rs_j by Sherman and
-Morrison's formula). A tie through a resistance of zero would be infinite. It is replaced by a micro-ohm, which changes
-readings by 1e-8, less than the resolution of any converter.
+    V_ij = (U/Rd) Z_ij / ((1 + a Z_ii)(1 + b Z_jj) − a b Z_ij²)
+
+at sensed line j; c_j is the share of it at the converter. Multiplied by Rd, it has no division by zero:
+
+    V_ij = U Z_ij / ((A + A' Z_ii)(B + B' Z_jj) − A' B' Z_ij²),  A = Rd, A' = 1 − Rd/Rp, B = 1, B' = b
+
+A side whose idle lines are held at ground by 0 ohm has A = 1, A' = −Rd, or B = 1/Rs, B' = −1, with the entries of
+`DifferenceNetwork` instead of Z. Where several sensed lines are read at one address, their Rs is a part of Z, and
+b = 0: Z has one version an address.
 """
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from functools import cached_property
-from math import e, inf
+from functools import lru_cache
+from math import inf
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH
-from lampest.files.typed import Configuration, check_ranges
-from lampest.panel.network import inverse_of
-from lampest.panel.panel import Array
+from lampest.files.typed import check_ranges
+from lampest.panel.kirchhoff import laplacian
+from lampest.panel.network import AddressedNetwork, HeldNetwork, Network, excitations
+from lampest.panel.panel import Array, connected_parts
 from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
+from lampest.panel.readouts.diode import Diode
+from lampest.panel.readouts.floating import convex_start, uniform_factor
 from lampest.panel.readouts.lines import (
-    MIN_OHM,
+    Groups,
     LineNumber,
     PerLine,
     Side,
     along,
     as_tuple,
+    check_apart,
+    check_groups,
     check_resistors,
     lines_text,
     of_side,
@@ -37,7 +49,8 @@ from lampest.panel.readouts.lines import (
     per_line,
     with_channels,
 )
-from lampest.panel.readouts.readout import MIN_LOAD_SHARE, SHORT_SHARE, FreeTest, Readout, Surroundings
+from lampest.panel.readouts.readout import MIN_LOAD_SHARE, SHORT_SHARE, Address, FreeTest, Readout, Surroundings
+from lampest.panel.readouts.wiring import Wiring
 
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
 # Alternating start: rounds, change of log g at convergence, and range of conductances about those of the closed form,
@@ -45,7 +58,127 @@ OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cel
 MAX_ROUNDS, CONVERGED, MIN_RATIO, MAX_RATIO = 40, 1e-3, 0.02, 1e3
 
 
-class DrivenReadout(Readout):
+@dataclass(frozen=True, eq=False)
+class LineStates:
+    """Resistances of the lines to ground or to the source, ohm, in both of their states.
+
+    Attributes
+    ----------
+    drive, idle : array, shape (driven,)
+        Rd and Rp; Rp infinite: the line floats, 0: it is held at ground.
+    load, idle_load : array, shape (sensed,)
+        Rs and Rq.
+    gain : array, shape (sensed,)
+        c, the share of a sensed line's voltage at the converter.
+    """
+
+    drive: Array
+    idle: Array
+    load: Array
+    idle_load: Array
+    gain: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Equation:
+    """Numbers of the equation of the readings on a panel; arrays without another shape are (rows, columns).
+
+    Attributes
+    ----------
+    states : LineStates
+        Resistances of the lines.
+    drive, load, gain : array
+        Rd, Rs and c of every reading.
+    drive_terms : tuple of two arrays
+        A and A'.
+    load_terms : tuple of two arrays
+        B and B'; B' is 0 where the loads of an address are a part of Z.
+    current_terms : tuple of two arrays
+        The current through Rd is the excitation of line i times the first one plus its potential times the second one.
+    floating : bool
+        Whether no line is tied while all are idle. Then readings follow from R = Z_ii + Z_jj − 2 Z_ij.
+    grounded : bool
+        Whether idle driven lines are at ground through no more than Rd.
+    ties : array, shape (addresses, lines)
+        Ties of the lines at every address, siemens; infinite where a line is held at ground.
+    read_at : array, shape (addresses, rows, columns)
+        1 for the readings of each address, else 0.
+    together : array, shape (sensed, sensed), or None
+        1 for sensed lines that have their loads at the same time; None: all have.
+    """
+
+    states: LineStates
+    drive: Array
+    load: Array
+    gain: Array
+    drive_terms: tuple[Array, Array]
+    load_terms: tuple[Array, Array]
+    current_terms: tuple[Array, Array]
+    floating: bool
+    grounded: bool
+    ties: Array
+    read_at: Array
+    together: Array | None
+
+
+@lru_cache(maxsize=256)
+def equation_of(circuit: "DrivenCircuit", rows: int, columns: int) -> Equation:
+    """Return the numbers of a circuit's equation on a panel."""
+    driven, sensed = of_side(circuit.driven, rows, columns)
+    states = circuit.states(driven, sensed)
+    drive, idle, load, idle_load = states.drive, states.idle, states.load, states.idle_load
+    unchanged = np.array_equal(load, idle_load)
+    addresses = [] if unchanged or circuit.groups is None else _addresses(circuit.groups)
+    several = len(circuit.groups or ()) > 1 and bool(addresses)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        idle_ties, load_ties, idle_load_ties = 1 / idle, 1 / load, 1 / idle_load
+        # Lines that 0 ohm hold at ground while they are idle have an equation of their own.
+        held = idle == 0
+        drive_terms = np.where(held, (np.ones(driven), -drive), (drive, np.where(drive == idle, 0.0, 1 - drive / idle)))
+        current_terms = np.where(held, [[0.0], [-1.0]], (np.ones(driven), -idle_ties))
+        if unchanged or several:
+            load_terms = np.stack([np.ones(sensed), np.zeros(sensed)])
+        else:
+            held = idle_load == 0
+            load_terms = np.where(held, (load_ties, -np.ones(sensed)), (np.ones(sensed), load_ties - idle_load_ties))
+    # Ties at every address: of idle lines, and of the loads of the lines that are read together.
+    ties, read = [], []
+    for lines in addresses if several else [np.arange(sensed)]:
+        chosen = np.isin(np.arange(sensed), lines)
+        of_sensed = np.where(chosen, load_ties, idle_load_ties) if several else idle_load_ties
+        ties.append(np.concatenate(of_side(circuit.driven, idle_ties, of_sensed)))
+        read.append(chosen.astype(float))
+    together = None if unchanged else np.transpose(read) @ np.array(read) if several else np.eye(sensed)
+
+    def of_driven(values: Array) -> Array:
+        return np.broadcast_to(along(circuit.driven, values), (rows, columns)).copy()
+
+    def of_sensed_lines(values: Array) -> Array:
+        return np.broadcast_to(along(opposite(circuit.driven), values), (rows, columns)).copy()
+
+    return Equation(
+        states=states,
+        drive=of_driven(drive),
+        load=of_sensed_lines(load),
+        gain=of_sensed_lines(states.gain),
+        drive_terms=(of_driven(drive_terms[0]), of_driven(drive_terms[1])),
+        load_terms=(of_sensed_lines(load_terms[0]), of_sensed_lines(load_terms[1])),
+        current_terms=(of_driven(current_terms[0]), of_driven(current_terms[1])),
+        floating=not np.any(ties),
+        grounded=bool(np.all(idle <= drive)),
+        ties=np.stack(ties),
+        read_at=np.stack([of_sensed_lines(chosen) for chosen in read]),
+        together=together,
+    )
+
+
+def _addresses(groups: Groups) -> list[NDArray[np.intp]]:
+    """Return the sensed lines of each address: the k-th one of every group that has so many."""
+    count = max(map(len, groups))
+    return [np.array([group[k] for group in groups if k < len(group)], dtype=np.intp) for k in range(count)]
+
+
+class DrivenCircuit(Readout):
     """Base of circuits with driven and sensed lines; kinds are dataclasses that declare their keys in the files' order.
 
     Attributes
@@ -58,64 +191,72 @@ class DrivenReadout(Readout):
         Resistance of the channels of the sensed lines in ohm.
     polarity : {'up', 'down'}
         Whether loads lead to ground or to the supply.
+    diode : Diode, or None
+        Diode in series with Rd.
     input_ohm : float, or None
         Input resistance of the converter in ohm.
+    groups : tuple of tuple of int, or None
+        Sensed lines behind one multiplexer each, in the order of its addresses. The groups are read in parallel.
     of_sensed : tuple of str
         Keys of resistances of sensed lines; the first one is the reference resistor of a reading.
-    idle_floats : bool
-        Whether idle driven lines float; otherwise they are held at ground.
+    may_be_zero : tuple of str
+        Keys of resistances that may be 0.
+    may_be_infinite : tuple of str
+        Keys of resistances that may be infinite.
     """
 
     of_sensed: ClassVar[tuple[str, ...]]
-    idle_floats: ClassVar[bool] = False
+    may_be_zero: ClassVar[tuple[str, ...]] = ("drive_ohm", "sense_ohm")
+    may_be_infinite: ClassVar[tuple[str, ...]] = ()
+    of_driven: ClassVar[tuple[str, ...]] = ("drive_ohm",)
     series_name: ClassVar[str] = "drive_ohm"
     driven: Side
     drive_ohm: PerLine
     sense_ohm: PerLine = 0.0
     polarity: Literal["up", "down"] = "up"
+    diode: Diode | None = None
     input_ohm: float | None = None
+    groups: Groups | None = None
 
     @property
     def driving_volt(self) -> float:
         """Voltage of the source of a driven line, before Rd, in volt."""
         return self.supply_volt
 
-    @property
-    def all_loaded(self) -> bool:
-        """Whether every sensed line has its load all the time."""
-        return True
-
     @abstractmethod
-    def _sensed(self, lines: int) -> tuple[Array, Array]:
-        """Return (Rs, c) of the sensed lines, (lines,): total resistance to ground while read in ohm, and c."""
-
-    def _supply(self, resistance: Any) -> Any:
-        """Return U for a resistance D of the driven path, volt; NumPy and CasADi."""
-        return self.driving_volt
-
-    def _lost(self, current: Array) -> Array:
-        """Return Vcc − U for a current through the driven line, volt."""
-        return np.zeros(1)
+    def states(self, driven: int, sensed: int) -> LineStates:
+        """Return the resistances of all lines, for their numbers on a panel."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("drive_ohm", *self.of_sensed):
-            check_resistors(name, getattr(self, name), open_end=name not in ("drive_ohm", "sense_ohm"))
+        for name in (*self.of_driven, *self.of_sensed):
+            value = getattr(self, name)
+            limited = tuple(ohm for ohm in as_tuple(value) if not (ohm == inf and name in self.may_be_infinite))
+            if value is not None and (limited or not as_tuple(value)):
+                check_resistors(name, limited, open_end=name not in self.may_be_zero)
         if self.input_ohm is not None:
             check_resistors("input_ohm", self.input_ohm, most=inf)
+        if self.groups is not None:
+            check_apart(self.groups)
 
     def check(self, scene: Surroundings) -> None:
-        """Raise ValueError as `Readout.check`, or if a list does not have one resistance for each line."""
+        """Raise ValueError as `Readout.check`, or if lists of resistances or groups do not fit the panel's lines."""
         super().check(scene)
         driven, sensed = of_side(self.driven, *scene.panel.shape)
-        for name in ("drive_ohm", *self.of_sensed):
-            per_line(name, getattr(self, name), driven if name == "drive_ohm" else sensed)
+        for name in (*self.of_driven, *self.of_sensed):
+            if (value := getattr(self, name)) is not None:
+                per_line(name, value, driven if name in self.of_driven else sensed)
+        check_groups(self.groups, opposite(self.driven), sensed)
+        equation = equation_of(self, *scene.panel.shape)
+        if scene.wiring is not None and scene.wiring.joined and np.isinf(equation.ties).any():
+            raise ValueError("faults: lines that touch cannot be joined to idle ones that 0 ohm hold at ground")
 
     @property
     def _end_text(self) -> str:
-        """Description of the converter, with its input resistance."""
+        """Description of the groups and of the converter, with its input resistance."""
+        grouped = "" if self.groups is None else f", {len(self.groups)} {opposite(self.driven)} read in parallel"
         taken = "" if self.input_ohm is None else f", converter input {self.input_ohm:g} ohm"
-        return f"{taken}, {self.converter_description()}"
+        return f"{grouped}{taken}, {self.converter_description()}"
 
     @property
     def noisy_side(self) -> Side:
@@ -134,36 +275,114 @@ class DrivenReadout(Readout):
         """Axis of an array (…, rows, columns) that counts the sensed lines."""
         return -1 if self.driven == "rows" else -2
 
-    def _circuit(self, shape: tuple[int, ...]) -> tuple[Array, Array, Array]:
-        """Return (Rd, Rs, c), each to be broadcast to (rows, columns); Rd is at least MIN_OHM where it is a tie."""
-        driven, sensed = of_side(self.driven, *shape)
-        load, gain = (along(opposite(self.driven), values) for values in self._sensed(sensed))
-        drive = along(self.driven, per_line("drive_ohm", self.drive_ohm, driven))
-        return drive if self.idle_floats else np.maximum(drive, MIN_OHM), load, gain
+    def _equation(self, shape: tuple[int, ...]) -> Equation:
+        """Return the numbers of the equation for arrays (…, rows, columns)."""
+        return equation_of(self, *shape[-2:])
+
+    def addresses(self, measured: Array) -> tuple[Address, ...]:
+        pairs = zip(self._ties(measured, None), self._equation(measured.shape).read_at, strict=True)
+        return tuple(Address(ties, read > 0) for ties, read in pairs)
+
+    def lines_of_circuit(self, shape: tuple[int, ...]) -> tuple[Array, Array, Array]:
+        """Return Rd of the driven lines in ohm, Rs of the sensed lines in ohm, and their c."""
+        drive, load, gain = (part.ravel() for part in self._circuit(shape))
+        return drive, load, gain
 
     def ties(self, measured: Array) -> Array:
-        """Return the ties: 1/Rd of driven lines unless they float, 1/Rs of sensed lines if all are loaded, siemens."""
-        drive, load, _ = (part.ravel() for part in self._circuit(measured.shape))
-        held = np.zeros(len(drive)) if self.idle_floats else 1 / drive
-        return np.concatenate(of_side(self.driven, held, 1 / load if self.all_loaded else np.zeros(len(load))))
+        """Return the ties, (lines,) siemens; (addresses, lines) of a circuit with several addresses.
+
+        They are 1/Rp of driven lines and 1/Rq of sensed lines, or 1/Rs of those that an address reads; infinite for
+        lines that 0 ohm hold at ground.
+        """
+        return self.ties_of_parts(measured, None)
+
+    def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
+        ties = self._ties(measured, parts)
+        return ties[0] if len(ties) == 1 else ties
+
+    def _ties(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
+        """Return the ties (addresses, lines). In a part of the panel that has none, a single line gets one.
+
+        Such a tie carries no current, and its size has no effect.
+        """
+        ties = self._equation(measured.shape).ties
+        parts = np.zeros(ties.shape[1], dtype=np.intp) if parts is None else parts
+        member = parts == np.unique(parts)[:, None]
+        # Whether a part has a tie at an address, (addresses, parts)
+        tied = (ties > 0) @ member.T
+        if tied.all():
+            return ties
+        ties = ties.copy()
+        for address, part in zip(*np.nonzero(~tied), strict=True):
+            ties[address, np.argmax(member[part])] = 1 / np.median(self.apparent_resistance(measured))
+        return ties
+
+    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
+        """Return the solved network for ties (lines,), or (addresses, lines) of a circuit with several addresses."""
+        if ties.ndim > 1:
+            networks = tuple(self.network(cell_resistance, of_address, wiring) for of_address in ties)
+            return AddressedNetwork.of(networks, self._equation(cell_resistance.shape).read_at)
+        if wiring is None and np.isinf(ties).any():
+            return HeldNetwork.solve(cell_resistance, ties, self)
+        return super().network(cell_resistance, ties, wiring)
+
+    def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
+        """Return the readings of cells of any contrast, also if open cells divide the panel into parts."""
+        if cell_resistance.ndim == 3:
+            return np.stack([self.exact_reading(frame, wiring) for frame in cell_resistance])
+        volt = np.full(cell_resistance.shape, self.driving_volt / 2)
+        ties = self.ties_of_parts(volt, connected_parts(np.isfinite(cell_resistance)))
+        with np.errstate(divide="ignore"):
+            return self.network(cell_resistance, ties, wiring).reading()
 
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """Return V_ij = c_j·U_i·Z_ij/D_i/k_j."""
-        drive, load, gain = (np.broadcast_to(part, mutual.shape) for part in self._circuit(mutual.shape))
-        driven, sensed = of_side(self.driven, row, column)
-        if self.idle_floats:
-            # Floating idle lines: V = c·U(D)·Z_ij/D with D = Rd + Z_ii
-            resistance = driven + drive
-            volt = mutual * gain * self._supply(resistance) / resistance
-        else:
-            volt = mutual * (self.driving_volt * gain / drive)
-        # One load at a time: /k_j, k_j = 1 + Z_jj/Rs_j
-        return volt if self.all_loaded else volt / (sensed * (1 / load) + 1)
+        """Return c·V_ij, see the module; NumPy and CasADi."""
+        equation = self._equation(mutual.shape)
+        own, other = of_side(self.driven, row, column)
+        if equation.floating:
+            # Nothing but the read lines conducts to ground: one loop of Rd, R and Rs
+            loop = (own + other - 2 * mutual) + (equation.drive + equation.load)
+            return self._supply(loop) * (equation.load * equation.gain) / loop
+        (drive, by_drive), (load, by_load) = equation.drive_terms, equation.load_terms
+        over = other * by_load + load
+        determinant = (own * by_drive + drive) * over - mutual * mutual * (by_drive * by_load)
+        if self.diode is None:
+            return mutual * (equation.gain * self.driving_volt) / determinant
+        # Resistance U/I of the driven path, from the excitation x and the potential u of the driven line:
+        # x = U over/determinant, u = U (own over − by_load mutual²)/determinant
+        by_excitation, by_potential = equation.current_terms
+        current = over * by_excitation + (own * over - mutual * mutual * by_load) * by_potential
+        return mutual * equation.gain * self._supply(determinant / current) / determinant
+
+    def _supply(self, resistance: Any) -> Any:
+        """Return U for a resistance of the driven path, volt; NumPy and CasADi."""
+        return self.driving_volt if self.diode is None else self.diode.left(self.driving_volt, resistance)
+
+    def _lost(self, current: Array) -> Array:
+        """Return Vcc − U for a current through the driven line, volt."""
+        return np.zeros(1) if self.diode is None else self.diode.drop(current)
+
+    def _sum_together(self, values: Array) -> Array:
+        """Return the sum of values (…, rows, columns) over the sensed lines that have their loads at the same time."""
+        together = self._equation(values.shape).together
+        if together is None:
+            return np.asarray(np.broadcast_to(values.sum(axis=self._along_sensed, keepdims=True), values.shape))
+        return np.asarray(values @ together if self.driven == "rows" else together @ values)
+
+    def _reference(self, equation: Equation) -> Array:
+        """Return the resistor that scales a reading, (rows, columns) ohm: Rs, or Rp or Rd where Rs is infinite."""
+        states = equation.states
+        finite = [
+            ohm[(ohm > 0) & np.isfinite(ohm)] for ohm in (states.load, states.idle, states.drive, states.idle_load)
+        ]
+        further = next(float(np.mean(ohm)) for ohm in finite if ohm.size)
+        return np.where(np.isfinite(equation.load), equation.load, further)
 
     def apparent_resistance(self, measured: Array) -> Array:
         """Return Rs·((Vcc − V_d)·c/V − 1) − Rd, the resistance of a single divider with this reading."""
-        drive, load, gain = self._circuit(measured.shape[-2:])
-        volt = np.maximum(measured / gain, OPEN_SHARE * self.driving_volt)
+        equation = self._equation(measured.shape)
+        load, drive = self._reference(equation), equation.drive
+        volt = np.maximum(measured / equation.gain, OPEN_SHARE * self.driving_volt)
         # (Vcc − V_d)/I with the current I = V/(c·Rs): the sum of cell, load and drive
         total = load * (self.driving_volt - self._lost(volt / load)) / volt
         return np.asarray(np.maximum(total - load - drive, MIN_LOAD_SHARE * total))
@@ -171,15 +390,19 @@ class DrivenReadout(Readout):
     def uniform_start(self, measured: Array) -> Array:
         """Return r_ij = Rs_j·(1 − Σ_k v_kj)/v_ij, (…, rows, columns) ohm, for idle lines at ground.
 
-        This is exact for Rd = 0, where no sensed line depends on another one or on its load. For floating lines it is
-        the apparent resistance.
+        This is exact for Rd = Rp = 0, where no sensed line depends on another one or on its load. Where idle lines
+        float, or are at ground through more than a cell has, it is the apparent resistance.
         """
-        if self.idle_floats:
-            return super().uniform_start(measured)
-        _, load, gain = self._circuit(measured.shape[-2:])
-        driven = -3 - self._along_sensed
+        equation = self._equation(measured.shape)
+        if equation.floating:
+            return np.asarray(self.apparent_resistance(measured) / uniform_factor(*measured.shape[-2:]))
+        if not equation.grounded:
+            apparent = self.apparent_resistance(measured)
+            if np.mean(equation.states.idle) > np.median(apparent):
+                return apparent
+        load, driven = self._reference(equation), -3 - self._along_sensed
         # Voltages over the supply, with a lower limit for open cells.
-        share = measured / (self.driving_volt * gain)
+        share = measured / (self.driving_volt * equation.gain)
         share = np.maximum(share, OPEN_SHARE * share.max(axis=(-2, -1), keepdims=True))
         remainder = 1 - share.sum(axis=driven, keepdims=True)
         # A negative remainder is noise, or the substitute of a dead line. Then the load counts as one more cell.
@@ -191,14 +414,20 @@ class DrivenReadout(Readout):
         The cells determine the potentials u_p of all driven lines p while i is driven and j is read. Given these
         potentials, Σ_p g_pj (u_p − v_ij) = v_ij/Rs_j is linear in the cells of one sensed line. The alternation
         converges in about six rounds, and in up to 40 for large Rd. The result is a start, not an estimate: its
-        conductances stay within MIN_RATIO and MAX_RATIO of those of the uniform start.
+        conductances stay within MIN_RATIO and MAX_RATIO of those of the uniform start. Without loads the equations
+        determine ratios of cells alone, and the start is the uniform one.
         """
-        drive, load, gain = self._circuit(measured.shape)
-        volt, ideal = self._turned(measured / gain), self._turned(1 / self.uniform_start(measured))
-        drive, load = drive.ravel(), load.ravel()
+        equation = self._equation(measured.shape)
+        load = equation.states.load
+        if equation.floating:
+            return convex_start(self.apparent_resistance(measured), upper, near)
+        if not np.isfinite(load).all():
+            return super().start(measured, upper, near)
+        volt, ideal = self._turned(measured / equation.gain), self._turned(1 / self.uniform_start(measured))
+        ties = self._ties(measured, None)
         conductance = ideal if near is None else np.clip(self._turned(1 / near), MIN_RATIO * ideal, MAX_RATIO * ideal)
         for _ in range(MAX_ROUNDS):
-            potentials, before = self._driven_potentials(conductance, volt, drive, load), conductance
+            potentials, before = self._driven_potentials(conductance, volt, equation, ties), conductance
             # One linear system for each sensed line j: rows i (driven while j is read), unknowns g_pj.
             solved = np.linalg.solve(potentials - volt.T[:, :, None], (volt / load).T[:, :, None])[:, :, 0].T
             conductance = np.clip(solved, MIN_RATIO * ideal, MAX_RATIO * ideal)
@@ -210,28 +439,65 @@ class DrivenReadout(Readout):
         """Return values (rows, columns) as (driven, sensed), or the reverse."""
         return values if self.driven == "rows" else values.T
 
-    def _driven_potentials(self, conductance: Array, volt: Array, drive: Array, load: Array) -> Array:
+    def _driven_potentials(self, conductance: Array, volt: Array, equation: Equation, ties: Array) -> Array:
         """Return the potentials of driven lines p while j is read and i is driven, (sensed j, driven i, driven p) volt.
 
         Parameters
         ----------
-        conductance : array, shape (driven, sensed)
-            Siemens.
-        volt : array, shape (driven, sensed)
-            Voltages of the sensed lines.
-        drive, load : array, shapes (driven,), (sensed,)
-            Rd and Rs, ohm.
+        conductance, volt : array, shape (driven, sensed)
+            Siemens, and voltages of the sensed lines.
+        equation : Equation
+        ties : array, shape (addresses, lines)
+            Siemens, of the panel's lines.
         """
-        count = len(drive)
-        impedance = inverse_of(conductance, np.concatenate([1 / drive, 1 / load if self.all_loaded else 0 * load]))
-        # Potentials of all lines while line i is driven: Z_·i·Vcc/Rd_i
-        at_supply = impedance[:, :count] * (self.driving_volt / drive)
-        open_circuit = np.broadcast_to(at_supply[:count].T, (len(load), count, count))
-        if self.all_loaded:
-            return open_circuit
-        # Sherman–Morrison: the load of line j draws V_j/(Rs_j + Z_jj), which lowers u_p by Z_jp times this current.
-        sinking = at_supply[count:] / (load + np.diag(impedance)[count:])[:, None]
-        return np.asarray(open_circuit - sinking[:, :, None] * impedance[count:, None, :count])
+        states, count = equation.states, len(conductance)
+        if equation.together is None and np.isinf(states.idle).all():
+            # No current through floating lines, u_p Σ_j g_pj = Σ_j g_pj v_ij; Σ_j v_ij/Rs_j through the driven one
+            potentials = (volt @ conductance.T) / conductance.sum(axis=1)
+            # The driven line is above every sensed one: a lower limit against noise.
+            driven = self._driven_volt((volt / states.load).sum(axis=1), states.drive)
+            np.fill_diagonal(potentials, np.maximum(driven, volt.max(axis=1) * (1 + 1e-6)))
+            return np.asarray(potentials[None])
+        (drive, by_drive), (load, by_load) = (
+            tuple(map(self._turned, terms)) for terms in (equation.drive_terms, equation.load_terms)
+        )
+        result = np.empty((volt.shape[1], count, count))
+        for of_address, read in zip(ties, equation.read_at, strict=True):
+            in_order = np.concatenate(of_side(self.driven, *np.split(of_address, [read.shape[0]])))
+            entries, excited = excitations(laplacian(conductance), in_order)
+            own, other, mutual = np.diag(entries)[:count, None], np.diag(entries)[count:], entries[:count, count:]
+            over = other * by_load + load
+            determinant = (own * by_drive + drive) * over - mutual**2 * by_drive * by_load
+            # Excitations of both lines, (driven i, sensed j), and the potentials of driven lines that follow from them
+            of_driven, of_load = (
+                self.driving_volt * over / determinant,
+                -self.driving_volt * by_load * mutual / determinant,
+            )
+            lines = of_driven.T[:, :, None] * excited[None, :count, :count]
+            lines = lines + of_load.T[:, :, None] * excited[count:, None, :count]
+            chosen = self._turned(read)[0] > 0
+            result[chosen] = lines[chosen]
+        return result
+
+    def least_cells(self, measured: Array, sigma: Array | None) -> Array:
+        """Return the lower bounds r_ij ≥ u_i/I_i − Rs_j of the cells, (…, rows, columns) ohm, where idle lines float.
+
+        I_i = Σ_j V_ij/Rs_j is the current of the driven line, increased by its noise, and u_i = Vcc − Rd_i I_i − V_d
+        its potential. The bound holds because I_i is at least the current through each cell and its load alone. Where
+        other lines conduct to ground, cells can increase and decrease a reading, and r > 0 alone holds.
+        """
+        equation, least = self._equation(measured.shape), super().least_cells(measured, sigma)
+        states = equation.states
+        quiet = equation.together is None or np.isinf(states.idle_load).all()
+        if not (quiet and np.isinf(states.idle).all() and np.isfinite(states.load).all()):
+            return least
+        noise = np.zeros_like(measured) if sigma is None else np.where(np.isfinite(sigma), sigma, measured)
+        by_volt = 1 / (equation.gain * equation.load)
+        # Upper bound of the current, and with it a lower bound of the potential
+        current = self._sum_together(measured * by_volt)
+        current = current + NOISE_REACH * np.sqrt(self._sum_together((noise * by_volt) ** 2))
+        bound = np.maximum(self._driven_volt(current, equation.drive), 0) / current - equation.load
+        return np.asarray(np.maximum(bound, least))
 
     def nearly_shorted(self, measured: Array) -> Array:
         """Return cells that count as shorts, also bounded by a share of the uniform start, (…, rows, columns) ohm.
@@ -248,20 +514,21 @@ class DrivenReadout(Readout):
         """Return the tests v_ij ≤ Vcc − Rd_i Σ_k v_ik/Rs_k over simultaneous loads k, and Σ_i v_ij ≤ Vcc.
 
         The first one: no sensed line has a higher potential than the driven one, which is below the supply by the
-        loads' current through its Rd. The second one, for idle lines at ground: if all driven lines were at the supply,
-        no sensed line would be above it (superposition, Z·t ≤ 1).
+        loads' current through its Rd. The second one, for idle lines at ground through no more than Rd: if all driven
+        lines were at the supply, no sensed line would be above it (superposition, Z·t ≤ 1).
         """
-        drive, load, gain = self._circuit(measured.shape[-2:])
-        volt, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0) / gain
+        equation = self._equation(measured.shape)
+        load = equation.load
+        volt, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0) / equation.gain
         # Vcc ≥ v_ij + Rd_i Σ_k v_ik/Rs_k + V_d, with the propagated noise of both terms
-        drop = (drive if self.all_loaded else 0.0) / load
-        sensed, driven = self._along_sensed, -3 - self._along_sensed
-        lost = self._lost((volt / load).sum(axis=sensed, keepdims=True))
-        below = volt + (volt * drop).sum(axis=sensed, keepdims=True) + lost
-        spread = np.hypot(noise, np.sqrt(((noise * drop) ** 2).sum(axis=sensed, keepdims=True)))
+        drop = (equation.drive if equation.together is None or len(equation.ties) > 1 else 0.0) / load
+        driven = -3 - self._along_sensed
+        lost = self._lost(self._sum_together(volt / load))
+        below = volt + self._sum_together(volt * drop) + lost
+        spread = np.hypot(noise, np.sqrt(self._sum_together((noise * drop) ** 2)))
         law = f"no sensed line stands above the driven one behind its {lines_text(self.drive_ohm)}"
         tests = [(law, below, np.where(noise > 0, spread, 0.0))]
-        if not self.idle_floats:
+        if equation.grounded:
             law = "readings of a sensed line add up to no more than the supply"
             tests = [(law, volt.sum(axis=driven), np.sqrt((noise**2).sum(axis=driven))), *tests]
         results = []
@@ -273,13 +540,13 @@ class DrivenReadout(Readout):
     def most_in_series(self, measured: Array, sigma: Array) -> float:
         """Return the upper bound of Rd, min_i (Vcc − V_d − max_j v_ij)/Σ_j v_ij/Rs_j, ohm.
 
-        With one load at a time each reading is taken alone.
+        The sum is over simultaneous loads; with one load at a time each reading is taken alone.
         """
-        _, load, gain = self._circuit(measured.shape[-2:])
-        volt = np.where(np.isfinite(sigma), measured, 0.0) / gain
-        current = volt / load
-        if self.all_loaded:
-            volt, current = volt.max(axis=self._along_sensed), current.sum(axis=self._along_sensed)
+        equation = self._equation(measured.shape)
+        volt = np.where(np.isfinite(sigma), measured, 0.0) / equation.gain
+        current = self._sum_together(volt / equation.load)
+        if equation.together is None:
+            volt = volt.max(axis=self._along_sensed, keepdims=True)
         # Voltage across Rd and the current through it: Rd ≤ (Vcc − V_d − v)/I
         drop = self._driven_volt(current, 0.0) - volt
         return float(np.min(np.where(current > 0, drop / np.where(current > 0, current, 1.0), np.inf)))
@@ -308,277 +575,100 @@ class DrivenReadout(Readout):
     def line_numbers(self) -> tuple[LineNumber, ...]:
         """Return the numbers to calibrate: drive resistances, which include channels, and reference resistors."""
         drive = LineNumber("drive_ohm", (self.driven,), channel=True)
-        return drive, LineNumber(self.of_sensed[0], (opposite(self.driven),))
-
-
-@dataclass(frozen=True)
-class Diode(Configuration):
-    """Diode by Shockley's law, V_d = s·ln(1 + I/I_s), with I_s such that V_d is drop_volt at at_ampere.
-
-    Attributes
-    ----------
-    drop_volt : float
-        Voltage drop in volt at the current at_ampere, as in a data sheet.
-    at_ampere : float
-        Current in ampere.
-    slope_volt : float
-        s = n·kT/q in volt, the increase of the drop for an e-fold current; 2.303 s for a decade.
-
-    >>> lampest.Diode(drop_volt=0.6, at_ampere=1e-3, slope_volt=0.05).drop_volt
-    0.6
-    """
-
-    drop_volt: float = 0.6
-    at_ampere: float = 1e-3
-    slope_volt: float = 0.05
-
-    def __post_init__(self) -> None:
-        # n·kT/q is 0.02 V in the cold with n = 1, and 0.2 V for an LED; a Schottky diode drops 0.1 V, an LED 4 V.
-        check_ranges(self, 0.01, 10, "drop_volt")
-        check_ranges(self, 1e-7, 10, "at_ampere")
-        check_ranges(self, 0.015, 0.5, "slope_volt")
-
-    def description(self) -> str:
-        """Return the drop and its slope in words."""
-        decade = 1e3 * np.log(10) * self.slope_volt
-        return f"diode {self.drop_volt:g} V at {1e3 * self.at_ampere:g} mA, {decade:.3g} mV a decade"
-
-    @cached_property
-    def _saturation(self) -> float:
-        """Saturation current I_s in ampere."""
-        return float(self.at_ampere / np.expm1(self.drop_volt / self.slope_volt))
-
-    def drop(self, current: Array) -> Array:
-        """Return the drop V_d in volt at a current in ampere, any shape."""
-        return np.asarray(self.slope_volt * np.log1p(current / self._saturation))
-
-    def left(self, supply_volt: float, resistance: Any) -> Any:
-        """Return the voltage I·R across a resistance in series with the diode, Vcc = I·R + V_d(I); NumPy and CasADi.
-
-        With A = I_s R/s and w = A e^{V_d/s} the equation is w + ln w = Vcc/s + A + ln A, and I·R = s (w − A). Newton's
-        method begins above the root. As the equation is concave, all further iterates are below it and increase.
-        """
-        # A = I_s R/s, right-hand side Vcc/s + A + ln A, and the start w = right + ln(1 + e^−right)
-        part = resistance * (self._saturation / self.slope_volt)
-        right = part + _logarithm(part) + supply_volt / self.slope_volt
-        omega = right + _logarithm(1 + e**-right)
-        # Newton: w ← w (1 + right − ln w)/(1 + w) for w + ln w = right
-        for _ in range(7):  # five suffice for the value at any resistance, second derivatives need two more
-            omega = omega * (1 + right - _logarithm(omega)) / (1 + omega)
-        return self.slope_volt * (omega - part)
-
-
-def _logarithm(value: Any) -> Any:
-    """Return ln of an array or of a CasADi matrix."""
-    return value.log() if hasattr(value, "log") else np.log(value)
+        reference = getattr(self, self.of_sensed[0])
+        resistors = (LineNumber(self.of_sensed[0], (opposite(self.driven),)),) if max(as_tuple(reference)) < inf else ()
+        diode = () if self.diode is None else (LineNumber("diode.drop_volt", (), unit="volt"),)
+        return drive, *resistors, *diode
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoadedColumnsReadout(DrivenReadout):
-    """Loaded columns: one line is driven, all sensed lines are loaded, all other driven lines float.
+class DrivenReadout(DrivenCircuit):
+    """Circuit with driven and sensed lines, named by the resistances of its lines while they are used and while idle.
 
-    V = Vcc·Z_ij/(Rd_i + Z_ii) for driven line i and sensed line j with its load Rs_j. With a diode it is
-    V = U·Z_ij/(Rd_i + Z_ii), U the remaining voltage; see `Diode.left`.
+    Loaded columns, grounded lines and virtual grounds are presets of it. The equation stands in
+    `lampest.panel.readouts.driven`.
 
     Attributes
     ----------
     driven : Side
         Side whose lines are driven, one after the other.
     polarity : {'up', 'down'}
-        'up': the driven line is at the supply and loads lead to ground; 'down': the driven line is at ground
-        and loads lead to the supply (internal pull-ups), so that the voltage at the converter is Vcc − V.
-    load_ohm : PerLine
-        Rs in ohm, a number or one for each sensed line.
+        'up': the driven line is at the source, idle ones and loads lead to ground; 'down': the driven line is at
+        ground, idle ones and loads lead to the supply, and the voltage at the converter is Vcc − V.
     drive_ohm : PerLine
-        Rd in ohm, between the supply and the driven line, including the channel; a number or one for each driven line.
+        Rd in ohm, between the source and the driven line.
+    idle_ohm : PerLine
+        Rp in ohm, between an idle driven line and ground: a resistor, an output at LOW, 0 if it is held without any
+        resistance, infinite if it floats.
+    load_ohm : PerLine
+        Rs in ohm, between a sensed line and ground while it is read, behind its channel; infinite: none.
+    sense_ohm : PerLine
+        Rc in ohm, the channel between a sensed line and its load.
+    idle_load_ohm : PerLine or None
+        Rq in ohm, between an idle sensed line and ground: 0, a resistor, or infinite. None: the load stays; with
+        `groups`, whose multiplexers take it along, infinite.
+    groups : tuple of tuple of int, or None
+        Sensed lines behind one multiplexer each, in the order of its addresses. At every address one line of each group
+        is read. None: at every address one line is read.
     diode : Diode, or None
         Diode in series with Rd.
-    input_ohm : float, or None
-        Input resistance of the converter in ohm, parallel to every load; None: negligible.
-    supply_volt, adc_bits, readings, noise_lsb
-        See `Converter`.
-
-    The network's reading is the voltage across the load, for either polarity. Raises ValueError if a number is out
-    of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rs at the sensed lines.
-
-    >>> lampest.LoadedColumnsReadout(load_ohm=10000.0).unit
-    'volt'
-    """
-
-    of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm",)
-    idle_floats: ClassVar[bool] = True
-    kind: Literal["loaded_columns"] = "loaded_columns"
-    driven: Side = "rows"
-    polarity: Literal["up", "down"] = "up"
-    load_ohm: PerLine = 10_000.0
-    drive_ohm: PerLine = 0.0
-    diode: Diode | None = None
-    input_ohm: float | None = None
-
-    def description(self) -> str:
-        diode = "" if self.diode is None else f", {self.diode.description()}"
-        return (
-            f"loaded {opposite(self.driven)}, {self.driven} driven {self.polarity} one after the other, "
-            f"{self.supply_volt:g} V, load {lines_text(self.load_ohm)}, drive {lines_text(self.drive_ohm)}"
-            f"{diode}{self._end_text}"
-        )
-
-    def _sensed(self, lines: int) -> tuple[Array, Array]:
-        return parallel(per_line("load_ohm", self.load_ohm, lines), self.input_ohm), np.ones(lines)
-
-    def _supply(self, resistance: Any) -> Any:
-        return self.supply_volt if self.diode is None else self.diode.left(self.supply_volt, resistance)
-
-    def _lost(self, current: Array) -> Array:
-        return super()._lost(current) if self.diode is None else self.diode.drop(current)
-
-    def _driven_potentials(self, conductance: Array, volt: Array, drive: Array, load: Array) -> Array:
-        """Return the potentials from currents: Σ_j v_ij/Rs_j through the driven line, none through floating ones.
-
-        For a floating line u_p Σ_j g_pj = Σ_j g_pj v_ij.
-        """
-        potentials = (volt @ conductance.T) / conductance.sum(axis=1)
-        # The driven line is above every sensed one: a lower limit against noise.
-        driven = self._driven_volt((volt / load).sum(axis=1), drive)
-        np.fill_diagonal(potentials, np.maximum(driven, volt.max(axis=1) * (1 + 1e-6)))
-        return np.asarray(potentials[None])
-
-    def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """Return the lower bounds r_ij ≥ u_i/I_i − Rs_j of the cells, (…, rows, columns) ohm.
-
-        I_i = Σ_j V_ij/Rs_j is the current of the driven line, increased by its noise, and u_i = Vcc − Rd_i I_i − V_d
-        its potential. The bound holds because I_i is at least the current through each cell and its load alone.
-        """
-        drive, load, _ = self._circuit(measured.shape[-2:])
-        sensed = self._along_sensed
-        noise = np.zeros_like(measured) if sigma is None else np.where(np.isfinite(sigma), sigma, measured)
-        current = (measured / load).sum(axis=sensed, keepdims=True)
-        # Upper bound of the current, and with it a lower bound of the potential
-        current = current + NOISE_REACH * np.sqrt(((noise / load) ** 2).sum(axis=sensed, keepdims=True))
-        least = np.maximum(self._driven_volt(current, drive), 0) / current - load
-        return np.asarray(np.maximum(least, super().least_cells(measured, sigma)))
-
-    def line_numbers(self) -> tuple[LineNumber, ...]:
-        diode = () if self.diode is None else (LineNumber("diode.drop_volt", (), unit="volt"),)
-        return *super().line_numbers(), *diode
-
-
-@dataclass(frozen=True, kw_only=True)
-class GroundedReadout(DrivenReadout):
-    """Grounded readout: driven line i is at the supply, idle driven lines at ground, each through its Rd.
-
-    V = Vcc·Z_ij/Rd_i·Rs_j/(Rc_j + Rs_j)/k_j. With sense: all, every sensed line j has its load Rs_j, behind its channel
-    Rc_j, all the time: ties 1/Rd_i and 1/(Rc_j + Rs_j), k_j = 1. With sense: one, a multiplexer connects the load to
-    one sensed line after the other, and idle sensed lines float: ties 1/Rd_i only, and k_j = 1 + Z_jj/(Rc_j + Rs_j) is
-    the effect of the load on the line that is read.
-
-    Attributes
-    ----------
-    driven : Side
-        Side whose lines are driven, one after the other.
-    sense : {'all', 'one'}
-        Loads that are connected at the same time, see above.
-    polarity : {'up', 'down'}
-        'up': the driven line is at the supply, idle ones and loads lead to ground; 'down': the driven line is at
-        ground, idle ones and loads (internal pull-ups) lead to the supply, and the voltage at the converter is Vcc − V.
-    load_ohm : PerLine
-        Rs in ohm, a number or one for each sensed line.
-    drive_ohm : PerLine
-        Rd in ohm, output and channel of every driven line; a number or one for each driven line. Zero counts as a
-        micro-ohm.
-    sense_ohm : PerLine
-        Rc in ohm, the channel between every sensed line and its load; a number or one for each sensed line.
+    drive_volt, converter_volt : float, or None
+        Source, and end of the converter's range, in volt; None: supply_volt.
     input_ohm : float, or None
         Input resistance of the converter in ohm, parallel to the load; None: negligible.
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
-    The network's reading is the voltage across the load, for either polarity. No bound except r > 0 holds, because
-    other cells can increase and decrease a reading. Raises ValueError if a number is out of range. Source: node
-    analysis with Z = (L(g) + diag(t))⁻¹.
+    A resistance is a number, or one for each line. Raises ValueError if a number is out of range, or if readings do not
+    depend on the cells or on their common scale. Source: node analysis.
 
-    >>> lampest.GroundedReadout(load_ohm=1000.0).unit
+    >>> lampest.DrivenReadout(load_ohm=1000.0, idle_ohm=3300.0, idle_load_ohm=math.inf).unit
     'volt'
     """
 
-    of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm", "sense_ohm")
-    kind: Literal["grounded"] = "grounded"
+    of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm", "sense_ohm", "idle_load_ohm")
+    of_driven: ClassVar[tuple[str, ...]] = ("drive_ohm", "idle_ohm")
+    may_be_zero: ClassVar[tuple[str, ...]] = ("drive_ohm", "sense_ohm", "idle_ohm", "idle_load_ohm")
+    may_be_infinite: ClassVar[tuple[str, ...]] = ("load_ohm", "idle_ohm", "idle_load_ohm")
+    kind: Literal["driven"] = "driven"
     driven: Side = "rows"
-    sense: Literal["all", "one"] = "all"
     polarity: Literal["up", "down"] = "up"
-    load_ohm: PerLine = 1000.0
-    drive_ohm: PerLine = 50.0
+    drive_ohm: PerLine = 0.0
+    idle_ohm: PerLine = inf
+    load_ohm: PerLine = 10_000.0
     sense_ohm: PerLine = 0.0
-    input_ohm: float | None = None
-
-    def description(self) -> str:
-        sensed = opposite(self.driven)
-        loads = f"all {sensed} loaded" if self.all_loaded else f"one of the {sensed} loaded, the others floating"
-        channel = f", sense channels {lines_text(self.sense_ohm)}" if self.sense_ohm else ""
-        return (
-            f"grounded, {self.driven} driven {self.polarity} while the others are held, {loads}, "
-            f"{self.supply_volt:g} V, load {lines_text(self.load_ohm)}, drive {lines_text(self.drive_ohm)}"
-            f"{channel}{self._end_text}"
-        )
-
-    @property
-    def all_loaded(self) -> bool:
-        return self.sense == "all"
-
-    def _sensed(self, lines: int) -> tuple[Array, Array]:
-        """Return (Rc + Rs, Rs/(Rc + Rs)) of the sensed lines, with the converter's input parallel to Rs."""
-        load = parallel(per_line("load_ohm", self.load_ohm, lines), self.input_ohm)
-        total = load + per_line("sense_ohm", self.sense_ohm, lines)
-        return total, load / total
-
-
-@dataclass(frozen=True, kw_only=True)
-class VirtualGroundReadout(DrivenReadout):
-    """Virtual-ground readout: driven line i is at the voltage U, all other lines are held at ground.
-
-    V = Rf_j·i_j = U·Rf_j·Z_ij/(Rd_i·Rc_j). Idle driven lines are grounded through their Rd. Every sensed line is at the
-    virtual ground of an amplifier, through its channel Rc, or at ground while another one is read. The amplifier
-    inverts: its output is Rf·i_j below its reference. The recorded value is this difference, a positive number from 0
-    to the end of the converter's range. Both ends are rails.
-
-    Attributes
-    ----------
-    driven : Side
-        Side whose lines are driven, one after the other.
-    drive_ohm : PerLine
-        Rd in ohm, output and channel of every driven line.
-    sense_ohm : PerLine
-        Rc in ohm, between every sensed line and the amplifier.
-    feedback_ohm : PerLine
-        Rf in ohm. Each resistance is a number or one for each line; Rd and Rc of zero count as a micro-ohm.
-    drive_volt : float, or None
-        U in volt; None: supply_volt.
-    converter_volt : float, or None
-        End of the converter's range in volt; None: supply_volt.
-    supply_volt, adc_bits, readings, noise_lsb
-        See `Converter`.
-
-    No bound except r > 0 holds, because other cells can increase and decrease a reading. Raises ValueError if a number
-    is out of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rd at the driven and 1/Rc at the sensed
-    lines.
-
-    >>> lampest.VirtualGroundReadout(feedback_ohm=1000.0).unit
-    'volt'
-    """
-
-    of_sensed: ClassVar[tuple[str, ...]] = ("feedback_ohm", "sense_ohm")
-    signal_name: ClassVar[str] = "output of the amplifier below its reference"
-    kind: Literal["virtual_ground"] = "virtual_ground"
-    driven: Side = "rows"
-    drive_ohm: PerLine = 50.0
-    sense_ohm: PerLine = 0.0
-    feedback_ohm: PerLine = 1000.0
+    idle_load_ohm: PerLine | None = None
+    groups: Groups | None = None
+    diode: Diode | None = None
     drive_volt: float | None = None
     converter_volt: float | None = None
+    input_ohm: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_ranges(self, MIN_VOLT, MAX_VOLT, "drive_volt", "converter_volt")
+        if self.polarity == "down" and (self.drive_volt is not None or self.converter_volt is not None):
+            raise ValueError(
+                "drive_volt and converter_volt have no place with polarity: down, where the driven line is at ground"
+            )
+        to_ground = [
+            *as_tuple(self.idle_ohm),
+            *as_tuple(self.load_ohm),
+            inf if self.input_ohm is None else self.input_ohm,
+        ]
+        some_idle = self.groups is None or max(map(len, self.groups)) > 1
+        if self.idle_load_ohm is not None and some_idle:
+            to_ground += as_tuple(self.idle_load_ohm)
+        if min(to_ground) == inf:
+            raise ValueError(
+                "load_ohm, idle_ohm and idle_load_ohm are all infinite: no current flows through any cell; name the "
+                "resistors that lead to ground"
+            )
+        if not any(0 < ohm < inf for ohm in (*to_ground, *as_tuple(self.drive_ohm))):
+            raise ValueError(
+                "drive_ohm, idle_ohm, load_ohm and idle_load_ohm name no resistor: readings then depend on ratios of "
+                "cells alone"
+            )
 
     @property
     def driving_volt(self) -> float:
@@ -589,14 +679,34 @@ class VirtualGroundReadout(DrivenReadout):
         return self.supply_volt if self.converter_volt is None else self.converter_volt
 
     def description(self) -> str:
+        diode = "" if self.diode is None else f", {self.diode.description()}"
+        channel = f", sense channels {lines_text(self.sense_ohm)}" if self.sense_ohm else ""
+        source = "" if self.drive_volt is None else f" from {self.drive_volt:g} V"
+        load = (
+            "loads stay" if self.idle_load_ohm is None else f"idle {opposite(self.driven)} {_state(self.idle_load_ohm)}"
+        )
+        if self.idle_load_ohm is None and self.groups is not None:
+            load = f"idle {opposite(self.driven)} float"
         return (
-            f"virtual ground, {self.driven} driven to {self.driving_volt:g} V while all other lines are grounded, "
-            f"converter to {self.full_scale_volt:g} V, "
-            f"drive {lines_text(self.drive_ohm)}, sense {lines_text(self.sense_ohm)}, "
-            f"feedback {lines_text(self.feedback_ohm)}{self._end_text}"
+            f"{self.driven} driven {self.polarity}{source} one after the other through {lines_text(self.drive_ohm)}, "
+            f"idle ones {_state(self.idle_ohm)}, load {lines_text(self.load_ohm)}{channel}, {load}, "
+            f"{self.supply_volt:g} V{diode}{self._end_text}"
         )
 
-    def _sensed(self, lines: int) -> tuple[Array, Array]:
-        """Return (Rc, Rf/Rc) of the sensed lines."""
-        sense = np.maximum(per_line("sense_ohm", self.sense_ohm, lines), MIN_OHM)
-        return sense, per_line("feedback_ohm", self.feedback_ohm, lines) / sense
+    def states(self, driven: int, sensed: int) -> LineStates:
+        load = parallel(per_line("load_ohm", self.load_ohm, sensed), self.input_ohm)
+        total = load + per_line("sense_ohm", self.sense_ohm, sensed)
+        if self.idle_load_ohm is not None:
+            idle_load = per_line("idle_load_ohm", self.idle_load_ohm, sensed)
+        else:
+            idle_load = total if self.groups is None else np.full(sensed, inf)
+        with np.errstate(invalid="ignore"):
+            gain = np.where(np.isinf(load), 1.0, load / total)
+        drive, idle = (per_line(name, getattr(self, name), driven) for name in self.of_driven)
+        return LineStates(drive, idle, total, idle_load, gain)
+
+
+def _state(ohm: PerLine) -> str:
+    """Return 'float', 'are held at ground', or the resistance through which idle lines are at ground."""
+    states = {inf: "float", 0.0: "are held at ground"}
+    return states.get(max(as_tuple(ohm)), f"at ground through {lines_text(ohm)}")

@@ -8,6 +8,7 @@ import numpy as np
 from lampest.panel.panel import Array
 
 PerLine = float | tuple[float, ...]
+Groups = tuple[tuple[int, ...], ...]  # lines behind one multiplexer each, in the order of its addresses
 Side = Literal["rows", "columns"]
 # Limits of resistances next to cells of kilo-ohms: a wire, and an insulator that leaves ten of sixteen digits.
 MIN_OHM, MAX_OHM = 1e-6, 1e9
@@ -95,3 +96,25 @@ def with_channels(name: str, value: PerLine, channels: Array) -> tuple[float, ..
 def parallel(ohm: Array, shunt: float | None) -> Array:
     """Return the resistance of `ohm` and `shunt` in parallel; a shunt of None is absent."""
     return ohm if shunt is None else np.asarray(1 / (1 / ohm + 1 / shunt))
+
+
+def check_apart(groups: Groups) -> None:
+    """Raise ValueError unless groups are not empty and name every line once."""
+    if not groups or not all(groups):
+        raise ValueError("groups: every multiplexer has at least one line")
+    lines = [line for group in groups for line in group]
+    twice = next((line for line in lines if lines.count(line) > 1), None)
+    if twice is not None:
+        raise ValueError(f"groups overlap: line {twice} is listed twice, but it is behind one multiplexer")
+
+
+def check_groups(groups: Groups | None, side: Side, count: int) -> None:
+    """Raise ValueError unless groups, if any, name every one of `count` lines of a side."""
+    if groups is None:
+        return
+    lines = {line for group in groups for line in group}
+    name = side.removesuffix("s")
+    if beyond := sorted(lines - set(range(count))):
+        raise ValueError(f"readout.groups: there is no {name} {beyond[0]}; {side} are numbered from 0 to {count - 1}")
+    if missing := sorted(set(range(count)) - lines):
+        raise ValueError(f"readout.groups: {name} {missing[0]} is left out; every one is behind a multiplexer")

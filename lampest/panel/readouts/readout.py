@@ -33,6 +33,10 @@ class Surroundings(Protocol):
         """Resistance in series with every reading, ohm, to be broadcast to (rows, columns)."""
 
     @property
+    def series_lines(self) -> tuple[Array, Array]:
+        """Resistance in series with each row, (rows,), and with each column, (columns,), ohm."""
+
+    @property
     def wiring(self) -> Wiring | None:
         """Wire, contacts and touching lines; None without any."""
 
@@ -57,6 +61,23 @@ class FreeTest:
     excess: Array
     count: int
     single: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Address:
+    """Readings that are taken at the same time, with the state of all lines meanwhile.
+
+    Attributes
+    ----------
+    ties : array, shape (lines,)
+        Ties of the lines to ground, siemens: of idle lines, and of the loads that are a part of Z. Infinite where a
+        line is held at ground; see `lampest.panel.network.DifferenceNetwork` for its entries.
+    read : boolean array, shape (rows, columns)
+        Which readings are taken.
+    """
+
+    ties: Array
+    read: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +132,10 @@ class Readout(Converter, ABC):
                 "of the readout's drive_ohm or sense_ohm"
             )
 
+    def in_scene(self, scene: Surroundings) -> "Readout":
+        """Return the circuit that gives the readings of a scene."""
+        return self
+
     @abstractmethod
     def description(self) -> str:
         """Return the circuit and its numbers with their units, in words."""
@@ -130,6 +155,14 @@ class Readout(Converter, ABC):
         """Return the cells (…, rows, columns) ohm that would give each reading if they were alone on the panel."""
 
     # Consequences of the circuit.
+
+    def addresses(self, measured: Array) -> tuple[Address, ...]:
+        """Return the addresses of a scan, for readings (rows, columns).
+
+        `reading` takes the entries of Z = (L(g) + diag(t))⁻¹ with the ties t of the address at which a reading is
+        taken. Most circuits have one.
+        """
+        return (Address(self.ties(measured), np.ones(measured.shape, dtype=bool)),)
 
     def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
         """Return the ties t; `parts`, (lines,), is the number of each line's part, None for a connected panel."""

@@ -1,15 +1,15 @@
 """Two-point readout: one row and one column are selected, all other lines float, a divider measures the resistance."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
-from math import inf
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.network import Network, NormalByLines, SecondOrder, inverse_of
 from lampest.panel.panel import Array, EachModule, Modules
+from lampest.panel.readouts.divider import Divider
 from lampest.panel.readouts.floating import (
     FloatingNetwork,
     convex_start,
@@ -17,17 +17,21 @@ from lampest.panel.readouts.floating import (
     two_point_resistance,
     uniform_factor,
 )
-from lampest.panel.readouts.lines import LineNumber, check_resistors
-from lampest.panel.readouts.readout import SHORT_SHARE, FreeTest, Readout, Surroundings
+from lampest.panel.readouts.lines import Groups, check_apart, check_groups
+from lampest.panel.readouts.parallel import ParallelDividers
+from lampest.panel.readouts.readout import FreeTest, Readout, Surroundings
 from lampest.panel.readouts.wiring import Wiring
+
+OWN = ("kind", "groups", "measured_across")  # keys of two_point that dividers in parallel do not share
 
 
 @dataclass(frozen=True, kw_only=True)
-class TwoPointReadout(Readout):
+class TwoPointReadout(Divider):
     """Two-point readout R_jk = Z_jj + Z_kk − 2 Z_jk, all other lines floating, by a divider with a reference resistor.
 
     The recorded value is that of the divider equation, as if the converter took no current. It includes the scene's
-    series resistance. Raises ValueError if a number is out of range. Source: paper, equation (1) (across the sensor)
+    series resistance. With several groups of columns, the columns of an address load the driven row together; see
+    `ParallelDividers`. Raises ValueError if a number is out of range. Source: paper, equation (1) (across the sensor)
     and section V.B (across the reference).
 
     Attributes
@@ -40,6 +44,9 @@ class TwoPointReadout(Readout):
         'reference': R = (Vcc − V)/V · Rref; 'sensor': R = V/(Vcc − V) · Rref.
     input_ohm : float or None
         Input resistance of the converter, parallel to the measured resistor; None: negligible.
+    groups : tuple of tuple of int, or None
+        Columns behind one multiplexer each, in the order of its addresses, with a reference resistor each. At every
+        address one column of each group is read. None: one multiplexer has all columns.
     adc_bits, readings, noise_lsb
         See `Converter`.
 
@@ -47,26 +54,38 @@ class TwoPointReadout(Readout):
     'ohm'
     """
 
-    unit: ClassVar[str] = "ohm"
-    signal: ClassVar[str] = "resistance"
-    signal_name: ClassVar[str] = "two-point resistance, divider equation"
     homogeneous: ClassVar[bool] = True
     unique: ClassVar[bool] = True
-    in_series: ClassVar[bool] = True
-    series_name: ClassVar[str] = "series_resistance_ohm"
     kind: Literal["two_point"] = "two_point"
     reference_ohm: float = 1000.0
     measured_across: Literal["reference", "sensor"] = "reference"
     input_ohm: float | None = None
+    groups: Groups | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_resistors("reference_ohm", self.reference_ohm)
-        if self.input_ohm is not None:
-            check_resistors("input_ohm", self.input_ohm, most=inf)
+        if self.groups is None:
+            return
+        check_apart(self.groups)
+        if self.measured_across == "sensor":
+            raise ValueError("groups have a resistor each at their columns: measured_across must be reference")
+
+    def check(self, scene: Surroundings) -> None:
+        """Raise ValueError as `Readout.check`, or if groups do not list every column once."""
+        super().check(scene)
+        check_groups(self.groups, "columns", scene.panel.shape[1])
+
+    def in_scene(self, scene: Surroundings) -> Readout:
+        """Return the circuit that gives the readings: this one, or dividers in parallel that share the driven row."""
+        if self.groups is None or len(self.groups) < 2:
+            return self
+        numbers = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in OWN}
+        rows, columns = scene.series_lines
+        return ParallelDividers(**numbers, columns=self.groups, row_ohm=tuple(rows), column_ohm=tuple(columns))
 
     def description(self) -> str:
         converter = "" if self.input_ohm is None else f", converter input {self.input_ohm:g} ohm"
+        converter += "" if self.groups is None else f", {len(self.groups)} columns read in parallel"
         return (
             f"two-point, {self.supply_volt:g} V, reference {self.reference_ohm:g} ohm, measured across the "
             f"{self.measured_across}{converter}, {self.converter_description()}"
@@ -93,9 +112,6 @@ class TwoPointReadout(Readout):
         if wiring is not None:
             return super().exact_reading(cell_resistance, wiring)
         return two_point_resistance(cell_resistance)
-
-    def apparent_resistance(self, measured: Array) -> Array:
-        return measured
 
     def uniform_start(self, measured: Array) -> Array:
         """Return R·MN/(M + N − 1), exact for equal cells."""
@@ -132,40 +148,6 @@ class TwoPointReadout(Readout):
         single = four_point_excess(measured, sigma)
         return (FreeTest(law, single.max(axis=(1, 2)), measured[0].size ** 2, single),)
 
-    def most_in_series(self, measured: Array, sigma: Array) -> float:
-        return float(measured[np.isfinite(sigma)].min(initial=np.inf))
-
-    def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
-        return np.asarray(self._between_lines(recorded) - scene.series_ohm)
-
-    def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
-        """Return R + R_series, distorted by the converter's input resistance, (…, rows, columns) ohm."""
-        total = np.asarray(reading + scene.series_ohm)
-        if self.input_ohm is None:
-            return total
-        if self.measured_across == "sensor":
-            with np.errstate(divide="ignore"):
-                return np.asarray(1 / (1 / total + 1 / self.input_ohm))
-        return np.asarray(total * (1 + self.reference_ohm / self.input_ohm))
-
-    def _between_lines(self, recorded: Array) -> Array:
-        """Return the resistance of lines and panel without the converter's input resistance.
-
-        Across the sensor, a recorded value above the input resistance becomes nearly open.
-        """
-        if self.input_ohm is None:
-            return recorded
-        if self.measured_across == "sensor":
-            return np.asarray(1 / np.maximum(1 / recorded - 1 / self.input_ohm, SHORT_SHARE / self.input_ohm))
-        return np.asarray(recorded / (1 + self.reference_ohm / self.input_ohm))
-
-    def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
-        """Return σ of the readings: σ of the recorded values times ∂R/∂(recorded)."""
-        if self.input_ohm is None:
-            return sigma
-        slope = self._between_lines(recorded) / recorded
-        return np.asarray(sigma * slope ** (2 if self.measured_across == "sensor" else 1))
-
     def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
         """Return R + R_series plus the additional resistance of both channels, (frames, rows, columns) ohm."""
         total = self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
@@ -181,34 +163,6 @@ class TwoPointReadout(Readout):
             np.einsum("j...jk->j...k", lines[:rows])[...] = channel
             np.einsum("k...jk->k...j", lines[rows:])[...] = channel
         return np.concatenate([-((measured + scene.series_ohm) * reference)[None], lines])
-
-    def off_by(self, fraction: float) -> Self:
-        return replace(self, reference_ohm=self.reference_ohm * (1 + fraction))
-
-    def line_numbers(self) -> tuple[LineNumber, ...]:
-        return (LineNumber("series_resistance_ohm", ("rows", "columns"), channel=True, in_scene=True),)
-
-    def recorded_from_volt(self, volt: Array) -> Array:
-        """Return R of voltages V at the converter: 0 or infinite at the rails.
-
-        R = (Vcc − V)/V·Rref across the reference, R = V/(Vcc − V)·Rref across the sensor.
-        """
-        volt = np.asarray(volt, dtype=float)
-        ends = self.supply_volt - volt, volt
-        upper, lower = ends if self.measured_across == "reference" else ends[::-1]
-        with np.errstate(divide="ignore"):
-            return np.asarray(upper / lower * self.reference_ohm)
-
-    def volt_from_recorded(self, recorded: Array) -> Array:
-        """Return V = Vcc·Rref/(R + Rref) across the reference, V = Vcc·R/(R + Rref) across the sensor; any shape."""
-        with np.errstate(divide="ignore"):
-            ratio = np.asarray(recorded, dtype=float) / self.reference_ohm
-            return np.asarray(self.supply_volt / (1 + (ratio if self.measured_across == "reference" else 1 / ratio)))
-
-    def sigma(self, recorded: Array) -> Array:
-        """Return σ_R = (R + Rref)²/Rref · σ_V/Vcc (delta method), R including the series resistance; any shape, ohm."""
-        total = np.asarray(recorded, dtype=float) + self.reference_ohm
-        return np.asarray(total**2 * (self.sigma_volt() / (self.reference_ohm * self.supply_volt)))
 
 
 def four_point_excess(resistance: Array, sigma: Array) -> Array:

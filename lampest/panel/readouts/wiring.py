@@ -14,8 +14,7 @@ import numpy as np
 
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration
-from lampest.panel.kirchhoff import bipartite
-from lampest.panel.network import Entries, Loading, Network, ReadCircuit, SecondOrder, TiedNetwork, loading_of
+from lampest.panel.network import AddressedNetwork, DifferenceNetwork, Network, ReadCircuit, excitations
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, check_lines, per_line
 
@@ -229,18 +228,16 @@ class Ladder:
 
 
 @dataclass(frozen=True, eq=False)
-class WiredNetwork(TiedNetwork):
+class WiredNetwork(DifferenceNetwork):
     """Network with wiring between terminals and cells.
 
     The currents of the terminals at potentials p are BC·p with C = K⁻¹Bᵀ, and Z = (BC + diag t)⁻¹ with touching lines
-    as one node. D = (r C Z)ᵀ are the potential differences across the cells for a unit current into every terminal;
+    as one node. D = (r C Pᵀ)ᵀ are the potential differences across the cells for the excitation of every terminal;
     ∂Z_ab/∂g_c = −D_ac D_bc as without wiring. X = diag(r) − r K⁻¹ r + DᵀCᵀ r are the differences for a unit current
     through every cell; ∂D_ac/∂g_d = −D_ad X_dc. Without wiring X = BᵀZB.
 
     Attributes
     ----------
-    ties : array, shape (lines,)
-        Ties t of the terminals to ground, siemens.
     wiring : Wiring
         Wire, contacts and touching lines.
     ladder : Ladder
@@ -249,7 +246,6 @@ class WiredNetwork(TiedNetwork):
         C in siemens.
     """
 
-    ties: Array
     wiring: Wiring
     ladder: Ladder
     currents: Array
@@ -267,99 +263,64 @@ class WiredNetwork(TiedNetwork):
         # B C: currents of every terminal for a unit potential at each
         admittance = np.concatenate([through.sum(axis=1), -through.sum(axis=0)])
         nodes = wiring.nodes(rows + columns)
-        # Z = E (Eᵀ (BC + diag t) E)⁻¹ Eᵀ
-        impedance = nodes @ np.linalg.inv(nodes.T @ (admittance + np.diag(ties)) @ nodes) @ nodes.T
-        return cls(cell_resistance, impedance, readout, ties, wiring, ladder, currents)
+        # Touching lines are one node, with the sum of their ties: E (Eᵀ (BC + diag t) E)⁻¹ Eᵀ
+        node_ties = np.where(nodes > 0, ties[:, None], 0.0).sum(axis=0)
+        entries, potentials = (nodes @ part @ nodes.T for part in excitations(nodes.T @ admittance @ nodes, node_ties))
+        return cls(cell_resistance, entries, readout, ties, potentials, wiring, ladder, currents)
 
     @cached_property
     def potential_differences(self) -> Array:
-        """D = (r C Z)ᵀ, (lines, cells) ohm."""
-        return np.asarray((self.cell_resistance.reshape(-1, 1) * (self.currents @ self._impedance)).T)
-
-    def changes(self, step: Array) -> Entries:
-        """Return the entries of dZ = D·diag(g·p)·Dᵀ."""
-        differences = self.potential_differences
-        return self.entries((differences * (self.conductance * step).ravel()) @ differences.T)
-
-    def drawn(self, loading: Loading) -> Array:
-        """Return diag(Dᵀ W D), (rows, columns)."""
-        differences = self.potential_differences
-        drawn = np.sum(differences * bipartite(*loading, differences), axis=0)
-        return np.asarray(drawn.reshape(self.conductance.shape))
-
-    def _own_differences(self) -> tuple[Array, Array]:
-        rows, columns = self.conductance.shape
-        row, column = np.indices((rows, columns))
-        differences = self.potential_differences.reshape(-1, rows, columns)
-        return differences[row, row, column], differences[rows + column, row, column]
+        """D = (r C Pᵀ)ᵀ, (lines, cells) ohm."""
+        return np.asarray((self.cell_resistance.reshape(-1, 1) * (self.currents @ self.excited.T)).T)
 
     def driven_through(self, sources: Array) -> Array:
         """Return X·s, (cells, patterns) volt, for currents s (cells, patterns) ampere that are driven through cells."""
         resistance = self.cell_resistance.reshape(-1, 1)
         pushed = resistance * sources
         drawn = self.ladder.solve(pushed.reshape(*self.conductance.shape, -1)).reshape(pushed.shape)
-        return np.asarray(pushed - resistance * drawn + self.potential_differences.T @ (self.currents.T @ pushed))
-
-    @cached_property
-    def transfer(self) -> Array:
-        """X (cells, cells) ohm; with wiring it differs from BᵀZB."""
-        return self.driven_through(np.eye(self.conductance.size))
+        # Currents of the terminals that are not held meet the impedance between them.
+        entering = np.where(self.held[:, None], 0.0, self.currents.T @ pushed)
+        return np.asarray(pushed - resistance * drawn + self.potential_differences.T @ entering)
 
     def contact_response(self) -> Array:
         """Return ∂y/∂c for the lines' contacts c, (rows, columns, lines) per ohm.
 
-        ∂Z_ab/∂c_l = X_la X_lb with X = 1 − diag(t) Z. X_la is the current that enters line l while a unit current
-        enters terminal a.
+        ∂Z_ab/∂c_l = X_la X_lb. X_la is the current that enters line l while line a is excited: 1 − diag(t) Z, and −K of
+        a held line.
         """
-        entering = np.eye(len(self.ties)) - self.ties[:, None] * self._impedance
+        ties = np.where(self.held, 0.0, self.ties)
+        entering = np.eye(len(ties)) - ties[:, None] * self.excited.T
+        entering = np.where(self.held[:, None], -self._impedance, entering)
         return np.stack([self.read_change(self.entries(np.outer(line, line))) for line in entering], axis=-1)
-
-    def second_order(self, weights: Array) -> SecondOrder:
-        return WiredSecondOrder(self, weights)
-
-
-@dataclass(frozen=True, eq=False)
-class WiredSecondOrder(SecondOrder):
-    """Second derivatives H of a network with wiring; see `SecondOrder`."""
-
-    network: WiredNetwork
-
-    def adjoint(self) -> Array:
-        """Return Jᵀ·w = g·diag(Dᵀ W D), (rows, columns)."""
-        return np.asarray(self.network.conductance * self.network.drawn(self.loading))
-
-    def products(self, step: Array) -> tuple[Array, Array]:
-        """Return J·p and H·p = g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D)), (rows, columns) each.
-
-        dDᵀ = X·(g·p·Dᵀ), and W' is the change of W by the change of the slopes of h.
-        """
-        network, change = self.network, self.network.changes(step)
-        differences = network.potential_differences
-        moved = network.driven_through((differences * (network.conductance * step).ravel()).T).T
-        twice = 2 * np.sum(moved * bipartite(*self.loading, differences), axis=0).reshape(step.shape)
-        return network.read_change(change), network.conductance * (
-            twice + network.drawn(loading_of(*self.change_of_slopes(change)))
-        )
-
-    @property
-    def _between(self) -> Array:
-        """Dᵀ W D, (cells, cells)."""
-        differences = self.network.potential_differences
-        return np.asarray(differences.T @ bipartite(*self.loading, differences))
 
 
 def contact_responses(networks: Sequence[Network]) -> Array:
     """Return ∂y/∂c of wired networks, one after the other, (networks · cells, lines)."""
-    wired = [network for network in networks if isinstance(network, WiredNetwork)]
-    return np.concatenate([network.contact_response().reshape(network.conductance.size, -1) for network in wired])
+    return np.concatenate([_contact_response(network) for network in networks])
+
+
+def _contact_response(network: Network) -> Array:
+    """Return ∂y/∂c of one network, (cells, lines)."""
+    if isinstance(network, AddressedNetwork):
+        return network.response_of(_contact_response_map).reshape(network.conductance.size, -1)
+    return _contact_response_map(network).reshape(network.conductance.size, -1)
+
+
+def _contact_response_map(network: Network) -> Array:
+    """Return ∂y/∂c of one wired network, (rows, columns, lines)."""
+    assert isinstance(network, WiredNetwork)
+    return network.contact_response()
 
 
 def wire_responses(network: Network, lines: Lines) -> Array:
     """Return ∂y/∂ρ for the wire ρ per cell of all rows, and of all columns, (2, …, rows, columns).
 
-    ∂Z_ab/∂ρ = Σ I_a I_b over all segments of the wire. I_a is the current through a segment for a unit current into a,
-    which is the sum of the currents through all cells beyond the segment.
+    ∂Z_ab/∂ρ = Σ I_a I_b over all segments of the wire. I_a is the current through a segment for the excitation of line
+    a, which is the sum of the currents through all cells beyond the segment.
     """
+    if isinstance(network, AddressedNetwork):
+        by_address = network.response_of(lambda part: np.moveaxis(wire_responses(part, lines), 0, -1))
+        return np.moveaxis(by_address, -1, 0)
     # Currents through the cells, g·D, then cumulated from the far end to each segment.
     currents = network.potential_differences * network.flat_conductance[..., None, :]
     maps, responses = currents.reshape(*currents.shape[:-1], *network.conductance.shape[-2:]), []

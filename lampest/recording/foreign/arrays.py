@@ -25,6 +25,7 @@ from lampest.recording.foreign.words import Clock, clock_of_numbers, role_of
 MAX_BYTES = 500_000_000  # of a file, unpacked, and of its values in memory (tests/attack)
 # Data elements of a .mat file in the order of their numbers from 0; '-' is reserved.
 ELEMENTS = "- i1 u1 i2 u2 i4 u4 f4 - f8 - - i8 u8 matrix compressed utf-8 utf-16 utf-32"
+PICKLED = "it holds pickled objects, which run code when they are opened, so that lampest does not open them"
 ONE, STACKED, FRAMES = "(rows, columns)", "(rows, columns, frames)", "(frames, rows, columns)"
 FLAT = "(frames, rows·columns), row by row"
 
@@ -74,6 +75,24 @@ class Frames:
     def arranged(self, number: Index, note: str) -> "Frames":
         """Return the frames with another arrangement of the same numbers, and a note on it."""
         return replace(self, number=number, notes=(*self.notes, note))
+
+
+def joined_frames(parts: Sequence[Frames], source: str, note: str) -> Frames:
+    """Return the frames of several files, one after the other, with the notes of the first file.
+
+    source : name of all of them, which have no times.
+    """
+    ends = np.cumsum([len(part.numbers) for part in parts])
+    begins = (ends - [len(part.numbers) for part in parts]).tolist()
+    shifted = [np.where(part.number < 0, -1, part.number + begin) for part, begin in zip(parts, begins, strict=True)]
+
+    def named(at: int) -> str:
+        part = int(np.searchsorted(ends, max(at, 0), side="right"))
+        return source if at < 0 else parts[part].named(at - begins[part])
+
+    words = tuple(dict.fromkeys(word for part in parts for word in part.words))
+    numbers = np.concatenate([part.numbers for part in parts])
+    return Frames(numbers, np.concatenate(shifted), named, None, (note, *parts[0].notes), words)
 
 
 @dataclass(frozen=True)
@@ -150,7 +169,12 @@ def reading(path: Path) -> Iterator[None]:
 
 def _of_npy(path: Path) -> Arrays:
     """Return the array of a .npy file under the name ''."""
-    array = np.load(path, mmap_mode="r", allow_pickle=False)
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except ValueError as error:
+        if "pickle" in str(error) or "Python objects" in str(error):
+            raise InputError(f"{path}: no readable .npy file ({PICKLED}; save a plain array)") from error
+        raise
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
         raise InputError(f"{path}: holds no plain array of real numbers")
     check_count(path, array.size)
@@ -240,13 +264,17 @@ def _of_level_7(path: Path) -> Arrays:
 READERS = {".npy": _of_npy, ".npz": _of_npz, ".mat": _of_mat}  # they return arrays of real numbers only
 
 
-def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
+def arrays_of(path: Path) -> Arrays:
+    """Return the arrays of a file by name. Raises InputError if it is damaged or too large."""
+    with reading(path):
+        return READERS[path.suffix.lower()](path)
+
+
+def frames_of_arrays(path: Path, arrays: Arrays, shape: Shape, variable: str | None) -> Frames:
     """Return the frames of the only array that fits the panel, or of the array `variable`, by the first fitting layout.
 
-    Raises InputError if the file is damaged or too large, or if no array or several arrays fit.
+    Raises InputError if no array or several arrays fit.
     """
-    with reading(path):
-        arrays = READERS[path.suffix.lower()](path)
     matlab = path.suffix.lower() == ".mat"
     sizes = {ONE: shape, FRAMES: (None, *shape), FLAT: (None, shape[0] * shape[1]), STACKED: (*shape, None)}
     layouts = (ONE, STACKED, FRAMES) if matlab else tuple(sizes)
@@ -254,9 +282,8 @@ def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
     name = _chosen(path, arrays, fits, shape, variable)
     array, where = arrays[name], f"{path}: {name}" if name else str(path)
     if not fits[name]:
-        hint = "; with `transpose` it would" if shape[0] != shape[1] and array.shape[-2:] == shape[::-1] else ""
         ways = f"fits {shape[0]} × {shape[1]} cells in no way: {', '.join(layouts)}"
-        raise InputError(f"{where}: is {_by(array.shape)}, which {ways}{hint}")
+        raise InputError(f"{where}: is {_by(array.shape)}, which {ways}")
     check_count(where, array.size)
     layout, *alternatives = fits[name]
     indices: Index = np.arange(array.size).reshape(array.shape)

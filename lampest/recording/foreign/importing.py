@@ -1,33 +1,60 @@
 """Import of foreign measurements as recordings, with notes on everything inferred or assumed."""
 
+import re
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError, meant, printable
+from lampest.files.errors import InputError, counted, meant, printable
 from lampest.files.typed import installed, typed
 from lampest.files.whole import note_read
-from lampest.panel.panel import Panel
+from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.foreign import LAYOUTS
-from lampest.recording.foreign.arrays import MAX_BYTES, READERS, Frames, Layout, Shape, frames_of_arrays
+from lampest.recording.foreign.arrays import (
+    MAX_BYTES,
+    READERS,
+    Frames,
+    Layout,
+    Shape,
+    arrays_of,
+    frames_of_arrays,
+    joined_frames,
+)
+from lampest.recording.foreign.labelled import named_units, panel_of
 from lampest.recording.foreign.layouts import frames_of
-from lampest.recording.foreign.table import lines_of_sheets, lines_of_text, readings_table
-from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
-from lampest.recording.foreign.words import Clock, units_of
+from lampest.recording.foreign.records import READERS as RECORDS
+from lampest.recording.foreign.records import records_of
+from lampest.recording.foreign.table import (
+    FieldLines,
+    lines_of_sheets,
+    lines_of_text,
+    readings_table,
+)
+from lampest.recording.foreign.unit import RESISTANCES, check_unit, recorded_values, understood_unit
+from lampest.recording.foreign.words import Clock
+from lampest.recording.processed import AS_CONVERTED, normalised, processing_of, restored
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 NOT_READ = dict.fromkeys((".h5", ".hdf5"), "save the array as .npy; lampest's own recordings need no import") | {
     ".xls": "save it as .xlsx",
     ".ods": "save it as .xlsx or .csv",
     ".xlsb": "save it as .xlsx",
+    **dict.fromkeys(
+        (".pkl", ".pickle", ".p"), "a pickle runs code when it is opened; save the array as .npy, .json or .csv"
+    ),
+    **dict.fromkeys((".zip", ".gz", ".bz2", ".xz", ".zst", ".7z", ".tar"), "unpack it first"),
+    **dict.fromkeys((".bag", ".db3", ".mcap"), "save the topic's arrays as .npy"),
+    **dict.fromkeys((".db", ".sqlite", ".tdms"), "save its table as .csv"),
 }
+MAX_FILES = 10_000  # of a folder
 SHEETS = (".xlsx", ".xlsm")
-NAMED = (*sorted(set(READERS) - {".npy"}), *SHEETS)
+NAMED = (*sorted(set(READERS) - {".npy"}), *SHEETS, ".json", ".jsonl", ".parquet")
 
 
 @typed
@@ -45,11 +72,12 @@ def import_file(  # noqa: PLR0913 # the options of a command
     missing: str = "mark",
     layout: str | Layout | None = None,
     time_unit: Literal["s", "ms", "us"] | None = None,
+    resting: str | Path | None = None,
 ) -> tuple[Recording, tuple[str, ...]]:
     r"""Import a file as a recording of rows × columns cells.
 
-    The suffix determines the format: .xlsx, .npy, .npz, .mat, those of layouts, and a text table for any other;
-    docs/howto/import.md.
+    The suffix determines the format: .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet, those of layouts, and a text
+    table for any other; a folder of such files holds frames one after the other. docs/howto/import.md.
 
     Parameters
     ----------
@@ -75,6 +103,9 @@ def import_file(  # noqa: PLR0913 # the options of a command
         the file's suffix, otherwise by the header, or by the number of columns.
     time_unit : {'s', 'ms', 'us'}, or None
         Unit of times that are numbers; None: by the column's name, otherwise by the numbers.
+    resting : str, Path, or None
+        File with the resting frame that the firmware subtracted, for scenes with `baseline: subtracted`: it is added
+        again, and becomes the only unloaded frame.
 
     Returns
     -------
@@ -88,14 +119,14 @@ def import_file(  # noqa: PLR0913 # the options of a command
         With file and place, if anything does not fit.
 
     >>> _ = Path("mine.csv").write_text("500,510,490\n505,515,250\n")
-    >>> mine, notes = lampest.import_file("mine.csv", rows=1, columns=3)
+    >>> mine, notes = lampest.import_file("mine.csv", rows=1, columns=3, unit="ohm")
     >>> mine.recorded[1]
     array([[505., 515., 250.]])
     """
     path = Path(path)
     if missing not in ("mark", "skip-frame", "refuse"):
         raise InputError(f"missing readings: '{missing}' is unknown; there are mark, skip-frame, refuse")
-    panel = _panel(rows, columns, scene)
+    panel = panel_of(rows, columns, scene)
     check_unit(unit, scene, path)
     layouts = (*LAYOUTS, *installed("lampest.layouts", Layout))
     by_name = {name: known for known in layouts for name in (known.kind, *known.suffixes)}
@@ -103,6 +134,21 @@ def import_file(  # noqa: PLR0913 # the options of a command
         raise InputError(f"`layout='{layout}'` is no import format{hint}")
     layout = by_name.get(path.suffix.lower()) if layout is None else by_name.get(str(layout), layout)
     frames = _frames(path, panel, transpose=transpose, variable=variable, layout=layout)
+    return _recording(path, frames, panel, scene, unit, baseline_frames, missing, period, time_unit)
+
+
+def _recording(  # noqa: PLR0913 # the options of an import
+    path: Path,
+    frames: Frames,
+    panel: Panel,
+    scene: Scene | None,
+    unit: str | None,
+    baseline_frames: int,
+    missing: str = "mark",
+    period: float | None = None,
+    time_unit: Literal["s", "ms", "us"] | None = None,
+) -> tuple[Recording, tuple[str, ...]]:
+    """Return frames as a recording in the scene's unit, and the notes; see `import_file`."""
     values, count = frames.values, len(frames.values)
     values[~panel.present & ~(values > 0)] = np.nan
     if not 0 <= baseline_frames <= count:
@@ -114,10 +160,14 @@ def import_file(  # noqa: PLR0913 # the options of a command
             raise InputError(f"{place}: the reading of row {row}, column {column} is missing")
     kind, reason = unit, f"unit {unit}, as specified"
     if kind is None:
-        kind, reason = understood_unit(values, units_of(frames.words), scene, path)
+        kind, reason = understood_unit(values, named_units(frames, path), scene, path)
     scene, given = scene or Scene(panel), scene is not None
-    recorded = recorded_values(values, kind, scene, frames.place, path)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
+    if resting is not None or scene.baseline == "subtracted":
+        values, scene = _restored(values, scene, role, resting, path, layout)
+    elif scene.baseline is None:
+        _check_unprocessed(values, kind, scene, role, path)
+    recorded = recorded_values(values, kind, scene, frames.place, path)
     chosen, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
     series, time = recorded[chosen], clock.seconds[chosen]
     recording = Recording(scene, series, time, role[chosen], name=path.stem, start_time=clock.start)
@@ -125,27 +175,51 @@ def import_file(  # noqa: PLR0913 # the options of a command
     return recording, tuple(map(printable, filter(None, notes)))
 
 
-def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
-    """Return the requested panel, or the scene's; both must agree."""
-    if scene is not None:
-        shape = scene.panel.shape
-        size = (shape[0] if rows is None else rows, shape[1] if columns is None else columns)
-        if shape != size:
-            raise InputError(f"the scene's panel has {shape[0]} × {shape[1]} cells, not {size[0]} × {size[1]}")
-        return scene.panel
-    if rows is None or columns is None:
-        raise InputError("how large is the panel? Say `rows` and `columns`, or give a `scene`")
-    try:
-        return Panel(rows, columns)
-    except ValueError as error:
-        raise InputError(f"{rows} × {columns}: {error}") from error
+def _check_unprocessed(values: Array, unit: str, scene: Scene, role: NDArray[np.uint8], path: Path) -> None:
+    """Raise InputError for readings in volt or codes that firmware has changed; see `processing_of`."""
+    readout = scene.readout
+    if readout is None or unit in RESISTANCES or readout.floor_code is not None:
+        return
+    reason = processing_of(values, role == UNLOADED, scene.panel.present)
+    if not reason and unit == "volt":
+        reason = normalised(values, readout.full_scale_volt)
+    if reason:
+        raise InputError(f"{path}: these are no readings as the converter gives them: {reason}")
+
+
+def _restored(
+    values: Array, scene: Scene, role: NDArray[np.uint8], resting: str | Path | None, path: Path, layout: Any
+) -> tuple[Array, Scene]:
+    """Return readings with the resting frame of a file added, unloaded frames as this frame, and the scene without it.
+
+    Raises InputError unless both the scene and a file say that a frame was subtracted.
+    """
+    if scene.baseline != "subtracted":
+        raise InputError(f"{path}: a resting frame is added where the scene says baseline: subtracted")
+    if resting is None:
+        raise InputError(
+            f"{path}: the scene says baseline: subtracted; give the resting frame that was subtracted "
+            f"(--resting FILE), or {AS_CONVERTED}"
+        )
+    frames = _frames(Path(resting), scene.panel, transpose=False, variable=None, layout=layout)
+    with np.errstate(invalid="ignore"):
+        frame = frames.values.mean(axis=0)
+    if not np.all(np.isfinite(frame[scene.panel.present])):
+        raise InputError(f"{resting}: the resting frame has no value at a cell")
+    raw = restored(values, frame)
+    if not np.any(role == UNLOADED):
+        raise InputError(
+            f"{path}: say how many frames at the beginning are unloaded (--baseline); the resting frame is theirs"
+        )
+    raw[role == UNLOADED] = frame
+    return raw, replace(scene, baseline="raw")
 
 
 def _frames(path: Path, panel: Panel, *, transpose: bool, variable: str | None, layout: str | Layout | None) -> Frames:
     """Return the file's frames over the panel, or with one value for each listed cell."""
     try:
         frames = _read_frames(path, panel.shape[::-1] if transpose else panel.shape, variable, layout)
-    except InputError:
+    except InputError as error:
         cells = [cell[:2] for cell in panel.cells or ()]
         if cells and not transpose:
             with suppress(InputError):
@@ -154,10 +228,22 @@ def _frames(path: Path, panel: Panel, *, transpose: bool, variable: str | None, 
                 number[:, *np.transpose(cells)] = frames.number[:, 0]
                 note = f"{len(cells)} values are the cells in the order of the scene's list"
                 return frames.arranged(number, note)
+        if not transpose and _fits_turned(path, panel.shape[::-1], variable, layout):
+            raise InputError(f"{error}; with `transpose` it would fit") from error
         raise
     if transpose:
         return frames.arranged(frames.number.swapaxes(1, 2), "transposed: the file's rows are the panel's columns")
     return frames
+
+
+def _fits_turned(path: Path, shape: Shape, variable: str | None, layout: str | Layout | None) -> bool:
+    """Return whether a file gives frames, with their times, of a panel with rows and columns exchanged."""
+    try:
+        frames = _read_frames(path, shape, variable, layout)
+        _clock(frames, None, None, path)
+    except InputError:
+        return False
+    return shape[0] != shape[1]
 
 
 def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | Layout | None) -> Frames:
@@ -166,6 +252,8 @@ def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | L
     try:
         note_read(path)
         size = path.stat().st_size
+        if path.is_dir():
+            return _of_folder(path, shape, variable, layout)
         if not path.is_file():
             raise InputError(f"{path}: no file")
         if size > MAX_BYTES:
@@ -179,7 +267,12 @@ def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | L
         if layout is not None and kind in READERS:
             raise InputError(f"{path}: holds arrays; `layout` is for tables")
         if kind in READERS:
-            return frames_of_arrays(path, shape, variable)
+            return frames_of_arrays(path, arrays_of(path), shape, variable)
+        if kind in RECORDS:
+            records = records_of(path)
+            if isinstance(records, FieldLines):
+                return frames_of(readings_table(records, layout), shape)
+            return frames_of_arrays(path, records, shape, variable)
         if kind in SHEETS:
             return _of_sheets(path, shape, variable, layout)
         return frames_of(readings_table(lines_of_text(path), layout), shape)
@@ -189,11 +282,32 @@ def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | L
         raise InputError(f"{path}: claims more data than the memory holds") from error
 
 
+def _of_folder(path: Path, shape: Shape, variable: str | None, layout: str | Layout | None) -> Frames:
+    """Return the frames of all files in a folder, in the order of the numbers in their names."""
+    files = [file for file in path.iterdir() if file.is_file() and not file.name.startswith(".")]
+    files.sort(key=lambda file: [part.zfill(20) for part in re.split(r"(\d+)", file.name)])
+    if not files:
+        raise InputError(f"{path}: no file in this folder")
+    kinds = sorted({file.suffix.lower() or "no suffix" for file in files})
+    if len(kinds) > 1:
+        raise InputError(f"{path}: a folder of frames holds files of one kind, not {', '.join(kinds)}")
+    if len(files) > MAX_FILES:
+        raise InputError(f"{path}: {len(files)} files, more than {MAX_FILES} are not imported")
+    if sum(file.stat().st_size for file in files) > MAX_BYTES:
+        raise InputError(f"{path}: more than {MAX_BYTES} bytes are not imported")
+    parts = [_read_frames(file, shape, variable, layout) for file in files]
+    total = sum(len(part.number) for part in parts)
+    unused = "; times within them are not used" if any(part.timing for part in parts) else ""
+    order = f"in the order of their names, from {files[0].name} to {files[-1].name}"
+    note = f"{counted(total, 'frame')} of {counted(len(files), 'file')}, {order}{unused}"
+    return joined_frames(parts, str(path), note)
+
+
 def _of_sheets(path: Path, shape: Shape, wanted: str | None, layout: str | None) -> Frames:
     """Return the frames of the only sheet that fits; if none fits, raise the error of the first."""
     fitting: dict[str, Frames] = {}
     wrong = [InputError(f"{path}: holds no values")]
-    for title, lines in lines_of_sheets(path, wanted, min(2, shape[1])).items():
+    for title, lines in lines_of_sheets(path, wanted).items():
         try:
             fitting[title] = frames_of(readings_table(lines, layout), shape)
         except InputError as error:
@@ -227,7 +341,7 @@ def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tupl
         return ~gaps, "no reading is missing"
     if np.all(blank):
         raise InputError(f"{path}: all readings are missing")
-    note = f"{_counted(int(blank.sum()), 'reading')} missing, in {int(gaps.sum())} of {_counted(len(blank), 'frame')}"
+    note = f"{counted(int(blank.sum()), 'reading')} missing, in {int(gaps.sum())} of {counted(len(blank), 'frame')}"
     if missing == "mark":
         return np.ones_like(gaps), f"{note}: NaN in the recording"
     if np.all(gaps):
@@ -251,10 +365,7 @@ def _summary(recording: Recording) -> Iterator[str]:
     least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
     beyond = int(np.sum((recorded < least) | (recorded > largest) | (recorded == 0) | np.isposinf(recorded)))
     if beyond:
-        yield f"{_counted(beyond, 'reading')} at or beyond a rail of the converter: kept as bounds"
+        rail = "zero or infinite" if scene.readout is None else "at or beyond a rail of the converter"
+        yield f"{counted(beyond, 'reading')} {rail}: kept as bounds"
     cells, unloaded = " × ".join(map(str, scene.panel.shape)), int(np.sum(recording.role == UNLOADED))
-    yield f"{_counted(len(recorded), 'frame')} of {cells} cells, the first {unloaded} unloaded"
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+    yield f"{counted(len(recorded), 'frame')} of {cells} cells, the first {unloaded} unloaded"

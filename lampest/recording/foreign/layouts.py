@@ -9,9 +9,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, counted
 from lampest.panel.panel import Array
 from lampest.recording.foreign.arrays import Frames, Index, Shape
+from lampest.recording.foreign.beside import described, with_one_clock
 from lampest.recording.foreign.table import ReadingsTable, kind_of
 from lampest.recording.foreign.words import COLUMN, ROW, cell_of, line_of, role_of
 
@@ -23,11 +24,15 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
 
     Raises InputError if these do not determine the layout, or if the table does not fit the panel.
     """
-    cells, names = shape[0] * shape[1], table.names
+    table = with_one_clock(table)
     # One value a line; else one frame a line; else one row a line; else again without empty columns.
     order = _single_values(table, shape)
     if order is not None:
         return _frames_of_single_values(table, shape, order)
+    table = described(table, shape)
+    cells, names = shape[0] * shape[1], table.names
+    if table.width == 1 and shape[1] > 1 and len(table.lines) >= cells:
+        return _frames_of_numbers(table, shape)
     named = _cells_by_name(table.source.source, names, shape) or _cells_by_number(names, shape)
     extra = sum(role_of(name) in ("time", "date", "frame", "row") for name in names)
     if named is not None or table.width in (cells, cells + 1, cells + extra):
@@ -35,16 +40,25 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
     if table.width in (shape[1], shape[1] + 1, shape[1] + extra):
         return _frames_in_blocks(table, shape)
     filled = np.any(table.fields != "", axis=0)
-    if any(names) and not np.all(filled):
-        empty = ", ".join(names[field] or "a column without a name" for field in np.flatnonzero(~filled))
+    if not np.all(filled):
+        empty = ", ".join(names[field] or f"field {field + 1}" for field in np.flatnonzero(~filled))
         shorter = table.only(columns=np.flatnonzero(filled))
         return frames_of(replace(shorter, notes=(*table.notes, f"empty columns left out: {empty}")), shape)
-    turned = table.width in (shape[0], shape[0] + 1)
     raise InputError(
-        f"{table.place(0, None)}: {table.width} fields; {shape[0]} × {shape[1]} cells need {cells}, {cells + 1} with "
-        f"the time, or 3 or 4 for row, column, value and frame, or {shape[1]} in a line for each row"
-        + ("; with `transpose` it would fit" if turned else "")
+        f"{table.place(0, None)}: {counted(table.width, 'field')}; {shape[0]} × {shape[1]} cells need {cells}, "
+        f"{cells + 1} with the time, or 3 or 4 for row, column, value and frame, or {shape[1]} in a line for each row; "
+        "`layout` says what each field is"
     )
+
+
+def _frames_of_numbers(table: ReadingsTable, shape: Shape) -> Frames:
+    """Return the frames of a table with one number a line, row by row."""
+    cells = shape[0] * shape[1]
+    frame, cell, begins, left_out, title = _blocks(table, cells)
+    row, column = np.divmod(cell, shape[1])
+    note = f"one number a line, {cells} lines a frame; row by row{left_out}"
+    at = (frame[:, None], row[:, None], column[:, None])
+    return table.frames(at, [0], shape, table.timing([], begins) or table.title_timing(begins, title), note)
 
 
 def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cells, str] | None:
@@ -60,12 +74,11 @@ def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cel
             headers = f"{names[fields[row, column]]!r} and {names[field]!r}"
             raise InputError(f"{source}: the header's {headers} are the same cell")
         if row >= shape[0] or column >= shape[1]:
-            turned = "; with `transpose` it would fit" if row < shape[1] and column < shape[0] else ""
             sizes = f"{shape[0]} × {shape[1]} cells, counted from {first}"
-            raise InputError(f"{source}: the header's {names[field]!r} is beyond the panel of {sizes}{turned}")
+            raise InputError(f"{source}: the header's {names[field]!r} is beyond the panel of {sizes}")
     example = f"{names[min(named)]!r} is row {cells[min(named)][0]}, column {cells[min(named)][1]}"
     unnamed = shape[0] * shape[1] - len(cells)
-    gap = f"; {unnamed} cells have no column and are missing" if unnamed else ""
+    gap = f"; {counted(unnamed, 'cell')} without a column, missing" if unnamed else ""
     order = ", row by row" if list(cells.values()) == sorted(cells.values()) else ""
     return cells, f"cells by their names{order}, which count from {first} ({example}){gap}"
 
@@ -122,6 +135,8 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
             roles[short.index("r")], roles[short.index("c")] = "row", "column"
         order = {role: roles.index(role) for role in reversed(roles) if role is not None}
         return order if "value" in order and ({"row", "column"} <= set(order) or "cell" in order) else None
+    if table.width == 2 and shape[1] > 2 and _count_cells(table, cells):
+        return {"cell": 0, "value": 1}
     if table.width not in (3, 4) or table.width in (cells, cells + 1):
         return None
     if table.width in (shape[1], shape[1] + 1):
@@ -130,6 +145,13 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
         if not indices or (len(numbers) > 1 and not np.any(np.ptp(numbers, axis=0) > 0)):
             return None
     return dict(zip(("row", "column", "value", "frame"), range(table.width), strict=False))
+
+
+def _count_cells(table: ReadingsTable, cells: int) -> bool:
+    """Return whether the first field counts all cells of a frame."""
+    numbers = table.values[:, 0]
+    first = numbers[0]
+    return bool(first in (0, 1) and numbers.max() - first == cells - 1 and np.all(numbers == np.round(numbers)))
 
 
 def _line_numbers(table: ReadingsTable, field: int) -> Array:
@@ -233,7 +255,12 @@ def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
         often = Counter(kind for kinds in table.kinds for kind in kinds)
         frames = int(np.bincount(labels).max())
         ends = {kind for kind, times in often.items() if frames / 2 <= times <= 1.5 * frames}
-        frame, row = np.cumsum(_begins_again(labels, [bool(kinds & ends) for kinds in table.kinds])), labels
+        numbered = [field for field, name in enumerate(table.names[:extra]) if role_of(name) == "frame"]
+        changes = np.zeros(len(labels), dtype=bool)
+        for field in numbered:
+            changes[1:] |= table.fields[1:, field] != table.fields[:-1, field]
+        ended = [bool(kinds & ends) or bool(new) for kinds, new in zip(table.kinds, changes, strict=True)]
+        frame, row = np.cumsum(_begins_again(labels, ended)), labels
         begins = np.unique(frame, return_index=True)[1].tolist()
     timing = table.timing(times, begins) or table.title_timing(begins, title)
     named = "rows from top to bottom" if labels is None else "rows by their names"

@@ -23,13 +23,17 @@ from lampest.recording.foreign.words import (
     has_decimal_comma,
     is_stamp,
     line_of,
+    names_pressure,
+    names_unit,
     number_of,
     parted,
     role_of,
     states_unit,
-    units_of,
 )
 
+DAMAGED = "\ufffd"  # in place of a byte that no text holds
+MAX_DAMAGED = 0.01  # share of such bytes; a serial line loses one now and then, and binary files have many more
+READ = "Other kinds: .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet; `layout` names a layout of your own"
 MAX_FIELDS = 10_000_000  # 50 bytes each in memory
 SAMPLED = 50_000  # characters or fields at the beginning of a file that determine its notation
 SAMPLED_LINES = 1000
@@ -40,10 +44,12 @@ DATE, TIME = r"(?:\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} )?", r"\d{1,2}:\
 STAMPED = re.compile(rf"\s*\[?({DATE}{TIME})\s*(?:\]|->|>|\|)\s*")
 LABELLED = re.compile(r"\s*([^\W\d]+[ _]?\d+)\s*[=:]\s*(?=[-+.\d])")  # 'ROW0=512,511', 'R0: 512 511'
 LISTED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
-# 'Frame 3, t = 1250 ms', 'time: 2025-01-31 12:00:01', 'millis=123'
+# 'Frame 3, t = 1250 ms', 'Measurement Time(sec): 0.120', 'time: 2025-01-31 12:00:01', 'millis=123'
 TITLE_TIME = re.compile(
-    r"(?:\b(?P<word>t|time|timestamp|millis|ms|zeit)\s*[:=]\s*)(?P<value>\d[\d.,]*)\s*(?P<unit>ms|us|s)?(?![\d:/-])"
-    r"|(?P<stamp>\d{4}-\d{2}-\d{2}[T ]\d{1,2}:\d{2}(?::\d{2}(?:\.\d+)?)?(?:Z|[+-]\d{2}:?\d{2})?)",
+    r"(?:\b(?P<word>t|time|timestamp|elapsed|millis|micros|ms|us|zeit)\s*(?:[\[(]\s*(?P<inner>[^\W\d_]+)\s*[\])])?"
+    r"\s*[:=]\s*)(?P<value>\d[\d.,]*)\s*(?P<unit>[mµu]?s(?:ec)?\b)?(?![\d:/-])"
+    r"|(?P<stamp>\d{4}-\d{2}-\d{2}[T ]\d{1,2}:\d{2}(?::\d{2}(?:\.\d+)?)?(?:Z|[+-]\d{2}:?\d{2})?"
+    r"|\b\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)",
     re.IGNORECASE,
 )
 NUMBER = re.compile(r"\d+(?:[.,:]\d+)*")
@@ -105,7 +111,7 @@ class FieldLines:
         return f"{self.word} {self.lines[line].number}"
 
 
-def _lines(
+def field_lines(
     source: str, word: str, at: Callable[[int, int | None], str], notes: Iterable[str], lines: Iterable[FieldLine]
 ) -> FieldLines:
     """Return lines as a table. Raises InputError if it is too large."""
@@ -142,15 +148,19 @@ def lines_of_text(path: Path) -> FieldLines:
             content = f"{labelled[1]}{sign}{content[labelled.end() :]}"
         if content.strip().strip(" \t;,"):
             read.append(FieldLine(number, [content], stamped[1] if stamped else ""))
-    delimiter = _delimiter([line.texts[0] for line in read if not COMMENT.match(line.texts[0])])
-    notes.insert(0, f"fields separated by {DELIMITERS[delimiter]}")
+    contents = [line.texts[0] for line in read if not COMMENT.match(line.texts[0])]
+    delimiter = _delimiter(contents)
+    aligned = delimiter == "\t" and _is_aligned(contents)
+    if aligned:
+        read = [line._replace(texts=[re.sub(r"\t+", "\t", line.texts[0]).strip("\t")]) for line in read]
+    notes.insert(0, f"fields separated by {'one or more tabs' if aligned else DELIMITERS[delimiter]}")
     notes += ["a terminal's time before the lines"] if any(line.stamp for line in read) else []
 
     def at(number: int, field: int | None) -> str:
         return f"{path}:{number}" + ("" if field is None else f":{field + 1}")
 
     split = (line._replace(texts=_split(at(line.number, None), line.texts[0], delimiter)) for line in read)
-    lines = _lines(str(path), "line", at, notes, split)
+    lines = field_lines(str(path), "line", at, notes, split)
     if len(read) > 1 and not text.endswith(("\r", "\n")) and lines.counts[-1] < np.median(lines.counts):
         lines.fields[-1, lines.counts[-1] - 1] = ""  # the file ends within a line
         note = f"the last number of line {read[-1].number} is cut off and missing"
@@ -167,13 +177,12 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
     marks = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
     encoding = marks.get(data[:2]) or ("utf-16-le" if data[1:2] == b"\0" else "utf-16-be" if data[:1] == b"\0" else "")
     data = data[: len(data) // 2 * 2] if encoding else data
-    try:
-        text = data.decode(encoding or "utf-8").removeprefix("\ufeff")
-    except UnicodeDecodeError as error:
-        line, wrong = data.count(b"\n", 0, error.start) + 1, f"byte {error.start} is not {error.encoding}"
-        raise InputError(f"{path}:{line}: no text table ({wrong}; save it in UTF-8)") from error
-    if "\0" in text:
-        raise InputError(f"{path}: no text table (it holds zero bytes)")
+    text = data.decode(encoding or "utf-8", errors="replace").removeprefix("\ufeff").replace("\0", DAMAGED)
+    damaged = text.count(DAMAGED)
+    if damaged > max(1, MAX_DAMAGED * len(text)):
+        line = text.count("\n", 0, text.index(DAMAGED)) + 1
+        wrong = f"{damaged} of {len(text)} bytes are no text"
+        raise InputError(f"{path}:{line}: no text table ({wrong}; text is read in UTF-8 and UTF-16). {READ}")
     return text, ["UTF-16"] if encoding else []
 
 
@@ -190,6 +199,13 @@ def _delimiter(lines: Sequence[str]) -> str:
     return max(DELIMITERS, key=numbers)
 
 
+def _is_aligned(lines: Sequence[str]) -> bool:
+    """Return whether lines agree in their number of fields only if tabs that follow each other are one."""
+    single = Counter(line.count("\t") for line in lines[:SAMPLED_LINES])
+    joined = Counter(len(re.findall(r"\t+", line.strip("\t"))) for line in lines[:SAMPLED_LINES])
+    return max(joined.values(), default=0) > max(single.values(), default=0)
+
+
 def _split(place: str, line: str, delimiter: str) -> list[str]:
     """Return the fields of a line. Raises InputError with the place for a misplaced quotation mark."""
     if delimiter == " ":
@@ -203,11 +219,11 @@ def _split(place: str, line: str, delimiter: str) -> list[str]:
     return [text.strip() for text in fields]
 
 
-def lines_of_sheets(path: Path, wanted: str | None, least: int) -> dict[str, FieldLines]:
+def lines_of_sheets(path: Path, wanted: str | None) -> dict[str, FieldLines]:
     """Return the lines of every nonempty sheet, or of the wanted one, by name in the file's order.
 
-    Sheets are read row by row, because a few bytes may claim 10¹⁰ cells. `least` is the least number of fields of a
-    table. Raises InputError if the file is no readable .xlsx, has no such sheet, or has a sheet that is too large.
+    Sheets are read row by row, because a few bytes may claim 10¹⁰ cells. Raises
+    InputError if the file is no readable .xlsx, has no such sheet, or has a sheet that is too large.
     """
     check_archive(path)
     with extra("tables"):
@@ -227,24 +243,20 @@ def lines_of_sheets(path: Path, wanted: str | None, least: int) -> dict[str, Fie
                 letters = "" if field is None else openpyxl.utils.get_column_letter(field + 1)
                 return f"{path}: {title}!{letters}{number}"
 
-            rows = _rows_of_sheet(sheets[title], least)
-            tables[title] = _lines(f"{path}: sheet {title}", "row", at, [f"sheet {title}"], rows)
+            rows = _rows_of_sheet(sheets[title])
+            tables[title] = field_lines(f"{path}: sheet {title}", "row", at, [f"sheet {title}"], rows)
     return {title: lines for title, lines in tables.items() if lines.lines}
 
 
-def _rows_of_sheet(sheet: Any, least: int) -> Iterator[FieldLine]:
+def _rows_of_sheet(sheet: Any) -> Iterator[FieldLine]:
     """Yield the nonempty rows without empty cells at their ends."""
     sheet.reset_dimensions()  # a file's own statement of its size may be wrong
-    count = width = 0
     for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
         texts = [_text_of_cell(value) for value in row]
         while texts and not texts[-1]:
             texts.pop()
         if texts:
-            count, width = count + 1, max(width, len(texts))
             yield FieldLine(number, texts)
-        if count == SAMPLED_LINES and width < least:
-            return  # no table
 
 
 def _text_of_cell(value: Any) -> str:
@@ -346,8 +358,10 @@ class ReadingsTable:
         chosen = frame >= 0
         number[frame[chosen], row[chosen], column[chosen]] = index[chosen]
         names = tuple(self.names[field] for field in fields)
-        titles = (text for text in self.before[0] if text.split() != " ".join(self.names).split())
-        words = names if units_of(names) else tuple(filter(states_unit, titles))
+        titles = [text for text in self.before[0] if text.split() != " ".join(self.names).split()]
+        # Where the readings' own names are silent, titles and the quantities beside the cells speak.
+        beside = (name for field, name in enumerate(self.names) if field not in fields and names_pressure(name))
+        words = names if any(map(names_unit, names)) else (*filter(states_unit, titles), *beside)
 
         def named(at: int) -> str:
             return self.source.source if at < 0 else self.place(*divmod(at, self.width))
@@ -377,7 +391,7 @@ class ReadingsTable:
         texts = [match["stamp"] or match["value"].rstrip(".,") for match in matches if match]
         if len(texts) < len(begins) or not matches[0]:
             return None
-        name = matches[0]["unit"] or matches[0]["word"] or ""
+        name = matches[0]["inner"] or matches[0]["unit"] or matches[0]["word"] or ""
         return self._timing(texts, name, begins, None, "before each block in ")
 
     def _timing(self, texts: Sequence[str], name: str, lines: Sequence[int], field: int | None, origin: str) -> Timing:
@@ -401,18 +415,20 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     if fields.size == 0 or np.all(comment):
         raise InputError(f"{source.source}: holds no values")
     comma = has_decimal_comma([text for text in fields[~comment].ravel()[:SAMPLED] if text])
-    numbers = [number_of(text, comma=comma) for text in fields.flat]
+    broken = np.array([DAMAGED in text for text in fields.flat], dtype=bool).reshape(fields.shape)
+    numbers = [np.nan if DAMAGED in text else number_of(text, comma=comma) for text in fields.flat]
     values = np.array(numbers, dtype=float).reshape(fields.shape)
     words = np.array([number is None for number in numbers], dtype=bool).reshape(fields.shape)
     # Lines with readings, and their width: the usual number of fields without empty ones at the end.
     data = _data_lines(source, words)
     often = Counter(counts[data].tolist())
     usual = max(often, key=lambda count: (often[count], count), default=0)
+    data &= ~broken.any(axis=1) | (counts == usual)  # a damaged byte may have been a separator
     width = usual
     while width > 1 and np.all(fields[data & (counts == usual), width - 1] == ""):
         width -= 1
     # The header may widen the table; a repeated header, and lines cut at the beginning, are no readings.
-    header = _header_line(fields, data, ~np.isnan(values), width)
+    header = _header_line(fields, data, width)
     if header is not None:
         width = max(width, min(usual, 1 + int(np.flatnonzero(fields[header] != "")[-1])))
         differs = np.any(fields != fields[header], axis=1)  # a restarted board repeats the header
@@ -431,7 +447,17 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     names, units = ([""] * width, False) if header is None else _names(fields[:, :width], header)
     if header is not None:
         differs[header - units] = False
-        notes.append(f"{source.called(header)} taken as header{', with the names of the line above' * units}")
+        above = ", with the names of the line above" if units else ""
+        of_records = source.lines[header].number == 0  # of records, whose names are no line
+        notes.append(
+            f"{source.word}s name their fields" if of_records else f"{source.called(header)} taken as header{above}"
+        )
+    damaged = data & broken.any(axis=1)
+    if np.any(damaged):
+        numbers_of_lines = [source.lines[line].number for line in np.flatnonzero(damaged).tolist()]
+        notes.append(
+            f"bytes that are no text: their fields in {source.word} {first_and_more(numbers_of_lines)} are missing"
+        )
     excluded = np.flatnonzero(~data & differs & ~comment & np.any(fields != "", axis=1))
     if len(excluded):
         shown = " ".join(fields[excluded[0]]).strip()[:40]
@@ -445,7 +471,13 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
             raise InputError(f"{source.source}: {width} columns, but `layout` names {len(names)}{single}")
     places = np.arange(len(data)), np.arange(fields.shape[1]), fields, values, words
     table = ReadingsTable(source, *places, comma, ("",) * fields.shape[1], tuple(notes)).only(data, slice(width))
-    return replace(table, names=tuple(names))
+    table = replace(table, names=tuple(names))
+    skipped = [field for field, name in enumerate(names) if name == "-"] if layout is not None else []
+    if not skipped:
+        return table
+    note = f"fields {first_and_more([field + 1 for field in skipped])} left out, as `layout` says"
+    kept = [field for field in range(width) if field not in skipped]
+    return replace(table.only(columns=kept), notes=(*notes, note))
 
 
 def _names(fields: NDArray[Any], header: int) -> tuple[list[str], bool]:
@@ -464,20 +496,30 @@ def _data_lines(source: FieldLines, words: NDArray[np.bool_]) -> NDArray[np.bool
     foreign, total = np.zeros(len(fields), dtype=int), filled.sum(axis=1)
     np.add.at(foreign, np.nonzero(words)[0], [text in strange for text in fields[words]])
     few = ((foreign <= 1) & (2 * foreign < total)) | (4 * foreign < total)
-    few &= (source.counts > 1) | (source.counts.max() <= 2)  # dashes or a number alone are titles
+    alone = source.counts.max() <= 2 or np.median(source.counts[~source.comment]) == 1
+    few &= (source.counts > 1) | alone  # dashes or a number alone are titles, unless most lines are such
     return np.asarray(few & ~source.comment & (filled & ~words).any(axis=1))
 
 
-def _header_line(fields: NDArray[Any], data: NDArray[np.bool_], numeric: NDArray[np.bool_], width: int) -> int | None:
-    """Return the header: the first data line if it counts columns, or the previous line if it names the fields."""
+def _header_line(fields: NDArray[Any], data: NDArray[np.bool_], width: int) -> int | None:
+    """Return the header: the first data line if it names or counts the fields, or the line before it if that does."""
     first = int(np.argmax(data))
-    begin, numbers = fields[first][0], [text for text in fields[first][1:] if text]
-    counted = [list(map(str, range(start, start + len(numbers)))) for start in (0, 1)]
-    if len(numbers) > 1 and numbers in counted and not begin[:1].isdigit() and begin[:1] not in ("-", "+", "."):
-        return first
     following = fields[first + 1, 0] if first + 1 < len(fields) else ""
     if width > 4 and [*fields[first, :width]] == [*map(str, range(width))] and following != str(width):
         return first  # pandas names columns by numbers
+    if _names_fields(fields[first]):
+        return first
     names: list[int] = np.flatnonzero(fields[first - 1] != "").tolist() if first else []
     complete = width > 1 and len(names) >= width - 1 and names[-1] >= width - 1
-    return first - 1 if complete and not np.any(numeric[first - 1]) else None
+    texts = [text for text in fields[first - 1] if text]
+    named = all(number_of(text, comma=False) is None for text in texts) or _names_fields(fields[first - 1])
+    return first - 1 if complete and named else None
+
+
+def _names_fields(texts: Sequence[str]) -> bool:
+    """Return whether texts are words, or an empty field, before or after the numbers 0, 1, 2 ... or 1, 2, 3 ..."""
+    numbers = [text for text in texts if text.isdecimal()]
+    words = [text for text in texts if text and not text.isdecimal()]
+    counted = [list(map(str, range(start, start + len(numbers)))) for start in (0, 1)]
+    plain = not any(text[0].isdigit() or text[0] in "-+." for text in words)
+    return len(numbers) > 1 and numbers in counted and plain and (len(words) > 0 or texts[0] == "")

@@ -1,6 +1,7 @@
 """Unit of foreign numbers: specified, named in the header, or the only one that values and scene permit."""
 
 from collections.abc import Callable, Sequence
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
 Place = Callable[[int, int, int], str]  # frame, row and column of a value → its place in the source
 RESISTANCES = ("ohm", "kohm")
 MIN_USED = 0.01  # least share of the converter's range that readings use; less indicates another unit
+MAX_SHORTED = 0.05  # share of zeros among resistances without a unit; more are pressures, or codes of open cells
+MAX_CODE = 65535  # of a 16-bit converter; larger whole numbers are resistances
 
 
 def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
@@ -42,44 +45,50 @@ def understood_unit(values: Array, named: Sequence[str], scene: Scene | None, so
     if finite.size == 0:
         return allowed[0], f"unit {allowed[0]}, assumed: no reading says otherwise"
     span = f"values from {finite.min():.6g} to {finite.max():.6g}"
-    fitting, reason = _fitting(finite, allowed, readout)
+    if readout is None:
+        fitting, reason = _without_readout(finite, allowed if named else [*allowed, "code"])
+    else:
+        fitting, reason = _explaining(finite, allowed, readout)
     if not fitting:
-        volt = "" if readout is None else f", whose converter ends at {readout.full_scale_volt:g} V"
-        none = f"{span} fit none of {', '.join(allowed)} in this scene{volt}"
+        scene_text = "" if readout is None else f" in this scene, whose converter ends at {readout.full_scale_volt:g} V"
+        none = f"{span} fit none of {', '.join(allowed)}{scene_text}{reason}"
         raise InputError(f"{source}: {none}; `unit` says what they are")
     if len(fitting) > 1:
         ways = " or ".join(f"`unit={unit!r}`" for unit in fitting)
-        raise InputError(f"{source}: {span} may be {' or '.join(fitting)}; say which with {ways}")
+        raise InputError(f"{source}: {span} may be {' or '.join(fitting)}{reason}; say which with {ways}")
     how = "assumed" if fitting[0] == "ohm" and readout is None else "guessed"
     return fitting[0], f"unit {fitting[0]}, {how}: {span} ({reason})"
 
 
-def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> tuple[list[str], str]:
-    """Return the allowed units in which the median of the values makes sense, and the reason."""
-    middle = float(np.median(finite))
-    if readout is None:
-        fits = {"ohm": middle >= 1, "kohm": middle < 10}  # a multiplexer's channel has more than an ohm
-        return [unit for unit in allowed if fits[unit]], "without a readout they are kohm below 1, ohm from 10 on"
+def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tuple[list[str], str]:
+    """Return the allowed units that explain the values, and the reason: of one, why it is; of several, a remark."""
     top, supply = 2**readout.adc_bits - 1, readout.full_scale_volt
-    lowest = 1000 * supply * MIN_USED
-    sums, slack = finite * readout.readings, max(_rounding(finite), 1e-9) * readout.readings
-    code = bool(finite.max() <= top and np.all(np.abs(sums - np.round(sums)) <= slack))
-    integers = code and bool(np.all(finite == np.round(finite)))  # a converter's own numbers come before rounded mV
-    fits = {"code": code, "volt": finite.max() <= supply, "mV": lowest < finite.max() <= 1000 * supply and not integers}
+    middle, largest = float(np.median(finite)), float(finite.max())
+    whole = bool(np.all(finite == np.round(finite)))
+    in_steps = {unit: _on_steps(finite, unit, readout) for unit in allowed}
+    # Codes are whole, or means of as many as a reading has; others are filtered, and compete with every other unit.
+    counted = whole or in_steps.get("code") is True or _are_means(finite, readout.readings)
+    fits = {
+        "code": largest <= top and (counted or largest > max(supply, MIN_USED * top)),
+        "volt": largest <= supply and not whole,
+        "mV": 1000 * supply * MIN_USED < largest <= 1000 * supply,
+    }
     for unit in RESISTANCES:
         share = float(readout.volt_from_recorded(np.array(middle * FACTORS[unit]))) / supply
         fits[unit] = MIN_USED <= share <= 1 - MIN_USED
     units = [unit for unit in allowed if fits[unit]]
-    if len(units) > 1 and readout.unit == "ohm":
-        on_steps = {unit: _on_steps(finite, unit, readout) for unit in units}
-        stepped = [unit for unit in units if on_steps[unit] is True]
-        if len(stepped) == 1:
-            return stepped, "as such they lie on the converter's steps"
-        fitting = [unit for unit in units if unit in RESISTANCES or on_steps[unit] is not False]  # they may be filtered
-        missed = " or ".join(unit for unit in units if unit not in fitting)
-        return fitting, f"as {missed} they would miss the converter's steps"
-    least, largest = readout.rails()
-    if not units and "ohm" in allowed and least <= middle <= largest:
+    if len(units) > 1:
+        certain = [unit for unit in units if in_steps[unit] is True]
+        if len(certain) == 1:
+            return certain, "as such they lie on the converter's steps"
+        if whole and "code" in units and not set(RESISTANCES) & set(units):
+            also = "; whole mV would look alike" if "mV" in units and in_steps["mV"] is None else ""
+            also += "; most are 0, as of open cells or in pressures, which are no readings" if middle == 0 else ""
+            return ["code"], f"whole numbers, within 0 to {top} of a {readout.adc_bits}-bit converter{also}"
+        expected = "whole numbers" if readout.readings == 1 else f"means of {readout.readings} whole numbers"
+        return units, "" if counted or "code" not in units else f" (codes would be {expected}, by the scene)"
+    least, most = readout.rails()
+    if not units and "ohm" in allowed and least <= middle <= most:
         return ["ohm"], "no other unit is within the converter's rails"
     reasons = {
         "code": f"within 0 to {top} of a {readout.adc_bits}-bit converter",
@@ -89,26 +98,59 @@ def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> 
     return units, reasons.get(units[0], "the divider can tell such resistances") if units else ""
 
 
+def _without_readout(finite: Array, allowed: Sequence[str]) -> tuple[list[str], str]:
+    """Return which of the resistances' units explain values that no readout describes, and the reason."""
+    middle, zeros = float(np.median(finite)), float(np.mean(finite == 0))
+    if zeros > MAX_SHORTED:
+        return (
+            [],
+            f": {100 * zeros:.0f} % of them are 0, as in pressures or codes; a resistance of 0 is a short circuit",
+        )
+    whole = bool(np.all(finite == np.round(finite))) and finite.max() <= MAX_CODE
+    fits = {"ohm": middle >= 1, "kohm": middle < 100, "code": whole}
+    units = [unit for unit in allowed if fits[unit]]
+    if len(units) > 1:
+        return units, ", the whole numbers of a converter, which need a scene" if "code" in units else ""
+    least = "too small for ohm" if units == ["kohm"] else "too large for kohm"
+    return units, f"their median, {middle:.3g}, is {least}; no readout describes them"
+
+
+def _are_means(finite: Array, readings: int) -> bool:
+    """Return whether values are means of whole numbers, rounded or cut to the digits that they are written with."""
+    sums, slack = finite * readings, 2 * _rounding(finite) * readings
+    distance = np.abs(sums - np.round(sums))
+    return 2 * slack < 1 and bool(np.all(distance <= slack + 1e-9 * np.maximum(1.0, np.abs(sums))))
+
+
 def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
     """Return whether values in this unit would be means of the converter's codes; None if undecidable."""
     values = np.unique(finite)
-    ends = [(values + sign * _rounding(values)) * FACTORS[unit] for sign in (-1, 0, 1)]
+    digit = _rounding(values)
+    # Written numbers are rounded to the nearest digit, or cut to the next lower one.
+    nearest = _in_volt(values, digit, unit, readout)
+    cut = _in_volt(values + digit, digit, unit, readout)
+    half = nearest[1]
+    # A value is on a step by chance with a probability of ½ at most: of twelve, in eight tries, once in 500 times.
+    if len(values) < 12 or np.median(half) * 4 > readout.lsb_volt / readout.readings:
+        return None
+    for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):  # many programs take the latter
+        scale = steps / readout.full_scale_volt * readout.readings
+        for offset, (volt, slack) in product((0.0, 0.5), (nearest, cut)):
+            sums = volt * scale - offset * readout.readings
+            if np.all(np.abs(sums - np.round(sums)) <= slack * scale + 1e-6 * np.maximum(1, np.abs(sums))):
+                return True
+    return False
+
+
+def _in_volt(values: Array, slack: float, unit: str, readout: Readout) -> tuple[Array, Array]:
+    """Return values in this unit as volt at the converter, and half the range that values ± slack have there."""
+    ends = [(values + sign * slack) * FACTORS[unit] for sign in (-1, 0, 1)]
     if unit in RESISTANCES:
         ends = [readout.volt_from_recorded(np.maximum(end, 0)) for end in ends]
     elif unit == "code":
         ends = [readout.lsb_volt * end for end in ends]
     low, volt, high = ends
-    half = np.abs(high - low) / 2
-    # A value then is on a step by chance with a probability of ½ at most, and ten values once in a thousand times.
-    if len(values) < 10 or np.median(half) * 4 > readout.lsb_volt / readout.readings:
-        return None
-    for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):  # many programs take the latter
-        scale = steps / readout.full_scale_volt * readout.readings
-        for offset in (0.0, 0.5):
-            sums = volt * scale - offset * readout.readings
-            if np.all(np.abs(sums - np.round(sums)) <= half * scale + 1e-6 * np.maximum(1, np.abs(sums))):
-                return True
-    return False
+    return volt, np.abs(high - low) / 2
 
 
 def _rounding(values: Array) -> float:

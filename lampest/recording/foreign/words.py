@@ -30,6 +30,13 @@ ROLE_OF_WORD = _by_word(
     time="time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel elapsed clock "
     "millis micros ms us µs s sec second seconds unix epoch",
 )
+# Words for the parts of a time of day that stands in columns of their own.
+PART_OF_CLOCK = _by_word(
+    hour="hh h hour hours stunde stunden",
+    minute="mm m min mins minute minutes minuten",
+    second="ss s sec secs second seconds sekunde sekunden",
+    millisecond="ms msec millis millisecond milliseconds",
+)
 QUANTITIES = {"resistance": ("ohm", "kohm"), "voltage": ("volt", "mV")}  # names that permit two units
 UNITS_OF_WORD = _by_word(
     ohm="ohm ohms ω",
@@ -49,11 +56,23 @@ TIME_UNIT_OF_WORD = _by_word(
     min="min minute minutes",
     h="h hour hours",
 )
-UNITS = UNITS_OF_WORD | TIME_UNIT_OF_WORD
+# Units and quantities of loads, which a resistance follows but is not.
+PRESSURE_UNITS = _by_word(
+    pressure="pa kpa mpa hpa mmhg mmh2o cmh2o psi bar mbar atm torr n/cm2 n/mm2 n/cm² n/mm² kg/cm2"
+)
+LOADS = PRESSURE_UNITS | _by_word(
+    load="n newton newtons g gram grams kg lb lbs lbf kgf pressure pressures druck force forces kraft weight gewicht "
+    "load last conductance leitwert temperature"
+)
+UNITS = {*UNITS_OF_WORD, *TIME_UNIT_OF_WORD, *PRESSURE_UNITS}
+BRACKETED = re.compile(
+    r"(.*?)\s*[\[({<]\s*([^\[\](){}<>]*[^\[\](){}<>\s\d,;:|/x_.-][^\[\](){}<>]*?)\s*[\])}>]", re.IGNORECASE
+)
 PARTED = re.compile(r"(.*?)(\s*[\[(<{]\s*|\s+in\s+|\s*/\s*|[\s_]+)([^\W\d_]+)\s*[\])>}]?")
 ELECTRIC = re.compile(r".*(ohms?|[ωΩΩ]|volts?)|.?v", re.IGNORECASE)
 ROW, COLUMN = r"(?:r|rows?|zeile|z|y)", r"(?:c|cols?|columns?|spalte|s|x)"
 GAP = r"[_,;/|=\[\]()]*"
+LINE_NUMBER = re.compile(rf"(?:{ROW}|{COLUMN})\s*{GAP}\s*\d{{1,9}}")  # in brackets: a part of a cell's name, no unit
 CELLS = (
     re.compile(rf"(?:[a-z]+{GAP})??{ROW}{GAP}(?P<row>\d{{1,9}}){GAP}{COLUMN}{GAP}(?P<column>\d{{1,9}}){GAP}"),
     re.compile(rf"(?:[a-z]+{GAP})??{COLUMN}{GAP}(?P<column>\d{{1,9}}){GAP}{ROW}{GAP}(?P<row>\d{{1,9}}){GAP}"),
@@ -88,8 +107,10 @@ Where = Callable[[int], str]
 def parted(name: str) -> tuple[str, str]:
     """Return a name in lower case, its words joined by underscores, and the unit at its end as written, or ''."""
     text, unit = name[:MAX_LENGTH].strip(), ""
-    match = PARTED.fullmatch(text)
-    if match and (match[2].strip(" _") in tuple("[(<{") or match[3].lower() in UNITS or ELECTRIC.fullmatch(match[3])):
+    match, bracketed = PARTED.fullmatch(text), BRACKETED.fullmatch(text)
+    if bracketed and bracketed[1] and not LINE_NUMBER.fullmatch(bracketed[2].lower()):
+        text, unit = bracketed[1], bracketed[2]
+    elif match and (match[2].strip(" _") in tuple("[(<{") or match[3].lower() in UNITS or ELECTRIC.fullmatch(match[3])):
         text, unit = match[1], match[3]
     return re.sub(r"[\s_\-.:]+", "_", text.strip("#% ").lower()).strip("_"), unit
 
@@ -97,7 +118,9 @@ def parted(name: str) -> tuple[str, str]:
 def role_of(name: str) -> str | None:
     """Return the role of a name without its unit: 'row', 'column', 'cell', 'value', 'frame', 'date', 'time' or None."""
     word, unit = parted(name)
-    return ROLE_OF_WORD.get(word) or ("time" if unit.lower() in TIME_UNIT_OF_WORD else None)
+    seconds = unit.lower() in TIME_UNIT_OF_WORD and unit[1:] != "S"  # mS are millisiemens
+    role = ROLE_OF_WORD.get(word) or ("time" if seconds else None)
+    return None if role == "time" and BRACKETED.fullmatch(name.strip()) and unit and not seconds else role
 
 
 def cell_of(name: str) -> tuple[int, int] | None:
@@ -119,7 +142,7 @@ def units_of(names: Sequence[str]) -> tuple[str, ...]:
     Raises InputError if they name a unit that is not imported, or contradict each other.
     """
     permitted: tuple[str, ...] = ()
-    for units in filter(None, map(_units_of_one, names)):
+    for units in filter(None, map(_units_of_one, dict.fromkeys(names))):
         if permitted and not set(permitted) & set(units):
             raise InputError(f"the headers name both {permitted[0]} and {units[0]}; `unit` says which it is")
         permitted = units if not permitted or len(units) < len(permitted) else permitted
@@ -131,18 +154,47 @@ def _units_of_one(name: str) -> tuple[str, ...]:
     stem, unit = parted(name)
     if unit in ("v", "V"):
         return ("volt",)
-    if unit.lower() not in UNITS_OF_WORD and ELECTRIC.fullmatch(unit):
+    if load := load_named(name):
+        raise InputError(
+            f"the header says {load!r}: readings must be ohm, kohm, volt, mV or code, from which cells are computed. "
+            "If they are, `unit` says which"
+        )
+    bracketed = BRACKETED.fullmatch(name.strip()) is not None and unit != ""
+    if unit.lower() not in UNITS_OF_WORD and (bracketed or ELECTRIC.fullmatch(unit)):
         raise InputError(f"the header's unit {unit!r} is none of ohm, kohm, volt, mV and code; `unit` overrides")
     ends = [word for word in (stem.split("_")[0], stem.split("_")[-1]) if len(word) > 1]  # r_0_c_1 is a cell
     names = (UNITS_OF_WORD[word] for word in (unit.lower(), stem, *ends) if word in UNITS_OF_WORD)
     return next((QUANTITIES.get(name, (name,)) for name in names), ())
 
 
+def load_named(name: str) -> str:
+    """Return the word for a load's quantity or unit in a name, such as 'mmHg' or 'pressure'; '' without one."""
+    stem, unit = parted(name)
+    if unit.lower() in UNITS_OF_WORD or unit in ("v", "V"):
+        return ""  # 'pressure sensor [mV]' holds voltages
+    words = (unit, *re.split(r"[_\s]+", stem))
+    return next((word for word in words if word.lower() in LOADS), "")
+
+
+def names_unit(name: str) -> bool:
+    """Return whether the name of a column says anything of the unit of its numbers, known or not."""
+    try:
+        return _units_of_one(name) != ()
+    except InputError:
+        return True
+
+
+def names_pressure(name: str) -> bool:
+    """Return whether a name ends with a unit of pressure: 'Average Pressure (mmHg)'."""
+    return parted(name)[1].lower() in PRESSURE_UNITS
+
+
 def states_unit(title: str) -> bool:
-    """Return whether a title or a comment without numbers ends with an electrical unit: 'Resistance (kOhm)'."""
+    """Return whether a title or a comment without numbers ends with a unit of readings: 'Resistance (kOhm)'."""
     plain, unit = parted(title)
     known = UNITS_OF_WORD.get(unit.lower(), "volt" if unit in ("v", "V") else "")
-    return known in ("ohm", "kohm", "volt", "mV") and re.search(r"\d", plain) is None
+    electric = known in ("ohm", "kohm", "volt", "mV")
+    return (electric or names_pressure(title)) and re.search(r"\d", plain) is None
 
 
 def has_decimal_comma(fields: Sequence[str]) -> bool:
@@ -309,6 +361,11 @@ def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
     inner = np.interp(number, known, seconds[known])
     places = ", ".join(where(int(place)) for place in cut[:5]) + (", ..." if len(cut) > 5 else "")
     return inner, f"; the time at {places} is missing or does not grow, and is interpolated"
+
+
+def grows(values: Array) -> bool:
+    """Return whether numbers increase, but for the few that cut lines may have."""
+    return bool(np.mean(_longest_growing(values)) >= 1 - MAX_CUT)
 
 
 def _longest_growing(values: Array) -> NDArray[np.bool_]:

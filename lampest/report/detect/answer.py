@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lampest.files import hdf5
+from lampest.files.errors import counted
 from lampest.loads.recognition.attachment import Attachment, Pair
 from lampest.loads.recognition.breathing import MIN_WINDOW_S, too_slow
 from lampest.panel.panel import Array, Panel
@@ -240,7 +241,7 @@ def _described(load: Attachment) -> str:
     if load.suction_kpa and load.sucks > 0.5:
         messages.append(_shown(load.suction_kpa, "kPa"))
     if load.diameter_mm is None and load.area_mm2 is not None:
-        messages += [f"{load.cells} cells", _shown(load.area_mm2, "mm²")]
+        messages += [counted(load.cells, "cell"), _shown(load.area_mm2, "mm²")]
     return ", ".join(messages)
 
 

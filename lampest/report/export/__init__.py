@@ -13,13 +13,13 @@ from pathlib import Path
 from lampest.files.errors import InputError
 from lampest.files.typed import installed, of_kind, typed
 from lampest.files.whole import refuse_inputs, sparing, whole_file
-from lampest.report.export.formats import CsvExport, Export, MatlabExport, ParquetExport, ZarrExport
+from lampest.report.export.formats import CsvExport, ExcelExport, Export, MatlabExport, ParquetExport, ZarrExport
 from lampest.report.export.nwb import NwbExport
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 
 __all__ = ["EXPORTS", "Export", "export_results"]
-EXPORTS: tuple[Export, ...] = (CsvExport(), ParquetExport(), MatlabExport(), ZarrExport(), NwbExport())
+EXPORTS: tuple[Export, ...] = (CsvExport(), ExcelExport(), ParquetExport(), MatlabExport(), ZarrExport(), NwbExport())
 
 
 @typed
@@ -38,7 +38,7 @@ def export_results(
     results : path
         The results file.
     to : str or Export
-        ``csv``, ``parquet``, ``mat``, ``zarr``, ``nwb``, or an own `Export`.
+        ``csv``, ``xlsx``, ``parquet``, ``mat``, ``zarr``, ``nwb``, or an own `Export`.
     out : path, optional
         The new file; by default beside the results with the suffix of the format.
     recording : str, optional

@@ -1,6 +1,7 @@
 """Export formats: one long table (CSV, Parquet) and labelled arrays (MATLAB 5, Zarr)."""
 
 import json
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,9 +15,11 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, extra
 from lampest.report.compare import write_rows
+from lampest.report.words import no_formula
 from lampest.runs.case import CaseResult, about, all_columns, places_of, series_of
 from lampest.runs.columns import FRAMES, Series
 
+MAX_SHEET_ROWS = 1_048_576  # of Excel
 CSV_KINDS = {"f": "double", "i": "integer", "u": "integer", "b": "boolean"}  # of XML Schema, by numpy's letter
 NAMES = ("recording", "estimator")
 Values = np.ma.MaskedArray[Any, Any]
@@ -82,6 +85,44 @@ class CsvExport(Export):
         head = {"@context": "http://www.w3.org/ns/csvw", "url": name, "tableSchema": {"columns": columns}}
         content = head | {"notes": [about(case) for case in cases]}
         beside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+class ExcelExport(Export):
+    """A sheet for each case: the table, with a line of names; a sheet `columns` has units, meanings and flags.
+
+    Raises InputError for a case of more lines than a sheet of Excel holds.
+    """
+
+    kind: ClassVar[str] = "xlsx"
+    suffix: ClassVar[str] = ".xlsx"
+
+    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+        """Write the book."""
+        with extra("tables"):
+            import openpyxl
+        tables, meanings = long_tables(cases)
+        longest = max(len(next(iter(table.values()))) for table in tables)
+        if longest >= MAX_SHEET_ROWS:
+            limit = f"a sheet of Excel holds {MAX_SHEET_ROWS:,}"
+            raise InputError(f"{name}: {longest:,} lines, and {limit}; export fewer frames, or parquet")
+        book = openpyxl.Workbook(write_only=True)
+        about_columns = book.create_sheet("columns")
+        about_columns.append(["column", "unit", "meaning", "values"])
+        for column, meaning in meanings.items():
+            flags = ", ".join(f"{value}: {word}" for value, word in _words(meaning).items())
+            about_columns.append([column, meaning.units, meaning.long_name, flags])
+        for number, (case, table) in enumerate(zip(cases, tables, strict=True), 1):
+            title = re.sub(r"[\[\]:*?/\\']", "_", f"{number} {case.recording} {case.estimator}")[:31]
+            sheet = book.create_sheet(title)
+            sheet.append(list(table))
+            for values in zip(*(column.tolist() for column in table.values()), strict=True):
+                sheet.append([no_formula(_of_cell(value)) for value in values])
+        book.save(path)
+
+
+def _of_cell(value: Any) -> Any:
+    """Return a value as Excel holds it: infinite numbers are words."""
+    return str(value) if isinstance(value, float) and not np.isfinite(value) else value
 
 
 class ParquetExport(Export):

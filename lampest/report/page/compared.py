@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, counted
 from lampest.panel.panel import Array
 from lampest.posterior.interval import student_two_sided
 from lampest.report.compare import weighted_residual
-from lampest.report.words import counted, digits, listed, median_text
+from lampest.report.words import digits, listed, median_text
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 
+from lampest.files.errors import counted
 from lampest.files.levels import MAD_TO_SIGMA
 from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
@@ -20,7 +21,7 @@ from lampest.report.plots.contours import CertaintyPlot, ContourPlot, Plot, Resi
 from lampest.report.plots.maps import Tile, maps_figure, signed_scale, values_of
 from lampest.report.plots.style import WIDTH_INCH, data_uri, verbatim
 from lampest.report.strongest import strongest_index
-from lampest.report.words import counted, digits
+from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
 

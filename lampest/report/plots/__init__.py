@@ -8,13 +8,15 @@ from dataclasses import replace
 from functools import partial
 from mimetypes import guess_type
 from pathlib import Path
+from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import installed, of_kind, typed
-from lampest.recording.recording import StoredRecording, opened, too_long
+from lampest.recording.recording import UNLOADED, Recording, StoredRecording, opened, too_long
 from lampest.report.plots.contours import (
     CertaintyPlot,
     ChangePlot,
@@ -26,9 +28,9 @@ from lampest.report.plots.contours import (
     SweepPlot,
     swept_numbers,
 )
-from lampest.report.plots.maps import Tile, banded_scale, maps_figure
+from lampest.report.plots.maps import MapPainter, Tile, banded_scale, limited, log_scale, maps_figure
 from lampest.report.plots.style import PICTURES, SUFFIXES, WIDTH_INCH, save, verbatim, write_all
-from lampest.report.strongest import strongest_readings
+from lampest.report.strongest import mean_reading, percent_change, strongest_readings
 from lampest.runs.columns import Column
 from lampest.runs.results import FORMAT, CaseResult, read_results, stored_cases
 
@@ -151,17 +153,110 @@ def plot_file(path: Path, picture: Path) -> Path:
     return picture
 
 
-def picture(cases: Sequence[CaseResult], show: str | Plot, frame: int | None = None) -> Figure:
-    """Draw the cases of a recording; `frame` is an index into it, by default that of the plot.
+def picture(
+    cases: Sequence[CaseResult],
+    show: str | Plot,
+    frame: int | None = None,
+    ax: Axes | None = None,
+    figsize: tuple[float, float] | None = None,
+    **ends: float | None,
+) -> Figure:
+    """Draw the cases of a recording.
 
-    Raises InputError for an unknown plot or frame and if there is nothing to draw.
+    Parameters
+    ----------
+    cases : sequence of CaseResult
+    show : str or Plot
+    frame : int, optional
+        Index into the recording, by default that of the plot.
+    ax : Axes, optional
+        Axes for the first case's picture alone; by default a new figure with all pictures.
+    figsize : tuple of float, optional
+        Width and height of a new figure in inches.
+    ends : float or None
+        vmin and vmax; see `Plot`.
+
+    Returns
+    -------
+    Figure
+        The new figure, or that of the axes.
+
+    Raises
+    ------
+    InputError
+        For an unknown plot or frame, and if there is nothing to draw.
     """
-    plot = _chosen(show, frame)
+    given: dict[str, Any] = {name: end for name, end in ends.items() if end is not None}
+    plot = replace(_chosen(show, frame), **given)
     drawable = plot.drawable(cases)
     if not drawable:
         raise InputError(f"{cases[0].recording}: {_lacks(plot)}")
     with verbatim():
-        return plot.draw(drawable)
+        if ax is None:
+            return sized(plot.draw(drawable), figsize)
+        plot.draw_on(drawable_axes(ax, figsize), drawable)
+        return figure_of(ax)
+
+
+def drawable_axes(ax: Axes, figsize: tuple[float, float] | None) -> Axes:
+    """Return given axes. Raises InputError for anything else, and beside a size, which their figure has."""
+    if not isinstance(ax, Axes):
+        raise InputError(f"ax must be Matplotlib's Axes, not {in_words(ax)}")
+    if figsize is not None:
+        raise InputError("figsize is for a new figure, and ax has one")
+    return ax
+
+
+def figure_of(ax: Axes) -> Figure:
+    """Return the figure of axes, which may be in a part of it."""
+    figure = ax.get_figure(root=True)
+    assert isinstance(figure, Figure)
+    return figure
+
+
+def sized(figure: Figure, figsize: tuple[float, float] | None) -> Figure:
+    """Return a figure of a size in inches. Raises InputError if it is none."""
+    if figsize is None:
+        return figure
+    if len(figsize) != 2 or not all(0 < side < 1000 for side in figsize):
+        raise InputError(f"figsize must be width and height in inches, not {figsize!r}")
+    figure.set_size_inches(*figsize)
+    return figure
+
+
+def recording_picture(
+    recording: Recording,
+    frame: int | None = None,
+    ax: Axes | None = None,
+    figsize: tuple[float, float] | None = None,
+    vmin: float | None = None,
+    vmax: float | None = None,
+) -> Figure:
+    """Draw a map of a frame's readings: their change against the unloaded ones, or, without these, the readings.
+
+    Arguments are those of `picture`; by default the frame of strongest change, or the first. Raises InputError for an
+    unknown frame.
+    """
+    if frame is not None and not 0 <= frame < len(recording.time):
+        raise InputError(f"{recording.name}: there is no frame {frame}; there are 0 to {len(recording.time) - 1}")
+    strongest = strongest_readings(recording)
+    number = frame if frame is not None else 0 if strongest is None else strongest[0]
+    values = recording.recorded[number]
+    note = f"readings of frame {number} at {recording.time[number]:g} s"
+    if strongest is None:
+        scale = log_scale([values], f"reading [{recording.scene.circuit.unit}]", (1e-3, 1e12), "viridis_r")
+    else:
+        resting = mean_reading(recording.recorded[recording.role == UNLOADED])
+        values = percent_change(values, resting)
+        scale = banded_scale([values], "change [%]")
+    scale, tile = limited(scale, vmin, vmax), Tile(recording.name, values, note)
+    with verbatim():
+        if ax is None:
+            return sized(maps_figure([tile], recording.scene.panel, scale, width=WIDTH_INCH / 2), figsize)
+        painter = MapPainter(recording.scene.panel, scale)
+        painter.draw(drawable_axes(ax, figsize), tile)
+        painter.bar(ax.figure, ax, "right")
+        return figure_of(ax)
 
 
 def _chosen(show: str | Plot, frame: int | None) -> Plot:

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.axes import Axes
+from matplotlib.axes import Axes as Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure as Figure
 from matplotlib.ticker import LogLocator
@@ -23,6 +23,7 @@ from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 
 CHANGED = 10.0  # percent: cells within the line about the load
+Scales = maps.Scale | list[maps.Scale]  # one for all maps, or several
 MAX_ACROSS = 7  # estimators in a row of maps, an inch each
 
 
@@ -40,6 +41,8 @@ class Plot(Validated):
         How to obtain them.
     frame : int or None
         Index into the recording; None for the frame chosen by `strongest_index`.
+    vmin, vmax : float or None
+        Ends of the colour scale, or of the vertical axis, in its unit; None for those of the values.
 
     Examples
     --------
@@ -51,10 +54,16 @@ class Plot(Validated):
     needs: ClassVar[tuple[str, ...]] = ()
     hint: ClassVar[str] = ""
     frame: int | None = None
+    vmin: float | None = None
+    vmax: float | None = None
 
     @abstractmethod
     def draw(self, cases: Sequence[CaseResult]) -> Figure:
         """Draw the cases of a recording that have the needed columns."""
+
+    def draw_on(self, axes: Axes, cases: Sequence[CaseResult]) -> None:
+        """Draw the first case into given axes. Raises InputError if the plot has no single picture."""
+        raise InputError(f"the plot {self.kind} has no picture for single axes")
 
     def drawable(self, cases: Sequence[CaseResult]) -> tuple[CaseResult, ...]:
         """Return the cases that have the needed columns."""
@@ -86,13 +95,43 @@ class MapsPlot(Plot):
 
     contoured: ClassVar[bool] = False
     about: ClassVar[str] = ""
+    main: ClassVar[int] = 0  # the map of the first case, which is drawn into given axes
+
+    def _limited(self, scale: Scales) -> Scales:
+        """Return the scale, or all scales but a first one of the readings, between vmin and vmax."""
+        if isinstance(scale, maps.Scale):
+            return maps.limited(scale, self.vmin, self.vmax)
+        return [maps.limited(level, self.vmin, self.vmax) if n == self.main else level for n, level in enumerate(scale)]
+
+    def draw_on(self, axes: Axes, cases: Sequence[CaseResult]) -> None:
+        """Draw the map of the first case, with its colour bar. Raises InputError if the frame has no results."""
+        index, _ = self.shown(cases[:1])
+        scale, tiles = self.maps(cases[:1], index)
+        level = self._limited(scale)
+        tile = tiles[self.main]
+        warned = replace(tile, note="\n".join(filter(None, (tile.note, misfit_text(cases[:1])))))
+        chosen = level if isinstance(level, maps.Scale) else level[self.main]
+        painter = maps.MapPainter(cases[0].scene.panel, chosen, self.contoured)
+        painter.draw(axes, warned)
+        painter.bar(axes.figure, axes, "right")
+        axes.set_xlabel(maps.ACROSS_LABEL)
+        axes.set_ylabel(maps.DOWN_LABEL)
 
     def draw(self, cases: Sequence[CaseResult]) -> Figure:
         """Draw all estimators. Raises InputError if the frame has no results."""
         index, title = self.shown(cases)
         scale, tiles = self.maps(cases, index)
         panel = cases[0].scene.panel
+        title = "\n".join(filter(None, (title, misfit_text(cases))))
+        scale = self._limited(scale)
         return maps.maps_figure(tiles, panel, scale, title, contoured=self.contoured, about=self.about)
+
+
+def misfit_text(cases: Sequence[CaseResult]) -> str:
+    """Return a sentence for the picture where the check of the circuit said no; '' where it did not."""
+    names = [case.estimator for case in cases if case.model_mark == "no"]
+    whose = "" if len(names) == len(cases) else f" of {', '.join(names)}"
+    return f"wrong circuit: it does not explain the readings{whose}; see lampest info" if names else ""
 
 
 @dataclass(frozen=True)
@@ -108,6 +147,7 @@ class ChangePlot(MapsPlot):
     """
 
     kind: ClassVar[str] = "change"
+    main: ClassVar[int] = 1
 
     def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale, list[maps.Tile]]:
         """Return the maps and their scale."""
@@ -178,6 +218,7 @@ class ResistancePlot(MapsPlot):
     """
 
     kind: ClassVar[str] = "resistance"
+    main: ClassVar[int] = 1
     about: ClassVar[str] = "bright: low resistance, loaded"
 
     def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[list[maps.Scale], list[maps.Tile]]:
@@ -321,8 +362,19 @@ class SweepPlot(Plot):
             for axes, key in zip(axes_row, keys, strict=True):
                 _draw_lines(axes, key, cases, [values[name] for values in figures])
                 style.dressed(axes, key if name == quantities[-1] else "", QUANTITIES[name] if key == keys[0] else "")
+                axes.set_ylim(self.vmin, self.vmax)
         style.shared_legend(figure, grid, "lower center", ncols=3)
         return style.labelled(figure, "", "", cases[0].recording)
+
+    def draw_on(self, axes: Axes, cases: Sequence[CaseResult]) -> None:
+        """Draw the first quantity over the first swept key."""
+        figures = [figures_of(case, case.solved) for case in cases]
+        name = next(name for name in QUANTITIES if any(figure[name] is not None for figure in figures))
+        key = swept_numbers(cases)[0]
+        _draw_lines(axes, key, cases, [values[name] for values in figures])
+        style.dressed(axes, key, QUANTITIES[name])
+        axes.set_ylim(self.vmin, self.vmax)
+        axes.legend(fontsize=style.SMALL_POINT)
 
 
 def swept_numbers(cases: Sequence[CaseResult]) -> tuple[str, ...]:

@@ -1,9 +1,9 @@
 """Maps of a panel: colour scales, and a painter of cells."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
-from textwrap import fill
 from typing import Any, Literal
 
 import numpy as np
@@ -18,12 +18,14 @@ from matplotlib.ticker import FixedLocator
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
+from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
 from lampest.report.plots import style
 
 SIGNED, PRESSING = "RdBu_r", "RdBu"  # loads are blue: they lower the resistance and raise the pressure
 ACROSS_LABEL, DOWN_LABEL = "x [mm]", "y [mm]"
 NO_NUMBER = "0.88"  # grey
+MAX_TICKS_ACROSS = 7  # of a horizontal colour bar
 MAX_ASPECT = 0.75  # largest height of a figure over its width
 FACTORS = (1.1, 1.5, 2, 3, 5, 10, 20)  # between bands of large changes
 
@@ -96,6 +98,30 @@ def stepped_scale(steps: Sequence[float], label: str, ticks: Sequence[float], co
     """Return a scale of bands between ±steps, white within the first."""
     bounds = np.concatenate([np.negative(steps)[::-1], steps])
     return Scale(BoundaryNorm(bounds, colormaps[colours].N, extend="both"), colormaps[colours], label, ticks)
+
+
+def limited(scale: Scale, low: float | None, high: float | None) -> Scale:
+    """Return a scale that begins at `low` and ends at `high`; None keeps its own end.
+
+    Raises InputError if the ends are not in order, or not positive on a logarithmic scale.
+    """
+    if low is None and high is None:
+        return scale
+    first = float(scale.norm.vmin or 0.0) if low is None else low
+    last = float(scale.norm.vmax or 0.0) if high is None else high
+    logarithmic = isinstance(scale.norm, LogNorm)
+    if not first < last or (logarithmic and first <= 0):
+        positive = " and positive" if logarithmic else ""
+        raise InputError(f"vmin and vmax must be in order{positive}, not {first:g} and {last:g}")
+    label = re.sub(r" \(ends at .*\)", "", scale.label)
+    if logarithmic:
+        return Scale(LogNorm(first, last), scale.colours, label, style.round_numbers(first, last))
+    if isinstance(scale.norm, BoundaryNorm):
+        ticks = np.linspace(first, last, 11)
+        white = np.linspace(first, last, 21)[[9, 11]] if first == -last else ticks[5:6]  # the band about zero
+        bounds = np.sort([*ticks[:5], *white, *ticks[6:]]).tolist()
+        return Scale(BoundaryNorm(bounds, scale.colours.N, extend="both"), scale.colours, label, ticks.tolist())
+    return Scale(Normalize(first, last), scale.colours, label)
 
 
 def _finite(values: Sequence[Array]) -> Array:
@@ -177,6 +203,8 @@ class MapPainter:
     def bar(self, figure: Any, axes: Any, location: Literal["right", "bottom"], aspect: float = 28) -> None:
         """Draw the colour bar beside some axes of a figure."""
         ticks = self.scale.ticks
+        if ticks is not None and location == "bottom":  # numbers beside each other need more room than above each other
+            ticks = ticks[:: ceil(len(ticks) / MAX_TICKS_ACROSS)]
         bar = figure.colorbar(
             ScalarMappable(self.scale.norm, self.scale.colours),
             ax=axes,
@@ -311,9 +339,15 @@ def maps_figure(
     painters = [MapPainter(panel, level, contoured) for level in scales for _ in range(len(tiles) // len(scales))]
     for axes, tile, painter in zip(grid.flat, tiles, painters, strict=False):
         name = tile.title.replace("paper's lambda", "paper's\N{NO-BREAK SPACE}λ")
-        painter.draw(axes, replace(tile, title=fill(style.short_title(name, 60), signs)))
+        painter.draw(axes, replace(tile, title=style.wrapped(style.short_title(name, 60), signs)))
     spans = grid.flat if own_bars else grid if in_rows else [grid]
     for painter, axes in zip(painters[:: len(tiles) // len(scales)], spans, strict=False):
         painter.bar(figure, axes, "right", aspect=figure.get_figheight() / 0.16)
     style.shared_legend(figure, grid, "lower right", least=2 if contoured else 1, ncols=2)
-    return style.labelled(figure, "; ".join(filter(None, (ACROSS_LABEL, about))), DOWN_LABEL, title)
+    if len(tiles) == 1:
+        grid[0, 0].set_xlabel(ACROSS_LABEL, fontsize=style.TEXT_POINT)
+        grid[0, 0].set_ylabel(DOWN_LABEL, fontsize=style.TEXT_POINT)
+        return style.labelled(figure, about, "", title)
+    wide_text = int(16 * figure.get_figwidth())  # signs of the labels' size across the figure
+    below = style.wrapped("; ".join(filter(None, (ACROSS_LABEL, about))), wide_text)
+    return style.labelled(figure, below, DOWN_LABEL, "\n".join(style.wrapped(t, wide_text) for t in title.split("\n")))

@@ -1,5 +1,6 @@
 """Style of all figures: sizes, colours, texts, files."""
 
+import re
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,9 +26,16 @@ PLAIN_NUMBER = "{x:g}"  # format of ticks without powers of ten
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
+class ShownFigure(Figure):
+    """A figure that notebooks show without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        return _drawn(self, "png")
+
+
 def new_figure(height: float, width: float = WIDTH_INCH) -> Figure:
     """Return an empty figure; sizes in inches. Half of WIDTH_INCH fits a phone."""
-    return Figure(figsize=(width, height), layout="constrained")
+    return ShownFigure(figsize=(width, height), layout="constrained")
 
 
 def labelled(figure: Figure, x: str, y: str, title: str = "") -> Figure:
@@ -124,6 +132,16 @@ def round_numbers(low: float, high: float) -> list[float]:
 def short_title(name: str, longest: int = 22) -> str:
     """Shorten a name."""
     return name if len(name) <= longest else f"{name[: longest - 1]}…"
+
+
+def wrapped(text: str, signs: int) -> str:
+    """Break a text into lines of at most `signs` characters, between words or after a sign within them, never else."""
+    lines = [""]
+    for part in re.findall(r"[^\s._,;:/+-]+[\s._,;:/+-]*|[\s._,;:/+-]+", text):
+        if lines[-1] and len((lines[-1] + part).rstrip()) > signs:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(line.strip() for line in lines)
 
 
 def change_text(value: float, integer_from: float) -> str:

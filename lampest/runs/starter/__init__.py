@@ -85,7 +85,10 @@ def write_starter(
     if purpose not in (None, MAT):
         raise InputError(f"--purpose: there is no {purpose!r}; there is {MAT}")
     wiring = {"sketch": indent(chosen.sketch, "#   "), "software": chosen.software}
-    scene = _template(SCENE, rows=str(rows), columns=str(columns), readout=chosen.readout, **wiring)
+    half = -(-columns // 2)
+    groups = [list(range(first, min(first + half, columns))) for first in range(0, columns, half)]
+    readout = chosen.readout.replace("{groups}", str(groups))
+    scene = _template(SCENE, rows=str(rows), columns=str(columns), readout=readout, **wiring)
     scene = scene.replace("# purpose: mat  ", "purpose: mat    ") if purpose else scene
     centre = f"[{max(5 * columns - 6, 0)}, {max(5 * rows - 4, 0)}]"  # the middle of the panel
     load = (MOUTH if min(rows, columns) >= 6 and not purpose else WEIGHT).replace("{centre}", centre)

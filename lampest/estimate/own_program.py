@@ -1,0 +1,300 @@
+"""The program of some frames, to which a notebook adds unknowns and constraints.
+
+    program = lampest.program(recording, [lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=10.0)])
+    program = program.subject_to("equal", program.cells()[0, 3] - program.cells()[0, 4])
+    solved = program.solve()
+    solved.cell_resistance, solved.cell_resistance_errors
+
+IPOPT solves it from the uniform start. A check outside of IPOPT recomputes the optimality conditions, and error bars
+are those of the program's own Hessian on the plane of its equations:
+
+    cov(x) = the block of x in ( ½∇²L  Jᵀ ; J  0 )⁻¹,  L the Lagrangian of φ, J the Jacobian of the equations,
+
+over the unknowns that no bound holds. Source: Nocedal & Wright, Numerical Optimization, 2006, section 18.1.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+
+from lampest.cost.given import Background
+from lampest.cost.problem import Evaluation
+from lampest.cost.terms import Term
+from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.methods.method import OptimalMethod
+from lampest.estimate.prepared import Prepared
+from lampest.files.errors import InputError
+from lampest.formulation.circuit import Circuit
+from lampest.formulation.instance import Instance, ProgramResult
+from lampest.formulation.ipopt import Interface, Limits
+from lampest.formulation.patterns import EXCITATIONS
+from lampest.formulation.program import Program
+from lampest.panel.compiled import CasadiOwner, guarded
+from lampest.panel.panel import Array
+from lampest.recording.recording import UNLOADED, Recording
+from lampest.solvers.by_ipopt import ACCURACY, STATUS
+from lampest.solvers.multistart import evaluated
+from lampest.solvers.solution import VERIFIED, Settings, Status
+
+AT_BOUND = 1e-7  # distance to a bound, in units of the program, within which it holds an unknown
+
+
+@dataclass(frozen=True, eq=False)
+class OwnProgram(CasadiOwner):
+    """Program of some frames of a recording; `with_…` and `subject_to` return a program with one more part.
+
+    Attributes
+    ----------
+    symbols : Program
+        The symbols: cells, voltages, readings, parameters.
+    evaluations : tuple of Evaluation
+        Costs of the frames at their starts.
+    circuit : Circuit
+    settings : Settings
+
+    >>> program = lampest.program(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)], frames=[2, 3])
+    >>> program.cells(1).shape
+    (2, 3)
+    """
+
+    symbols: Program
+    evaluations: tuple[Evaluation, ...]
+    circuit: Circuit
+    settings: Settings
+    formulation: str = "nodal"
+
+    def cells(self, frame: int = 0) -> casadi.SX:
+        """Return the cells of one frame in ohm, (rows, columns) symbols."""
+        return self.symbols.cells(frame)
+
+    @property
+    def reading(self) -> casadi.SX:
+        """Readings y = h(V) of all frames, (cells, frames) in the readout's unit."""
+        return self.symbols.reading
+
+    def with_unknown(self, name: str, **about: Any) -> "tuple[OwnProgram, casadi.SX]":
+        """Return the program with a further unknown, and its symbol; the arguments are those of `Program.with_unknown`.
+
+        Raises InputError if the name is taken, or a number is out of range.
+        """
+        symbols, unknown = self.symbols.with_unknown(name, **about)
+        return replace(self, symbols=symbols), unknown
+
+    def with_reading(self, changed: Callable[[casadi.SX], Any]) -> "OwnProgram":
+        """Return the program whose terms read changed(y). Raises InputError if the result has another shape."""
+        return replace(self, symbols=self.symbols.with_reading(changed))
+
+    def with_cost(self, added: Any) -> "OwnProgram":
+        """Return the program with a further cost, one number in the unit of φ. Raises InputError for another shape."""
+        return replace(self, symbols=self.symbols.with_cost(added))
+
+    def subject_to(self, name: str, expression: Any, lower: float = 0.0, upper: float | None = None) -> "OwnProgram":
+        """Return the program with a constraint lower ≤ expression ≤ upper; an equation if there is no upper limit.
+
+        Raises InputError if the expression is no column, or no function of the unknowns.
+        """
+        return replace(self, symbols=self.symbols.subject_to(name, expression, lower, upper))
+
+    @guarded
+    def solve(self) -> "OwnSolution":
+        """Solve by IPOPT, and check the result; a failed solve does not raise."""
+        tolerance = ACCURACY * self.settings.tolerance
+        interface = Interface(self.symbols, Limits(tolerance, self.settings.max_iterations), scaled=True)
+        instance = Instance.of(self.symbols, self.circuit, EXCITATIONS[self.formulation], self.evaluations)
+        return OwnSolution(instance, interface, interface.minimise(instance))
+
+
+@dataclass(frozen=True, eq=False)
+class OwnSolution(CasadiOwner):
+    """Solution of an own program; NaN where it is no optimum.
+
+    Attributes
+    ----------
+    instance : Instance
+    interface : Interface
+    result : ProgramResult
+
+    >>> solved = lampest.program(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)]).solve()
+    >>> solved.status
+    'optimum verified'
+    """
+
+    instance: Instance
+    interface: Interface
+    result: ProgramResult
+
+    @cached_property
+    def status(self) -> str:
+        """Outcome in a sentence, as `Status` has them."""
+        ended = STATUS.get(self.result.status, Status.BREAKDOWN)
+        if ended is Status.OPTIMUM and not self.optimality_error <= VERIFIED:
+            ended = Status.UNVERIFIED
+        return ended.value
+
+    @property
+    def solved(self) -> bool:
+        """Whether this is a verified optimum."""
+        return self.status == Status.OPTIMUM.value
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of IPOPT."""
+        return self.result.iterations
+
+    @property
+    def cell_resistance(self) -> Array:
+        """Cells, (frames, rows, columns) ohm; NaN where nothing was solved."""
+        cells = self.instance.cells_of(self.result)
+        return cells if self.solved else np.full_like(cells, np.nan)
+
+    def __getitem__(self, name: str) -> Array:
+        """Return an own unknown, (size,); NaN where nothing was solved. Raises InputError for an unknown name."""
+        self._check_name(name)
+        values = self.instance.program.unknown.named(self.result.unknown)[name]
+        return values if self.solved else np.full_like(values, np.nan)
+
+    @property
+    def cell_resistance_errors(self) -> Array:
+        """Standard deviations of the cells, (frames, rows, columns) ohm; zero at a bound.
+
+        They have a meaning where the misfit is weighted by the noise.
+        """
+        conductance = self.instance.scale / self.instance.cells_of(self.result)
+        relative = self._deviations("conductance").reshape(self.instance.shape) / conductance
+        return np.asarray(self.cell_resistance * relative)
+
+    def errors(self, name: str) -> Array:
+        """Return the standard deviations of an own unknown, (size,). Raises InputError for an unknown name."""
+        self._check_name(name)
+        return self._deviations(name)
+
+    @cached_property
+    def optimality_error(self) -> float:
+        """Largest of |x − Π(x − ∇ₓ(f + λᵀg))| and of the violation of the equations, in the program's units.
+
+        All derivatives are evaluated anew, outside of IPOPT.
+        """
+        gradient, jacobian, _ = self._derivatives
+        x, instance = self.result.unknown, self.instance
+        slope = gradient + jacobian.T @ self.result.of_equations
+        projected = np.clip(x - slope, instance.lower, instance.upper)
+        values = self._equations
+        low, high = instance.equations
+        violation = np.maximum(np.maximum(low - values, values - high), 0.0)
+        size = np.maximum(np.abs(jacobian).max(axis=1).toarray().ravel(), 1.0)
+        return float(max(np.abs(x - projected).max(), (violation / size).max(initial=0.0)))
+
+    def _check_name(self, name: str) -> None:
+        own = self.instance.program.own
+        if name not in own:
+            raise InputError(f"the program has no own unknown {name}; it has {', '.join(own) or 'none'}")
+
+    @cached_property
+    @guarded
+    def _equations(self) -> Array:
+        nlp = self.instance.program.nlp
+        values = casadi.Function("g", [nlp["x"], nlp["p"]], [nlp["g"]])(self.result.unknown, self.instance.parameter)
+        return np.asarray(values).ravel()
+
+    @cached_property
+    @guarded
+    def _derivatives(self) -> tuple[Array, scipy.sparse.csc_array, scipy.sparse.csc_array]:
+        """∇f (unknowns,), J (constraints, unknowns), and ∇²L (unknowns, unknowns)."""
+        program, x, p = self.instance.program, self.result.unknown, self.instance.parameter
+        nlp = program.nlp
+        at = [nlp["x"], nlp["p"]]
+        outputs = [casadi.gradient(nlp["f"], nlp["x"]), casadi.jacobian(nlp["g"], nlp["x"])]
+        gradient, jacobian = casadi.Function("first", at, outputs)(x, p)
+        upper = scipy.sparse.csc_array(program.hessian()(x, p, 1.0, self.result.of_equations).sparse())
+        hessian = upper + scipy.sparse.triu(upper, 1).T
+        return np.asarray(gradient).ravel(), scipy.sparse.csc_array(jacobian.sparse()), scipy.sparse.csc_array(hessian)
+
+    def _deviations(self, name: str) -> Array:
+        """Return the standard deviations of one block of unknowns, in its unit."""
+        places = self.instance.program.unknown.named(np.arange(len(self.result.unknown), dtype=float))
+        chosen = places[name].astype(int)
+        if not self.solved:
+            return np.full(len(chosen), np.nan)
+        _, jacobian, hessian = self._derivatives
+        x, instance = self.result.unknown, self.instance
+        inside = np.minimum(x - instance.lower, instance.upper - x) > AT_BOUND
+        # Constraints that are active: equations, and inequalities at a limit.
+        low, high = instance.equations
+        values = self._equations
+        active = (high - values < AT_BOUND * np.maximum(1.0, np.abs(high))) | (
+            values - low < AT_BOUND * np.maximum(1.0, np.abs(low))
+        )
+        free = np.flatnonzero(inside)
+        rows = jacobian[np.flatnonzero(active)][:, free]
+        # f = φ/cost_scale, and φ = χ²: the posterior is exp(−φ/2)
+        half = hessian[free][:, free] * (instance.cost_scale / 2)
+        system = scipy.sparse.block_array([[half, rows.T], [rows, None]], format="csc")
+        place = np.full(len(x), -1)
+        place[free] = np.arange(len(free))
+        columns = place[chosen[inside[chosen]]]
+        unit = np.zeros((system.shape[0], len(columns)))
+        unit[columns, np.arange(len(columns))] = 1.0
+        solved = scipy.sparse.linalg.splu(system).solve(unit)
+        variance = np.zeros(len(chosen))
+        variance[inside[chosen]] = solved[columns, np.arange(len(columns))]
+        return np.sqrt(np.maximum(variance, 0.0))
+
+
+def program(
+    recording: Recording,
+    terms: Sequence[Term],
+    *,
+    frames: Sequence[int] | None = None,
+    formulation: str = "nodal",
+    bounds: Bounds | None = None,
+    solver: Settings | None = None,
+) -> OwnProgram:
+    """Return the program of some frames, to which unknowns and constraints can be added.
+
+    Parameters
+    ----------
+    recording : Recording
+    terms : sequence of Term
+        Terms with weights. Those that compare frames compare with the mean of the unloaded frames.
+    frames : sequence of int, optional
+        Indices into the recording; by default the first measured frame.
+    formulation : {'nodal', 'per_pixel'}
+    bounds : Bounds, optional
+    solver : Settings, optional
+
+    Raises
+    ------
+    InputError
+        If a weight is open, a frame does not exist, or the formulation has another name.
+    """
+    if formulation not in EXCITATIONS:
+        raise InputError(f"formulation must be one of {', '.join(EXCITATIONS)} for an own program, not {formulation}")
+    method = OptimalMethod("per_pixel" if formulation == "per_pixel" else "nodal")
+    estimator = Estimator(tuple(terms), method, solver or Settings(), bounds or Bounds(), error_bars=False)
+    if estimator.automatic:
+        raise InputError("an own program needs terms with weights, not weight: auto")
+    prepared = Prepared.of(recording)
+    scene, readings = prepared.recording.scene, prepared.noise.readings
+    chosen = [int(prepared.recording.measured_frames()[0])] if frames is None else list(frames)
+    for frame in chosen:
+        if not 0 <= frame < len(readings.value):
+            raise InputError(f"the recording has frames 0 to {len(readings.value) - 1}, not {frame}")
+    resting = readings[prepared.recording.role == UNLOADED]
+    background = Background(scene)
+    if estimator.relative:
+        unloaded = scene.circuit.uniform_start(resting.mean().value)
+        background = Background(scene, previous=unloaded, baseline=unloaded)
+    evaluations = []
+    for frame in chosen:
+        data = estimator.data(readings[frame].alone(), background)
+        cost = estimator.cost(scene, 1, partial=readings.partial)
+        evaluations.append(evaluated(cost, data, data.uniform_start))
+    circuit = Circuit.of(scene.panel.shape, scene.wiring)
+    symbols = Program.build(cost, scene.circuit, circuit, EXCITATIONS[formulation], blocks=len(chosen))
+    return OwnProgram(symbols, tuple(evaluations), circuit, estimator.solver, formulation)

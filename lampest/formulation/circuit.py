@@ -1,0 +1,175 @@
+"""Circuit of one panel: nodes, and the branches between them.
+
+Every line has a terminal, where the electronics connect. Between the terminals lie the cells and, where the lines
+resist, the wire: one node on the row and one on the column of every crossing. Nodes that are joined by no resistance
+are one node. Without wire, contacts and touching lines the nodes are the lines, rows before columns.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import casadi
+import numpy as np
+import scipy.sparse
+import scipy.sparse.csgraph
+import scipy.sparse.linalg
+from numpy.typing import NDArray
+
+from lampest.panel.kirchhoff import current_balance
+from lampest.panel.panel import Array
+from lampest.panel.readouts.wiring import Wiring
+
+Nodes = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Circuit:
+    """Nodes and branches of a panel.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Rows and columns.
+    count : int
+        Number of nodes.
+    terminals : array of int, shape (rows + columns,)
+        Node of the terminal of every line, rows before columns.
+    cell_ends : array of int, shape (2, cells)
+        Nodes on the row and on the column of every cell, row-major.
+    wire_ends : array of int, shape (2, wires)
+        Nodes at both ends of every piece of wire or contact.
+    wire_siemens : array, shape (wires,)
+    """
+
+    shape: tuple[int, int]
+    count: int
+    terminals: Nodes
+    cell_ends: Nodes
+    wire_ends: Nodes
+    wire_siemens: Array
+
+    @classmethod
+    def of(cls, shape: tuple[int, int], wiring: Wiring | None) -> "Circuit":
+        """Return the circuit of a panel of rows × columns cells."""
+        rows, columns = shape
+        lines = np.arange(rows + columns)
+        row, column = (numbers.ravel() for numbers in np.indices(shape))
+        if wiring is None:
+            none = np.zeros((2, 0), dtype=np.intp)
+            return cls(shape, len(lines), lines, np.stack([row, rows + column]), none, np.zeros(0))
+        # Before nodes are joined: terminals, then the row's and the column's node of every crossing.
+        crossings = np.arange(rows * columns).reshape(shape)
+        on_row = len(lines) + crossings
+        on_column = on_row + crossings.size
+        ends, ohm = _wire(wiring, on_row, on_column)
+        joined = np.array([[group[0], line] for group in wiring.joined for line in group[1:]], dtype=np.intp)
+        touching = np.concatenate([ends[:, ohm == 0], joined.reshape(-1, 2).T], axis=1)
+        total = len(lines) + 2 * crossings.size
+        links = scipy.sparse.coo_array((np.ones(touching.shape[1]), touching), shape=(total, total))
+        count, node = scipy.sparse.csgraph.connected_components(links, directed=False)
+        resisting = ohm > 0
+        cell_ends = node[np.stack([on_row.ravel(), on_column.ravel()])]
+        return cls(shape, int(count), node[lines], cell_ends, node[ends[:, resisting]], 1 / ohm[resisting])
+
+    @property
+    def lines_only(self) -> bool:
+        """Whether every line is one node of its own, without wire."""
+        return self.count == len(self.terminals) and not len(self.wire_siemens)
+
+    @cached_property
+    def incidence(self) -> casadi.DM:
+        """B, (nodes, cells): +1 at a cell's node on the row, −1 at its node on the column."""
+        return _symbolic(_incidence(self.count, self.cell_ends))
+
+    @cached_property
+    def wire_admittance(self) -> casadi.DM:
+        """Conductance matrix of the wire alone, (nodes, nodes) siemens."""
+        incidence = _incidence(self.count, self.wire_ends)
+        return _symbolic((incidence * self.wire_siemens) @ incidence.T)
+
+    @cached_property
+    def at_terminals(self) -> casadi.DM:
+        """T, (nodes, lines): 1 where a line's terminal is the node."""
+        lines = len(self.terminals)
+        return casadi.DM.triplet(self.terminals.tolist(), list(range(lines)), casadi.DM.ones(lines), self.count, lines)
+
+    def balance(self, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX, voltage: casadi.SX) -> casadi.SX:
+        """Return the net current out of every node: B(g ∘ BᵀV) + W V + diag(T t) V, (nodes, patterns).
+
+        Parameters
+        ----------
+        conductance : casadi.SX, shape (cells, 1)
+            Conductances g of the cells in 1/`scale`.
+        tie : casadi.SX, shape (lines, 1)
+            Ties t of the terminals to ground in 1/`scale`.
+        scale : casadi.SX
+            Unit of resistances in ohm.
+        voltage : casadi.SX, shape (nodes, patterns)
+        """
+        out = current_balance(self.incidence, conductance, voltage)
+        if len(self.wire_siemens):
+            out += scale * (self.wire_admittance @ voltage)
+        return casadi.SX(out + casadi.diag(self.at_terminals @ tie) @ voltage)
+
+    def voltages(self, cell_resistance: Array, tie: Array) -> Array:
+        """Return the voltages of all nodes for a unit current into each terminal, (nodes, lines) V/A.
+
+        Parameters
+        ----------
+        cell_resistance : array, shape (rows, columns)
+            Ohm.
+        tie : array, shape (lines,)
+            Ties of the terminals to ground in siemens.
+
+        Raises
+        ------
+        RuntimeError
+            If a node is not connected.
+        """
+        cells = _incidence(self.count, self.cell_ends)
+        wire = _incidence(self.count, self.wire_ends)
+        ground = np.bincount(self.terminals, tie, self.count)
+        admittance = (
+            (cells * (1 / cell_resistance.ravel())) @ cells.T
+            + (wire * self.wire_siemens) @ wire.T
+            + scipy.sparse.diags_array(ground)
+        )
+        into = np.zeros((self.count, len(self.terminals)))
+        into[self.terminals, np.arange(len(self.terminals))] = 1.0
+        return np.asarray(scipy.sparse.linalg.splu(admittance.tocsc()).solve(into))
+
+
+def _wire(wiring: Wiring, on_row: Nodes, on_column: Nodes) -> tuple[Nodes, Array]:
+    """Return the ends (2, pieces) and resistances (pieces,) ohm of contacts and of the segments between crossings."""
+    rows, columns = on_row.shape
+    lines = wiring.lines
+    contacts = wiring.contact_ohm(on_row.shape)
+    from_left = lines.rows_enter == "left"
+    from_top = lines.columns_leave == "top"
+    paths = [(row, on_row[row] if from_left else on_row[row, ::-1]) for row in range(rows)]
+    paths += [
+        (rows + column, on_column[:, column] if from_top else on_column[::-1, column]) for column in range(columns)
+    ]
+    ends = list[tuple[int, int]]()
+    ohm = list[float]()
+    for line, nodes in paths:
+        segment = lines.row_ohm_per_cell if line < rows else lines.column_ohm_per_cell
+        ends += pairwise([line, *nodes.tolist()])
+        ohm += [contacts[line] + segment, *[segment] * (len(nodes) - 1)]
+    return np.array(ends, dtype=np.intp).T, np.array(ohm)
+
+
+def _incidence(nodes: int, ends: Nodes) -> scipy.sparse.csc_array:
+    """Return the incidence of branches, sparse (nodes, branches): +1 at the first end, −1 at the second."""
+    branch = np.arange(ends.shape[1])
+    entries = np.repeat([1.0, -1.0], len(branch))
+    places = ends.ravel(), np.tile(branch, 2)
+    return scipy.sparse.csc_array((entries, places), shape=(nodes, len(branch)))
+
+
+def _symbolic(matrix: scipy.sparse.csc_array) -> casadi.DM:
+    """Return a sparse matrix of CasADi."""
+    entries = matrix.tocoo()
+    places = entries.row.tolist(), entries.col.tolist()
+    return casadi.DM.triplet(*places, casadi.DM(entries.data), *matrix.shape)

@@ -1,0 +1,127 @@
+"""IPOPT: the program's derivatives, the options, and a solve from a cold or a warm start.
+
+A cold start has a barrier parameter of its own choice, which leads the iterates away from the bounds and into low
+minima. A warm start has IPOPT's own multipliers of an earlier solve, and a small barrier parameter.
+Source: Wächter & Biegler, Mathematical Programming 106, 2006.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi
+import numpy as np
+
+from lampest.formulation.instance import Instance, Multipliers, ProgramResult
+from lampest.formulation.program import Program
+from lampest.panel.compiled import CasadiOwner, guarded
+
+PUSH = 1e-9  # distance that IPOPT keeps from a bound, relative to max(bound, 1); far below the accuracy of a cell
+# MUMPS orders by METIS (5) and permutes nothing for scaling (0): 0.8 of the time at 10 × 10, 0.55 at 16 × 16
+# (docs/studies/speed.md). A relaxed bound of 0 would let conductances come back negative.
+COMMON = {
+    "mumps_pivot_order": 5,
+    "mumps_permuting_scaling": 0,
+    "bound_relax_factor": 0.0,
+    "nlp_scaling_method": "none",
+    "print_level": 0,
+    "sb": "yes",
+}
+# The barrier parameter stays below a hundredth of the unit of the objective. Without this limit the adaptive rule lets
+# it grow by decades where readings are far from linear (driven lines), and cells end at their bounds.
+COLD = {"mu_strategy": "adaptive", "mu_max": 0.01}
+WARM = {
+    "warm_start_init_point": "yes",
+    "warm_start_bound_push": PUSH,
+    "warm_start_bound_frac": PUSH,
+    "warm_start_mult_bound_push": PUSH,
+    "mu_init": 1e-6,
+}
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When IPOPT stops.
+
+    Attributes
+    ----------
+    tolerance : float
+        Limit of the scaled optimality error.
+    max_iterations : int
+    seconds : float
+        Wall time of a solve.
+    """
+
+    tolerance: float = 1e-8
+    max_iterations: int = 300
+    seconds: float = np.inf
+
+    def options(self) -> dict[str, Any]:
+        """Return the options of IPOPT."""
+        seconds = {} if np.isinf(self.seconds) else {"max_wall_time": self.seconds}
+        return {"tol": self.tolerance, "max_iter": self.max_iterations, **seconds}
+
+
+@dataclass(frozen=True, eq=False)
+class Interface(CasadiOwner):
+    """IPOPT's interface to one program; derivatives are built once, for cold and for warm starts.
+
+    Attributes
+    ----------
+    program : Program
+    limits : Limits
+    scaled : bool
+        Whether IPOPT scales constraints by their gradients, for own ones.
+    """
+
+    program: Program
+    limits: Limits
+    scaled: bool = False
+
+    @guarded
+    def prepare(self) -> None:
+        """Build the program's derivatives and the interface of a cold start."""
+        _ = self._cold
+
+    @guarded
+    def minimise(self, instance: Instance, multipliers: Multipliers | None = None) -> ProgramResult:
+        """Return IPOPT's result for an instance of the program; a warm start has multipliers in its units."""
+        solver = self._cold if multipliers is None else self._warm
+        warm = {}
+        if multipliers is not None:
+            warm = {"lam_x0": multipliers.of_bounds, "lam_g0": multipliers.of_equations}
+        limits = {"lbx": instance.lower, "ubx": instance.upper}
+        limits |= {"lbg": instance.equations[0], "ubg": instance.equations[1]}
+        result = solver(x0=instance.start, p=instance.parameter, **limits, **warm)
+        stats = solver.stats()
+        unknown, of_bounds, of_equations = (np.asarray(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
+        status, iterations = str(stats["return_status"]), int(stats["iter_count"])
+        corrected = any(stats["iterations"]["regularization_size"])
+        return ProgramResult(unknown, of_bounds, of_equations, status, iterations, corrected)
+
+    @cached_property
+    def _cold(self) -> casadi.Function:
+        return self._solver(COLD)
+
+    @cached_property
+    def _warm(self) -> casadi.Function:
+        return self._solver(WARM)
+
+    @cached_property
+    def _derivatives(self) -> dict[str, casadi.Function]:
+        """Gradient of f, Jacobian of g, and Hessian of the Lagrangian, with the names that CasADi expects."""
+        nlp = self.program.nlp
+        arguments = [nlp["x"], nlp["p"]]
+        gradient = casadi.Function(
+            "nlp_grad_f", arguments, [nlp["f"], casadi.gradient(nlp["f"], nlp["x"])], ["x", "p"], ["f", "grad_f_x"]
+        )
+        jacobian = casadi.Function(
+            "nlp_jac_g", arguments, [nlp["g"], casadi.jacobian(nlp["g"], nlp["x"])], ["x", "p"], ["g", "jac_g_x"]
+        )
+        return {"grad_f": gradient, "jac_g": jacobian, "hess_lag": self.program.hessian()}
+
+    def _solver(self, begin: dict[str, Any]) -> casadi.Function:
+        scaling = {"nlp_scaling_method": "gradient-based"} if self.scaled else {}
+        ipopt = {**COMMON, **scaling, **begin, **self.limits.options()}
+        options: dict[str, Any] = {"ipopt": ipopt, "print_time": False, **self._derivatives}
+        return casadi.nlpsol("ipopt", "ipopt", self.program.nlp, options)

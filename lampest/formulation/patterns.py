@@ -1,0 +1,284 @@
+"""Patterns of excitation, the one place in which the formulations differ, and the network of one frame.
+
+A pattern is a distribution of currents into the terminals, with one voltage an unknown for each node and pattern:
+
+    per_pixel   one pattern a pixel, as the electronics drive it: current enters row j and leaves column k
+    nodal       one pattern a line: a unit current enters it. Those of the pixels are sums of these (superposition)
+
+Source: paper, equations (2)-(9).
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import casadi
+import numpy as np
+
+from lampest.formulation.circuit import Circuit
+from lampest.panel.network import Numbers, reads_own
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout, TwoPointReadout
+
+Voltages = dict[str, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkSymbols:
+    """Symbols and equations of one frame's network.
+
+    Attributes
+    ----------
+    voltages : mapping of str to casadi.SX
+        Unknown voltages by name, one column each, for unit currents, in `units`.
+    units : mapping of str to casadi.SX
+        Unit of every voltage, a parameter: voltages of driven, floating and sensed lines differ by decades.
+    balance : casadi.SX, shape (equations, 1)
+        Kirchhoff's current law at every node: the net current out of it, less the current that enters. Zero at a
+        solution, bilinear in conductances and voltages.
+    reading : casadi.SX, shape (cells, 1)
+        Readings y = h(V), row-major, in the readout's unit.
+    """
+
+    voltages: dict[str, casadi.SX]
+    units: dict[str, casadi.SX]
+    balance: casadi.SX
+    reading: casadi.SX
+
+
+@dataclass(eq=False)
+class _Unknowns:
+    """Voltages of one network while it is built."""
+
+    voltages: dict[str, casadi.SX] = field(default_factory=dict)
+    units: dict[str, casadi.SX] = field(default_factory=dict)
+
+    def new(self, name: str, rows: int, columns: int = 1) -> casadi.SX:
+        """Return new voltages in the unit of resistances, (rows, columns)."""
+        symbol = casadi.SX.sym(name, rows, columns)
+        unit = casadi.SX.sym(f"unit_{name}", rows, columns)
+        self.voltages[name] = casadi.vec(symbol)
+        self.units[name] = casadi.vec(unit)
+        return unit * symbol
+
+    def network(self, balance: casadi.SX, reading: casadi.SX) -> NetworkSymbols:
+        """Return the network of these voltages."""
+        return NetworkSymbols(self.voltages, self.units, balance, reading)
+
+
+@dataclass(frozen=True)
+class Excitation(ABC):
+    """Patterns of excitation of one frame, and the network with them."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def kind(self) -> str:
+            """The name in `formulation:`."""
+
+    @abstractmethod
+    def network(
+        self, circuit: Circuit, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX
+    ) -> NetworkSymbols:
+        """Return the unknown voltages and the equations of one frame's network.
+
+        Parameters
+        ----------
+        circuit : Circuit
+        readout : Readout
+        conductance : casadi.SX, shape (cells, 1)
+            Conductances in 1/`scale`.
+        tie : casadi.SX, shape (lines, 1)
+            Ties of the terminals to ground in 1/`scale`.
+        scale : casadi.SX
+            Unit of resistances in ohm; voltages for unit currents have the same unit.
+        """
+
+    @abstractmethod
+    def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
+        """Return the values of `NetworkSymbols.voltages` in a solved network, V/A.
+
+        `response`, (nodes, lines), are the voltages of all nodes for a unit current into each terminal.
+        """
+
+
+@dataclass(frozen=True)
+class Nodal(Excitation):
+    """One pattern a line.
+
+    Of lines without wire the voltages are the symmetric matrix Z. With the n lines of the shorter side driven, and the
+    m others far, the unknowns are half of the driven block of Z, the voltages of the far lines, and the far lines' own
+    voltage Z_ff where the readout reads it. By reciprocity the balance of a far line under its own current needs no
+    further voltage. That is n(n + 1)/2 + mn + m unknowns in place of (m + n)².
+    """
+
+    kind: Literal["nodal"] = "nodal"
+
+    def network(
+        self, circuit: Circuit, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX
+    ) -> NetworkSymbols:
+        """Return the network; see `Excitation.network`."""
+        if circuit.lines_only:
+            return _network_of_lines(circuit, readout, conductance, tie, scale)
+        lines, pattern = _patterns(circuit, readout)
+        unknowns = _Unknowns()
+        voltage = unknowns.new("node_voltage", circuit.count, len(lines))
+        into = circuit.at_terminals[:, lines.tolist()]
+        balance = circuit.balance(conductance, tie, scale, voltage) - into
+        impedance = casadi.SX(len(pattern), len(pattern))
+        for line, number in enumerate(pattern):
+            if number >= 0:
+                impedance[:, line] = voltage[circuit.terminals.tolist(), int(number)]
+                impedance[line, :] = impedance[:, line].T
+        return unknowns.network(casadi.vec(balance), _reading(circuit, readout, impedance, scale))
+
+    def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
+        """Return the voltages of a solved network; see `Excitation.voltages`."""
+        if not circuit.lines_only:
+            return {"node_voltage": response[:, _patterns(circuit, readout)[0]].T.ravel()}
+        driven, far = _sides(circuit.shape)
+        half = response[np.ix_(driven, driven)][np.tril_indices(len(driven))]
+        voltages = {"driven_voltage": half, "far_voltage": response[np.ix_(far, driven)].T.ravel()}
+        return voltages | ({"own_voltage": np.diag(response)[far]} if _reads_far(circuit, readout) else {})
+
+
+def _network_of_lines(
+    circuit: Circuit, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX
+) -> NetworkSymbols:
+    """Return the nodal network of lines without wire, in the unknowns of a symmetric Z; see `Nodal`."""
+    driven, far = (numbers.tolist() for numbers in _sides(circuit.shape))
+    size, others, count = len(driven), len(far), circuit.count
+    reads_far = _reads_far(circuit, readout)
+    unknowns = _Unknowns()
+    half = unknowns.new("driven_voltage", size * (size + 1) // 2)
+    far_voltage = unknowns.new("far_voltage", others, size)
+    own = unknowns.new("own_voltage", others) if reads_far else casadi.SX.zeros(others)
+    # Columns of Z: the driven lines' own patterns; of each far line's pattern only its voltage and, by reciprocity,
+    # those of the driven lines, which are all neighbours of its node.
+    impedance = casadi.SX(count, count)
+    impedance[driven, driven] = casadi.triu2symm(casadi.SX(casadi.Sparsity.upper(size), half))
+    impedance[far, driven] = far_voltage
+    impedance[driven, far] = far_voltage.T
+    impedance[far, far] = casadi.diag(own)
+    balance = circuit.balance(conductance, tie, scale, impedance) - casadi.DM.eye(count)
+    lower = casadi.vertcat(*(balance[line, driven[: place + 1]].T for place, line in enumerate(driven)))
+    equations = [lower, casadi.vec(balance[far, driven])]
+    if reads_far:
+        equations.append(casadi.diag(balance)[far])
+    return unknowns.network(casadi.vertcat(*equations), _reading(circuit, readout, impedance, scale))
+
+
+@dataclass(frozen=True)
+class PerPixel(Excitation):
+    """One pattern a pixel (paper, equations 5 to 9).
+
+    Two-point: a unit current enters row j and leaves column k, R_jk = V_j − V_k. Other readouts take two patterns, a
+    unit current into row j and one into column k, or the first alone where their reading does not depend on Z_kk.
+    """
+
+    kind: Literal["per_pixel"] = "per_pixel"
+
+    def network(
+        self, circuit: Circuit, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX
+    ) -> NetworkSymbols:
+        """Return the network; see `Excitation.network`."""
+        cells = circuit.incidence.shape[1]
+        row_of, column_of = _terminals_of_cells(circuit)
+        unknowns = _Unknowns()
+        balances, measured = [], {}
+        for name, into in self._injections(circuit, readout).items():
+            voltage = unknowns.new(name, circuit.count, cells)
+            balances.append(casadi.vec(circuit.balance(conductance, tie, scale, voltage) - into))
+            measured[name] = (casadi.sum1(row_of * voltage).T, casadi.sum1(column_of * voltage).T)
+        balance = casadi.vertcat(*balances)
+        if "pixel_voltage" in measured:
+            at_row, at_column = measured["pixel_voltage"]
+            return unknowns.network(balance, scale * (at_row - at_column))
+        own_row, mutual = measured["from_row_voltage"]
+        own_column = measured.get("from_column_voltage", (None, mutual))[1]
+        entries = [_grid(circuit, entry) for entry in (own_row, own_column, mutual)]
+        return unknowns.network(balance, _read(readout, entries, scale))
+
+    def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
+        """Return the voltages of a solved network; see `Excitation.voltages`."""
+        row, column = _lines_of_cells(circuit)
+        by_row, by_column = response[:, row], response[:, column]
+        if isinstance(readout, TwoPointReadout):
+            return {"pixel_voltage": (by_row - by_column).T.ravel()}
+        values = {"from_row_voltage": by_row.T.ravel(), "from_column_voltage": by_column.T.ravel()}
+        return {name: values[name] for name in self._injections(circuit, readout)}
+
+    def _injections(self, circuit: Circuit, readout: Readout) -> dict[str, casadi.DM]:
+        """Return the currents into the nodes, (nodes, cells), by the name of the voltages that they cause."""
+        row_of, column_of = _terminals_of_cells(circuit)
+        if isinstance(readout, TwoPointReadout):
+            return {"pixel_voltage": row_of - column_of}
+        reads_column = reads_own(readout, *circuit.shape)[1]
+        return {"from_row_voltage": row_of} | ({"from_column_voltage": column_of} if reads_column else {})
+
+
+EXCITATIONS: dict[str, Excitation] = {patterns.kind: patterns for patterns in (Nodal(), PerPixel())}
+
+
+def _sides(shape: tuple[int, int]) -> tuple[Numbers, Numbers]:
+    """Return the numbers of the lines of the shorter side, which are driven, and of the other one, which are far."""
+    rows, columns = shape
+    sides = np.split(np.arange(rows + columns), [rows])
+    return (sides[1], sides[0]) if rows >= columns else (sides[0], sides[1])
+
+
+def _patterns(circuit: Circuit, readout: Readout) -> tuple[Numbers, Numbers]:
+    """Return the driven lines, one of those that touch, and the number of each line's pattern, −1 without one.
+
+    Lines of a side whose own voltage the readout does not read need no pattern: by reciprocity, the patterns of the
+    other side have the voltages between both.
+    """
+    rows, columns = circuit.shape
+    reads = reads_own(readout, rows, columns)
+    if not any(reads):
+        reads = (rows <= columns, rows > columns)
+    driven = np.concatenate([np.full(rows, reads[0]), np.full(columns, reads[1])])
+    _, first, inverse = np.unique(circuit.terminals[driven], return_index=True, return_inverse=True)
+    pattern = np.full(len(driven), -1)
+    pattern[driven] = inverse
+    return np.flatnonzero(driven)[first], pattern
+
+
+def _reads_far(circuit: Circuit, readout: Readout) -> bool:
+    """Return whether the reading depends on the voltage of a far line under its own current."""
+    rows, columns = circuit.shape
+    return reads_own(readout, rows, columns)[0 if rows >= columns else 1]
+
+
+def _reading(circuit: Circuit, readout: Readout, impedance: casadi.SX, scale: casadi.SX) -> casadi.SX:
+    """Return the readings (cells, 1) from the impedance between the lines' terminals, (lines, lines) in `scale`."""
+    rows, columns = circuit.shape
+    own = casadi.diag(impedance)
+    own_row = casadi.repmat(own[:rows], 1, columns)
+    own_column = casadi.repmat(own[rows:].T, rows, 1)
+    return _read(readout, [own_row, own_column, impedance[:rows, rows:]], scale)
+
+
+def _read(readout: Readout, entries: list[casadi.SX], scale: casadi.SX) -> casadi.SX:
+    """Return h(Z_jj, Z_kk, Z_jk), (cells, 1), of entries (rows, columns) in `scale`."""
+    inner, outer = (1, scale) if readout.homogeneous else (scale, 1)
+    reading = casadi.SX(outer * readout.reading(*(inner * entry for entry in entries)))
+    return casadi.vec(reading.T)
+
+
+def _grid(circuit: Circuit, values: casadi.SX) -> casadi.SX:
+    """Return a column of values of the cells as a matrix (rows, columns)."""
+    rows, columns = circuit.shape
+    return casadi.reshape(values, columns, rows).T
+
+
+def _lines_of_cells(circuit: Circuit) -> tuple[Numbers, Numbers]:
+    """Return the numbers of the row line and of the column line of every cell, (cells,) each."""
+    row, column = (numbers.ravel() for numbers in np.indices(circuit.shape))
+    return row, circuit.shape[0] + column
+
+
+def _terminals_of_cells(circuit: Circuit) -> tuple[casadi.DM, casadi.DM]:
+    """Return 1 at the terminal of every cell's row, and of its column, (nodes, cells) each."""
+    row, column = _lines_of_cells(circuit)
+    return circuit.at_terminals[:, row.tolist()], circuit.at_terminals[:, column.tolist()]

@@ -1,0 +1,381 @@
+"""The nonlinear program of one frame, or of several.
+
+    minimise    Σ_t w_t ρ_t( x_t(r, y) )
+    over        cells g = 1/r,  node voltages V  (one pattern a line: nodal; one a pixel: per_pixel)
+    subject to  L(g) V + diag(t) V = I          Kirchhoff's current law at every node
+                y = h(V)                        the readout
+                r_low ≤ r ≤ r_high              native bounds
+
+Units make all numbers of order one: conductances are s/r with s a typical resistance, voltages for unit currents have
+the size of their start, and the cost is divided by that of a cell at readings of zero. A loss without a second
+derivative everywhere enters by parts p, q ≥ 0 of its residuals (`Loss.lowered`). All derivatives are exact and sparse.
+
+Source: paper, equations (2)-(24); Wächter & Biegler, Mathematical Programming 106, 2006 (the method of IPOPT).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lampest.cost.cost import Cost, Summand, Symbols, lowered, program_groups, summands
+from lampest.cost.given import Given
+from lampest.cost.losses import Lowered
+from lampest.files.errors import InputError
+from lampest.formulation.circuit import Circuit
+from lampest.formulation.patterns import Excitation, NetworkSymbols
+from lampest.panel.compiled import CasadiOwner, guarded
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
+
+EMPTY = casadi.SX(0, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks(CasadiOwner):
+    """Named columns of symbols, one below the other.
+
+    Attributes
+    ----------
+    symbols : mapping of str to casadi.SX, shape (n, 1)
+    """
+
+    symbols: Mapping[str, casadi.SX]
+
+    @cached_property
+    def column(self) -> casadi.SX:
+        """All symbols, (size, 1)."""
+        return casadi.vertcat(EMPTY, *self.symbols.values())
+
+    @cached_property
+    def sizes(self) -> dict[str, int]:
+        """Number of entries of each block."""
+        return {name: int(symbol.shape[0]) for name, symbol in self.symbols.items()}
+
+    def stacked(self, values: Mapping[str, ArrayLike], default: float | None = None) -> Array:
+        """Return the values of all blocks as one column, (size,).
+
+        Parameters
+        ----------
+        values : mapping of str to array
+            A number, or one for each entry, by the name of the block.
+        default : float, optional
+            Value of blocks that are not named; without it all must be.
+        """
+        parts = []
+        for name, size in self.sizes.items():
+            given = values[name] if default is None or name in values else default
+            parts.append(np.broadcast_to(np.asarray(given, dtype=float).reshape(-1), (size,)))
+        return np.concatenate([np.zeros(0), *parts])
+
+    def named(self, column: Array) -> dict[str, Array]:
+        """Return the block of each name from one column of values, (size,)."""
+        ends = np.cumsum([*self.sizes.values()], dtype=int)[:-1]
+        return dict(zip(self.sizes, np.split(column, ends), strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint(CasadiOwner):
+    """Own constraint lower ≤ expression ≤ upper; equal limits make an equation.
+
+    Attributes
+    ----------
+    name : str
+    expression : casadi.SX, shape (rows, 1)
+    lower, upper : float
+    """
+
+    name: str
+    expression: casadi.SX
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True, eq=False)
+class OwnUnknown(CasadiOwner):
+    """Own unknown of a program.
+
+    Attributes
+    ----------
+    symbol : casadi.SX, shape (size, 1)
+    start, lower, upper : float
+    """
+
+    symbol: casadi.SX
+    start: float
+    lower: float = -np.inf
+    upper: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Program(CasadiOwner):
+    """Symbols of the nonlinear program; the module's docstring has it as formulas.
+
+    Attributes
+    ----------
+    cost : Cost
+        Terms over one block of frames: a single frame, or a baseline and its first frame.
+    shape : tuple of int
+        Rows and columns.
+    conductance : casadi.SX, shape (cells, frames)
+        s/r.
+    networks : tuple of NetworkSymbols
+        Voltages and current balances of every frame.
+    reading : casadi.SX, shape (cells, frames)
+        y = h(V), as the terms read it.
+    given : Given
+        Readings, noise and earlier frames.
+    tie, weight, scale, cost_scale, split_scale : casadi.SX
+        Ties (lines, frames) in 1/s, weights of the terms, s in ohm, size of the cost, and of the split residuals.
+    own : mapping of str to OwnUnknown
+        Unknowns that a user adds.
+    added : casadi.SX, shape (1, 1)
+        Costs that a user adds, in the unit of φ.
+    constraints : tuple of Constraint
+        Constraints that a user adds.
+    """
+
+    cost: Cost
+    shape: tuple[int, int]
+    conductance: casadi.SX
+    networks: tuple[NetworkSymbols, ...]
+    reading: casadi.SX
+    given: Given
+    tie: casadi.SX
+    weight: casadi.SX
+    scale: casadi.SX
+    cost_scale: casadi.SX
+    split_scale: casadi.SX
+    own: Mapping[str, OwnUnknown] = field(default_factory=dict)
+    added: casadi.SX = casadi.SX(0)
+    constraints: tuple[Constraint, ...] = ()
+
+    @classmethod
+    def build(cls, cost: Cost, readout: Readout, circuit: Circuit, patterns: Excitation, blocks: int = 1) -> "Program":
+        """Return the program of a cost on a circuit, over a number of independent blocks of frames."""
+        frames = blocks * cost.frames
+        rows, columns = cost.panel.shape
+        tie = casadi.SX.sym("tie", rows + columns, frames)
+        scale, cost_scale, split_scale = (casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale"))
+        conductance = casadi.SX.sym("conductance", rows * columns, frames)
+        networks = tuple(
+            patterns.network(circuit, readout, conductance[:, frame], tie[:, frame], scale) for frame in range(frames)
+        )
+        return cls(
+            cost,
+            (rows, columns),
+            conductance,
+            networks,
+            casadi.horzcat(*(network.reading for network in networks)),
+            Given.symbols(rows * columns, frames, partial=cost.partial),
+            tie,
+            casadi.SX.sym("weights", len(cost.terms)),
+            scale,
+            cost_scale,
+            split_scale,
+        )
+
+    @property
+    def cell_resistance(self) -> casadi.SX:
+        """Cells r in ohm, (cells, frames)."""
+        return self.scale / self.conductance
+
+    def cells(self, frame: int = 0) -> casadi.SX:
+        """Return the cells of one frame in ohm, (rows, columns)."""
+        rows, columns = self.shape
+        return casadi.reshape(self.cell_resistance[:, frame], columns, rows).T
+
+    def with_unknown(
+        self,
+        name: str,
+        *,
+        size: int = 1,
+        start: float | None = None,
+        lower: float = -np.inf,
+        upper: float = np.inf,
+        mean: float = 0.0,
+        sd: float = np.inf,
+    ) -> "tuple[Program, casadi.SX]":
+        """Return the program with a further unknown x, and its symbol (size, 1).
+
+        A prior adds Σ ((x − mean)/sd)² to the cost.
+
+        Parameters
+        ----------
+        name : str
+        size : int
+        start : float, optional
+            By default the mean, within the bounds.
+        lower, upper : float
+        mean, sd : float
+            Prior; without sd there is none.
+
+        Raises
+        ------
+        InputError
+            If the name is taken, or a number is out of range.
+        """
+        if name in self.unknown.symbols:
+            raise InputError(f"the program has an unknown {name} already: {', '.join(self.unknown.symbols)}")
+        if not (lower < upper and sd > 0):
+            raise InputError(f"unknown {name} needs lower < upper and sd > 0, not {lower:g}, {upper:g} and {sd:g}")
+        symbol = casadi.SX.sym(name, size)
+        begin = float(np.clip(mean, lower, upper)) if start is None else start
+        prior = casadi.sumsqr((symbol - mean) / sd) if np.isfinite(sd) else 0
+        own = {**self.own, name: OwnUnknown(symbol, begin, lower, upper)}
+        return replace(self, own=own, added=self.added + prior), symbol
+
+    def with_reading(self, changed: Callable[[casadi.SX], Any]) -> "Program":
+        """Return the program whose terms read changed(y) in place of y, (cells, frames) in the readout's unit.
+
+        Raises
+        ------
+        InputError
+            If the result has another shape.
+        """
+        reading = casadi.SX(changed(self.reading))
+        _check_shape("the changed reading", reading, self.reading.shape)
+        return replace(self, reading=reading)
+
+    def with_cost(self, added: casadi.SX) -> "Program":
+        """Return the program with a further cost, one number in the unit of φ. Raises InputError for another shape."""
+        _check_shape("an own cost", casadi.SX(added), (1, 1))
+        return replace(self, added=self.added + added)
+
+    def subject_to(self, name: str, expression: casadi.SX, lower: float = 0.0, upper: float | None = None) -> "Program":
+        """Return the program with a constraint lower ≤ expression ≤ upper; an equation if there is no upper limit.
+
+        Raises
+        ------
+        InputError
+            If the expression is no column, or no function of the unknowns.
+        """
+        expression = casadi.SX(expression)
+        if expression.shape[1] != 1 or not expression.shape[0]:
+            rows, columns = expression.shape
+            raise InputError(
+                f"constraint {name} is {rows} × {columns}, not a column (rows, 1); casadi.vec makes one of a matrix"
+            )
+        if not casadi.depends_on(expression, self.unknown.column):
+            raise InputError(f"constraint {name} depends on none of the unknowns {', '.join(self.unknown.symbols)}")
+        constraint = Constraint(name, expression, lower, lower if upper is None else upper)
+        return replace(self, constraints=(*self.constraints, constraint))
+
+    @cached_property
+    def groups(self) -> list[list[Summand]]:
+        """Costs w·ρ(x) of all terms and frames, in groups that are lowered together."""
+        pairs = []
+        size = self.cost.frames
+        for first in range(0, self.conductance.shape[1], size):
+            block = slice(first, first + size)
+            symbols = Symbols(self.cell_resistance[:, block], self.reading[:, block], self._given_of(block))
+            pairs += self.cost.residuals(symbols)
+        return program_groups(summands(self.cost.terms, pairs, self.weight))
+
+    @cached_property
+    def lowered(self) -> list[Lowered]:
+        """The groups in the form of an interior-point method, `Loss.lowered`."""
+        return [lowered(group, self.split_scale) for group in self.groups]
+
+    @guarded
+    def split_residuals(self, unknown: Array, parameter: Array) -> list[Array]:
+        """Return the residuals of each group that is split into p and q, at numbers of x and of the parameters."""
+        values = self._split_residuals(unknown, parameter) if self._split_residuals.n_out() else ()
+        several = values if isinstance(values, tuple) else (values,)
+        return [np.asarray(value).ravel() for value in several]
+
+    @cached_property
+    def _split_residuals(self) -> casadi.Function:
+        split = [group for group in self.groups if group[0].loss.enters != "whole"]
+        residuals = [casadi.densify(casadi.vertcat(*(part.residual for part in group))) for group in split]
+        return casadi.Function("split", [self.unknown.column, self.parameter.column], residuals)
+
+    def _given_of(self, block: slice) -> Given:
+        """Return the inputs of one block of frames."""
+        sources = self.given.sources()
+        some = {name: value[:, block] if sources[name].per_frame else value for name, value in self.given.named()}
+        return replace(self.given, **some)
+
+    @cached_property
+    def unknown(self) -> Blocks:
+        """Unknowns: 'conductance', the voltages by their names, 'split' (p, q), and own ones."""
+        voltages = {
+            name: casadi.vertcat(*(network.voltages[name] for network in self.networks))
+            for name in self.networks[0].voltages
+        }
+        split = casadi.vertcat(EMPTY, *(side for part in self.lowered for side in part.split))
+        own = {name: unknown.symbol for name, unknown in self.own.items()}
+        return Blocks({"conductance": casadi.vec(self.conductance), **voltages, "split": split, **own})
+
+    @cached_property
+    def parameter(self) -> Blocks:
+        """Parameters by name: the fields of `Given`, units of voltages, ties, weights, and the units of the program."""
+        given = {name: casadi.vec(symbol) for name, symbol in self.given.named()}
+        voltages = {
+            unit_of(name): casadi.vertcat(*(network.units[name] for network in self.networks))
+            for name in self.networks[0].units
+        }
+        units = {"scale": self.scale, "cost_scale": self.cost_scale, "split_scale": self.split_scale}
+        return Blocks({**given, **voltages, "tie": casadi.vec(self.tie), "weights": self.weight, **units})
+
+    @cached_property
+    def equation(self) -> Blocks:
+        """Constraints: 'balance' of the currents, 'split' (p − q = x), and own ones."""
+        split = casadi.vertcat(EMPTY, *(part.equation for part in self.lowered if part.equation is not None))
+        own = {constraint.name: constraint.expression for constraint in self.constraints}
+        balance = casadi.vertcat(*(network.balance for network in self.networks))
+        return Blocks({"balance": balance, "split": split, **own})
+
+    @cached_property
+    def objective(self) -> casadi.SX:
+        """φ/cost_scale."""
+        return (sum((part.objective for part in self.lowered), casadi.SX(0)) + self.added) / self.cost_scale
+
+    @property
+    def nlp(self) -> dict[str, casadi.SX]:
+        """The program in the form of CasADi's solvers."""
+        return {
+            "x": self.unknown.column,
+            "p": self.parameter.column,
+            "f": self.objective,
+            "g": self.equation.column,
+        }
+
+    def hessian(self) -> casadi.Function:
+        """Return the function (x, p, σ, λ) → ∇²(σf + λᵀg), upper triangle, (x, x) sparse.
+
+        The current balance is bilinear: its second derivatives are one block between conductances and voltages, which
+        follow each other in x. Everything else is differentiated twice.
+        """
+        unknown = self.unknown.column
+        weight = casadi.SX.sym("weight")
+        multiplier = casadi.SX.sym("multiplier", self.equation.column.shape[0])
+        count = self.equation.sizes["balance"]
+        voltages = casadi.vertcat(*(self.unknown.symbols[name] for name in self.networks[0].voltages))
+        others = self.equation.column[count:]
+        lagrangian = weight * self.objective + casadi.dot(multiplier[count:], others)
+        full = casadi.jacobian(casadi.gradient(lagrangian, unknown), unknown, {"symmetric": True})
+        slope = casadi.gradient(casadi.dot(multiplier[:count], self.equation.symbols["balance"]), voltages)
+        block = casadi.jacobian(slope, self.unknown.symbols["conductance"])
+        first = self.unknown.sizes["conductance"]
+        upper = casadi.SX(*full.shape)
+        upper[:first, first : first + voltages.shape[0]] = block.T
+        arguments = [unknown, self.parameter.column, weight, multiplier]
+        names = ["x", "p", "lam_f", "lam_g"]
+        return casadi.Function("nlp_hess_l", arguments, [casadi.triu(full) + upper], names, ["hess_gamma_x_x"])
+
+
+def unit_of(name: str) -> str:
+    """Return the name of the parameter that is the unit of voltages."""
+    return f"unit_{name}"
+
+
+def _check_shape(name: str, value: casadi.SX, shape: tuple[int, int]) -> None:
+    """Raise InputError unless a value has the shape."""
+    if value.shape != shape:
+        found, needed = (" × ".join(map(str, size)) for size in (value.shape, shape))
+        raise InputError(f"{name} is {found}; it must be {needed}")

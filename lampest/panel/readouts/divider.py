@@ -1,0 +1,101 @@
+"""Readings of a divider with a reference resistor, as resistances: what all circuits share that record them."""
+
+from dataclasses import replace
+from math import inf
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from lampest.panel.panel import Array
+from lampest.panel.readouts.lines import LineNumber, check_resistors
+from lampest.panel.readouts.readout import SHORT_SHARE, Readout, Surroundings
+
+
+class Divider(Readout):
+    """Base of readouts whose recorded value is that of the divider equation, as if the converter took no current.
+
+    Kinds are dataclasses that declare its keys in the files' order.
+
+    It includes the scene's series resistance. The keys are those of `TwoPointReadout`. Raises ValueError if a number is
+    out of range. Source: paper, equation (1) (across the sensor) and section V.B (across the reference).
+    """
+
+    unit: ClassVar[str] = "ohm"
+    signal: ClassVar[str] = "resistance"
+    signal_name: ClassVar[str] = "two-point resistance, divider equation"
+    in_series: ClassVar[bool] = True
+    series_name: ClassVar[str] = "series_resistance_ohm"
+    reference_ohm: float = 1000.0
+    measured_across: Literal["reference", "sensor"] = "reference"
+    input_ohm: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_resistors("reference_ohm", self.reference_ohm)
+        if self.input_ohm is not None:
+            check_resistors("input_ohm", self.input_ohm, most=inf)
+
+    def apparent_resistance(self, measured: Array) -> Array:
+        return measured
+
+    def most_in_series(self, measured: Array, sigma: Array) -> float:
+        return float(measured[np.isfinite(sigma)].min(initial=np.inf))
+
+    def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
+        return np.asarray(self._between_lines(recorded) - scene.series_ohm)
+
+    def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
+        """Return R + R_series, distorted by the converter's input resistance, (…, rows, columns) ohm."""
+        total = np.asarray(reading + scene.series_ohm)
+        if self.input_ohm is None:
+            return total
+        if self.measured_across == "sensor":
+            with np.errstate(divide="ignore"):
+                return np.asarray(1 / (1 / total + 1 / self.input_ohm))
+        return np.asarray(total * (1 + self.reference_ohm / self.input_ohm))
+
+    def _between_lines(self, recorded: Array) -> Array:
+        """Return the resistance of lines and panel without the converter's input resistance.
+
+        Across the sensor, a recorded value above the input resistance becomes nearly open.
+        """
+        if self.input_ohm is None:
+            return recorded
+        if self.measured_across == "sensor":
+            return np.asarray(1 / np.maximum(1 / recorded - 1 / self.input_ohm, SHORT_SHARE / self.input_ohm))
+        return np.asarray(recorded / (1 + self.reference_ohm / self.input_ohm))
+
+    def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
+        """Return σ of the readings: σ of the recorded values times ∂R/∂(recorded)."""
+        if self.input_ohm is None:
+            return sigma
+        slope = self._between_lines(recorded) / recorded
+        return np.asarray(sigma * slope ** (2 if self.measured_across == "sensor" else 1))
+
+    def off_by(self, fraction: float) -> Self:
+        return replace(self, reference_ohm=self.reference_ohm * (1 + fraction))
+
+    def line_numbers(self) -> tuple[LineNumber, ...]:
+        return (LineNumber("series_resistance_ohm", ("rows", "columns"), channel=True, in_scene=True),)
+
+    def recorded_from_volt(self, volt: Array) -> Array:
+        """Return R of voltages V at the converter: 0 or infinite at the rails.
+
+        R = (Vcc − V)/V·Rref across the reference, R = V/(Vcc − V)·Rref across the sensor.
+        """
+        volt = np.asarray(volt, dtype=float)
+        ends = self.supply_volt - volt, volt
+        upper, lower = ends if self.measured_across == "reference" else ends[::-1]
+        with np.errstate(divide="ignore"):
+            return np.asarray(upper / lower * self.reference_ohm)
+
+    def volt_from_recorded(self, recorded: Array) -> Array:
+        """Return V = Vcc·Rref/(R + Rref) across the reference, V = Vcc·R/(R + Rref) across the sensor; any shape."""
+        with np.errstate(divide="ignore"):
+            ratio = np.asarray(recorded, dtype=float) / self.reference_ohm
+            return np.asarray(self.supply_volt / (1 + (ratio if self.measured_across == "reference" else 1 / ratio)))
+
+    def sigma(self, recorded: Array) -> Array:
+        """Return σ_R = (R + Rref)²/Rref · σ_V/Vcc (delta method), R including the series resistance; any shape, ohm."""
+        total = np.asarray(recorded, dtype=float) + self.reference_ohm
+        return np.asarray(total**2 * (self.sigma_volt() / (self.reference_ohm * self.supply_volt)))

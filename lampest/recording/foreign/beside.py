@@ -1,0 +1,156 @@
+"""Fields beside the readings of a line: clocks of several columns, numbers of frames and rows, constant marks."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.panel import Array
+from lampest.recording.foreign.arrays import Shape
+from lampest.recording.foreign.table import ReadingsTable
+from lampest.recording.foreign.words import PART_OF_CLOCK, grows, is_stamp, line_of, parted
+
+MAX_BESIDE = 8  # fields beside the readings of a line that names none
+MIN_LINES = 3  # a field is a mark only if it is the same in as many lines
+SKIPPED = "-"
+CLOCK = ("hour", "minute", "second")
+DATE = ("year", "month", "day")
+
+
+def with_one_clock(table: ReadingsTable) -> ReadingsTable:
+    """Return the table with one column for the hour, minute and second that it names, and one for a date's parts."""
+    words = [parted(name)[0] for name in table.names]
+    parts = [PART_OF_CLOCK.get(word) or (word if word in DATE else None) for word in words]
+    if all(part in parts for part in DATE):
+        fields = [parts.index(part) for part in DATE]
+        year, month, day = table.values[:, fields].T
+        dates = [_written("{:04.0f}-{:02.0f}-{:02.0f}", *date) for date in zip(year, month, day, strict=True)]
+        return with_one_clock(_joined(table, fields, dates, "date"))
+    if not all(part in parts for part in CLOCK):
+        return table
+    fields = [parts.index(part) for part in CLOCK]
+    after = fields[-1] + 1
+    thousandths = after if parts[after : after + 1] == ["millisecond"] else None
+    texts = _clock_texts(table, fields, thousandths)
+    return _joined(table, fields if thousandths is None else [*fields, after], texts, "time")
+
+
+def _clock_texts(table: ReadingsTable, fields: Sequence[int], thousandths: int | None = None) -> list[str]:
+    hour, minute, second = table.values[:, fields].T
+    second = second if thousandths is None else second + table.values[:, thousandths] / 1000
+    return [_written("{:02.0f}:{:02.0f}:{:09.6f}", *part) for part in zip(hour, minute, second, strict=True)]
+
+
+def _written(form: str, *parts: float) -> str:
+    return form.format(*parts) if np.all(np.isfinite(parts)) else ""
+
+
+def _joined(table: ReadingsTable, fields: Sequence[int], texts: Sequence[str], name: str) -> ReadingsTable:
+    """Return the table with texts in the first of the fields, and without the others."""
+    first, kept = fields[0], [field for field in range(table.width) if field not in fields[1:]]
+    held, values = table.fields.copy(), table.values.copy()
+    held[:, first] = texts
+    values[:, first] = np.nan
+    names = tuple(name if field == first else old for field, old in enumerate(table.names))
+    joined = f"{', '.join(table.names[field] or f'field {field + 1}' for field in fields)} are one {name}"
+    notes = (*table.notes, joined)
+    return replace(table, fields=held, values=values, names=names, notes=notes).only(columns=kept)
+
+
+def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
+    """Return a table without a header with names for the fields beside the readings, and without marks.
+
+    These are a clock, a time, a frame's number, or marks, which are the same in every line, before or after the
+    readings; a row's number stands before. Where they cannot be told, and where a single field leads, the table is
+    returned unchanged.
+    """
+    fits = table.width in (shape[0] * shape[1], *shape)  # or it would with rows and columns exchanged
+    if any(table.names) or len(table.lines) < MIN_LINES or fits:
+        return table
+    marks = np.array([np.all(column == column[0]) and column[0] != "" for column in table.fields.T])
+    for needed, rows in ((shape[0] * shape[1], 1), (shape[1], shape[0])):
+        extra = table.width - needed
+        if not 1 <= extra <= MAX_BESIDE:
+            continue
+        for trailing in range(extra + 1):
+            lead, end = range(extra - trailing), range(table.width - trailing, table.width)
+            names = _told(table, [*lead, *end], len(lead), rows, marks)
+            if names is None:
+                continue
+            alone = len(names) == 1 and names != [SKIPPED] and not trailing
+            return table if alone else _named(table, names, len(lead))
+        if extra == 1:
+            return table
+    return table
+
+
+def _named(table: ReadingsTable, names: Sequence[str], lead: int) -> ReadingsTable:
+    """Return the table with its named fields first, of which `lead` stood there, and without those called '-'."""
+    trailing = len(names) - lead
+    order = [*range(lead), *range(table.width - trailing, table.width), *range(lead, table.width - trailing)]
+    said = [f"field {order[at] + 1} {name}" for at, name in enumerate(names) if name != SKIPPED]
+    marks = [f"field {order[at] + 1}" for at, name in enumerate(names) if name == SKIPPED]
+    notes = [f"no header: {', '.join(said)}; `layout` says otherwise"] if said else []
+    notes += [f"{', '.join(marks)} left out: beside the readings, and no time"] if marks else []
+    every = (*names, *[""] * (table.width - len(names)))
+    table = replace(table.only(columns=order), names=every, notes=(*table.notes, *notes))
+    clock = [field for field, name in enumerate(names) if name in CLOCK]
+    table = _joined(table, clock, _clock_texts(table, clock), "time") if clock else table
+    return table.only(columns=[field for field, name in enumerate(table.names) if name != SKIPPED])
+
+
+def _told(
+    table: ReadingsTable, fields: Sequence[int], lead: int, rows: int, marks: NDArray[np.bool_]
+) -> list[str] | None:
+    """Return names of the fields beside the readings, of which `lead` stand before; None if one cannot be told."""
+    leading = [_is_row(table.fields[:, field], rows) for field in fields[:lead]] if rows > 1 else []
+    names: list[str | None] = [
+        "row" if at < len(leading) and leading[at] else _name_of(table, field, rows, mark=bool(marks[field]))
+        for at, field in enumerate(fields)
+    ]
+    for at in range(lead - 2):
+        if _is_clock(table.values[:, fields[at : at + 3]]):
+            names[at : at + 3] = CLOCK
+            break
+    numbered = lead == 0 or (lead == 1 and names[0] == SKIPPED) or "row" in names
+    if None in names or (rows > 1 and len(fields) > 1 and not numbered):
+        return None
+    known = [name or SKIPPED for name in names]
+    first = "hour" if "hour" in known else "time"
+    return [
+        SKIPPED if name == "time" and (first == "hour" or at != known.index("time")) else name
+        for at, name in enumerate(known)
+    ]
+
+
+def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str | None:
+    """Return what a field beside the readings is: 'time', 'frame', or '-' for a mark; None if nothing fits."""
+    texts, values = table.fields[:, field], table.values[:, field]
+    if all(is_stamp(text) for text in set(texts[table.words[:, field]])) and table.words[:, field].all():
+        return "time"
+    if mark:
+        return SKIPPED
+    steps = np.diff(values)
+    if rows > 1 and np.all(steps >= 0):
+        return "frame" if set(steps) <= {0.0, 1.0} and not np.all(steps == 1) else "time"
+    if grows(values):
+        return "frame" if np.all(steps == 1) else "time"
+    return SKIPPED if np.all(steps >= 0) else None
+
+
+def _is_row(texts: NDArray[np.object_], rows: int) -> bool:
+    """Return whether texts count the rows of every frame, from 0 or 1, as numbers or as names such as R3."""
+    numbers = np.array([(line_of(text) or ("", -1))[1] for text in texts])
+    first = int(numbers.min())
+    follows = (np.diff(numbers) == 1) | (numbers[1:] < numbers[:-1])
+    return first in (0, 1) and int(numbers.max()) - first == rows - 1 and bool(np.all(follows))
+
+
+def _is_clock(values: Array) -> bool:
+    """Return whether three columns are hour, minute and second that do not run backwards."""
+    hour, minute, second = values.T
+    whole = np.all(values[:, :2] == np.round(values[:, :2]))
+    within = np.all((values >= 0) & (values < [24, 60, 61]))
+    total = 3600 * hour + 60 * minute + second
+    return bool(whole and within and np.all(np.diff(total) >= 0) and total[-1] > total[0])

@@ -1,0 +1,338 @@
+"""Constants of one estimator on one panel, as the C library `lampest_estimate` takes them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.document import parse_document
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.driven import DrivenReadout
+from lampest.panel.scene import Scene
+from lampest.runs.case import CaseResult
+
+MAX_LINES = 64  # of a side: LAMPEST_MAX_LINES
+MAX_OHM = 1e9  # of a cell: LARGEST_OHM
+MAX_SUM = 65535  # sums are unsigned numbers of 16 bits
+# Kind of a penalty → what it compares, and how; its reference decides between baseline and previous frame.
+PENALTIES = {
+    "log_gradient": ("LAMPEST_LOG", "LAMPEST_STEPS"),
+    "gradient": ("LAMPEST_OHM", "LAMPEST_CENTRAL"),
+    "cell_resistance": ("LAMPEST_OHM", "LAMPEST_VALUES"),
+    "relative_change": ("LAMPEST_CHANGE", "LAMPEST_VALUES"),
+    "gradient_of_relative_change": ("LAMPEST_CHANGE", "LAMPEST_CENTRAL"),
+    "log_ratio": ("LAMPEST_LOG_OF_", "LAMPEST_VALUES"),
+}
+LOSSES = {"squared": "LAMPEST_SQUARED", "huber": "LAMPEST_HUBER", "student": "LAMPEST_STUDENT"}
+MAX_RELEASE = 1e3  # Rd/Rp or Rs/Rq: single precision keeps four digits of 1 + a Z
+COMPARES = ("LAMPEST_CHANGE", "LAMPEST_LOG_OF_PREVIOUS")  # with the previous frame
+MIN_LOADED_LIMIT = 0.2  # ln r: a fifth below the other cells is no drift
+LOADED_DEVIATIONS = 8.0  # standard deviations of a cell
+MAX_ROUNDED = 0.02  # of a code: sums further from whole numbers are averages of other readings
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Largest work of a frame.
+
+    Attributes
+    ----------
+    steps : int
+        Gauss-Newton steps.
+    products : int
+        Conjugate-gradient iterations of a step.
+    within : float
+        Deviation from the optimum at which a frame ends, in standard deviations of its cells.
+    """
+
+    steps: int = 2
+    products: int = 15
+    within: float = 0.05
+
+
+@dataclass(frozen=True)
+class Penalty:
+    """One penalty as C has it: names of enumerators, corner of the loss, and weight."""
+
+    quantity: str
+    difference: str
+    loss: str
+    corner: float
+    weight: float
+
+
+@dataclass(frozen=True, eq=False)
+class CircuitLines:
+    """Circuit of driven lines: V_ij = gain_j Z_ij / ((drive_i + release_i Z_ii)(1 + load_j Z_jj) − …).
+
+    Attributes
+    ----------
+    tie : array, shape (rows + columns,)
+        Conductance of idle lines to ground, siemens.
+    drive, release : array, shape (driven lines,)
+        Rd in ohm, and 1 − Rd/Rp.
+    load, gain : array, shape (sensed lines,)
+        1/Rs − 1/Rq in siemens, and the supply times the share of the line's voltage at the converter, volt.
+    """
+
+    tie: Array
+    drive: Array
+    release: Array
+    load: Array
+    gain: Array
+
+    @classmethod
+    def of(cls, readout: DrivenReadout, shape: tuple[int, int]) -> "CircuitLines":
+        """Return the circuit's numbers. Raises InputError for a circuit that is not of this form."""
+        if getattr(readout, "diode", None) is not None:
+            raise InputError("the C library has no diodes: drive the lines without one, or estimate on a computer")
+        if getattr(readout, "groups", None) is not None:
+            raise InputError("the C library has no multiplexers in parallel (readout.groups)")
+        drive, load, gain = readout.lines_of_circuit(shape)
+        tie = readout.ties(np.ones(shape))
+        by_rows = readout.driven == "rows"
+        driven, sensed = (tie[: shape[0]], tie[shape[0] :]) if by_rows else (tie[shape[0] :], tie[: shape[0]])
+        # Rp = 1/tie of a driven line, Rq = 1/tie of a sensed one. Rounding must not leave a rest of what cancels.
+        release, free_load = 1 - drive * driven, 1 / load - sensed
+        release = np.where(np.abs(release) < 1e-9, 0.0, release)
+        free_load = np.where(np.abs(free_load) < 1e-9 / load, 0.0, free_load)
+        if np.any(np.abs(release) > MAX_RELEASE) or np.any(np.abs(free_load) * load > MAX_RELEASE):
+            raise InputError(
+                "the C library has no lines that are held at ground while idle, and driven or loaded through a "
+                "resistor: single precision loses what differs"
+            )
+        return cls(tie, drive, release, free_load, readout.driving_volt * gain)
+
+
+@dataclass(frozen=True, eq=False)
+class Constants:
+    """Content of `lampest_constants`; arrays over cells are (rows, columns).
+
+    Attributes
+    ----------
+    scene : Scene
+    lines : CircuitLines or None
+        Driven lines; None for two-point readings.
+    sigma_volt : array, shape (rows, columns)
+        Standard deviation of a reading at the converter.
+    plain_sigma : float
+        Standard deviation of all readings in their unit where the misfit is plain, else 0.
+    data_loss : str
+    data_corner : float
+    penalties : tuple of Penalty
+    least_ohm, largest_ohm : float
+    native_bounds : bool
+    baseline : array
+        Cells at rest in ohm; 1 kΩ where there is no cell.
+    loaded_limit : float
+        In ln r.
+    budget : Budget
+    """
+
+    scene: Scene
+    lines: CircuitLines | None
+    sigma_volt: Array
+    plain_sigma: float
+    data_loss: str
+    data_corner: float
+    penalties: tuple[Penalty, ...]
+    least_ohm: float
+    largest_ohm: float
+    native_bounds: bool
+    baseline: Array
+    loaded_limit: float
+    budget: Budget = Budget()
+
+    @classmethod
+    def of(cls, case: CaseResult) -> "Constants":
+        """Return the constants of a case. Raises InputError for a term or circuit that C does not have."""
+        scene = case.scene
+        check_scene(scene)
+        readout = scene.circuit
+        lines = CircuitLines.of(readout, scene.panel.shape) if isinstance(readout, DrivenReadout) else None
+        recorded = readout.to_recorded(case.measured, scene)
+        sigma_volt = _sigma_volt(case, recorded)
+        content = parse_document(case.case_yaml, f"{case.recording} × {case.estimator}").content
+        terms = content["terms"]
+        (data,) = [term for term in terms if term["kind"] == "misfit"]
+        plain = _plain_sigma(case) if data.get("weighting", "plain") == "plain" else 0.0
+        scale = (plain or 1.0) ** 2 * data.get("weight", 1.0)
+        penalties = tuple(_penalty(term, case, scale) for term in terms if term is not data)
+        loss, corner = _loss(data)
+        solved = case.solved
+        limit = LOADED_DEVIATIONS * float(np.nanmedian(case.sigma_own[solved])) if case.sigma_own is not None else 0.0
+        bounds = content.get("bounds", {})
+        lower, upper = bounds.get("lower", "measured"), bounds.get("upper", "resolution")
+        native = lines is None and lower == "measured" and upper == "resolution"
+        typical = float(np.nanmedian(case.cell_resistance[solved]))
+        baseline = np.where(np.isfinite(case.baseline_resistance), case.baseline_resistance, typical)
+        return cls(
+            scene,
+            lines,
+            sigma_volt,
+            plain / np.sqrt(data.get("weight", 1.0)),
+            loss,
+            corner / (plain or 1.0),
+            penalties,
+            float(lower) if not isinstance(lower, str) else 1e-6 * typical,
+            float(upper) if not isinstance(upper, str) else _largest(case),
+            native,
+            np.where(scene.panel.present, baseline, 1000.0),
+            max(MIN_LOADED_LIMIT, limit if np.isfinite(limit) else 0.0),
+        )
+
+    def within(self, budget: Budget) -> "Constants":
+        """Return the constants with another budget."""
+        return replace(self, budget=budget)
+
+    @property
+    def top_sum(self) -> int:
+        """Largest sum of codes."""
+        readout = self.scene.circuit
+        return int(readout.readings * (2**readout.adc_bits - 1))
+
+    @property
+    def valid_sums(self) -> tuple[int, int]:
+        """Smallest and largest sum that is no bound: those between the rails."""
+        readout = self.scene.circuit
+        ends = np.sort(readout.volt_from_recorded(np.array(readout.rails())))
+        low, high = (ends / readout.lsb_volt - 0.5) * readout.readings
+        return int(np.clip(np.ceil(low - 1e-6), 0, self.top_sum)), int(np.clip(np.floor(high + 1e-6), 0, self.top_sum))
+
+    @property
+    def relative(self) -> bool:
+        """Whether a penalty compares with the previous frame."""
+        return any(penalty.quantity in COMPARES for penalty in self.penalties)
+
+    @property
+    def pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array] | None:
+        """Neighbours of listed cells by their numbers along the longer side; None for a full rectangle."""
+        panel = self.scene.panel
+        if panel.cells is None:
+            return None
+        first, second, distance = panel.neighbours
+        rows, columns = panel.shape
+        if rows >= columns:
+            return first, second, distance
+        turned = [(cells % columns) * rows + cells // columns for cells in (first, second)]
+        return turned[0], turned[1], distance
+
+    @property
+    def rises(self) -> bool:
+        """Whether a reading of the network grows with its sum."""
+        readout = self.scene.circuit
+        if isinstance(readout, TwoPointReadout):
+            return readout.measured_across == "sensor"
+        return readout.direction > 0
+
+    def sums_of(self, case: CaseResult) -> NDArray[np.uint16]:
+        """Return the sums of codes of the frames, (frames, rows, columns); missing readings are 65535."""
+        sums = self._sums(self.scene.circuit.to_recorded(case.measured, self.scene))
+        if case.reading_side is not None:
+            high = case.reading_side == (1 if self.rises else -1)
+            sums = np.where(case.reading_side != 0, np.where(high, self.top_sum, 0), sums)
+        missing = ~np.isfinite(case.measured)
+        return np.where(missing, MAX_SUM, sums).astype(np.uint16)
+
+    def _sums(self, recorded: Array) -> Array:
+        """Return sums of codes of recorded values, not rounded to more than a sum."""
+        readout = self.scene.circuit
+        with np.errstate(invalid="ignore"):
+            sums = (readout.volt_from_recorded(recorded) / readout.lsb_volt - 0.5) * readout.readings
+        return np.asarray(np.clip(np.nan_to_num(np.round(sums)), 0, self.top_sum))
+
+
+def check_scene(scene: Scene) -> None:
+    """Raise InputError where the C library does not have an effect of the scene."""
+    rows, columns = scene.panel.shape
+    for known, sentence in (
+        (scene.readout is None, "needs a readout in the scene, whose codes the board reads"),
+        (scene.panel.modules is not None, "estimates one panel, not modules: export a recording of one of them"),
+        (max(rows, columns) > MAX_LINES, f"has up to {MAX_LINES} lines a side, not {rows} × {columns}"),
+        (scene.wiring is not None, "has no line resistance, contacts or touching lines"),
+        (scene.converter_memory is not None, "has no converter memory"),
+        (scene.faults is not None, "has no faults: list the panel's sound cells under panel.cells"),
+    ):
+        if known:
+            raise InputError(f"the C library {sentence}")
+    readout = scene.circuit
+    if not isinstance(readout, TwoPointReadout | DrivenReadout):
+        raise InputError(f"the C library has no such circuit: {readout.description()}")
+    if readout.readings * (2**readout.adc_bits - 1) > MAX_SUM:
+        raise InputError(
+            f"sums of {readout.readings} readings of {readout.adc_bits} bits exceed 16 bits: give fewer readings"
+        )
+
+
+def _sigma_volt(case: CaseResult, recorded: Array) -> Array:
+    """Return σ at the converter in volt, (rows, columns): the median over the frames."""
+    if case.sigma is None:
+        raise InputError(f"{case.recording} × {case.estimator}: the noise of the readings is not known")
+    readout, scene = case.scene.circuit, case.scene
+    # d(network reading)/d(volt) by central differences of half a code
+    volt, half = readout.volt_from_recorded(recorded), readout.lsb_volt / 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ends = [readout.from_recorded(readout.recorded_from_volt(volt + side * half), scene) for side in (1, -1)]
+        sigma = case.sigma / np.abs((ends[0] - ends[1]) / (2 * half))
+    sigma[~case.valued | ~np.isfinite(sigma)] = np.nan
+    if not np.isfinite(sigma).any():
+        raise InputError(f"{case.recording} × {case.estimator}: no reading is a value")
+    typical = float(np.nanmedian(sigma))
+    with np.errstate(invalid="ignore"):
+        each = np.array(
+            [
+                [_median(sigma[:, row, column], typical) for column in range(sigma.shape[2])]
+                for row in range(sigma.shape[1])
+            ]
+        )
+    return np.full_like(each, typical) if np.allclose(each, typical, rtol=1e-3) else each
+
+
+def _median(values: Array, otherwise: float) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else otherwise
+
+
+def _plain_sigma(case: CaseResult) -> float:
+    """Return the typical σ of a reading in its own unit."""
+    assert case.sigma is not None
+    return float(np.median(case.sigma[case.valued]))
+
+
+def _largest(case: CaseResult) -> float:
+    """Return the upper bound of all cells in ohm: where single precision, or the noise, sees no difference."""
+    readout = case.scene.circuit
+    if not isinstance(readout, DrivenReadout) or case.sigma is None:
+        return MAX_OHM
+    whole = case.valued.all(axis=(1, 2))
+    limits = readout.resolution(case.measured[whole], case.sigma[whole])
+    return float(min(MAX_OHM, np.max(limits, initial=0.0) or MAX_OHM))
+
+
+def _loss(term: Mapping[str, Any]) -> tuple[str, float]:
+    """Return the enumerator of a loss and its corner. Raises InputError for a loss that C does not have."""
+    loss = term.get("loss", {"kind": "squared"})
+    if loss["kind"] not in LOSSES:
+        raise InputError(f"the C library has no loss {loss['kind']!r} ({term['kind']}): it has {', '.join(LOSSES)}")
+    return LOSSES[loss["kind"]], float(loss.get("corner", 1.0))
+
+
+def _penalty(term: Mapping[str, Any], case: CaseResult, scale: float) -> Penalty:
+    """Return a penalty with its weight of the strongest frame, divided by what the misfit is divided by."""
+    kind = term["kind"]
+    if kind not in PENALTIES:
+        raise InputError(f"the C library has no term {kind!r}: it has misfit, {', '.join(PENALTIES)}")
+    loss, corner = _loss(term)
+    quantity, difference = PENALTIES[kind]
+    if kind == "log_ratio":
+        quantity += str(term.get("reference", "baseline")).upper()
+    if case.scene.panel.cells is not None and difference == "LAMPEST_CENTRAL":
+        difference = "LAMPEST_STEPS"
+    weights = case.weights[kind][np.isfinite(case.weights[kind])]
+    if not weights.size:
+        raise InputError(f"{case.recording} × {case.estimator}: no frame is solved, so that {kind} has no weight")
+    return Penalty(quantity, difference, loss, corner, float(np.median(weights)) / scale)

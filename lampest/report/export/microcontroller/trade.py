@@ -1,0 +1,160 @@
+"""What a budget buys: deviation from the optimum, operations, and time, measured on a recording's own frames."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array
+from lampest.report.compare import Table
+from lampest.report.export.microcontroller.constants import Budget, Constants
+from lampest.report.export.microcontroller.host import Host
+from lampest.runs.case import CaseResult
+
+# Instructions a microsecond, reckoned and not measured on a board. Cortex-M4F at 120 MHz: 1.2 cycles an instruction;
+# Cortex-M7 at 600 MHz: two instructions in 1.3 cycles; one Cortex-M33 of an RP2350 at 150 MHz: as the M4; an ESP32 at
+# 240 MHz: 1.6 cycles, as its loads wait.
+PROCESSORS = {"cortex-m4f": 100.0, "cortex-m7": 900.0, "rp2350": 125.0, "esp32": 150.0}
+BUDGETS = (
+    *(Budget(1, products, 0.0) for products in (3, 5, 8)),
+    *(Budget(2, products, 0.0) for products in (3, 4, 5, 6, 8, 10, 14, 20)),
+    *(Budget(3, products, 0.0) for products in (8, 12, 20, 30)),
+    *(Budget(5, products, 0.0) for products in (20, 40)),
+)
+DEFAULT_WITHIN = 0.05  # standard deviations of a cell's own error, which nobody sees
+MIN_FRAMES, MAX_FRAMES = 6, 40  # the first ones of a recording: enough for a median
+MAX_OPERATIONS = 2_000_000  # of a product of all frames together: a minute for all budgets at 64 × 64 cells
+# Instructions of a Cortex-M4F, fitted to 60 counts of QEMU from 4 × 4 to 16 × 16 cells, all within 10 %
+# (tests/board/test_estimate.py): of a product for each operation of its matrices and each cell, of a step, of a frame.
+FOR_OPERATION, FOR_CELL, FOR_STEP_CELL, FOR_STEP_LINES, FOR_FRAME_CELL = 3.56, 136.0, 3040.0, 7.4, 271.0
+
+
+@dataclass(frozen=True)
+class Trade:
+    """Accuracy and work of a budget.
+
+    Attributes
+    ----------
+    budget : Budget
+    median, worst, second : float
+        Deviation from the optimum, rms over the cells, in standard deviations of their own errors: median and worst of
+        the frames, and of the second one.
+    instructions, most_instructions : float
+        Of a Cortex-M4F for a frame, mean and largest.
+    """
+
+    budget: Budget
+    median: float
+    worst: float
+    second: float
+    instructions: float
+    most_instructions: float
+
+    def milliseconds(self, processor: str) -> float:
+        """Return the time of the costliest frame in ms."""
+        return self.most_instructions / PROCESSORS[processor] / 1000
+
+
+def operations_of(constants: Constants) -> int:
+    """Return 6·m·n² + 2·n³, the multiplications of the matrices of a product, m ≥ n lines."""
+    longer, shorter = sorted(constants.scene.panel.shape, reverse=True)
+    return int(6 * longer * shorter**2 + 2 * shorter**3)
+
+
+def instructions(constants: Constants, products: Array, steps: Array) -> Array:
+    """Return the instructions of frames on a Cortex-M4F.
+
+    products : conjugate-gradient iterations.
+    """
+    longer, shorter = sorted(constants.scene.panel.shape, reverse=True)
+    cells, operations = longer * shorter, operations_of(constants)
+    of_step = FOR_STEP_CELL * cells + FOR_STEP_LINES * longer * cells
+    return products * (FOR_OPERATION * operations + FOR_CELL * cells) + steps * of_step + FOR_FRAME_CELL * cells
+
+
+def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, ...]:
+    """Return what each budget buys on the first frames of a case. Raises InputError without error bars."""
+    if case.sigma_own is None:
+        raise InputError("these results have no error bars, in which the deviation would be told")
+    affordable = max(MIN_FRAMES, MAX_OPERATIONS // operations_of(constants))
+    count = min(MAX_FRAMES, affordable, len(case.frame))
+    sums = constants.sums_of(case)[:count]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        optimum = np.log(case.cell_resistance / case.baseline_resistance)[:count]
+        own = np.where(case.sigma_own > 0, case.sigma_own, np.nan)[:count]
+    # An open cell has no value, and a cell at a bound no error.
+    own[case.open_cell[:count] | case.at_lower_bound[:count] > 0] = np.nan
+    found = []
+    for budget in BUDGETS:
+        frames = host.frames(sums, budget)
+        with np.errstate(invalid="ignore"):
+            square = ((frames.log_change - optimum) / own) ** 2
+        known = np.isfinite(square)
+        mean = np.where(known, square, 0).sum(axis=(1, 2)) / np.maximum(known.sum(axis=(1, 2)), 1)
+        deviation = np.sqrt(mean[known.any(axis=(1, 2))])
+        if not deviation.size:
+            raise InputError("no frame of these results is solved, so that there is nothing to compare with")
+        spent = instructions(constants, frames.products - frames.steps, frames.steps)
+        second = float(deviation[min(1, len(deviation) - 1)])
+        measures = (
+            float(np.median(deviation)),
+            float(deviation.max()),
+            second,
+            float(spent.mean()),
+            float(spent.max()),
+        )
+        found.append(Trade(budget, *measures))
+    return tuple(found)
+
+
+def chosen_budget(
+    table: Sequence[Trade], within: float | None, milliseconds: float | None, processor: str | None
+) -> tuple[Trade, float]:
+    """Return the budget that a user's wishes name, and the deviation at which its frames may end earlier.
+
+    Parameters
+    ----------
+    table : sequence of Trade
+    within : float or None
+        Largest deviation of the median frame, in standard deviations.
+    milliseconds : float or None
+        Longest time of a frame on the processor; without `within` the most exact budget that takes no longer.
+    processor : str or None
+        One of PROCESSORS.
+
+    Raises InputError where no budget fits.
+    """
+    known = sorted(table, key=lambda trade: trade.most_instructions)
+    if milliseconds is not None:
+        if processor is None:
+            raise InputError(f"--milliseconds needs --processor: one of {', '.join(PROCESSORS)}")
+        fits = [trade for trade in known if trade.milliseconds(processor) <= milliseconds]
+        if not fits:
+            least = known[0].milliseconds(processor)
+            raise InputError(f"no budget takes {milliseconds:g} ms on {processor}: the smallest takes {least:.3g} ms")
+        if within is None:
+            return min(fits, key=lambda trade: trade.median), DEFAULT_WITHIN
+        known = fits
+    aim = DEFAULT_WITHIN if within is None else within
+    exact = [trade for trade in known if trade.median <= aim]
+    if not exact and within is not None:
+        least = min(trade.median for trade in known)
+        raise InputError(f"no budget ends within {within:g} σ in the median frame: the best one at {least:.2g}")
+    return (exact[0] if exact else min(known, key=lambda trade: trade.median)), aim
+
+
+def table_of(table: Sequence[Trade]) -> Table:
+    """Return the table of what budgets buy."""
+    headers = ("steps", "products", "σ median", "σ worst", "σ second frame", "million instructions", "at most")
+    cells = tuple(
+        (
+            str(trade.budget.steps),
+            str(trade.budget.products),
+            *(f"{value:.2g}" for value in (trade.median, trade.worst, trade.second)),
+            *(f"{value / 1e6:.2f}" for value in (trade.instructions, trade.most_instructions)),
+            *(f"{trade.milliseconds(processor):.3g}" for processor in PROCESSORS),
+        )
+        for trade in table
+    )
+    return Table((*headers, *(f"{processor}, ms" for processor in PROCESSORS)), cells)

@@ -1,0 +1,126 @@
+"""Solver that gives the nonlinear program with node voltages to IPOPT.
+
+It begins at the same starts as every other solver, and takes no other answer: initial voltages are those of the start's
+cells, multipliers those with which IPOPT ended the frame before.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import log
+
+import numpy as np
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data, Evaluation
+from lampest.formulation.circuit import Circuit
+from lampest.formulation.instance import Instance, Multipliers, ProgramResult
+from lampest.formulation.ipopt import Interface, Limits
+from lampest.formulation.patterns import Excitation
+from lampest.formulation.program import Program
+from lampest.panel.compiled import guarded
+from lampest.panel.readouts import Readout
+from lampest.panel.readouts.wiring import Wiring
+from lampest.solvers.solution import Outcome, Settings, Solver, Status
+
+STATUS = {
+    "Solve_Succeeded": Status.OPTIMUM,
+    "Solved_To_Acceptable_Level": Status.OPTIMUM,
+    "Search_Direction_Becomes_Too_Small": Status.OPTIMUM,
+    "Maximum_Iterations_Exceeded": Status.ITERATIONS,
+    "Maximum_WallTime_Exceeded": Status.TIME,
+    "Infeasible_Problem_Detected": Status.INFEASIBLE,
+    "Invalid_Option": Status.UNAVAILABLE,
+}
+# The unit of the objective is the cost of a cell at readings of zero; that of an optimum is decades smaller.
+ACCURACY = 1e-4
+FAR = log(4.0)  # of ln r: a frame whose cells move less stays in its valley, even where IPOPT corrects the inertia
+
+
+@dataclass(frozen=True)
+class Ipopt(Solver):
+    """Solver of one cost, circuit and choice of patterns on one panel shape; the program is built once and cached.
+
+    Attributes
+    ----------
+    cost : Cost
+    settings : Settings
+    readout : Readout
+    wiring : Wiring or None
+    patterns : Excitation
+    multipliers : Multipliers or None
+        Those of the frame before.
+    """
+
+    readout: Readout
+    wiring: Wiring | None
+    patterns: Excitation
+    multipliers: Multipliers | None = None
+
+    @property
+    def name(self) -> str:
+        """The solver in words."""
+        return f"IPOPT {self.patterns.kind}"
+
+    def prepare(self) -> None:
+        """Build the program before the first solve."""
+        _ = self._interface
+
+    def continued(self, carried: object) -> "Ipopt":
+        """Return the solver that begins with the multipliers of the frame before."""
+        return replace(self, multipliers=carried if isinstance(carried, Multipliers) else None)
+
+    def cold(self) -> "Ipopt":
+        """Return the solver that begins without multipliers, with a barrier parameter of IPOPT's own choice."""
+        return replace(self, multipliers=None)
+
+    def solve(self, data: Data, start: Evaluation) -> Outcome:
+        """Minimise from `start`. A failed solve does not raise; the outcome's status states the failure."""
+        if data.overdue:
+            return Outcome(start.cell_resistance, np.zeros_like(self.cost.slope), Status.TIME, 0)
+        circuit = _circuit(self.cost.panel.shape, self.wiring)
+        instance = Instance.of(self._interface.program, circuit, self.patterns, [start])
+        result, iterations = self._minimise(instance)
+        status = STATUS.get(result.status, Status.BREAKDOWN)
+        cells = instance.cells_of(result)
+        moved = float(np.abs(np.log(cells / start.cell_resistance)).max())
+        return Outcome(
+            cells,
+            instance.duals_of(result, self.cost.slope),
+            status,
+            iterations,
+            carried=instance.multipliers_of(result) if status is Status.OPTIMUM else None,
+            convex=not (result.corrected and moved > FAR),
+        )
+
+    def _minimise(self, instance: Instance) -> tuple[ProgramResult, int]:
+        """Return IPOPT's result, and its iterations: warm where there are multipliers, and cold if that fails."""
+        iterations = 0
+        if self.multipliers is not None and len(self.multipliers.of_bounds) == len(instance.start):
+            warm = self.multipliers.in_units(instance.program, instance.scale, instance.cost_scale)
+            result = self._interface.minimise(instance, warm)
+            if STATUS.get(result.status) is Status.OPTIMUM:
+                return result, result.iterations
+            iterations = result.iterations
+        result = self._interface.minimise(instance)
+        return result, iterations + result.iterations
+
+    @property
+    def _interface(self) -> Interface:
+        return _interface(self.cost.unweighted, self.readout, self.wiring, self.patterns, self.settings)
+
+
+@lru_cache(maxsize=32)
+def _circuit(shape: tuple[int, int], wiring: Wiring | None) -> Circuit:
+    return Circuit.of(shape, wiring)
+
+
+@guarded
+@lru_cache(maxsize=32)
+def _interface(
+    cost: Cost, readout: Readout, wiring: Wiring | None, patterns: Excitation, settings: Settings
+) -> Interface:
+    program = Program.build(cost, readout, _circuit(cost.panel.shape, wiring), patterns)
+    seconds = np.inf if settings.time_limit_s is None else settings.time_limit_s
+    interface = Interface(program, Limits(ACCURACY * settings.tolerance, settings.max_iterations, seconds))
+    interface.prepare()
+    return interface

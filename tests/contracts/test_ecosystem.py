@@ -1,0 +1,101 @@
+"""What stands around the package: hooks, the workflow beside `.ci/run`, the first screen of the help, Excel."""
+
+import re
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import openpyxl
+import pytest
+from ruamel.yaml import YAML
+from support import invented_case
+
+import lampest as lp
+
+ROOT = Path(__file__).parents[2]
+Command = Callable[..., SimpleNamespace]
+
+
+def constraint(name: str) -> str:
+    found = re.search(rf"^{name}==(.+)$", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
+    assert found is not None
+    return found[1]
+
+
+def test_hooks_have_the_versions_of_the_constraints() -> None:
+    hooks = YAML(typ="safe").load(ROOT / ".pre-commit-config.yaml")["repos"][0]["hooks"]
+    needed = {text for hook in hooks for text in hook["additional_dependencies"]}
+    assert needed == {f"ruff=={constraint('ruff')}", f"codespell=={constraint('codespell')}"}
+
+
+def test_the_workflow_covers_what_the_package_names() -> None:
+    workflow = YAML(typ="safe").load(ROOT / ".github" / "workflows" / "tests.yml")
+    matrix = workflow["jobs"]["tests"]["strategy"]["matrix"]
+    assert matrix["system"] == ["ubuntu-latest", "macos-latest", "windows-latest"]
+    least = re.search(r'requires-python = ">=(.+)"', (ROOT / "pyproject.toml").read_text())
+    assert least is not None and matrix["python"][0] == least[1]
+    commands = [step.get("run", "") for step in workflow["jobs"]["wheel"]["steps"]]
+    assert any("twine check" in command for command in commands)
+    assert any("check-wheel-contents" in command for command in commands)
+
+
+def test_the_first_screen_of_the_help_has_what_users_begin_with(lampest: Command) -> None:
+    shown = lampest("--help").out
+    words = re.findall(r"^│ (\w+) ", shown, re.MULTILINE)
+    assert {"init", "import", "run", "detect", "info", "plot", "live"} <= set(words)
+    assert not {"study", "show"} & set(words)
+    assert "lampest study --help" in shown and lampest("study", "--help").code == 0
+    assert lampest("show", "terms").code == 0
+
+
+def test_a_book_of_excel_holds_cells_units_and_meanings(lampest: Command, tmp_path: Path) -> None:
+    cases = [invented_case("=LSM", "mouth", (3, 4, 5), failed=(1,)), invented_case("LSM:a", "other", (2, 3, 6))]
+    lp.write_results(tmp_path / "r.h5", cases)
+    assert lampest("export", tmp_path / "r.h5", "--to", "xlsx").code == 0
+    book = openpyxl.load_workbook(tmp_path / "r.xlsx", read_only=True)
+    units = {line[0]: line[1] for line in book["columns"].iter_rows(values_only=True)}
+    assert units["cell_resistance_ohm"] == "ohm" and units["time_s"] == "s"
+    assert len(book.sheetnames) == 3
+    for sheet, case in zip(book.sheetnames[1:], cases, strict=True):
+        names, *lines = book[sheet].iter_rows(values_only=True)
+        place = names.index("cell_resistance_ohm")
+        cells = [np.nan if line[place] is None else line[place] for line in lines]
+        expected = case.cell_resistance.ravel().tolist()
+        assert cells == pytest.approx(expected, rel=1e-14, nan_ok=True)
+        assert not any(isinstance(value, str) and value.startswith("=") for line in lines for value in line)
+
+
+def test_numpy_on_the_symbols_of_a_term_is_quiet() -> None:
+    @dataclass(frozen=True)
+    class Level(lp.Term):
+        kind = "level"
+        unit: ClassVar[str] = "1"
+        weight: lp.Weight = 1e-3
+
+        def residual(self, state: lp.State) -> Any:
+            return np.log(state.cell_resistance)
+
+    recording = lp.Recording.from_array(np.full((2, 3, 4), 500.0), baseline=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert lp.reconstruct(recording, [lp.Misfit(), Level()]).solved.all()
+
+
+@pytest.mark.parametrize("name", ["lazy_loader", "flexitac"])
+def test_dependencies_are_locked(name: str) -> None:
+    locks = (ROOT / "requirements.lock").read_text() + (ROOT / "requirements-dev.lock").read_text()
+    assert re.search(rf"^{name.replace('_', '-')}=={constraint(name.replace('_', '-'))} ", locks, re.MULTILINE)
+
+
+def test_every_extra_is_documented() -> None:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8").partition("[project.optional-dependencies]")[2]
+    extras = set(re.findall(r"^(\w+) = \[", text.partition("\n[project.scripts]")[0], re.MULTILINE))
+    table = (ROOT / "docs" / "faq.md").read_text(encoding="utf-8").partition("## Which extras")[2]
+    named = {
+        name for row in re.findall(r"^\| (`[^|]+) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)
+    }
+    assert named == extras

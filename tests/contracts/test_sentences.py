@@ -1,0 +1,154 @@
+"""Sentences on what a beginner types, and on what a file leaves open: each names the mistake and what to write."""
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lampest
+
+Command = Callable[..., SimpleNamespace]
+
+PANEL = "panel: {rows: 3, columns: 5, pitch_mm: 10}\n"
+LOADED = (
+    "{kind: loaded_columns, driven: rows, supply_volt: 3.3, load_ohm: 3300, drive_ohm: 70, adc_bits: 12, readings: 1}"
+)
+CODES = np.random.default_rng(1).integers(200, 900, (4, 3, 5))
+
+
+@pytest.fixture
+def codes(tmp_path: Path) -> Path:
+    path = tmp_path / "codes.csv"
+    path.write_text("\n".join(",".join(map(str, frame.ravel())) for frame in CODES))
+    return path
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.yaml"
+    path.write_text(f"{PANEL}readout: {LOADED}\n")
+    return path
+
+
+@pytest.fixture
+def starter(tmp_path: Path, lampest: Command) -> Path:
+    """The starter files; `lampest` runs in this process."""
+    assert lampest("init", tmp_path / "mine", "--rows", 6, "--columns", 6).code == 0
+    return tmp_path / "mine"
+
+
+@pytest.mark.parametrize(
+    ("assigned", "sentence"),
+    [
+        ("readout.load_ohm=3.3k", "readout.load_ohm: must be a number or a list, not '3.3k': write 3300"),
+        ("readout.load_ohm='3300'", "not '3300': write 3300, without quotation marks"),
+        ("readout.load_ohm='1e3'", "not '1e3': write 1000, without quotation marks"),
+        ("readout.load_ohm=4k7", "not '4k7': write 4700"),
+        ("readout.load_ohm=10 kOhm", "not '10 kOhm'"),
+        ("readout.load_ohm=1M", "not '1M': write 1000000"),
+        ("readout.adc_bits=ten", "readout.adc_bits: must be a whole number, not 'ten'"),
+        ("readout.adc_bits=10.5", "must be a whole number, not 10.5"),
+        ("readout.driven=row", "must be 'rows' or 'columns', not 'row'"),
+        ("series_resistance_ohm=140 ohm", "must be a number or a mapping, not '140 ohm': write 140"),
+        ("readout=5", "readout: must be a mapping with a 'kind', not 5"),
+    ],
+)
+def test_a_wrong_value_is_named_with_what_to_write(
+    assigned: str, sentence: str, codes: Path, scene: Path, lampest: Command
+) -> None:
+    ended = lampest("import", codes, "--scene", scene, "--set", assigned, "--out", codes.with_suffix(".h5"))
+    assert ended.code == 2 and sentence in ended.err and "Input should" not in ended.err
+
+
+def test_a_file_in_place_of_which_another_appears_is_named(codes: Path, scene: Path, lampest: Command) -> None:
+    made = codes.with_suffix(".h5")
+    first, second = (lampest("import", codes, "--scene", scene, "--out", made) for _ in range(2))
+    assert first.out.splitlines()[-1] == str(made)
+    assert second.out.splitlines()[-1] == f"{made} (in place of the file that had this name)"
+
+
+def test_only_what_frames_cannot_tell_is_called_assumed(codes: Path, scene: Path, lampest: Command) -> None:
+    said = lampest("import", codes, "--scene", scene, "--out", codes.with_suffix(".h5")).out
+    assert "polarity" not in said
+    scene.write_text(f"{PANEL}readout: {LOADED.replace('adc_bits: 12, ', '')}\n")
+    assert (
+        "adc_bits: 10 assumed: the scene does not say"
+        in lampest("import", codes, "--scene", scene, "--out", codes.with_name("second.h5")).out
+    )
+
+
+def test_infinite_resistances_without_a_readout_are_at_no_rail(tmp_path: Path) -> None:
+    np.save(tmp_path / "m.npy", np.where(CODES.max() == CODES, np.inf, CODES))
+    _, notes = lampest.import_file(tmp_path / "m.npy", 3, 5, unit="ohm")
+    assert any("zero or infinite: kept as bounds" in note for note in notes) and not any("rail" in n for n in notes)
+
+
+def test_a_setting_of_an_unknown_estimator_is_refused_by_its_name(starter: Path, lampest: Command) -> None:
+    ended = lampest("run", starter / "run.yaml", "--set", "estimators.smoth.terms.log_gradient.weight=1")
+    assert ended.code == 2
+    assert "there is no estimator 'smoth'; did you mean smooth?" in ended.err
+    unlike = lampest("run", starter / "run.yaml", "--set", "estimators.x.error_bars=false")
+    assert "there is no estimator 'x'; there are no_penalty, smooth, few_changes" in unlike.err
+
+
+def test_a_pattern_without_quotation_marks_is_explained_and_the_starter_file_shows_them(
+    starter: Path, lampest: Command
+) -> None:
+    run = starter / "run.yaml"
+    text = run.read_text()
+    assert '"*.h5"' in text
+    run.write_text(text.replace("[example.h5]", "[*.h5]"))
+    ended = lampest("run", run)
+    assert ended.code == 2 and "in YAML a * begins an alias: write such a text in quotation marks" in ended.err
+    run.write_text(text.replace("[example.h5]", '["*.h5"]'))
+    assert len(lampest_cases(run)) == 3
+
+
+def lampest_cases(run: Path) -> Any:
+    return lampest.read_run(run).cases
+
+
+@pytest.mark.parametrize("circuit", ["two_mux", "pull_ups", "grounded", "amplifiers"])
+@pytest.mark.parametrize("unloaded", [True, False])
+def test_the_starter_recording_has_no_line_that_seems_to_touch(
+    circuit: str, unloaded: bool, tmp_path: Path, lampest: Command
+) -> None:
+    assert lampest("init", tmp_path / "mine", "--readout", circuit).code == 0
+    path = tmp_path / "mine" / "example.h5"
+    if not unloaded:
+        from lampest import Recording
+
+        whole = Recording.load(path)
+        loaded = whole.role == 1
+        Recording(whole.scene, whole.recorded[loaded], whole.time[loaded], whole.role[loaded]).save(path)
+    said = lampest("info", path)
+    assert said.code == 0 and "alike" not in said.out
+    assert ("the strongest change against the unloaded ones" in said.out) is unloaded
+
+
+def test_changes_without_unloaded_frames_are_not_against_the_unloaded_panel(tmp_path: Path, lampest: Command) -> None:
+    from lampest import LogGradient, Misfit, Panel, Recording, Scene, TwoPointReadout, reconstruct
+
+    values = np.random.default_rng(2).uniform(500, 600, (3, 4, 4))
+    scene = Scene(Panel(4, 4), TwoPointReadout(), 0.0)
+    for baseline, words in ((0, "change against the first measured frame:"), (1, "change against the unloaded panel:")):
+        recording = Recording.from_array(values, unit="ohm", baseline=baseline, scene=scene)
+        reconstruct(recording, [Misfit(weighting="noise"), LogGradient(weight=1.0)]).save(tmp_path / "results.h5")
+        assert words in lampest("info", tmp_path / "results.h5").out
+
+
+def test_noise_that_agrees_with_the_scene_is_no_news(tmp_path: Path, lampest: Command) -> None:
+    from lampest import LoadedColumnsReadout, Panel, Recording, Scene
+
+    readout = LoadedColumnsReadout(load_ohm=3300.0, readings=1, noise_lsb=0.0)
+    constant = np.tile(CODES[:1], (8, 1, 1)).astype(float)
+    recording = Recording.from_array(constant, unit="code", baseline=6, scene=Scene(Panel(3, 5), readout))
+    recording.save(tmp_path / "m.h5")
+    assert "noise 0 LSB, measured" not in lampest("info", tmp_path / "m.h5").out
+
+
+def test_counts_of_one_are_singular(starter: Path, lampest: Command) -> None:
+    assert "10 bits, 1 reading, noise 1 LSB" in lampest("info", starter / "example.h5").out

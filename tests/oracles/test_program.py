@@ -1,0 +1,304 @@
+"""The program of node voltages: IPOPT solves it alone, and its optima are those of the solver without voltages."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import casadi
+import numpy as np
+import pytest
+from netlist import impedance_of
+from numpy.testing import assert_allclose
+
+import lampest
+from lampest import Array
+from lampest.cost.problem import NO_DUAL
+from lampest.estimate.witness import Verification, Witness, compared
+from lampest.formulation.circuit import Circuit
+from lampest.formulation.instance import Instance, Multipliers, ProgramResult
+from lampest.formulation.ipopt import Interface
+from lampest.solvers.hessian import Hessian
+from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.smoothing import Smoothing
+
+NOISE = lampest.Misfit(weighting="noise")
+METHODS: dict[str, list[lampest.Term]] = {
+    "LSM": [lampest.Misfit()],
+    "LSR-CR": [lampest.Misfit(), lampest.CellResistance(weight=1e-3)],
+    "LSR-dCR": [lampest.Misfit(), lampest.RelativeChange(weight=10.0)],
+    "LSR-gCR": [lampest.Misfit(), lampest.Gradient(weight=1e-3)],
+    "LSR-gdCR": [lampest.Misfit(), lampest.GradientOfRelativeChange(weight=10.0)],
+    "smooth": [NOISE, lampest.LogGradient(weight=20.0)],
+    "huber": [NOISE, lampest.LogGradient(weight=20.0, loss=lampest.Huber(corner=0.3))],
+    "student": [NOISE, lampest.LogRatio(weight=3.0, loss=lampest.Student(corner=0.3))],
+    "variation": [NOISE, lampest.TotalVariation(weight=0.01)],
+}
+READOUTS: dict[str, lampest.Readout] = {
+    "two_point": lampest.TwoPointReadout(noise_lsb=0.7, readings=20),
+    "loaded": lampest.LoadedColumnsReadout(noise_lsb=1.0, drive_ohm=100.0),
+    "grounded": lampest.GroundedReadout(noise_lsb=1.0),
+    "amplifiers": lampest.VirtualGroundReadout(noise_lsb=1.0, feedback_ohm=300.0),
+}
+WIRES: dict[str, dict[str, Any]] = {
+    "bare": {},
+    "wire": {"lines": lampest.Lines(20.0, 5.0)},
+    "rows of wire": {"lines": lampest.Lines(20.0, 0.0, rows_enter="right", columns_leave="top")},
+    "touching": {"faults": lampest.Faults(joined_rows=((1, 2),))},
+    "contacts": {"contacts": lampest.Contacts(rows=lampest.ContactPrior(50.0, 0.0))},
+}
+
+
+def recording_of(readout: lampest.Readout, shape: tuple[int, int] = (4, 5), **wires: Any) -> lampest.Recording:
+    """An unloaded frame and two with other cells, with noise; one reading is missing."""
+    rng = np.random.default_rng(sum(shape))
+    scene = lampest.Scene(lampest.Panel(*shape), readout, **wires)
+    cells = 3000 * np.exp(0.5 * rng.standard_normal((3, *shape)))
+    cells[0] = 3000.0
+    exact = scene.circuit.simulated(cells, scene, np.zeros(shape[0]), np.zeros(shape[1]))
+    recorded = exact + scene.circuit.sigma(exact) * rng.standard_normal(exact.shape)
+    recorded[1, 1, 1] = np.nan
+    return lampest.Recording.from_array(recorded, unit=readout.unit, baseline=1, scene=scene)
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
+    """Iterations of every call of IPOPT; the solver without voltages is not to be called at all."""
+    iterations = list[int]()
+    minimise = Interface.minimise
+
+    def counting(interface: Interface, *arguments: Any) -> ProgramResult:
+        result = minimise(interface, *arguments)
+        iterations.append(result.iterations)
+        return result
+
+    def never(solver: ProjectedNewton, *arguments: Any) -> Any:
+        raise AssertionError("projected Newton was called where IPOPT was asked for")
+
+    monkeypatch.setattr(Interface, "minimise", counting)
+    monkeypatch.setattr(ProjectedNewton, "solve", never)
+    return iterations
+
+
+@pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
+@pytest.mark.parametrize("method", METHODS)
+def test_ipopt_alone_solves_every_frame_in_iterations_of_its_own(
+    method: str, formulation: Any, counted: list[int]
+) -> None:
+    found = lampest.reconstruct(
+        recording_of(READOUTS["two_point"]), METHODS[method], formulation=formulation, error_bars=False
+    )
+    assert len(counted) >= 3 and min(counted) > 0
+    for step in found.steps:
+        assert step.solution.optimum, step.status
+        assert 0 < step.solution.iterations in counted or step.solution.iterations == sum(counted[-2:])
+        assert step.solution.solver == f"IPOPT {formulation}"
+
+
+@pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_solver_that_returns_its_start_is_found_out(
+    method: str, formulation: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def start_of(interface: Interface, instance: Instance, warm: Multipliers | None = None) -> ProgramResult:
+        zeros = np.zeros_like(instance.start), np.zeros_like(instance.equations[0])
+        return ProgramResult(instance.start, *zeros, "Solve_Succeeded", 0)
+
+    monkeypatch.setattr(Interface, "minimise", start_of)
+    found = lampest.reconstruct(
+        recording_of(READOUTS["two_point"]), METHODS[method], formulation=formulation, error_bars=False
+    )
+    assert not any(step.solution.solved for step in found.steps)
+
+
+@pytest.mark.parametrize("wires", WIRES)
+@pytest.mark.parametrize("readout", READOUTS)
+@pytest.mark.parametrize("shape", [(4, 5), (6, 3)])
+def test_optima_of_every_circuit_are_those_of_the_solver_without_voltages(
+    shape: tuple[int, int], readout: str, wires: str
+) -> None:
+    recording = recording_of(READOUTS[readout], shape, **WIRES[wires])
+    cells = {}
+    for formulation in ("reduced", "nodal", "per_pixel"):
+        found = lampest.reconstruct(recording, METHODS["smooth"], formulation=formulation, error_bars=False)
+        assert set(found.status) == {"optimum verified"}
+        cells[formulation] = np.log(found.cell_resistance)
+    assert_allclose(cells["nodal"], cells["reduced"], atol=1e-7)
+    assert_allclose(cells["per_pixel"], cells["reduced"], atol=1e-7)
+
+
+@pytest.mark.parametrize("joint", [True, False])
+def test_a_pair_of_frames_has_the_optimum_of_the_solver_without_voltages(joint: bool) -> None:
+    recording, costs = recording_of(READOUTS["two_point"]), []
+    for kind in ("reduced", "nodal"):
+        method = lampest.OptimalMethod(kind=kind, joint=joint)
+        found = lampest.reconstruct(recording, METHODS["LSR-dCR"], formulation=method, error_bars=False)
+        costs.append(found.steps[0].solution.objective)
+    assert costs[1] <= costs[0] * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("wires", WIRES)
+def test_voltages_of_the_nodes_are_those_of_a_netlist(wires: str) -> None:
+    scene = recording_of(READOUTS["grounded"], **WIRES[wires]).scene
+    cells = 3000 * np.exp(np.random.default_rng(5).standard_normal((4, 5)))
+    ties = scene.circuit.ties(scene.circuit.exact_reading(cells, scene.wiring))
+    circuit = Circuit.of((4, 5), scene.wiring)
+    assert_allclose(circuit.voltages(cells, ties)[circuit.terminals], impedance_of(cells, scene, ties), rtol=1e-9)
+
+
+# A second witness
+
+
+@pytest.mark.parametrize("formulation", ["reduced", "nodal"])
+def test_the_strongest_frame_is_solved_again_from_another_start(formulation: Any) -> None:
+    recording = recording_of(READOUTS["two_point"])
+    options: dict[str, Any] = {"formulation": formulation, "error_bars": False}
+    found = lampest.reconstruct(recording, METHODS["smooth"], verify=lampest.Verify("strongest"), **options)
+    case = found.result()
+    assert sorted(case.verified) == [Witness.NONE, Witness.SAME]
+    assert case.verified_difference[case.verified == Witness.SAME] < 1e-6
+    assert np.isnan(case.verified_difference[case.verified == Witness.NONE]).all()
+    both = lampest.reconstruct(recording, METHODS["smooth"], verify=lampest.Verify("all"), **options).result()
+    assert list(both.verified) == [Witness.SAME] * 2
+    assert lampest.reconstruct(recording, METHODS["smooth"], **options).result().verified is None
+
+
+def test_a_lower_optimum_of_the_witness_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first solver is made to end at a worse point that passes for an optimum."""
+    recording = recording_of(READOUTS["two_point"])
+    terms = METHODS["smooth"]
+    right = lampest.reconstruct(recording, terms, formulation="reduced", error_bars=False)
+    usual = ProjectedNewton.solve
+
+    def worse(solver: ProjectedNewton, data: Any, start: Any) -> lampest.Outcome:
+        outcome = usual(solver, data, start)
+        return replace(outcome, cell_resistance=1.2 * outcome.cell_resistance, at=None, certificate=None)
+
+    def trusted(start: Any, outcome: lampest.Outcome) -> lampest.Solution:
+        solution = lampest.approximation(start.cost, start.data, outcome)
+        return replace(solution, status=lampest.Status.OPTIMUM, dual=NO_DUAL)
+
+    monkeypatch.setattr(ProjectedNewton, "solve", worse)
+    monkeypatch.setattr("lampest.solvers.multistart.check", trusted)
+    found = lampest.reconstruct(recording, terms, formulation="reduced", error_bars=False, verify=lampest.Verify("all"))
+    assert list(found.result().verified) == [Witness.LOWER] * 2
+    assert np.all(found.result().verified_decrease > 0)
+    assert_allclose(found.cell_resistance, right.cell_resistance, rtol=1e-6)
+
+
+def test_verdicts_of_a_witness() -> None:
+    found = lampest.reconstruct(recording_of(READOUTS["two_point"]), METHODS["smooth"], formulation="reduced")
+    solution = found.steps[0].solution
+    factor = {"lower": 0.9, "same": 1 + 1e-9, "higher": 1.1}
+    verdicts = {
+        name: compared(solution, replace(solution, objective=solution.objective * f)) for name, f in factor.items()
+    }
+    assert verdicts["lower"].witness is Witness.LOWER and verdicts["lower"].decrease == pytest.approx(0.1)
+    assert verdicts["same"] == Verification(Witness.SAME, 0.0)
+    assert verdicts["higher"].witness is Witness.HIGHER
+    failed = replace(solution, status=lampest.Status.ITERATIONS)
+    assert compared(solution, failed).witness is Witness.FAILED
+    assert compared(failed, solution).witness is Witness.LOWER
+
+
+@pytest.mark.parametrize("share", [0.0, 1.5, -1.0])
+def test_a_share_of_frames_lies_between_0_and_1(share: float) -> None:
+    with pytest.raises(ValueError, match="share between 0 and 1"):
+        lampest.Verify(share)
+
+
+# Own unknowns and constraints
+
+
+def own_program(**options: Any) -> tuple[lampest.OwnProgram, lampest.Reconstruction]:
+    recording = recording_of(READOUTS["two_point"])
+    found = lampest.reconstruct(recording, METHODS["smooth"], formulation="reduced")
+    return lampest.program(recording, METHODS["smooth"], **options), found
+
+
+@pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
+def test_a_program_without_own_parts_has_the_estimate_and_its_own_hessian_the_error_bars(formulation: str) -> None:
+    program, found = own_program(formulation=formulation)
+    solved = program.solve()
+    assert solved.status == "optimum verified" and solved.iterations > 0
+    assert_allclose(solved.cell_resistance[0], found.cell_resistance[0], rtol=1e-6)
+    # cov(ln r) = (½∇²φ)⁻¹ over the cells that no bound holds, from the closed form without voltages
+    evaluation = program.evaluations[0].elsewhere(solved.cell_resistance)
+    hessian = Hessian(evaluation, Smoothing.start(evaluation))
+    assert hessian.free.all()
+    deviations = np.sqrt(np.linalg.inv(hessian.matrix / 2).diagonal()).reshape(4, 5)
+    assert_allclose(solved.cell_resistance_errors[0] / solved.cell_resistance[0], deviations, rtol=1e-5)
+
+
+def test_two_equal_cells_are_one_and_more_certain() -> None:
+    program, _ = own_program()
+    cells = program.cells()
+    free, tied = program.solve(), program.subject_to("equal", cells[0, 0] - cells[3, 4]).solve()
+    assert tied.status == "optimum verified"
+    assert tied.cell_resistance[0, 0, 0] == pytest.approx(tied.cell_resistance[0, 3, 4], rel=1e-9)
+    assert tied.cell_resistance_errors[0, 0, 0] < free.cell_resistance_errors[0, [0, 3], [0, 4]].max()
+
+
+def test_the_total_conductance_can_be_given_or_limited() -> None:
+    program, _ = own_program()
+    total = 1000 * casadi.sum1(casadi.vec(1 / program.cells()))
+    usual = (1000 / program.solve().cell_resistance).sum()
+    given, limited, loose = (1.02 * usual,), (0.0, 0.97 * usual), (0.0, 100.0)
+    for limits, expected in ((given, 1.02 * usual), (limited, 0.97 * usual), (loose, usual)):
+        solved = program.subject_to("total", total, *limits).solve()
+        assert solved.status == "optimum verified"
+        assert (1000 / solved.cell_resistance).sum() == pytest.approx(expected, rel=1e-6)
+
+
+def test_known_resistors_give_a_series_resistance_that_frames_share() -> None:
+    """The formula of a mean: the standard deviation is σ/√n where all readings have the same noise."""
+    scene = lampest.Scene(lampest.Panel(4, 5), READOUTS["two_point"])
+    reading = lampest.two_point_resistance(np.full((4, 5), 1000.0))
+    sigma = scene.circuit.sigma(reading)
+    noise = sigma * np.random.default_rng(3).standard_normal((3, 4, 5))
+    recording = lampest.Recording.from_array(reading + 25.0 + noise, unit="ohm", baseline=0, scene=scene)
+    program = lampest.program(recording, [NOISE], frames=[0, 1, 2], bounds=lampest.Bounds("none", "none"))
+    program, series = program.with_unknown("series_ohm", sd=1e3)
+    program = program.with_reading(lambda y: y + series)
+    for frame in range(3):
+        program = program.subject_to(f"resistors {frame}", casadi.vec(program.cells(frame)) / 1000.0, 1.0)
+    solved = program.solve()
+    used = program.evaluations[0].data.sigma.mean()
+    assert solved["series_ohm"][0] == pytest.approx(25.0 + noise.mean(), abs=0.1 * used)
+    assert solved.errors("series_ohm")[0] == pytest.approx(used / np.sqrt(60), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda program: program.subject_to("own", program.cells()), r"constraint own is 4 × 5, not a column"),
+        (lambda program: program.subject_to("own", casadi.SX(3)), r"depends on none of the unknowns conductance"),
+        (lambda program: program.with_reading(lambda y: y[:3]), r"the changed reading is 3 × 1; it must be 20 × 1"),
+        (lambda program: program.with_cost(program.reading), r"an own cost is 20 × 1; it must be 1 × 1"),
+        (lambda program: program.with_unknown("conductance"), r"has an unknown conductance already"),
+        (lambda program: program.with_unknown("own", lower=2.0, upper=1.0), r"needs lower < upper and sd > 0"),
+        (lambda program: program.solve()["own"], r"has no own unknown own; it has none"),
+    ],
+)
+def test_wrong_own_parts_say_what_is_asked_for(wrong: Any, message: str) -> None:
+    with pytest.raises(lampest.InputError, match=message):
+        wrong(own_program()[0])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"frames": [9]}, r"the recording has frames 0 to 2, not 9"),
+        ({"formulation": "reduced"}, r"formulation must be one of nodal, per_pixel"),
+    ],
+)
+def test_wrong_arguments_of_a_program(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(lampest.InputError, match=message):
+        own_program(**options)
+
+
+def test_a_program_that_cannot_be_solved_says_so_and_holds_no_number() -> None:
+    program, _ = own_program()
+    solved = program.subject_to("impossible", program.cells()[0, 0] / 1000.0, 1e-9).solve()
+    assert solved.status != "optimum verified"
+    values: Array = solved.cell_resistance
+    assert np.isnan(values).all() and np.isnan(solved.cell_resistance_errors).all()
