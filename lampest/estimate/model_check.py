@@ -496,7 +496,7 @@ def with_converter_memory(given: Explanation, question: Question) -> Explanation
         return given
     ends = coarse / 2, 2 * coarse
     scipy.optimize.minimize_scalar(score, bounds=ends, method="bounded", options={"xatol": MEMORY_ACCURACY * coarse})
-    fraction = best.rival.scene.converter_memory or 0.0
+    fraction = best.rival.scene.known_memory or 0.0
     return best if MEMORIES[0] / 2 * 1.1 < fraction < MEMORIES[-1] * 1.9 else given
 
 
