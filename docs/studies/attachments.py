@@ -210,7 +210,9 @@ def recording(
     inwards = 1.0 if made.centres_mm and made.centres_mm[0][0] < panel.centres_mm()[0].mean() else -1.0
     shake += inwards * SLIDES_MM * np.clip((time - TOUCH_S - SLIDES_S[0]) / np.ptp(SLIDES_S), 0, 1) * (kind == SLIDING)
     resistance = cells(rng, panel, made, layer, course, time - time[0], shake, curve)
-    scene = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
+    scene = Scene(
+        panel, TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse(), gain="estimated", ripple="estimated"
+    )
     role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)
     return (
         Recording(scene, recorded(rng, resistance, time - time[0]), time - time[0], role, name=kind.replace(" ", "_")),

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator
 
+from lampest.audit.effects import unnamed_effects
 from lampest.audit.health import Health
 from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
-from lampest.panel.systematic import systematic_of
 
 OF_CIRCUIT = ("lines", "order")  # rooms of health whose findings contradict the scene
 
@@ -26,15 +26,9 @@ def verdict(check: ModelCheck, prepared: Prepared, health: Health | None = None)
 
 
 def _doubts(prepared: Prepared, health: Health | None) -> Iterator[str]:
-    noise, sizes = prepared.noise, systematic_of(prepared.recording.scene)
-    allowed = 0.0 if sizes is None else sizes.reading_error or 0.0
-    if noise.reading_error > allowed:
-        yield (
-            f"still cells move as if each reading were off by {100 * noise.reading_error:.2g} %, and the scene allows "
-            f"{100 * allowed:.2g} %"
-        )
-    if noise.model_factor > 1:
-        yield f"readings are missed by {noise.model_factor:.2g} times their noise"
+    yield from (finding.what for finding in unnamed_effects(prepared))
+    if prepared.noise.model_factor > 1:
+        yield f"readings are missed by {prepared.noise.model_factor:.2g} times their noise"
     try:
         shown = health or Health.of(prepared.recording)
     except InputError:

@@ -112,7 +112,7 @@ def with_contacts(
     solve : callable
         Solves the readings for another state, from given cells on.
     """
-    prior, shape, model = state.scene.contacts, state.scene.panel.shape, solved.surroundings()
+    prior, shape, model = state.scene.contact_prior, state.scene.panel.shape, solved.surroundings()
     if prior is None or state.track is None or model is None:
         return state, solved
     mean, deviation = prior.mean(shape), prior.deviation(shape)

@@ -288,7 +288,7 @@ class Estimates:
         None without error bars; NaN in a frame without.
         """
         deviation = [None if step.bars is None else step.bars.reading for step in self.steps]
-        noise, scene = self.readings.sigma, self.recording.scene
+        noise, scene = self.readings.sigma, self.prepared.recording.scene
         if self._bars is None or noise is None or all(frame is None for frame in deviation):
             return None
         of_cells = np.stack([np.full(scene.panel.shape, np.nan) if frame is None else frame for frame in deviation])
@@ -339,7 +339,7 @@ class Estimates:
     @property
     def _is_part(self) -> bool:
         """Whether these are estimates of a part of a long recording."""
-        return self.prepared.recording is not self.recording
+        return self.prepared.resolved is not self.recording
 
     @property
     def _overruled(self) -> str:
@@ -407,7 +407,7 @@ class Estimates:
 
 
 def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
-    """Return ln(r/r0) without the effect of temperature and its standard deviation; None without error bars.
+    """Return ln(r/r0) without the common change by temperature and creep, and its deviation; None without error bars.
 
     Returns
     -------
@@ -415,9 +415,8 @@ def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
     """
     if estimates._bars is None:
         return None
-    warmth = estimates.recording.scene.temperature
     with np.errstate(divide="ignore"):
         # standard deviation from the 95 % interval of ln(r/r0): width/(2 · 1.96)
         width = np.log(estimates._bars["ratio_upper"]) - np.log(estimates._bars["ratio_lower"])
     change = np.log(estimates.cell_resistance / estimates.baseline_resistance)
-    return change - (0.0 if warmth is None else warmth.logarithm), width / (2 * TWO_SIDED)
+    return change - estimates.recording.scene.common_change[0], width / (2 * TWO_SIDED)

@@ -5,7 +5,7 @@ circuit's inequalities? Two frames: the evidence of a circuit decreases with the
 between the unloaded panel and a loaded frame. A rival is named if its evidence is larger by MIN_EVIDENCE_GAIN.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -32,6 +32,7 @@ from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, SIGNIFICANT
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.observation import patch_of
+from lampest.panel.effects import EFFECTS, Effect
 from lampest.panel.panel import Array, Modules
 from lampest.posterior.interval import largest_of
 from lampest.recording.readings import Readings, mean_change, strongest_frame
@@ -232,7 +233,7 @@ class Question:
         nearly = f"{best.nearly} explains them about as well, or better" if explains and best.nearly else ""
         return check.with_doubts(scatter, nearly)
 
-    def effects(self) -> CircuitEffects:
+    def effects(self, kinds: Sequence[type[Effect]] = EFFECTS) -> CircuitEffects:
         """Return the effects beside the circuit, from the frames that changed most and from the last frame."""
         scene, explanation = self.specified.scene, self.explanation
         last = np.flatnonzero(self.role == MEASURED)[-1:]
@@ -247,7 +248,7 @@ class Question:
         search = Detector(patch_of(scene.panel)).search(scene.panel)
         intact = np.where(scene.broken, np.nan, np.log(resting.cells))
         loaded = resting.tail >= SIGNIFICANCE and search.lies_on(intact)
-        return replace(find_effects(pairs), loaded_at_rest=loaded)
+        return replace(find_effects(pairs, kinds), loaded_at_rest=loaded)
 
 
 def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[[int], ModelCheck]) -> ModelCheck:
@@ -510,7 +511,7 @@ def with_converter_memory(given: Explanation, question: Question) -> Explanation
         return given
     ends = coarse / 2, 2 * coarse
     scipy.optimize.minimize_scalar(score, bounds=ends, method="bounded", options={"xatol": MEMORY_ACCURACY * coarse})
-    fraction = best.rival.scene.converter_memory or 0.0
+    fraction = best.rival.scene.known_memory or 0.0
     return best if MEMORIES[0] / 2 * 1.1 < fraction < MEMORIES[-1] * 1.9 else given
 
 

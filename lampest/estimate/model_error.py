@@ -1,11 +1,11 @@
-"""Error of the model: the excess of the residuals over the noise that no cells explain.
+"""Error of the model: residuals beyond the noise that no cells explain, as a factor on σ.
 
-The reference estimate (`lampest.posterior.reference`) measures it on frames under load. Where the evidence for it is
-strong under every description of the cells, it enters the σ of the readings, and so weights, bounds and error bars.
+By default the evidence is of kinds that no penalty can imitate: laws of the circuit that readings break, in the mean of
+the unloaded frames and under load. Where nothing is unloaded, and where a scene says `model_error: estimated`, it is
+also the heavy tail of the residuals of the reference estimate (`lampest.posterior.reference`).
 """
 
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -14,20 +14,19 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
-from lampest.estimate.cells_fit import fitted
+from lampest.estimate.cells_fit import CellsFit, fitted
 from lampest.estimate.deciding import baseline_readings, deciding_frames
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise import MIN_EXCESS, NoiseEstimate
 from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
-from lampest.files.errors import BROKEN
 from lampest.files.levels import TWO_SIDED
-from lampest.panel.scene import Scene
-from lampest.panel.systematic import own_errors
-from lampest.posterior.interval import student_two_sided
+from lampest.panel.scene import ESTIMATED, Scene, Systematic
+from lampest.posterior.interval import LEVEL, student_two_sided
 from lampest.posterior.reference import MAX_CELLS, MODEL, ErrorScale, references
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
+KEY = "systematic.model_error"
 MIN_READINGS = 100  # their largest twentieth measures the tail; with fewer, a single outlier would decide it
 
 
@@ -47,51 +46,77 @@ def error_factor(scale: ErrorScale) -> float:
 
 
 def with_model_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
-    """Return the noise of a single network, including the model's error where readings under load show one.
+    """Return the noise of a single network with the model's error in σ: specified, or as the evidence shows it."""
+    scene = recording.scene
+    specified = scene.systematic.model_error if isinstance(scene.systematic, Systematic) else None
+    if noise.readings.sigma is None or specified == 0:
+        return noise
+    if specified not in (None, ESTIMATED):
+        return scaled(noise, recording, float(np.hypot(1.0, float(specified))))
+    if scene.panel.crossings > MAX_CELLS:
+        reason = f"the panel has more than {MAX_CELLS} cells"
+        return noise.undetermined(KEY, reason) if specified == ESTIMATED else noise
+    factor = broken_laws(noise.readings, recording)
+    if specified == ESTIMATED or not np.any(recording.role == UNLOADED):
+        factor = max(factor, heavy_tails(noise.readings, recording))
+    size = float(np.sqrt(max(factor**2 - 1, 0.0)))
+    message = _in_words(factor, noise.sigma_factor, scene) if factor > 1 else ""
+    noise = scaled(noise, recording, factor).with_warnings(message)
+    if specified != ESTIMATED:
+        return noise
+    return noise.determined(KEY, (size, size / np.sqrt(2 * scene.requested.sum())), "times the noise")
 
-    If still cells determine each reading's own error, that is the model's error. Otherwise the cells are described in
-    two ways, by differences between neighbours and by changes since rest. Each description mistakes unexpected cells
-    for errors of the readings, so an error is accepted only if both need one. The larger size is taken: errors that
-    stay constant from frame to frame hardly show in changes.
+
+def broken_laws(readings: Readings, recording: Recording) -> float:
+    """Return the factor on σ with which 95 % of the readings lie within 1.96 σ of what any cells can give.
+
+    As many cells as readings follow nearly all of them, so a reading that they miss breaks a law of the circuit. An
+    error of the mean of n unloaded frames counts as that of a frame, with its σ. Of loaded frames the median counts: a
+    single garbled one is no error of the model; neither is one that a brief fit does not come near, of which the check
+    of the circuit speaks. 1 without unloaded frames.
     """
-    readings, scene = noise.readings, recording.scene
-    if noise.possible_errors is not None:
-        return with_reading_error(noise, recording)
-    if readings.sigma is None or scene.panel.crossings > MAX_CELLS:
-        return noise
+    scene, unloaded = recording.scene, recording.role == UNLOADED
+    if not unloaded.any():
+        return 1.0
+    resting = readings[unloaded].mean()
+    loaded = [readings[number] for number in deciding_frames(recording, readings, resting)]
+    at_rest = _excess(fitted(scene, resting, patient=True)) / int(unloaded.sum())
+    under_load = [_excess(fitted(scene, frame)) for frame in loaded]
+    return float(np.sqrt(1 + max(at_rest, float(np.median(under_load or [0.0])))))
+
+
+def _excess(fit: CellsFit | None) -> float:
+    """Return the excess of the 95 % point of a fit's squared residuals over that of noise, in σ²; 0 without a fit."""
+    counted = np.zeros(0) if fit is None else np.abs(fit.residual)[fit.readings.seen.ravel() > 0]
+    return max((float(np.quantile(counted, LEVEL)) / TWO_SIDED) ** 2 - 1, 0.0) if counted.size else 0.0
+
+
+def heavy_tails(readings: Readings, recording: Recording) -> float:
+    """Return the factor on σ that the residuals of loaded frames show under both descriptions of the cells.
+
+    Each description mistakes unexpected cells for errors of the readings, so an error is accepted only if both need
+    one. The larger size is taken: errors that stay constant from frame to frame hardly show in changes.
+    """
     factors = list[float]()
-    with suppress(*BROKEN), np.errstate(all="ignore"):
-        for solves, cost in _judges(recording, readings):
-            factors.append(error_factor(references(solves, cost)[0]))
-            if factors[-1] == 1.0:
-                return noise
-    if not factors:
-        return noise
-    factor = max(factors)
-    message = _in_words(factor, noise.sigma_factor, scene)
-    return scaled(replace(noise, sigma_factor=factor * noise.sigma_factor), factor).with_warnings(message)
+    for solves, cost in _judges(recording, readings):
+        factors.append(error_factor(references(solves, cost)[0]))
+        if factors[-1] == 1.0:
+            return 1.0
+    return max(factors, default=1.0)
 
 
-def with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
-    """Return the noise with each reading's own error in σ, for the choice of weights.
+def scaled(noise: NoiseEstimate, recording: Recording, factor: float) -> NoiseEstimate:
+    """Return the noise with σ multiplied by the factor of the model's error.
 
-    Error bars treat it separately, as an error that all frames share. Averaging does not reduce it, so σ of each of
-    n unloaded frames includes √n times the error.
+    Averaging does not reduce it, so σ of each of n unloaded frames includes √n times the error.
     """
     sigma = noise.readings.sigma
-    if sigma is None or not noise.reading_error:
+    if sigma is None or factor == 1:
         return noise
     unloaded = recording.role == UNLOADED
-    repeats = np.where(unloaded, np.sqrt(unloaded.sum()), 1.0)[:, None, None]
-    # σ² ← σ² + (√n e)²: the mean of the n unloaded frames then has the whole error e
-    by_reading = repeats * own_errors(noise.readings.value, recording.scene, noise.reading_error)
-    return noise.with_sigma(np.hypot(sigma, by_reading))
-
-
-def scaled(noise: NoiseEstimate, factor: float) -> NoiseEstimate:
-    """Return the noise with σ multiplied by the factor of the model's error."""
-    sigma = noise.readings.sigma
-    return noise if sigma is None else replace(noise.with_sigma(factor * sigma), model_factor=factor)
+    repeats = np.where(unloaded, unloaded.sum(), 1.0)[:, None, None]
+    wider = sigma * np.sqrt(1 + repeats * (factor**2 - 1))
+    return replace(noise.with_sigma(wider), model_factor=factor, sigma_factor=factor * noise.sigma_factor)
 
 
 def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Data], Cost]]:

@@ -9,7 +9,7 @@ variance is that of its deviations less the noise's, times ν/(ν − 2), the va
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,27 +18,27 @@ from lampest.estimate.cells_fit import fitted
 from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.nuisances import CircuitEffects, remaining_errors, without_effects_of
 from lampest.estimate.outliers import MAX_SHARE, MIN_FRAMES, QUIET_SHARE
-from lampest.estimate.still_cells import possible_errors
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import ENDLESS
 from lampest.panel.readouts.readout import in_panel_order
-from lampest.panel.scene import Scene, Systematic
-from lampest.panel.systematic import HIDDEN_ERRORS, Possible
+from lampest.panel.scene import ESTIMATED, Scene, Systematic, plain_size
+from lampest.panel.systematic import READING_ERROR, SHARED_ERRORS, Possible
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import chi_square_tail
-from lampest.recording.readings import Readings, strongest_frame
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.readings import Readings
+from lampest.recording.recording import UNLOADED, Recording
 
 MIN_UNLOADED_FRAMES = 5  # unloaded frames from which noise is estimated if the scene does not specify it
 MAX_NAMED = 3  # modules in one sentence
 
-MIN_MOTION = 3.0  # rms of Δ·τ in σ, below which motion within a scan is imperceptible
+SHARES = np.linspace(0, 1, 6)  # of the time between frames that a scan takes
 
 # Factor on σ: a smaller excess changes no verdict, and creeping films cause it too. The ratio of first to second
 # differences of noise alone is 1.00 ± 0.06 with 100 readings.
 MIN_EXCESS = 1.25
+MAX_SIZES = 5.0  # root mean squares of a size's samples, beyond which its posterior is nothing from four samples on
 EDGE_WIDTHS = 3.0  # widths of the Tracy-Widom law beyond the edge: noise alone exceeds it once in thousands
 # Samples for each channel, below which the smallest eigenvalues of noise come near zero, and rounding takes them below
 # (tests/oracles/test_every_readout.py).
@@ -48,12 +48,8 @@ PAIR_MEDIAN = 0.7960  # of the root mean square of two differences that share a 
 MIN_MEDIAN_NOISE = 0.5  # LSB: with less, most codes repeat, and the median of their differences shows no noise
 NO_RIPPLE = np.zeros((1, 0))  # root of the covariance, for any number of channels
 
-# Errors that the readings of a frame share: the texts of the summary and of warnings.
-SHARED = (
-    ("{:.2g} % gain", "the gain of a frame varies by {:.2g} %"),
-    ("{:.2g} LSB along a scan", "the lines of a scan vary together by {:.2g} LSB"),
-    ("{:.2g} LSB of a line", "the readings of a scanned line vary together by {:.2g} LSB"),
-)
+# Errors that the readings of a frame share, in the summary.
+SHARED = ("{:.2g} % gain", "{:.2g} LSB along a scan", "{:.2g} LSB of a line")
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +72,16 @@ class NoiseEstimate:
         Errors that the readings of a frame share; None where none is significant.
     possible_errors : Possible or None
         Errors that all frames share, as far as the still cells leave them possible; None where that is unknown.
-    in_motion : bool
-        Whether loads move while a frame is scanned.
+    motion : float
+        Share of the time between frames that a scan takes while loads move; 0: none.
     of_modules : tuple of NoiseEstimate or None
         Noise of each module, None for a dead one; () for a single network.
     corrected_effects : CircuitEffects or None
         Effects that are taken off the readings; None where there are none.
     model_factor : float
         Part of `sigma_factor` that is the model's error.
+    estimated : dict
+        Key of the scene → (number, standard deviation) of each effect that the recording determined.
     """
 
     outliers: NDArray[np.bool_]
@@ -94,10 +92,11 @@ class NoiseEstimate:
     sigma_factor: float = 1.0
     frame: FrameNoise | None = None
     possible_errors: Possible | None = None
-    in_motion: bool = False
+    motion: float = 0.0
     of_modules: tuple["NoiseEstimate | None", ...] = ()
     corrected_effects: CircuitEffects | None = None
     model_factor: float = 1.0
+    estimated: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def sentence(self) -> str:
@@ -107,7 +106,7 @@ class NoiseEstimate:
     @property
     def reading_error(self) -> float:
         """Standard deviation of ln of a factor on each reading that is constant in time; 0 where none is observed."""
-        return 0.0 if self.possible_errors is None else self.possible_errors.sizes.reading_error or 0.0
+        return 0.0 if self.possible_errors is None else READING_ERROR.size(self.possible_errors.sizes)
 
     @property
     def shared_sizes(self) -> tuple[float, float, float]:
@@ -124,7 +123,7 @@ class NoiseEstimate:
         if np.isnan(self.factor):
             return ""
         taken = "not rescaled" if self.sigma_factor == 1 else f"rescaled by {self.sigma_factor:.3g}"
-        shared = ", ".join(text.format(size) for (text, _), size in zip(SHARED, self.shared_sizes, strict=True) if size)
+        shared = ", ".join(text.format(size) for text, size in zip(SHARED, self.shared_sizes, strict=True) if size)
         messages = (
             f"scatter {self.factor:.3g} +- {self.factor_error:.1g} times as specified, {taken}",
             f"frames share {shared or 'nothing'}",
@@ -132,6 +131,25 @@ class NoiseEstimate:
             "" if self.possible_errors is None else _sizes_in_words(self.possible_errors),
         )
         return "; ".join(filter(None, messages))
+
+    def determined(self, key: str, size: tuple[float, float], unit: str = "") -> "NoiseEstimate":
+        """Return the noise with a number of the scene that the recording determined, and its sentence.
+
+        Parameters
+        ----------
+        key : str
+            Key of the scene.
+        size : (float, float)
+            Number and standard deviation.
+        unit : str
+        """
+        number, deviation = (float(f"{part:.2g}") for part in size)
+        sentence = f"{key}: {number:g} +- {deviation:g}{f' {unit}' if unit else ''}, estimated from this recording"
+        return replace(self, estimated={**self.estimated, key: size}).with_warnings(sentence)
+
+    def undetermined(self, key: str, reason: str) -> "NoiseEstimate":
+        """Return the noise with a sentence on a number that the recording cannot determine: why, and what to record."""
+        return self.with_warnings(f"{key}: estimated, but this recording cannot determine it: {reason}")
 
     def with_warnings(self, *sentences: str) -> "NoiseEstimate":
         """Return the noise with further warnings; empty ones are ignored."""
@@ -141,7 +159,7 @@ class NoiseEstimate:
         """Return the noise with other σ of the readings."""
         return replace(self, readings=replace(self.readings, sigma=sigma))
 
-    def with_motion(self, scene: Scene, measured: NDArray[np.intp]) -> "NoiseEstimate":
+    def with_motion(self, scene: Scene, measured: NDArray[np.intp], share: float) -> "NoiseEstimate":
         """Return the noise with wider σ where readings were taken while loads moved.
 
         Parameters
@@ -149,39 +167,12 @@ class NoiseEstimate:
         scene : Scene
         measured : integer array
             Numbers of the measured frames.
+        share : float
+            Share of the time between frames that a scan takes.
         """
         sigma = self.readings.known_sigma
-        moved = np.abs(steps_within_scan(scene, self.readings, measured)).max(axis=0)
-        count = int(np.sum(np.sqrt(np.mean((moved / sigma) ** 2, axis=(1, 2))) > 1))
-        message = f"motion within a scan: as if a scan took all of the time between frames, in {count} frames"
-        return replace(self.with_sigma(np.hypot(sigma, moved)), in_motion=True).with_warnings(message)
-
-
-def with_still_cells(noise: NoiseEstimate, recording: Recording, sizes: Systematic) -> NoiseEstimate:
-    """Return the noise with the motion within scans and the shared errors that still cells of one network show.
-
-    Parameters
-    ----------
-    noise : NoiseEstimate
-    recording : Recording
-        It has unloaded and measured frames.
-    sizes : Systematic
-        Sizes of shared errors that the scene specifies or leaves possible.
-    """
-    unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
-    scene, resting, moved = recording.scene, noise.readings[unloaded].mean(), noise
-    if moves_within_scan(scene, resting, noise.readings, measured):
-        moved = noise.with_motion(scene, measured)
-    strongest = strongest_frame(moved.readings.plain_values, resting.value, measured)
-    # two frames: the strongest, and the first or the last
-    chosen = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
-    hidden = possible_errors(scene, sizes, resting, moved.readings[chosen], noise.frame)
-    size = hidden.sizes.reading_error or 0.0 if hidden is not None and hidden.certain else 0.0
-    message = (
-        f"cells that nobody touched seem to move as if each reading were off by {100 * size:.2g} %, the same in all "
-        "frames"
-    )
-    return replace(moved, possible_errors=hidden).with_warnings(message if size > (sizes.reading_error or 0.0) else "")
+        moved = share * np.abs(steps_within_scan(scene, self.readings, measured)).max(axis=0)
+        return replace(self.with_sigma(np.hypot(sigma, moved)), motion=share)
 
 
 def without_effects(noise: NoiseEstimate, recording: Recording, besides: CircuitEffects | None) -> NoiseEstimate:
@@ -199,7 +190,8 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
     """Return the noise of a single network from its unloaded frames, or from measured frames at rest.
 
     Specified noise is replaced only if the measured one is significantly larger, or smaller for a converter, whose
-    least noise is known: its step. Unspecified noise of a converter is taken from MIN_UNLOADED_FRAMES or more.
+    least noise is known: its step. That is the residual scale, which `systematic: {model_error: 0}` excludes.
+    Unspecified noise of a converter is taken from MIN_UNLOADED_FRAMES or more.
 
     Parameters
     ----------
@@ -208,15 +200,17 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
     cleaned : Readings
         Readings of all frames without outliers.
     """
-    readout, resting = recording.scene.readout, recording.role == UNLOADED
-    unloaded = int(resting.sum())
-    unscaled = NoiseEstimate(outliers, _outlier_messages(outliers, cleaned, resting), cleaned)
+    scene, readout, unloaded = recording.scene, recording.scene.readout, int((recording.role == UNLOADED).sum())
+    unscaled = NoiseEstimate(outliers, _outlier_messages(outliers, cleaned, recording.role == UNLOADED), cleaned)
+    unscaled = _with_specified_frame_noise(unscaled, scene, unloaded)
+    asked = None if readout is None else readout.noise_lsb == ESTIMATED
     if cleaned.sigma is None or (parts := _scatter_of(recording, cleaned)) is None:
-        return unscaled
+        reason = "record five or more unloaded frames"
+        return unscaled.undetermined("readout.noise_lsb", reason) if asked else unscaled
     ratio, message, used = parts.own, "", 1.0
     squares, error = ratio**2 * parts.own_freedom, ratio / np.sqrt(2 * parts.own_freedom)
     specified = readout is None or recording.sigma is not None or readout.noise_specified
-    if specified:
+    if specified and not excludes_model_error(scene):
         used = noted_excess(squares, parts.own_freedom)
         smaller = ratio <= 1 / MIN_EXCESS and 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
         where = "unloaded frames" if unloaded > 1 else "readings at rest from frame to frame"
@@ -230,16 +224,56 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
             measured_text, specified_text = f"{noise_lsb:.2g} LSB", f"{assumed:.2g} LSB"
             if measured_text != specified_text:
                 message = f"noise {measured_text}, measured in {where}; the scene specifies {specified_text}"
-    elif readout is not None and unloaded >= (MIN_UNLOADED_FRAMES if readout.noise_lsb is None else 2):
+    elif readout is not None and not specified and unloaded >= (MIN_UNLOADED_FRAMES if not asked else 2):
         used = shown_noise(readout, ratio)[1]
-    frame = None
-    if readout is not None and (parts.gain or parts.common_ripple.size or parts.line_ripple.size):
-        volt = float(np.mean(readout.sigma_volt()))
-        frame = FrameNoise(recording.scene, unloaded, parts.gain, parts.common_ripple * volt, parts.line_ripple * volt)
     scaled = replace(cleaned, sigma=used * cleaned.sigma)
-    noise = replace(unscaled, readings=scaled, factor=ratio, factor_error=error, sigma_factor=used, frame=frame)
-    shared = [text.format(size) for (_, text), size in zip(SHARED, noise.shared_sizes, strict=True) if size]
-    return noise.with_warnings(message if used != 1 else "", ", ".join(shared))
+    noise = replace(unscaled, readings=scaled, factor=ratio, factor_error=error, sigma_factor=used)
+    noise = noise.with_warnings(message if used != 1 else "")
+    if readout is not None and asked:
+        size = shown_noise(readout, ratio)[0]
+        noise = noise.determined("readout.noise_lsb", (size, size / np.sqrt(2 * parts.own_freedom)), "LSB")
+    return _with_estimated_frame_noise(noise, recording, parts)
+
+
+def _with_specified_frame_noise(noise: NoiseEstimate, scene: Scene, unloaded: int) -> NoiseEstimate:
+    """Return the noise with the gain and the ripple that a scene specifies as numbers."""
+    gain, ripple = (plain_size(size) or 0.0 for size in (scene.gain, scene.ripple))
+    if scene.readout is None or not (gain or ripple):
+        return noise
+    # a ripple that all lines share, independent from channel to channel
+    channels = scene.panel.shape[0 if scene.circuit.by_columns else 1]
+    common = ripple * scene.circuit.lsb_volt * np.eye(channels) if ripple else np.zeros((channels, 0))
+    return replace(noise, frame=FrameNoise(scene, unloaded, gain, common, np.zeros((channels, 0))))
+
+
+def _with_estimated_frame_noise(noise: NoiseEstimate, recording: Recording, parts: "Scatter") -> NoiseEstimate:
+    """Return the noise with the gain and the ripple that the scene calls `estimated`, from the unloaded frames."""
+    scene, unloaded = recording.scene, int((recording.role == UNLOADED).sum())
+    asked = [key for key in ("gain", "ripple") if getattr(scene, key) == ESTIMATED]
+    if not asked or scene.readout is None:
+        return noise
+    if unloaded < 2:
+        for key in asked:
+            noise = noise.undetermined(key, "record two or more unloaded frames")
+        return noise
+    volt = float(np.mean(scene.readout.sigma_volt()))
+    known = noise.frame or FrameNoise(scene, unloaded, 0.0, parts.common_ripple[:, :0], parts.line_ripple[:, :0])
+    relative = 1 / np.sqrt(2 * (unloaded - 1))  # of a standard deviation with as many degrees of freedom
+    if "gain" in asked:
+        known = replace(known, gain=parts.gain)
+        noise = noise.determined("gain", (parts.gain, parts.gain_sd))
+    if "ripple" in asked:
+        known = replace(known, common_ripple=parts.common_ripple * volt, line_ripple=parts.line_ripple * volt)
+        noise = replace(noise, frame=known)
+        size = float(np.hypot(*noise.shared_sizes[1:]))
+        deviation = float(np.hypot(parts.ripple_sd * volt / scene.circuit.lsb_volt, noise.shared_sizes[2] * relative))
+        noise = noise.determined("ripple", (size, deviation), "LSB")
+    return replace(noise, frame=known)
+
+
+def excludes_model_error(scene: Scene) -> bool:
+    """Return whether a scene states that its noise is right and its model has no error."""
+    return isinstance(scene.systematic, Systematic) and scene.systematic.model_error == 0
 
 
 def _outlier_messages(outliers: NDArray[np.bool_], cleaned: Readings, resting: NDArray[np.bool_]) -> tuple[str, ...]:
@@ -343,36 +377,52 @@ def steps_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.int
     return steps * in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
 
 
-def moves_within_scan(scene: Scene, resting: Readings, readings: Readings, measured: NDArray[np.intp]) -> bool:
-    """Return whether loads move while a frame is scanned.
+def share_of_motion(
+    scene: Scene, resting: Readings, readings: Readings, measured: NDArray[np.intp]
+) -> tuple[float, float] | None:
+    """Return the share of the time between frames that a scan takes, and its standard deviation; None where unknown.
 
-    The frames with the largest motion that have two neighbours are tested: no cells explain the readings of most.
+    No cells explain the readings of a frame that was scanned while a load moved. The frames with the largest motion
+    are fitted with σ² + (share · step · τ)², and their likelihood is compared over SHARES, all equally probable before.
+    Of d degrees of freedom, readings that no cells follow,
+
+        −2 ln p(share) = χ² + d · mean ln(1 + (share · step · τ/σ)²).
+
+    Loads that no frame shows to move, or whose frames cells explain whatever the share, tell nothing of it.
     """
     inner = measured[1:-1]
     if not len(inner) or readings.sigma is None or resting.sigma is None:
-        return False
-    moved = steps_within_scan(scene, readings, measured).mean(axis=0)
-    size = np.sqrt(np.mean((moved / readings.sigma) ** 2, axis=(1, 2)))
+        return None
+    steps = np.abs(steps_within_scan(scene, readings, measured)).max(axis=0)
+    size = np.sqrt(np.mean((steps / readings.sigma) ** 2, axis=(1, 2)))
     moving = inner[np.argsort(-size[inner])][: 1 + MAX_NEIGHBOURS]
-    if size[moving[0]] < MIN_MOTION:
-        return False
-    base, *fits = (fitted(scene, frame, patient=True) for frame in (resting, *(readings[at] for at in moving)))
-    tails = [1.0 if fit is None else fit.tail for fit in fits]
-    return base is not None and base.tail >= SIGNIFICANCE and bool(np.median(tails) < SIGNIFICANCE)
+    base = fitted(scene, resting, patient=True)
+    if base is None or base.tail < SIGNIFICANCE:
+        return None
+    costs, broken = np.zeros(len(SHARES)), 0
+    for frame in moving:
+        near = None
+        for number, share in enumerate(SHARES):
+            widened = np.hypot(readings.known_sigma[frame], share * steps[frame])
+            fit = fitted(scene, replace(readings[frame], sigma=widened), near, patient=True)
+            if fit is None:
+                return None
+            near, spread = fit.cells, float(np.mean(np.log(widened / readings.known_sigma[frame])))
+            costs[number] += fit.chi_square + 2 * fit.degrees * spread
+            broken += number == 0 and fit.tail < SIGNIFICANCE
+    if not broken:
+        return None
+    odds = np.exp(-(costs - costs.min()) / 2)
+    odds /= odds.sum()
+    mean = float(odds @ SHARES)
+    return mean, float(np.sqrt(max(float(odds @ SHARES**2) - mean**2, 0.0)))
 
 
-def _sizes_in_words(hidden: Possible) -> str:
-    """Return the assumed sizes of hidden errors, in words."""
-    sizes, parts, row = hidden.sizes, [], 0
-    bias = sizes.reading_error
-    by_reading = f"each reading off by {100 * bias:.2g} %" if bias else "no per-reading bias found"
-    for error in HIDDEN_ERRORS:
-        if size := error.size(sizes):
-            rows = slice(row, row + error.count)
-            left = 1.0 if hidden.root is None else np.sqrt((hidden.root[rows] ** 2).sum() / error.count)
-            parts.append(f"{error.name} {size * left:.2g} {error.unit}")
-            row += error.count
-    return f"{by_reading}; left possible, as standard deviations: {', '.join(parts) or 'nothing else'}"
+def _sizes_in_words(possible: Possible) -> str:
+    """Return the sizes of shared errors, in words."""
+    sized = [(error, error.size(possible.sizes)) for error in SHARED_ERRORS]
+    parts = [f"{error.name} {size:.2g} {error.unit}".rstrip() for error, size in sized if size]
+    return f"frames share, as standard deviations: {', '.join(parts)}" if parts else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,10 +436,14 @@ class Scatter:
     own_freedom : int
         Degrees of freedom of that estimate.
     gain : float
-        Standard deviation of a frame's gain, as a fraction; 0 where it is not significant.
+        Standard deviation of a frame's gain, as a fraction.
     common_ripple, line_ripple : array, shape (channels of a line, n)
         Roots of the covariances of the ripple that all lines of a frame share, in step with the scan, and of the
         ripple that each line has independently.
+    gain_sd, ripple_sd : float
+        Standard deviations of the gain, and of the ripple that all lines share, in units of σ.
+    gain_tail, ripple_tail : float
+        Probabilities of gains, and of a common ripple, as large in noise alone.
     """
 
     own: float
@@ -397,6 +451,10 @@ class Scatter:
     gain: float
     common_ripple: Array
     line_ripple: Array
+    gain_sd: float = 0.0
+    ripple_sd: float = 0.0
+    gain_tail: float = 1.0
+    ripple_tail: float = 1.0
 
 
 def noted_excess(chi_square: float, degrees: float) -> float:
@@ -424,7 +482,7 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
         loudness = np.asarray(volt / np.broadcast_to(scene.readout.sigma_volt(), volt.shape))
     if circuit.by_columns:
         deviation, loudness = deviation.swapaxes(1, 2), loudness.T
-    return scatter(deviation, loudness, len(value) - 1)
+    return scatter(deviation, loudness, len(value) - 1, gain=scene.gain is not None, ripple=scene.ripple is not None)
 
 
 def repeated_scatter(measured: Readings) -> Scatter | None:
@@ -452,8 +510,8 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
     return Scatter(quiet, max(count, 1), 0.0, NO_RIPPLE, NO_RIPPLE)
 
 
-def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
-    """Return the variance components of deviations from the mean over frames.
+def scatter(deviation: Array, loudness: Array, repeats: int, *, gain: bool = True, ripple: bool = True) -> Scatter:
+    """Return the variance components of deviations from the mean over frames; all is noise without `gain`, `ripple`.
 
     Parameters
     ----------
@@ -468,32 +526,61 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
     lines, channels = deviation.shape[1:]
     # Of a single line, gain and common ripple are not distinguished from its own ripple, and count as that.
     several, free = lines > 1, max(lines - 1, 1)
-    size = np.maximum((known * loudness**2).sum(axis=(1, 2)), 1e-300)
+    loud = np.maximum((known * loudness**2).sum(axis=(1, 2)), 1e-300)
     # Gain of each frame by least squares, Σ deviation · loudness / Σ loudness², (frames,); then the mean over lines,
     # (frames, channels).
-    slope = several * (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / size
+    slope = gain * several * (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / loud
     remaining = np.where(known, deviation - slope[:, None, None] * loudness, 0.0)
-    common = several * remaining.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    common = ripple * several * remaining.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     # Missing readings reduce the degrees of freedom in proportion to their share.
     share = float(known.mean())
     inner = np.where(known, remaining - common[:, None, :], 0.0).reshape(-1, channels)
-    noise, line_ripple = _patterns(inner, max(repeats * free * share, 1.0))
+    # Without gain and ripple the mean over frames alone is taken off.
+    samples = repeats * (free if gain or ripple else lines) * share
+    noise, line_ripple = _patterns(inner, max(samples, 1.0), separated=ripple)
     # Variance of one reading by own noise and line ripple, and of the mean over lines if no common ripple existed.
     line = noise + float((line_ripple**2).sum()) / channels
-    ripple, variance = np.zeros((channels, 0)), line / (lines * share)
-    few = max(repeats, 3) / (max(repeats, 3) - 2)
-    if chi_square_tail((common**2).sum() / max(variance, 1e-300), repeats * channels) < SIGNIFICANCE:
+    shared, variance = np.zeros((channels, 0)), line / (lines * share)
+    ripple_sd, ripple_tail = 0.0, 1.0
+    if ripple and several:
+        squares = float((common**2).sum())
+        ripple_tail = float(chi_square_tail(squares / max(variance, 1e-300), repeats * channels))
+        size, ripple_sd = posterior_size(squares, repeats * channels, variance)
+        shared = size * np.eye(channels)
+    if ripple_tail < SIGNIFICANCE:
         sizes, direction = np.linalg.eigh(common.T @ common / repeats)
         sizes, freedom = _shrunk(np.maximum(sizes, 0.0), repeats)
         strong = sizes > variance
-        ripple = np.asarray(direction[:, strong] * np.sqrt((sizes[strong] - variance) * freedom / (freedom - 2)))
-    # variance of the estimated gain without a true one: (noise + ripples)/Σ loudness²
-    variances = (line + float((ripple**2).sum()) / channels * lines) / size
-    gain = 0.0
-    if chi_square_tail((slope**2 / np.maximum(variances, 1e-300)).sum(), repeats) < SIGNIFICANCE:
-        gain = float(np.sqrt(max((slope**2).sum() / repeats - variances.mean(), 0.0) * few))
-    degrees = repeats * free * (channels - line_ripple.shape[1]) * share
-    return Scatter(float(np.sqrt(max(noise, 0.0))), max(int(degrees), 1), gain, ripple, line_ripple)
+        shared = np.asarray(direction[:, strong] * np.sqrt((sizes[strong] - variance) * freedom / (freedom - 2)))
+    swing = gain_sd = 0.0
+    gain_tail = 1.0
+    if gain and several:
+        # variance of the estimated gain without a true one: (noise + ripples)/Σ loudness²
+        variances = (line + float((shared**2).sum()) / channels * lines) / loud
+        gain_tail = float(chi_square_tail((slope**2 / np.maximum(variances, 1e-300)).sum(), repeats))
+        swing, gain_sd = posterior_size(float((slope**2).sum()), repeats, float(variances.mean()))
+    degrees = samples * (channels - line_ripple.shape[1])
+    own = float(np.sqrt(max(noise, 0.0)))
+    tails = gain_tail, ripple_tail
+    return Scatter(own, max(int(degrees), 1), swing, shared, line_ripple, gain_sd, ripple_sd, *tails)
+
+
+def posterior_size(squares: float, freedom: float, variance: float) -> tuple[float, float]:
+    """Return the posterior root mean square and standard deviation of the size s of an effect beside noise.
+
+    Σ x² of n samples x ~ N(0, s² + variance) is `squares`; n is `freedom`. The prior is uniform in s, up to
+    MAX_SIZES times the root mean square of the samples.
+
+        −2 ln p(s) = n ln(s² + v) + Σ x²/(s² + v)
+    """
+    least = max(variance, 1e-300)
+    sizes = np.linspace(0.0, MAX_SIZES * np.sqrt(max(squares / freedom, least)), 400)
+    total = sizes**2 + least
+    costs = freedom * np.log(total) + squares / total
+    odds = np.exp(-(costs - costs.min()) / 2)
+    odds /= odds.sum()
+    mean, square = float(odds @ sizes), float(odds @ sizes**2)
+    return float(np.sqrt(square)), float(np.sqrt(max(square - mean**2, 0.0)))
 
 
 def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
@@ -509,8 +596,10 @@ def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
     return (1 - share) * sizes + share * total / channels, max(repeats * (1 - share + share * channels), 3.0)
 
 
-def _patterns(rows: Array, freedom: float) -> tuple[float, Array]:
+def _patterns(rows: Array, freedom: float, *, separated: bool) -> tuple[float, Array]:
     """Return the noise variance of samples, and a root (channels, k) of the covariance that exceeds it.
+
+    The root has no columns unless it is `separated` from the noise.
 
     Eigenvalues are removed in descending order while they exceed the largest one that noise allows, given the mean of
     the remaining eigenvalues: its edge (√n + √p)²/n and EDGE_WIDTHS times its width.
@@ -532,7 +621,8 @@ def _patterns(rows: Array, freedom: float) -> tuple[float, Array]:
     edge = unsure * ((first + second) ** 2 + EDGE_WIDTHS * width) / freedom
     # Each eigenvalue against the mean of the smaller ones, from the largest down.
     above = size[1:] > edge * np.cumsum(size)[:-1] / np.arange(1, channels)
-    strong = int(np.argmin([*above[::-1], False])) if freedom >= MIN_SAMPLES_PER_CHANNEL * channels else 0
+    enough = separated and freedom >= MIN_SAMPLES_PER_CHANNEL * channels
+    strong = int(np.argmin([*above[::-1], False])) if enough else 0
     weak = channels - strong
     noise = float(size[:weak].mean())
     return noise, np.asarray(direction[:, weak:] * np.sqrt(np.maximum(size[weak:] - noise, 0.0)))

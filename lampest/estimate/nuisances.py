@@ -82,10 +82,10 @@ class BetterExplanation:
         return f"between the unloaded panel and {self.frames} {counts}"
 
 
-def candidates(shape: tuple[int, ...]) -> list[Effect]:
+def candidates(shape: tuple[int, ...], kinds: Sequence[type[Effect]] = EFFECTS) -> list[Effect]:
     """Return all effects that are tried on a panel: those since the unloaded frames, then the constant ones."""
     rows, columns = shape
-    return [kind(lines, since) for since in (True, False) for kind in EFFECTS for lines in kind.places(rows, columns)]
+    return [kind(lines, since) for since in (True, False) for kind in kinds for lines in kind.places(rows, columns)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +179,7 @@ class FittedPair:
         """Σ, the covariance of d where no load is, without effects and without a common change, (cells, cells)."""
         # Σ = P_b + P_f + creep² 1 + spread² channels channelsᵀ; the spread is the scene's, or else one multiplexer's
         sizes = systematic_of(self.frames[1].scene)
-        spread = (sizes and sizes.channel_spread_ohm) or ASSUMED.channel_ohm
+        spread = float((sizes and sizes.channel_spread_ohm) or ASSUMED.channel_ohm)
         noise = sum(frame.covariance for frame in self.frames) + ASSUMED.creep**2 * np.eye(len(self.change))
         return np.asarray(noise + spread**2 * self.channels @ self.channels.T)
 
@@ -394,18 +394,20 @@ class CircuitEffects(BetterExplanation):
         return f"{' and '.join(names)}: {TAKEN_OFF}"
 
 
-def find_effects(pairs: Sequence[tuple[str, FittedPair]]) -> CircuitEffects:
+def find_effects(pairs: Sequence[tuple[str, FittedPair]], kinds: Sequence[type[Effect]] = EFFECTS) -> CircuitEffects:
     """Return the effects with the largest gain of evidence.
 
     Parameters
     ----------
     pairs : sequence of (str, FittedPair)
         Name of the frame, and its pair with the unloaded panel.
+    kinds : sequence of type
+        Kinds of effects that are searched for.
     """
     besides, common, most = CircuitEffects(), "", 0.0
     for name, pair in pairs:
         common = _together(pair) or common
-        grown, certain = _grown(pair)
+        grown, certain = _grown(pair, kinds)
         gain = pair.evidence.score - grown.evidence.score
         # An effect counts if most cells stand still with it, and neither a load's edge nor one wrong reading explains
         # as much: an outlier in the frame in which a load arrives is hard to detect in time.
@@ -421,7 +423,7 @@ def find_effects(pairs: Sequence[tuple[str, FittedPair]]) -> CircuitEffects:
     return besides if besides.name else replace(besides, common_change=common)
 
 
-def _grown(pair: FittedPair) -> tuple[FittedPair, FittedPair]:
+def _grown(pair: FittedPair, kinds: Sequence[type[Effect]]) -> tuple[FittedPair, FittedPair]:
     """Add effects to a pair one by one, while each gains MIN_EVIDENCE_GAIN and spares MIN_SPARED_CELLS moved cells.
 
     Returns
@@ -434,7 +436,7 @@ def _grown(pair: FittedPair) -> tuple[FittedPair, FittedPair]:
     """
     certain, doubtful = pair, False
     for _ in range(MAX_CANDIDATES):
-        tried = sorted(_tried(pair), key=lambda candidate: candidate.evidence.score)
+        tried = sorted(_tried(pair, kinds), key=lambda candidate: candidate.evidence.score)
         if not tried or pair.evidence.score - tried[0].evidence.score <= MIN_EVIDENCE_GAIN:
             break
         if tried[0].moved.sum() > pair.moved.sum() - MIN_SPARED_CELLS:
@@ -445,9 +447,9 @@ def _grown(pair: FittedPair) -> tuple[FittedPair, FittedPair]:
     return pair, certain
 
 
-def _tried(pair: FittedPair) -> Iterator[FittedPair]:
+def _tried(pair: FittedPair, kinds: Sequence[type[Effect]]) -> Iterator[FittedPair]:
     """Generate the pairs with one more effect, for the MAX_CANDIDATES best ones of linear theory."""
-    effects = candidates(pair.shape)
+    effects = candidates(pair.shape, kinds)
     scores = pair.scores_with(pair.effects, pair.columns(effects))
     for number in np.argsort(scores)[:MAX_CANDIDATES]:
         if scores[number] > pair.evidence.score - PARAMETER_COST:

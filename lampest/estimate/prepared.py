@@ -1,5 +1,6 @@
 """Preparation of a recording: readings, noise, effects, check of the circuit and warnings, each determined once."""
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -8,19 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.garbled import GarbledLines, garbled_lines, garbled_sentence, readings_of
+from lampest.estimate.memory import with_estimated_memory
 from lampest.estimate.model_check import ModelCheck, Question, check_of_modules
-from lampest.estimate.model_error import scaled, with_model_error, with_reading_error
-from lampest.estimate.noise import NoiseEstimate, estimate_noise, noise_of_modules, with_still_cells, without_effects
+from lampest.estimate.noise import NoiseEstimate, estimate_noise, noise_of_modules
 from lampest.estimate.nuisances import CircuitEffects
 from lampest.estimate.outliers import frozen_readings, impossible_readings, without_outliers, without_readings
+from lampest.estimate.resolve import resolved, resolved_scene, with_resolved_electronics
 from lampest.estimate.saturation import with_saturated_stage
 from lampest.estimate.warnings import warnings_of
 from lampest.files.errors import BROKEN, InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.panel.effects import EFFECTS, Effect
 from lampest.panel.panel import Modules
-from lampest.panel.systematic import systematic_of, unobservable_numbers
+from lampest.panel.systematic import unobservable_numbers
 from lampest.recording.readings import Readings
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.recording import UNLOADED, Recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +39,8 @@ class Cleaned:
     outliers : boolean array, shape (frames, rows, columns)
     readings : Readings
         Unloaded outliers are missing, measured ones are replaced by the prediction of neighbouring frames.
+    memory : (float, float), str or None
+        Estimate of `converter_memory` with its standard deviation, or why there is none; None where it was not asked.
     """
 
     recording: Recording
@@ -43,6 +48,7 @@ class Cleaned:
     garbled: tuple[GarbledLines, ...]
     outliers: NDArray[np.bool_]
     readings: Readings
+    memory: tuple[float, float] | str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,12 +93,17 @@ class Prepared:
     @cached_property
     def cleaned(self) -> Cleaned:
         """The readings of a single network without outliers."""
-        frozen, garbled = frozen_readings(self.recording), garbled_lines(self.recording)
-        intact = without_readings(self.recording, frozen | readings_of(garbled, self.recording))
-        recording = with_saturated_stage(intact)
+        kept, recording = self.recording.scene.outliers == "keep", with_saturated_stage(self.recording)
+        recording, memory = with_estimated_memory(recording)
+        frozen = np.zeros(recording.scene.panel.shape, dtype=bool) if kept else frozen_readings(recording)
+        garbled = () if kept else garbled_lines(recording)
+        recording = without_readings(recording, frozen | readings_of(garbled, recording))
         readings = recording.readings()
+        if kept:
+            return Cleaned(recording, frozen, garbled, np.zeros(readings.value.shape, dtype=bool), readings, memory)
         impossible = impossible_readings(recording.scene.circuit, readings)
-        return Cleaned(recording, frozen, garbled, *without_outliers(impossible, readings, recording.role == UNLOADED))
+        outliers, readings = without_outliers(impossible, readings, recording.role == UNLOADED)
+        return Cleaned(recording, frozen, garbled, outliers, readings, memory)
 
     @cached_property
     def frame_noise(self) -> NoiseEstimate:
@@ -101,6 +112,7 @@ class Prepared:
             estimates = [None if module is None else module.frame_noise for module in self.modules]
             return noise_of_modules(self.recording, self.layout, estimates)
         noise = estimate_noise(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
+        noise = with_resolved_electronics(noise, self.recording, self.cleaned.recording, self.cleaned.memory)
         places = [f"row {row}, column {column}" for row, column in np.argwhere(self.cleaned.frozen)]
         warning = (
             f"one value in all frames at {' and at '.join(places)}, while noise changes the other readings: left out"
@@ -115,12 +127,16 @@ class Prepared:
         return Question.of(self.cleaned.recording, self.cleaned.outliers)
 
     @cached_property
-    @ONE_BLAS_THREAD
     def effects(self) -> CircuitEffects:
-        """Effects beside the circuit of a single network."""
+        """Effects beside the circuit of a single network, of all kinds."""
+        return self.effects_of(EFFECTS)
+
+    @ONE_BLAS_THREAD
+    def effects_of(self, kinds: Sequence[type[Effect]]) -> CircuitEffects:
+        """Return the effects beside the circuit of a single network, of some kinds."""
         with suppress(*BROKEN), np.errstate(all="ignore"):
             if self.cleaned.readings.sigma is not None:
-                return self.question.effects()
+                return self.question.effects(kinds)
         return CircuitEffects()
 
     @cached_property
@@ -161,27 +177,12 @@ class Prepared:
         if self.layout is not None:
             estimates = [None if module is None else module.noise for module in self.modules]
             return noise_of_modules(self.recording, self.layout, estimates)
-        noise, recording = self.frame_noise, self.recording
-        unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
-        sizes = systematic_of(recording.scene)
-        with suppress(*BROKEN), np.errstate(all="ignore"):
-            # A part of a longer recording takes over the effects, motion and errors of the whole.
-            if self.whole_recording is not None:
-                noise = without_effects(noise, recording, self.whole_recording.corrected_effects)
-                if self.whole_recording.in_motion:
-                    noise = noise.with_motion(recording.scene, measured)
-                noise = with_reading_error(
-                    replace(noise, possible_errors=self.whole_recording.possible_errors), recording
-                )
-                return scaled(noise, self.whole_recording.model_factor)
-            if sizes is not None and len(unloaded) and len(measured):
-                # Order: effects are taken off first, then still cells give shared errors, then the model's error
-                # remains.
-                if self.effects.pair is not None and self.check.by_effect:
-                    noise = without_effects(noise, recording, self.effects).with_warnings(self.effects.corrections)
-                noise = with_still_cells(noise, recording, sizes)
-            noise = with_model_error(noise, recording)
-        return noise
+        return resolved(self.frame_noise, self.cleaned.recording, self.whole_recording, self.effects_of)
+
+    @cached_property
+    def resolved(self) -> Recording:
+        """The recording with the numbers that its scene calls `estimated`, as far as it determines them."""
+        return replace(self.recording, scene=resolved_scene(self.recording.scene, self.noise))
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:

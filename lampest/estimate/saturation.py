@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
 from lampest.panel.panel import Array
+from lampest.panel.scene import ESTIMATED
 from lampest.posterior.interval import binomial_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -44,7 +45,7 @@ class Saturated:
         also = f", {self.unloaded} of the unloaded panel too" if self.loaded and self.unloaded else ""
         return (
             f"{channels} at the same {self.volt:.3g} volt{also}, and what lies beyond is lost: "
-            "does a stage before the converter saturate there? They are taken for bounds"
+            "does a stage before the converter saturate there? Then name it: readout: {passes_volt: estimated}"
         )
 
 
@@ -56,7 +57,12 @@ def saturated(recording: Recording) -> Saturated | None:
     """
     scene, unloaded, measured = recording.scene, recording.role == UNLOADED, recording.role == MEASURED
     readout = scene.readout
-    if readout is None or readout.passes_volt is not None or scene.panel.modules is not None or not unloaded.any():
+    if (
+        readout is None
+        or readout.passes_volt not in (None, ESTIMATED)
+        or scene.panel.modules is not None
+        or not unloaded.any()
+    ):
         return None
     width, volts = NOISE_REACH * readout.sigma_volt(), scene.circuit.volt_from_recorded(recording.recorded)
     plain = Readings.of(scene, recording.recorded, recording.sigma).plain
@@ -84,10 +90,13 @@ def saturated(recording: Recording) -> Saturated | None:
 
 
 def with_saturated_stage(recording: Recording) -> Recording:
-    """Return the recording with the saturated stage in its scene; unchanged where its frames show none."""
-    stage, readout = saturated(recording), recording.scene.readout
-    if stage is None or readout is None:
+    """Return the recording with a number for `passes_volt: estimated`; None in its place where its frames show none."""
+    readout = recording.scene.readout
+    if readout is None or readout.passes_volt != ESTIMATED:
         return recording
+    stage = saturated(recording)
+    if stage is None:
+        return replace(recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=None)))
     passes = (0.0, stage.volt) if stage.highest else (stage.volt, readout.full_scale_volt)
     return replace(recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=passes)))
 

@@ -79,9 +79,9 @@ def reconstruct(
     """
     prepared = Prepared.of(recording)
     prepared.recording.scene.panel.check_memory()
-    readings, frames = prepared.noise.readings, prepared.recording.measured_frames()
-    stream = first_stream(prepared.recording, readings, estimator, prepared.noise)
-    return MeasuredPart(prepared.recording, frames, readings, prepared).solve(stream, on_frame)[1]
+    recording, readings = prepared.resolved, prepared.noise.readings
+    stream = first_stream(recording, readings, estimator, prepared.noise)
+    return MeasuredPart(recording, recording.measured_frames(), readings, prepared).solve(stream, on_frame)[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ class MeasuredPart:
                 solved,
                 stream.estimator.joint_start,
                 self.prepared,
-                stream.scene.contacts,
+                stream.scene.contact_prior,
                 automatic=stream.estimator.automatic or bool(stream.estimator.weight_sigma),
             )
 
@@ -267,7 +267,7 @@ class Parts:
         """
         check_by_parts(estimator, stored)
         noise, period = asked[1].noise, frame_period(stored.part(stored.blocks[0]))
-        stream = first_stream(asked[1].recording, noise.readings, estimator, noise, period)
+        stream = first_stream(asked[1].resolved, noise.readings, estimator, noise, period)
         return cls(stored, *asked, stream)
 
     @property
@@ -303,6 +303,7 @@ class Parts:
             return None
         recording = joined((self.lead, part))
         readings = Prepared(recording, self.sample.noise).noise.readings
+        recording = replace(recording, scene=self.stream.scene)
         return MeasuredPart(recording, _own_frames(recording, frames), readings, self.sample)
 
     def _with_baseline(self, begun: Stream, part: MeasuredPart) -> Stream:

@@ -24,84 +24,127 @@ from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, UNUSUAL
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
-from lampest.panel.systematic import HIDDEN_ERRORS, KNOWN_ERRORS, READING_ERROR, Possible, error_columns, recorded_share
+from lampest.panel.systematic import (
+    READING_ERROR,
+    REFERENCE,
+    SHARED_ERRORS,
+    Possible,
+    SharedError,
+    error_columns,
+    estimated_errors,
+    recorded_share,
+    systematic_of,
+)
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 
-READING_ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # tried values of e, with a prior that is uniform in ln e
-# Weight of the evidence of cells adjacent to moved ones: a skirt of lightly pressed cells gains 40 by an error e.
-BESIDE_SHARE = 0.1
-# Gains in −2 ln evidence from which an error is named, and from which error bars include it. In 60 recordings without
-# an error those of mouths and rods gain 2.0 at most, and nearly all of them nothing; an error of 0.2 % gains 2 to 60.
-MIN_ERROR_GAIN, MIN_HINT_GAIN = 6.6, 2.2
+# Tried values of e, with a prior that is uniform in √e, between that of a size and that of a scale.
+READING_ERRORS = np.geomspace(2e-5, 0.2, 40)
 LINEAR_LIMIT = 0.15  # of log r: the second order of a larger error moves cells by more than one per cent
 LOADED_CHANGE = NOISE_REACH * LINEAR_LIMIT  # of log r: only loads move cells by more, errors within the limit do not
 
 
-def possible_errors(
-    scene: Scene, sizes: Systematic, resting: Readings, frames: Readings, noise: FrameNoise | None
-) -> Possible | None:
-    """Return the shared errors that the still cells leave possible; None where the cells do not determine them.
+@dataclass(frozen=True, eq=False)
+class SharedErrors:
+    """Errors that all frames share, as a recording determines them.
+
+    Attributes
+    ----------
+    possible : Possible
+        Sizes and joint posterior.
+    sizes : dict
+        Field of `Systematic` → (size, standard deviation) of each error that was determined.
+    undetermined : str
+        The reason why the other estimated errors keep their prior, in words; '' where all are determined.
+    """
+
+    possible: Possible
+    sizes: dict[str, tuple[float, float]]
+    undetermined: str = ""
+
+
+def shared_errors(scene: Scene, resting: Readings, loaded: Readings | None, noise: FrameNoise | None) -> SharedErrors:
+    """Return the errors that a scene calls `estimated`, as the unloaded panel and one loaded frame show them.
+
+    One frame is enough: frames that are nearly equal count once, or the edges of a load that stands would look like an
+    error that all frames share.
 
     Parameters
     ----------
     scene : Scene
-    sizes : Systematic
-        Prior standard deviations of the errors.
-    resting, frames : Readings
-        Mean of the unloaded frames (rows, columns), and loaded frames (frames, rows, columns), with their final σ.
+    resting, loaded : Readings
+        Mean of the unloaded frames, and a loaded frame or None, (rows, columns) each, with their final σ.
     noise : FrameNoise or None
         Errors that the readings of a frame share.
     """
-
-    def at_least(size: float) -> Systematic:
-        return replace(sizes, reading_error=max(sizes.reading_error or 0.0, size) or None)
-
-    if resting.sigma is None or resting.value.size > MAX_CELLS:
-        return None
+    prior, asked = systematic_of(scene) or Systematic(), estimated_errors(scene)
+    possible = Possible(prior, in_sigma=READING_ERROR.size(prior))
+    if resting.sigma is None:
+        return SharedErrors(possible, {}, "the noise of the readings is unknown: name the readout's noise_lsb")
+    if resting.value.size > MAX_CELLS:
+        return SharedErrors(possible, {}, f"the panel has more than {MAX_CELLS} cells: estimate them on a part of it")
     fit = fitted(scene, resting, patient=True)
-    # No cells explain the unloaded panel: e is estimated from its likelihood alone.
-    if fit is None or fit.tail < SIGNIFICANCE:
-        return Possible(at_least(_mean_square(_unloaded_costs(scene, resting))), None)
-    moves, shape = shared_changes(scene, fit, frames, sizes, noise), resting.value.shape
+    explained = fit is not None and fit.tail >= SIGNIFICANCE
+    learns, sizes = READING_ERROR.setting in asked, dict[str, tuple[float, float]]()
+    unloaded = _unloaded_costs(scene, resting) if learns else np.zeros(len(READING_ERRORS))
+    moves = None if fit is None or loaded is None or not explained else shared_changes(scene, fit, loaded, prior, noise)
     if moves is None:
-        return None
-    # Evidence of e. The prior of smooth loads keeps a load's skirt from being taken for an error of the readings.
-    smoothed = replace(moves, noise=moves.noise + _smooth_loads(shape, len(frames.value)))
-    costs, still = _error_costs(smoothed)
-    likeliest, distant = float(READING_ERRORS[np.argmin(costs[1:])]), away_from_changed(still, shape)
-    gain_apart = smoothed.changes(0.0).cost_of(distant) - smoothed.changes(likeliest).cost_of(distant)
-    gain = gain_apart + BESIDE_SHARE * (float(costs[0] - costs.min()) - gain_apart)
-    # Posterior mean square of e, from the changes and the unloaded panel together.
-    size = _mean_square(costs[1:] + _unloaded_costs(scene, resting)) if gain > MIN_HINT_GAIN else 0.0
-    assumed, certain = at_least(size), gain > MIN_ERROR_GAIN
+        if learns:
+            sizes[READING_ERROR.setting] = _moments(unloaded)
+            size = _root_mean_square(unloaded)
+            possible = Possible(replace(prior, reading_error=size), in_sigma=_median(unloaded))
+        reason = "no frame is loaded" if loaded is None else "no cells explain the unloaded frames or the loaded ones"
+        return SharedErrors(possible, sizes, reason if set(asked) - {READING_ERROR.setting} else "")
+    size = READING_ERROR.size(prior)
+    if learns:
+        # The prior of smooth loads keeps a load's skirt from being taken for an error of the readings.
+        smoothed = replace(moves, noise=moves.noise + _smooth_loads(resting.value.shape))
+        costs = _error_costs(smoothed) + unloaded
+        size, sizes[READING_ERROR.setting] = _root_mean_square(costs), _moments(costs)
+        possible = Possible(replace(prior, reading_error=size), in_sigma=_median(costs))
+    changes = moves.changes(size)
+    still = away_from_changed(_still(changes)[1], resting.value.shape)
     if size * moves.reach > LINEAR_LIMIT or still.mean() < MIN_STILL_SHARE:
-        return Possible(assumed, None, certain)
+        reason = (
+            "errors of the readings are too large" if still.mean() >= MIN_STILL_SHARE else "a load covers the panel"
+        )
+        return SharedErrors(possible, sizes, reason if set(asked) - {READING_ERROR.setting} else "")
     # Neighbours of moved cells are left out, because a load has a skirt.
-    changes = moves.changes(assumed.reading_error or 0.0)
-    mean, covariance = changes.posterior(away_from_changed(_still(changes)[1], shape))
+    mean, covariance = changes.posterior(still)
     second = covariance + np.outer(mean, mean)
     values, vectors = np.linalg.eigh((second + second.T) / 2)
     # Lower triangular root of E[z zᵀ]: the columns behind those of common errors are the readings' own errors.
     root = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T
-    return Possible(assumed, root, certain)
+    first = 0
+    for error in moves.errors:
+        last = first + moves.counts[error.setting]
+        left = np.sqrt(np.trace(second[first:last, first:last]) / (last - first))
+        spread = np.sqrt(np.trace(covariance[first:last, first:last]) / (last - first))
+        sizes[error.setting] = error.size(prior) * float(left), error.size(prior) * float(spread)
+        first = last
+    settings = tuple(error.setting for error in moves.errors) + (READING_ERROR.setting,) * bool(size)
+    return SharedErrors(Possible(possible.sizes, settings, root, possible.in_sigma), sizes)
 
 
 @dataclass(frozen=True, eq=False)
 class SharedChanges:
-    """Changes of the log cells from the unloaded panel to the frames, n = frames · cells, by the size e of errors.
+    """Changes of the log cells from the unloaded panel to a frame, by the size e of errors.
 
     Attributes
     ----------
-    change : array, shape (n,)
-        d, frame by frame.
-    noise : array, shape (n, n)
-        Covariance of d over still cells, without hidden errors.
-    hidden, own : array, shapes (n, k) and (n, cells)
-        Response of d to hidden errors, and to each reading's own error of size 1.
+    change : array, shape (cells,)
+        d.
+    noise : array, shape (cells, cells)
+        Covariance of d over still cells, without the errors below.
+    hidden, own : array, shapes (cells, k) and (cells, cells)
+        Response of d to the estimated errors, and to each reading's own error of size 1.
     reach : float
         Median standard deviation of log r of the unloaded cells if e = 1.
+    errors : tuple of SharedError
+        The estimated errors without each reading's own.
+    counts : dict
+        Field of `Systematic` → number of columns of an estimated error.
     """
 
     change: Array
@@ -109,57 +152,59 @@ class SharedChanges:
     hidden: Array
     own: Array
     reach: float
+    errors: tuple[SharedError, ...]
+    counts: dict[str, int]
 
     def changes(self, size: float) -> Changes:
-        """Return the changes with hidden errors and each reading's own error; `size` is e."""
+        """Return the changes with the estimated errors and each reading's own error; `size` is e."""
         return Changes(self.change, self.noise, np.hstack([self.hidden, size * self.own]) if size else self.hidden)
 
 
 def shared_changes(
-    scene: Scene, resting: CellsFit, frames: Readings, sizes: Systematic, noise: FrameNoise | None
+    scene: Scene, resting: CellsFit, loaded: Readings, sizes: Systematic, noise: FrameNoise | None
 ) -> SharedChanges | None:
-    """Return the changes from the unloaded panel to the frames; None where the fit of a frame fails.
+    """Return the changes from the unloaded panel to a frame; None where the fit of the frame fails.
 
     Parameters
     ----------
     scene : Scene
     resting : CellsFit
         Fit of the unloaded panel.
-    frames : Readings
-        (frames, rows, columns).
+    loaded : Readings
+        (rows, columns).
     sizes : Systematic
         Standard deviations of the errors.
     noise : FrameNoise or None
         Errors that the readings of a frame share.
     """
-    unit = replace(sizes, reading_error=1.0)
+    unit, asked = replace(sizes, reading_error=1.0), estimated_errors(scene)
+    further = [error for error in SHARED_ERRORS if error is not READING_ERROR and error.size(sizes)]
+    estimated = tuple(error for error in further if error.setting in asked and error is not REFERENCE)
+    known = tuple(error for error in further if error not in estimated)
 
     def linearised(fit: CellsFit, error: Array, *, baseline: bool) -> list[Array]:
-        """Return the covariance of the log cells, and their response K U to hidden, own and known errors."""
+        """Return the covariance of the log cells, and their responses K U to own, known and each estimated error."""
         if noise is not None:
             drawn = fit.gain @ noise.columns(fit.readings.value[None], baseline=baseline)
             error = error + drawn @ drawn.T
-        groups = (HIDDEN_ERRORS, (READING_ERROR,), KNOWN_ERRORS)
+        groups = ((READING_ERROR,), known, *((error,) for error in estimated))
         columns = (error_columns(errors, fit.network, fit.readings.value, scene, unit) for errors in groups)
         return [error, *map(fit.response, columns)]
 
+    fit = fitted(scene, loaded, resting.cells) or fitted(scene, loaded, patient=True)
+    if fit is None:
+        return None
     base = linearised(resting, resting.covariance, baseline=True)
-    size, count, change, parts = resting.cells.size, len(frames.value), [], []
-    # All changes share the error of the unloaded panel; every frame adds its own error, creep and a common change.
-    covariance = np.tile(base[0], (count, count))
-    for number in range(count):
-        frame = frames[number]
-        fit = fitted(scene, frame, resting.cells) or fitted(scene, frame, patient=True)
-        if fit is None:
-            return None
-        error, *columns = linearised(_steadied(scene, fit, resting.cells), fit.covariance, baseline=False)
-        change.append(np.log(fit.cells / resting.cells).ravel())
-        parts.append([of_frame - at_rest for of_frame, at_rest in zip(columns, base[1:], strict=True)])
-        part = slice(number * size, (number + 1) * size)
-        covariance[part, part] += error + ASSUMED.creep**2 * np.eye(size) + ASSUMED.common_change**2
-    hidden, by_reading, known = map(np.vstack, zip(*parts, strict=True))
-    reach = float(np.median(np.linalg.norm(base[2], axis=1)))
-    return SharedChanges(np.concatenate(change), covariance + known @ known.T, hidden, by_reading, reach)
+    frame = linearised(_steadied(scene, fit, resting.cells), fit.covariance, baseline=False)
+    own, of_known, *of_estimated = (of_frame - at_rest for of_frame, at_rest in zip(frame[1:], base[1:], strict=True))
+    size = resting.cells.size
+    # The unloaded panel and the frame have errors of their own; creep, and a common change of all cells.
+    covariance = base[0] + frame[0] + ASSUMED.creep**2 * np.eye(size) + ASSUMED.common_change**2
+    reach = float(np.median(np.linalg.norm(base[1], axis=1)))
+    counts = {error.setting: part.shape[1] for error, part in zip(estimated, of_estimated, strict=True)}
+    hidden = np.hstack([np.zeros((size, 0)), *of_estimated])
+    change = np.log(fit.cells / resting.cells).ravel()
+    return SharedChanges(change, covariance + of_known @ of_known.T, hidden, own, reach, estimated, counts)
 
 
 def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen]:
@@ -168,7 +213,7 @@ def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen
     Parameters
     ----------
     changes : Changes
-    begun : boolean array, shape (n,), optional
+    begun : boolean array, shape (cells,), optional
         Still cells that the search begins with; by default the half that changed least. Other starts are not tried,
         because a shared error may explain a smooth load as well as moved cells do.
     """
@@ -178,33 +223,48 @@ def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen
     return score, ~moved
 
 
-def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
-    """Return the covariance (n, n) of changes in a load's skirt: s² exp(−distance²/(2 ℓ²)) within each frame."""
+def _smooth_loads(shape: tuple[int, ...]) -> Array:
+    """Return the covariance (cells, cells) of changes in a load's skirt: s² exp(−distance²/(2 ℓ²))."""
     row, column = (index.ravel() for index in np.indices(shape))
     square = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
-    return np.kron(np.eye(frames), ASSUMED.skirt**2 * np.exp(-square / (2 * ASSUMED.skirt_cells**2)))
+    return np.asarray(ASSUMED.skirt**2 * np.exp(-square / (2 * ASSUMED.skirt_cells**2)))
 
 
-def _error_costs(moves: SharedChanges) -> tuple[Array, Chosen]:
-    """Return −2 ln evidence of e = 0 and of READING_ERRORS, (1 + errors,), and the still cells of the most probable e.
+def _error_costs(moves: SharedChanges) -> Array:
+    """Return −2 ln evidence of READING_ERRORS, (errors,).
 
     Every second error is computed, and the others are interpolated; each search begins with the still cells of the
     error before, because these change little. Beyond LINEAR_LIMIT the last value holds.
     """
-    sizes = [0.0, *(size for size in READING_ERRORS[2::2] if size * moves.reach <= LINEAR_LIMIT)]
-    costs, selections, start = list[float](), list[Chosen](), None
+    sizes = [size for size in READING_ERRORS[::2] if size * moves.reach <= LINEAR_LIMIT] or [float(READING_ERRORS[0])]
+    costs, start = list[float](), None
     for size in sizes:
         cost, start = _still(moves.changes(size), start)
         costs.append(cost)
-        selections.append(start)
-    between = np.interp(np.log(READING_ERRORS), np.log(sizes[1:]), costs[1:])
-    return np.concatenate([costs[:1], between]), selections[int(np.argmin(costs))]
+    return np.asarray(np.interp(np.log(READING_ERRORS), np.log(sizes), costs))
 
 
-def _mean_square(costs: Array) -> float:
+def _odds(costs: Array) -> Array:
+    """Return the posterior probabilities of READING_ERRORS from their −2 ln likelihoods."""
+    odds = np.exp(-(costs - costs.min()) / 2) * np.sqrt(READING_ERRORS)
+    return np.asarray(odds / odds.sum())
+
+
+def _root_mean_square(costs: Array) -> float:
     """Return √E[e²] from −2 ln likelihoods of READING_ERRORS; it exceeds the most probable e where e is uncertain."""
-    odds = np.exp(-(costs - costs.min()) / 2)
-    return float(np.sqrt(odds @ np.square(READING_ERRORS) / odds.sum()))
+    return float(np.sqrt(_odds(costs) @ np.square(READING_ERRORS)))
+
+
+def _median(costs: Array) -> float:
+    """Return the posterior median of e from −2 ln likelihoods of READING_ERRORS."""
+    return float(np.interp(0.5, np.cumsum(_odds(costs)), READING_ERRORS))
+
+
+def _moments(costs: Array) -> tuple[float, float]:
+    """Return the posterior mean and standard deviation of e from −2 ln likelihoods of READING_ERRORS."""
+    odds = _odds(costs)
+    mean = float(odds @ READING_ERRORS)
+    return mean, float(np.sqrt(max(float(odds @ np.square(READING_ERRORS)) - mean**2, 0.0)))
 
 
 def _steadied(scene: Scene, fit: CellsFit, near: Array) -> CellsFit:
@@ -284,10 +344,10 @@ def _most_probable(data: Data, value: Array, deviation: Array, spread: float, st
     array, shape (rows, columns)
     array, shape (readings, cells)
     """
-    count = value.size
-    # (1 − 1 1ᵀ/n)/s: residuals of the prior, whose mean μ is free
-    unlike = (np.eye(count) - 1 / count) / spread
     free = data.lower[0] < data.upper[0]
+    # (1 − 1 1ᵀ/n)/s over the cells that the panel has: residuals of the prior, whose mean μ is free. The others stay.
+    unlike = (np.eye(value.size) - np.outer(free, free) / free.sum()) / spread
+    anchor = np.where(free, 0.0, data.log_bounds[0][0]).ravel()
     lower, upper = (
         np.where(free, far, bound[0]).ravel() for far, bound in zip((-np.inf, np.inf), data.log_bounds, strict=True)
     )
@@ -296,8 +356,9 @@ def _most_probable(data: Data, value: Array, deviation: Array, spread: float, st
         network = data.network(0, np.exp(cells).reshape(value.shape))
         missed = ((network.reading() - value) / deviation).ravel()
         jacobian = network.sensitivity() / deviation.reshape(-1, 1) * free.ravel()
-        return SumOfSquares(np.concatenate([missed, unlike @ cells]), np.vstack([jacobian, unlike]))
+        return SumOfSquares(np.concatenate([missed, unlike @ (cells - anchor)]), np.vstack([jacobian, unlike]))
 
-    position, _ = replace(FIT, evaluations=25, share=0.0).minimum(model, start.ravel(), (lower, upper))
+    begin = np.where(free, start, data.log_bounds[0][0]).ravel()
+    position, _ = replace(FIT, evaluations=25, share=0.0).minimum(model, begin, (lower, upper))
     cells = position.reshape(value.shape)
     return cells, data.network(0, np.exp(cells)).sensitivity() * free.ravel()

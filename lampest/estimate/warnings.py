@@ -7,9 +7,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.model_check import ModelCheck, module_factors, noise_factor
 from lampest.estimate.noise import NO_RIPPLE, NoiseEstimate, named_modules
-from lampest.estimate.nuisances import TAKEN_OFF
 from lampest.estimate.rivals import changes_beyond_noise, choices
-from lampest.estimate.saturation import saturated
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.loads.recognition.observation import ModelErrors
 from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Panelled, Watch
@@ -36,13 +34,11 @@ def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -
     circuit, effects = "" if check.explains else check.sentence, noise.corrected_effects
     taken = "" if effects is None else effects.corrections
     learned = tuple(line for line in noise.warnings if line != taken)  # the circuit's sentence names these effects
-    circuit += f"; it is {TAKEN_OFF}" if taken else ""
-    stage = saturated(recording)
-    piled = "" if stage is None else stage.sentence
+    circuit = "" if check.by_effect else circuit  # advice, or taken off the readings
     loaded = UNEVENLY * (check.loaded_at_rest and not lesser_load)
     if touched(recording):
         loaded = f"{TOUCHED}, and changes are against their mean: name others with `lampest tare`"
-    return tuple(filter(None, (*of_readings, loaded, piled, circuit, check.common_change, *learned)))
+    return tuple(filter(None, (*of_readings, loaded, circuit, taken, *learned)))
 
 
 @ONE_BLAS_THREAD

@@ -295,7 +295,7 @@ class PressureTrack:
         most, errors = expected + np.hypot(most - expected, TWO_SIDED * open_kpa), np.hypot(errors, open_kpa)
         # Split of the error: each cell's own part, and the rest, which cells share.
         half = (fell + rose) / (2 * TWO_SIDED) if own is None else own
-        scatter = np.hypot(half, scatter_sd(self.scene, self.scene.specified_systematic) * answer)
+        scatter = np.hypot(half, scatter_sd(self.scene, systematic_of(self.scene)) * answer)
         with np.errstate(invalid="ignore"):
             individual = np.minimum(np.abs(of_change(scatter) - of_change(-scatter)) / 2, errors)
             common = np.where(np.isinf(errors), np.inf, np.sqrt(np.maximum(errors**2 - individual**2, 0.0)))
@@ -339,21 +339,19 @@ class PressureTrack:
         return 1.0 if self.time is None else max(time - self.time, MIN_PERIOD)
 
     def _change(self, ratio: Array) -> Array:
-        warmth = self.scene.temperature
-        return np.asarray(np.log(ratio) - (0.0 if warmth is None else warmth.logarithm))
+        return np.asarray(np.log(ratio) - self.scene.common_change[0])
 
     def _kept(self, ratio: Array, time: float) -> Array:
-        """Return the standard deviation of ln r/r_rest without a load, by the film's residue, drift and temperature.
+        """Return the standard deviation of ln r/r_rest without a load, by the film's residue, drift and common change.
 
         Residue and drift are multiplied by √(1 − x²/peak²): they matter as far as the largest load is gone.
         """
-        change, spread, warmth = self._change(ratio), np.zeros(ratio.shape), self.scene.temperature
+        change, spread = self._change(ratio), np.zeros(ratio.shape)
         if self.residue and self.zeroed is not None:
             drift = ERRORS.resting_sd((time - self.zeroed) / 60)
             gone = 1 - (change / np.maximum(self.peak, MIN_TOUCH)) ** 2
             spread = np.hypot(self.residue * self.peak, drift) * np.sqrt(np.maximum(gone, 0.0))
-        warming_sd = 0.0 if warmth is None else warmth.difference_kelvin * warmth.coefficient_sd_per_kelvin
-        return np.asarray(np.hypot(spread, warming_sd))
+        return np.asarray(np.hypot(spread, self.scene.common_change[1]))
 
     def _of_films(self, value: Callable[[Array, float], Array], change: Array, time: float) -> Array:
         """Return a method of `FilmMemory`, `at_once`, `effective` or `pressure`, of a frame for all films, (films, …).

@@ -58,7 +58,8 @@ class Effect(ABC):
         """Return the effect's contribution to the readings beside the changed network, (rows, columns)."""
         return np.zeros(network.conductance.shape)
 
-    def _where(self, rows: int) -> str:
+    def where(self, rows: int) -> str:
+        """Return the first of its lines in words; `rows` is the number of rows of the panel."""
         line = self.lines[0]
         return f"row {line}" if line < rows else f"column {line - rows}"
 
@@ -79,7 +80,7 @@ class LineLeak(Effect):
         yield from (pairs, *((line,) for line in pairs))
 
     def sentence(self, rows: int) -> str:
-        where = f"{self._where(rows)} and the next one" if len(self.lines) == 1 else "neighbouring lines"
+        where = f"{self.where(rows)} and the next one" if len(self.lines) == 1 else "neighbouring lines"
         return f"a leak of {1e-3 / self.size:.2g} kohm between {where}{self._since}"
 
     def changed(self, network: Network) -> Network:
@@ -99,7 +100,7 @@ class LooseContact(Effect):
 
     def sentence(self, rows: int) -> str:
         more = "more" if self.size > 0 else "less"
-        return f"{float(f'{abs(self.size):.2g}'):g} ohm {more} at the contact of {self._where(rows)}{self._since}"
+        return f"{float(f'{abs(self.size):.2g}'):g} ohm {more} at the contact of {self.where(rows)}{self._since}"
 
     def added(self, scene: Scene, network: Network) -> Array:
         rows, columns = network.conductance.shape

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.lines import MAX_OHM, PerLine, as_tuple, check_resistors, lines_text, per_line
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
 from lampest.panel.response import AnyResponse, Film
+
+ESTIMATED: Final = "estimated"  # in place of a number: the recording determines it
+Size = float | Literal["estimated"]
 
 
 @dataclass(frozen=True)
@@ -85,42 +88,60 @@ class Temperature(Configuration):
 class Systematic(Configuration):
     """Systematic errors that all readings may share; they widen error bars and change no estimate. None: absent.
 
+    Each is a number, or `estimated`: the recording determines it once, beginning with the size of common electronics.
+
     Attributes
     ----------
-    reference_tolerance : float
+    reference_tolerance : float or 'estimated', or None
         Largest relative error of the reference resistor, or of all loads or feedback resistors together.
-    channel_spread_ohm : float
+    channel_spread_ohm : float or 'estimated', or None
         Standard deviation of the resistance of each line's channel, in ohm.
-    series_ohm : float, or None
+    series_tolerance_ohm : float or 'estimated', or None
         Standard deviation of a resistance in series with all driven lines, in addition to the scene's, in ohm.
-    inl_lsb : float, or None
+    inl_lsb : float or 'estimated', or None
         Standard deviation of the converter's smooth deviation from a straight line, in least significant bits.
-    wire_ohm_per_cell : float, or None
+    wire_ohm_per_cell : float or 'estimated', or None
         Standard deviation of the wire of rows and columns from cell to cell, in addition to the scene's, in ohm.
-    reading_error : float, or None
+    reading_error : float or 'estimated', or None
         Standard deviation of the logarithm of a factor on each reading, the same in all frames.
     response_sd : float, or None
         Relative standard deviation of each cell's response to pressure, in the logarithm of its resistance (bent film,
         differing patches); it widens pressures only.
+    model_error : float or 'estimated', or None
+        Standard deviation of the readings' errors of the model, in units of their noise σ, so that σ grows by
+        √(1 + model_error²). 0: none. None: from evidence that no penalty can imitate; 'estimated': from the residuals
+        of loaded frames, too. See `lampest.estimate.model_error`.
 
     >>> lampest.Systematic(reference_tolerance=0.01).reference_tolerance
     0.01
     """
 
-    reference_tolerance: float = 0.0
-    channel_spread_ohm: float = 0.0
-    series_ohm: float | None = None
-    inl_lsb: float | None = None
-    wire_ohm_per_cell: float | None = None
-    reading_error: float | None = None
+    reference_tolerance: Size = 0.0
+    channel_spread_ohm: Size = 0.0
+    series_tolerance_ohm: Size | None = None
+    inl_lsb: Size | None = None
+    wire_ohm_per_cell: Size | None = None
+    reading_error: Size | None = None
     response_sd: float | None = None
+    model_error: Size | None = None
 
     def __post_init__(self) -> None:
-        if not 0 <= self.reference_tolerance < 1:
+        if not 0 <= (plain_size(self.reference_tolerance) or 0.0) < 1:
             raise ValueError("reference_tolerance must be zero or positive, and below 1")
-        check_ranges(self, 0, MAX_OHM, "channel_spread_ohm", "series_ohm", "wire_ohm_per_cell")
-        check_ranges(self, 0, 2.0**32, "inl_lsb")
-        check_ranges(self, 0, 10, "reading_error", "response_sd")
+        check_sizes(self, MAX_OHM, "channel_spread_ohm", "series_tolerance_ohm", "wire_ohm_per_cell")
+        check_sizes(self, 2.0**32, "inl_lsb")
+        check_sizes(self, 10, "reading_error", "response_sd")
+        check_sizes(self, 1e6, "model_error")
+
+
+def plain_size(size: Size | None) -> float | None:
+    """Return a size that is a number; None where it is absent or `estimated`."""
+    return None if isinstance(size, str) else size
+
+
+def check_sizes(owner: Any, most: float, *names: str) -> None:
+    """Raise ValueError unless each named field of an object is None, 'estimated', or lies between 0 and `most`."""
+    check_ranges(owner, 0, most, *(name for name in names if getattr(owner, name) != ESTIMATED))
 
 
 @dataclass(frozen=True)
@@ -359,16 +380,31 @@ class Scene(Configuration):
         Depth of the panel under water; None: in air, or unknown.
     temperature : Temperature, or None
         Temperature of the film and its effect on resistance; None: constant, or unknown.
-    systematic : Systematic or {'none'}, or None
-        Errors that all readings may share. 'none': excluded. None: those usual for the readout's kind, see
-        `lampest.panel.systematic`.
+    systematic : Systematic or {'typical', 'none'}, or None
+        Errors that all readings may share. 'typical': those of common electronics for the readout's kind, see
+        `lampest.panel.systematic`. None, 'none': absent.
     lines : Lines, or None
         Resistance of rows and columns themselves; None: zero.
-    converter_memory : float, or None
+    converter_memory : float or 'estimated', or None
         Fraction of the previously converted channel that remains in a reading, in volt at the converter; see
         `lampest.panel.readouts.readout`. None: zero.
-    contacts : Contacts, or None
-        Resistance between the lines and their terminals, estimated together with the cells; None: none.
+    contacts : Contacts or 'estimated', or None
+        Resistance between the lines and their terminals, estimated together with the cells; 'estimated': single bad
+        contacts, searched for once and taken off the readings; None: none.
+    leaks : 'estimated', or None
+        Leaks between neighbouring lines, searched for once and taken off the readings; None: none.
+    gain : float or 'estimated', or None
+        Relative standard deviation of each frame's gain; None: none.
+    ripple : float or 'estimated', or None
+        Standard deviation of the interference that the lines of a scan share, in least significant bits; None: none.
+    motion : float or 'estimated', or None
+        Share of the time between frames that a scan takes while loads move, 0 to 1; None: none.
+    creep : float or 'estimated', or None
+        Change of log r of all cells alike since the unloaded frames, which is no load; None: none.
+    outliers : {'exclude', 'keep'}, or None
+        Readings that a single frame has otherwise than its neighbours in time, and frozen ones. None: excluded.
+    estimated : dict, or None
+        Of resolved scenes: key of each number that the recording determined → (number, standard deviation).
     film : Film, or None
         Hysteresis, creep and bending of the film; None: absent.
     response : AnyResponse, or None
@@ -395,10 +431,16 @@ class Scene(Configuration):
     faults: Faults | None = None
     water: Water | None = None
     temperature: Temperature | None = None
-    systematic: Systematic | Literal["none"] | None = None
+    systematic: Systematic | Literal["typical", "none"] | None = None
     lines: Lines | None = None
-    converter_memory: float | None = None
-    contacts: Contacts | None = None
+    converter_memory: Size | None = None
+    contacts: Contacts | Literal["estimated"] | None = None
+    leaks: Literal["estimated"] | None = None
+    gain: Size | None = None
+    ripple: Size | None = None
+    motion: Size | None = None
+    creep: Size | None = None
+    outliers: Literal["exclude", "keep"] | None = None
     film: Film | None = None
     response: AnyResponse | None = None
     baseline: Literal["raw", "subtracted"] | None = None
@@ -407,6 +449,7 @@ class Scene(Configuration):
     experiment: Experiment | None = None
     modules: tuple[OwnOfModule, ...] | None = None
     assumed: tuple[str, ...] = field(default=(), compare=False)
+    estimated: dict[str, tuple[float, float]] | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         if self.faults is not None:
@@ -420,10 +463,14 @@ class Scene(Configuration):
             self.series_resistance_ohm.ohm(self.panel)
         else:
             check_resistors("series_resistance_ohm", self.series_resistance_ohm, open_end=False)
-        if self.converter_memory is not None and not 0 <= self.converter_memory < 1:
+        if self.known_memory is not None and not 0 <= self.known_memory < 1:
             raise ValueError("converter_memory must be zero or positive, and below 1")
-        if self.contacts is not None:
-            self.contacts.mean(self.panel.shape), self.contacts.deviation(self.panel.shape)
+        check_sizes(self, 1.0, "gain", "motion")
+        if (creep := plain_size(self.creep)) is not None:
+            check_range("creep", creep, -1, 1)
+        check_sizes(self, 2.0**32, "ripple")
+        if (prior := self.contact_prior) is not None:
+            prior.mean(self.panel.shape), prior.deviation(self.panel.shape)
         (self.readout or self.circuit).check(self)
 
     def _check_modules(self) -> None:
@@ -573,9 +620,24 @@ class Scene(Configuration):
         return float(np.mean(as_tuple(getattr(self.circuit, self.circuit.series_name, 0.0))))
 
     @property
-    def specified_systematic(self) -> Systematic | None:
-        """Specified systematic errors; None if the scene specifies none, or excludes them."""
-        return None if self.systematic == "none" else self.systematic
+    def known_memory(self) -> float | None:
+        """`converter_memory` if it is a number; None otherwise."""
+        return plain_size(self.converter_memory)
+
+    @property
+    def common_change(self) -> tuple[float, float]:
+        """Change of log r of all cells since the unloaded frames, by temperature and creep, and its deviation."""
+        warmth, (creep, creep_sd) = self.temperature, (self.estimated or {}).get("creep", (0.0, 0.0))
+        creep = creep if (known := plain_size(self.creep)) is None else known
+        if warmth is None:
+            return creep, creep_sd
+        warming_sd = warmth.difference_kelvin * warmth.coefficient_sd_per_kelvin
+        return creep + warmth.logarithm, float(np.hypot(creep_sd, warming_sd))
+
+    @property
+    def contact_prior(self) -> Contacts | None:
+        """Prior of the contacts that are estimated together with the cells; None without one."""
+        return self.contacts if isinstance(self.contacts, Contacts) else None
 
     @cached_property
     def parts(self) -> NDArray[np.intp] | None:
@@ -589,8 +651,8 @@ class Scene(Configuration):
         """Wire, contacts and touching lines between terminals and cells; None without any of them."""
         joined = () if self.faults is None else self.faults.joined(self.panel)
         lines = self.lines or Lines()
-        wired = joined or lines.resist or self.contacts is not None
-        return Wiring(lines, joined, self.contacts) if wired else None
+        wired = joined or lines.resist or self.contact_prior is not None
+        return Wiring(lines, joined, self.contact_prior) if wired else None
 
 
 CHECKED_DEFAULTS = {"polarity"}  # frames tell them: the check of the circuit names the other one where it fits better

@@ -6,7 +6,7 @@ the errors.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -14,13 +14,14 @@ from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import of_side
 from lampest.panel.readouts.wiring import Wiring, contact_responses, wire_responses
-from lampest.panel.scene import Scene, Systematic
+from lampest.panel.scene import ESTIMATED, Scene, Systematic
 
+TYPICAL_CHANNEL_OHM = 3.0  # CD74HC4067, data sheet: any two channels differ by 10 ohm
 SINES = 4  # sines of which a converter's curve consists; the mean square of their sum is the specified one
 USUAL = Systematic(
     # Two channels of a CD74HC4067, 70 ohm each and 160 at most, lie within 50 ohm of the typical value; resistors of
     # the series E24 within 5 %. The sizes are such that 95 % intervals cover both at once.
-    series_ohm=35.0,
+    series_tolerance_ohm=35.0,
     reference_tolerance=0.06,
     inl_lsb=0.5,  # rms; data sheets of microcontrollers' converters promise 1 to 2 at most
     wire_ohm_per_cell=0.2,  # copper tape has none, conductive thread and printed silver 0.1 to 1
@@ -30,34 +31,46 @@ USUAL = Systematic(
 
 @dataclass(frozen=True, eq=False)
 class Possible:
-    """Prior or posterior of the hidden errors.
+    """Prior or posterior of the errors whose sizes a scene leaves to its recording.
 
     Attributes
     ----------
     sizes : Systematic
-        Standard deviation of each error.
+        Standard deviation of each error, those of the others included.
+    settings : tuple of str
+        Fields of `Systematic` of the errors that were estimated, in the order of `SHARED_ERRORS`.
     root : array, shape (n, n), or None
-        Lower triangular root of the covariance of z in the order of the columns; None: z are independent.
-    certain : bool
-        Whether each reading's own error is specified, or determined significantly.
+        Lower triangular root of the covariance of z of these errors, each with its columns; None: z are independent.
+    in_sigma : float
+        Size of each reading's own error that σ of the readings includes, and so the choice of weights: the median of
+        the posterior (docs/studies/effects.md).
     """
 
     sizes: Systematic
-    root: Array | None
-    certain: bool = True
+    settings: tuple[str, ...] = ()
+    root: Array | None = None
+    in_sigma: float = 0.0
 
 
 def systematic_of(scene: Scene) -> Systematic | None:
-    """Return the sizes of the systematic errors that a scene specifies, or of the usual ones if it specifies none.
+    """Return the sizes of a scene's systematic errors; None without any.
 
-    Returns None if the scene has no readout, or excludes such errors. Kinds of readout without a resistance in series
-    have no error of it.
+    An error that the scene calls `estimated` has the size of common electronics, its prior; without a size there, none.
     """
-    if scene.specified_systematic is not None:
-        return scene.specified_systematic
-    if scene.readout is None or scene.systematic == "none":
+    if scene.systematic is None or scene.systematic == "none":
         return None
-    return USUAL if scene.circuit.series_name else replace(USUAL, series_ohm=None)
+    usual = USUAL if scene.circuit.series_name else replace(USUAL, series_tolerance_ohm=None)
+    if scene.systematic == "typical":
+        return usual
+    prior = replace(usual, channel_spread_ohm=TYPICAL_CHANNEL_OHM)
+    return replace(scene.systematic, **{name: getattr(prior, name) for name in estimated_errors(scene)})
+
+
+def estimated_errors(scene: Scene) -> tuple[str, ...]:
+    """Return the fields of `Systematic` that a scene calls `estimated`."""
+    if not isinstance(scene.systematic, Systematic):
+        return ()
+    return tuple(part.name for part in fields(Systematic) if getattr(scene.systematic, part.name) == ESTIMATED)
 
 
 def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
@@ -75,7 +88,11 @@ def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
     if scene.readout is None:
         return ""
     sizes = systematic_of(scene) or Systematic()
-    within = f"within {100 * sizes.reference_tolerance:.3g} %", f"within {sizes.series_ohm or 0.0:.3g} ohm"
+    reference, series = (error.size(sizes) for error in (REFERENCE, SERIES))
+    within = (
+        f"within {100 * reference:.3g} %" if reference else "exact",
+        f"within {series:.3g} ohm" if series else "exact",
+    )
     known = {number.name: within[number.channel] for number in scene.circuit.line_numbers()}
     further = {"reference_ohm": within[0], "drive_volt": "exact", "converter_volt": "exact"}
     known |= {name: size for name, size in further.items() if hasattr(scene.readout, name)}
@@ -160,35 +177,30 @@ class SharedError:
     columns : callable
         Function (network, readings (…, rows, columns), scene, size) → U (n, …, rows, columns).
     name, unit : str
-        Name and unit of a hidden error in sentences.
-    count : int
-        Number n of columns of a hidden error.
+        Name and unit in sentences.
     """
 
     setting: str
     columns: Callable[[Network, Array, Scene, float], Array]
     name: str = ""
     unit: str = ""
-    count: int = 0
 
     def size(self, sizes: Systematic) -> float:
         """Return the size of this error; 0 if it has none."""
-        return getattr(sizes, self.setting) or 0.0
+        return float(getattr(sizes, self.setting) or 0.0)
 
 
-REFERENCE = SharedError("reference_tolerance", _reference)
-KNOWN_ERRORS = (  # their sizes are fixed; frames do not determine them
+REFERENCE = SharedError("reference_tolerance", _reference, "reference", "")
+SERIES = SharedError("series_tolerance_ohm", _series, "series", "ohm")
+READING_ERROR = SharedError("reading_error", _each_reading, "each reading", "")
+SHARED_ERRORS = (
     REFERENCE,
-    SharedError("channel_spread_ohm", _channels),
-)
-SERIES = SharedError("series_ohm", _series, "series", "ohm", 1)
-HIDDEN_ERRORS = (  # determined by still cells (`lampest.estimate.still_cells`)
+    SharedError("channel_spread_ohm", _channels, "channels", "ohm"),
     SERIES,
-    SharedError("inl_lsb", _curve, "curve", "LSB", SINES),
-    SharedError("wire_ohm_per_cell", _wire, "wire", "ohm a cell", 2),
+    SharedError("inl_lsb", _curve, "curve", "LSB"),
+    SharedError("wire_ohm_per_cell", _wire, "wire", "ohm a cell"),
+    READING_ERROR,
 )
-READING_ERROR = SharedError("reading_error", _each_reading)  # also determined by still cells
-SHARED_ERRORS = (*KNOWN_ERRORS, *HIDDEN_ERRORS, READING_ERROR)
 
 
 def error_columns(
@@ -215,30 +227,35 @@ class Shared:
     scene : Scene
     contact_root : array, shape (lines, n), or None
         Root of the covariance of the contact resistances, ohm.
-    hidden_root : array, shape (n, n), or None
-        Lower triangular root of the covariance of the hidden errors, in units of their sizes; None: they are
-        independent, with their sizes as standard deviations.
-    in_sigma : bool
-        Whether the readings' σ includes each reading's own error.
+    estimated : tuple of str
+        Fields of `Systematic` of the errors with a joint posterior.
+    root : array, shape (n, n), or None
+        Lower triangular root of the covariance of these errors, in units of their sizes; None: they are independent,
+        with their sizes as standard deviations.
+    in_sigma : float
+        Size of each reading's own error that σ of the readings includes.
     """
 
     systematic: Systematic | None
     scene: Scene
     contact_root: Array | None = None
-    hidden_root: Array | None = None
-    in_sigma: bool = False
+    estimated: tuple[str, ...] = ()
+    root: Array | None = None
+    in_sigma: float = 0.0
 
     @classmethod
-    def of(cls, scene: Scene, hidden: Possible | None = None) -> "Shared | None":
+    def of(cls, scene: Scene, possible: Possible | None = None) -> "Shared | None":
         """Return the shared errors of a scene; None without any.
 
-        Contacts have the prior of the scene. Hidden errors have the sizes of `systematic_of` unless `hidden` is given.
+        Contacts have the prior of the scene. Errors have the sizes of `systematic_of` unless `possible` is given.
         """
-        contacts, sizes = scene.contacts, systematic_of(scene) if hidden is None else hidden.sizes
+        contacts = scene.contact_prior
+        possible = Possible(systematic_of(scene) or Systematic()) if possible is None else possible
+        sizes = None if possible.sizes == Systematic() else possible.sizes
         if sizes is None and contacts is None:
             return None
         contact_root = None if contacts is None else np.diag(contacts.deviation(scene.panel.shape))
-        return cls(sizes, scene, contact_root, None if hidden is None else hidden.root, hidden is not None)
+        return cls(sizes, scene, contact_root, possible.settings, possible.root, possible.in_sigma)
 
     def beyond(self, known: "Shared | None") -> "Shared | None":
         """Return the errors that remain if a method has unknowns for the errors `known`; None if none remain."""
@@ -246,7 +263,7 @@ class Shared:
             return None
         if known is None or known.systematic is None:
             return replace(self, contact_root=None)
-        sd, size = (errors.reading_error or 0.0 for errors in (self.systematic, known.systematic))
+        sd, size = (READING_ERROR.size(errors) for errors in (self.systematic, known.systematic))
         return Shared(Systematic(reading_error=float(np.sqrt(sd**2 - size**2))), self.scene) if sd > size else None
 
     def columns(self, network: Network, measured: Array) -> Array:
@@ -258,15 +275,21 @@ class Shared:
         if self.contact_root is not None:
             parts.append(contact_responses([network]) @ self.contact_root)
         if self.systematic is not None:
-            errors = error_columns(SHARED_ERRORS, network, measured, self.scene, self.systematic)
-            columns = errors.reshape(len(errors), -1).T
-            # The hidden errors are the last columns; their root is that of their covariance.
-            root = np.zeros((0, 0)) if self.hidden_root is None else self.hidden_root
-            known, hidden = np.split(columns, [columns.shape[1] - len(root)], axis=1)
-            parts += [known, hidden @ root]
+            joint = () if self.root is None else self.estimated
+            apart = [error for error in SHARED_ERRORS if error.setting not in joint]
+            together = [error for error in SHARED_ERRORS if error.setting in joint]
+            parts.append(self._of_errors(apart, network, measured))
+            if self.root is not None:
+                parts.append(self._of_errors(together, network, measured) @ self.root)
         return np.concatenate(parts, axis=1) if parts else np.zeros((measured.size, 0))
+
+    def _of_errors(self, errors: Iterable[SharedError], network: Network, measured: Array) -> Array:
+        """Return U of some errors, (cells, n), in the readings' unit."""
+        assert self.systematic is not None
+        columns = error_columns(errors, network, measured, self.scene, self.systematic)
+        return columns.reshape(len(columns), measured.size).T
 
     def own_error(self, measured: Array) -> Array:
         """Return the standard deviation of each reading's own error, in the readings' unit, (frames, rows, columns)."""
-        size = None if self.systematic is None else self.systematic.reading_error
-        return own_errors(measured, self.scene, size or 0.0)
+        size = 0.0 if self.systematic is None else READING_ERROR.size(self.systematic)
+        return own_errors(measured, self.scene, size)

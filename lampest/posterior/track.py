@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lampest.files.levels import TWO_SIDED
 from lampest.panel.panel import Array
-from lampest.panel.systematic import Shared
+from lampest.panel.systematic import Shared, own_errors
 from lampest.posterior.certainty import Certainty, common_variance
 from lampest.posterior.covariance import DenseErrors, Memory, SampledErrors, active_bounds, errors_of
 from lampest.posterior.frame_noise import FrameNoise
@@ -133,10 +133,12 @@ class Track:
         """
         terms, measured, drawn = model.at.cost.terms, model.at.data.measured, None
         if self.shared is not None:
-            deviation, own_error = model.at.data.deviation, self.shared.own_error(measured)
+            own_error = self.shared.own_error(measured)
             if self.shared.in_sigma:
-                # σ² without the systematic part, which enters through the shared errors
-                noise = np.maximum(deviation**2 - own_error**2, (MIN_NOISE_SHARE * deviation) ** 2)
+                # σ² without each reading's own error, which enters through the shared errors
+                deviation = model.at.data.deviation
+                included = own_errors(measured, self.shared.scene, self.shared.in_sigma)
+                noise = np.maximum(deviation**2 - included**2, (MIN_NOISE_SHARE * deviation) ** 2)
                 model = replace(model, deviation=np.sqrt(noise))
             # Own errors matter for s² unless there is no penalty, or the penalties compare frames that share them.
             if not all(term.reads_measurement or term.needs_previous for term in terms):

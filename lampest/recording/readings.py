@@ -138,11 +138,11 @@ class Readings:
             return cls._of_modules(scene, scene.panel.modules, recorded, sigma)
         # Rails and infinite values are bounds; memory of the converter is removed from the values.
         within, side = _within_rails(scene, recorded)
-        if scene.converter_memory is not None:
+        if scene.known_memory is not None:
             if scene.readout is None:
                 raise InputError("converter_memory needs a readout in the scene, of whose voltages it is a fraction")
             known = scene.readout.sigma(within) if sigma is None else np.broadcast_to(sigma, within.shape)
-            freed, sigma = without_memory(scene.readout, scene.converter_memory, within, known)
+            freed, sigma = without_memory(scene.readout, scene.known_memory, within, known)
             within, beyond = _within_rails(scene, freed)
             side = np.where(side == VALUE, beyond, side)
         # From recorded values to readings of the network; missing and blind readings have no weight.

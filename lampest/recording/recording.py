@@ -25,12 +25,14 @@ from lampest.files.whole import folder_beside
 from lampest.panel.panel import Array, Panel, as_panels_have
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene, read_scene, scene_text
+from lampest.panel.systematic import SERIES
 from lampest.recording.acquisition import FORMAT, Acquisition, group_of, stored_fields, undamaged_frames
 from lampest.recording.foreign.labelled import frames_of_table, labelled_array, named_units, panel_of
 from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
 from lampest.recording.readings import Readings, check_sigma
 
 UNLOADED, MEASURED = ROLES = 0, 1
+FORMER_SERIES = "series_ohm"  # key of `systematic: {series_tolerance_ohm}` in recordings of version 0.1
 UNREFERENCED = "no frame is unloaded (role 0), so changes and pressures are against the first measured frame"
 MIN_CHANGE = 0.01  # least relative change of readings or cells by a load or a common error, far above drift
 MAX_READINGS = 2_000_000  # readings of a recording in memory at once: 2 GB, because error bars take 1 kB for each
@@ -436,7 +438,12 @@ def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
 
 @lru_cache(maxsize=8)  # a recording that is too long for memory is opened again for every part
 def _scene_of(text: str, where: str) -> Scene:
-    scene: Scene = validated(parse_document(text, where), Scene)
+    document = parse_document(text, where)
+    errors = document.content.get("systematic") if isinstance(document.content, dict) else None
+    if isinstance(errors, dict) and FORMER_SERIES in errors:
+        renamed = {SERIES.setting if key == FORMER_SERIES else key: value for key, value in errors.items()}
+        document = document.with_value(("systematic",), renamed)
+    scene: Scene = validated(document, Scene)
     return scene
 
 

@@ -21,8 +21,9 @@ ENTRIES = {
     "panel: {rows: 3, columns: 4": ("panel: {rows: 3, columns: 4, pitch_mm: VALUE",),
     "series_resistance_ohm: 140": (
         "series_resistance_ohm: VALUE", "water: {top_row_depth_mm: VALUE}", "lines: {row_ohm_per_cell: VALUE}",
-        "systematic: {reference_tolerance: 0.01, channel_spread_ohm: VALUE}", "systematic: {series_ohm: VALUE}",
-        "systematic: {inl_lsb: VALUE}", "systematic: {reading_error: VALUE}", "systematic: {response_sd: VALUE}",
+        "systematic: {reference_tolerance: 0.01, channel_spread_ohm: VALUE}",
+        "systematic: {series_tolerance_ohm: VALUE}", "systematic: {inl_lsb: VALUE}",
+        "systematic: {reading_error: VALUE}", "systematic: {response_sd: VALUE}",
         "systematic: {wire_ohm_per_cell: VALUE}",
     ),
     "noise_lsb: 0.7": (

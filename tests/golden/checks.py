@@ -128,7 +128,7 @@ def prepared_row(recording: lp.Recording) -> dict[str, Any]:
     return {
         "warnings": prepared.warnings, "noise": noise.summary, "shared": noise.shared_sizes,
         "value": noise.readings.value, "sigma": noise.readings.sigma, "side": noise.readings.side,
-        "factors": [noise.sigma_factor, noise.model_factor, float(noise.in_motion)],
+        "factors": [noise.sigma_factor, noise.model_factor, noise.motion],
         "outliers": noise.outliers, "corrections": noise.corrected_effects and noise.corrected_effects.corrections,
         "explains": check.explains,
         "check": [check.sentence, check.mark, check.better, check.common_change, check.noise],

@@ -159,10 +159,11 @@ def scene_row(scene: lp.Scene) -> dict[str, Any]:
 
 
 def errors_row(scene: lp.Scene) -> dict[str, Any]:
+    scene = scene if scene.systematic or scene.readout is None else replace(scene, systematic="typical")
     network = network_of(scene)
     reading, sizes = network.reading(), systematic.systematic_of(scene)
     shared, every = systematic.Shared.of(scene), replace(
-        sizes, series_ohm=9.0, inl_lsb=0.5, wire_ohm_per_cell=0.2, reading_error=0.02,
+        sizes, series_tolerance_ohm=9.0, inl_lsb=0.5, wire_ohm_per_cell=0.2, reading_error=0.02,
     )  # fmt: skip
     known = [None, *(systematic.Shared(replace(sizes, reading_error=size), scene) for size in (None, 0.01, 0.05))]
     return {

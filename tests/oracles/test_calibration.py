@@ -168,7 +168,7 @@ def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> No
     centred -= np.repeat([centred[:SIDE].mean(), centred[SIDE:].mean()], SIDE)
     assert rms(centred) < 0.5 * np.std(channels)
     read = validated(parse_document(calibration.text(), "scene.yaml"), Scene)
-    assert read == calibration.scene and read.specified_systematic != TOLD
+    assert read == calibration.scene and read.systematic != TOLD
     fresh, errors = channel_recording(3, channels, 0.005), []
     for scene in (fresh.scene, read):
         cells = reconstruct(replace(fresh, scene=scene), Estimator((Misfit(),), "reduced")).cell_resistance

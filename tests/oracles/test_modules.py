@@ -95,7 +95,8 @@ def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | 
 
 def test_modules_of_a_single_line_have_the_errors_that_all_readings_share() -> None:
     """Each cell is at its bound, which is its reading: bars were 0.02 % where the reference may be 6 % off."""
-    text = "panel: {modules: {rows: 2, columns: 2, each: {rows: 1, columns: 6}}}\n" + SCENE[SCENE.index("readout") :]
+    text = "systematic: typical\npanel: {modules: {rows: 2, columns: 2, each: {rows: 1, columns: 6}}}\n"
+    text += SCENE[SCENE.index("readout") :]
     estimate = lampest.reconstruct(simulated(scene_of(text), 4), [lampest.Misfit()], formulation="reduced")
     assert estimate.at_lower_bound.all()
     assert (estimate.cell_resistance_errors > 0.06 / np.sqrt(3) * estimate.cell_resistance).all()

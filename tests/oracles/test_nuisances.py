@@ -9,6 +9,7 @@ import pytest
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
 from lampest import Block, Cells, Course, Recording, Scene, Simulation, TwoPointReadout, simulate
+from lampest.audit.effects import unnamed_effects
 from lampest.estimate.prepared import Prepared
 from lampest.report.detect.detection import Known, known_of, measured_frames
 from lampest.studies.study import read_settings
@@ -16,6 +17,7 @@ from tests.estimates import recording_of
 from tests.netlist import two_point_resistances
 
 ROWS, COLUMNS, UNLOADED, FRAMES = 9, 10, 5, 6
+ASKED = {"leaks": "estimated", "contacts": "estimated"}
 
 
 def panel(
@@ -24,8 +26,12 @@ def panel(
     leak_from: int = 0,
     contact: tuple[int, float, int] = (0, 0.0, 0),
     saturated: float = 1.0,
+    **keys: str,
 ) -> Recording:
-    """A hand on some cells; contact : of a row, so many ohm more, from a frame on. saturated : share of full scale."""
+    """A hand on some cells; contact : of a row, so many ohm more, from a frame on. saturated : share of full scale.
+
+    keys : of the scene.
+    """
     rng = np.random.default_rng(seed)
     row, column = np.indices((ROWS, COLUMNS))
     across, down = rng.uniform(3, 6, 2)
@@ -38,7 +44,7 @@ def panel(
     code = np.minimum(1023 * 1000 / (1140 + ohm), saturated * 1023)
     noisy = np.round(code + 0.7 * rng.standard_normal((20, *code.shape)))
     volt = np.minimum(noisy, np.round(saturated * 1023)).mean(axis=0) * 5 / 1023
-    scene = Scene(lampest.Panel(ROWS, COLUMNS), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
+    scene = Scene(lampest.Panel(ROWS, COLUMNS), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0, **keys)
     return recording_of(scene, (5 - volt) / volt * 1000, UNLOADED)
 
 
@@ -71,7 +77,11 @@ def test_an_outlier_while_a_load_comes_is_no_contact(seed: int) -> None:
 )
 def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effect: dict) -> None:
     """The same noise is in both recordings; what the sizes leave open is a fraction of it."""
-    dirty, clean = Prepared(panel(1, **effect)).noise, panel(1).readings()
+    dirty, clean = Prepared(panel(1, **effect, **ASKED)).noise, panel(1).readings()
+    assert dirty.estimated and all(size > deviation for size, deviation in dirty.estimated.values())
+    unnamed = Prepared(panel(1, **effect))
+    assert unnamed.noise.corrected_effects is None
+    assert {finding.line for finding in unnamed_effects(unnamed)} & {"leaks: estimated", "contacts: estimated"}
     assert clean.sigma is not None
     assert 0 < np.abs(dirty.frame.effect_errors[1]).max() < 0.01
     open_ohm = np.hypot(dirty.readings.sigma, np.linalg.norm(dirty.frame.effect_errors[1], axis=0) * clean.value)
@@ -82,7 +92,7 @@ def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effec
 
 
 def test_detect_looks_at_frames_without_the_leak() -> None:
-    recording = panel(1, leak_ohm=10e3, leak_from=UNLOADED + 3)
+    recording = panel(1, leak_ohm=10e3, leak_from=UNLOADED + 3, **ASKED)
     known = known_of(Prepared(recording))
     assert isinstance(known, Known)
     frames = [value for value, _, _ in measured_frames(recording, known, np.ones(len(recording.role), dtype=bool))]
@@ -91,7 +101,7 @@ def test_detect_looks_at_frames_without_the_leak() -> None:
 
 
 def test_a_contact_that_another_one_explains_as_well_is_named_but_not_taken_off() -> None:
-    recording = panel(8, contact=(3, 200.0, 0))
+    recording = panel(8, contact=(3, 200.0, 0), **ASKED)
     prepared = Prepared(recording).effects
     assert prepared.name and prepared.pair is None and Prepared(recording).noise.corrected_effects is None
 

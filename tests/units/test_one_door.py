@@ -38,7 +38,7 @@ MOUTH = OralDisc(kind="oral_disc", centre_mm=(42, 33), diameter_mm=32, rim_width
 LSM = Estimator((Misfit(),), "reduced")
 RELATIVE = Estimator((Misfit(), RelativeChange(weight=10.0)), "reduced")
 ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
-STEPS = ("without_outliers", "estimate_noise", "with_still_cells", "warnings_of")
+STEPS = ("without_outliers", "estimate_noise", "resolved", "warnings_of")
 
 
 @dataclass(frozen=True)

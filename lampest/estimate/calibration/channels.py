@@ -80,8 +80,9 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     if scene.panel.modules is not None:
         raise InputError(f"{name}: calibrate a panel of modules by recordings of each")
     # prior sizes of all errors, channels included
-    prior = systematic_of(scene) or replace(USUAL, series_ohm=None, inl_lsb=None, wire_ohm_per_cell=None)
+    prior = systematic_of(scene) or replace(USUAL, series_tolerance_ohm=None, inl_lsb=None, wire_ohm_per_cell=None)
     prior = replace(prior, channel_spread_ohm=prior.channel_spread_ohm or ASSUMED.channel_ohm, reading_error=None)
+    channel_prior = float(prior.channel_spread_ohm)
     scene, (rows, columns) = replace(scene, systematic=prior), scene.panel.shape
     parts = [part for recording in recordings for part in _likelihoods(replace(recording, scene=scene))]
     if not parts:
@@ -102,7 +103,7 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
         prior,
         channel_spread_ohm=round(spread, DIGITS),
         reference_tolerance=round(float(np.sqrt(3) * deviation[0]), FRACTION_DIGITS),
-        series_ohm=round(float(np.sqrt(max(common, 0.0))), DIGITS) or None,
+        series_tolerance_ohm=round(float(np.sqrt(max(common, 0.0))), DIGITS) or None,
     )
     summary = (
         f"reference {100 * errors[0]:+.2f} +- {100 * deviation[0]:.2f} %, channels off by "
@@ -116,11 +117,11 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
         scene=_corrected(replace(scene, systematic=sizes), errors),
         summary=summary,
         remarks=(f"from {frames} frames; +- is one standard deviation", summary, *remarks),
-        warnings=() if spread < UNCHANGED * prior.channel_spread_ohm else (HARDLY,),
+        warnings=() if spread < UNCHANGED * channel_prior else (HARDLY,),
         errors=errors,
         covariance=covariance,
         apart=spread,
-        apart_before=prior.channel_spread_ohm,
+        apart_before=channel_prior,
         frames=frames,
     )
 
@@ -167,10 +168,10 @@ def _likelihoods(recording: Recording) -> list[tuple[Array, Array, int]]:
 def _units(scene: Scene, prior: Systematic, count: int) -> Array:
     """Return the matrix (1 + lines, count) that maps z to the relative error of the reference and to ohm of lines."""
     (rows, columns), lines = scene.panel.shape, sum(scene.panel.shape)
-    first, units = 0 if scene.contacts is None else lines, np.zeros((1 + lines, count))
+    first, units = 0 if scene.contact_prior is None else lines, np.zeros((1 + lines, count))
     sizes = [prior.reference_tolerance / np.sqrt(3), *lines * [prior.channel_spread_ohm]]
     units[:, first : first + 1 + lines] = np.diag(sizes)
-    if prior.series_ohm:
+    if prior.series_tolerance_ohm:
         driven = of_side(scene.circuit.noisy_side, (1.0, 0.0), (0.0, 1.0))[0]
-        units[1:, first + 1 + lines] = prior.series_ohm * np.repeat(driven, (rows, columns))
+        units[1:, first + 1 + lines] = prior.series_tolerance_ohm * np.repeat(driven, (rows, columns))
     return units

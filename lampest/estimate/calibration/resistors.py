@@ -253,7 +253,7 @@ class Problem:
     def unknowns(self) -> tuple[Unknown, ...]:
         """Numbers that resistors determine: those of the readout, and memory and wires that the scene names."""
         scene, unknowns = self.scene, list[Unknown]()
-        memory = () if scene.converter_memory is None else (MEMORY,)
+        memory = () if scene.known_memory is None else (MEMORY,)
         numbers = scene.circuit.line_numbers() + memory + (WIRE if scene.lines is not None else ())
         lengths, first = dict(zip(("rows", "columns"), scene.panel.shape, strict=True)), len(numbers)
         for index, number in enumerate(numbers):
@@ -297,11 +297,11 @@ class Problem:
                 limited = np.clip(numbers, *limits[unknown.number.unit]).tolist()
                 known[scene_key(unknown.number)] = tuple(limited) if offsets else limited
         # Contacts and faults belong to the panel, which is unplugged.
-        panel, converter, memory = self.scene.panel, self.scene.readout, self.scene.converter_memory
+        panel, converter, memory = self.scene.panel, self.scene.readout, self.scene.known_memory
         scene: Scene = with_numbers(Scene(panel, converter, lines=self.scene.lines, converter_memory=memory), known)
         readout = scene.circuit
         volt = readout.off_by(reference_off).volt_from_recorded(readout.simulated(cells, scene, *channels))
-        return with_memory(readout, scene.converter_memory, volt) if scene.converter_memory else volt
+        return with_memory(readout, scene.known_memory, volt) if scene.known_memory else volt
 
     @cached_property
     def measured(self) -> Array:

@@ -80,7 +80,7 @@ class Trial:
         noise = np.array([readout.noise_of_variance(value) for value in variance])
         lasting = np.array([float(readout.sigma_code(value, ENDLESS)) for value in noise])
         of_mean = np.expand_dims(variance, across) / np.maximum(counts, 1) + np.expand_dims(lasting, across) ** 2
-        memory = recording.scene.converter_memory is not None
+        memory = recording.scene.known_memory is not None
         return cls(name, ohm, mean, readout.lsb_volt * np.sqrt(of_mean), noise, freedom, memory)
 
     @cached_property

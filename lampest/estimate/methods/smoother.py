@@ -185,9 +185,7 @@ class SmootherMethod(Method):
     ) -> tuple[Joint, int]:
         """Return `smoothed` for the data of all frames, the first `resting` of which are means of unloaded ones."""
         costs = [state.estimator.cost(state.scene, 1, partial=frame.partial) for frame in data]
-        # Only errors that the scene specifies are unknowns: few frames do not determine the usual errors of a circuit.
-        scene = state.scene if state.scene.specified_systematic else replace(state.scene, systematic="none")
-        begun = Joint.of(costs, data, Shared.of(scene), start, state.frame_noise, resting)
+        begun = Joint.of(costs, data, Shared.of(state.scene), start, state.frame_noise, resting)
         return smoothed(begun, Walk(self.walk, self.jump), state.estimator.solver, until)
 
 

@@ -21,6 +21,7 @@ from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, Response
 from lampest.panel.scene import Scene, Systematic
+from lampest.panel.systematic import systematic_of
 
 PATCH_SHARE = 0.6  # edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm
 
@@ -79,9 +80,9 @@ class ModelErrors:
         errors = replace(self, reading_error=reading_error)
         if scene.systematic is None:
             return errors
-        named = scene.specified_systematic or Systematic()
-        reference = named.reference_tolerance / np.sqrt(3)  # of a uniform distribution of that half width
-        return replace(errors, channel_ohm=named.channel_spread_ohm, reference=reference)
+        sizes = systematic_of(scene) or Systematic()
+        reference = float(sizes.reference_tolerance) / np.sqrt(3)  # of a uniform distribution of that half width
+        return replace(errors, channel_ohm=float(sizes.channel_spread_ohm), reference=reference)
 
     def resting_sd(self, seconds: float) -> float:
         """Return the standard deviation of each cell's own drift of ln r, `seconds` after the baseline."""

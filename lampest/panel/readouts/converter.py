@@ -41,9 +41,9 @@ class Converter(Configuration):
         Noise of the shipped boards, which is sufficient dither for averaging.
     floor_code : int, or None
         Codes at or below it were not recorded: such a reading, zero or infinite by its unit, is a bound.
-    passes_volt : tuple[float, float], or None
+    passes_volt : tuple[float, float] or {'estimated'}, or None
         Smallest and largest voltage that a stage before the converter passes; a reading within its noise of either is
-        a bound. None: from the frames.
+        a bound. 'estimated': from the frames. None: all.
     """
 
     usual_noise_lsb: ClassVar[float] = 0.7
@@ -52,7 +52,7 @@ class Converter(Configuration):
     readings: int = 20
     noise_lsb: PerLine | Literal["estimated"] | None = None
     floor_code: int | None = None
-    passes_volt: tuple[float, float] | None = None
+    passes_volt: tuple[float, float] | Literal["estimated"] | None = None
 
     def __post_init__(self) -> None:
         check_range("supply_volt", self.supply_volt, MIN_VOLT, MAX_VOLT, " V")
@@ -62,7 +62,8 @@ class Converter(Configuration):
         if max(as_tuple(self.assumed_noise)) > 2**self.adc_bits:
             raise ValueError(f"noise_lsb must not exceed the converter's range, {2**self.adc_bits} LSB")
         check_ranges(self, 0, 2**self.adc_bits - 3, "floor_code")
-        if self.passes_volt is not None and not 0 <= self.passes_volt[0] < self.passes_volt[1] <= self.full_scale_volt:
+        passes = (0.0, self.full_scale_volt) if isinstance(self.passes_volt, str | None) else self.passes_volt
+        if not 0 <= passes[0] < passes[1] <= self.full_scale_volt:
             most = f"{self.full_scale_volt:g}"
             raise ValueError(f"passes_volt must be two voltages from 0 to {most}, the lower one first")
 
@@ -166,7 +167,7 @@ class Converter(Configuration):
         top = 2.0**self.adc_bits - 1
         # Lower edge of the first valid code, and of the last code; stages before the converter may narrow the range.
         edges = np.array([(self.floor_code or 0) + 1.0, top]) * self.lsb_volt
-        if self.passes_volt is not None:
+        if not isinstance(self.passes_volt, str | None):
             within = np.add(self.passes_volt, np.array([1, -1]) * NOISE_REACH * float(np.mean(self.sigma_volt())))
             edges = np.array([max(edges[0], within[0]), min(edges[1], within[1])])
         ends = self.recorded_from_volt(edges)

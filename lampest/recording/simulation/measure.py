@@ -168,8 +168,8 @@ def measured(
         return total, None
     # Voltages at the converter: memory of the previous channel, gain, ripple, nonlinearity, saturation; then codes.
     volt = actual.volt_from_recorded(total)
-    if scene.converter_memory is not None:
-        volt = with_memory(actual, scene.converter_memory, volt)
+    if scene.known_memory is not None:
+        volt = with_memory(actual, scene.known_memory, volt)
     volt = _disturbed(actual, volt, unmodelled, seed, period_s)
     sums = sums_of_codes(actual, volt, unmodelled, seed, on_frame)
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
@@ -179,7 +179,7 @@ def _true_circuit(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Read
     """Return the true circuit, and the scene with the true contacts and wire."""
     error = unmodelled.reference_tolerance * random_stream(seed, "reference").uniform(-1, 1)
     actual = scene.circuit.off_by(error)
-    if scene.contacts is not None:
+    if scene.contact_prior is not None:
         scene = replace(scene, contacts=true_contacts(scene, seed))
     if unmodelled.wire_ohm_per_cell:
         lines, more = scene.lines or Lines(), unmodelled.wire_ohm_per_cell
@@ -207,7 +207,7 @@ def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, s
 
 def true_contacts(scene: Scene, seed: int) -> Contacts:
     """Return contacts drawn from the scene's prior, truncated at zero, with deviations of zero."""
-    contacts, shape = scene.contacts or Contacts(), scene.panel.shape
+    contacts, shape = scene.contact_prior or Contacts(), scene.panel.shape
     normal = random_stream(seed, "contacts").standard_normal(sum(shape))
     ohm = np.maximum(contacts.mean(shape) + contacts.deviation(shape) * normal, 0.0)
     return Contacts.of(ohm, np.zeros(len(ohm)), shape[0])

@@ -1,0 +1,192 @@
+"""Effects that a recording shows and its scene does not name, each with its evidence and the line to add.
+
+They are searched for on request, in finished readings. No estimate depends on them.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.audit.finding import Finding
+from lampest.estimate.memory import estimated_memory, memory_gain
+from lampest.estimate.model_check import ModelCheck
+from lampest.estimate.noise import NoiseEstimate, share_of_motion, unloaded_scatter
+from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN, CircuitEffects
+from lampest.estimate.prepared import Prepared
+from lampest.estimate.resolve import specified
+from lampest.estimate.saturation import saturated
+from lampest.estimate.still_cells import shared_errors
+from lampest.files.errors import BROKEN
+from lampest.files.levels import SIGNIFICANCE
+from lampest.files.process import ONE_BLAS_THREAD
+from lampest.panel.scene import ESTIMATED, Scene, Systematic
+from lampest.recording.readings import strongest_frame
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+
+MIN_CERTAINTY = 3.0  # standard deviations of a reading error above zero (tests/oracles/test_noise.py)
+MIN_SHARE_READ = 0.9  # of the unloaded readings that are values: with fewer, films look rough (tests/golden/checks.py)
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """Finished estimates of a single network's recording, of which advice is made.
+
+    Attributes
+    ----------
+    recording : Recording
+        Without outliers.
+    noise : NoiseEstimate
+        With readings of all frames.
+    check : ModelCheck
+    effects : CircuitEffects
+        Effects beside the circuit.
+    """
+
+    recording: Recording
+    noise: NoiseEstimate
+    check: ModelCheck
+    effects: CircuitEffects
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of the recording."""
+        return self.recording.scene
+
+    @property
+    def unloaded(self) -> NDArray[np.bool_]:
+        """Whether a frame is unloaded, boolean (frames,)."""
+        return np.asarray(self.recording.role == UNLOADED)
+
+    @property
+    def measured(self) -> NDArray[np.intp]:
+        """Numbers of the measured frames."""
+        return np.flatnonzero(self.recording.role == MEASURED)
+
+    def names_none(self, *keys: str) -> bool:
+        """Return whether the scene names none of these keys."""
+        return all(specified(self.scene, key) is None for key in keys)
+
+
+def unnamed_effects(prepared: Prepared) -> tuple[Finding, ...]:
+    """Return the effects that a recording shows and its scene does not name; of modules each line once."""
+    if prepared.layout is None:
+        if prepared.cleaned.readings.sigma is None:
+            return ()
+        return searched(Gathered(prepared.cleaned.recording, prepared.noise, prepared.check, prepared.effects))
+    findings = dict[str, Finding]()
+    for number, part in enumerate(prepared.modules):
+        for finding in () if part is None else unnamed_effects(part):
+            what = f"module {list(prepared.layout.place(number))}: {finding.what}"
+            findings.setdefault(finding.line, replace(finding, what=what))  # a line of the scene holds for all modules
+    return tuple(findings.values())
+
+
+@ONE_BLAS_THREAD
+def searched(evidence: Gathered) -> tuple[Finding, ...]:
+    """Return the findings of all searches in a single network's recording."""
+    findings = list[Finding]()
+    for search in (_saturation, _frame_errors, _besides, _memory, _reading_error, _motion):
+        try:
+            with np.errstate(all="ignore"):
+                findings += search(evidence)
+        except BROKEN:  # nothing is advised where arithmetic breaks down
+            continue
+    return tuple(findings)
+
+
+def _finding(sentence: str, key: str, value: str) -> Finding:
+    """Return the finding of an effect with the line of its dotted key."""
+    *rooms, name = key.split(".")
+    line = f"{name}: {value}"
+    for room in reversed(rooms):
+        line = f"{room}: {{{line}}}"
+    return Finding("effects", sentence, "", line)
+
+
+def _saturation(evidence: Gathered) -> Iterator[Finding]:
+    """Yield advice on a stage before the converter that saturates."""
+    stage = saturated(evidence.recording) if evidence.names_none("readout.passes_volt") else None
+    if stage is not None:
+        yield _finding(stage.sentence, "readout.passes_volt", ESTIMATED)
+
+
+def _frame_errors(evidence: Gathered) -> Iterator[Finding]:
+    """Yield advice on gain and ripple, from the scatter of the unloaded frames."""
+    scene, readings, unloaded = evidence.scene, evidence.noise.readings, evidence.unloaded
+    unknown = scene.readout is None or readings.sigma is None or unloaded.sum() < 2
+    if unknown or scene.readout is None or not evidence.names_none("gain", "ripple"):
+        return
+    asked = replace(evidence.recording, scene=replace(scene, gain=ESTIMATED, ripple=ESTIMATED))
+    scale = evidence.noise.sigma_factor
+    parts = unloaded_scatter(asked, replace(readings, sigma=readings.known_sigma / scale)[unloaded])
+    if parts is None:
+        return
+    if parts.gain_tail < SIGNIFICANCE:
+        yield _finding(f"the gain of a frame varies by {100 * parts.gain:.2g} %", "gain", ESTIMATED)
+    roots = np.hstack([parts.common_ripple, parts.line_ripple])
+    if parts.ripple_tail < SIGNIFICANCE or parts.line_ripple.size:
+        size = float(np.sqrt((roots**2).sum() / len(roots)) * np.mean(scene.readout.sigma_code()))
+        yield _finding(f"the lines of a scan vary together by {size:.2g} LSB", "ripple", ESTIMATED)
+
+
+def _besides(evidence: Gathered) -> Iterator[Finding]:
+    """Yield advice on leaks, contacts and a common change of all cells."""
+    found = evidence.effects
+    if found.name and evidence.check.by_effect and evidence.names_none("leaks", "contacts"):
+        key = "leaks" if "leak" in found.name else "contacts"
+        yield _finding(f"{found.name} explains the readings better: {found.reason}", key, ESTIMATED)
+    if found.common_change and evidence.names_none("creep", "temperature", "film"):
+        yield _finding(found.common_change, "creep", ESTIMATED)
+
+
+def _memory(evidence: Gathered) -> Iterator[Finding]:
+    """Yield advice on a converter that remembers the channel before."""
+    if evidence.names_none("converter_memory") and memory_gain(evidence.recording) > MIN_EVIDENCE_GAIN:
+        found = estimated_memory(evidence.recording)
+        if not isinstance(found, str):
+            yield _finding(
+                f"the converter keeps {100 * found[0]:.2g} +- {100 * found[1]:.1g} % of the channel before: so fewer "
+                "cells have moved under the load",
+                "converter_memory",
+                ESTIMATED,
+            )
+
+
+def _reading_error(evidence: Gathered) -> Iterator[Finding]:
+    """Yield advice on errors of each reading that stay the same in all frames."""
+    scene, noise, unloaded = evidence.scene, evidence.noise, evidence.unloaded
+    if noise.readings.sigma is None or not unloaded.any() or not evidence.names_none("systematic.reading_error"):
+        return
+    known = scene.systematic if isinstance(scene.systematic, Systematic) else Systematic()
+    asked = replace(scene, systematic=replace(known, reading_error=ESTIMATED))
+    resting, loaded = noise.readings[unloaded].mean(), None
+    if resting.plain[scene.requested].mean() < MIN_SHARE_READ:
+        return
+    if len(evidence.measured):
+        strongest = strongest_frame(noise.readings.plain_values, resting.value, evidence.measured)
+        loaded = noise.readings[strongest]
+    mean, deviation = shared_errors(asked, resting, loaded, noise.frame).sizes.get("reading_error", (0.0, 1.0))
+    if mean > MIN_CERTAINTY * deviation:
+        yield _finding(
+            f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, the same in all frames: cells are "
+            "rougher than those of films",
+            "systematic.reading_error",
+            ESTIMATED,
+        )
+
+
+def _motion(evidence: Gathered) -> Iterator[Finding]:
+    """Yield advice on loads that move while a frame is scanned."""
+    readings, unloaded = evidence.noise.readings, evidence.unloaded
+    if readings.sigma is None or not unloaded.any() or not evidence.names_none("motion"):
+        return
+    share = share_of_motion(evidence.scene, readings[unloaded].mean(), readings, evidence.measured)
+    if share is not None:
+        yield _finding(
+            f"no cells explain frames in which loads move; a scan takes {share[0]:.2g} +- {share[1]:.1g} of the time "
+            "between frames",
+            "motion",
+            ESTIMATED,
+        )

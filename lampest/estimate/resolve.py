@@ -1,0 +1,279 @@
+"""Resolution of a scene: the numbers that it calls `estimated`, determined once from the recording.
+
+Each effect is an entry of one table: its keys, and how the recording determines them. What an entry returns holds the
+numbers with their standard deviations, a sentence for each, and readings with the corresponding σ. Where the recording
+cannot determine a number, the sentence says why and what to record, and the prior stays.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lampest.estimate.assumptions import ASSUMED
+from lampest.estimate.cells_fit import fitted
+from lampest.estimate.changed_cells import mostly_still
+from lampest.estimate.model_error import scaled, with_model_error
+from lampest.estimate.noise import NoiseEstimate, share_of_motion, without_effects
+from lampest.estimate.nuisances import CircuitEffects, FittedPair
+from lampest.estimate.still_cells import shared_errors
+from lampest.files.errors import BROKEN
+from lampest.panel.effects import Effect, LineLeak, LooseContact
+from lampest.panel.scene import ESTIMATED, Scene, Systematic
+from lampest.panel.systematic import (
+    READING_ERROR,
+    SHARED_ERRORS,
+    Possible,
+    estimated_errors,
+    own_errors,
+    systematic_of,
+)
+from lampest.posterior.reference import MAX_CELLS
+from lampest.recording.readings import strongest_frame
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+
+BESIDES: dict[str, type[Effect]] = {"leaks": LineLeak, "contacts": LooseContact}
+Effects = Callable[[tuple[type[Effect], ...]], CircuitEffects]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An effect of a scene.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        Keys of the scene.
+    resolve : callable
+        Function (noise so far, recording, effects beside the circuit) → noise with the effect.
+    always : bool
+        Whether an absent key is no statement, and the evidence decides.
+    """
+
+    keys: tuple[str, ...]
+    resolve: Callable[[NoiseEstimate, Recording, Effects], NoiseEstimate]
+    always: bool = False
+
+    def named(self, scene: Scene) -> bool:
+        """Return whether the scene names the effect."""
+        return any(specified(scene, key) is not None for key in self.keys)
+
+
+def specified(scene: Scene, key: str) -> Any:
+    """Return the entry of a scene at a dotted key; None where it is absent."""
+    entry: Any = scene
+    for part in key.split("."):
+        entry = None if isinstance(entry, str) else getattr(entry, part, None)
+    return entry
+
+
+def _besides(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
+    """Take leaks and bad contacts off the readings."""
+    asked = [key for key in BESIDES if specified(recording.scene, key) == ESTIMATED]
+    if not asked:
+        return noise
+    found = effects(tuple(BESIDES[key] for key in asked))
+    if found.pair is None:
+        seen = f"{found.name}, but others explain the readings as well" if found.name else "untouched cells show none"
+        return noise.with_warnings(f"{' and '.join(asked)}: estimated, and not taken off the readings: {seen}")
+    noise = without_effects(noise, recording, found).with_warnings(found.corrections)
+    deviations = found.pair.explained(found.pair.columns(found.pair.effects)).sd[1:]
+    sizes = {
+        f"{key} of {effect.where(recording.scene.panel.rows)}": (effect.size, float(deviation) * effect.prior)
+        for key, kind in BESIDES.items()
+        for effect, deviation in zip(found.pair.effects, deviations, strict=True)
+        if isinstance(effect, kind)
+    }
+    return replace(noise, estimated={**noise.estimated, **sizes})
+
+
+def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
+    """Widen σ of readings that were taken while loads moved."""
+    scene, readings, measured = recording.scene, noise.readings, np.flatnonzero(recording.role == MEASURED)
+    share = scene.motion
+    if readings.sigma is None or share is None or len(measured) < 2:
+        return noise
+    if share != ESTIMATED:
+        return noise.with_motion(scene, measured, float(share)) if share else noise
+    unloaded = recording.role == UNLOADED
+    size = share_of_motion(scene, readings[unloaded].mean(), readings, measured) if unloaded.any() else None
+    if size is None:
+        return noise.undetermined("motion", "cells explain each frame within its noise, so none was torn by motion")
+    return noise.with_motion(scene, measured, size[0]).determined("motion", size, "of the time between frames")
+
+
+def _shared(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
+    """Determine the errors that all frames share."""
+    scene, readings = recording.scene, noise.readings
+    asked = estimated_errors(scene)
+    unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
+    asked = tuple(name for name in asked if name != "model_error")
+    if not asked:
+        size = READING_ERROR.size(sizes) if (sizes := systematic_of(scene)) else 0.0
+        possible = Possible(sizes or Systematic(), in_sigma=size)
+        return _with_reading_error(replace(noise, possible_errors=possible), recording) if size else noise
+    if not len(unloaded):
+        for name in asked:
+            noise = noise.undetermined(f"systematic.{name}", "record five or more unloaded frames")
+        return noise
+    resting = readings[unloaded].mean()
+    loaded = None
+    if len(measured):
+        loaded = readings[strongest_frame(readings.plain_values, resting.value, measured)]
+    found = shared_errors(scene, resting, loaded, noise.frame)
+    noise = _with_reading_error(replace(noise, possible_errors=found.possible), recording)
+    for name in asked:
+        if name in found.sizes:
+            noise = noise.determined(f"systematic.{name}", found.sizes[name], UNITS[name])
+        else:
+            reason = found.undetermined or "no frame shows it; `lampest calibrate` measures it"
+            noise = noise.undetermined(f"systematic.{name}", reason)
+    return noise
+
+
+def _with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
+    """Return the noise with each reading's own error in σ.
+
+    Error bars treat the error as one that all frames share. Averaging does not reduce it, so σ of each of n unloaded
+    frames includes √n times the error.
+    """
+    sigma, size = noise.readings.sigma, 0.0 if noise.possible_errors is None else noise.possible_errors.in_sigma
+    if sigma is None or not size:
+        return noise
+    unloaded = recording.role == UNLOADED
+    repeats = np.where(unloaded, np.sqrt(unloaded.sum()), 1.0)[:, None, None]
+    # σ² ← σ² + (√n e)²: the mean of the n unloaded frames then has the whole error e
+    return noise.with_sigma(np.hypot(sigma, repeats * own_errors(noise.readings.value, recording.scene, size)))
+
+
+def _creep(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
+    """Determine the change of all cells alike since the unloaded frames, from the cells that no load touches."""
+    scene, readings = recording.scene, noise.readings
+    if scene.creep != ESTIMATED:
+        return noise
+    unloaded, measured = recording.role == UNLOADED, np.flatnonzero(recording.role == MEASURED)
+    if readings.sigma is None or not unloaded.any() or not len(measured):
+        return noise.undetermined("creep", "record unloaded frames, and frames whose load leaves cells free")
+    if scene.panel.crossings > MAX_CELLS:
+        return noise.undetermined("creep", f"the panel has more than {MAX_CELLS} cells")
+    resting = readings[unloaded].mean()
+    base, last = fitted(scene, resting, patient=True), fitted(scene, readings[int(measured[-1])], patient=True)
+    if base is None or last is None:
+        return noise.undetermined("creep", "no cells explain the unloaded panel and the last frame")
+    evidence = FittedPair.of(base, last).evidence
+    if not mostly_still(evidence.moved) or not np.isfinite(evidence.size[0]):
+        return noise.undetermined("creep", "the load touches most cells: record a frame with less load at the end")
+    return noise.determined(
+        "creep", (ASSUMED.common_change * float(evidence.size[0]), ASSUMED.common_change * float(evidence.sd[0]))
+    )
+
+
+def _model(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
+    """Widen σ by the model's error."""
+    return with_model_error(noise, recording)
+
+
+UNITS = {error.setting: error.unit for error in SHARED_ERRORS}
+# In the order in which they are resolved: each sees the readings without the effects before it.
+ENTRIES = (
+    Entry(("leaks", "contacts"), _besides),
+    Entry(("motion",), _motion),
+    Entry(tuple(f"systematic.{error.setting}" for error in SHARED_ERRORS), _shared),
+    Entry(("creep",), _creep),
+    Entry(("systematic.model_error",), _model, always=True),
+)
+PASSES = "readout.passes_volt"
+FRAME_KEYS = ("readout.noise_lsb", PASSES, "converter_memory", "gain", "ripple")  # resolved with the frames' noise
+
+
+def with_resolved_electronics(
+    noise: NoiseEstimate, given: Recording, cleaned: Recording, memory: tuple[float, float] | str | None
+) -> NoiseEstimate:
+    """Return the noise with what was determined before any reading was taken: a saturated stage, converter memory.
+
+    Parameters
+    ----------
+    noise : NoiseEstimate
+    given, cleaned : Recording
+        With the scene as specified, and with numbers.
+    memory : (float, float), str or None
+        Estimate of `converter_memory`, or why there is none; None where it was not asked.
+    """
+    if specified(given.scene, PASSES) == ESTIMATED:
+        passes = specified(cleaned.scene, PASSES)
+        if passes is None:
+            noise = noise.undetermined(PASSES, "channels of its frames end at no common voltage: load more cells")
+        else:
+            sentence = f"{PASSES}: [{passes[0]:.3g}, {passes[1]:.3g}] V, estimated from this recording"
+            noise = replace(noise, estimated={**noise.estimated, PASSES: passes}).with_warnings(sentence)
+    if isinstance(memory, str):
+        return noise.undetermined("converter_memory", memory)
+    return noise if memory is None else noise.determined("converter_memory", memory)
+
+
+def resolved(
+    noise: NoiseEstimate, recording: Recording, whole: NoiseEstimate | None, effects: Effects
+) -> NoiseEstimate:
+    """Return the noise of a single network with all effects that its scene names, and with the model's error.
+
+    Parameters
+    ----------
+    noise : NoiseEstimate
+        Noise of the frames.
+    recording : Recording
+        Without outliers.
+    whole : NoiseEstimate or None
+        For a part of a longer recording: that of the whole, whose numbers hold here, too.
+    effects : callable
+        Returns the effects beside the circuit, when first called.
+    """
+    if whole is not None:
+        return _as_the_whole(noise, recording, whole)
+    for entry in ENTRIES:
+        if not entry.named(recording.scene) and not entry.always:
+            continue
+        try:
+            with np.errstate(all="ignore"):
+                noise = entry.resolve(noise, recording, effects)
+        except BROKEN:
+            for key in entry.keys:
+                if specified(recording.scene, key) == ESTIMATED:
+                    noise = noise.undetermined(key, "arithmetic broke down over its readings")
+    return noise
+
+
+def _as_the_whole(noise: NoiseEstimate, recording: Recording, whole: NoiseEstimate) -> NoiseEstimate:
+    """Return the noise of a part with the effects, the motion and the errors of the whole recording."""
+    noise = without_effects(noise, recording, whole.corrected_effects)
+    if whole.motion:
+        noise = noise.with_motion(recording.scene, np.flatnonzero(recording.role == MEASURED), whole.motion)
+    noise = replace(noise, possible_errors=whole.possible_errors, estimated=whole.estimated)
+    noise = _with_reading_error(noise, recording)
+    return scaled(noise, recording, whole.model_factor)
+
+
+def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
+    """Return the scene with numbers in place of `estimated`, as far as the recording determines them.
+
+    An error that it cannot determine has its prior, any other effect is absent.
+    """
+    asked = [key for entry in ENTRIES for key in entry.keys if specified(scene, key) == ESTIMATED]
+    asked += [key for key in FRAME_KEYS if specified(scene, key) == ESTIMATED]
+    if not asked:
+        return scene
+    numbers = {key: size[0] for key, size in noise.estimated.items()}
+    systematic: Any = scene.systematic
+    if isinstance(systematic, Systematic):
+        sizes = noise.possible_errors.sizes if noise.possible_errors else systematic_of(scene)
+        changes = {name: getattr(sizes, name) for name in estimated_errors(scene)}
+        changes["model_error"] = numbers.get("systematic.model_error", changes.get("model_error"))
+        systematic = replace(systematic, **{name: changes[name] for name in estimated_errors(scene)})
+    readout: Any = scene.readout
+    if specified(scene, "readout.noise_lsb") == ESTIMATED:
+        readout = replace(readout, noise_lsb=numbers.get("readout.noise_lsb"))
+    if specified(scene, PASSES) == ESTIMATED:
+        low, high = noise.estimated.get(PASSES, (0.0, np.inf))
+        readout = replace(readout, passes_volt=(low, high) if np.isfinite(high) else None)
+    own: dict[str, Any] = {key: numbers.get(key) for key in asked if "." not in key}
+    return replace(scene, readout=readout, systematic=systematic, estimated=dict(noise.estimated), **own)

@@ -1,0 +1,125 @@
+"""An effect is a key of the scene: absent it is not modelled and costs nothing, `estimated` results hold its number."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lampest
+from lampest import LogGradient, LogRatio, Misfit, Panel, Recording, Scene, Systematic, TwoPointReadout
+from lampest.audit import advice, effects
+from lampest.estimate import memory, prepared, resolve
+from lampest.estimate.prepared import Prepared
+from tests.estimates import recording_of
+
+ROWS, COLUMNS, UNLOADED, FRAMES = 12, 8, 5, 6
+STATIC = Systematic(reading_error="estimated")
+WEIGHTED = Misfit(weighting="noise")
+
+
+def standing(seed: int, **keys: object) -> Recording:
+    """A load with sharp edges on a mat with an outline; it stands from the first measured frame and sways by 2 %."""
+    rng = np.random.default_rng(seed)
+    row, column = np.indices((ROWS, COLUMNS))
+    present = ((row - 5.5) / 6.6) ** 2 + ((column - 3.5) / 4.4) ** 2 < 1
+    cells = np.repeat(4000 * np.exp(0.1 * rng.standard_normal((1, ROWS, COLUMNS))), UNLOADED + FRAMES, axis=0)
+    pressed = 1.4 * ((abs(row - 3) < 2) & (abs(column - 3) < 2)) + 1.1 * ((abs(row - 8) < 2) & (abs(column - 4) < 2))
+    sway = 1 + 0.02 * np.sin(1.1 * np.arange(FRAMES) + 0.4)
+    cells[UNLOADED:] *= np.exp(-pressed * sway[:, None, None])
+    exact = lampest.two_point_resistance(np.where(present, cells, 1e12)) + 140
+    lsb = 5 / 4096
+    codes = np.round(5000 / (1000 + exact) / lsb + rng.standard_normal((8, *exact.shape))).mean(axis=0)
+    listed = tuple((int(j), int(k), 10.0 * k, 10.0 * j) for j, k in np.argwhere(present))
+    readout = TwoPointReadout(adc_bits=12, readings=8, noise_lsb=1)
+    scene = Scene(Panel(ROWS, COLUMNS, 10.0, listed), readout, 140.0, **keys)
+    recorded = 1000 * (5 - codes * lsb) / (codes * lsb)
+    return recording_of(scene, recorded, UNLOADED, truth_cell_resistance=np.where(present, cells, np.nan))
+
+
+@pytest.mark.parametrize("keys", [{}, {"systematic": STATIC}, {"systematic": STATIC, "motion": "estimated"}])
+@pytest.mark.parametrize("penalty", [LogGradient(), LogRatio()])
+def test_edges_of_a_load_that_stands_are_no_error_of_the_readings(keys: dict, penalty: lampest.Term) -> None:
+    recording = standing(1, **keys)
+    found = lampest.reconstruct(recording, [WEIGHTED, penalty])
+    error = np.abs(found.cell_resistance / recording.truth_cell_resistance[found.frame] - 1)
+    assert np.nanmedian(error) < 0.01 and np.nanquantile(error, 0.95) < 0.025
+
+
+def test_an_effect_that_the_scene_does_not_name_is_not_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Estimates depend on no advice, and wait for none."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("was not asked for")
+
+    for module, names in (
+        (resolve, ("shared_errors", "share_of_motion", "without_effects", "fitted")),
+        (memory, ("estimated_memory",)),
+        (prepared, ("warnings_of",)),
+        (advice, ("unnamed_effects",)),
+        (prepared.Question, ("of", "check", "effects")),
+        (effects, ("saturated", "unloaded_scatter")),
+    ):
+        for name in names:
+            monkeypatch.setattr(module, name, refuse)
+    found = lampest.reconstruct(standing(2))
+    assert found.solved.all() and found.recording.scene.estimated is None
+    with pytest.raises(AssertionError, match="was not asked for"):
+        assert found.advice
+
+
+def test_an_absent_effect_changes_no_reading_and_a_number_is_modelled() -> None:
+    plain = standing(3)
+    noise = Prepared(plain).noise
+    np.testing.assert_array_equal(noise.readings.value, plain.readings().value)
+    np.testing.assert_array_equal(noise.readings.sigma, plain.readings().sigma)
+    for keys in ({"systematic": Systematic(reading_error=0.01)}, {"gain": 0.01}, {"ripple": 2.0}, {"motion": 1.0}):
+        wider = lampest.reconstruct(replace(plain, scene=replace(plain.scene, **keys)))
+        narrow = lampest.reconstruct(plain)
+        assert np.nanmedian(wider.cell_resistance_errors / narrow.cell_resistance_errors) > 1.01
+
+
+def test_results_hold_the_number_with_its_deviation(tmp_path: Path) -> None:
+    found = lampest.reconstruct(standing(4, systematic=STATIC, gain="estimated"))
+    found.save(tmp_path / "results.h5")
+    scene = lampest.read_results(tmp_path / "results.h5").cases[0].scene
+    size, deviation = scene.estimated["systematic.reading_error"]
+    assert 0 < size < 0.002 and deviation > 0
+    assert scene.estimated["gain"][0] == pytest.approx(scene.gain)
+    assert scene.systematic.reading_error == found.noise.reading_error
+    assert sum("systematic.reading_error: " in line for line in found.checks) == 1
+
+
+@pytest.mark.parametrize(
+    ("keys", "advised"),
+    [
+        ({"systematic": STATIC}, "record five or more unloaded frames"),
+        ({"gain": "estimated"}, "record two or more unloaded frames"),
+        ({"motion": "estimated"}, "cells explain each frame"),
+        ({"converter_memory": "estimated"}, "record unloaded frames"),
+        ({"creep": "estimated"}, "record unloaded frames"),
+        ({"systematic": Systematic(reference_tolerance="estimated")}, "record five or more unloaded frames"),
+    ],
+)
+def test_what_a_recording_cannot_determine_is_said_with_what_to_record(keys: dict, advised: str) -> None:
+    recording = standing(5, **keys)
+    loaded = replace(recording, role=np.ones_like(recording.role))
+    found = lampest.reconstruct(loaded, [WEIGHTED, LogGradient(weight=1.0)])
+    (line,) = (line for line in found.noise.warnings if "estimated, but" in line)
+    assert advised in line and found.solved.all()
+
+
+def test_a_reference_is_never_seen_in_frames_and_keeps_its_prior() -> None:
+    found = lampest.reconstruct(standing(6, systematic=Systematic(reference_tolerance="estimated")))
+    assert any("lampest calibrate" in line for line in found.noise.warnings)
+    assert found.recording.scene.systematic.reference_tolerance == 0.06
+
+
+def test_the_memory_of_a_converter_is_estimated() -> None:
+    recording = standing(7)
+    volt = recording.scene.circuit.volt_from_recorded(recording.recorded)
+    kept = 0.92 * volt + 0.08 * np.roll(volt.reshape(len(volt), -1), 1, axis=1).reshape(volt.shape)
+    recorded = recording.scene.circuit.recorded_from_volt(kept)
+    forgetful = replace(recording, recorded=recorded, scene=replace(recording.scene, converter_memory="estimated"))
+    size, deviation = Prepared(forgetful).noise.estimated["converter_memory"]
+    assert abs(size - 0.08) < max(3 * deviation, 0.005)
