@@ -5,6 +5,7 @@ They are searched for on request, in finished readings. No estimate depends on t
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +70,7 @@ class Gathered:
         return all(specified(self.scene, key) is None for key in keys)
 
 
+@lru_cache(maxsize=1)
 def unnamed_effects(prepared: Prepared) -> tuple[Finding, ...]:
     """Return the effects that a recording shows and its scene does not name; of modules each line once."""
     if prepared.layout is None:
