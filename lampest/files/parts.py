@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from lampest.files import hdf5
-from lampest.files.checksums import nodes_below
+from lampest.files.checksums import BLOCKS, located, nodes_below, read_verified, verify
 
 TIME = "time"  # axis along which parts are concatenated
 
@@ -66,7 +66,8 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
             begins.append(_lengths(plans))
             for path, node in _within(file, group):
                 ties = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # of axes to datasets
-                attributes[path] = {name: value for name, value in node.attrs.items() if name not in ties}
+                kept = (name for name in node.attrs if name not in ties and not name.startswith(BLOCKS))
+                attributes[path] = {name: node.attrs[name] for name in kept}
                 if isinstance(node, h5py.Dataset):
                     plans[path] = _planned(node, part, plans.get(path))
                 elif path:
@@ -80,11 +81,13 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     for part, begin in zip(parts, begins, strict=True):
         with hdf5.existing_file(part) as file:
             for path, node in _within(file, group):
-                if path in joined:
-                    first = begin.get(path.split("/", 1)[0], 0)
-                    target[path][first : first + len(node)] = node[...]
-                elif path in plans and plans[path].owner == part:
-                    file.copy(node, target, path, without_attrs=True)
+                with located(file, f"{group}/{path}"):
+                    if path in joined:
+                        first = begin.get(path.split("/", 1)[0], 0)
+                        target[path][first : first + len(node)] = read_verified(node)
+                    elif path in plans and plans[path].owner == part:
+                        verify(node)
+                        file.copy(node, target, path, without_attrs=True)
     # Attributes and scales, once all datasets exist.
     for path, held in attributes.items():
         (target[path] if path else target).attrs.update(held)

@@ -109,9 +109,9 @@ def half_written(mark: Path) -> str:
     if not mark.exists():
         mark.touch()
         frame: Any = sys._getframe()
-        while "result_queue" not in frame.f_locals:
+        while "pipe" not in frame.f_locals:
             frame = frame.f_back
-        os.write(frame.f_locals["result_queue"]._writer.fileno(), struct.pack("!i", 1_000_000) + b"begun")
+        os.write(frame.f_locals["pipe"].fileno(), struct.pack("!i", 1_000_000) + b"begun")
         os.kill(os.getpid(), signal.SIGKILL)
     return "whole"
 
@@ -150,7 +150,7 @@ def hanging(seconds: float) -> float:
 def test_workers_end_with_a_command_that_is_killed() -> None:
     """They hold its output, so that whoever reads it would wait forever."""
     asked = "import os, time; from lampest.runs.executors import Worker; busy, idle = Worker(), Worker()"
-    asked += "; busy.begin(time.sleep, 100), idle.begin(pow, 2).exception(60), os.kill(os.getpid(), 9)"
+    asked += "; busy.begin(time.sleep, 100), idle.begin(abs, 2), idle.answer(), os.kill(os.getpid(), 9)"
     done = subprocess.run([sys.executable, "-c", asked], stdout=subprocess.PIPE, timeout=60)
     assert done.returncode == -signal.SIGKILL
 
