@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from lampest.files import checksums
 from lampest.files.errors import InputError
+from lampest.files.typed import as_double
 from lampest.files.whole import check_room, is_locked, note_read, whole_file
 
 FORMAT = ("v110", "v110")  # HDF5 1.10 of 2016: the oldest with checksums of all metadata
@@ -268,7 +269,7 @@ def read_array(
     # Deflate compresses to a 1032nd at best; a larger claim has no stored values behind it.
     if claimed > max(64_000_000, 1100 * stored):
         raise InputError(f"{file.filename}: {path} claims {claimed} bytes, but holds only {stored}")
-    values = checksums.read_verified(dataset, part)
+    values = as_double(checksums.read_verified(dataset, part))
     if kind is None:
         return values
     if values.dtype.kind == "f" or not np.array_equal(values.astype(kind), values):

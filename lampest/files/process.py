@@ -146,14 +146,16 @@ def ending_signals(worth_finishing: Callable[[], bool] = lambda: False) -> Itera
     """Yield a function that returns the name of the signal that requested the end, such as SIGTERM, or ''.
 
     KeyboardInterrupt is raised at once if nothing is worth finishing, and at a second signal. Signals within a second
-    are one request, because a closing terminal sends several.
+    are one request, because a closing terminal sends several: a second KeyboardInterrupt would meet the clean-up after
+    the first one, inside destructors, where Python prints it and loses it.
     """
     requests: list[tuple[str, float]] = []
 
     def note(number: int) -> None:
         # Stored first, because an exception inside a destructor is lost.
         requests.append((signal.Signals(number).name, time.monotonic()))
-        if not worth_finishing() or requests[-1][1] - requests[0][1] > 1:
+        again = requests[-1][1] - requests[0][1] > 1
+        if again or (len(requests) == 1 and not worth_finishing()):
             raise KeyboardInterrupt
 
     with handled(note):

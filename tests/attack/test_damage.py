@@ -59,7 +59,7 @@ def _outcome(path: Path, reader: Callable[[Path], Any], meant: dict[str, Any]) -
 def _content(source: Any) -> dict[str, Any]:
     """All of a recording or of results, name → plain value or array."""
     if isinstance(source, Recording):
-        return {**vars(source), "scene": repr(source.scene), "acquisition": vars(source.acquisition)}
+        return {**vars(source), "scene": repr(source.scene), "acquisition": source.acquisition and vars(source.acquisition)}
     content: dict[str, Any] = {"published": repr(plain_content(dict(source.published)))}
     for case in source.cases:
         for name, value in vars(case).items():
@@ -132,11 +132,10 @@ def test_zeroed_exchanged_and_foreign_chunks_are_named(rng: Rng, folder: Path, c
         rows, columns = rng.integers(2, 11, 2).tolist()
         shape = (int(rng.uniform(2, 3) * hdf5.CHUNK / (rows * columns)), rows, columns)
         path, other = make(folder / "a.h5", rng, shape), make(folder / "b.h5", rng, shape)
+        meant = _content(load(path))
         with h5py.File(path, "r+") as file, h5py.File(other) as foreign:
             name = _harmed_chunk(rng, file, foreign)
-        yield called("check", path).refused(name)
-        with pytest.raises(InputError, match=rf"a\.h5: {name} is damaged"):
-            load(path)
+        yield called("check", path).refused(name) or _outcome(path, load, meant)
 
 
 def _harmed_chunk(rng: Rng, file: h5py.File, other: h5py.File) -> str:

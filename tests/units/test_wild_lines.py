@@ -179,8 +179,13 @@ RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[in
     "a frame is out of order": ([(0, 500), (1, 510), (900, 515), (2, 520), (3, 530)], whole(4), []),
     "a clock is wild once": (
         [(0, 500), (1, 510), (2, 5520), (3, 530), (4, 540)],
-        [*whole(2), (3, 1, 0), (4, 0, 0)],
-        [],
+        whole(5),
+        [2],
+    ),
+    "a clock is wild once, and the frame before is gone": (
+        [(0, 500), (1, 510), (3, 5530), (4, 540), (5, 550)],
+        [*whole(2), (3, 1, 0), (4, 0, 0), (5, 0, 0)],
+        [2],
     ),
     "scans are late": (LATE, whole(500), []),
     **{f"a jump by {ms} ms": (ticked(30, {10: ms}), whole(30), [10]) for ms in (5_000, -5_000, 2**31, -(2**31))},

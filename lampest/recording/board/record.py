@@ -24,7 +24,7 @@ from lampest.files import hdf5
 from lampest.files.document import to_yaml
 from lampest.files.errors import InputError
 from lampest.files.process import deaf, ending_signals
-from lampest.files.whole import check_output, folder_beside, is_locked, locked, own
+from lampest.files.whole import check_output, folder_beside, is_locked, locked, own, sync_folder
 from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import EVENTS, FORMAT, FRAME_FIELDS, SALT, Rows, blocks, group_of
@@ -124,6 +124,7 @@ class Journal:
         with file:
             _lay_out(file, scene, readings)
             file.flush()
+            sync_folder(path.parent)
             file.swmr_mode = True
             with locked(path):  # HDF5's own lock ended where SWMR began
                 yield cls(file, scene)
