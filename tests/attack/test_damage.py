@@ -59,7 +59,11 @@ def _outcome(path: Path, reader: Callable[[Path], Any], meant: dict[str, Any]) -
 def _content(source: Any) -> dict[str, Any]:
     """All of a recording or of results, name → plain value or array."""
     if isinstance(source, Recording):
-        return {**vars(source), "scene": repr(source.scene), "acquisition": source.acquisition and vars(source.acquisition)}
+        return {
+            **vars(source),
+            "scene": repr(source.scene),
+            "acquisition": source.acquisition and vars(source.acquisition),
+        }
     content: dict[str, Any] = {"published": repr(plain_content(dict(source.published)))}
     for case in source.cases:
         for name, value in vars(case).items():
