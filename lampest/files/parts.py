@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from lampest.files import hdf5
-from lampest.files.checksums import BLOCKS, located, nodes_below, read_verified, verify
+from lampest.files.checksums import BLOCKS, located, nodes_below, read_verified, verified_blocks
 
 TIME = "time"  # axis along which parts are concatenated
 
@@ -86,8 +86,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
                         first = begin.get(path.split("/", 1)[0], 0)
                         target[path][first : first + len(node)] = read_verified(node)
                     elif path in plans and plans[path].owner == part:
-                        verify(node)
-                        file.copy(node, target, path, without_attrs=True)
+                        _copy(node, target, path)
     # Attributes and scales, once all datasets exist.
     for path, held in attributes.items():
         (target[path] if path else target).attrs.update(held)
@@ -95,6 +94,17 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
             target[path].make_scale(path.rsplit("/", 1)[-1])
     for path, plan in plans.items():
         hdf5.attach_scales(target, {path: tuple(scale.removeprefix(f"{group}/") for scale in plan.scales)})
+
+
+def _copy(dataset: h5py.Dataset, target: h5py.Group, path: str) -> None:
+    """Write a dataset's verified values into a new one with the same type, layout and filters, without attributes.
+
+    HDF5's own copy without attributes overruns its memory where a header holds large ones, such as digests.
+    """
+    like = dataset.id.get_type(), dataset.id.get_space(), dataset.id.get_create_plist()
+    copied = h5py.Dataset(h5py.h5d.create(target.id, path.encode(), *like))
+    for place, values in verified_blocks(dataset):
+        copied[place] = values
 
 
 def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> DatasetPlan:

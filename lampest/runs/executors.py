@@ -76,10 +76,9 @@ class Worker:
             with theirs:
                 process = get_context("spawn").Process(target=_serve, args=(theirs, self._begun, self._arguments))
                 process.start()
-        except OSError as error:
-            raise InputError(
-                f"cannot start a further process ({error.strerror or error}); --jobs 1 needs none"
-            ) from error
+        except (OSError, MemoryError) as error:
+            reason = getattr(error, "strerror", None) or "not enough memory"
+            raise InputError(f"cannot start a further process ({reason}); --jobs 1 needs none") from error
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         if self._killed:
@@ -97,6 +96,8 @@ class Worker:
         Raises WorkerDiedError if the process died.
         """
         answered_first([self])
+        if not self.pipe.poll():  # dead, and a child of it holds the pipe
+            raise WorkerDiedError("a worker process has died")
         try:
             return pickle.loads(self.pipe.recv_bytes())
         except (EOFError, OSError) as error:

@@ -216,6 +216,17 @@ def test_frames_are_counted_and_timed_whatever_numbers_and_clock_do() -> None:
         np.testing.assert_allclose([sample.time for sample in samples], 0.01 * np.arange(30), atol=1e-9)
 
 
+def test_a_clock_that_is_wild_in_the_last_frame_costs_no_frame() -> None:
+    for last_ms in (5_520, 100, 2**31):
+        run, samples = run_of((0, 500), (1, 510), (2, last_ms))
+        samples += run.rest()
+        assert places(samples) == whole(3) and samples[-1].events == (CLOCK_JUMPED,)
+        assert samples[-1].time == pytest.approx(0.02) and not run.rest()
+    for last in ((1, 510), (0, 500), (900, 515)):
+        run, samples = run_of((0, 500), (1, 510), last)
+        assert not run.rest() and places(samples) == whole(2), "repeated and foreign frames are none"
+
+
 def test_a_number_is_believed_as_far_as_its_clock_allows() -> None:
     """The first one; and none that its clock puts days ahead."""
     assert [run_of(first)[1][0].lost for first in ((7, 100), (2**32 - 5, 100), (10**8, 2 * 10**9))] == [7, 0, 0]

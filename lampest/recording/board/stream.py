@@ -191,6 +191,13 @@ class Scanning:
         self.last = sample
         return (sample,)
 
+    def rest(self) -> tuple[Sample, ...]:
+        """Return the last frame of a run as a sample, if its number follows and its clock alone does not."""
+        if self.stray is None or self.before is None or _since(self.before.frame, self.stray)[0] != 1:
+            return ()
+        resumed = self._resumed(self.stray, self.stray)
+        return () if resumed is None else (self._accept(resumed),)
+
     def doubt(self) -> None:
         """Forget the newest sample, after a silence: if it was a wrong frame, no other frame would follow it."""
         self.before, self.stray = self.earlier, None
@@ -346,6 +353,8 @@ class _Line:
         while True:
             ending = self._ending()
             samples, over = self._taken(run, board.stop() if ending else board.messages())
+            if over or ending:
+                samples += run.rest()
             if samples:
                 heard = time.monotonic()
             yield samples
