@@ -148,8 +148,9 @@ def _check_block(entries: dict[int, bytes], first: int, values: NDArray[Any]) ->
 def _entry(first: int, values: Any) -> bytes:
     """Return 'first row:SHA-256 of first row, type, shape and bytes' of a block."""
     block = np.asarray(values)
-    head = f"{first} {block.dtype.str} {block.shape} "
-    return f"{first}:{hashlib.sha256(head.encode() + block.tobytes()).hexdigest()}".encode()
+    digest = hashlib.sha256(f"{first} {block.dtype.str} {block.shape} ".encode())
+    digest.update(np.ascontiguousarray(block).reshape(-1).view(np.uint8))  # in place: blocks may be large
+    return f"{first}:{digest.hexdigest()}".encode()
 
 
 def _digest_of_datasets(file: h5py.File) -> str:
