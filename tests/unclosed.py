@@ -14,9 +14,9 @@ from lampest.recording.board.stream import Sample
 READINGS = 20
 
 
-def unclosed_recording(path: Path, scene: Scene, frames: int, unloaded: int) -> Path:
+def unclosed_recording(path: Path, scene: Scene, frames: int, unloaded: int, seed: int = 8) -> Path:
     """Frames at 10 Hz, two events and a frame that was begun, as kill -9 leaves them, beside `growing.h5`."""
-    rng, hello = np.random.default_rng(8), SimpleNamespace(readings=READINGS)
+    rng, hello = np.random.default_rng(seed), SimpleNamespace(readings=READINGS)
     with Journal.create(path.with_name("growing.h5"), scene, READINGS) as journal:
         for number in range(frames):
             sums = rng.integers(8000, 8010, scene.panel.shape, dtype=np.uint16)

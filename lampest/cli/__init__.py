@@ -12,7 +12,7 @@ import typer
 from lampest.cli import board, estimation, results, studies
 from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, as_options, documented, is_written, say, warn
 from lampest.files.errors import InputError, extra
-from lampest.files.process import ONE_THREAD, ending_signals, libraries_to_the_log
+from lampest.files.process import ONE_THREAD, check_address_space, ending_signals, libraries_to_the_log
 from lampest.files.whole import refuse_inputs, sparing
 
 app = typer.Typer(
@@ -48,6 +48,7 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
     outputs = {name for name, parameter in signature.parameters.items() if is_written(parameter)}
 
     def called(**options: Any) -> None:
+        check_address_space()
         named = [value for name, value in options.items() if name not in outputs]
         named += [path for value in named if isinstance(value, list) for path in value]
         inputs = [path for path in named if isinstance(path, Path)]

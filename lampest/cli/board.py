@@ -167,7 +167,7 @@ def live(
     http
         HOST:PORT of the page; 127.0.0.1 is visible on this computer only.
     token
-        Access token of the page; outside 127.0.0.1 one is generated.
+        Access token of the page; by default one is generated.
     baseline
         Number of unloaded frames at the beginning, unless the recording marks them.
     out

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from lampest.estimate.model_check import ModelCheck, module_factors, noise_factor
 from lampest.estimate.noise import NO_RIPPLE, NoiseEstimate, named_modules
 from lampest.estimate.rivals import changes_beyond_noise, choices
+from lampest.files.errors import first_and_more
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.loads.recognition.observation import ModelErrors
 from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Panelled, Watch
@@ -82,7 +83,9 @@ def _times(recording: Recording) -> str:
     """Return a warning of equal times of two frames, or of times that are probably in ms; ''."""
     steps = np.diff(recording.time)
     if np.any(steps == 0):
-        return f"{int(np.sum(steps == 0))} of {len(recording.time)} frames have the time of the frame before"
+        equal = (np.flatnonzero(steps == 0) + 1).tolist()
+        named = f"{'frame' if len(equal) == 1 else 'frames'} {first_and_more(equal, 4)}"
+        return f"{len(equal)} of {len(recording.time)} frames have the time of the frame before: {named}"
     foreign = recording.acquisition is None and recording.simulation is None
     if not (foreign and steps.size and np.median(steps) >= 10 and np.all(recording.time % 1 == 0)):
         return ""

@@ -1,4 +1,8 @@
-"""Integrity of HDF5 files: HDF5's own checksums, and SHA-256 digests of values that these do not cover.
+"""Integrity of HDF5 files: SHA-256 digests of all values, beside HDF5's own checksums.
+
+HDF5's Fletcher sum of a chunk notices turned bits. That of zeros is zero, and it knows no position: a chunk that is
+zeroed, exchanged with another one, or taken from another file passes it. `seal` therefore writes the digest of every
+block of values, with the place of the block, beside its dataset, and the digest of all datasets beside the root.
 
 A file whose writer was killed remains marked as being written (SWMR). HDF5 would open it as a growing file, and wait
 without end for a wrong checksum to be corrected. `Closed` presents such a file as a closed one.
@@ -9,6 +13,8 @@ import io
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +24,10 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 
-DIGEST = "sha256"  # attribute with the digest of values that are neither in the metadata nor in chunks
+DIGEST = "sha256"  # attribute with the digest of one text or, of a text in older files, beside it
+BLOCKS = f"blocks_{DIGEST}"  # attribute of a dataset: for each block of its first axis "first row:digest"
+DATASETS = f"datasets_{DIGEST}"  # attribute of the root: digest of the paths and the blocks of all datasets
+MAX_ATTRIBUTE_BYTES = 4_000  # HDF5 may store larger ones without a checksum
 # Superblock of version 3: signature, version, two sizes, flags, base, extension, end of the file, root, checksum.
 SUPERBLOCK = struct.Struct("<8sBBBBQQQQI")
 
@@ -36,6 +45,25 @@ def located(file: h5py.File, path: str) -> Iterator[None]:
         raise InputError(f"{file.filename}: {path} is damaged ({reason})") from error
 
 
+@dataclass(frozen=True)
+class Integrity:
+    """What a complete reading of a file has verified.
+
+    Attributes
+    ----------
+    datasets : int
+        Number of datasets with values.
+    without_digest : tuple of str
+        Paths of datasets that HDF5's checksums alone protect: against turned bits, not against zeros or exchange.
+    without_checksum : tuple of str
+        Paths of datasets that nothing protects.
+    """
+
+    datasets: int
+    without_digest: tuple[str, ...]
+    without_checksum: tuple[str, ...]
+
+
 def digest_of(values: NDArray[Any]) -> str:
     """Return the SHA-256 of all bytes of an array."""
     return hashlib.sha256(values.tobytes()).hexdigest()
@@ -48,21 +76,115 @@ def check_digest(attributes: Any, value: Any, name: str = "") -> None:
         raise ValueError("values and checksum differ")
 
 
-def read_through(file: h5py.File) -> tuple[int, bool]:
-    """Read all values of a file; return the number of datasets, and whether checksums cover all of the file.
+def set_text_attribute(node: Any, name: str, data: NDArray[Any]) -> None:
+    """Write an attribute of fixed-length ASCII or numbers, with its SHA-256 as a further one if it is large."""
+    if data.nbytes > MAX_ATTRIBUTE_BYTES:
+        node.attrs.create(f"{name}_{DIGEST}", np.bytes_(digest_of(data)))
+    node.attrs.create(name, data)
 
-    Raises InputError with the path of the first damaged dataset.
+
+def seal(file: h5py.File) -> None:
+    """Write the digests of all datasets of a complete file, block by block."""
+    for _, node in nodes_below(file, "/"):
+        if isinstance(node, h5py.Dataset) and node.size and not node.dtype.hasobject:
+            length = node.shape[0] if node.shape else 1
+            firsts = range(0, length, node.chunks[0] if node.chunks else length)
+            blocks = (node[first : first + firsts.step] if node.shape else node[()] for first in firsts)
+            entries = [_entry(first, block) for first, block in zip(firsts, blocks, strict=True)]
+            set_text_attribute(node, BLOCKS, np.array(entries, dtype="S"))
+    file.attrs.create(DATASETS, np.bytes_(_digest_of_datasets(file)))
+
+
+def read_verified(dataset: h5py.Dataset, part: slice = slice(None)) -> Any:
+    """Return the values of a dataset, or a part of its first axis. Raises ValueError if they differ from a digest.
+
+    The blocks that contain the part are read as a whole. Without digests the values are returned as they are.
     """
-    covered, datasets = True, 0
+    if BLOCKS not in dataset.attrs:
+        values = dataset[part] if dataset.shape else dataset[()]
+        if dataset.chunks is None and part == slice(None):
+            check_digest(dataset.attrs, values)
+        return values
+    entries = _entries(dataset)
+    if not dataset.shape:
+        values = dataset[()]
+        _check_block(entries, 0, np.asarray(values))
+        return values
+    length = len(dataset)
+    begin, end, _ = part.indices(length)
+    edges = [*entries, length]
+    inside = [(first, last) for first, last in pairwise(edges) if first < end and last > begin]
+    start = inside[0][0] if inside else begin
+    values = dataset[start : inside[-1][1] if inside else end]
+    for first, last in inside:
+        _check_block(entries, first, values[first - start : last - start])
+    return values[begin - start : max(end, begin) - start]
+
+
+def verified_blocks(dataset: h5py.Dataset) -> Iterator[tuple[Any, Any]]:
+    """Yield all values of a dataset by blocks, with their place. Raises ValueError if they differ from a digest."""
+    if dataset.shape and BLOCKS in dataset.attrs:
+        for first, last in pairwise([*_entries(dataset), len(dataset)]):
+            yield slice(first, last), read_verified(dataset, slice(first, last))
+    elif dataset.chunks:
+        for chunk in dataset.iter_chunks():
+            yield chunk, dataset[chunk]
+    elif dataset.size:
+        yield (), read_verified(dataset)
+
+
+def _entries(dataset: h5py.Dataset) -> dict[int, bytes]:
+    """Return the entries of `BLOCKS` by the first row of their block. Raises ValueError if they are damaged."""
+    held = dataset.attrs[BLOCKS]
+    check_digest(dataset.attrs, held, BLOCKS)
+    return {int(entry.partition(b":")[0]): entry for entry in np.atleast_1d(held).tolist()}
+
+
+def _check_block(entries: dict[int, bytes], first: int, values: NDArray[Any]) -> None:
+    if _entry(first, values) != entries[first]:
+        raise ValueError(f"values from row {first} on and their digest differ")
+
+
+def _entry(first: int, values: Any) -> bytes:
+    """Return 'first row:SHA-256 of first row, type, shape and bytes' of a block."""
+    block = np.asarray(values)
+    digest = hashlib.sha256(f"{first} {block.dtype.str} {block.shape} ".encode())
+    digest.update(np.ascontiguousarray(block).reshape(-1).view(np.uint8))  # in place: blocks may be large
+    return f"{first}:{digest.hexdigest()}".encode()
+
+
+def _digest_of_datasets(file: h5py.File) -> str:
+    """Return the SHA-256 of the paths and the digests of all datasets that have some."""
+    total = hashlib.sha256()
+    for path, node in nodes_below(file, "/"):
+        if isinstance(node, h5py.Dataset) and BLOCKS in node.attrs:
+            total.update(path.encode("utf-8", "surrogateescape") + b" " + node.attrs[BLOCKS].tobytes())
+    return total.hexdigest()
+
+
+def read_through(file: h5py.File) -> Integrity:
+    """Read and verify all values of a file.
+
+    Raises InputError with the path of the first damaged dataset, or if datasets were exchanged or removed.
+    """
+    datasets, without_digest, without_checksum = 0, list[str](), list[str]()
     for path, node in nodes_below(file, "/"):
         with located(file, path):
-            covered &= h5py.h5o.get_info(node.id).hdr.version > 1
             for name, value in node.attrs.items():
                 check_digest(node.attrs, value, name)
+            protected = h5py.h5o.get_info(node.id).hdr.version > 1
             if isinstance(node, h5py.Dataset) and node.size:
-                covered &= _read_values(node)
                 datasets += 1
-    return datasets, covered
+                for _ in verified_blocks(node):
+                    pass
+                if BLOCKS not in node.attrs:
+                    without_digest.append(path)
+                protected &= _has_checksum(node)
+            if not protected:
+                without_checksum.append(path)
+    if DATASETS in file.attrs and file.attrs[DATASETS] != _digest_of_datasets(file).encode():
+        raise InputError(f"{file.filename}: datasets were added, removed or exchanged after the file was written")
+    return Integrity(datasets, tuple(without_digest), tuple(without_checksum))
 
 
 def nodes_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
@@ -81,14 +203,10 @@ def nodes_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
             yield inner, node
 
 
-def _read_values(dataset: h5py.Dataset) -> bool:
-    """Read all values chunk by chunk; return whether a checksum covers them."""
-    for chunk in dataset.iter_chunks() if dataset.chunks else ():
-        dataset[chunk]
-    if not dataset.chunks:
-        check_digest(dataset.attrs, dataset[()])
+def _has_checksum(dataset: h5py.Dataset) -> bool:
+    """Return whether a digest or one of HDF5's checksums covers the values of a dataset."""
     compact = dataset.id.get_create_plist().get_layout() == h5py.h5d.COMPACT
-    return compact or dataset.fletcher32 or DIGEST in dataset.attrs
+    return compact or dataset.fletcher32 or DIGEST in dataset.attrs or BLOCKS in dataset.attrs
 
 
 def _superblock(path: Path) -> tuple[Any, ...]:

@@ -1,7 +1,8 @@
-"""HDF5 by lampest's conventions: atomic files, checksums of all values, fixed-length ASCII, units of all datasets.
+"""HDF5 by lampest's conventions: atomic files, digests of all values, fixed-length ASCII, units of all datasets.
 
 Format v110 has checksums of all metadata, including small values. Larger values are in chunks with Fletcher-32
-checksums. They are compressed unless they are many and their digits are noise.
+checksums. They are compressed unless they are many and their digits are noise. Each block of values has a digest
+(`checksums.seal`), which every reading function verifies.
 """
 
 import os
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from lampest.files import checksums
 from lampest.files.errors import InputError
+from lampest.files.typed import as_double
 from lampest.files.whole import check_room, is_locked, note_read, whole_file
 
 FORMAT = ("v110", "v110")  # HDF5 1.10 of 2016: the oldest with checksums of all metadata
@@ -38,6 +40,7 @@ def new_file(path: Path) -> Iterator[h5py.File]:
     # Built in memory: the HDF5 library may crash the process if the disk is full, Python's own files do not.
     with h5py.File(str(path), "w", libver=FORMAT, driver="core", backing_store=False, block_size=2**20) as file:
         yield file
+        checksums.seal(file)
         file.flush()
         image = file.id.get_file_image()
     with whole_file(path) as unfinished:
@@ -54,6 +57,7 @@ def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
         check_room(path, size)
         with h5py.File(unfinished, "w", libver=FORMAT) as file:
             yield file
+            checksums.seal(file)
 
 
 @contextmanager
@@ -92,16 +96,16 @@ def _opened(path: Path) -> Iterator[h5py.File]:
         yield stack.enter_context(file)
 
 
-def checked(path: Path) -> tuple[int, int]:
-    """Read all of a file, and return its numbers of bytes and datasets if checksums cover all of it, else (0, 0).
+def checked(path: Path) -> tuple[int, checksums.Integrity]:
+    """Read all of a file, and return its number of bytes and what was verified.
 
-    Raises InputError with the path of a damaged dataset.
+    Raises InputError with the path of a damaged dataset, and if bytes follow the end of a file of lampest's.
     """
     with existing_file(path) as file:
-        datasets, vouched = checksums.read_through(file)
-    if vouched and (beyond := checksums.bytes_beyond(path)):
+        integrity = checksums.read_through(file)
+    if not integrity.without_checksum and (beyond := checksums.bytes_beyond(path)):
         raise InputError(f"{path}: {beyond} bytes stand behind the end of the file as it was written")
-    return (path.stat().st_size, datasets) if vouched else (0, 0)
+    return path.stat().st_size, integrity
 
 
 def ascii_array(values: Any) -> Any:
@@ -114,13 +118,11 @@ def ascii_array(values: Any) -> Any:
 def set_attributes(node: Any, **attributes: Any) -> None:
     """Write attributes, text as fixed-length ASCII.
 
-    For an attribute above 4,000 bytes, its SHA-256 is written as a further attribute `<name>_sha256`.
+    For a large attribute, its SHA-256 is written as a further attribute `<name>_sha256`.
     """
     for name, value in attributes.items():
         data = np.asarray(ascii_array(value) if isinstance(value, str | list) else value)
-        if data.nbytes > 4_000:  # HDF5 may store larger ones without a checksum
-            set_attributes(node, **{f"{name}_{checksums.DIGEST}": checksums.digest_of(data)})
-        node.attrs.create(name, data)
+        checksums.set_text_attribute(node, name, data)
 
 
 def write_dataset(
@@ -166,19 +168,16 @@ def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> Non
 
 
 def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
-    """Write an uncompressed dataset, within the metadata if it is small, otherwise with a digest; also scalars."""
+    """Write an uncompressed dataset, within the metadata if it is small; also scalars."""
     properties, links = h5py.h5p.create(h5py.h5p.DATASET_CREATE), h5py.h5p.create(h5py.h5p.LINK_CREATE)
     links.set_create_intermediate_group(True)
     properties.set_obj_track_times(False)  # times would make equal contents different files
-    compact = data.nbytes <= 60_000  # HDF5's limit is 64 KiB
-    if compact:  # which h5py itself cannot request for scalars
+    if data.nbytes <= 60_000:  # HDF5's limit is 64 KiB; h5py itself cannot request it for scalars
         properties.set_layout(h5py.h5d.COMPACT)
     kind, space = h5py.h5t.py_create(data.dtype, logical=True), h5py.h5s.create_simple(data.shape)
     dataset = h5py.Dataset(h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, links))
     if data.size:
         dataset[...] = data
-    if not compact:
-        set_attributes(dataset, **{checksums.DIGEST: checksums.digest_of(data)})
     return dataset
 
 
@@ -270,9 +269,7 @@ def read_array(
     # Deflate compresses to a 1032nd at best; a larger claim has no stored values behind it.
     if claimed > max(64_000_000, 1100 * stored):
         raise InputError(f"{file.filename}: {path} claims {claimed} bytes, but holds only {stored}")
-    values = dataset[part]
-    if part == ALL and dataset.chunks is None:
-        checksums.check_digest(dataset.attrs, values)
+    values = as_double(checksums.read_verified(dataset, part))
     if kind is None:
         return values
     if values.dtype.kind == "f" or not np.array_equal(values.astype(kind), values):
@@ -288,9 +285,7 @@ def read_text(file: h5py.File, path: str) -> str:
         raise InputError(f"{file.filename}: {path} is missing or no text")
     if dataset.dtype.itemsize > MAX_TEXT_BYTES:
         raise InputError(f"{file.filename}: {path} claims a text of {dataset.dtype.itemsize} bytes")
-    value = dataset[()]
-    checksums.check_digest(dataset.attrs, value)
-    return _text(value)
+    return _text(checksums.read_verified(dataset))
 
 
 @_located
@@ -306,7 +301,7 @@ def read_texts(file: h5py.File, path: str, length: int | None = None, part: slic
     claimed = dataset.dtype.itemsize * len(range(size)[part])
     if claimed > MAX_TEXT_BYTES:
         raise InputError(f"{file.filename}: {path} claims texts of {claimed} bytes")
-    return tuple(map(_text, dataset[part]))
+    return tuple(map(_text, checksums.read_verified(dataset, part)))
 
 
 def read_attribute(file: h5py.File, path: str, name: str) -> Any:

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from lampest.files import hdf5
-from lampest.files.checksums import nodes_below
+from lampest.files.checksums import BLOCKS, located, nodes_below, read_verified, verified_blocks
 
 TIME = "time"  # axis along which parts are concatenated
 
@@ -66,7 +66,8 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
             begins.append(_lengths(plans))
             for path, node in _within(file, group):
                 ties = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # of axes to datasets
-                attributes[path] = {name: value for name, value in node.attrs.items() if name not in ties}
+                kept = (name for name in node.attrs if name not in ties and not name.startswith(BLOCKS))
+                attributes[path] = {name: node.attrs[name] for name in kept}
                 if isinstance(node, h5py.Dataset):
                     plans[path] = _planned(node, part, plans.get(path))
                 elif path:
@@ -80,11 +81,12 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     for part, begin in zip(parts, begins, strict=True):
         with hdf5.existing_file(part) as file:
             for path, node in _within(file, group):
-                if path in joined:
-                    first = begin.get(path.split("/", 1)[0], 0)
-                    target[path][first : first + len(node)] = node[...]
-                elif path in plans and plans[path].owner == part:
-                    file.copy(node, target, path, without_attrs=True)
+                with located(file, f"{group}/{path}"):
+                    if path in joined:
+                        first = begin.get(path.split("/", 1)[0], 0)
+                        target[path][first : first + len(node)] = read_verified(node)
+                    elif path in plans and plans[path].owner == part:
+                        _copy(node, target, path)
     # Attributes and scales, once all datasets exist.
     for path, held in attributes.items():
         (target[path] if path else target).attrs.update(held)
@@ -92,6 +94,17 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
             target[path].make_scale(path.rsplit("/", 1)[-1])
     for path, plan in plans.items():
         hdf5.attach_scales(target, {path: tuple(scale.removeprefix(f"{group}/") for scale in plan.scales)})
+
+
+def _copy(dataset: h5py.Dataset, target: h5py.Group, path: str) -> None:
+    """Write a dataset's verified values into a new one with the same type, layout and filters, without attributes.
+
+    HDF5's own copy without attributes overruns its memory where a header holds large ones, such as digests.
+    """
+    like = dataset.id.get_type(), dataset.id.get_space(), dataset.id.get_create_plist()
+    copied = h5py.Dataset(h5py.h5d.create(target.id, path.encode(), *like))
+    for place, values in verified_blocks(dataset):
+        copied[place] = values
 
 
 def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> DatasetPlan:

@@ -26,6 +26,9 @@ ALLOWED = "LAMPEST_MEMORY"  # environment variable with the user's memory limit,
 # Signals that the process ignores (nohup) stay ignored, except the first two, which are sent on purpose.
 WANTED = (signal.SIGINT, signal.SIGTERM)
 ENDING = (*WANTED, signal.SIGHUP, signal.SIGQUIT)
+# Libraries that cannot map a segment or reserve a buffer raise KeyError or ImportError, wait for ever, or end the
+# process. Below 440 MiB some command did (tests/attack/test_memory.py).
+ADDRESS_SPACE = 480 * 2**20  # bytes of addresses that a command needs, mostly of its libraries
 HUNG_SECONDS = 120.0  # s, and ten times a frame's limit: no library call took longer (tests/units/test_time_limit.py)
 EXPENDABLE = ContextVar("expendable", default=False)  # whether a parent process replaces this one if it is killed
 FOREIGN = (ArithmeticError, LookupError, ValueError, TypeError, AttributeError, AssertionError, MemoryError)
@@ -64,6 +67,14 @@ class OneBlasThread(ContextDecorator):
 
 
 ONE_BLAS_THREAD = OneBlasThread()
+
+
+def check_address_space() -> None:
+    """Raise InputError if the limit of addresses (ulimit -v) is too small for the libraries of a command."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < ADDRESS_SPACE:
+        both = f"{in_bytes(ADDRESS_SPACE)} of addresses are needed, and the limit is {in_bytes(limit)} (ulimit -v)"
+        raise InputError(f"not enough memory: {both}")
 
 
 def check_memory(needed: float, label: str) -> None:
@@ -135,14 +146,16 @@ def ending_signals(worth_finishing: Callable[[], bool] = lambda: False) -> Itera
     """Yield a function that returns the name of the signal that requested the end, such as SIGTERM, or ''.
 
     KeyboardInterrupt is raised at once if nothing is worth finishing, and at a second signal. Signals within a second
-    are one request, because a closing terminal sends several.
+    are one request, because a closing terminal sends several: a second KeyboardInterrupt would meet the clean-up after
+    the first one, inside destructors, where Python prints it and loses it.
     """
     requests: list[tuple[str, float]] = []
 
     def note(number: int) -> None:
         # Stored first, because an exception inside a destructor is lost.
         requests.append((signal.Signals(number).name, time.monotonic()))
-        if not worth_finishing() or requests[-1][1] - requests[0][1] > 1:
+        again = requests[-1][1] - requests[0][1] > 1
+        if again or (len(requests) == 1 and not worth_finishing()):
             raise KeyboardInterrupt
 
     with handled(note):

@@ -101,7 +101,12 @@ def real_array(values: Any, label: str) -> NDArray[Any]:
     if array.dtype.kind not in "iufb" or values is None:
         kind = "complex numbers" if array.dtype.kind == "c" else in_words(values)
         raise InputError(f"{label}: {kind}, where an array of real numbers is needed")
-    return array
+    return as_double(array)
+
+
+def as_double(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array without extended precision (`longdouble`), which no solver and no linear algebra takes."""
+    return array.astype(np.float64) if array.dtype.kind == "f" and array.dtype.itemsize > 8 else array
 
 
 def _arguments(owner: Any, name: str, args: Sequence[Any], kwargs: dict[str, Any]) -> dict[str, Any]:

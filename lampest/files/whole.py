@@ -116,11 +116,22 @@ def whole_file(path: Path) -> Iterator[Path]:
             with unfinished.open("rb") as handle:
                 os.fsync(handle.fileno())
             unfinished.replace(path)
+            sync_folder(path.parent)
         finally:
             with suppress(OSError):
                 unfinished.unlink()
     if (touched := _TOUCHED.get()) and not touched.owns(path.absolute()):
         touched.written.add(path.absolute())
+
+
+def sync_folder(folder: Path) -> None:
+    """Write the names in a folder to the disk: without this, a new file may be gone after a power failure."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        with suppress(OSError):  # a file system that cannot do it for folders
+            os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _host() -> str:

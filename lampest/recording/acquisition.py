@@ -1,6 +1,8 @@
 """Datasets of a recording, and acquisition data of a board: clocks, frame numbers, gaps, events, checksums.
 
-A recorder appends rows to the datasets and then the checksum of each row, until it closes the file (`Rows`).
+A recorder appends rows to the datasets and then the checksum of each row, until it closes the file (`Rows`). As in
+write-ahead logs, a salt of the recording and the number of the row enter each checksum: rows of another recording, or
+of another place, do not fit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,6 +37,7 @@ FRAME_FIELDS = (
     ("session", "u2", "1", "grows by one where the board was unplugged or restarted before the frame"),
 )
 
+SALT = "salt"  # attribute of a dataset of checksums; files of older versions have none
 LABEL = "S16"  # type of an event's label
 Dataset = tuple[str, str, str, str]  # path below /entry, type while it grows, units, long name
 NO_SUM = np.iinfo(np.uint16).max  # a missing sum; 64 readings of 10 bits sum to at most 65,472
@@ -160,7 +163,8 @@ class Rows(NamedTuple):
             paths = (f"entry/{path}" for path, *_ in self.datasets)
             columns = [_extend(file[path], column) for path, column in zip(paths, values, strict=True)]
             file.flush()
-            _extend(file[f"entry/{self.checksum[0]}"], checksums(columns))
+            sums = file[f"entry/{self.checksum[0]}"]
+            _extend(sums, checksums(columns, sums.attrs.get(SALT, b""), len(sums)))
             file[f"entry/{self.checksum[0]}"].flush()
         except (OSError, RuntimeError) as error:
             raise InputError(f"{file.filename}: cannot be written ({' '.join(str(error).split())})") from error
@@ -178,9 +182,10 @@ class Rows(NamedTuple):
         """Return which rows of an unfinished file are complete and agree with their checksum."""
         paths = [f"/entry/{path}" for path, *_ in (self.checksum, *self.datasets)]
         count, *lengths = (hdf5.length_of(file, path) for path in paths)
-        right = np.zeros(count, dtype=np.bool_)
+        right, salt = np.zeros(count, dtype=np.bool_), hdf5.read_attribute(file, paths[0], SALT) or ""
         for part in blocks(min(count, *lengths), prod(hdf5.shape_of(file, paths[1])[1:])):
-            right[part] = checksums(self.stored(file, part)) == hdf5.read_array(file, paths[0], 1, part=part)
+            expected = checksums(self.stored(file, part), str(salt).encode(), part.start)
+            right[part] = expected == hdf5.read_array(file, paths[0], 1, part=part)
         return right
 
 
@@ -203,10 +208,16 @@ def _extend(dataset: h5py.Dataset, values: Sequence[Any] | NDArray[Any]) -> NDAr
     return column
 
 
-def checksums(columns: Sequence[NDArray[Any]]) -> NDArray[np.uint32]:
-    """Return the CRC-32 of each row over all columns."""
-    rows = (b"".join(column[row : row + 1].tobytes() for column in columns) for row in range(len(columns[0])))
-    return np.array(list(map(crc32, rows)), dtype=np.uint32)
+def checksums(columns: Sequence[NDArray[Any]], salt: bytes, first: int) -> NDArray[np.uint32]:
+    """Return the CRC-32 of each row: of the salt, the number of the row from `first` on, and the row of all columns.
+
+    Without a salt it is that of the columns alone, as in files of older versions.
+    """
+    sums = np.empty(len(columns[0]), dtype=np.uint32)
+    for row in range(len(sums)):
+        place = salt + (first + row).to_bytes(8, "little") if salt else b""
+        sums[row] = crc32(place + b"".join(column[row : row + 1].tobytes() for column in columns))
+    return sums
 
 
 def undamaged_frames(file: h5py.File, scene: Scene) -> slice:

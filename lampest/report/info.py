@@ -34,11 +34,13 @@ from lampest.report.words import spanned
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
 
 MAX_ROWS = 48  # of a map
+MAX_NAMED = 4  # datasets in a sentence
 FALLS, RISES, UNKNOWN = " ░▒▓█", " .+*#", "?"
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 SEALED = "as written: {bytes} bytes in {datasets} datasets agree with their checksums"
 Sentence = tuple[str, object]  # heading, text
 UNSEALED = "readable, but without checksums: written by an older version or another program, or never closed"
+WEAK = "readable; its checksums notice turned bits, but neither zeroed nor exchanged values (no digests: {paths})"
 
 
 def describe(path: str | Path) -> list[str]:
@@ -283,21 +285,25 @@ def understood_lines(recording: Recording, notes: Sequence[str]) -> list[str]:
 
 
 def checked_sentence(path: Path) -> str:
-    """Read a whole file and return a sentence on its integrity.
+    """Read a whole file and return a sentence on its integrity, which names datasets that cannot be verified.
 
     Raises InputError with the path of a damaged dataset.
     """
     form = hdf5.format_of(path)
-    size, datasets = hdf5.checked(path)
+    size, verified = hdf5.checked(path)
     if form == FORMAT:
         for _ in read_each(path, MAX_READINGS):
             pass
-    elif form == RECORDING or not datasets:
+    elif form == RECORDING or verified.without_checksum:
         recording = opened(path)
         if isinstance(recording, StoredRecording):
             for part in recording.blocks:
                 recording.part(part)
-    return f"{path}: {SEALED.format(bytes=size, datasets=datasets) if datasets else UNSEALED}"
+    if verified.without_checksum:
+        return f"{path}: {UNSEALED} ({first_and_more(verified.without_checksum, MAX_NAMED)})"
+    if verified.without_digest:
+        return f"{path}: {WEAK.format(paths=first_and_more(verified.without_digest, MAX_NAMED))}"
+    return f"{path}: {SEALED.format(bytes=size, datasets=verified.datasets)}"
 
 
 def text_map(values: Array) -> list[str]:

@@ -9,13 +9,13 @@ import pickle
 import signal
 from abc import abstractmethod
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import astuple, dataclass, replace
 from importlib import import_module
 from multiprocessing import get_context, parent_process, resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from threading import Thread
 from typing import Annotated, Any, Literal
@@ -27,60 +27,130 @@ from lampest.files.typed import ByKind, Configuration, check_not_negative, check
 Function = Callable[[Any], Any]
 
 
-class Worker(ProcessPoolExecutor):
-    """Fresh process that ignores Ctrl-C, and that is killed at the end.
+class WorkerDiedError(RuntimeError):
+    """Death of a worker, or a process that could not be started, so that its task has no result."""
 
-    It begins with a call of `begun`, where it is given, with these arguments.
+
+class Worker:
+    """Fresh process that answers one task after the other, ignores Ctrl-C, and is killed at the end.
+
+    Parent and process share a pipe and nothing else: no thread, queue or semaphore that could fail by itself. Only
+    the process holds the pipe's other end, so that its death ends every reading.
+
+    Parameters
+    ----------
+    begun : callable, or None
+        Called in the new process, with the arguments.
+    arguments : tuple
 
     Attributes
     ----------
-    processes : mapping
-        The process, once it has started, by its number.
+    pipe : Connection
+        Readable once there is an answer or the process is dead; there is none before the first task.
+    process : SpawnProcess, or None
+        The process, once it has started.
     """
 
     def __init__(self, begun: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()) -> None:
-        super().__init__(1, get_context("spawn"), _begin, (begun, arguments))
-        self.processes = self._processes
+        self._begun, self._arguments, self._killed = begun, arguments, False
+        self.pipe: Connection
+        self.process: SpawnProcess | None = None
 
-    def begin(self, function: Function, argument: Any) -> "Future[bytes]":
-        """Hand a task to the process, which the first task starts.
+    def begin(self, function: Function, argument: Any) -> None:
+        """Hand a task to the process, which the first task starts; `answer` waits for the result.
 
-        The result is pickled; it is BrokenProcessPool if the process is dead.
+        Raises InputError if no process can be started.
         """
-        # Blocked, so that even the imports of a process are undisturbed. Starting the tracker would unblock them again.
-        resource_tracker.ensure_running()
+        if self.process is None:
+            self.process = self._started()
+        with suppress(OSError):  # it died after its last task, as `answer` will notice
+            self.pipe.send((function, argument))
+
+    def _started(self) -> SpawnProcess:
+        # Blocked, so that even the imports of a process are undisturbed, and the tracker does not die before them.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL)
         try:
-            future = self.submit(_answer, function, argument)
-        except BrokenProcessPool as error:  # it died after its last task
-            future = Future()
-            future.set_exception(error)
+            resource_tracker.ensure_running()
+            signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL)  # which the start of the tracker undid
+            self.pipe, theirs = get_context("spawn").Pipe()
+            with theirs:
+                process = get_context("spawn").Process(target=_serve, args=(theirs, self._begun, self._arguments))
+                process.start()
+        except (OSError, MemoryError) as error:
+            reason = getattr(error, "strerror", None) or "not enough memory"
+            raise InputError(f"cannot start a further process ({reason}); --jobs 1 needs none") from error
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        # The process alone keeps the pipe of results open: if it dies within one, reading ends.
-        self._result_queue._writer.close()  # type: ignore[attr-defined]
-        return future
+        if self._killed:
+            process.kill()
+        return process
+
+    @property
+    def ready(self) -> bool:
+        """Whether `answer` returns, or raises, without waiting for the task."""
+        return self.pipe.poll() or not self._alive
+
+    def answer(self) -> Any:
+        """Wait for the result of the task, or the exception that it raised, and return it.
+
+        Raises WorkerDiedError if the process died.
+        """
+        answered_first([self])
+        if not self.pipe.poll():  # dead, and a child of it holds the pipe
+            raise WorkerDiedError("a worker process has died")
+        try:
+            return pickle.loads(self.pipe.recv_bytes())
+        except (EOFError, OSError) as error:
+            raise WorkerDiedError("a worker process has died") from error
+
+    @property
+    def _alive(self) -> bool:
+        return self.process is not None and self.process.is_alive()
 
     def kill(self) -> None:
         """Kill the process."""
-        for process in list(self.processes.values()):
-            process.kill()
+        self._killed = True
+        if self.process is not None:
+            self.process.kill()
 
     @property
     def hung(self) -> bool:
         """Whether the process, which is dead, was ended by the alarm of `ended_where_hung`."""
-        return any(process.exitcode == -signal.SIGALRM for process in self.processes.values())
+        assert self.process is not None
+        self.process.join()
+        return self.process.exitcode == -signal.SIGALRM
+
+    def __enter__(self) -> "Worker":
+        return self
 
     def __exit__(self, *error: object) -> None:
         self.kill()
-        self.shutdown()
+        if self.process is not None:
+            self.process.join()
+            self.pipe.close()
 
 
-def _begin(begun: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
-    """Prepare a new process, which is to end with its parent: a parent that is killed closes no pipe to it."""
-    Thread(target=_end_with_parent, daemon=True).start()
+def answered_first(workers: Collection[Worker]) -> list[Worker]:
+    """Wait until some workers have answered or are dead, and return them.
+
+    A pipe says both. That each process lives is asked as well, in case a child of a dead one holds its pipe.
+    """
+    while True:
+        readable = wait([worker.pipe for worker in workers], LIVENESS_SECONDS)
+        if answered := [worker for worker in workers if worker.pipe in readable or worker.ready]:
+            return answered
+
+
+def _serve(pipe: Connection, begun: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
+    """Answer tasks in a new process, which ends with its parent: a parent that is killed ends no running task."""
+    with suppress(RuntimeError):  # no further thread can be started: the process ends after its task
+        Thread(target=_end_with_parent, daemon=True).start()
     if begun is not None:
         begun(*arguments)
+    EXPENDABLE.set(True)
+    with suppress(EOFError):
+        while True:
+            pipe.send_bytes(_answer(pipe.recv_bytes()))
 
 
 def _end_with_parent() -> None:
@@ -90,11 +160,11 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _answer(function: Function, argument: Any) -> bytes:
+def _answer(task: bytes) -> bytes:
     """Return the pickled result, the pickled exception, or the text of an exception that cannot be pickled."""
-    EXPENDABLE.set(True)
     try:
         with libraries_to_the_log():
+            function, argument = pickle.loads(task)
             return pickle.dumps(function(argument))
     except Exception as error:
         with suppress(Exception):
@@ -108,6 +178,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
+LIVENESS_SECONDS = 1.0  # between questions whether processes live
 MAX_TRIES = 4  # of a task whose process dies: processes may be killed from outside, repeatedly by chance
 DIED = f"its process died {MAX_TRIES} times"
 HUNG = (
@@ -183,17 +254,17 @@ class Processes(Executor):
         waiting, deaths = deque(range(len(arguments))), Counter[int]()
         with ExitStack() as stack:
             idle = [stack.enter_context(Worker()) for _ in range(min(self.workers or cores(), len(arguments)))]
-            flying: dict[Future[bytes], tuple[Worker, int]] = {}
-            while waiting or flying:
+            busy: dict[Worker, int] = {}
+            while waiting or busy:
                 while waiting and idle:
                     worker, number = idle.pop(), waiting.popleft()
-                    flying[worker.begin(function, arguments[number])] = worker, number
-                for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                    worker, number = flying.pop(future)
+                    worker.begin(function, arguments[number])
+                    busy[worker] = number
+                for worker in answered_first(busy):
+                    number = busy.pop(worker)
                     try:
-                        outcome = pickle.loads(future.result())
-                    except BrokenProcessPool:
-                        worker.shutdown()
+                        outcome = worker.answer()
+                    except WorkerDiedError:
                         idle.append(stack.enter_context(Worker()))
                         deaths[number] += 1
                         if not worker.hung and deaths[number] < MAX_TRIES:

@@ -7,11 +7,14 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from attack.attack import HELD, Outcomes, Rng, Tries, attack, called, small_folder
+from attack.attack import HELD, SEED, Outcomes, Rng, Tries, attack, called, small_folder
 from fuzz.mutants import good_recordings, good_results
+from support import invented_case
 from unclosed import unclosed_recording
 
-from lampest import InputError, Panel, Recording, Scene, TwoPointReadout, read_results
+from lampest import InputError, Panel, Recording, Scene, TwoPointReadout, read_results, write_results
+from lampest.files import hdf5
+from lampest.files.checksums import BLOCKS, DATASETS, nodes_below
 from lampest.files.document import plain_content
 from lampest.recording.board.record import repair
 
@@ -56,7 +59,11 @@ def _outcome(path: Path, reader: Callable[[Path], Any], meant: dict[str, Any]) -
 def _content(source: Any) -> dict[str, Any]:
     """All of a recording or of results, name → plain value or array."""
     if isinstance(source, Recording):
-        return {**vars(source), "scene": repr(source.scene), "acquisition": vars(source.acquisition)}
+        return {
+            **vars(source),
+            "scene": repr(source.scene),
+            "acquisition": source.acquisition and vars(source.acquisition),
+        }
     content: dict[str, Any] = {"published": repr(plain_content(dict(source.published)))}
     for case in source.cases:
         for name, value in vars(case).items():
@@ -107,6 +114,98 @@ def _place(node: h5py.Dataset) -> int:
     return Path(node.file.filename).read_bytes().index(node[()].tobytes(), header)
 
 
+def _long_recording(path: Path, rng: Rng, shape: tuple[int, int, int]) -> Path:
+    """A recording of several chunks; smooth readings are packed, noisy ones are not."""
+    role = np.ones(shape[0], dtype=np.uint8)
+    role[:3] = 0
+    values = rng.uniform(500, 5000, shape).round(9 * (shape[1] % 2))
+    Recording(Scene(Panel(*shape[1:]), TwoPointReadout()), values, np.arange(float(shape[0])), role).save(path)
+    return path
+
+
+def _results(path: Path, rng: Rng, shape: tuple[int, int, int]) -> Path:
+    write_results(path, [invented_case("LSM", "a", shape)])
+    return path
+
+
+@attack(8, 100)
+def test_zeroed_exchanged_and_foreign_chunks_are_named(rng: Rng, folder: Path, count: int) -> Outcomes:
+    """HDF5's own checksums pass them: a Fletcher sum of zeros is zero, and it knows no position."""
+    for number in range(count):
+        make, load = ((_long_recording, Recording.load), (_results, read_results))[number % 2]
+        rows, columns = rng.integers(2, 11, 2).tolist()
+        shape = (int(rng.uniform(2, 3) * hdf5.CHUNK / (rows * columns)), rows, columns)
+        path, other = make(folder / "a.h5", rng, shape), make(folder / "b.h5", rng, shape)
+        meant = _content(load(path))
+        with h5py.File(path, "r+") as file, h5py.File(other) as foreign:
+            name = _harmed_chunk(rng, file, foreign)
+        yield called("check", path).refused(name) or _outcome(path, load, meant)
+
+
+def _harmed_chunk(rng: Rng, file: h5py.File, other: h5py.File) -> str:
+    """Zero, exchange or replace a chunk with a right Fletcher sum, and return the path of its dataset."""
+    nodes = dict(nodes_below(file, "/"))
+    long = [name for name, node in nodes.items() if getattr(node, "chunks", None) and np.any(node[-1])]
+    harms = [(name, harm) for name in long for harm in ("zeroed", "exchanged", "foreign")]
+    while True:
+        name, harm = harms[rng.integers(len(harms))]
+        node, before = nodes[name], nodes[name][()]
+        places = [node.id.get_chunk_info(index).chunk_offset for index in range(node.id.get_num_chunks())]
+        first, last = places[int(rng.integers(len(places)))], places[-1]
+        if harm == "zeroed":  # with the sum alone, because zeros cannot be unpacked
+            packing = node.id.get_create_plist()
+            filters = [packing.get_filter(index)[0] for index in range(packing.get_nfilters())]
+            mask = sum(1 << index for index, kind in enumerate(filters) if kind != h5py.h5z.FILTER_FLETCHER32)
+            node.id.write_direct_chunk(last, bytes(int(np.prod(node.chunks)) * node.dtype.itemsize + 4), mask)
+        elif harm == "exchanged":
+            held = [node.id.read_direct_chunk(place) for place in (first, last)]
+            for place, (mask, values) in zip((last, first), held, strict=True):
+                node.id.write_direct_chunk(place, values, mask)
+        else:
+            mask, values = other[name].id.read_direct_chunk(first)
+            node.id.write_direct_chunk(first, values, mask)
+        try:
+            if np.array_equal(node[()], before):
+                continue
+        except OSError:  # noticed by HDF5 itself
+            pass
+        return name
+
+
+@attack(4, 40)
+def test_exchanged_and_foreign_datasets_are_noticed(rng: Rng, folder: Path, count: int) -> Outcomes:
+    """Each is as it was written, but not all of them together."""
+    for _ in range(count):
+        path, other = (_long_recording(folder / name, rng, (20, 3, 4)) for name in ("a.h5", "b.h5"))
+        with h5py.File(path, "r+") as file, h5py.File(other) as foreign:
+            group = file["entry/two_point"]
+            if rng.random() < 0.5:
+                group.move("x", "z")
+                group.move("y", "x")
+                group.move("z", "y")
+            else:
+                del group["resistance"]
+                foreign.copy("entry/two_point/resistance", group)
+        yield called("check", path).refused("datasets were added, removed or exchanged")
+
+
+def test_what_cannot_be_verified_is_named(tmp_path: Path) -> None:
+    """Files of older versions are read; `check` says what their checksums do not notice."""
+    path = _long_recording(tmp_path / "a.h5", np.random.default_rng(SEED), (20, 3, 4))
+    with h5py.File(path, "r+") as file:
+        for _, node in nodes_below(file, "/"):
+            for name in {BLOCKS, DATASETS} & {*node.attrs}:
+                del node.attrs[name]
+    told = called("check", path)
+    assert told.code == 0 and "as written" not in told.out
+    assert "neither zeroed nor exchanged values (no digests: /entry/scene, " in told.out
+    assert len(Recording.load(path).time) == 20
+    with h5py.File(path, "r+") as file:
+        file["entry/mine"] = 1.0
+    told = called("check", path)
+    assert told.code == 0 and "readable, but without checksums" in told.out and "/entry/mine" in told.out
+
+
 @attack(20, 400)
 def test_a_damaged_unclosed_recording_is_refused_or_read_as_it_was(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A killed recorder's file, damaged: refused or read as it was; repair keeps only what was written."""
@@ -114,6 +213,27 @@ def test_a_damaged_unclosed_recording_is_refused_or_read_as_it_was(rng: Rng, fol
     whole, meant = path.read_bytes(), Recording.load(path)
     for _ in range(count):
         path.write_bytes(_harmed(rng, whole))
+        outcome = _outcome(path, Recording.load, _content(meant))
+        yield outcome if outcome != HELD else _repaired(path, meant)
+
+
+@attack(6, 200)
+def test_frames_of_another_recording_are_not_repaired_into_a_journal(rng: Rng, folder: Path, count: int) -> Outcomes:
+    """The end of a journal is that of another one of the same scene, as old blocks of a disk may be."""
+    scene = Scene(Panel(3, 4), TwoPointReadout(), 140.0)
+    for number in range(count):
+        frames = int(rng.integers(20, 60))
+        places = [folder / f"{number}{name}" for name in "ab"]
+        for place in places:
+            place.mkdir()
+        path, other = (
+            unclosed_recording(place / "e.h5", scene, frames, unloaded=3, seed=seed)
+            for seed, place in enumerate(places)
+        )
+        meant = Recording.load(path)
+        whole, tail = path.read_bytes(), other.read_bytes()
+        cut = int(rng.integers(len(whole) // 4, len(whole)))
+        path.write_bytes(whole[:cut] + tail[cut:])
         outcome = _outcome(path, Recording.load, _content(meant))
         yield outcome if outcome != HELD else _repaired(path, meant)
 

@@ -1,14 +1,18 @@
 """Small files that unfold, and scenes that ask for more than a machine has: one sentence, and little memory."""
 
 import struct
+import subprocess
+import sys
 import zlib
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from attack.attack import HELD, Ended, Outcomes, Rng, attack, command, small_folder
+from attack.attack import HELD, Ended, Outcomes, Rng, attack, command, environment, small_folder
 from fuzz.mutants import good_recordings
+
+from lampest.files import process
 
 pytestmark = pytest.mark.slow
 MEGABYTES, SECONDS = 900, 60  # of a command; with its libraries it has 150, and machines have other things to do
@@ -92,3 +96,18 @@ def test_panels_of_1_by_60001_cells_are_refused_for_lack_of_memory(rng: Rng, fol
 
 def _bounded(ended: Ended, *words: str) -> str:
     return ended.refused(*words) or ended.within(SECONDS, MEGABYTES) or HELD
+
+
+@attack(2, 40)
+def test_a_tight_limit_of_addresses_is_one_sentence_and_never_a_wait(rng: Rng, folder: Path, count: int) -> Outcomes:
+    """Libraries that cannot map a segment raise KeyError, wait, or end the process; so that they are not loaded."""
+    made = small_folder(folder / "work")
+    commands = (("info", "small.h5"), ("run", "run.yaml", "--jobs", "2", "--out", "out"), ("plot", "results.h5"))
+    for number in range(count):
+        arguments, limit = commands[number % 3], int(rng.integers(100, 700)) * 2**20
+        script = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({limit}, {limit}))\n"
+        words = [sys.executable, "-c", f"{script}from lampest.cli import main; main()", *arguments]
+        done = subprocess.run(words, cwd=made, env=environment(), capture_output=True, text=True, timeout=SECONDS)
+        ended = Ended(done.returncode, done.stdout, done.stderr, 0.0, 0)
+        enough = limit >= process.ADDRESS_SPACE
+        yield ended.survived() if enough else ended.refused("not enough memory", "of addresses are needed", "ulimit -v")

@@ -7,8 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
-from attack.attack import HELD, Outcomes, Rng, attack
+from attack.attack import HELD, Outcomes, Rng, attack, called
 
 import lampest
 from lampest.files.typed import Validated
@@ -86,3 +87,18 @@ def _refused(make: Any, what: str, given: dict[str, Any], must: bool = False) ->
     except Exception as error:
         return f"{what}: {type(error).__name__}: {error}"
     return f"{what}: is taken" if must else HELD
+
+
+def test_readings_of_extended_precision_are_taken_for_what_they_say(tmp_path: Path) -> None:
+    recording = lampest.datasets.load("rod")
+    wide = recording.recorded.astype(np.longdouble)
+    made = lampest.Recording(recording.scene, wide, recording.time.astype(np.longdouble), recording.role)
+    recording.save(path := tmp_path / "wide.h5")
+    with h5py.File(path, "r+") as file:
+        group = file["entry/two_point"]
+        del group["resistance"]
+        group["resistance"] = wide
+    for found in (made, lampest.Recording.load(path)):
+        assert found.recorded.dtype == float and np.array_equal(found.recorded, recording.recorded)
+    told = called("info", path)
+    assert told.code == 0 and "strongest change" in told.out

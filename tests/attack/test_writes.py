@@ -7,9 +7,11 @@ import socket
 from pathlib import Path
 
 import numpy as np
+import pytest
 from attack.attack import HELD, Outcomes, Rng, attack, called, drawn, everything, small_folder
 
 from lampest import Recording, Scene, TwoPointReadout, two_point_resistance
+from lampest.recording.board.record import Journal
 
 WRITERS: tuple[tuple[str, ...], ...] = (
     ("run", "run.yaml", "--jobs", "1", "--out"),
@@ -147,3 +149,26 @@ def _untouched(folder: Path, arguments: tuple[str, ...], *words: str) -> str:
     changed = [name for name in before | after if before.get(name) != after.get(name)]
     fault = ended.refused(*words) or (f"{changed} changed" if changed else "")
     return f"{' '.join(arguments)}: {fault}" if fault else HELD
+
+
+def test_the_folder_of_a_new_file_is_on_the_disk_after_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files and journals: what a power failure leaves of a folder is what was synced."""
+    synced, sync = list[bool](), os.fsync
+
+    def noted(descriptor: int) -> None:
+        if os.path.samestat(os.fstat(descriptor), tmp_path.stat()):
+            synced.append((tmp_path / "a.h5").exists())
+        sync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    small_folder(tmp_path)
+    synced.clear()
+    (tmp_path / "small.h5").rename(tmp_path / "b.h5")
+    recording = Recording.load(tmp_path / "b.h5")
+    recording.save(tmp_path / "a.h5")
+    assert synced == [True]
+    (tmp_path / "a.h5").unlink()
+    with Journal.create(tmp_path / "a.h5", recording.scene, 1):
+        assert synced == [True, True]

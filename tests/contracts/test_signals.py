@@ -1,5 +1,6 @@
 """Signals end a recording as Ctrl-C does, with all frames in a clean file."""
 
+import os
 import signal
 import subprocess
 from collections.abc import Callable, Iterator
@@ -7,10 +8,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from fuzz.batches import batch, finished, without_progress
 from support import until
 from wild_board import Script, WildBoard, hundred_a_second, wild_board, wire
 
 from lampest import Recording
+from lampest.files.process import ending_signals
 from tests.small_files import COMMAND
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT]
@@ -87,3 +90,26 @@ def test_live_ends_with_130_too(number: signal.Signals) -> None:
         process.send_signal(number)
         _, stderr = process.communicate(timeout=30)
     assert (process.returncode, stderr) == (130, "lampest: interrupted; what was finished is kept\n")
+
+
+def test_a_second_signal_within_a_second_does_not_interrupt_the_clean_up_of_the_first() -> None:
+    """An exception inside a destructor is printed and lost."""
+    with pytest.raises(KeyboardInterrupt), ending_signals():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        finally:
+            signal.raise_signal(signal.SIGTERM)
+            cleaned = True
+    assert cleaned
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGQUIT, signal.SIGINT, signal.SIGHUP])
+def test_a_signal_to_the_whole_group_of_a_batch_prints_one_line(tmp_path: Path, number: signal.Signals) -> None:
+    cases = batch(tmp_path, 12)
+    run = cases.start(tmp_path / "out", 2)
+    until(lambda: finished(tmp_path / "out") > 0 or run.poll() is not None)
+    os.killpg(run.pid, number)
+    _, stderr = run.communicate(timeout=60)
+    assert run.returncode == 130, stderr
+    assert without_progress(stderr) == ["lampest: interrupted; what was finished is kept"]

@@ -109,9 +109,9 @@ def half_written(mark: Path) -> str:
     if not mark.exists():
         mark.touch()
         frame: Any = sys._getframe()
-        while "result_queue" not in frame.f_locals:
+        while "pipe" not in frame.f_locals:
             frame = frame.f_back
-        os.write(frame.f_locals["result_queue"]._writer.fileno(), struct.pack("!i", 1_000_000) + b"begun")
+        os.write(frame.f_locals["pipe"].fileno(), struct.pack("!i", 1_000_000) + b"begun")
         os.kill(os.getpid(), signal.SIGKILL)
     return "whole"
 
@@ -119,6 +119,48 @@ def half_written(mark: Path) -> str:
 def test_a_worker_that_dies_in_the_middle_of_its_result_holds_up_nobody(tmp_path: Path) -> None:
     marks = [tmp_path / name for name in "ab"]
     assert sorted(Processes(2).results(half_written, marks)) == [(mark, "whole") for mark in marks]
+
+
+NO_THREADS = """
+import errno, os, sys, threading
+from lampest import InputError
+from lampest.runs.executors import Processes
+
+def no_thread(self):
+    raise RuntimeError("can't start new thread")
+
+def no_process(*arguments):
+    raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+threading.Thread.start = no_thread
+print(sorted(result for _, result in Processes(2).results(abs, [-1, -2])))
+from multiprocessing import util
+util.spawnv_passfds = no_process
+try:
+    list(Processes(2).results(abs, [-1, -2]))
+except InputError as error:
+    print(error)
+"""
+
+
+def test_a_batch_needs_no_thread_and_says_where_no_process_starts() -> None:
+    done = subprocess.run([sys.executable, "-c", NO_THREADS], capture_output=True, text=True, timeout=60)
+    sentence = "cannot start a further process (Resource temporarily unavailable); --jobs 1 needs none"
+    assert (done.stdout.splitlines(), done.stderr) == (["[1, 2]", sentence], "")
+
+
+def leaving_a_child(seconds: float) -> None:
+    """Die, and leave a child that holds the pipe of the results open."""
+    if os.fork():
+        os._exit(9)
+    time.sleep(seconds)
+    os._exit(0)
+
+
+def test_a_dead_worker_whose_child_holds_its_pipe_is_no_wait() -> None:
+    begin = time.monotonic()
+    ((_, outcome),) = Processes(1).results(leaving_a_child, [60.0])
+    assert str(outcome) == executors.DIED and time.monotonic() - begin < 50
 
 
 def test_ctrl_c_that_compiled_code_took_for_its_own_ends_a_batch() -> None:
@@ -150,7 +192,7 @@ def hanging(seconds: float) -> float:
 def test_workers_end_with_a_command_that_is_killed() -> None:
     """They hold its output, so that whoever reads it would wait forever."""
     asked = "import os, time; from lampest.runs.executors import Worker; busy, idle = Worker(), Worker()"
-    asked += "; busy.begin(time.sleep, 100), idle.begin(pow, 2).exception(60), os.kill(os.getpid(), 9)"
+    asked += "; busy.begin(time.sleep, 100), idle.begin(abs, 2), idle.answer(), os.kill(os.getpid(), 9)"
     done = subprocess.run([sys.executable, "-c", asked], stdout=subprocess.PIPE, timeout=60)
     assert done.returncode == -signal.SIGKILL
 

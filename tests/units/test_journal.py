@@ -1,5 +1,6 @@
 """Files whose writer was killed: read as far as they are whole; damage in them is found, and repair drops it."""
 
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from unclosed import unclosed_recording
 
 from lampest import InputError, Panel, Recording, Scene, TwoPointReadout
 from lampest.files.checksums import is_left_open
-from lampest.recording.acquisition import EVENTS
+from lampest.recording.acquisition import EVENTS, Rows
 from lampest.recording.board.record import repair
 from lampest.recording.recording import StoredRecording
 
@@ -54,6 +55,29 @@ def test_a_damaged_frame_is_named_and_repair_drops_it(killed: Path, place: str, 
     np.testing.assert_array_equal(found.acquisition.lost, (left == 6).astype(int))
     assert found.acquisition.event_label == ("touch", "leave")
     assert sorted(file.name for file in killed.parent.iterdir()) == ["growing.h5", "killed.h5"]
+
+
+@pytest.mark.parametrize("damaged", [None, 5])
+def test_a_journal_without_a_salt_is_read_as_before(killed: Path, damaged: int | None) -> None:
+    """Checksums of older versions: of the columns of a row alone, without a salt and the row's number."""
+    meant = Recording.load(killed).recorded
+    with h5py.File(killed.with_name("growing.h5"), "r+") as file:
+        for rows in (Rows.of_frames(SCENE.circuit), EVENTS):
+            sums = file[f"entry/{rows.checksum[0]}"]
+            del sums.attrs["salt"]
+            columns = [file[f"entry/{path}"] for path, *_ in rows.datasets]
+            for row in range(len(sums)):
+                sums[row] = zlib.crc32(b"".join(column[row : row + 1].tobytes() for column in columns))
+        if damaged is not None:
+            file["entry/raw/sums"][damaged] = file["entry/raw/sums"][damaged] ^ np.uint16(1)
+    old = killed.with_name("growing.h5")
+    if damaged is not None:
+        with pytest.raises(InputError, match=r"1 of 12 frames .* frame 5"):
+            Recording.load(old)
+    left = range(FRAMES) if damaged is None else np.delete(np.arange(FRAMES), damaged)
+    assert damaged is not None or np.array_equal(Recording.load(old).recorded, meant)
+    assert repair(old) == (len(left), FRAMES - len(left))
+    np.testing.assert_array_equal(Recording.load(old).recorded, meant[list(left)])
 
 
 def test_a_damaged_event_is_dropped(killed: Path) -> None:

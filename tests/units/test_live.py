@@ -94,7 +94,7 @@ def test_should_the_other_process_die_every_frame_waits_for_its_own(lamprey: Rec
 
     def kill() -> None:
         if engine.shown.item.frames == 5:
-            until(lambda: bool(engine._beside._worker.processes))
+            until(lambda: engine._beside._worker.process is not None)
             engine._beside._worker.kill()
             engine._beside.ask(Errand("check", tuple))  # an idle process dies unnoticed
             until(lambda: engine._beside.gone)

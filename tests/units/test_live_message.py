@@ -77,7 +77,7 @@ def test_a_process_of_its_own_answers_and_its_death_is_said() -> None:
     assert answers[-1].answer == "nothing"
     beside = watcher("mouth", answers.append)
     beside.ask([2])
-    assert waited(lambda: bool(beside._worker.processes), 20.0)
+    assert waited(lambda: beside._worker.process is not None, 20.0)
     beside._worker.kill()
     beside.finish()
     assert answers[-1].answer == "cannot say" and "has died" in answers[-1].why

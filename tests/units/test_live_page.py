@@ -30,21 +30,26 @@ TOKEN = "a-token-of-my-own"
 
 @contextlib.contextmanager
 def page_at(host: str, *given: Any, **actions: Any) -> Iterator[SimpleNamespace]:
-    """A running server with what it shows; `ask` opens a connection and returns the answer, `status` its code."""
+    """A running server with what it shows; `ask` opens a connection and returns the answer, `status` its code.
+
+    On the loopback address requests have the cookie of a visitor, unless a token is given.
+    """
     shown = Newest(View("here", "LSM", "receiving"))
     with serving(host, 0, shown, *given, **actions) as server, contextlib.ExitStack() as stack:
         port = int(server.server_address[1])
+        visitor = {"Cookie": f"{server.access.name}={server.access.secret}"} if server.local and not given else {}
 
         def ask(path: str = "/", method: str = "GET", **headers: str) -> http.client.HTTPResponse:
             begun = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
             connection = stack.enter_context(contextlib.closing(begun))
             named = {name.replace("_", "-"): value for name, value in headers.items()}
-            connection.request(method, path, headers=named)
+            connection.request(method, path, headers=visitor | named)
             return stack.enter_context(contextlib.closing(connection.getresponse()))
 
         def wired(request: bytes) -> socket.socket:
             client = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=10))
-            client.sendall(request)
+            crumbs = "".join(f"\r\n{name}: {value}\r\nHost: " for name, value in visitor.items()).encode()
+            client.sendall(request.replace(b"\r\nHost: ", crumbs, 1) if crumbs else request)
             return client
 
         def status(*words: str, **headers: str) -> int:
@@ -113,7 +118,7 @@ def test_the_server_gives_the_page_and_the_views_and_nothing_else(page: SimpleNa
     for method in ("HEAD", "PUT", "DELETE", "OPTIONS", "TRACE", "NONSENSE"):
         refused = page.ask("/", method)
         assert (refused.status, refused.headers["Allow"]) == (405, "GET, POST")
-    assert page.server.server_address[0] == "127.0.0.1" and page.server.url.endswith("/")
+    assert page.server.server_address[0] == "127.0.0.1" and "/?token=" in page.server.url
 
 
 def test_a_zero_an_end_of_the_alarm_and_a_recording_are_for_the_page_itself_to_ask_for_and_need_the_token() -> None:
@@ -201,7 +206,7 @@ def test_the_last_view_reaches_everybody_and_nobody_holds_up_the_end() -> None:
         page = running.enter_context(page_at("127.0.0.1"))
         page.wired(b"")  # a guest that never asks
         connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=10)
-        connection.request("GET", "/views")
+        connection.request("GET", f"/views{page.server.access.query}")
         answer = connection.getresponse()
         first_view(answer)
         page.shown.change(lambda view: dataclasses.replace(view, state="lampest has ended"))
@@ -222,7 +227,27 @@ def test_an_address_is_a_host_and_a_port_that_nobody_has(page: SimpleNamespace) 
         live(Replay(LAMPREY), chosen(None, None), Outlets(f"127.0.0.1:{page.port}"))
 
 
-# Who may see the page: on the loopback address everybody here, elsewhere whoever brings the token.
+# Who may see the page: whoever brings the token, on the loopback address as well.
+
+
+@pytest.mark.parametrize("origin", ["https://attacker.example", "http://127.0.0.1:1", "null"])
+def test_other_users_and_other_pages_of_this_computer_take_no_seat(origin: str) -> None:
+    with page_at("127.0.0.1", actions=PageActions()) as page:
+        for path in ("/", "/views"):
+            assert page.status(path, Cookie="") == page.status(path, Origin=origin) == 403
+        for site in ("cross-site", "same-site"):
+            for path in ("/views", "/views?x"):
+                assert page.status(path, Sec_Fetch_Site=site) == 403
+            assert page.status("/zero", "POST", X_Lampest="zero", Sec_Fetch_Site=site) == 403
+            assert page.status("/", Sec_Fetch_Site=site) == 200, "a link to the page"
+        assert page.status("/zero", "POST", X_Lampest="zero", Origin=origin) == 403
+        seats = [page.server.seats.acquire(blocking=False) for _ in range(server_module.MAX_STREAMS)]
+        assert all(seats)
+        for _ in seats:
+            page.server.seats.release()
+        own = {"Origin": f"http://127.0.0.1:{page.port}", "Sec_Fetch_Site": "same-origin"}
+        assert page.status("/zero", "POST", X_Lampest="zero", **own) == 200
+        assert page.status("/views", **own) == 200
 
 
 def test_elsewhere_nobody_comes_in_without_the_token(open_page: SimpleNamespace) -> None:
@@ -251,7 +276,7 @@ def test_a_browser_needs_the_token_once_and_programs_bring_it_as_they_like(open_
     assert all(open_page.status("/views", Authorization=f"{kind} {TOKEN}") == 200 for kind in ("Bearer", "token"))
 
 
-def test_a_token_is_made_up_elsewhere_and_on_the_loopback_only_asked_for_if_one_is_given() -> None:
+def test_a_token_is_made_up_unless_one_is_given() -> None:
     tokens = set()
     for _ in range(2):
         with page_at("0.0.0.0") as page:

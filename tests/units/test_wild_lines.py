@@ -179,8 +179,13 @@ RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[in
     "a frame is out of order": ([(0, 500), (1, 510), (900, 515), (2, 520), (3, 530)], whole(4), []),
     "a clock is wild once": (
         [(0, 500), (1, 510), (2, 5520), (3, 530), (4, 540)],
-        [*whole(2), (3, 1, 0), (4, 0, 0)],
-        [],
+        whole(5),
+        [2],
+    ),
+    "a clock is wild once, and the frame before is gone": (
+        [(0, 500), (1, 510), (3, 5530), (4, 540), (5, 550)],
+        [*whole(2), (3, 1, 0), (4, 0, 0), (5, 0, 0)],
+        [2],
     ),
     "scans are late": (LATE, whole(500), []),
     **{f"a jump by {ms} ms": (ticked(30, {10: ms}), whole(30), [10]) for ms in (5_000, -5_000, 2**31, -(2**31))},
@@ -209,6 +214,17 @@ def test_frames_are_counted_and_timed_whatever_numbers_and_clock_do() -> None:
         _, samples = run_of(*ticked(30, jumps))
         assert places(samples) == whole(30)
         np.testing.assert_allclose([sample.time for sample in samples], 0.01 * np.arange(30), atol=1e-9)
+
+
+def test_a_clock_that_is_wild_in_the_last_frame_costs_no_frame() -> None:
+    for last_ms in (5_520, 100, 2**31):
+        run, samples = run_of((0, 500), (1, 510), (2, last_ms))
+        samples += run.rest()
+        assert places(samples) == whole(3) and samples[-1].events == (CLOCK_JUMPED,)
+        assert samples[-1].time == pytest.approx(0.02) and not run.rest()
+    for last in ((1, 510), (0, 500), (900, 515)):
+        run, samples = run_of((0, 500), (1, 510), last)
+        assert not run.rest() and places(samples) == whole(2), "repeated and foreign frames are none"
 
 
 def test_a_number_is_believed_as_far_as_its_clock_allows() -> None:

@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import math
 import re
+import secrets
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,10 +24,10 @@ from lampest.files import hdf5
 from lampest.files.document import to_yaml
 from lampest.files.errors import InputError
 from lampest.files.process import deaf, ending_signals
-from lampest.files.whole import check_output, folder_beside, is_locked, locked, own
+from lampest.files.whole import check_output, folder_beside, is_locked, locked, own, sync_folder
 from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import EVENTS, FORMAT, FRAME_FIELDS, Rows, blocks, group_of
+from lampest.recording.acquisition import EVENTS, FORMAT, FRAME_FIELDS, SALT, Rows, blocks, group_of
 from lampest.recording.board.protocol import MAX_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples
@@ -123,6 +124,7 @@ class Journal:
         with file:
             _lay_out(file, scene, readings)
             file.flush()
+            sync_folder(path.parent)
             file.swmr_mode = True
             with locked(path):  # HDF5's own lock ended where SWMR began
                 yield cls(file, scene)
@@ -164,12 +166,14 @@ def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
     circuit, frames = scene.circuit, group_of(scene.circuit)
     entry = file.create_group("entry")
     hdf5.write_text(entry, "scene", to_yaml(scene))
-    series = (Rows.of_frames(circuit), EVENTS)
+    series, salt = (Rows.of_frames(circuit), EVENTS), secrets.token_hex(16)
     for path, kind, units, long_name in (dataset for rows in series for dataset in (*rows.datasets, rows.checksum)):
         cells = scene.panel.shape if path.endswith((f"/{circuit.signal}", "/sums")) else ()
         chunk = (16 if cells else 1024, *cells)  # a chunk is written anew with every frame
         dataset = entry.create_dataset(path, (0, *cells), kind, maxshape=(None, *cells), chunks=chunk)
         hdf5.set_attributes(dataset, units=units, long_name=long_name)
+    for rows in series:
+        hdf5.set_attributes(entry[rows.checksum[0]], **{SALT: salt})
     hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT, lampest_unfinished=np.uint8(1))
     hdf5.set_attributes(entry, NX_class="NXentry", default=frames)
     hdf5.set_attributes(entry[frames], NX_class="NXdata", signal=circuit.signal, axes=["time", "row", "column"])

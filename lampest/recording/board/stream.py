@@ -116,7 +116,8 @@ class Scanning:
 
     A scan may begin up to a period late. Some lines repeat old messages, which are no frames. If two consecutive frames
     follow each other but not the newest sample, either the clock has jumped (the numbers continue), or the numbers have
-    restarted (the clock continues). A clock that stands still costs no frame.
+    restarted (the clock continues). If the clock has jumped for a single frame, whose number lies between those of its
+    neighbours, the frame has the time between theirs that its number says. A clock that stands still costs no frame.
 
     Attributes
     ----------
@@ -132,6 +133,8 @@ class Scanning:
         The two newest samples of this run.
     stray : Frame, or None
         Newest frame that did not follow another one.
+    stray_host_time : float
+        Its arrival in s since 1970-01-01 UTC.
     stopped : bool
         Whether the clock stands still.
     since : float
@@ -145,6 +148,7 @@ class Scanning:
     before: Sample | None = None
     earlier: Sample | None = None
     stray: Frame | None = None
+    stray_host_time: float = 0.0
     stopped: bool = False
     since: float = field(default_factory=time.time)
 
@@ -158,14 +162,41 @@ class Scanning:
         for newest in (self.last or self.before, self.before):  # these differ after `doubt`
             if self._follows(frame, newest.frame, newest.host_time):
                 steps, elapsed_ms = _since(newest.frame, frame)
-                self.before = newest
-                return (self._accept(self._sample(frame, newest.time + elapsed_ms / 1000, steps - 1)),)
+                self.before, at = newest, newest.time + elapsed_ms / 1000
+                between = self._between(newest, frame, at)
+                known = 0 if not between else _since(newest.frame, between[0].frame)[0]
+                return (*between, self._accept(self._sample(frame, at, steps - 1 - known)))
         # Two consecutive frames that follow each other: the clock has jumped, or the numbers have restarted.
         stray = self.stray
         if stray and _since(stray, frame)[0] == 1 and (first := self._resumed(stray, frame)) is not None:
             return (self._accept(first), *self.take(frame))
-        self.stray = frame
+        self.stray, self.stray_host_time = frame, time.time()
         return ()
+
+    def _between(self, newest: Sample, frame: Frame, at: float) -> tuple[Sample, ...]:
+        """Return the stray frame as a sample, if its number lies between those of a sample and of the next frame.
+
+        Its clock has jumped for it alone. `at` is the time of the next frame in s.
+        """
+        stray = self.stray
+        if stray is None or self.last is not newest or not at > newest.time:
+            return ()
+        steps, all_steps = _since(newest.frame, stray)[0], _since(newest.frame, frame)[0]
+        if not 0 < steps < all_steps:
+            return ()
+        moved = newest.time + steps / all_steps * (at - newest.time)
+        sample = Sample(
+            stray, self.hello, self.scene, moved, self.stray_host_time, steps - 1, self.session, (CLOCK_JUMPED,)
+        )
+        self.last = sample
+        return (sample,)
+
+    def rest(self) -> tuple[Sample, ...]:
+        """Return the last frame of a run as a sample, if its number follows and its clock alone does not."""
+        if self.stray is None or self.before is None or _since(self.before.frame, self.stray)[0] != 1:
+            return ()
+        resumed = self._resumed(self.stray, self.stray)
+        return () if resumed is None else (self._accept(resumed),)
 
     def doubt(self) -> None:
         """Forget the newest sample, after a silence: if it was a wrong frame, no other frame would follow it."""
@@ -322,6 +353,8 @@ class _Line:
         while True:
             ending = self._ending()
             samples, over = self._taken(run, board.stop() if ending else board.messages())
+            if over or ending:
+                samples += run.rest()
             if samples:
                 heard = time.monotonic()
             yield samples

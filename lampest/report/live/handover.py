@@ -1,15 +1,14 @@
 """Hand-over between threads: the newest item of a series, and tasks for another process."""
 
 import os
-import pickle
 from collections.abc import Callable
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from contextvars import ContextVar
 from threading import Condition, Thread
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from lampest.runs.executors import Worker
+from lampest.files.errors import InputError
+from lampest.runs.executors import Worker, WorkerDiedError
 
 FAREWELL_SECONDS = 1.0  # time for the last item to reach a listener
 DESK = ContextVar[Callable[[Any], Any]]("desk")  # function of a process that answers tasks
@@ -112,13 +111,13 @@ class Beside(Generic[T]):
 
     def _serve(self) -> None:
         try:
-            while (task := self._next()) is not None:
-                self._on_answer(task, pickle.loads(self._worker.begin(_at_desk, task).result()))
-        except BrokenProcessPool:
+            with self._worker:
+                while (task := self._next()) is not None:
+                    self._worker.begin(_at_desk, task)
+                    self._on_answer(task, self._worker.answer())
+        except (WorkerDiedError, InputError):
             self.gone = True
             self._on_gone()
-        finally:
-            self._worker.shutdown()
 
     def _next(self) -> T | None:
         with self._changed:

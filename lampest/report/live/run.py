@@ -84,7 +84,7 @@ class Outlets:
     http : str
         HOST:PORT of the page; port 0 for any free one.
     token : str or None
-        Required of visitors; by default none on the loopback address and a generated one elsewhere.
+        Required of visitors of the page, by default a generated one; of WebSocket listeners from elsewhere.
     publish : sequence of str
         Addresses such as ``mqtt://localhost:1883/lampest``.
     """

@@ -146,7 +146,8 @@ class PageServer(ThreadingHTTPServer):
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         super().__init__((host, port), PageHandler)
         self.local = ip_address(str(self.server_address[0])).is_loopback
-        self.access = Access.of(token, int(self.server_address[1]), local=self.local)
+        # On the loopback address as well: every user of this computer reaches it.
+        self.access = Access.of(token, int(self.server_address[1]), local=False)
 
     @property
     def url(self) -> str:
@@ -167,7 +168,7 @@ class PageHandler(BaseHTTPRequestHandler):
     server_version, sys_version = "lampest", ""
 
     def parse_request(self) -> bool:
-        """Refuse other methods, and on the loopback address host names that may be those of a foreign page."""
+        """Refuse other methods, requests of foreign pages, and on the loopback address host names of theirs."""
         if not super().parse_request():
             return False
         if self.command not in ("GET", "POST"):
@@ -179,10 +180,19 @@ class PageHandler(BaseHTTPRequestHandler):
         access, header = self.server.access, self.headers.get
         self.introduced = access.shown_by(self.path, header("Authorization", ""))
         known = not access.token or self.introduced or access.remembered_by(header("Cookie", ""))
-        if not known or (self.server.local and not is_local_name(header("Host", ""))):
+        foreign_name = self.server.local and not is_local_name(header("Host", ""))
+        if not known or foreign_name or self._is_of_foreign_page():
             self.send_error(HTTPStatus.FORBIDDEN)
             return False
         return True
+
+    def _is_of_foreign_page(self) -> bool:
+        """Return whether a browser says that another page makes the request; a link to the page itself is none."""
+        origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site", "none")
+        if origin is not None and urlsplit(origin).netloc != self.headers.get("Host", ""):
+            return True
+        link = self.command == "GET" and urlsplit(self.path).path == "/"
+        return site not in ("none", "same-origin") and not link
 
     def do_GET(self) -> None:
         """Serve the page at / and the views at /views."""
@@ -303,7 +313,7 @@ def serving(
     shown : Newest of View
         The newest view.
     token : str or None
-        Required of visitors; by default none on the loopback address and a generated one elsewhere.
+        Required of visitors; by default a generated one.
     actions : PageActions or None
         Requests that visitors may send.
     """
