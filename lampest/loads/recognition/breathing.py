@@ -9,22 +9,30 @@ The odds compare the A of breathing with that of tremble, summed over f and σ.
 Source: Bretthorst, Bayesian Spectrum Analysis and Parameter Estimation, 1988; docs/theory/recognition.md.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import exp
+from math import exp, inf
 from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
 from scipy.special import expit, logit, logsumexp
 
-from lampest.files.levels import MAD_TO_SIGMA
+from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import EVIDENCE_SHARE, MAX_ROUNDS, RARE_LOG_ODDS, Fit
 from lampest.loads.recognition.observation import Observation
+from lampest.loads.recognition.suction import MIN_FALL
 from lampest.panel.panel import Array
 from lampest.panel.response import CURVE_KPA, CURVE_RATIO, RESPONSE_SD, PublishedResponse
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
+PRIOR_ODDS = 10.0  # assumed, of suction that oscillates to the rim alone, and to the place or the tilt
+LEAKS = 1.5  # over the duration: distance of rates beyond which a wave hardly leaks
+MAX_RATE_SHARE = 0.475  # of the frame rate: at half of it a wave may show nothing
+MIN_PART = 4  # frames between two steps, with which a part says more than its mean
 MIN_RATE_HZ = 3.8  # frames per second: four with a slow clock; they resolve rates up to 2 Hz
 # A: the mean amplitude of mouths is 5.4 % of their suction (docs/studies/mouths.md). That of loads that do not breathe
 # is an assumption: cups tremble and leak, but at no single rate.
@@ -81,6 +89,8 @@ class Breathing:
         ln odds of the same by full windows, without the prior odds.
     hertz, depth : (float, float) or None
         Rate in Hz and relative amplitude, each with its standard deviation, from the last window that determines them.
+    full_s, judged_s : float
+        Times of the last frame of the last full window, and of the last window, s.
     """
 
     odds: float = 0.0
@@ -90,22 +100,26 @@ class Breathing:
     causes: float = 0.0
     hertz: Pair | None = None
     depth: Pair | None = None
+    full_s: float = -inf
+    judged_s: float = -inf
 
     @property
     def probability(self) -> float:
         """Probability that suction oscillates at a breathing rate; 1/2 before any observation."""
         return self.suction * float(expit(self.odds))
 
-    def after(self, seen: Breath | None, *, full: bool) -> "Breathing":
-        """Return the breath after a window; `full` states whether the window is complete, so that its odds are kept.
+    def after(self, seen: Breath | None, time: float, *, full: bool) -> "Breathing":
+        """Return the breath after a window that ends at a time in s; of a full one the odds are kept.
 
         Assumptions: one mouth in twenty never shows its breath, because it is faint or at half the frame rate, and a
         mouth pauses in one window of twenty. The odds of full windows multiply. Of incomplete windows, two successive
         ones have to agree that the suction oscillates: with the last one alone, two of 75 shaken cups were taken for
         lampreys for a second (docs/studies/mouths.md).
         """
-        if seen is None:
-            return self
+        judged = replace(self, judged_s=time, full_s=time if full else self.full_s)
+        return judged if seen is None else judged._weighed(seen, full=full)
+
+    def _weighed(self, seen: Breath, *, full: bool) -> "Breathing":
         # ln odds ← clip(ln odds + ln(0.05 + 0.95 B), −ln 20, 10)
         window = np.logaddexp(-RARE_LOG_ODDS, np.log1p(-exp(-RARE_LOG_ODDS)) + seen.odds)
         odds = float(np.clip(self.previous_odds + window, -RARE_LOG_ODDS, MAX_LOG_ODDS))
@@ -115,9 +129,9 @@ class Breathing:
         described = replace(breathing, hertz=seen.hertz, depth=seen.depth, last=seen.suction)
         if not full:
             return replace(described, suction=min(seen.suction, self.last))
-        window = logit(seen.suction) - RARE_LOG_ODDS
+        window = logit(seen.suction) - np.log(PRIOR_ODDS / 2)
         causes = float(np.clip(self.causes + window, -MAX_LOG_ODDS, MAX_LOG_ODDS))
-        return replace(described, suction=float(expit(causes + RARE_LOG_ODDS)), causes=causes)
+        return replace(described, suction=float(expit(causes + np.log(PRIOR_ODDS / 2))), causes=causes)
 
 
 class Patterns(NamedTuple):
@@ -174,6 +188,10 @@ class Patterns(NamedTuple):
         )
         return Patterns(suction, rim, moves, self.others), left.T
 
+    def seen_by(self, whitening: Array) -> "Patterns":
+        """Return the patterns of readings that are whitened once more, by (readings, readings)."""
+        return Patterns(*(whitening @ pattern for pattern in self))
+
     def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
         """Return the weights (readings,) with which readings sum to the amplitude of suction, with least variance.
 
@@ -225,46 +243,92 @@ def patterns_of(frame: Observation, fit: Fit, whitening: Array, detector: Detect
     slopes = _slopes(frame, rise, fit.scatter)
     spread = np.sqrt((slopes[1:-1] ** 2).sum(axis=0) + slopes[0] ** 2 * (fit.scatter**2 + np.diag(covariance)))
     cells = [part.pressure(panel, detector.patch_mm, own)[0].ravel() != 0 for part, own in loads]
+    # cells of other loads, and of bodies beside, which move by themselves
+    changed = (
+        np.any(cells, axis=0) | (np.abs(frame.free_map) > np.maximum(MIN_FALL, NOISE_REACH * frame.free_sd)).ravel()
+    )
     _, by_parameter = detector.fitting(fit.candidate, frame).effect(fit.parameters)
     for number, ((part, own), under) in enumerate(zip(loads, cells, strict=True)):
         if part.sucks:
             sways = np.array([prior.sway for prior in part.priors(panel).values()])[:, None]
             moves = (sways * by_parameter[first : first + len(own), under])[sways[:, 0] > 0]
-            others = np.column_stack([whitening.sum(axis=1), by_cell[:, np.any(cells, axis=0) & ~under]])
+            others = np.column_stack([whitening.sum(axis=1), by_cell[:, changed & ~under]])
             own_cells = by_cell[:, under], rise.ravel()[under], slopes[:, under], spread[under]
             patterns[number] = Patterns.of(*own_cells, moves, others)
         first += len(own)
     return patterns
 
 
-def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
+class Interval(NamedTuple):
+    """Frames of a window without those in which the readings step.
+
+    Attributes
+    ----------
+    times : array, shape (frames,)
+        s.
+    logarithms : array, shape (frames, readings)
+        ln y.
+    part : integer array, shape (frames,)
+        Number of the steps before each frame.
+    period : float
+        Median step of time, s.
+    """
+
+    times: Array
+    logarithms: Array
+    part: NDArray[np.intp]
+    period: float
+
+    @classmethod
+    def of(cls, times: Array, logarithms: Array, steps: Sequence[float] = ()) -> "Interval":
+        """Return the interval of all frames but the ones about steps, and but parts of less than MIN_PART frames."""
+        period, at = float(np.median(np.diff(times))), np.array(sorted(steps))
+        part = np.searchsorted(at, times)
+        still = np.all(np.abs(times - at[:, None] - period / 2) > 1.6 * period, axis=0)
+        still &= np.array([np.sum(still & (part == number)) >= MIN_PART for number in part])
+        _, part = np.unique(part[still], return_inverse=True)
+        return cls(times[still], logarithms[still], part, period)
+
+    def trend(self) -> Array:
+        """Return an orthonormal basis of 1, t, t², ln(1 + t), the last for creep, and of a step between the parts."""
+        at = (self.times - self.times[0]) / max(float(np.ptp(self.times)), self.period)
+        steps = [self.part > number for number in range(self.part.max(initial=0))]
+        return np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at), *steps]))[0]
+
+
+def breath(interval: Interval, changes: Array, patterns: Patterns) -> Breath | None:
     """Return the breath of a window; None where it is too short or frames are too few.
 
     Parameters
     ----------
-    times : array, shape (frames,)
-        s.
+    interval : Interval
     changes : array, shape (frames, readings)
         Whitened changes of ln y.
     patterns : Patterns
     """
-    lasted, intervals = times[-1] - times[0], len(times) - 1
-    if lasted < MIN_WINDOW_S or intervals < MIN_RATE_HZ * lasted:
+    times, rate = interval.times, 1 / interval.period
+    if len(times) < MIN_WINDOW_S * MIN_RATE_HZ or rate < MIN_RATE_HZ:
         return None
-    # Remove the trend 1, t, t², ln(1 + t), the last for creep, and the changes of `others`.
-    at = (times - times[0]) / lasted
-    trend = np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at)]))[0]
+    lasted = float(times[-1] - times[0])
+    # Remove the trend, and the changes of `others`.
+    at, trend = (times - times[0]) / lasted, interval.trend()
     patterns, changes = patterns.beside_others(changes - trend @ (trend.T @ changes))
     # Sine and cosine at every rate without their trend, as orthonormal axes (rates, 2, frames) with their gains.
-    hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], intervals / lasted / 2) + 1e-9, 0.25 / lasted)
+    hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], MAX_RATE_SHARE * rate), 0.25 / lasted)
     waves = np.exp(2j * np.pi * hertz[:, None] * times)
     waves = np.stack([waves.real, waves.imag], axis=2)
     axes, sizes, _ = np.linalg.svd(waves - trend @ (trend.T @ waves), full_matrices=False)
     axes, gain = np.swapaxes(axes, 1, 2), sizes**2
     swings = axes @ changes  # (rates, 2, readings)
+    # Movements at all rates, and noise: whitened by the swings at rates that the strongest one does not leak into.
+    noise = max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25)))
+    strongest = hertz[np.argmax((swings**2).sum(axis=(1, 2)))]
+    others = swings[np.abs(hertz - strongest) > LEAKS / lasted].reshape(-1, swings.shape[2])
+    root = cholesky(noise * np.eye(swings.shape[2]) + others.T @ others / max(len(others), 1), lower=True)
+    whitening = solve_triangular(root, np.eye(len(root)), lower=True)
+    steadied, swings = patterns.seen_by(whitening), swings @ whitening.T
     # Amplitudes a, b of s_t at every rate, and the odds of A = BREATHING_SD against A = TREMBLE_SD.
-    noise = max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25)))  # a wave leaks into other rates
-    series = changes @ patterns.weights(TREMBLE_SD, noise / gain.mean())
+    series = changes @ whitening.T @ steadied.weights(TREMBLE_SD, 1 / gain.mean())
     amplitude, total = axes @ series, float(series @ series)
     power = (amplitude**2).sum(axis=1)
     freedom, best = len(times) - trend.shape[1], int(np.argmax(power))
@@ -273,7 +337,7 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     spread = np.sqrt(3 * left / max(power[best], 1e-12)) / (np.pi * lasted)  # Rife, Boorstyn, IEEE Trans. IT-20, 1974
     return Breath(
         float(breathing - steady),
-        _suction(patterns, swings, noise, float(gain.mean())),
+        _suction(steadied, swings, 1.0, float(gain.mean())),
         (float(hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
         _depth(patterns, changes, waves[best] - trend @ (trend.T @ waves[best]), at, noise / float(gain.mean())),
     )
@@ -298,14 +362,16 @@ def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: f
         Variance of the amplitude in each reading.
     """
     basis = np.hstack([waves, 12**0.5 * (at[:, None] - 0.5) * waves])
-    inverse, depth, variance = np.linalg.pinv(basis), BREATHING_SD, 0.0
+    depth, variance, square = BREATHING_SD, 0.0, basis.T @ basis
     for _ in range(MAX_ROUNDS):
         weights = patterns.weights(depth, noise)
         series = changes @ weights
-        coefficients = inverse @ series
+        # amplitudes with the prior N(0, MAX_SWINGS²), which near half the frame rate alone decides
         freedom = max(len(at) - 8, 1)  # four numbers here, four of trend
-        left = float(np.sum((series - basis @ coefficients) ** 2)) / freedom
-        variances = left * (inverse**2).sum(axis=1)
+        residual = series - basis @ np.linalg.lstsq(basis, series, rcond=None)[0]
+        left = max(float(residual @ residual) / freedom, 1e-12)
+        covariance = np.linalg.inv(square / left + np.eye(4) / MAX_SWINGS["own"] ** 2)
+        coefficients, variances = covariance @ (basis.T @ series) / left, np.diag(covariance)
         # A² from all four coefficients, less the noise of the two of linear change
         depth = max(float(coefficients @ coefficients - variances[2:].sum()), TREMBLE_SD**2) ** 0.5
         film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2
@@ -355,8 +421,8 @@ def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> fl
     """
     causes = ((gain**0.5 * getattr(patterns, name), most) for name, most in MAX_SWINGS.items())
     suction, *others = (_explained(root, most, swings, noise).max() for root, most in causes)
-    # 1/w = 1 + Σ_causes (E_cause/E_own)^½/40
-    odds = EVIDENCE_SHARE * (suction - np.array(others)) + RARE_LOG_ODDS + np.log(2)  # prior odds 1 : 20 of both
+    # 1/w = 1 + Σ_causes (E_cause/E_own)^½/PRIOR_ODDS
+    odds = EVIDENCE_SHARE * (suction - np.array(others)) + np.log(PRIOR_ODDS)
     return float(expit(-logsumexp(-odds)))
 
 
@@ -406,25 +472,25 @@ def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
     return np.vstack([mean, np.sqrt(shares)[:, None] * (slopes - mean), common])
 
 
-def changes_without_water(logarithms: Array, frame: Observation, fit: Fit) -> Array:
+def changes_without_water(interval: Interval, frame: Observation, fit: Fit) -> Array:
     """Return the changes of ln y, (frames, readings), since the recognised frame, less those by the water's pressure.
 
-    The water's effect is estimated from lines without a load; it is 0 if all lines are loaded.
+    Outliers of each part between steps are drawn in. The water's effect is estimated from lines without a load; it is 0
+    if all lines are loaded.
 
     Parameters
     ----------
-    logarithms : array, shape (frames, readings)
-        ln y.
+    interval : Interval
     frame : Observation
         The recognised frame.
     fit : Fit
         Its fit.
     """
-    changes, loaded, response = (
-        settled(logarithms - np.log(frame.measured.ravel())),
-        fit.change != 0,
-        frame.baseline.response,
-    )
+    changes = interval.logarithms - np.log(frame.measured.ravel())
+    for number in range(interval.part.max(initial=-1) + 1):
+        own = interval.part == number
+        changes[own] = settled(changes[own])
+    loaded, response = fit.change != 0, frame.baseline.response
     free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
     pressure = response.pressure(fit.change / response.gains + response.logarithm(frame.water)) - frame.water
     slope = frame.slope(fit.change) @ frame.change(pressure)[1].ravel() / frame.measured.ravel()
