@@ -200,12 +200,13 @@ class Attachment:
         times = np.array([at for at, _ in frames if at > begin])
         if self.patterns is None or len(times) < 3:
             return self
-        lasted, last = float(times[-1] - times[0]), float(times[-1])
-        if lasted < MIN_WINDOW_S or last - self.breath.judged_s < JUDGED_S:
+        last = float(times[-1])
+        if last - times[0] < MIN_WINDOW_S or last - self.breath.judged_s < JUDGED_S:
             return self
-        logarithms = np.array([logarithm for at, logarithm in frames if at > begin])
-        full = lasted > WINDOW_S - 2.5 * float(np.median(np.diff(times)))
-        interval = Interval.of(times, logarithms, steps)
+        interval = Interval.of(times, np.array([logarithm for at, logarithm in frames if at > begin]), steps)
+        if not len(interval.times):
+            return self
+        full = float(np.ptp(interval.times)) > WINDOW_S - 2.5 * interval.period
         changes = changes_without_water(interval, verdict.frame, verdict.best) @ whitening.T
         return replace(self, breath=self.breath.after(breath(interval, changes, self.patterns), last, full=full))
 

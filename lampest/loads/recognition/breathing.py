@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import expit, logit, logsumexp
 
-from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH
+from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, SIGNIFICANT
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import EVIDENCE_SHARE, MAX_ROUNDS, RARE_LOG_ODDS, Fit
 from lampest.loads.recognition.observation import Observation
@@ -30,7 +30,7 @@ from lampest.panel.response import CURVE_KPA, CURVE_RATIO, RESPONSE_SD, Publishe
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
 PRIOR_ODDS = 10.0  # assumed, of suction that oscillates to the rim alone, and to the place or the tilt
-LEAKS = 1.5  # over the duration: distance of rates beyond which a wave hardly leaks
+LEAKS = 2.0  # over the duration: distance of rates beyond which a tapered wave does not leak
 MAX_RATE_SHARE = 0.475  # of the frame rate: at half of it a wave may show nothing
 MIN_PART = 4  # frames between two steps, with which a part says more than its mean
 MIN_RATE_HZ = 3.8  # frames per second: four with a slow clock; they resolve rates up to 2 Hz
@@ -282,12 +282,36 @@ class Interval(NamedTuple):
     @classmethod
     def of(cls, times: Array, logarithms: Array, steps: Sequence[float] = ()) -> "Interval":
         """Return the interval of all frames but the ones about steps, and but parts of less than MIN_PART frames."""
-        period, at = float(np.median(np.diff(times))), np.array(sorted(steps))
-        part = np.searchsorted(at, times)
-        still = np.all(np.abs(times - at[:, None] - period / 2) > 1.6 * period, axis=0)
-        still &= np.array([np.sum(still & (part == number)) >= MIN_PART for number in part])
-        _, part = np.unique(part[still], return_inverse=True)
-        return cls(times[still], logarithms[still], part, period)
+        none = np.zeros(len(times), dtype=np.intp)
+        return cls(times, logarithms, none, float(np.median(np.diff(times)))).parted(steps)[0]
+
+    def parted(self, steps: Sequence[float]) -> tuple["Interval", NDArray[np.bool_]]:
+        """Return the interval with further steps, and which of its frames are left, (frames,)."""
+        at = np.array(sorted(steps))
+        apart = np.searchsorted(at, self.times) + (len(at) + 1) * self.part
+        still = np.all(np.abs(self.times - at[:, None] - self.period / 2) > 1.6 * self.period, axis=0)
+        still &= np.array([np.sum(still & (apart == number)) >= MIN_PART for number in apart], dtype=bool)
+        _, part = np.unique(apart[still], return_inverse=True)
+        return Interval(self.times[still], self.logarithms[still], part, self.period), still
+
+    def pulled(self, series: Array, wave: float) -> tuple[float, ...]:
+        """Return the times between which a series, (frames,), is at another level; () where a wave explains it better.
+
+        Both ends of the best level, or one, are compared by the squares that they explain, `wave` by the best wave.
+        """
+        trend, count = self.trend(), len(series)
+        begins, ends = np.triu_indices(count + 1, MIN_PART)
+        numbers = np.arange(count)[:, None]
+        level = ((numbers >= begins) & (numbers < ends)).astype(float)
+        level -= trend @ (trend.T @ level)
+        size = np.sum(level**2, axis=0)
+        explained = np.where(size > 1e-3, (level.T @ series) ** 2 / np.maximum(size, 1e-3), 0.0)
+        best, total = int(np.argmax(explained)), float(series @ series)
+        scatter = (total - explained[best]) / max(count - trend.shape[1] - 1, 1)
+        if explained[best] <= max(wave, SIGNIFICANT**2 * scatter):
+            return ()
+        edges = (int(edge) for edge in (begins[best], ends[best]))
+        return tuple(float(self.times[edge - 1]) for edge in edges if 0 < edge < count)
 
     def trend(self) -> Array:
         """Return an orthonormal basis of 1, t, t², ln(1 + t), the last for creep, and of a step between the parts."""
@@ -312,6 +336,7 @@ def breath(interval: Interval, changes: Array, patterns: Patterns) -> Breath | N
     lasted = float(times[-1] - times[0])
     # Remove the trend, and the changes of `others`.
     at, trend = (times - times[0]) / lasted, interval.trend()
+    all_patterns, all_changes = patterns, changes
     patterns, changes = patterns.beside_others(changes - trend @ (trend.T @ changes))
     # Sine and cosine at every rate without their trend, as orthonormal axes (rates, 2, frames) with their gains.
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], MAX_RATE_SHARE * rate), 0.25 / lasted)
@@ -320,10 +345,13 @@ def breath(interval: Interval, changes: Array, patterns: Patterns) -> Breath | N
     axes, sizes, _ = np.linalg.svd(waves - trend @ (trend.T @ waves), full_matrices=False)
     axes, gain = np.swapaxes(axes, 1, 2), sizes**2
     swings = axes @ changes  # (rates, 2, readings)
-    # Movements at all rates, and noise: whitened by the swings at rates that the strongest one does not leak into.
-    noise = max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25)))
+    # Movements at all rates, and noise, by tapered waves at rates that the strongest one does not leak into.
     strongest = hertz[np.argmax((swings**2).sum(axis=(1, 2)))]
-    others = swings[np.abs(hertz - strongest) > LEAKS / lasted].reshape(-1, swings.shape[2])
+    far = waves[np.abs(hertz - strongest) > LEAKS / lasted] * (np.sin(np.pi * at) ** 2)[:, None]
+    far = np.swapaxes(far / np.linalg.norm(far, axis=1, keepdims=True), 1, 2)
+    others = far @ changes
+    noise = max(1.0, float(np.quantile((others**2).mean(axis=(1, 2)), 0.25))) if len(others) else 1.0
+    others = others.reshape(-1, swings.shape[2])
     root = cholesky(noise * np.eye(swings.shape[2]) + others.T @ others / max(len(others), 1), lower=True)
     whitening = solve_triangular(root, np.eye(len(root)), lower=True)
     steadied, swings = patterns.seen_by(whitening), swings @ whitening.T
@@ -331,6 +359,9 @@ def breath(interval: Interval, changes: Array, patterns: Patterns) -> Breath | N
     series = changes @ whitening.T @ steadied.weights(TREMBLE_SD, 1 / gain.mean())
     amplitude, total = axes @ series, float(series @ series)
     power = (amplitude**2).sum(axis=1)
+    if pulled := interval.pulled(series, float(power.max())):
+        interval, left = interval.parted(pulled)
+        return breath(interval, all_changes[left], all_patterns)
     freedom, best = len(times) - trend.shape[1], int(np.argmax(power))
     breathing, steady = (logsumexp(_evidence(total, amplitude, gain, sd, freedom)) for sd in (BREATHING_SD, TREMBLE_SD))
     left = max(total - power[best], 1e-12) / (freedom - 2)
