@@ -14,6 +14,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.report.compare import MAX_SHOWN, Table
 
 FORMAT, FILE = "detections/2", "detections.h5"
+ERRORS = "_errors"  # after the name of a quantity: its standard deviations in the file
 ANSWERS = ("lamprey", "sucks", "suction cup", "presses", "nothing", "cannot say")
 LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
 # Assumed probability that a panel without any step is bare: weak loads cause no step.
@@ -382,7 +383,7 @@ def _attachment_columns(known: Sequence[dict[str, Any]]) -> dict[str, tuple[Any,
         columns[name] = np.array([load[name] for load in known], dtype=float), units, text
     for name, (units, text) in PAIRS.items():
         values, errors = np.array([load[name] or (None, None) for load in known], dtype=float).T
-        columns |= {name: (values, units, text), f"{name}_errors": (errors, units, f"standard deviation: {text}")}
+        columns |= {name: (values, units, text), f"{name}{ERRORS}": (errors, units, f"standard deviation: {text}")}
     return columns
 
 

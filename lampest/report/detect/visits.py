@@ -3,13 +3,14 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from math import hypot
+from math import hypot, isnan
 from pathlib import Path
 from typing import Any
 
+from lampest.files import hdf5
 from lampest.files.whole import write_whole
 from lampest.report.compare import Table, comma_separated
-from lampest.report.detect.answer import LAMPREY, SUCKS, Detected
+from lampest.report.detect.answer import ERRORS, LAMPREY, SUCKS, Detected
 
 FILE, PICTURE = "visits.csv", "visits.png"
 DAY_HOURS = (6, 18)  # of the clock: from the first on and before the second it is day
@@ -86,14 +87,22 @@ class Visit:
 
 def visits_of(answers: Iterable[Detected]) -> list[Visit]:
     """Return the visits of all recordings, numbered in the order of time."""
-    visits = [visit for answer in answers for visit in _of_recording(answer)]
-    # those with a clock in its order; recordings without one in their own order
-    order = sorted(range(len(visits)), key=lambda number: (visits[number].begin or "", number))
-    clocked = [number for number in order if visits[number].begin is not None]
-    clocked.sort(key=lambda number: _since_epoch(visits[number]))
-    unclocked = [number for number in range(len(visits)) if visits[number].begin is None]
-    numbered = [replace(visits[number], visit=place) for place, number in enumerate([*clocked, *unclocked], 1)]
-    return [replace(visit, may_be_visit=_earlier(visit, numbered)) for visit in numbered]
+    contents = ((answer.recording, answer.content()["attachments"], answer) for answer in answers)
+    return numbered(
+        visit for name, loads, answer in contents for visit in rows_of(name, loads, answer.start_time, answer.end_s)
+    )
+
+
+def numbered(rows: Iterable[Visit]) -> list[Visit]:
+    """Return visits with their numbers in the order of time, and with those that may be by the same animal.
+
+    Those of recordings without a clock come last.
+    """
+    visits = list(rows)
+    clocked = sorted((visit for visit in visits if visit.begin is not None), key=_since_epoch)
+    ordered = [*clocked, *(visit for visit in visits if visit.begin is None)]
+    counted = [replace(visit, visit=number) for number, visit in enumerate(ordered, 1)]
+    return [replace(visit, may_be_visit=_earlier(visit, counted)) for visit in counted]
 
 
 def _since_epoch(visit: Visit) -> float:
@@ -102,16 +111,27 @@ def _since_epoch(visit: Visit) -> float:
     return visit.clock.timestamp()
 
 
-def _of_recording(answer: Detected) -> list[Visit]:
-    content, begin = answer.content(), answer.start_time
+def rows_of(recording: str, loads: Sequence[dict[str, Any]], begin: str | None, end: float | None) -> list[Visit]:
+    """Return the visits of one recording, without numbers.
+
+    Parameters
+    ----------
+    recording : str
+    loads : sequence of dict
+        Attachments as in `Detected.content`.
+    begin : str or None
+        Date and time at 0 s.
+    end : float or None
+        Time of the last frame, s.
+    """
     visits = list[Visit]()
-    for load in content["attachments"]:
-        since, until, end = load["since_s"], load["until_s"], answer.end_s
+    for load in loads:
+        since, until = load["since_s"], load["until_s"]
         stop = end if until is None else until
         suction = _with_error("suction_kpa", load) | _with_error("strongest_kpa", load)
         visits.append(
             Visit(
-                answer.recording,
+                recording,
                 load["answer"],
                 load["probability"],
                 since,
@@ -121,7 +141,7 @@ def _of_recording(answer: Detected) -> list[Visit]:
                 **{name: (load[name] or (None,))[0] for name in ("x_mm", "y_mm", "breathing_hz", "breathing_depth")},
                 **_with_error("diameter_mm", load),
                 **(suction if load["sucks"] > 0.5 else {}),
-                pumps=load["pump_count"],
+                pumps=None if load["pump_count"] is None else int(load["pump_count"]),
                 pump_interval_s=load["pump_interval_s"],
                 why=load["why"] or None,
             )
@@ -229,3 +249,31 @@ def _date(visit: Visit) -> str:
 def _is_night(clock: datetime | None) -> bool:
     """Return whether a time of day is outside of DAY_HOURS; without a clock it counts as day."""
     return clock is not None and not DAY_HOURS[0] <= clock.hour < DAY_HOURS[1]
+
+
+def visits_in(path: Path) -> list[Visit]:
+    """Return the visits of a file of detections. Raises InputError where it is none or is damaged."""
+    visits = list[Visit]()
+    with hdf5.existing_file(path) as file:
+        names = hdf5.children(file, "entry", object)
+        for name in sorted(names, key=lambda one: hdf5.read_number(file, f"entry/{one}", "order")):
+            group = f"entry/{name}"
+            begin, end = hdf5.read_attribute(file, group, "start_time"), hdf5.read_attribute(file, group, "end_s")
+            loads = _stored_loads(file, f"{group}/attachments") if hdf5.has(file, f"{group}/attachments") else []
+            visits += rows_of(name, loads, str(begin) or None, None if isnan(float(end)) else float(end))
+    return numbered(visits)
+
+
+def _stored_loads(file: Any, group: str) -> list[dict[str, Any]]:
+    """Return the attachments of a table of `write_detections` as in `Detected.content`."""
+    texts, names = ("answer", "why"), hdf5.children(file, group)
+    count = hdf5.length_of(file, f"{group}/answer")
+    columns: dict[str, list[Any]] = {name: list(hdf5.read_texts(file, f"{group}/{name}", count)) for name in texts}
+    for name in names:
+        if name not in texts:
+            values = hdf5.read_array(file, f"{group}/{name}", 1).tolist()
+            columns[name] = [None if isnan(value) else value for value in values]
+    for name in [name for name in names if f"{name}{ERRORS}" in names]:
+        pairs = zip(columns[name], columns.pop(f"{name}{ERRORS}"), strict=True)
+        columns[name] = [None if value is None else (value, sd) for value, sd in pairs]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
