@@ -97,7 +97,8 @@ def courses(rng: np.random.Generator, kind: str, time: Array, attached_s: float)
     depth, hertz, step = rng.uniform(0.03, 0.15), rng.uniform(0.6, 2.0), np.diff(time, prepend=time[0])
     phase = 2 * np.pi * (hertz * time + np.cumsum(0.03 * np.sqrt(step) * rng.standard_normal(len(time))))
     tremble = 1 + 0.015 * _wandering(rng, step)
-    beats = np.clip(_wandering(rng, step, 3.0), 0, 1) * np.sin(2 * np.pi * rng.uniform(0.4, 1.6) * time)
+    (own,) = rng.spawn(1)  # so that scenes without a body are as they were
+    beats = np.clip(_wandering(own, step, 3.0), 0, 1) * np.sin(2 * np.pi * own.uniform(0.4, 1.6) * time)
     body = on * (1 + 0.6 * beats)
     if kind == RING:  # as a weight on it does that is not at rest
         return np.stack([press * (1 + 0.03 * np.sin(phase)), 0 * suck, body], axis=1), 0.0, hertz

@@ -164,6 +164,10 @@ class Attachment:
         """Return the distance to a place, mm."""
         return hypot(self.place[0] - place[0], self.place[1] - place[1])
 
+    def ended(self, time: float) -> "Attachment":
+        """Return the attachment after it left at a time in s, without what only later frames need."""
+        return replace(self, until_s=time, patterns=None)
+
     def continued(self, later: "Attachment") -> "Attachment":
         """Return the later state of the same load, with its history.
 
@@ -328,5 +332,5 @@ def continued_by(
     if again:
         return tuple(load for number, load in enumerate(attachments) if number not in left or load.since_s < time)
     for number in left:
-        attachments[number] = replace(attachments[number], until_s=time)
+        attachments[number] = attachments[number].ended(time)
     return tuple(attachments)

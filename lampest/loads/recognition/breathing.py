@@ -44,6 +44,9 @@ MAX_SWINGS = {"own": 0.15, "rim": 1.0, "moves": 10.0}
 # Assumed relative standard deviation of the whole rim's swing against that of suction, because the rim may press with
 # more than it bears; and of each cell's change by a movement, because the places of edges on its film are unknown.
 EDGE_SD = 0.5
+# Assumed: of each cell's swing with the suction, over the root mean square of all cells; and of the depth of breath, by
+# a curve under suction that was not measured.
+OWN_SD, CURVE_SD = 0.1, 0.15
 THRESHOLD_KPA = -2.0  # suction from which an alternative curve through the published point may begin, instead of 0 kPa
 MAX_LOG_ODDS = 10.0  # upper limit of accumulated ln odds of breathing
 
@@ -174,6 +177,7 @@ class Patterns(NamedTuple):
             Further changes.
         """
         mean, rim = slopes[0], rise < 0
+        spread = np.hypot(spread, OWN_SD * np.sqrt(np.mean(mean**2)))
         suction = np.column_stack([mean, EDGE_SD * rim * mean, slopes[1:].T, np.diag(spread)])
         rigid = np.delete(suction, 1, axis=1) * rim[:, None]
         changes = np.linalg.norm(moves, axis=0)
@@ -351,6 +355,7 @@ def breath(interval: Interval, changes: Array, patterns: Patterns) -> Breath | N
     far = np.swapaxes(far / np.linalg.norm(far, axis=1, keepdims=True), 1, 2)
     others = far @ changes
     noise = max(1.0, float(np.quantile((others**2).mean(axis=(1, 2)), 0.25))) if len(others) else 1.0
+    loud = max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25)))  # with what the wave leaks into others
     others = others.reshape(-1, swings.shape[2])
     root = cholesky(noise * np.eye(swings.shape[2]) + others.T @ others / max(len(others), 1), lower=True)
     whitening = solve_triangular(root, np.eye(len(root)), lower=True)
@@ -370,7 +375,7 @@ def breath(interval: Interval, changes: Array, patterns: Patterns) -> Breath | N
         float(breathing - steady),
         _suction(steadied, swings, 1.0, float(gain.mean())),
         (float(hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
-        _depth(patterns, changes, waves[best] - trend @ (trend.T @ waves[best]), at, noise / float(gain.mean())),
+        _depth(patterns, changes, waves[best] - trend @ (trend.T @ waves[best]), at, loud / float(gain.mean())),
     )
 
 
@@ -405,7 +410,7 @@ def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: f
         coefficients, variances = covariance @ (basis.T @ series) / left, np.diag(covariance)
         # A² from all four coefficients, less the noise of the two of linear change
         depth = max(float(coefficients @ coefficients - variances[2:].sum()), TREMBLE_SD**2) ** 0.5
-        film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2
+        film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2 + CURVE_SD**2
         variance = depth**2 * film + float(variances[:2].mean())
     return depth / (1 - RESPONSE_SD), variance**0.5 / (1 - RESPONSE_SD)
 

@@ -19,7 +19,6 @@ from lampest.loads.recognition.candidates import FIELD, FULL_KPA, LOADS, UNIFORM
 from lampest.loads.recognition.fit import (
     EVIDENCE_SHARE,
     MAX_LOG_RATIO,
-    MAX_ROUNDS,
     SEARCH,
     CellLikelihood,
     Fit,
@@ -38,6 +37,10 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import BentSuction, PublishedResponse
 
+# χ² of a reading in a fit with coarse errors, beyond which it is not refined: rods, rings and pairs of rods have up to
+# 0.5, hands and rocks up to 3.
+MAX_COARSE = 0.7
+SHARPENED = 2  # rounds of fits and outlier detection
 START_SIZES = (0.8, 1.1)  # diameters of the starts, over that of the area of the risen cells
 
 
@@ -94,11 +97,15 @@ class Detector:
         kinds = tuple(load for load in self.loads if hidden or not load.sucks)
         if not kinds:
             return self._judged(without, (field,))
-        single = self._settled(frame, self._coarse(kinds, field, without), field, without)
+        coarse = self._coarse(kinds, field, without)
+        shaped = min(fit.chi2 for fit in coarse) < MAX_COARSE * frame.measured.size
+        single = self._settled(frame, coarse if shaped else (), field, without)
         groups = groups_of(frame.panel, states(frame.panel, field.change) > 1)
         if not 2 <= len(groups) <= self.most_loads or not self._doubtful(frame, single, field):
             return self._spread(frame, single)
         several = self._together(kinds, without, field, [self._under(frame.panel, group) for group in groups])
+        if several.chi2 > MAX_COARSE * frame.measured.size:
+            return self._spread(frame, single)
         verdict = self._settled(frame, (several, *single.loads[:1]), field, without)
         return self._spread(frame, max(single, verdict, key=lambda verdict: verdict.best.evidence))
 
@@ -200,7 +207,7 @@ class Detector:
             Relative deviation of the film.
         """
         dropped: list[int] | None = None
-        for _ in range(MAX_ROUNDS):
+        for _ in range(SHARPENED):
             whitening = self.fitting(explains.candidate, calm).errors(explains, scatter)
             fit = explains = self.fitting(fit.candidate, calm).best(fit.parameters, whitening)
             far = self._contradicting(frame, fit)

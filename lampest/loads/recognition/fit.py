@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
+from lampest.files.levels import MAX_MEAN_SQUARE, NOISE_REACH, SIGNIFICANT
 from lampest.loads.recognition.candidates import FIELD, UNIFORM, under
 from lampest.loads.recognition.observation import MostProbable, Observation, Whitening, outliers
 from lampest.loads.recognition.suction import Suction
@@ -29,7 +29,9 @@ from lampest.panel.panel import Array, Panel
 # Search with one linearised circuit; a change of ln P below `settled` changes nothing that is reported.
 SEARCH = LevenbergMarquardt(evaluations=30, settled=0.3)
 MAX_ROUNDS = 4  # linearisations of the circuit in a fit; also fits with errors about the previous one
-NEGLIGIBLE, PROFILE_STEPS = 5.0, 6  # difference of ln P at the end of a profile, and evaluations for each of its points
+# Profile along a parameter: the difference of ln P at its end, the evaluations and the largest number of points to each
+# side, and by how much a step is longer than the one before.
+NEGLIGIBLE, PROFILE_STEPS, MAX_PROFILE, FARTHER = 5.0, 5, 6, 1.5
 MAX_LOG_RATIO = 20.0  # difference of ln P to the best candidate beyond which candidates do not count
 # Assumed −ln P: of one in twenty, for every further load, a rim that moves without its suction, and a mouth that does
 # not breathe; and of the impossible, two loads in one place.
@@ -288,22 +290,25 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
     place, sd = names.index("diameter"), fitting.candidate.sd(fitting.frame.panel)
     remaining = np.ix_(*2 * [np.arange(len(names)) != place])
     points = [(fit.parameters, fitting.at(fit.parameters, likelihood))]
-    # Profile: step ln d in both directions until P(δ) is negligible, all other parameters fitted.
+    # Profile: step ln d in both directions, ever farther, until P(δ) is negligible; all other parameters are fitted.
     spacing = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))  # as points of a patch are
     for step in (1, -1) * np.array(max(spacing, fit.covariance[place, place] ** 0.5)):
-        position, squares = points[0]
-        while squares.cost < points[0][1].cost + NEGLIGIBLE:
-            begin = position + step * np.eye(len(names))[place]
+        (position, squares), number = points[0], 0
+        while squares.cost < points[0][1].cost + NEGLIGIBLE and number < MAX_PROFILE:
+            begin = position + FARTHER**number * step * np.eye(len(names))[place]
             position, squares = fitting.descended(begin, likelihood, PROFILE_STEPS, held=place)
             points.append((position, squares))
+            number += 1
+    points.sort(key=lambda point: float(point[0][place]))
+    steps = np.gradient([position[place] for position, _ in points])
     # Prior precision of a centre that is uniform within a pitch: beyond, it would touch other patches.
     centred = np.diag(fitting.centred * 12 / fitting.frame.panel.pitch_mm**2)
     inverses, widths = zip(
         *(inverse_beside_prior((squares.normal + centred)[remaining], np.delete(sd, place)) for _, squares in points),
         strict=True,
     )
-    # P(δ) ∝ e^(−cost) |H|^(−½), with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ − φ̂)(φ − φ̂)ᵀ)
-    share = softmax([-squares.cost - width for (_, squares), width in zip(points, widths, strict=True)])
+    # P(δ) ∝ e^(−cost) |H|^(−½) dδ, with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ − φ̂)(φ − φ̂)ᵀ)
+    share = softmax(np.log(steps) - [squares.cost + width for (_, squares), width in zip(points, widths, strict=True)])
     offsets = np.array([position for position, _ in points]) - fit.parameters
     covariance = (share[:, None] * offsets).T @ offsets + np.diag(fit.candidate.blind(fit.parameters) ** 2)
     covariance[remaining] += np.tensordot(share, inverses, 1)
@@ -410,6 +415,16 @@ class Verdict:
     def best(self) -> Fit:
         """The most probable fit."""
         return self.fits[int(np.argmax(self.shares))]
+
+    @property
+    def changed(self) -> Array:
+        """ln r/r0 of the cells that have clearly changed, and 0 of the others, (rows, columns).
+
+        A shape that is of one mind with them says by how much, because the prior of free cells draws large ones in.
+        """
+        cells, shaped = self.frame.free_map, self.best.change
+        agreed = np.where(cells * shaped > 0, np.maximum(np.abs(cells), np.abs(shaped)), np.abs(cells))
+        return np.where(np.abs(cells) > NOISE_REACH * self.frame.free_sd, np.sign(cells) * agreed, 0.0)
 
     @property
     def loads(self) -> tuple[Fit, ...]:

@@ -218,6 +218,11 @@ class ImageWatch:
         return next((watch.doubt for watch in self._watches if watch.doubt), "")
 
     @property
+    def faults(self) -> tuple[tuple[str, float], ...]:
+        """Open lines of all windows and modules, counted within each, as `Watch.faults`."""
+        return tuple(dict.fromkeys(fault for watch in self._watches for fault in watch.faults))
+
+    @property
     def stands_out(self) -> float:
         """Largest `Watch.stands_out` of all windows and modules."""
         return max(watch.stands_out for watch in self._watches)

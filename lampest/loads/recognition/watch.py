@@ -40,6 +40,9 @@ TOUCHED = "something touched the panel while its unloaded frames were taken"
 UNEVENLY = "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
 FIRST_S, LOOKS_S = 1.0, 60.0  # time until the first recognition, and the longest one between two
 MIN_FRAMES = 3  # that a recognition needs
+# Resistances of an open line over those at rest, and the share of its readings that have them: mouths raise up to five
+# cells of a row of ten.
+OPEN_RATIO, OPEN_SHARE = 2.0, 0.8
 UNCOVERED = 0.25  # of the unevenness of cells under a load, which is left where it has gone: films keep an eighth
 Frames = tuple[tuple[float, Array], ...]
 
@@ -254,6 +257,8 @@ class Watch:
         Standard deviation of ln r0 by the residue of earlier loads in the film.
     history : str
         What the unloaded frames show of a load, in words; '' for nothing.
+    faults : tuple of (str, float)
+        Open lines, such as 'row 3', and the times in s of the first frames in which they were.
     attachments : tuple of Attachment
     former : Watch or None
         State before the last step; None once a load was recognised since.
@@ -273,6 +278,7 @@ class Watch:
     look: Look | None = None
     film_sd: Array | float = 0.0
     history: str = ""
+    faults: tuple[tuple[str, float], ...] = ()
     attachments: tuple[Attachment, ...] = ()
     former: "Watch | None" = None
 
@@ -329,12 +335,33 @@ class Watch:
 
     def followed(self, measured: Array, sigma: Array, time: float) -> "Watch":
         """Return the watch after a frame, as `push`, with step detection only."""
+        sigma, faults = self._without_open_lines(measured, sigma, time)
         counts = np.isfinite(sigma).ravel()
         logarithm = np.where(counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.level.mean)
         # the median of three frames, so that a single wrong reading is no step
         shown = np.median([*self.recent, logarithm], axis=0)
         sigma = counting(sigma, np.exp(self.rest.mean).reshape(sigma.shape))
-        return replace(self, recent=(self.recent[-1], logarithm), sigma=sigma)._stepped(shown, logarithm, time)
+        watch = replace(self, recent=(self.recent[-1], logarithm), sigma=sigma, faults=faults)
+        return watch._stepped(shown, logarithm, time)
+
+    def _without_open_lines(
+        self, measured: Array, sigma: Array, time: float
+    ) -> tuple[Array, tuple[tuple[str, float], ...]]:
+        """Return σ, infinite for the readings of open lines, and the faults with the times of their first frames.
+
+        Suction raises the cells of a mouth; only an open line raises nearly all resistances of a row or a column.
+        """
+        if self.panelled.scene.circuit.unit != "ohm":
+            return sigma, self.faults
+        known = np.isfinite(sigma) & (measured > 0)
+        ratio = np.where(known, measured, 0.0) / np.exp(self.rest.mean).reshape(measured.shape)
+        faults, known_faults = dict(self.faults), known.copy()
+        for axis, name in enumerate(("row", "column")):
+            read = np.maximum(known.sum(axis=1 - axis), 1)
+            for line in np.flatnonzero((ratio > OPEN_RATIO).sum(axis=1 - axis) > OPEN_SHARE * read):
+                np.moveaxis(known_faults, axis, 0)[line] = False
+                faults.setdefault(f"{name} {line}", time)
+        return np.where(known_faults, sigma, np.inf), tuple(faults.items())
 
     def ended(self) -> "Watch":
         """Return the watch after the last frame, in which a load that has just arrived is recognised, too."""
@@ -427,7 +454,9 @@ class Watch:
         if np.any(former.test.scores(logarithm - former.level.mean) >= least):
             return self
         level = replace(former.level, until_s=self.level.until_s)
-        return replace(former, recent=self.recent, sigma=self.sigma, window=self.window, level=level)
+        return replace(
+            former, recent=self.recent, sigma=self.sigma, window=self.window, level=level, faults=self.faults
+        )
 
     def _least_step(self, time: float) -> Array:
         """Return the thresholds of the scores, (discs,): a part of the load that is present, or of a fading residue."""
@@ -470,15 +499,16 @@ class Watch:
     @property
     def _before(self) -> Array:
         """ln r/r0 (rows, columns) of the load before the last step; 0 without one."""
-        change = self.change if self._recognised else None
-        return np.zeros(self.panelled.scene.panel.shape) if change is None else change
+        if self.look is None or self.look.over:
+            return np.zeros(self.panelled.scene.panel.shape)
+        return self.look.verdict.changed
 
     def _gone(self, time: float) -> "Watch":
         """Return the watch after the load has left at a time in s.
 
         The present readings become the baseline, unless no load had been recognised.
         """
-        closed = tuple(replace(load, until_s=time) if load.present else load for load in self.attachments)
+        closed = tuple(load.ended(time) if load.present else load for load in self.attachments)
         watch = replace(self, present=False, known=False, former=None, attachments=closed, film_sd=0.0)
         watch = replace(watch, next_s=np.inf, window=(), steps=())
         if self.look is None or self.look.over:
@@ -501,10 +531,10 @@ class Watch:
         except (ArithmeticError, ValueError) as error:
             logged_reason(error, f"look at {time:.1f} s")
             return replace(self, next_s=again)
-        frame, change, before = verdict.frame, verdict.best.change, self._before
+        frame, change, before = verdict.frame, verdict.changed, self._before
         least = NOISE_REACH * self.panelled.errors.residue * np.sum(change * before)
         # No load, or only the residue of the former one: the load has left, unless its cells still show it.
-        memory = not self.known and np.sum(change**2) < least  # the film's residue in the cells of the former load
+        memory = not self.known and np.sum(change**2) <= least  # the film's residue in the cells of the former load
         if memory or verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing):  # odds: some steps are noise
             if self._left(frame) and not (self.known and np.any(scores >= self.test.least())):
                 return self._gone(time if self.known else self.level.since_s)

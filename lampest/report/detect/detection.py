@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,9 +145,10 @@ class Known:
             return replace(Detected.unknown(self.name, watch.doubt), frames_per_second=rate, course=course)
         if response is None:
             attachments = tuple(replace(load, suctions=()) for load in attachments)
+        faults = tuple(f"{line} is open in frames from {at:.1f} s on; these are left out" for line, at in watch.faults)
         slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
-        notes = (*self.notes, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (slow, watch.doubt)))
-        about = {"notes": notes, "course": course, "change": watch.change, "panel": self.scene.panel}
+        notes = (*self.notes, *faults, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (slow, watch.doubt)))
+        about: dict[str, Any] = {"notes": notes, "course": course, "change": watch.change, "panel": self.scene.panel}
         about |= {"threshold": self.threshold, "start_time": self.start_time, "end_s": time}
         return Detected.of(self.name, attachments, rate, **about)
 

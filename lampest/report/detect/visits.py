@@ -128,6 +128,8 @@ def rows_of(recording: str, loads: Sequence[dict[str, Any]], begin: str | None, 
     for load in loads:
         since, until = load["since_s"], load["until_s"]
         stop = end if until is None else until
+        names = "x_mm", "y_mm", "breathing_hz", "breathing_depth"
+        values: Any = {name: (load[name] or (None,))[0] for name in names}
         suction = _with_error("suction_kpa", load) | _with_error("strongest_kpa", load)
         visits.append(
             Visit(
@@ -138,7 +140,7 @@ def rows_of(recording: str, loads: Sequence[dict[str, Any]], begin: str | None, 
                 None if stop is None else round(max(stop - since, 0.0), 3),
                 _clock(begin, since),
                 "no" if until is None else "yes",
-                **{name: (load[name] or (None,))[0] for name in ("x_mm", "y_mm", "breathing_hz", "breathing_depth")},
+                **values,
                 **_with_error("diameter_mm", load),
                 **(suction if load["sucks"] > 0.5 else {}),
                 pumps=None if load["pump_count"] is None else int(load["pump_count"]),
@@ -149,7 +151,7 @@ def rows_of(recording: str, loads: Sequence[dict[str, Any]], begin: str | None, 
     return visits
 
 
-def _with_error(name: str, load: dict[str, Any]) -> dict[str, Any]:
+def _with_error(name: str, load: dict[str, Any]) -> Any:
     """Return a pair of a load as two columns."""
     value, sd = load[name] or (None, None)
     stem, unit = name.rsplit("_", 1)

@@ -18,7 +18,7 @@ from lampest.report.detect.answer import Detected
 from lampest.report.detect.detection import HEAD_FRAMES, Known, known_of
 from lampest.report.live.handover import Beside
 
-MAX_REMEMBERED = 16  # former attachments that are kept
+MAX_REMEMBERED = 200  # former attachments that are kept: those of a day with eight visits an hour
 MAX_WAITING = 2000  # waiting frames beyond which every second one is dropped: a fit on 32 × 32 cells takes a minute
 WAITING = "waiting for frames of the unloaded panel"
 DIED = "the process that recognises loads has died; restart lampest live"

@@ -95,7 +95,8 @@ def _map(axes: Axes, answer: Detected) -> None:
 
 def _visits(axes: Axes, answer: Detected, panel: Panel) -> None:
     """Draw the places of all visits: a circle of the diameter, or a cross where it is not known, and the number."""
-    axes.scatter(*panel.places_mm[:, panel.present], s=2, color="0.8", lw=0)
+    across, down = panel.places_mm[:, panel.present]
+    axes.plot(across, down, ".", color="0.8", ms=2)
     for number, (attachment, name) in enumerate(zip(answer.attachments, answer.called, strict=True), 1):
         if attachment.diameter_mm is not None:
             radius = attachment.diameter_mm[0] / 2
