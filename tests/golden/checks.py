@@ -441,7 +441,7 @@ def prior_row() -> list[Any]:
         candidate = parts[0] if len(parts) == 1 else Several.of(parts)
         places = (disc, disc._replace(y_mm=20.0 + away, diameter_mm=20.0))
         parameters = np.concatenate([part.start(place) for part, place in zip(parts, places, strict=False)])
-        costs.append(prior_cost(Fit(candidate, parameters, nothing, nothing, nothing, nothing, 80.0, 0.0, 0.0, 0.0)))
+        costs.append(prior_cost(Fit(candidate, parameters, nothing, nothing, nothing, 80.0, 0.0, 0.0, 0.0)))
     return costs
 
 

@@ -53,8 +53,6 @@ class Fit:
         φ and its posterior covariance.
     change : array, shape (rows, columns)
         ln r/r0.
-    normal : array, shape (parameters, parameters)
-        Gauss-Newton matrix of the cost.
     residual : array, shape (cells,)
         Residual of the readings, in their unit.
     chi2 : float
@@ -73,7 +71,6 @@ class Fit:
     parameters: Array
     covariance: Array
     change: Array
-    normal: Array
     residual: Array
     chi2: float
     cost: float
@@ -206,7 +203,7 @@ class Fitting:
         covariance += np.diag(self.candidate.blind(parameters) ** 2)
         errors = whitening @ likelihood.residual
         # Laplace: ln P(R) = −cost − ½ ln det (H sd sdᵀ) − ½ ln det C + constant, with the Gauss-Newton matrix H
-        known = parameters, covariance, self.effect(parameters)[0], squares.normal, likelihood.residual
+        known = parameters, covariance, self.effect(parameters)[0], likelihood.residual
         likely = float(errors @ errors), squares.cost, whitening.volume, -width - squares.cost - whitening.volume
         return Fit(self.candidate, *known, *likely, whitening.scatter)
 
@@ -347,7 +344,7 @@ def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
     misfit, cost = Whitening.about(frame, change) @ left, float(errors @ errors) / 2
     # ln P(R | states) = −½ eᵀ (A P Aᵀ + C)⁻¹ e − ½ ln det (A P Aᵀ + C), and ln P(states) of the Potts field
     likely = float(misfit @ misfit), cost, whitening.volume, -cost - whitening.volume - paid(frame.panel, of_cells)
-    return Fit(FIELD, none, none.reshape(0, 0), change, none.reshape(0, change.size), left, *likely), most_probable
+    return Fit(FIELD, none, none.reshape(0, 0), change, left, *likely), most_probable
 
 
 def prior(frame: Observation, sd: Array) -> Array:
