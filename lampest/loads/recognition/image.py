@@ -78,9 +78,9 @@ class WindowScene:
         return self._joined(lambda scene, part: scene.series_ohm + part, np.zeros(self.panel.shape))
 
     @property
-    def broken(self) -> Array:
+    def broken(self) -> NDArray[np.bool_]:
         """Whether a crossing has no cell to be estimated, (rows, columns)."""
-        return self._joined(lambda scene, part: scene.broken.astype(float), np.zeros(self.panel.shape))
+        return self._joined(lambda scene, part: scene.broken.astype(float), np.zeros(self.panel.shape)) > 0
 
     def uniform_start(self, measured: Array) -> Array:
         """Return the uniform start of every module, as `Readout.uniform_start`."""
