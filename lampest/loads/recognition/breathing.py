@@ -46,7 +46,7 @@ MAX_SWINGS = {"own": 0.15, "rim": 1.0, "moves": 10.0}
 EDGE_SD = 0.5
 # Assumed: of each cell's swing with the suction, over the root mean square of all cells; and of the depth of breath, by
 # a curve under suction that was not measured.
-OWN_SD, CURVE_SD = 0.1, 0.15
+OWN_SD, CURVE_SD = 0.1, 0.27
 THRESHOLD_KPA = -2.0  # suction from which an alternative curve through the published point may begin, instead of 0 kPa
 MAX_LOG_ODDS = 10.0  # upper limit of accumulated ln odds of breathing
 

@@ -534,7 +534,8 @@ class Watch:
         frame, change, before = verdict.frame, verdict.changed, self._before
         least = NOISE_REACH * self.panelled.errors.residue * np.sum(change * before)
         # No load, or only the residue of the former one: the load has left, unless its cells still show it.
-        memory = not self.known and np.sum(change**2) <= least  # the film's residue in the cells of the former load
+        # the film's residue in the cells of the former load
+        memory = self._recognised and not self.known and np.sum(change**2) <= least
         if memory or verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing):  # odds: some steps are noise
             if self._left(frame) and not (self.known and np.any(scores >= self.test.least())):
                 return self._gone(time if self.known else self.level.since_s)
