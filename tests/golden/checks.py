@@ -455,10 +455,10 @@ def breathing_row() -> dict[str, Any]:
         np.eye(24), rise, slopes[None], 0.2 * np.abs(slopes), moves, rng.standard_normal((24, 1)),
     )  # fmt: skip
     settled = breathing.settled(swing + rng.standard_normal(swing.shape))
-    interval = breathing.Interval.of(times, settled)
+    interval = breathing.SteadyFrames.of(times, settled)
     swing_breath = breathing.breath(interval, settled, patterns)
     few = [
-        breathing.breath(breathing.Interval.of(times[part], settled[part]), settled[part], patterns)
+        breathing.breath(breathing.SteadyFrames.of(times[part], settled[part]), settled[part], patterns)
         for part in (slice(10), slice(None, None, 2))
     ]
     parted, left = interval.parted((3.0, 5.5))
@@ -502,7 +502,7 @@ def patterns_row() -> list[Any]:
         seen = replace(frame, water=depth + np.arange(42).reshape(6, 7) / 40)
         each = breathing.patterns_of(seen, verdict.best, whitening, Detector(6.0))
         rows += [each, [pattern and pattern.suction_weights(whitening) for pattern in each]]
-        interval = breathing.Interval.of(np.arange(9) / 4, logarithms)
+        interval = breathing.SteadyFrames.of(np.arange(9) / 4, logarithms)
         rows.append(breathing.changes_without_water(interval, seen, verdict.best))
     return rows
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lampest.loads.recognition.breathing import Breath, Interval, Patterns, breath, settled
+from lampest.loads.recognition.breathing import Breath, Patterns, SteadyFrames, breath, settled
 from lampest.loads.recognition.pumping import BLOCK_S, MIN_LOG_ODDS, Pumping
 from lampest.panel.panel import Array
 
@@ -44,7 +44,7 @@ def window(
     changes += wild * 50 * (rng.random(changes.shape) < 0.003)
     spread = 0.2 * np.abs(slopes)
     known = Patterns.of(np.eye(READINGS), rise, slopes[None], spread, moves, supply)
-    return breath(Interval.of(TIMES, changes), settled(changes), known)
+    return breath(SteadyFrames.of(TIMES, changes), settled(changes), known)
 
 
 @pytest.mark.parametrize("seed", range(3))

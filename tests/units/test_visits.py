@@ -15,7 +15,7 @@ from docs.studies.attachments import recording as attached
 from docs.studies.attachments import seen
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.breathing import Breathing, Interval, Patterns, breath
+from lampest.loads.recognition.breathing import Breathing, Patterns, SteadyFrames, breath
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.pumping import Pumping
 from lampest.report.detect.answer import LAMPREY, PRESSES, SUCKS, Detected, answer_of
@@ -150,12 +150,18 @@ def test_uneven_mouths_beside_bodies_in_currents_and_pulled_suck_and_live(kind: 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["bubbles", "rock", "hand"])
+@pytest.mark.parametrize("kind", ["bubbles", "rock", "hand", "fin"])
 def test_nothing_stood_on_the_panel_where_something_comes(kind: str) -> None:
     for number in range(3):
         whole, *_ = attached(kind, 4.0, 8300 + number)
         found = answered(whole)
         assert not any("in its unloaded frames" in note for note in (*found.notes, found.why))
+
+
+def test_few_cells_that_become_even_are_no_load_that_left() -> None:
+    """A fin presses on few cells, which happen to be more even under it."""
+    found = answered(attached("fin", 4.0, 977000)[0])
+    assert found.answer == PRESSES and not any("in its unloaded frames" in note for note in found.notes)
 
 
 def test_a_wave_at_half_the_frame_rate_has_a_depth_of_a_breath() -> None:
@@ -166,5 +172,5 @@ def test_a_wave_at_half_the_frame_rate_has_a_depth_of_a_breath() -> None:
     patterns = Patterns.of(np.eye(40), rise, slopes[None], 0.2 * np.abs(slopes), moves, supply)
     noise = np.random.default_rng(4).standard_normal((len(times), 40))
     changes = np.outer(0.08 * np.sin(2 * np.pi * 2.0 * times + 0.3), slopes) + noise
-    found = breath(Interval.of(times, changes), changes, patterns)
+    found = breath(SteadyFrames.of(times, changes), changes, patterns)
     assert found is not None and found.depth[0] < 0.3 and found.hertz[0] < 2.0

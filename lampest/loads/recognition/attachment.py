@@ -16,8 +16,8 @@ from lampest.loads.recognition.breathing import (
     MIN_WINDOW_S,
     WINDOW_S,
     Breathing,
-    Interval,
     Patterns,
+    SteadyFrames,
     breath,
     changes_without_water,
 )
@@ -207,7 +207,7 @@ class Attachment:
         last = float(times[-1])
         if last - times[0] < MIN_WINDOW_S or last - self.breath.judged_s < JUDGED_S:
             return self
-        interval = Interval.of(times, np.array([logarithm for at, logarithm in frames if at > begin]), steps)
+        interval = SteadyFrames.of(times, np.array([logarithm for at, logarithm in frames if at > begin]), steps)
         if not len(interval.times):
             return self
         full = float(np.ptp(interval.times)) > WINDOW_S - 2.5 * interval.period

@@ -263,7 +263,7 @@ def patterns_of(frame: Observation, fit: Fit, whitening: Array, detector: Detect
     return patterns
 
 
-class Interval(NamedTuple):
+class SteadyFrames(NamedTuple):
     """Frames of a window without those in which the readings step.
 
     Attributes
@@ -284,19 +284,19 @@ class Interval(NamedTuple):
     period: float
 
     @classmethod
-    def of(cls, times: Array, logarithms: Array, steps: Sequence[float] = ()) -> "Interval":
+    def of(cls, times: Array, logarithms: Array, steps: Sequence[float] = ()) -> "SteadyFrames":
         """Return the interval of all frames but the ones about steps, and but parts of less than MIN_PART frames."""
         none = np.zeros(len(times), dtype=np.intp)
         return cls(times, logarithms, none, float(np.median(np.diff(times)))).parted(steps)[0]
 
-    def parted(self, steps: Sequence[float]) -> tuple["Interval", NDArray[np.bool_]]:
+    def parted(self, steps: Sequence[float]) -> tuple["SteadyFrames", NDArray[np.bool_]]:
         """Return the interval with further steps, and which of its frames are left, (frames,)."""
         at = np.array(sorted(steps))
         apart = np.searchsorted(at, self.times) + (len(at) + 1) * self.part
         still = np.all(np.abs(self.times - at[:, None] - self.period / 2) > 1.6 * self.period, axis=0)
         still &= np.array([np.sum(still & (apart == number)) >= MIN_PART for number in apart], dtype=bool)
         _, part = np.unique(apart[still], return_inverse=True)
-        return Interval(self.times[still], self.logarithms[still], part, self.period), still
+        return SteadyFrames(self.times[still], self.logarithms[still], part, self.period), still
 
     def pulled(self, series: Array, wave: float) -> tuple[float, ...]:
         """Return the times between which a series, (frames,), is at another level; () where a wave explains it better.
@@ -324,12 +324,12 @@ class Interval(NamedTuple):
         return np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at), *steps]))[0]
 
 
-def breath(interval: Interval, changes: Array, patterns: Patterns) -> Breath | None:
+def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath | None:
     """Return the breath of a window; None where it is too short or frames are too few.
 
     Parameters
     ----------
-    interval : Interval
+    interval : SteadyFrames
     changes : array, shape (frames, readings)
         Whitened changes of ln y.
     patterns : Patterns
@@ -508,7 +508,7 @@ def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
     return np.vstack([mean, np.sqrt(shares)[:, None] * (slopes - mean), common])
 
 
-def changes_without_water(interval: Interval, frame: Observation, fit: Fit) -> Array:
+def changes_without_water(interval: SteadyFrames, frame: Observation, fit: Fit) -> Array:
     """Return the changes of ln y, (frames, readings), since the recognised frame, less those by the water's pressure.
 
     Outliers of each part between steps are drawn in. The water's effect is estimated from lines without a load; it is 0
@@ -516,7 +516,7 @@ def changes_without_water(interval: Interval, frame: Observation, fit: Fit) -> A
 
     Parameters
     ----------
-    interval : Interval
+    interval : SteadyFrames
     frame : Observation
         The recognised frame.
     fit : Fit

@@ -43,6 +43,7 @@ MIN_FRAMES = 3  # that a recognition needs
 # Resistances of an open line over those at rest, and the share of its readings that have them: mouths raise up to five
 # cells of a row of ten.
 OPEN_RATIO, OPEN_SHARE = 2.0, 0.8
+MIN_RELIEVED = 3  # cells that rise where a load left: one or two are even by chance
 UNCOVERED = 0.25  # of the unevenness of cells under a load, which is left where it has gone: films keep an eighth
 Frames = tuple[tuple[float, Array], ...]
 
@@ -554,15 +555,17 @@ class Watch:
     def _uncovered(self, verdict: Verdict) -> bool:
         """Return whether the first change is a load that left, which was present before the first frame.
 
-        The cells that changed were as uneven before, about the median of all, as loads make them, and are even now:
-        their deviations have less than UNCOVERED of the former sum of squares. Nothing is concluded of readings that
+        Half of the cells that changed, and at least MIN_RELIEVED, have risen. They were as uneven before, about the
+        median of all, as loads make them, and are even now: their deviations have less than UNCOVERED of the former
+        sum of squares. Nothing is concluded of readings that
         the circuit does not explain.
         """
         if self.attachments or not self.panelled.explained:
             return False
         frame, intact = verdict.frame, self.panelled.scene.panel.present & ~self.panelled.scene.broken
         moved = intact & (np.abs(frame.free_map) > np.maximum(MIN_RISE, NOISE_REACH * frame.free_sd))
-        if not moved.any():
+        # what leaves relieves cells, and those rise
+        if np.sum(moved & (frame.free_map > 0)) < max(MIN_RELIEVED, moved.sum() / 2):
             return False
         resting = frame.baseline.logarithm - np.median(frame.baseline.logarithm[intact])
         now = resting + frame.free_map

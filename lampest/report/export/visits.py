@@ -3,13 +3,11 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
-
-from lampest.files.errors import InputError, extra
+from lampest.files.errors import InputError
 from lampest.files.whole import refuse_inputs, sparing, whole_file
 from lampest.report.compare import comma_separated
 from lampest.report.detect.visits import COLUMNS, Visit, visits_in
-from lampest.report.export.formats import Export
+from lampest.report.export.formats import Export, write_matlab, write_parquet
 
 
 def export_visits(path: Path, to: str | Export, out: str | Path | None) -> Path:
@@ -34,25 +32,15 @@ def _csv(path: Path, visits: Sequence[Visit]) -> None:
 
 
 def _parquet(path: Path, visits: Sequence[Visit]) -> None:
-    with extra("export"):
-        import pyarrow
-        from pyarrow import parquet
-    table = pyarrow.table({name: [getattr(visit, name) for visit in visits] for name in COLUMNS})
-    fields = [field.with_metadata({"long_name": COLUMNS[field.name]}) for field in table.schema]
-    parquet.write_table(table.cast(pyarrow.schema(fields)), path, compression="zstd")
+    write_parquet(path, _columns(visits), COLUMNS)
 
 
 def _matlab(path: Path, visits: Sequence[Visit]) -> None:
-    from scipy.io import savemat
+    write_matlab(path, "visits", _columns(visits))
 
-    columns = dict[str, object]()
-    for name in COLUMNS:
-        values = [getattr(visit, name) for visit in visits]
-        words = any(isinstance(value, str) for value in values)
-        blank = "" if words else np.nan
-        known = [blank if value is None else value for value in values]
-        columns[name] = np.array(known, dtype=object if words else float)[:, None]
-    savemat(path, {"visits": columns})
+
+def _columns(visits: Sequence[Visit]) -> dict[str, list[object]]:
+    return {name: [getattr(visit, name) for visit in visits] for name in COLUMNS}
 
 
 WRITERS: dict[str, Callable[[Path, Sequence[Visit]], None]] = {"csv": _csv, "parquet": _parquet, "mat": _matlab}
