@@ -36,9 +36,18 @@ SWAY, SWAY_S = 0.03, 7200.0  # of the temperature: of all cells, a tenth of it d
 CREEP = ((1.0, 0.02), (10.0, 0.02), (100.0, 0.02))  # s, and the part of the answer that comes so late
 KEPT, FADES_S = 0.12, 60.0  # part of its largest answer that a film keeps, and for how long
 SHAKEN, STILL, PUMPING, BUMPED, SLIDING = "shaken cup", "still mouth", "pumping mouth", "bumped cup", "sliding mouth"
-KINDS = (*MAKERS, SHAKEN, STILL, PUMPING, BUMPED, SLIDING)
-LIVING = (*MOUTHS, PUMPING, SLIDING)
-OF_COURSE = {SHAKEN: "cup", BUMPED: "cup", STILL: "mouth", PUMPING: "uneven mouth", SLIDING: "mouth"}  # their shapes
+PULLED, CURRENT, CUP_CURRENT, HAND_PUMPED, RING = (
+    "pulled mouth",
+    "mouth in current",
+    "cup in current",
+    "hand-pumped cup",
+    "trembling ring",
+)
+KINDS = (*MAKERS, SHAKEN, STILL, PUMPING, BUMPED, SLIDING, PULLED, CURRENT, CUP_CURRENT, HAND_PUMPED, RING)
+LIVING = (*MOUTHS, PUMPING, SLIDING, PULLED, CURRENT)
+# their shapes
+OF_COURSE = {SHAKEN: "cup", BUMPED: "cup", STILL: "mouth", PUMPING: "uneven mouth", SLIDING: "mouth"}
+OF_COURSE |= {PULLED: "wavy mouth", CURRENT: "wavy mouth", CUP_CURRENT: "cup", HAND_PUMPED: "cup", RING: "ring"}
 SLIDES_MM, SLIDES_S = 15.0, (6.0, 8.0)  # along the rows, and between which times after the touch
 TABLE = (PUMPING, "cup", BUMPED, SHAKEN, "rod", "hand")
 POISSON_95 = (3.0, 4.74, 6.30, 7.75)  # upper limits of a mean of which so many events were seen
@@ -81,24 +90,41 @@ class Seen:
 
 
 def courses(rng: np.random.Generator, kind: str, time: Array, attached_s: float) -> tuple[Array, float, float]:
-    """((frames, 2) factors of contact and suction, breathing depth, rate)."""
+    """((frames, 3) factors of contact, of suction and of a body beside, breathing depth, rate)."""
     since = time - TOUCH_S
     on = (since >= 0) & (since < attached_s)
     press, suck = np.clip(since / 0.4, 0, 1) * on, np.clip((since - 0.3) / 1.2, 0, 1) * on
     depth, hertz, step = rng.uniform(0.03, 0.15), rng.uniform(0.6, 2.0), np.diff(time, prepend=time[0])
     phase = 2 * np.pi * (hertz * time + np.cumsum(0.03 * np.sqrt(step) * rng.standard_normal(len(time))))
     tremble = 1 + 0.015 * _wandering(rng, step)
+    (own,) = rng.spawn(1)  # so that scenes without a body are as they were
+    beats = np.clip(_wandering(own, step, 3.0), 0, 1) * np.sin(2 * np.pi * own.uniform(0.4, 1.6) * time)
+    body = on * (1 + 0.6 * beats)
+    if kind == RING:  # as a weight on it does that is not at rest
+        return np.stack([press * (1 + 0.03 * np.sin(phase)), 0 * suck, body], axis=1), 0.0, hertz
+    if kind == HAND_PUMPED:
+        pulls = 1 + depth * np.sin(2 * np.pi * hertz * time)
+        return np.stack([press * pulls, suck * pulls, body], axis=1), 0.0, hertz
     if kind in LIVING:
         breath = 1 + depth * np.sin(phase)
         suck = suck * (_pumped(rng, since) if kind == PUMPING else 1.0)
-        return np.stack([press * (0.2 + 0.8 * suck) * breath, suck * breath], axis=1), depth, hertz
+        if kind == PULLED:
+            begin, lasts = rng.uniform(3, 9), rng.uniform(2, 4)
+            suck = suck * (
+                1 + rng.uniform(0.5, 2) * np.clip(np.minimum(since - begin, begin + lasts - since) * 2, 0, 1)
+            )
+        return np.stack([press * (0.2 + 0.8 * suck) * breath, suck * breath, body], axis=1), depth, hertz
     leak = np.exp(-np.clip(since, 0, attached_s) * rng.uniform(0, 0.14 / attached_s) * ("cup" in kind)) * (
         1 + 0.004 * _wandering(rng, step)
     )
     if kind == BUMPED:  # every minute something pushes it, and its suction is another one from then on
         bumps = rng.uniform(0, attached_s, rng.poisson(attached_s / 60))
         leak = leak * np.exp(rng.normal(0, 0.15, len(bumps)) @ (since >= bumps[:, None]))
-    return np.stack([press * (leak if "cup" in kind or kind == STILL else tremble), suck * leak], axis=1), 0.0, hertz
+    return (
+        np.stack([press * (leak if "cup" in kind or kind == STILL else tremble), suck * leak, body], axis=1),
+        0.0,
+        hertz,
+    )
 
 
 def _pumped(rng: np.random.Generator, since: Array) -> Array:
@@ -114,11 +140,11 @@ def _pumped(rng: np.random.Generator, since: Array) -> Array:
     return factor
 
 
-def _wandering(rng: np.random.Generator, step: Array) -> Array:
-    """Noise of unit variance that is alike within 0.3 s."""
+def _wandering(rng: np.random.Generator, step: Array, seconds: float = 0.3) -> Array:
+    """Noise of unit variance that is alike within some seconds."""
     value, found = 0.0, []
     for record in step:
-        cached = np.exp(-record / 0.3)
+        cached = np.exp(-record / seconds)
         value = cached * value + np.sqrt(1 - cached**2) * rng.standard_normal()
         found.append(value)
     return np.array(found)
@@ -159,11 +185,11 @@ def cells(
     y = down[:, None, None, None] + np.broadcast_to(offset[:, None], (GRID, GRID)) + np.zeros((1, panel.columns, 1, 1))
     places = np.unique(np.round(shake, 2))
     maps = {
-        at: [part(x - at, y)[..., inside].mean(axis=-1) for part in (made.contact, made.suction)]
+        at: [part(x - at, y)[..., inside].mean(axis=-1) for part in (made.contact, made.suction, made.beside)]
         for at in places.tolist()
     }
     each = [maps[at] for at in np.round(shake, 2).tolist()]
-    pressure = np.array([c * record[0] + s * record[1] for (c, s), record in zip(course, each, strict=True)])
+    pressure = np.array([np.tensordot(share, record, 1) for share, record in zip(course, each, strict=True)])
     resting = 3050 * np.exp(layer.spread * rng.standard_normal(panel.shape))
     answer = layer.bent * np.exp(layer.scatter * rng.standard_normal(panel.shape))
     logarithm = answer * np.log(CURVES[curve](pressure))
@@ -209,6 +235,8 @@ def recording(
     shake = rng.uniform(0.3, 1.5) * np.sin(2 * np.pi * hertz * time) * (kind == SHAKEN)
     inwards = 1.0 if made.centres_mm and made.centres_mm[0][0] < panel.centres_mm()[0].mean() else -1.0
     shake += inwards * SLIDES_MM * np.clip((time - TOUCH_S - SLIDES_S[0]) / np.ptp(SLIDES_S), 0, 1) * (kind == SLIDING)
+    if kind in (CURRENT, CUP_CURRENT):  # turbulence moves it by a third of a millimetre, within two seconds
+        shake += rng.uniform(0.1, 0.6) * _wandering(rng, np.diff(time, prepend=time[0]), 2.0)
     resistance = cells(rng, panel, made, layer, course, time - time[0], shake, curve)
     scene = Scene(
         panel, TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse(), gain="estimated", ripple="estimated"

@@ -29,11 +29,16 @@ class Film:
     spread: float
 
 
+def _none(x: Array, y: Array) -> Array:
+    return np.zeros_like(x)
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Pressure at the points of a panel for a factor of contact and of suction, and what it is.
 
     label : its class. diameter_mm : of every round load, in the order of their centres. centres_mm : (loads, 2).
+    beside : pressure of a body that moves by itself.
     """
 
     label: str
@@ -41,6 +46,7 @@ class Scene:
     suction: Pressure
     diameters_mm: tuple[float, ...] = ()
     centres_mm: tuple[tuple[float, float], ...] = ()
+    beside: Pressure = _none
 
 
 def film(rng: np.random.Generator, kind: str) -> Film:
@@ -55,10 +61,6 @@ def film(rng: np.random.Generator, kind: str) -> Film:
 def _edge(distance: Array, width: float) -> Array:
     """1 inside (distance < 0), 0 outside, falling over `width` mm."""
     return np.asarray(np.clip(0.5 - distance / max(width, 1e-9), 0.0, 1.0))
-
-
-def _none(x: Array, y: Array) -> Array:
-    return np.zeros_like(x)
 
 
 def _place(rng: np.random.Generator, panel: Panel, margin: float) -> tuple[float, float]:
@@ -121,6 +123,66 @@ def mouth(
     if uneven:
         form |= {"long": rng.uniform(1, 1.25), "wave": rng.uniform(0.1, 0.35), "tilt": rng.uniform(0, 0.3)}
     return annulus(rng, _place(rng, panel, outer * (0.2 if off else 0.5)), outer, inner, **form)
+
+
+def wavy_mouth(rng: np.random.Generator, panel: Panel) -> Scene:
+    """A mouth whose rim is a closed curve of uneven load: long by up to 1.3, waves of form and of load, tilt, teeth.
+
+    Its outer edge is R (1 + Σ a_k cos(kθ − φ_k)) with k of 2 to 5, its load (1 + Σ b_k cos(kθ − ψ_k)) with k of 1 to 6,
+    and teeth press inside the rim. The diameter is that of a circle of the same area.
+    """
+    outer, width = rng.uniform(25, min(45.0, 0.7 * panel.pitch_mm * min(panel.shape))), rng.uniform(4, 7)
+    inside, soft = -float(np.exp(rng.uniform(np.log(2.5), np.log(20)))), rng.uniform(0.3, 2.0)
+    form = rng.normal(0, 0.03, 4), rng.uniform(0, 2 * np.pi, 4)
+    form[0][0] = 0.5 * np.log(rng.uniform(1.0, 1.3))
+    load = rng.normal(0, 0.18, 6), rng.uniform(0, 2 * np.pi, 6)
+    taper, teeth, extra = rng.uniform(-0.4, 0.4), rng.uniform(0, 0.25), rng.uniform(0, 15) * (rng.random() < 0.5)
+    cx, cy = _place(rng, panel, outer / 2)
+    inner = outer - 2 * width
+    rim = -inside * inner**2 / (outer**2 - inner**2) + extra
+
+    def sides(x: Array, y: Array) -> tuple[Array, Array, Array]:
+        angle, radius = np.arctan2(y - cy, x - cx), np.hypot(x - cx, y - cy)
+        curve = 1 + sum(a * np.cos(k * angle - b) for k, a, b in zip(range(2, 6), *form, strict=True))
+        return radius, outer / 2 * curve, angle
+
+    def contact(x: Array, y: Array) -> Array:
+        radius, edge, angle = sides(x, y)
+        ring = _edge(radius - edge, soft) - _edge(radius - edge + width, soft)
+        along = 1 + sum(a * np.cos(k * angle - b) for k, a, b in zip(range(1, 7), *load, strict=True))
+        across = 1 + taper * np.clip(2 * (edge - radius) / width - 1, -1, 1)
+        spikes = (
+            teeth
+            * (np.cos(11 * angle) > 0.3)
+            * (_edge(radius - edge + width, 0.5) - _edge(radius - edge + 2 * width, 0.5))
+        )
+        return np.asarray(rim * (ring * across * np.maximum(along, 0.1) + spikes))
+
+    def suction(x: Array, y: Array) -> Array:
+        radius, edge, _ = sides(x, y)
+        return np.asarray(inside * _edge(radius - edge + width, soft))
+
+    return Scene("wavy mouth", contact, suction, (outer,), ((cx, cy),))
+
+
+def with_body(rng: np.random.Generator, made: Scene) -> Scene:
+    """A load with a body of 60 to 140 mm behind it that lies on the panel, from the edge of the load on."""
+    (cx, cy), turn = made.centres_mm[0], rng.uniform(0, 2 * np.pi)
+    begin, length, half, kpa = (
+        made.diameters_mm[0] / 2 + 2,
+        rng.uniform(60, 140),
+        rng.uniform(7, 14),
+        rng.uniform(0.5, 6),
+    )
+
+    def body(x: Array, y: Array) -> Array:
+        along = (x - cx) * np.cos(turn) + (y - cy) * np.sin(turn) - begin
+        across = (y - cy) * np.cos(turn) - (x - cx) * np.sin(turn)
+        return np.asarray(
+            kpa * np.maximum(1 - (across / half) ** 2, 0) * _edge(-along, 3.0) * _edge(along - length, 10.0)
+        )
+
+    return Scene(made.label, made.contact, made.suction, made.diameters_mm, made.centres_mm, body)
 
 
 def cup(rng: np.random.Generator, panel: Panel) -> Scene:
@@ -253,6 +315,9 @@ MAKERS: dict[str, Callable[[np.random.Generator, Panel], Scene]] = {
     "fin": fin,
     "fish": fish,
     "bubbles": bubbles,
+    "wavy mouth": wavy_mouth,
+    "mouth and body": lambda rng, panel: with_body(rng, wavy_mouth(rng, panel)),
+    "cup and body": lambda rng, panel: with_body(rng, cup(rng, panel)),
 }
 MOUTHS = tuple(kind for kind in MAKERS if "mouth" in kind)
 

@@ -116,9 +116,9 @@ def export(
     Parameters
     ----------
     results
-        A results file.
+        A results file, or detections.h5, whose visits are exported.
     to
-        csv, xlsx, parquet, mat, zarr, nwb, c, or an added format.
+        csv, xlsx, parquet, mat, zarr, nwb, c, or an added format. Visits: csv, parquet or mat.
     out
         Output file, of c a folder. Default: beside the results.
     recording
@@ -169,72 +169,94 @@ def _export_sketch(
 
 
 def detect(
-    file: Path,
+    files: list[Path],
     out: screen.Output = None,
     json_: bool = False,
     all_: bool = False,
     patch: screen.Amount = None,
+    threshold: Annotated[float, screen.option(min=0.5, max=1.0)] = 0.9,
     estimator: str | None = None,
     frames: FramesNamed = None,
 ) -> None:
     """Detect contacts: since when, where, how large, and whether one sucks. One sentence per recording, then events.
 
-    Writes detections.h5 and a timeline of each recording; of results with pressures also pressed.csv with every frame.
+    Writes detections.h5, visits.csv with one row for each visit, visits.png and a timeline of each recording; of
+    results with pressures also pressed.csv with every frame.
 
     Parameters
     ----------
-    file
-        A recording or a results file.
+    files
+        Recordings, results files, or folders of recordings.
     out
-        Output folder. Default: results/<recording>, or beside the results.
+        Output folder. Default: results/<recording>, of several results/visits, or beside the results.
     json_
         Print the answers as JSON, and write no files.
     all_
         Also print notes and, for results, the frame of the largest force.
     patch
         Edge length of a cell's film in mm, such as 6. Default: 0.6 of the pitch.
+    threshold
+        Probability from which something is called a lamprey or a suction cup. Default: 0.9.
     estimator
         Estimator whose force and area are printed, such as LSM. Default: the first.
     """
     from lampest.files.hdf5 import format_of
-    from lampest.report.detect.detection import detect_recording, detect_results
+    from lampest.report.detect.detection import detect_recording, detect_results, named_apart, recordings_in
     from lampest.report.detect.pressed import pressed
     from lampest.runs.results import read_results
 
-    results = read_results(file, frames=_frames(frames)) if format_of(file).startswith("results/") else None
-    if results is None and estimator is not None:
-        raise InputError(f"{file}: --estimator: a recording has none; name a results file")
-    loads: Sequence[PressedCells] = ()
-    with screen.progress("recordings" if results else "frames") as on_case:
-        if results is None:
-            answers = [detect_recording(file, patch, _frames(frames), on_case)]
-        else:
-            answers = detect_results(results, patch, on_case)
-            loads = pressed(results.named("estimator", (estimator or results.estimators()[0],)))
+    sources = recordings_in(files)
+    answers: list[Detected] = []
+    loads: list[PressedCells] = []
+    is_results = [format_of(source).startswith("results/") for source in sources]
+    if estimator is not None and not all(is_results):
+        which = sources[is_results.index(False)]
+        raise InputError(f"{which}: --estimator: a recording has none; name a results file")
+    for source, of_results in zip(sources, is_results, strict=True):
+        with screen.progress("recordings" if of_results else "frames") as on_case:
+            if of_results:
+                results = read_results(source, frames=_frames(frames))
+                answers += detect_results(results, patch, threshold, on_case)
+                loads += pressed(results.named("estimator", (estimator or results.estimators()[0],)))
+            else:
+                answers.append(detect_recording(source, patch, _frames(frames), threshold, on_case))
+    answers = named_apart(answers)
     if json_:
         content = [answer.content() for answer in answers]
         screen.say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
     else:
-        folder = file.parent if results is not None else Path("results") / file.stem
+        one = sources[0].parent if is_results[0] else Path("results") / sources[0].stem
+        folder = one if len(sources) == 1 else Path("results") / "visits"
         _tell(answers, loads, folder if out is None else out, everything=all_)
 
 
 def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder: Path, *, everything: bool) -> None:
     """Write the files of the answers, and print their sentences and tables."""
     from lampest.files.whole import refuse_inputs
-    from lampest.report.detect.answer import FILE, event_table, load_table, write_detections
+    from lampest.report.detect import visits
+    from lampest.report.detect.answer import FILE, event_table, headline, load_table, write_detections
     from lampest.report.detect.pressed import FILE as PRESSED
     from lampest.report.detect.pressed import pressed_table, write_pressed
+    from lampest.report.plots.season import plot_season
     from lampest.report.plots.timeline import plot_timelines, timeline_files
 
-    refuse_inputs([folder / FILE, *timeline_files(answers, folder), *([folder / PRESSED] if loads else [])])
+    season = visits.visits_of(answers)
+    drawn = timeline_files(answers, folder)
+    written = [FILE, visits.FILE, *([visits.PICTURE] if season else []), *([PRESSED] if loads else [])]
+    refuse_inputs([*drawn, *(folder / name for name in written)])
     with screen.progress("pictures") as on_picture:
         files = [write_detections(folder / FILE, answers), *plot_timelines(answers, folder, on_picture)]
+    files.append(visits.write_visits(folder / visits.FILE, season))
+    files += [plot_season(folder / visits.PICTURE, season)] if season else []
     files += [write_pressed(folder / PRESSED, loads)] if loads else []
+    if len(answers) > 1:
+        screen.say(f"{len(answers)} recordings: {headline([visit.answer for visit in season])}")
     for answer in answers:
         screen.say(f"{answer.recording}: {answer.sentence}" if len(answers) > 1 else answer.sentence)
     screen.print_notes(f"warning: {answer.recording}: {line}" for answer in answers for line in answer.warnings)
     screen.print_table(event_table(answers))
+    if len(season) > 1:
+        screen.print_table(visits.count_table(answers, season))
     if everything:
         screen.print_table(load_table(answers))
         screen.print_table(pressed_table(loads))

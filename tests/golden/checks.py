@@ -26,10 +26,11 @@ from lampest.loads.recognition import breathing, observation
 from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.candidates import Several
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import Fit, Verdict, prior_cost, rises
+from lampest.loads.recognition.fit import Fit, Verdict, prior_cost
 from lampest.loads.recognition.image import ImageWatch, Window
 from lampest.loads.recognition.pumping import Pumping
-from lampest.loads.recognition.watch import Panelled, Watch
+from lampest.loads.recognition.suction import may_suck, suctions
+from lampest.loads.recognition.watch import Look, Panelled, Watch
 from lampest.panel.effects import LineLeak, LooseContact
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.scene import OwnOfModule
@@ -417,31 +418,30 @@ def verdict_of(name: str) -> tuple[Verdict, observation.Observation]:
 
 def verdict_row(name: str) -> dict[str, Any]:
     verdict, frame = verdict_of(name)
-    fits = [fit for fit in verdict.fits if fit.evidence > verdict.evidence - 100]  # others end where rounding decides
+    # others end where rounding decides
+    fits = [fit for fit in verdict.fits if fit.evidence > verdict.best.evidence - 100]
     best, pressures = verdict.best, np.r_[-1e4, np.linspace(-12.0, 60.0, 40), 500.0].reshape(6, 7)
     return {
         "under water": replace(frame, water=np.full((6, 7), 2.0)).change(pressures),
         "fits": [(fit.candidate.label, fit.evidence, fit.chi2, fit.cost, fit.volume) for fit in fits],
-        "shares": verdict.shares, "goodness": verdict.goodness, "evidence": verdict.evidence,
+        "shares": verdict.shares, "goodness": verdict.goodness, "changed": verdict.changed,
+        "sucks": [verdict.sucks_at(None), may_suck(frame)],
+        "suctions": [[place.cells, place.probability, place.x_mm, place.y_mm] for place in suctions(frame)],
         "nothing": verdict.nothing, "parameters": best.parameters, "covariance": best.covariance,
-        "change": best.change, "discs": best.discs, "prior": [prior_cost(fit, frame) for fit in fits],
+        "change": best.change, "discs": best.discs, "prior": [prior_cost(fit) for fit in fits],
     }  # fmt: skip
 
 
 def prior_row() -> list[Any]:
-    """What loads cost beforehand: further ones, ones in one place, and suction where no cell rises, or another one."""
-    frame, nothing, costs = verdict_of("nothing")[1], np.zeros(0), []
+    """What loads cost beforehand: further ones, and ones in one place."""
+    nothing, costs = np.zeros(0), []
     mouth, rod = lp.OralDisc.candidate, lp.Rod.candidate
     disc = SHAPES["oral_disc"].disc()._replace(x_mm=20.0, y_mm=20.0)
     for parts, away in product(((rod,), (mouth,), (rod, rod), (mouth, rod), (mouth, mouth)), (0.0, 20.0, 27.0, 40.0)):
         candidate = parts[0] if len(parts) == 1 else Several.of(parts)
         places = (disc, disc._replace(y_mm=20.0 + away, diameter_mm=20.0))
         parameters = np.concatenate([part.start(place) for part, place in zip(parts, places, strict=False)])
-        for change, rise in ((0.1, 3.0), (3.0, 0.15), (3.0, 0.1), (0.5, 0.5)):
-            maps = np.full((2, 6, 7), [[[change]], [[rise]]]) * np.arange(7) / 6
-            fit = Fit(candidate, parameters, nothing, maps[0], nothing, nothing, 80.0, 0.0, 0.0, 0.0)
-            known: Any = SimpleNamespace(highest=maps[1], panel=frame.panel, baseline=frame.baseline)
-            costs.append([prior_cost(fit, known), rises(known)])
+        costs.append(prior_cost(Fit(candidate, parameters, nothing, nothing, nothing, 80.0, 0.0, 0.0, 0.0)))
     return costs
 
 
@@ -455,11 +455,20 @@ def breathing_row() -> dict[str, Any]:
         np.eye(24), rise, slopes[None], 0.2 * np.abs(slopes), moves, rng.standard_normal((24, 1)),
     )  # fmt: skip
     settled = breathing.settled(swing + rng.standard_normal(swing.shape))
-    swing_breath = breathing.breath(times, settled, patterns)
-    few = [breathing.breath(times[part], settled[part], patterns) for part in (slice(10), slice(None, None, 2))]
+    interval = breathing.SteadyFrames.of(times, settled)
+    swing_breath = breathing.breath(interval, settled, patterns)
+    few = [
+        breathing.breath(breathing.SteadyFrames.of(times[part], settled[part]), settled[part], patterns)
+        for part in (slice(10), slice(None, None, 2))
+    ]
+    parted, left = interval.parted((3.0, 5.5))
+    stepped = settled[left] + 40.0 * (parted.part == 1)[:, None] * slopes / 300.0
+    few += [parted.times, parted.part, parted.trend(), breathing.breath(parted, stepped, patterns)]
+    pull = (times > 2.9) & (times < 5.1)
+    few.append(breathing.breath(interval, settled + 0.5 * pull[:, None] * slopes, patterns))
     belief, courses = [breathing.Breathing()], list[Any]()
     for full in (False, True, True):
-        belief.append(belief[-1].after(swing_breath, full=full))
+        belief.append(belief[-1].after(swing_breath, 8.0, full=full))
     for _ in range(12):
         each = breathing.Breathing()
         for window in range(6):
@@ -467,7 +476,7 @@ def breathing_row() -> dict[str, Any]:
             seen = breathing.Breath(
                 float(rng.choice([-4.0, -0.3, 0.4, 3.0])), suction, (1.0, 0.1 * window), (0.1, 0.02)
             )
-            each = each.after(seen if rng.random() < 0.9 else None, full=bool(rng.random() < 0.6))
+            each = each.after(seen if rng.random() < 0.9 else None, 8.0, full=bool(rng.random() < 0.6))
             courses.append(
                 [each.odds, each.previous_odds, each.suction, each.last, each.causes, (each.hertz or (0, 0))[1]]
             )
@@ -478,6 +487,7 @@ def breathing_row() -> dict[str, Any]:
     return {
         "breath": swing_breath, "belief": belief, "probability": [each.probability for each in belief],
         "slow": breathing.too_slow(1.5), "too few": few, "pumping": [pumping.odds, np.sort(pumping.logarithm, axis=-1)],
+        "pumps": [pumping.pumps, pumping.interval_s, pumping.observed_s],
         "courses": courses, "moved": [moved.odds, np.sort(moved.logarithm, axis=-1)],
     }  # fmt: skip
 
@@ -492,7 +502,8 @@ def patterns_row() -> list[Any]:
         seen = replace(frame, water=depth + np.arange(42).reshape(6, 7) / 40)
         each = breathing.patterns_of(seen, verdict.best, whitening, Detector(6.0))
         rows += [each, [pattern and pattern.suction_weights(whitening) for pattern in each]]
-        rows.append(breathing.changes_without_water(logarithms, seen, verdict.best))
+        interval = breathing.SteadyFrames.of(np.arange(9) / 4, logarithms)
+        rows.append(breathing.changes_without_water(interval, seen, verdict.best))
     return rows
 
 
@@ -505,64 +516,57 @@ def watch_begun() -> tuple[Watch, lp.Readings]:
 
 def recognised_row() -> list[Any]:
     """A watch that recognises a rod, a faint one or nothing, at once or again, and a rod that has left before."""
-    (verdict, frame), rows = verdict_of("rod"), list[Any]()
+    (verdict, _), rows = verdict_of("rod"), list[Any]()
     begun, readings = watch_begun()
-    begun = replace(begun, present=True, begun=3.0)
+    resting = begun.rest.mean
+    begun = replace(begun, present=True, level=replace(begun.level, since_s=3.0))
     loaded, best = np.log(readings.value[3].ravel()), np.eye(len(verdict.fits))[int(np.argmax(verdict.shares))]
-    states = [replace(begun, seen=seen, verdict=seen and verdict, known=known) for seen, known in product(
-        (None, frame), (False, True),
-    )]  # fmt: skip
-    cases = [*product(states, (0.4, 0.3), (1.0, 0.05, 0.04), (1.0, 0.0), ((0.0, 0.0),))]
-    cases += product(states[:1], (0.4,), (0.0,), (0.0,), product((-59.0, -61.0), (2.9, 3.1)))
-    for state, faint, nothing, share, (field, gain) in cases:
-        shown = share * begun.resting + (1 - share) * loaded
-        fits = tuple(replace(fit, change=faint * fit.change) for fit in verdict.fits)
-        fits = (*fits[:-1], replace(fits[-1], evidence=verdict.best.evidence + field))
+    look = Look(verdict, np.ones(len(begun.test.loud)), 2.5)
+    states = [replace(begun, look=seen, known=known) for seen, known in product((None, look), (False, True))]
+    for state, nothing, share in product(states, (1.0, 0.05, 0.04), (1.0, 0.0)):
+        shown = share * resting + (1 - share) * loaded
         shares = tuple((1 - nothing) * best + nothing * np.eye(len(best))[0])
-        seen = replace(verdict, fits=fits, shares=shares, goodness=1.0)
-        again = replace(seen, evidence=seen.evidence + gain)
-        watch = replace(state, mean=shown, window=tuple((3.0 + k, shown) for k in range(3)))
-        with patch.object(Detector, "verdict", side_effect=(seen, again)):
-            watch = watch._recognised(5.0)
+        level = replace(state.level, mean=shown)
+        watch = replace(state, level=level, window=tuple((3.5 + k, shown) for k in range(3)))
+        with patch.object(Detector, "verdict", return_value=replace(verdict, shares=shares, goodness=1.0)):
+            watch = watch._looked(5.0)
         times = [(load.since_s, load.until_s or 0.0) for load in watch.attachments]
-        rows.append([watch.present, watch.known, watch.next_s, watch.uncovered_s, watch.left_s, watch.rested, times])
-        rows.append([np.sum(part) for part in (watch.left, watch.size, watch.resting, watch.film_sd)])
+        seen = watch.look and [watch.look.time_s, watch.look.over, watch.look.size.sum()]
+        rows.append([watch.present, watch.known, watch.next_s, watch.history, seen, watch.rest.frames, times])
+        rows.append([np.sum(part) for part in (watch.rest.mean, watch.film_sd)])
     return rows
 
 
 def steps_row() -> list[Any]:
     """A watch that follows noise, a rod, a harder press that ends, and the end of the rod; and frames against it."""
-    (verdict, frame), rng, rows = verdict_of("rod"), np.random.default_rng(6), list[Any]()
+    (verdict, _), rng, rows = verdict_of("rod"), np.random.default_rng(6), list[Any]()
     begun, readings = watch_begun()
     watch, states = begun, list[Watch]()
-    rod = np.log(readings.value[3].ravel()) - begun.resting
+    resting = begun.rest.mean
+    rod = np.log(readings.value[3].ravel()) - resting
     shares = (0, 0, 0, 0.01, 1, 1, 1, 1, 1.6, 1.6, 1.6, 1, 1, 1, 0, 0, 0, 0, 0.3, 0.3, 0.3)
     times = 3.0 + 0.25 * np.arange(len(shares)) + 30.0 * (np.arange(len(shares)) > 16)
     for number, (time, share) in enumerate(zip(times, shares, strict=True)):
-        measured = np.exp(begun.resting + share * rod + 1e-3 * rng.standard_normal(42)).reshape(6, 7)
+        measured = np.exp(resting + share * rod + 1e-3 * rng.standard_normal(42)).reshape(6, 7)
         sigma = np.where(np.arange(42).reshape(6, 7) == number, np.nan, readings.sigma[0])
         watch = watch.followed(measured, sigma, time)
         states.append(watch)
         if number == 6:
-            watch = replace(watch, known=True, seen=frame, verdict=verdict, former=None, left=watch.size, left_s=time)
+            size = watch.test.sizes(watch.level.mean - resting)
+            watch = replace(watch, known=True, look=Look(verdict, size, time), former=None)
         if number == 16:
             watch = watch._gone(time)
     for state in (*states, states[10].former or begun):
-        held = [np.sum(value) for name in WATCH if (value := getattr(state, name)) is not None and name != "window"]
-        rows.append(
-            [
-                held,
-                state.test.loud.sum(),
-                state.doubt,
-                replace(state, uncovered_s=4.5).doubt,
-                [(at, *frame[:3]) for at, frame in state.window],
-            ]
-        )
+        levels = [[np.sum(one.mean), one.frames, one.since_s, one.until_s] for one in (state.rest, state.level)]
+        held = [state.present, state.known, state.next_s, state.steps, np.sum(state.recent), state.stands_out]
+        rows.append([levels, held, state.test.loud.sum(), state.doubt, state.faults])
+        rows.append([(at, *frame[:3]) for at, frame in state.window])
+        rows.append(state.look and state.look.fading(40.0).sum())
     stepped = replace(states[8], film_sd=0.03)
     for share in (1.6, 0.5, 0.15, 0.1, 0.0):
-        seen = stepped._frame(begun.resting + share * rod, 7.0)
+        seen = stepped._frame(resting + share * rod, 7.0)
         rows.append([seen.baseline.covariance.diagonal(), stepped._left(seen), np.sum(stepped._keeps(seen))])
-        rows.append(stepped._resumed(begun.resting + share * rod).known)
+        rows.append(stepped._resumed(resting + share * rod).known)
     loud = np.geomspace(0.01, 30.0, len(begun.test.loud))
     rows += [replace(begun.test, loud=factor * loud).least() for factor in (0.01, 1.0)]
     frames = np.repeat(readings.value[:1], 6, axis=0)
@@ -581,18 +585,19 @@ def swings_row() -> list[Any]:
     gone, faint, rod = (replace(mouth, until_s=4.0), replace(mouth, sucks=0.4), replace(mouth, patterns=None))
     logarithm = np.log(frame.measured.ravel())
     suction = np.linalg.solve(begun.test.whitening, pattern.own[:, 0])
-    for lasts, judged_s in ((3.0, -np.inf), (6.0, -np.inf), (8.0, -np.inf), (12.0, 4.0), (12.0, 5.0)):
+    look = Look(verdict, np.ones(len(begun.test.loud)), 0.0)
+    for lasts, full_s in ((3.0, -np.inf), (6.0, -np.inf), (8.0, -np.inf), (12.0, 4.0), (12.0, 5.0)):
         at = 1.0 + np.arange(0.0, lasts, 0.25)
         swings = logarithm + 0.06 * np.outer(np.sin(2 * np.pi * at), suction)
         window = tuple(zip(at.tolist(), swings + 1e-3 * rng.standard_normal(swings.shape), strict=True))
-        watch = replace(begun, present=True, known=True, seen=frame, verdict=verdict, window=window, judged_s=judged_s)
-        watch = replace(watch, attachments=(mouth, gone, faint, rod), sample_s=at[-1] - 0.5)
-        breathed, pumped = watch._breathed(at[-1]), watch._pumped(at[-1])
-        rows += [breathed.judged_s, breathed.breath_s, [load.breath for load in breathed.attachments], pumped.sample_s]
-        loads = (replace(load, moved_s=moved) for load in pumped.attachments for moved in ((), (2.0,)))
-        again = replace(pumped, attachments=tuple(loads), sample_s=at[-1])._pumped(at[-1] + 0.5)
-        tracks = filter(None, (load.track for load in (*pumped.attachments, *again.attachments)))
-        for track in tracks:
+        breath = breathing.Breathing(full_s=full_s)
+        loads = tuple(replace(load, breath=breath) for load in (mouth, gone, faint, rod))
+        watch = replace(begun, present=True, known=True, look=look, window=window, attachments=loads)
+        heard = watch._heard(at[-1])
+        rows.append([load.breath for load in heard.attachments])
+        moved = tuple(replace(load, moved_s=times) for load in heard.attachments for times in ((), (2.0,)))
+        again = replace(heard, attachments=moved)._heard(at[-1] + 0.5)
+        for track in filter(None, (load.track for load in (*heard.attachments, *again.attachments))):
             rows.append([track.odds, track.since_s, track.moves, np.abs(track.weights).sum(), track.mean.sum()])
     return [*rows, replace(mouth, patterns=patterns[0]) == replace(mouth, patterns=pattern._replace(rim=1)), str(mouth)]
 
@@ -603,10 +608,6 @@ def outlying_row() -> list[Any]:
     noise, wrong = root @ np.random.default_rng(1).standard_normal(120), np.eye(120)[[7, 8, 50, 90, 92]]
     cases = product((1.0, 1.5, 3.0, 60.0), (wrong[0], wrong[:2].sum(axis=0), wrong.T @ [1.0, -1.0, 3.0, 2.0, 2.0]))
     return [observation.outliers(observation.Whitening(root), noise + size * each) for size, each in cases]
-
-
-WATCH = ("resting", "rested", "rest_s", "mean", "begun", "recent", "film_sd", "window", "present", "size", "left")
-WATCH += ("known", "left_s", "next_s", "breath_s", "sample_s", "judged_s", "uncovered_s", "uneven", "stands_out")
 
 
 def watch_over(layout: Modules, cells: lp.Array, dead: int) -> tuple[ImageWatch, lp.Array]:
@@ -625,7 +626,13 @@ def image_of(layout: Modules, cells: lp.Array) -> lp.Array:
 
 def states_of(watch: ImageWatch) -> list[Any]:
     states = [*watch.modules.values(), *(inside for _, inside, _ in watch.opened)]
-    return [[getattr(state, name) for name in WATCH] for state in states]
+    return list(map(state_of, states))
+
+
+def state_of(state: Watch) -> list[Any]:
+    levels = [[level.mean, level.frames, level.since_s, level.until_s] for level in (state.rest, state.level)]
+    rest = [state.recent, state.film_sd, state.window, state.steps, state.present, state.known, state.next_s]
+    return [levels, rest, state.history, state.faults, state.stands_out]
 
 
 def opened_row() -> list[Any]:
@@ -635,18 +642,20 @@ def opened_row() -> list[Any]:
     watch, sigma = watch_over(layout, layout.joined(1e3 * levels * np.ones((4, 3, 3))), 3)
     parts = {
         number: replace(
-            part, rested=float((5, 3, 4)[number]), rest_s=(1.0, 2.5, 2.0)[number], mean=part.mean - number,
-            recent=(part.mean + number, part.mean + 2 * number), test=replace(part.test, loud=part.test.loud + number),
-            window=((3.5 - number, part.resting),) if number else (),
+            part, test=replace(part.test, loud=part.test.loud + number),
+            rest=replace(part.rest, frames=float((5, 3, 4)[number]), until_s=(1.0, 2.5, 2.0)[number]),
+            level=replace(part.level, mean=part.level.mean - number, until_s=3.5 - number),
+            recent=(part.level.mean + number, part.level.mean + 2 * number),
         ) for number, part in watch.modules.items()
     }  # fmt: skip
     whole, corner = (Window.about(watch.panelled.scene, np.array(place)) for place in ((20.0, 20.0), (55.0, -9.0)))
     watch = replace(watch, modules=parts)
     begun = watch._begun(whole, sigma)
     numbers = np.arange(36.0)
-    left = replace(begun, resting=numbers, mean=numbers + 40, recent=(numbers + 80, numbers + 120), uncovered_s=6.0)
+    rest, level = replace(begun.rest, mean=numbers), replace(begun.level, mean=numbers + 40)
+    left = replace(begun, rest=rest, level=level, recent=(numbers + 80, numbers + 120), history="it left at 6.0 s")
     opened = replace(watch, opened=((whole, left, 20.0), (corner, left, 21.0)))
-    rows: list[Any] = [[getattr(begun, name) for name in WATCH], begun.test.loud, whole.numbers, corner.numbers]
+    rows: list[Any] = [state_of(begun), begun.test.loud, whole.numbers, corner.numbers]
     return rows + [states_of(opened._closed(time)) for time in (79.9, 80.0)]
 
 
@@ -703,11 +712,11 @@ def windows_row() -> Any:
 def answers_row() -> dict[str, Any]:
     """What is said of loads: alone, together, gone, with breath and pumps of every probability, at two frame rates."""
     seen = Attachment(
-        0.99, 6.0, (44.1, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), cells=12, area_mm2=(1200.0, 100.0),
+        0.99, 6.0, (44.1, 0.6), (46.0, 0.6), (35.0, 1.6), ((-11.0, 1.9),), cells=12, area_mm2=(1200.0, 100.0),
     )  # fmt: skip
     breath = breathing.Breathing(6.0, hertz=(1.1, 0.05), depth=(0.08, 0.01))
     mouth = replace(seen, sucks_s=8.0, moved_s=(12.0,), breath=breath)
-    rod, gone = replace(seen, sucks=0.0, suction_kpa=None), replace(mouth, since_s=5.0, until_s=30.0)
+    rod, gone = replace(seen, sucks=0.0, suctions=()), replace(mouth, since_s=5.0, until_s=30.0)
     still = Pumping.begin(np.ones(1), np.zeros(1), 0.0, 0)
     pumping = replace(still, logarithm=still.logarithm + np.array([0, 0, 6.0]).reshape(3, 1, 1, 1, 1))
     contacts = [replace(rod, diameter_mm=None, x_mm=(float(x), 1.0)) for x in range(8)]

@@ -380,7 +380,6 @@ def of_loads() -> Rows:
                 search.faint,
                 search.changes,
                 search.matched(normal),
-                search.beside(pull.reshape(4, 5), [SHAPES["rod"].disc()]),
                 search.lies_on(pull.reshape(4, 5)),
                 [search.lies_on(logarithm) for logarithm in faulty],
             ),

@@ -454,7 +454,7 @@ PLACES = ("mqtt://localhost", "mqtt://a/b/", "osc://:7/x", "mqtt://me:p%40ss@h:5
 
 
 LAMPREY = Attachment(
-    0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), breath=breathing.Breathing(6.0),
+    0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), ((-11.0, 1.9),), breath=breathing.Breathing(6.0),
 )  # fmt: skip
 CUP = replace(LAMPREY, breath=breathing.Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
 
@@ -473,7 +473,7 @@ def watched_row() -> list[Any]:
         for each in news:
             loads = isinstance(each, tuple)
             watched = replace(watched, watch=replace(watched.watch, attachments=each)) if loads else watched.after(each)
-            answer, begun = watched.detected, getattr(watched.watch, "rest_s", None)
+            answer, begun = watched.detected, watched.watch and watched.watch.rest.until_s
             times = [(load.since_s, load.until_s) for load in answer.attachments]
             said.append([answer.answer, answer.why, answer.frames_per_second, watched.missing, begun, times])
     return said

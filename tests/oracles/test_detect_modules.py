@@ -160,7 +160,7 @@ def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> Non
     fitting = Fitting(rod.candidate, frame, PATCH_MM)
     whitening = fitting.errors(rod, rod.scatter)
     local = fitting.best(rod.parameters, whitening)
-    wide = along_diameter(fitting, local, whitening)
+    wide = along_diameter(fitting, local, fitting.about(local.parameters, whitening))
     root = np.linalg.cholesky(wide.covariance) / len(wide.parameters) ** 0.5
     samples = walked(fitting, whitening, rod.parameters, root)
     own = np.sqrt(wide.covariance[2, 2] - rod.candidate.blind(wide.parameters)[2] ** 2)

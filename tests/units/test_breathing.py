@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lampest.loads.recognition.breathing import Breath, Patterns, breath, settled
+from lampest.loads.recognition.breathing import Breath, Patterns, SteadyFrames, breath, settled
 from lampest.loads.recognition.pumping import BLOCK_S, MIN_LOG_ODDS, Pumping
 from lampest.panel.panel import Array
 
@@ -44,7 +44,7 @@ def window(
     changes += wild * 50 * (rng.random(changes.shape) < 0.003)
     spread = 0.2 * np.abs(slopes)
     known = Patterns.of(np.eye(READINGS), rise, slopes[None], spread, moves, supply)
-    return breath(TIMES, settled(changes), known)
+    return breath(SteadyFrames.of(TIMES, changes), settled(changes), known)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -53,7 +53,7 @@ def test_suction_that_swings_with_its_rim_is_breath_on_any_film(seed: int, uneve
     found = window(own=0.08, seed=seed, uneven=uneven)
     assert found.odds > 3 and found.suction > 0.95
     assert found.hertz[0] == pytest.approx(1.1, abs=0.05)
-    assert abs(found.depth[0] - 0.08) < 2.5 * found.depth[1] < 0.05
+    assert abs(found.depth[0] - 0.08) < 2.5 * found.depth[1] < 0.08  # a film of unknown curve is in the bars
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -28,7 +28,7 @@ from lampest.report.live.watcher import Unloaded, Watched, watcher
 
 SCENE = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
 MOUTH = OralDisc(centre_mm=(26, 24), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
-LAMPREY = Attachment(0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), breath=Breathing(6.0))
+LAMPREY = Attachment(0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), ((-11.0, 1.9),), breath=Breathing(6.0))
 CUP = dataclasses.replace(LAMPREY, breath=Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
 
 

@@ -8,19 +8,30 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.special import logit
 
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
-from lampest.loads.recognition.breathing import MAX_LOG_ODDS, Breathing, Patterns
+from lampest.loads.recognition.breathing import (
+    MAX_LOG_ODDS,
+    MIN_WINDOW_S,
+    WINDOW_S,
+    Breathing,
+    Patterns,
+    SteadyFrames,
+    breath,
+    changes_without_water,
+)
 from lampest.loads.recognition.candidates import UNIFORM, under
 from lampest.loads.recognition.fit import RARE_LOG_ODDS, Verdict
 from lampest.loads.recognition.observation import Observation
-from lampest.loads.recognition.pumping import Pumping
+from lampest.loads.recognition.pumping import BLOCK_S, Pumping
+from lampest.loads.recognition.suction import groups_of
 from lampest.panel.panel import Array, Panel
 
 Pair = tuple[float, float]
+JUDGED_S = 1.0  # between two judgements of breath
+MAX_SUCTIONS = 256  # recognitions of an attachment whose suction is kept: four hours, and then every second one
+MIN_SAMPLE_FRAMES = 3  # of a sample of suction, whose median is free of an outlier
 
 
 @dataclass(frozen=True)
@@ -33,8 +44,10 @@ class Attachment:
         Probability that it sucks.
     since_s, until_s : float, float or None
         Times of arrival and departure, s; `until_s` is None while it is present.
-    x_mm, y_mm, diameter_mm, suction_kpa, area_mm2 : (float, float) or None
+    x_mm, y_mm, diameter_mm, area_mm2 : (float, float) or None
         Value and standard deviation; None where unknown.
+    suctions : tuple of (float, float)
+        Suction in kPa and its standard deviation at each recognition, thinned beyond MAX_SUCTIONS.
     cells : int
         Number of touched cells.
     conductance_s : (float, float) or None
@@ -45,6 +58,8 @@ class Attachment:
         Time at which it began to suck, s; None if it does not.
     moved_s : tuple of float
         Times at which it moved, s.
+    placed_s : float
+        Time since which it is in its place, s.
     clear : float
         ln evidence over that of an unloaded panel.
     track : Pumping or None
@@ -58,7 +73,7 @@ class Attachment:
     x_mm: Pair
     y_mm: Pair
     diameter_mm: Pair | None = None
-    suction_kpa: Pair | None = None
+    suctions: tuple[Pair, ...] = ()
     cells: int = 0
     area_mm2: Pair | None = None
     conductance_s: Pair | None = None
@@ -66,6 +81,7 @@ class Attachment:
     breath: Breathing = Breathing()
     sucks_s: float | None = None
     moved_s: tuple[float, ...] = ()
+    placed_s: float = -inf
     clear: float = 0.0
     track: Pumping | None = None
     patterns: Patterns | None = field(default=None, repr=False, compare=False)
@@ -74,6 +90,19 @@ class Attachment:
     def breathes(self) -> float:
         """Probability that its suction oscillates like breathing, given that it sucks; 1/2 before any observation."""
         return self.breath.probability
+
+    @property
+    def suction_kpa(self) -> Pair | None:
+        """Typical suction: the median over all recognitions, kPa, and the median of their standard deviations."""
+        if not self.suctions:
+            return None
+        values, errors = np.array(self.suctions).T
+        return float(np.median(values)), float(np.median(errors))
+
+    @property
+    def strongest_kpa(self) -> Pair | None:
+        """Strongest suction, kPa, and its standard deviation: that which all but its error exceeds all others."""
+        return min(self.suctions, key=lambda pair: pair[0] + pair[1], default=None)
 
     @property
     def breathing_hz(self) -> Pair | None:
@@ -89,6 +118,16 @@ class Attachment:
     def pumps(self) -> float:
         """Probability that its suction is pumped up after a decay, given that it sucks; 1/2 before any observation."""
         return 1 / (1 + exp(-self._pumping))
+
+    @property
+    def pump_count(self) -> int | None:
+        """Number of times that the suction was pumped up; None before the first sample."""
+        return None if self.track is None else self.track.pumps[0]
+
+    @property
+    def pump_interval_s(self) -> float | None:
+        """Mean time between pumps, s; None with less than two."""
+        return None if self.track is None else self.track.interval_s
 
     @property
     def lives(self) -> float:
@@ -125,6 +164,10 @@ class Attachment:
         """Return the distance to a place, mm."""
         return hypot(self.place[0] - place[0], self.place[1] - place[1])
 
+    def ended(self, time: float) -> "Attachment":
+        """Return the attachment after it left at a time in s, without what only later frames need."""
+        return replace(self, until_s=time, patterns=None)
+
     def continued(self, later: "Attachment") -> "Attachment":
         """Return the later state of the same load, with its history.
 
@@ -134,10 +177,60 @@ class Attachment:
             return self
         # a move: farther than three standard deviations of the distance, and than 3 mm
         far = NOISE_REACH * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
-        moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
+        moves = self.distance(later.place) > far and later.since_s > self.placed_s
+        moved, placed = ((*self.moved_s, later.since_s), later.since_s) if moves else (self.moved_s, self.placed_s)
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
-        earlier = replace(later, since_s=self.since_s, breath=self.breath, track=self.track)
-        return replace(earlier, sucks_s=began, moved_s=moved)
+        earlier = replace(later, since_s=self.since_s, breath=self.breath, track=self.track, placed_s=placed)
+        suctions = (*self.suctions, *later.suctions)
+        thinned = suctions[::2] if len(suctions) > MAX_SUCTIONS else suctions
+        return replace(earlier, sucks_s=began, moved_s=moved, suctions=thinned)
+
+    def listened(
+        self, frames: Sequence[tuple[float, Array]], steps: Sequence[float], whitening: Array, verdict: Verdict
+    ) -> "Attachment":
+        """Return the attachment after its breath was judged by the frames since the last full window in its place.
+
+        Parameters
+        ----------
+        frames : sequence of (float, array)
+            Times, s, and readings ln y, (cells,).
+        steps : sequence of float
+            Times of steps of the readings, s.
+        whitening : array, shape (cells, cells)
+        verdict : Verdict
+            The last recognition.
+        """
+        begin = max(self.breath.full_s, self.placed_s)
+        times = np.array([at for at, _ in frames if at > begin])
+        if self.patterns is None or len(times) < 3:
+            return self
+        last = float(times[-1])
+        if last - times[0] < MIN_WINDOW_S or last - self.breath.judged_s < JUDGED_S:
+            return self
+        interval = SteadyFrames.of(times, np.array([logarithm for at, logarithm in frames if at > begin]), steps)
+        if not len(interval.times):
+            return self
+        full = float(np.ptp(interval.times)) > WINDOW_S - 2.5 * interval.period
+        changes = changes_without_water(interval, verdict.frame, verdict.best) @ whitening.T
+        return replace(self, breath=self.breath.after(breath(interval, changes, self.patterns), last, full=full))
+
+    def sampled(self, frames: Sequence[tuple[float, Array]], whitening: Array, frame: Observation) -> "Attachment":
+        """Return the attachment after a sample of its suction, where the last one is BLOCK_S old.
+
+        `frame` is the recognised one, `whitening` (cells, cells) whitens changes of ln y. A sample with too few frames
+        waits.
+        """
+        if self.patterns is None or self.sucks <= 0.5:
+            return self
+        track, moves, time = self.track, len(self.moved_s), frames[-1][0]
+        begin = max(self.placed_s, frames[0][0]) if track is None or track.moves != moves else track.since_s
+        block = np.array([logarithm for at, logarithm in frames if at > begin])
+        if time - begin < BLOCK_S or len(block) < MIN_SAMPLE_FRAMES:
+            return self
+        if track is None or track.moves != moves:
+            weights = self.patterns.suction_weights(whitening)
+            track = Pumping.begin(weights, np.log(frame.measured.ravel()), begin, moves, track)
+        return replace(self, track=track.after(block, time))
 
 
 def attachments_of(
@@ -155,9 +248,8 @@ def attachments_of(
         Patterns of the most probable candidate's loads.
     """
     # ln r/r0 of the cells with the prior N(0, 1), independent of any candidate
-    best, shape, attachments, first = verdict.best, frame.measured.shape, list[Attachment](), 0
-    cells = frame.cells(np.zeros(shape), np.eye(frame.measured.size))
-    change, sd = cells.state.reshape(shape), np.sqrt(np.diag(cells.covariance)).reshape(shape)
+    best, attachments, first = verdict.best, list[Attachment](), 0
+    change, sd = frame.free_map, frame.free_sd
     moved = np.abs(change) > NOISE_REACH * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
     # Δg = g₀ (e^−x − 1) and σ = g₀ e^−x σ_x of x = ln r/r₀
     resting = np.exp(-frame.baseline.logarithm)
@@ -166,16 +258,26 @@ def attachments_of(
     for (candidate, parameters), effects in zip_longest(best.loads, patterns):
         disc, after = candidate.disc(parameters), first + len(parameters)
         covariance, first = best.covariance[first:after, first:after], after
-        known: dict[str, Any] = {"sucks": verdict.sucks_at(disc), "since_s": since, "clear": clear, "patterns": effects}
+        known: dict[str, Any] = {
+            "sucks": verdict.sucks_at(disc),
+            "since_s": since,
+            "placed_s": since,
+            "clear": clear,
+            "patterns": effects,
+        }
         if disc is None:
             groups = _groups(frame.panel, moved, more, errors)
         else:
             groups, half_pitch = [moved & under(frame.panel, disc)], frame.panel.pitch_mm / 2
             known |= {"x_mm": (disc.x_mm, half_pitch), "y_mm": (disc.y_mm, half_pitch)}
             known["sucks_s"] = since if known["sucks"] > 0.5 else None
-            for name, (value, slopes) in candidate.report(parameters).items():
-                # σ² = sᵀ C s, with s the derivative of the quantity by φ
-                known[name] = value, float(np.sqrt(slopes @ covariance @ slopes))
+            # σ² = sᵀ C s, with s the derivative of the quantity by φ
+            reported = {
+                name: (value, float(np.sqrt(slopes @ covariance @ slopes)))
+                for name, (value, slopes) in candidate.report(parameters).items()
+            }
+            known["suctions"] = (reported.pop("suction_kpa"),) if "suction_kpa" in reported else ()
+            known |= reported
         for group in groups:
             conductance = float(more[group].sum()), float(np.hypot.reduce(errors[group]))
             touched = _touched(frame.panel, group, change)
@@ -185,12 +287,8 @@ def attachments_of(
 
 def _groups(panel: Panel, moved: NDArray[np.bool_], more: Array, errors: Array) -> list[NDArray[np.bool_]]:
     """Return the groups of neighbouring changed cells with a significant conductance; all of them if none is."""
-    first, second, _ = panel.neighbours
-    # connected components of the changed cells; a group counts if |Σ Δg| > SIGNIFICANT · √Σ σ²
-    linked = moved.flat[first] & moved.flat[second]
-    pairs = coo_array((linked[linked], (first[linked], second[linked])), shape=2 * (moved.size,))
-    _, labels = connected_components(pairs)
-    groups = [labels.reshape(moved.shape) == label for label in dict.fromkeys(labels[moved.ravel()])]
+    # a group counts if |Σ Δg| > SIGNIFICANT · √Σ σ²
+    groups = groups_of(panel, moved)
     sure = [group for group in groups if abs(more[group].sum()) > SIGNIFICANT * np.hypot.reduce(errors[group])]
     return sure or [moved]
 
@@ -234,5 +332,5 @@ def continued_by(
     if again:
         return tuple(load for number, load in enumerate(attachments) if number not in left or load.since_s < time)
     for number in left:
-        attachments[number] = replace(attachments[number], until_s=time)
+        attachments[number] = attachments[number].ended(time)
     return tuple(attachments)

@@ -9,22 +9,30 @@ The odds compare the A of breathing with that of tremble, summed over f and σ.
 Source: Bretthorst, Bayesian Spectrum Analysis and Parameter Estimation, 1988; docs/theory/recognition.md.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import exp
+from math import exp, inf
 from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
 from scipy.special import expit, logit, logsumexp
 
-from lampest.files.levels import MAD_TO_SIGMA
+from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, SIGNIFICANT
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import EVIDENCE_SHARE, MAX_ROUNDS, RARE_LOG_ODDS, Fit
 from lampest.loads.recognition.observation import Observation
+from lampest.loads.recognition.suction import MIN_FALL
 from lampest.panel.panel import Array
 from lampest.panel.response import CURVE_KPA, CURVE_RATIO, RESPONSE_SD, PublishedResponse
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
+PRIOR_ODDS = 10.0  # assumed, of suction that oscillates to the rim alone, and to the place or the tilt
+LEAKS = 2.0  # over the duration: distance of rates beyond which a tapered wave does not leak
+MAX_RATE_SHARE = 0.475  # of the frame rate: at half of it a wave may show nothing
+MIN_PART = 4  # frames between two steps, with which a part says more than its mean
 MIN_RATE_HZ = 3.8  # frames per second: four with a slow clock; they resolve rates up to 2 Hz
 # A: the mean amplitude of mouths is 5.4 % of their suction (docs/studies/mouths.md). That of loads that do not breathe
 # is an assumption: cups tremble and leak, but at no single rate.
@@ -36,6 +44,9 @@ MAX_SWINGS = {"own": 0.15, "rim": 1.0, "moves": 10.0}
 # Assumed relative standard deviation of the whole rim's swing against that of suction, because the rim may press with
 # more than it bears; and of each cell's change by a movement, because the places of edges on its film are unknown.
 EDGE_SD = 0.5
+# Assumed: of each cell's swing with the suction, over the root mean square of all cells; and of the depth of breath, by
+# a curve under suction that was not measured.
+OWN_SD, CURVE_SD = 0.1, 0.27
 THRESHOLD_KPA = -2.0  # suction from which an alternative curve through the published point may begin, instead of 0 kPa
 MAX_LOG_ODDS = 10.0  # upper limit of accumulated ln odds of breathing
 
@@ -81,6 +92,8 @@ class Breathing:
         ln odds of the same by full windows, without the prior odds.
     hertz, depth : (float, float) or None
         Rate in Hz and relative amplitude, each with its standard deviation, from the last window that determines them.
+    full_s, judged_s : float
+        Times of the last frame of the last full window, and of the last window, s.
     """
 
     odds: float = 0.0
@@ -90,22 +103,26 @@ class Breathing:
     causes: float = 0.0
     hertz: Pair | None = None
     depth: Pair | None = None
+    full_s: float = -inf
+    judged_s: float = -inf
 
     @property
     def probability(self) -> float:
         """Probability that suction oscillates at a breathing rate; 1/2 before any observation."""
         return self.suction * float(expit(self.odds))
 
-    def after(self, seen: Breath | None, *, full: bool) -> "Breathing":
-        """Return the breath after a window; `full` states whether the window is complete, so that its odds are kept.
+    def after(self, seen: Breath | None, time: float, *, full: bool) -> "Breathing":
+        """Return the breath after a window that ends at a time in s; of a full one the odds are kept.
 
         Assumptions: one mouth in twenty never shows its breath, because it is faint or at half the frame rate, and a
         mouth pauses in one window of twenty. The odds of full windows multiply. Of incomplete windows, two successive
         ones have to agree that the suction oscillates: with the last one alone, two of 75 shaken cups were taken for
         lampreys for a second (docs/studies/mouths.md).
         """
-        if seen is None:
-            return self
+        judged = replace(self, judged_s=time, full_s=time if full else self.full_s)
+        return judged if seen is None else judged._weighed(seen, full=full)
+
+    def _weighed(self, seen: Breath, *, full: bool) -> "Breathing":
         # ln odds ← clip(ln odds + ln(0.05 + 0.95 B), −ln 20, 10)
         window = np.logaddexp(-RARE_LOG_ODDS, np.log1p(-exp(-RARE_LOG_ODDS)) + seen.odds)
         odds = float(np.clip(self.previous_odds + window, -RARE_LOG_ODDS, MAX_LOG_ODDS))
@@ -115,9 +132,9 @@ class Breathing:
         described = replace(breathing, hertz=seen.hertz, depth=seen.depth, last=seen.suction)
         if not full:
             return replace(described, suction=min(seen.suction, self.last))
-        window = logit(seen.suction) - RARE_LOG_ODDS
+        window = logit(seen.suction) - np.log(PRIOR_ODDS / 2)
         causes = float(np.clip(self.causes + window, -MAX_LOG_ODDS, MAX_LOG_ODDS))
-        return replace(described, suction=float(expit(causes + RARE_LOG_ODDS)), causes=causes)
+        return replace(described, suction=float(expit(causes + np.log(PRIOR_ODDS / 2))), causes=causes)
 
 
 class Patterns(NamedTuple):
@@ -160,6 +177,7 @@ class Patterns(NamedTuple):
             Further changes.
         """
         mean, rim = slopes[0], rise < 0
+        spread = np.hypot(spread, OWN_SD * np.sqrt(np.mean(mean**2)))
         suction = np.column_stack([mean, EDGE_SD * rim * mean, slopes[1:].T, np.diag(spread)])
         rigid = np.delete(suction, 1, axis=1) * rim[:, None]
         changes = np.linalg.norm(moves, axis=0)
@@ -173,6 +191,10 @@ class Patterns(NamedTuple):
             pattern - span @ (span.T @ pattern) for pattern in (self.own, self.rim, self.moves, changes.T)
         )
         return Patterns(suction, rim, moves, self.others), left.T
+
+    def seen_by(self, whitening: Array) -> "Patterns":
+        """Return the patterns of readings that are whitened once more, by (readings, readings)."""
+        return Patterns(*(whitening @ pattern for pattern in self))
 
     def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
         """Return the weights (readings,) with which readings sum to the amplitude of suction, with least variance.
@@ -225,57 +247,135 @@ def patterns_of(frame: Observation, fit: Fit, whitening: Array, detector: Detect
     slopes = _slopes(frame, rise, fit.scatter)
     spread = np.sqrt((slopes[1:-1] ** 2).sum(axis=0) + slopes[0] ** 2 * (fit.scatter**2 + np.diag(covariance)))
     cells = [part.pressure(panel, detector.patch_mm, own)[0].ravel() != 0 for part, own in loads]
+    # cells of other loads, and of bodies beside, which move by themselves
+    changed = (
+        np.any(cells, axis=0) | (np.abs(frame.free_map) > np.maximum(MIN_FALL, NOISE_REACH * frame.free_sd)).ravel()
+    )
     _, by_parameter = detector.fitting(fit.candidate, frame).effect(fit.parameters)
     for number, ((part, own), under) in enumerate(zip(loads, cells, strict=True)):
         if part.sucks:
             sways = np.array([prior.sway for prior in part.priors(panel).values()])[:, None]
             moves = (sways * by_parameter[first : first + len(own), under])[sways[:, 0] > 0]
-            others = np.column_stack([whitening.sum(axis=1), by_cell[:, np.any(cells, axis=0) & ~under]])
+            others = np.column_stack([whitening.sum(axis=1), by_cell[:, changed & ~under]])
             own_cells = by_cell[:, under], rise.ravel()[under], slopes[:, under], spread[under]
             patterns[number] = Patterns.of(*own_cells, moves, others)
         first += len(own)
     return patterns
 
 
-def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
+class SteadyFrames(NamedTuple):
+    """Frames of a window without those in which the readings step.
+
+    Attributes
+    ----------
+    times : array, shape (frames,)
+        s.
+    logarithms : array, shape (frames, readings)
+        ln y.
+    part : integer array, shape (frames,)
+        Number of the steps before each frame.
+    period : float
+        Median step of time, s.
+    """
+
+    times: Array
+    logarithms: Array
+    part: NDArray[np.intp]
+    period: float
+
+    @classmethod
+    def of(cls, times: Array, logarithms: Array, steps: Sequence[float] = ()) -> "SteadyFrames":
+        """Return the interval of all frames but the ones about steps, and but parts of less than MIN_PART frames."""
+        none = np.zeros(len(times), dtype=np.intp)
+        return cls(times, logarithms, none, float(np.median(np.diff(times)))).parted(steps)[0]
+
+    def parted(self, steps: Sequence[float]) -> tuple["SteadyFrames", NDArray[np.bool_]]:
+        """Return the interval with further steps, and which of its frames are left, (frames,)."""
+        at = np.array(sorted(steps))
+        apart = np.searchsorted(at, self.times) + (len(at) + 1) * self.part
+        still = np.all(np.abs(self.times - at[:, None] - self.period / 2) > 1.6 * self.period, axis=0)
+        still &= np.array([np.sum(still & (apart == number)) >= MIN_PART for number in apart], dtype=bool)
+        _, part = np.unique(apart[still], return_inverse=True)
+        return SteadyFrames(self.times[still], self.logarithms[still], part, self.period), still
+
+    def pulled(self, series: Array, wave: float) -> tuple[float, ...]:
+        """Return the times between which a series, (frames,), is at another level; () where a wave explains it better.
+
+        Both ends of the best level, or one, are compared by the squares that they explain, `wave` by the best wave.
+        """
+        trend, count = self.trend(), len(series)
+        begins, ends = np.triu_indices(count + 1, MIN_PART)
+        numbers = np.arange(count)[:, None]
+        level = ((numbers >= begins) & (numbers < ends)).astype(float)
+        level -= trend @ (trend.T @ level)
+        size = np.sum(level**2, axis=0)
+        explained = np.where(size > 1e-3, (level.T @ series) ** 2 / np.maximum(size, 1e-3), 0.0)
+        best, total = int(np.argmax(explained)), float(series @ series)
+        scatter = (total - explained[best]) / max(count - trend.shape[1] - 1, 1)
+        if explained[best] <= max(wave, SIGNIFICANT**2 * scatter):
+            return ()
+        edges = (int(edge) for edge in (begins[best], ends[best]))
+        return tuple(float(self.times[edge - 1]) for edge in edges if 0 < edge < count)
+
+    def trend(self) -> Array:
+        """Return an orthonormal basis of 1, t, t², ln(1 + t), the last for creep, and of a step between the parts."""
+        at = (self.times - self.times[0]) / max(float(np.ptp(self.times)), self.period)
+        steps = [self.part > number for number in range(self.part.max(initial=0))]
+        return np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at), *steps]))[0]
+
+
+def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath | None:
     """Return the breath of a window; None where it is too short or frames are too few.
 
     Parameters
     ----------
-    times : array, shape (frames,)
-        s.
+    interval : SteadyFrames
     changes : array, shape (frames, readings)
         Whitened changes of ln y.
     patterns : Patterns
     """
-    lasted, intervals = times[-1] - times[0], len(times) - 1
-    if lasted < MIN_WINDOW_S or intervals < MIN_RATE_HZ * lasted:
+    times, rate = interval.times, 1 / interval.period
+    if len(times) < MIN_WINDOW_S * MIN_RATE_HZ or rate < MIN_RATE_HZ:
         return None
-    # Remove the trend 1, t, t², ln(1 + t), the last for creep, and the changes of `others`.
-    at = (times - times[0]) / lasted
-    trend = np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at)]))[0]
+    lasted = float(times[-1] - times[0])
+    # Remove the trend, and the changes of `others`.
+    at, trend = (times - times[0]) / lasted, interval.trend()
+    all_patterns, all_changes = patterns, changes
     patterns, changes = patterns.beside_others(changes - trend @ (trend.T @ changes))
     # Sine and cosine at every rate without their trend, as orthonormal axes (rates, 2, frames) with their gains.
-    hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], intervals / lasted / 2) + 1e-9, 0.25 / lasted)
+    hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], MAX_RATE_SHARE * rate), 0.25 / lasted)
     waves = np.exp(2j * np.pi * hertz[:, None] * times)
     waves = np.stack([waves.real, waves.imag], axis=2)
     axes, sizes, _ = np.linalg.svd(waves - trend @ (trend.T @ waves), full_matrices=False)
     axes, gain = np.swapaxes(axes, 1, 2), sizes**2
     swings = axes @ changes  # (rates, 2, readings)
+    # Movements at all rates, and noise, by tapered waves at rates that the strongest one does not leak into.
+    strongest = hertz[np.argmax((swings**2).sum(axis=(1, 2)))]
+    far = waves[np.abs(hertz - strongest) > LEAKS / lasted] * (np.sin(np.pi * at) ** 2)[:, None]
+    far = np.swapaxes(far / np.linalg.norm(far, axis=1, keepdims=True), 1, 2)
+    others = far @ changes
+    noise = max(1.0, float(np.quantile((others**2).mean(axis=(1, 2)), 0.25))) if len(others) else 1.0
+    loud = max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25)))  # with what the wave leaks into others
+    others = others.reshape(-1, swings.shape[2])
+    root = cholesky(noise * np.eye(swings.shape[2]) + others.T @ others / max(len(others), 1), lower=True)
+    whitening = solve_triangular(root, np.eye(len(root)), lower=True)
+    steadied, swings = patterns.seen_by(whitening), swings @ whitening.T
     # Amplitudes a, b of s_t at every rate, and the odds of A = BREATHING_SD against A = TREMBLE_SD.
-    noise = max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25)))  # a wave leaks into other rates
-    series = changes @ patterns.weights(TREMBLE_SD, noise / gain.mean())
+    series = changes @ whitening.T @ steadied.weights(TREMBLE_SD, 1 / gain.mean())
     amplitude, total = axes @ series, float(series @ series)
     power = (amplitude**2).sum(axis=1)
+    if pulled := interval.pulled(series, float(power.max())):
+        interval, left = interval.parted(pulled)
+        return breath(interval, all_changes[left], all_patterns)
     freedom, best = len(times) - trend.shape[1], int(np.argmax(power))
     breathing, steady = (logsumexp(_evidence(total, amplitude, gain, sd, freedom)) for sd in (BREATHING_SD, TREMBLE_SD))
     left = max(total - power[best], 1e-12) / (freedom - 2)
     spread = np.sqrt(3 * left / max(power[best], 1e-12)) / (np.pi * lasted)  # Rife, Boorstyn, IEEE Trans. IT-20, 1974
     return Breath(
         float(breathing - steady),
-        _suction(patterns, swings, noise, float(gain.mean())),
+        _suction(steadied, swings, 1.0, float(gain.mean())),
         (float(hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
-        _depth(patterns, changes, waves[best] - trend @ (trend.T @ waves[best]), at, noise / float(gain.mean())),
+        _depth(patterns, changes, waves[best] - trend @ (trend.T @ waves[best]), at, loud / float(gain.mean())),
     )
 
 
@@ -298,17 +398,19 @@ def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: f
         Variance of the amplitude in each reading.
     """
     basis = np.hstack([waves, 12**0.5 * (at[:, None] - 0.5) * waves])
-    inverse, depth, variance = np.linalg.pinv(basis), BREATHING_SD, 0.0
+    depth, variance, square = BREATHING_SD, 0.0, basis.T @ basis
     for _ in range(MAX_ROUNDS):
         weights = patterns.weights(depth, noise)
         series = changes @ weights
-        coefficients = inverse @ series
+        # amplitudes with the prior N(0, MAX_SWINGS²), which near half the frame rate alone decides
         freedom = max(len(at) - 8, 1)  # four numbers here, four of trend
-        left = float(np.sum((series - basis @ coefficients) ** 2)) / freedom
-        variances = left * (inverse**2).sum(axis=1)
+        residual = series - basis @ np.linalg.lstsq(basis, series, rcond=None)[0]
+        left = max(float(residual @ residual) / freedom, 1e-12)
+        covariance = np.linalg.inv(square / left + np.eye(4) / MAX_SWINGS["own"] ** 2)
+        coefficients, variances = covariance @ (basis.T @ series) / left, np.diag(covariance)
         # A² from all four coefficients, less the noise of the two of linear change
         depth = max(float(coefficients @ coefficients - variances[2:].sum()), TREMBLE_SD**2) ** 0.5
-        film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2
+        film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2 + CURVE_SD**2
         variance = depth**2 * film + float(variances[:2].mean())
     return depth / (1 - RESPONSE_SD), variance**0.5 / (1 - RESPONSE_SD)
 
@@ -355,8 +457,8 @@ def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> fl
     """
     causes = ((gain**0.5 * getattr(patterns, name), most) for name, most in MAX_SWINGS.items())
     suction, *others = (_explained(root, most, swings, noise).max() for root, most in causes)
-    # 1/w = 1 + Σ_causes (E_cause/E_own)^½/40
-    odds = EVIDENCE_SHARE * (suction - np.array(others)) + RARE_LOG_ODDS + np.log(2)  # prior odds 1 : 20 of both
+    # 1/w = 1 + Σ_causes (E_cause/E_own)^½/PRIOR_ODDS
+    odds = EVIDENCE_SHARE * (suction - np.array(others)) + np.log(PRIOR_ODDS)
     return float(expit(-logsumexp(-odds)))
 
 
@@ -406,25 +508,25 @@ def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
     return np.vstack([mean, np.sqrt(shares)[:, None] * (slopes - mean), common])
 
 
-def changes_without_water(logarithms: Array, frame: Observation, fit: Fit) -> Array:
+def changes_without_water(interval: SteadyFrames, frame: Observation, fit: Fit) -> Array:
     """Return the changes of ln y, (frames, readings), since the recognised frame, less those by the water's pressure.
 
-    The water's effect is estimated from lines without a load; it is 0 if all lines are loaded.
+    Outliers of each part between steps are drawn in. The water's effect is estimated from lines without a load; it is 0
+    if all lines are loaded.
 
     Parameters
     ----------
-    logarithms : array, shape (frames, readings)
-        ln y.
+    interval : SteadyFrames
     frame : Observation
         The recognised frame.
     fit : Fit
         Its fit.
     """
-    changes, loaded, response = (
-        settled(logarithms - np.log(frame.measured.ravel())),
-        fit.change != 0,
-        frame.baseline.response,
-    )
+    changes = interval.logarithms - np.log(frame.measured.ravel())
+    for number in range(interval.part.max(initial=-1) + 1):
+        own = interval.part == number
+        changes[own] = settled(changes[own])
+    loaded, response = fit.change != 0, frame.baseline.response
     free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
     pressure = response.pressure(fit.change / response.gains + response.logarithm(frame.water)) - frame.water
     slope = frame.slope(fit.change) @ frame.change(pressure)[1].ravel() / frame.measured.ravel()

@@ -1,6 +1,6 @@
 """Candidates of recognition: no load, an equal pressure on all cells, one or several shapes; starts of their fits."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
@@ -186,14 +186,3 @@ class DiscSearch:
         best = np.argmax(gain.reshape(len(self.templates), -1), axis=1)
         size = len(self.discs) // len(self.templates)
         return {template: self.discs[at * size + int(best[at])] for at, template in enumerate(self.templates)}
-
-    def beside(self, change: Array, discs: Sequence[Disc]) -> Disc | None:
-        """Return the best place of one more load on a map of ln r/r0 (rows, columns), outside given discs.
-
-        None where no template matches.
-        """
-        left = np.tanh(change)
-        for disc in discs:
-            left[under(self.panel, disc)] = 0.0
-        score = self.changes.T @ left.ravel()
-        return self.discs[int(np.argmax(score))] if score.max() > 0 else None

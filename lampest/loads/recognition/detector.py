@@ -15,11 +15,10 @@ from scipy.linalg import cho_solve
 from scipy.special import softmax
 
 from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
-from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, DiscSearch, Several, under
+from lampest.loads.recognition.candidates import FIELD, FULL_KPA, LOADS, UNIFORM, DiscSearch, Several, under
 from lampest.loads.recognition.fit import (
     EVIDENCE_SHARE,
     MAX_LOG_RATIO,
-    MAX_ROUNDS,
     SEARCH,
     CellLikelihood,
     Fit,
@@ -27,16 +26,22 @@ from lampest.loads.recognition.fit import (
     Verdict,
     along_diameter,
     field_fit,
+    inverse_beside_prior,
     prior_cost,
-    rises,
     states,
 )
 from lampest.loads.recognition.observation import Observation, Whitening, outliers
-from lampest.loads.shapes.disc import EVEN, Disc
-from lampest.loads.shapes.kinds import RoundCandidate
+from lampest.loads.recognition.suction import Suction, groups_of, may_suck, suctions
+from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import BentSuction, PublishedResponse
+
+# χ² of a reading in a fit with coarse errors, beyond which it is not refined: rods, rings and pairs of rods have up to
+# 0.5, hands and rocks up to 3.
+MAX_COARSE = 0.7
+SHARPENED = 2  # rounds of fits and outlier detection
+START_SIZES = (0.8, 1.1)  # diameters of the starts, over that of the area of the risen cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,38 +77,71 @@ class Detector:
         templates = tuple(dict.fromkeys(template for load in self.loads for template in load.templates))
         return DiscSearch.over(panel, self.patch_mm, templates)
 
-    def verdict(self, frame: Observation, before: Verdict | None = None) -> Verdict:
+    def verdict(self, frame: Observation) -> Verdict:
         """Return the verdict on a frame.
 
-        Parameters
-        ----------
-        frame : Observation
-        before : Verdict, optional
-            Verdict on an earlier frame, whose loads are the first starts.
+        Cells that have risen decide whether something sucks, and where. Every place under suction is then fitted with
+        a load that sucks, and cells beside it are free. Where nothing sucks, the loads that press are compared.
         """
         if (undisturbed := self.calm(frame)) is not None:
             return self._judged(undisturbed, ())
-        (field, without), verdicts = field_fit(frame), list[Verdict]()
+        field, without = field_fit(frame)
         if self.any_form:
             return self._judged(without, (field,))
-        kinds = tuple(load for load in self.loads if not load.sucks or rises(without)) or self.loads
-        # Single loads: from the earlier verdict, and by a new search if that is doubtful.
-        if before is not None and before.loads:
-            verdicts.append(self._settled(frame, before.loads, field, without))
-        if not verdicts or self._doubtful(frame, verdicts[0], field):
-            verdicts.append(self._settled(frame, self._coarse(kinds, field, without), field, without))
-        # Several loads: one more disc at a time, where cells beside the explained ones have changed.
-        single, discs, search = verdicts[-1], list[Disc](), self.search(frame.panel)
-        for _ in range(self.most_loads):
-            neighbour = search.beside(field.change, discs) if self._doubtful(frame, verdicts[-1], field) else None
-            if neighbour is None:
-                break
-            discs.append(neighbour)
-            if len(discs) > 1:
-                fits = self._together(kinds, without, field, discs)
-                verdicts.append(self._settled(frame, (*fits, *single.loads[:1]), field, without))
-                discs = fits[0].discs
-        return self._spread(frame, max(verdicts, key=lambda verdict: verdict.evidence))
+        kinds = tuple(load for load in self.loads if load.sucks)
+        places = suctions(without)[: self.most_loads]
+        if places and kinds:
+            return self._sucking(frame, kinds, places, field, without)
+        # Where fallen cells hide others, the shape decides whether these have risen.
+        hidden = may_suck(without)
+        kinds = tuple(load for load in self.loads if hidden or not load.sucks)
+        if not kinds:
+            return self._judged(without, (field,))
+        coarse = self._coarse(kinds, field, without)
+        shaped = min(fit.chi2 for fit in coarse) < MAX_COARSE * frame.measured.size
+        single = self._settled(frame, coarse if shaped else (), field, without)
+        groups = groups_of(frame.panel, states(frame.panel, field.change) > 1)
+        if not 2 <= len(groups) <= self.most_loads or not self._doubtful(frame, single, field):
+            return self._spread(frame, single)
+        several = self._together(kinds, without, field, [self._under(frame.panel, group) for group in groups])
+        if several.chi2 > MAX_COARSE * frame.measured.size:
+            return self._spread(frame, single)
+        verdict = self._settled(frame, (several, *single.loads[:1]), field, without)
+        return self._spread(frame, max(single, verdict, key=lambda verdict: verdict.best.evidence))
+
+    def _sucking(
+        self,
+        frame: Observation,
+        kinds: Sequence[Candidate],
+        places: Sequence[Suction],
+        field: Fit,
+        without: Observation,
+    ) -> Verdict:
+        """Return the verdict with one load at each place under suction, of the most probable kind.
+
+        The area of the risen cells gives the starts. Cells beside the loads have whatever they changed by as their
+        standard deviation, so that a body beside a mouth does not pull at its rim.
+        """
+        loose, panel = np.abs(field.change), frame.panel
+        frame, without = replace(frame, loose=loose), replace(without, loose=loose)
+        fits = list[Fit]()
+        for kind in kinds:
+            candidate = kind if len(places) == 1 else Several.of((kind,) * len(places))
+            fitting = self.fitting(candidate, without)
+            for larger in START_SIZES:
+                discs = [place.disc(panel, larger) for place in places]
+                start = np.concatenate([kind.start(disc) for disc in discs])
+                covered = np.any([under(panel, disc) for disc in discs], axis=0)
+                spread = np.where(covered, frame.baseline.model_errors.coarse, loose).ravel()
+                whitening = Whitening.about(without, field.change, np.diag(spread**2))
+                likelihood = CellLikelihood.about(without, whitening, field.change)
+                position, _ = fitting.descended(start, likelihood, SEARCH.evaluations // 2)
+                fits.append(fitting.fit_at(position, likelihood))
+        best = max(fits, key=attrgetter("evidence"))
+        calm, best = self._sharpened(frame, best, best, without, self.response_levels[-1] * self._response(frame))
+        best, _ = self._own(calm, best)
+        verdict = self._judged(calm, (best,), places)
+        return self._spread(frame, verdict)
 
     def calm(self, frame: Observation) -> Observation | None:
         """Return the frame without outliers if it shows no load, neither by χ² nor by a template; else None."""
@@ -136,7 +174,7 @@ class Detector:
         baseline, cells = frame.baseline, fit.change.size
         calm, whitening = self.with_errors(frame, fit)
         resting = baseline.model_errors.resting_covariance(frame.seconds, cells)
-        spread = resting + baseline.film(self.fitting(fit.candidate, frame).explained(fit), fit.scatter)
+        spread = resting + self.fitting(fit.candidate, frame).film(fit, fit.scatter)
         both = np.hstack([calm.slope(fit.change), calm.offsets])
         # P Aᵀ: the baseline's covariance times Aᵀ, and that of drift and film times (∂f/∂ln r)ᵀ; C = root rootᵀ
         before = baseline.covariance[:cells] @ both.T + spread @ both[:, :cells].T
@@ -169,7 +207,7 @@ class Detector:
             Relative deviation of the film.
         """
         dropped: list[int] | None = None
-        for _ in range(MAX_ROUNDS):
+        for _ in range(SHARPENED):
             whitening = self.fitting(explains.candidate, calm).errors(explains, scatter)
             fit = explains = self.fitting(fit.candidate, calm).best(fit.parameters, whitening)
             far = self._contradicting(frame, fit)
@@ -236,10 +274,10 @@ class Detector:
         whitening = errors[int(np.argmax(levels))]
         return fitting.best(fit.parameters, whitening), whitening
 
-    def _together(self, kinds: Sequence[Candidate], calm: Observation, field: Fit, discs: Sequence[Disc]) -> list[Fit]:
-        """Return coarse fits of several loads at once: one with the most probable kinds, and one in which all suck.
+    def _together(self, kinds: Sequence[Candidate], calm: Observation, field: Fit, discs: Sequence[Disc]) -> Fit:
+        """Return the coarse fit of several loads at once, each of the kind with which the fit is most probable.
 
-        Kinds are exchanged greedily, load by load, beginning with loads that all suck.
+        Kinds are exchanged greedily, load by load.
 
         Parameters
         ----------
@@ -252,33 +290,35 @@ class Detector:
         likelihood = coarse_errors(calm, field.change)
 
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
-            parts, starts = zip(*sorted(loads, key=lambda load: not load[0].sucks), strict=True)
+            parts, starts = zip(*loads, strict=True)
             fitting = self.fitting(Several.of(parts), calm)
             position, _ = fitting.descended(np.concatenate(starts), likelihood, SEARCH.evaluations // 2)
             return fitting.fit_at(position, likelihood)
 
-        def likely(fit: Fit) -> float:
-            return fit.evidence - prior_cost(fit, calm)
-
-        first = next((load for load in kinds if load.sucks), kinds[0])
-        sucking = best = fitted([(first, first.start(disc)) for disc in discs])
-        for place in range(len(best.loads)):
-            for kind in kinds:
+        best = fitted([(kinds[0], kinds[0].start(disc)) for disc in discs])
+        for place, disc in enumerate(discs):
+            for kind in kinds[1:]:
                 loads = best.loads
-                part, starts = loads[place]
-                if kind is not part and (disc := part.disc(starts)) is not None:
-                    begin = kind.start(disc)
-                    if isinstance(kind, RoundCandidate) and isinstance(part, RoundCandidate):
-                        begin[-len(EVEN) :] = starts[-len(EVEN) :]  # both are equally uneven
-                    loads[place] = kind, begin
-                    best = max(best, fitted(loads), key=likely)
-        return [best] if best is sucking else [best, sucking]
+                loads[place] = kind, kind.start(disc)
+                best = max(best, fitted(loads), key=lambda fit: fit.evidence - prior_cost(fit))
+        return best
 
-    def _judged(self, frame: Observation, fits: Sequence[Fit]) -> Verdict:
+    @staticmethod
+    def _under(panel: Panel, group: NDArray[np.bool_]) -> Disc:
+        """Return the full disc of the same place and area as a group of cells, (rows, columns)."""
+        x, y = panel.places_mm[:, group].mean(axis=1)
+        diameter = 2 * (float(group.sum()) / np.pi) ** 0.5 * panel.pitch_mm
+        return Disc(float(x), float(y), diameter, 0.0, *FULL_KPA, 0.0, 0.0)
+
+    @staticmethod
+    def _response(frame: Observation) -> float:
+        return frame.baseline.model_errors.response
+
+    def _judged(self, frame: Observation, fits: Sequence[Fit], places: Sequence[Suction] = ()) -> Verdict:
         """Return the verdict on these fits, on no load, and on an equal pressure on all cells."""
         whitening = Whitening.about(frame)
         uniform = [self.fitting(kind, frame).best(kind.mean(frame.panel), whitening) for kind in UNIFORM]
-        return Verdict.of((*uniform, *fits), frame)
+        return Verdict.of((*uniform, *fits), frame, places)
 
     def _doubtful(self, frame: Observation, verdict: Verdict, field: Fit) -> bool:
         """Return whether the best fit is poor, or leaves clearly changed cells beside its loads unexplained."""
@@ -295,26 +335,35 @@ class Detector:
         if best.candidate not in self.loads:
             return verdict
         calm, whitening = self.with_errors(frame, best)
-        wide = self._along_curves(calm, along_diameter(self.fitting(best.candidate, calm), best, whitening), whitening)
+        fitting = self.fitting(best.candidate, calm)
+        likelihood = fitting.about(best.parameters, whitening)
+        wide = along_diameter(fitting, best, likelihood)
+        # a load whose shape explains the frame poorly is as much less sure
+        wide = replace(wide, covariance=wide.covariance * max(1.0, verdict.goodness))
+        wide = self._along_curves(calm, wide, whitening)
         return replace(verdict, fits=tuple(wide if fit is best else fit for fit in verdict.fits))
 
     def _along_curves(self, calm: Observation, fit: Fit, whitening: Whitening) -> Fit:
         """Return the fit of a load that sucks with a covariance that includes alternative curves of the film.
 
-        C = Σ q_a (C_a + (φ_a − φ_1)(φ_a − φ_1)ᵀ) over the exponents a, with q_a ∝ evidence^EVIDENCE_SHARE.
+        C = C_1 + Σ q_a (φ_a − φ_1)(φ_a − φ_1)ᵀ over the exponents a, with q_a ∝ evidence^EVIDENCE_SHARE. The circuit is
+        linearised at φ_1.
         """
-        fits, baseline, film = [fit], calm.baseline, calm.baseline.response
+        baseline, film = calm.baseline, calm.baseline.response
         if not fit.candidate.sucks or not isinstance(film, PublishedResponse):
             return fit
-        for exponent in self.exponents:
+        likelihood, offsets, evidence = self.fitting(fit.candidate, calm).about(fit.parameters, whitening), [], []
+        for exponent in (1.0, *self.exponents):
             bent = BentSuction(exponent=exponent, gain=film.gain, gain_sd=film.gain_sd)
             frame = replace(calm, baseline=replace(baseline, scene=replace(baseline.scene, response=bent)))
-            fits.append(self.fitting(fit.candidate, frame).best(fit.parameters, whitening))
-        shares = softmax(EVIDENCE_SHARE * np.array([alternative.evidence for alternative in fits]))
-        # law of total covariance: mean of the covariances within the curves, and covariance between them
-        offsets = np.array([alternative.parameters for alternative in fits]) - fit.parameters
-        within = np.tensordot(shares, [alternative.covariance for alternative in fits], 1)
-        return replace(fit, covariance=within + (shares[:, None] * offsets).T @ offsets)
+            fitting = self.fitting(fit.candidate, frame)
+            position, squares = fitting.descended(fit.parameters, likelihood)
+            offsets.append(position - fit.parameters)
+            evidence.append(-squares.cost - inverse_beside_prior(squares.normal, fit.candidate.sd(frame.panel))[1])
+        shares = softmax(EVIDENCE_SHARE * np.array(evidence))
+        # law of total covariance: the covariance within a curve, and that between the curves
+        between = np.array(offsets)
+        return replace(fit, covariance=fit.covariance + (shares[:, None] * between).T @ between)
 
 
 def coarse_errors(frame: Observation, change: Array) -> CellLikelihood:

@@ -2,8 +2,8 @@
 
 The evidence is Laplace's approximation. In a field each cell has one of four states, from quiet to strongly changed,
 with a Potts prior on neighbours. The posterior is P(fit | frame) ∝ e^(evidence·EVIDENCE_SHARE)·P(fit). The prior is
-equal for all kinds, except that further loads, suction that raises no cell, and loads in one place are improbable.
-Otherwise rims that cancel suction between patches would fit any outline.
+equal for all kinds, except that further loads, and loads in one place, are improbable. Whether a load sucks is not
+decided by fits, but by its cells (`lampest.loads.recognition.suction`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
+from lampest.files.levels import MAX_MEAN_SQUARE, NOISE_REACH, SIGNIFICANT
 from lampest.loads.recognition.candidates import FIELD, UNIFORM, under
 from lampest.loads.recognition.observation import MostProbable, Observation, Whitening, outliers
+from lampest.loads.recognition.suction import Suction
 from lampest.loads.shapes.disc import POINTS, Disc
 from lampest.loads.shapes.shape import Candidate, Prior
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
@@ -28,16 +29,14 @@ from lampest.panel.panel import Array, Panel
 # Search with one linearised circuit; a change of ln P below `settled` changes nothing that is reported.
 SEARCH = LevenbergMarquardt(evaluations=30, settled=0.3)
 MAX_ROUNDS = 4  # linearisations of the circuit in a fit; also fits with errors about the previous one
+# Profile along a parameter: the difference of ln P at its end, the evaluations and the largest number of points to each
+# side, and by how much a step is longer than the one before.
+NEGLIGIBLE, PROFILE_STEPS, MAX_PROFILE, FARTHER = 5.0, 5, 6, 1.5
 MAX_LOG_RATIO = 20.0  # difference of ln P to the best candidate beyond which candidates do not count
 # Assumed −ln P: of one in twenty, for every further load, a rim that moves without its suction, and a mouth that does
-# not breathe; and of the impossible, hidden suction and two loads in one place. Such combinations fit loads that are no
-# candidates with up to e⁶⁰ times their evidence.
+# not breathe; and of the impossible, two loads in one place.
 RARE_LOG_ODDS, IMPOSSIBLE = log(20), 60.0
-# ln r/r0 that a panel shows clearly, a suction of 1 kPa; and the share of the change that a cell under suction alone
-# would have. Mouths of 24 to 45 mm at a pitch of 10 mm have more than 0.7 in some cell, and nine in ten more than 0.9.
-# Of 60 mouths pressed with 30 to 80 kPa more, 47 are recognised with a share of 0.35, 52 with 0.25; with 0.2 or less
-# two mouths 70 mm apart are taken for one. Hands, rocks, fins, fish, rods and rings raise no cell by more than 0.1.
-MIN_RISE, MIN_RISE_SHARE = 0.2, 0.25
+OVERLAP = 0.25  # share of the smaller diameter by which two loads may overlap: soft rims touch
 # Exponent of evidence ratios, because films and loads deviate from their models in more ways than the errors include.
 # Fitted by log-likelihood to scenes made without this package's simulation; see docs/studies/mouths.md.
 EVIDENCE_SHARE = 0.5
@@ -54,8 +53,6 @@ class Fit:
         φ and its posterior covariance.
     change : array, shape (rows, columns)
         ln r/r0.
-    normal : array, shape (parameters, parameters)
-        Gauss-Newton matrix of the cost.
     residual : array, shape (cells,)
         Residual of the readings, in their unit.
     chi2 : float
@@ -74,7 +71,6 @@ class Fit:
     parameters: Array
     covariance: Array
     change: Array
-    normal: Array
     residual: Array
     chi2: float
     cost: float
@@ -203,11 +199,11 @@ class Fitting:
     def fit_at(self, parameters: Array, likelihood: CellLikelihood) -> Fit:
         """Return the fit at given φ with its evidence, by a likelihood that was linearised there or nearby."""
         squares, whitening, sd = self.at(parameters, likelihood), likelihood.whitening, self._prior[1]
-        covariance = np.linalg.inv(squares.normal) + np.diag(self.candidate.blind(parameters) ** 2)
+        covariance, width = inverse_beside_prior(squares.normal, sd)
+        covariance += np.diag(self.candidate.blind(parameters) ** 2)
         errors = whitening @ likelihood.residual
         # Laplace: ln P(R) = −cost − ½ ln det (H sd sdᵀ) − ½ ln det C + constant, with the Gauss-Newton matrix H
-        width = float(np.linalg.slogdet(squares.normal * np.outer(sd, sd))[1]) / 2
-        known = parameters, covariance, self.effect(parameters)[0], squares.normal, likelihood.residual
+        known = parameters, covariance, self.effect(parameters)[0], likelihood.residual
         likely = float(errors @ errors), squares.cost, whitening.volume, -width - squares.cost - whitening.volume
         return Fit(self.candidate, *known, *likely, whitening.scatter)
 
@@ -246,11 +242,29 @@ class Fitting:
 
     def errors(self, fit: Fit, scatter: float) -> Whitening:
         """Return the errors about the change that a fit explains, with a relative deviation `scatter` of the film."""
-        film = self.frame.baseline.film(self.explained(fit), scatter)
-        return Whitening.about(self.frame, fit.change, film, scatter)
+        return Whitening.about(self.frame, fit.change, self.film(fit, scatter), scatter)
+
+    def film(self, fit: Fit, scatter: float) -> Array:
+        """Return the covariance of ln r beside the change that a fit explains, (cells, cells).
+
+        These are the deviations of the film, and the loose cells of the frame that the fit's loads do not cover.
+        """
+        covered = np.any([under(self.frame.panel, disc) for disc in fit.discs], axis=0)
+        loose = np.where(covered, 0.0, self.frame.loose).ravel()
+        return self.frame.baseline.film(self.explained(fit), scatter) + np.diag(loose**2)
 
 
-def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
+def inverse_beside_prior(normal: Array, sd: Array) -> tuple[Array, float]:
+    """Return H⁻¹ and ½ ln det (H sd sdᵀ) of a Gauss-Newton matrix H that contains the prior's precision 1/sd².
+
+    The eigenvalues of sd H sd are at least 1, also where the readings determine φ beyond double precision.
+    """
+    sizes, axes = np.linalg.eigh(normal * np.outer(sd, sd))
+    sizes = np.maximum(sizes, 1.0)
+    return (axes / sizes) @ axes.T * np.outer(sd, sd), float(np.log(sizes).sum()) / 2
+
+
+def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fit:
     """Return the fit with the posterior covariance by a profile along ln d, where that is wider.
 
     No reading depends on a rim between patches: the cost is flat there and steep beside it, and the curvature at the
@@ -264,33 +278,37 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
         The problem of the fit's candidate.
     fit : Fit
         A fit without a diameter is returned unchanged.
-    whitening : Whitening
-        Errors with which it was fitted.
+    likelihood : CellLikelihood
+        The circuit linearised at the fit.
     """
     names = list(fit.candidate.priors(fitting.frame.panel))
     if "diameter" not in names:
         return fit
-    place = names.index("diameter")
+    place, sd = names.index("diameter"), fitting.candidate.sd(fitting.frame.panel)
     remaining = np.ix_(*2 * [np.arange(len(names)) != place])
-    # Profile: step ln d in both directions until P(δ) is negligible, all other parameters fitted.
-    points = [fitting.best(fit.parameters, whitening, held=place)]
+    points = [(fit.parameters, fitting.at(fit.parameters, likelihood))]
+    # Profile: step ln d in both directions, ever farther, until P(δ) is negligible; all other parameters are fitted.
     spacing = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))  # as points of a patch are
-    for step in (1, -1) * np.array(max(spacing, fit.covariance[place, place] ** 0.5 / 2)):
-        point = points[0]
-        while point.cost < points[0].cost + MAX_LOG_RATIO / 2:
-            begin = point.parameters + step * np.eye(len(names))[place]
-            point = fitting.best(begin, whitening, points[0].cost + MAX_LOG_RATIO / 2, place)
-            points.append(point)
+    for step in (1, -1) * np.array(max(spacing, fit.covariance[place, place] ** 0.5)):
+        (position, squares), number = points[0], 0
+        while squares.cost < points[0][1].cost + NEGLIGIBLE and number < MAX_PROFILE:
+            begin = position + FARTHER**number * step * np.eye(len(names))[place]
+            position, squares = fitting.descended(begin, likelihood, PROFILE_STEPS, held=place)
+            points.append((position, squares))
+            number += 1
+    points.sort(key=lambda point: float(point[0][place]))
+    steps = np.gradient([position[place] for position, _ in points])
     # Prior precision of a centre that is uniform within a pitch: beyond, it would touch other patches.
     centred = np.diag(fitting.centred * 12 / fitting.frame.panel.pitch_mm**2)
-    precisions = [(point.normal + centred)[remaining] for point in points]
-    # P(δ) ∝ e^(−cost) |H|^(−½), with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ − φ̂)(φ − φ̂)ᵀ)
-    share = softmax(
-        [-point.cost - np.linalg.slogdet(precision)[1] / 2 for point, precision in zip(points, precisions, strict=True)]
+    inverses, widths = zip(
+        *(inverse_beside_prior((squares.normal + centred)[remaining], np.delete(sd, place)) for _, squares in points),
+        strict=True,
     )
-    offsets = np.array([point.parameters for point in points]) - fit.parameters
+    # P(δ) ∝ e^(−cost) |H|^(−½) dδ, with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ − φ̂)(φ − φ̂)ᵀ)
+    share = softmax(np.log(steps) - [squares.cost + width for (_, squares), width in zip(points, widths, strict=True)])
+    offsets = np.array([position for position, _ in points]) - fit.parameters
     covariance = (share[:, None] * offsets).T @ offsets + np.diag(fit.candidate.blind(fit.parameters) ** 2)
-    covariance[remaining] += np.tensordot(share, np.linalg.inv(precisions), 1)
+    covariance[remaining] += np.tensordot(share, inverses, 1)
     wider = covariance[place, place] > fit.covariance[place, place]
     return replace(fit, covariance=covariance) if wider else fit
 
@@ -326,7 +344,7 @@ def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
     misfit, cost = Whitening.about(frame, change) @ left, float(errors @ errors) / 2
     # ln P(R | states) = −½ eᵀ (A P Aᵀ + C)⁻¹ e − ½ ln det (A P Aᵀ + C), and ln P(states) of the Potts field
     likely = float(misfit @ misfit), cost, whitening.volume, -cost - whitening.volume - paid(frame.panel, of_cells)
-    return Fit(FIELD, none, none.reshape(0, 0), change, none.reshape(0, change.size), left, *likely), most_probable
+    return Fit(FIELD, none, none.reshape(0, 0), change, left, *likely), most_probable
 
 
 def prior(frame: Observation, sd: Array) -> Array:
@@ -365,32 +383,45 @@ class Verdict:
         Posterior probability of each fit.
     goodness : float
         χ² per reading of the best fit.
-    evidence : float
-        Largest evidence plus ln prior of a fit, up to a constant common to all fits of the frame.
+    frame : Observation
+        The frame without its outliers.
+    suctions : tuple of Suction
+        Places under suction.
     """
 
     fits: tuple[Fit, ...]
     shares: tuple[float, ...]
     goodness: float
-    evidence: float
+    frame: Observation
+    suctions: tuple[Suction, ...] = ()
 
     @classmethod
-    def of(cls, fits: Sequence[Fit], frame: Observation) -> "Verdict":
+    def of(cls, fits: Sequence[Fit], frame: Observation, suctions: Sequence[Suction] = ()) -> "Verdict":
         """Return the verdict on the fits of a frame.
 
         Where no candidate explains the frame, differences of evidence are divided by χ² per reading of the best fit.
         """
-        before = np.array([prior_cost(fit, frame) for fit in fits])
+        before = np.array([prior_cost(fit) for fit in fits])
         evidence = np.array([fit.evidence for fit in fits])
         goodness = fits[int(np.argmax(evidence - before))].chi2 / frame.measured.size
         counts = (EVIDENCE_SHARE if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
         shares = softmax(counts * evidence - before)
-        return cls(tuple(fits), tuple(map(float, shares)), goodness, float(max(evidence - before)))
+        return cls(tuple(fits), tuple(map(float, shares)), goodness, frame, tuple(suctions))
 
     @property
     def best(self) -> Fit:
         """The most probable fit."""
         return self.fits[int(np.argmax(self.shares))]
+
+    @property
+    def changed(self) -> Array:
+        """ln r/r0 of the cells that have clearly changed, and 0 of the others, (rows, columns).
+
+        A shape that is of one mind with them says by how much, because the prior of free cells draws large ones in.
+        """
+        cells, shaped = self.frame.free_map, self.best.change
+        agreed = np.where(cells * shaped > 0, np.maximum(np.abs(cells), np.abs(shaped)), np.abs(cells))
+        return np.where(np.abs(cells) > NOISE_REACH * self.frame.free_sd, np.sign(cells) * agreed, 0.0)
 
     @property
     def loads(self) -> tuple[Fit, ...]:
@@ -405,49 +436,30 @@ class Verdict:
         return sum(share for fit, share in pairs if fit.candidate in UNIFORM)
 
     def sucks_at(self, disc: Disc | None) -> float:
-        """Return the probability that a load at a disc's place sucks, given that there is a load; None: anywhere."""
+        """Return the probability that a load at a disc's place sucks; None: any load."""
 
-        def sucks(at: Disc | None) -> bool:
-            # at the place: the centre of a sucking load lies within the disc
-            near = disc and at and hypot(at.x_mm - disc.x_mm, at.y_mm - disc.y_mm) < disc.diameter_mm / 2
-            return disc is None or bool(near)
+        def near(x_mm: float, y_mm: float) -> bool:
+            return disc is None or hypot(x_mm - disc.x_mm, y_mm - disc.y_mm) < disc.diameter_mm / 2
 
-        pairs = zip(self.fits, self.shares, strict=True)
-        total = sum(
-            share for fit, share in pairs if any(sucks(part.disc(values)) for part, values in fit.loads if part.sucks)
-        )
+        if self.suctions:
+            places = (place for place in self.suctions if near(place.x_mm, place.y_mm))
+            return max((place.probability for place in places), default=0.0)
+        # without a cell that shows it, by the shapes
+        total = 0.0
+        for fit, share in zip(self.fits, self.shares, strict=True):
+            discs = [part.disc(values) for part, values in fit.loads if part.sucks]
+            total += share * any(one is not None and near(one.x_mm, one.y_mm) for one in discs)
         return total / max(1 - self.nothing, 1e-9)
 
 
-def prior_cost(fit: Fit, frame: Observation) -> float:
-    """Return −ln prior of a fit, up to a constant: further loads, hidden suction, and overlapping loads are improbable.
-
-    Both the fit and the frame's map of cells have to show a suction.
-    """
-    response, shape = frame.baseline.response, frame.panel.shape
-    cost = sum(_overlapping(*pair) for pair in combinations(fit.discs, 2))
-    for part, parameters in fit.loads:
-        if part.sucks:
-            disc, full = part.disc(parameters), 0.0
-            below = np.ones(shape, dtype=bool) if disc is None or len(fit.loads) == 1 else under(frame.panel, disc)
-            if disc is not None:
-                full = float(np.mean(response.gains * response.logarithm(disc.suction_kpa)))
-            cost += _hidden(min(float(rise[below].max(initial=0.0)) for rise in (fit.change, frame.highest)), full)
-    return RARE_LOG_ODDS * (len(fit.loads) - 1) + IMPOSSIBLE * cost
-
-
-def rises(frame: Observation) -> bool:
-    """Return whether some cell may rise enough for suction to be possible; otherwise no suction is searched."""
-    return IMPOSSIBLE * _hidden(float(frame.highest.max()), 0.0) < 2 * MAX_LOG_RATIO
-
-
-def _hidden(rise: float, full: float) -> float:
-    """Return 1 if no cell rises under suction that would raise a cell by `full`, 0 if one does; both in ln r/r0."""
-    return exp(-((rise / max(MIN_RISE, MIN_RISE_SHARE * full)) ** 2))
+def prior_cost(fit: Fit) -> float:
+    """Return −ln prior of a fit, up to a constant: further loads, and overlapping loads, are improbable."""
+    overlapping = sum(_overlapping(*pair) for pair in combinations(fit.discs, 2))
+    return RARE_LOG_ODDS * (len(fit.loads) - 1) + IMPOSSIBLE * overlapping
 
 
 def _overlapping(first: Disc, second: Disc) -> float:
     """Return 1 if two discs are in one place, 0 if they do not overlap, smoothly between."""
     common = (first.diameter_mm + second.diameter_mm) / 2 - hypot(first.x_mm - second.x_mm, first.y_mm - second.y_mm)
     share = max(common, 0.0) / min(first.diameter_mm, second.diameter_mm)
-    return 1 - exp(-((share / MIN_RISE_SHARE) ** 2))
+    return 1 - exp(-((share / OVERLAP) ** 2))

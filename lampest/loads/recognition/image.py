@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.watch import NEAR_PITCHES, Panelled, Watch
+from lampest.loads.recognition.watch import NEAR_PITCHES, Level, Panelled, Watch
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.response import Response
 from lampest.panel.scene import Scene
@@ -78,9 +78,9 @@ class WindowScene:
         return self._joined(lambda scene, part: scene.series_ohm + part, np.zeros(self.panel.shape))
 
     @property
-    def broken(self) -> Array:
+    def broken(self) -> NDArray[np.bool_]:
         """Whether a crossing has no cell to be estimated, (rows, columns)."""
-        return self._joined(lambda scene, part: scene.broken.astype(float), np.zeros(self.panel.shape))
+        return self._joined(lambda scene, part: scene.broken.astype(float), np.zeros(self.panel.shape)) > 0
 
     def uniform_start(self, measured: Array) -> Array:
         """Return the uniform start of every module, as `Readout.uniform_start`."""
@@ -218,6 +218,11 @@ class ImageWatch:
         return next((watch.doubt for watch in self._watches if watch.doubt), "")
 
     @property
+    def faults(self) -> tuple[tuple[str, float], ...]:
+        """Open lines of all windows and modules, counted within each, as `Watch.faults`."""
+        return tuple(dict.fromkeys(fault for watch in self._watches for fault in watch.faults))
+
+    @property
     def stands_out(self) -> float:
         """Largest `Watch.stands_out` of all windows and modules."""
         return max(watch.stands_out for watch in self._watches)
@@ -247,38 +252,40 @@ class ImageWatch:
         """Return the place (x, y) in the image, mm, where a module's readings changed most."""
         corner = self.panelled.scene.panel.places_mm[:, *self._layout.cells(number)][:, 0, 0]
         search = watch.panelled.detector.search(watch.panelled.scene.panel)
-        strongest = int(np.argmax(watch.test.scores(watch.mean - watch.resting)))
+        strongest = int(np.argmax(watch.test.scores(watch.level.mean - watch.rest.mean)))
         return np.asarray(corner + search.places[strongest])
 
     def _begun(self, window: Window, sigma: Array) -> Watch:
         """Return the watch of a new window, with the joined states of its modules."""
         layout, known = layout_of(window.scene.panel), [self.modules[n] for n in window.numbers if n in self.modules]
-        blank = known[0].resting * 0 + np.median([np.median(part.resting) for part in known])
-        levels = {number: (part.resting, part.mean, *part.recent) for number, part in self.modules.items()}
+        blank = np.full(known[0].rest.mean.shape, np.median([np.median(part.rest.mean) for part in known]))
+        levels = {number: (part.rest.mean, part.level.mean, *part.recent) for number, part in self.modules.items()}
         states = np.array([levels.get(number, 4 * (blank,)) for number in window.numbers])
         images = layout.joined(np.swapaxes(states, 0, 1).reshape(4, -1, layout.each.rows, layout.each.columns))
-        baseline, mean, *recent = images.reshape(4, -1)
+        _, mean, *recent = images.reshape(4, -1)
         module = replace(self.panelled, scene=cast(Scene, window.scene), water=self.panelled.water[window.cells])
         resting = np.exp(images[0]), sigma[window.cells], np.zeros((0, *layout.shape))
-        start = Watch.begin(module, *resting, max(part.rest_s for part in known))
+        start = Watch.begin(module, *resting, max(part.rest.until_s for part in known))
         loud = np.full(len(start.test.loud), max(float(part.test.loud.mean()) for part in known))
-        begun = max(part.window[-1][0] if part.window else part.begun for part in known)
-        start = replace(start, test=replace(start.test, loud=loud), rested=min(part.rested for part in known))
-        last = ((begun, baseline),)
-        return replace(start, mean=mean, begun=begun, recent=tuple(recent), window=last, uneven=False)
+        begun = max(part.level.until_s for part in known)
+        rest = replace(start.rest, frames=min(part.rest.frames for part in known))
+        level = Level(mean, 1.0, begun, begun)
+        start = replace(start, test=replace(start.test, loud=loud), rest=rest, level=level)
+        return replace(start, recent=tuple(recent), history="")
 
     def _closed(self, time: float) -> "ImageWatch":
         """Return the watch without the windows that were calm for CALM_S; their modules take over the states."""
         opened = tuple(opening for opening in self.opened if time - opening[2] < CALM_S)
-        modules, names = dict(self.modules), ("rest_s", "rested", "begun", "window", "uncovered_s")
+        modules = dict(self.modules)
         for window, watch, _ in (opening for opening in self.opened if time - opening[2] >= CALM_S):
-            layout, state = layout_of(window.scene.panel), {name: getattr(watch, name) for name in names}
-            images = np.reshape([watch.resting, watch.mean, *watch.recent], (4, *layout.shape))
+            layout = layout_of(window.scene.panel)
+            images = np.reshape([watch.rest.mean, watch.level.mean, *watch.recent], (4, *layout.shape))
             for number, levels in zip(window.numbers, np.swapaxes(layout.split(images), 0, 1), strict=True):
                 if number in modules and number not in under_windows(opened):
                     baseline, mean, *recent = levels.reshape(4, -1)
-                    module = replace(modules[number], resting=baseline, mean=mean, recent=tuple(recent))
-                    modules[number] = replace(module, **state)
+                    rest, level = replace(watch.rest, mean=baseline), replace(watch.level, mean=mean)
+                    module = replace(modules[number], rest=rest, level=level, recent=tuple(recent))
+                    modules[number] = replace(module, history=watch.history)
         return replace(self, modules=modules, opened=opened)
 
     def _merged(self) -> tuple[Attachment, ...]:

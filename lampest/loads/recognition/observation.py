@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, lapack
 
-from lampest.files.levels import NOISE_REACH, SIGNIFICANT
+from lampest.files.levels import SIGNIFICANT
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, Response
@@ -304,6 +304,8 @@ class Observation:
         Time since the baseline.
     common : array, shape (cells, n) or None
         Root of the covariance of random errors that the frame's readings share: gain, ripple along scanned lines.
+    loose : array, shape (rows, columns), or 0
+        Standard deviations of ln r/r0 of cells that changed, and are free where the load of a fit does not cover them.
     """
 
     measured: Array
@@ -312,6 +314,7 @@ class Observation:
     water: Array
     seconds: float = 0.0
     common: Array | None = field(default=None, kw_only=True)
+    loose: Array | float = field(default=0.0, kw_only=True)
 
     @property
     def panel(self) -> Panel:
@@ -378,9 +381,19 @@ class Observation:
         return self._mapped.state.reshape(self.measured.shape)
 
     @cached_property
-    def highest(self) -> Array:
-        """Map of ln r/r0 plus NOISE_REACH standard deviations, (rows, columns), an upper limit."""
-        return self.map + NOISE_REACH * np.sqrt(np.diag(self._mapped.covariance)).reshape(self.measured.shape)
+    def free(self) -> MostProbable:
+        """Most probable ln r/r0 of independent cells with the prior N(0, 1), which any load may have changed."""
+        return self.cells(np.zeros(self.measured.shape), np.eye(self.measured.size))
+
+    @property
+    def free_map(self) -> Array:
+        """The state of `free`, (rows, columns)."""
+        return self.free.state.reshape(self.measured.shape)
+
+    @cached_property
+    def free_sd(self) -> Array:
+        """The standard deviations of `free`, (rows, columns)."""
+        return np.sqrt(np.diag(self.free.covariance)).reshape(self.measured.shape)
 
     @cached_property
     def target(self) -> Array:

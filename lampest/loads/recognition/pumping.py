@@ -77,6 +77,10 @@ class Pumping:
         Mean and variance of u given a hypothesis.
     age_s : array, same shape
         Time since its last jump, s.
+    observed_s : float
+        Time over which samples were taken, s.
+    pumps : tuple of (int, float, float)
+        Number of pumps, and the times of the first and of the last one, s.
     """
 
     weights: Array
@@ -87,6 +91,8 @@ class Pumping:
     mean: Array
     variance: Array
     age_s: Array
+    observed_s: float = 0.0
+    pumps: tuple[int, float, float] = (0, np.inf, -np.inf)
 
     @classmethod
     def begin(
@@ -95,7 +101,8 @@ class Pumping:
         """Return the state before the first sample; `before` is that of the same attachment in its previous place."""
         kinds = np.broadcast_to(np.log(OF_KINDS.share), GRID)
         known = kinds if before is None else np.broadcast_to(logsumexp(before.logarithm, axis=-1, keepdims=True), GRID)
-        return cls(weights, reference, time, moves, known, np.zeros(GRID), np.ones(GRID), np.zeros(GRID))
+        track = cls(weights, reference, time, moves, known, np.zeros(GRID), np.ones(GRID), np.zeros(GRID))
+        return track if before is None else replace(track, observed_s=before.observed_s, pumps=before.pumps)
 
     def after(self, logarithms: Array, time: float) -> "Pumping":
         """Return the state after one more sample, the median of ln y (frames, readings), at a time in s."""
@@ -137,7 +144,22 @@ class Pumping:
         least = updated.logarithm.max(axis=(1, 2, 3, 4), keepdims=True) - MAX_LOG_RATIO
         logarithm = np.maximum(updated.logarithm, least)
         logarithm[-1] += max(0.0, MIN_LOG_ODDS - updated._kinds)
-        return replace(updated, logarithm=logarithm)
+        return replace(updated, logarithm=logarithm, observed_s=self.observed_s + seconds)._counted(time, seconds)
+
+    def _counted(self, time: float, seconds: float) -> "Pumping":
+        """Return the state with one more pump, where a mouth more probably pumped in the last two samples than not."""
+        count, first, last = self.pumps
+        mouth = self.logarithm[-1]
+        share = np.exp(logsumexp(mouth[self.age_s[-1] <= seconds]) - logsumexp(mouth))
+        if share <= 0.5 or time - last < KINDS[-1].interval_s:
+            return self
+        return replace(self, pumps=(count + 1, min(first, time), time))
+
+    @property
+    def interval_s(self) -> float | None:
+        """Mean time between pumps, s; None with less than two."""
+        count, first, last = self.pumps
+        return (last - first) / (count - 1) if count > 1 else None
 
     @property
     def _kinds(self) -> float:

@@ -3,8 +3,8 @@
 Steps of the readings are detected by a matched filter on their logarithms (Page, Biometrika 41, 1954, for one series).
 Between two steps the load is recognised after 1, 2, 4 … seconds, from the median of the latest frames against the panel
 before the load. A load leaves only by a step back to that panel, up to the film's residue. A step whose readings return
-to the level before it, such as a deep breath or an outlier, is cancelled. Without a load, the unloaded readings follow
-the frames.
+to the level before it, such as a deep breath or an outlier, is cancelled. Breath is judged through steps, because they
+are changes of a load and not its end. Without a load, the unloaded readings follow the frames.
 """
 
 from collections.abc import Callable
@@ -18,22 +18,15 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import csc_array
 
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD
-from lampest.files.process import ONE_BLAS_THREAD
+from lampest.files.process import ONE_BLAS_THREAD, logged_reason
 from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.attachment import Attachment, attachments_of, continued_by
-from lampest.loads.recognition.breathing import (
-    MIN_RATE_HZ,
-    MIN_WINDOW_S,
-    WINDOW_S,
-    breath,
-    changes_without_water,
-    patterns_of,
-)
-from lampest.loads.recognition.candidates import FIELD, DiscSearch
+from lampest.loads.recognition.breathing import WINDOW_S, patterns_of
+from lampest.loads.recognition.candidates import DiscSearch
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import IMPOSSIBLE, RARE_LOG_ODDS, Verdict
+from lampest.loads.recognition.fit import RARE_LOG_ODDS, Verdict
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, counting, patch_of
-from lampest.loads.recognition.pumping import BLOCK_S, Pumping
+from lampest.loads.recognition.suction import MIN_RISE
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
@@ -45,7 +38,13 @@ MAX_CELLS = 1024  # patterns of loads take memory for each pair of cells: 134 MB
 SINGLE_FRAME = 2.0  # score of a single unloaded frame, which scatters more, over the threshold of a median of three
 TOUCHED = "something touched the panel while its unloaded frames were taken"
 UNEVENLY = "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
-FIRST_S, MIN_FRAMES = 1.0, 3  # time and least frames until the first recognition, and between judgements of breath
+FIRST_S, LOOKS_S = 1.0, 60.0  # time until the first recognition, and the longest one between two
+MIN_FRAMES = 3  # that a recognition needs
+# Resistances of an open line over those at rest, and the share of its readings that have them: mouths raise up to five
+# cells of a row of ten.
+OPEN_RATIO, OPEN_SHARE = 2.0, 0.8
+MIN_RELIEVED = 3  # cells that rise where a load left: one or two are even by chance
+UNCOVERED = 0.25  # of the unevenness of cells under a load, which is left where it has gone: films keep an eighth
 Frames = tuple[tuple[float, Array], ...]
 
 
@@ -68,6 +67,8 @@ class Panelled:
     common : callable or None
         Returns a root (cells, n) of the covariance of random errors that a frame's readings share, given the readings
         (rows, columns); None where there are none.
+    explained : bool
+        Whether the circuit explains the readings.
     """
 
     scene: Scene
@@ -75,6 +76,7 @@ class Panelled:
     water: Array
     errors: ModelErrors
     common: Callable[[Array], Array] | None = None
+    explained: bool = True
 
     @classmethod
     def of(cls, scene: Scene, errors: ModelErrors, patch_mm: float | None = None) -> "Panelled":
@@ -180,6 +182,51 @@ class StepTest:
 
 
 @dataclass(frozen=True, eq=False)
+class Level:
+    """Mean readings of an interval without a step.
+
+    Attributes
+    ----------
+    mean : array, shape (cells,)
+        ln y.
+    frames : float
+        Number of frames in the mean.
+    since_s, until_s : float
+        Times of its first and of its last frame, s.
+    """
+
+    mean: Array
+    frames: float
+    since_s: float
+    until_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """The last recognition of a load.
+
+    Attributes
+    ----------
+    verdict : Verdict
+    size : array, shape (discs,)
+        Scores of the load.
+    time_s : float
+        Time of the recognition, or at which the load left.
+    over : bool
+        Whether the load has left.
+    """
+
+    verdict: Verdict
+    size: Array
+    time_s: float
+    over: bool = False
+
+    def fading(self, time: float) -> Array:
+        """Return the scores of the residue of a load that left, (discs,)."""
+        return np.asarray(self.size / (1 + max(time - self.time_s, 0.0) / FOLLOWS_S))
+
+
+@dataclass(frozen=True, eq=False)
 class Watch:
     """State of the recognition after a sequence of frames. Readings are ln y, (cells,); times are in s.
 
@@ -189,32 +236,30 @@ class Watch:
     test : StepTest
     sigma : array, shape (rows, columns)
         Standard deviations of one frame's readings.
-    resting, rested, rest_s : array, float, float
-        Mean readings before the load, the number of frames in that mean, and the time of the last one.
-    mean, begun : array, float
-        Mean readings since the last step, and the time of that step.
+    rest : Level
+        The panel without a load.
+    level : Level
+        The readings since the last step; without a load they are also the rest.
     recent : tuple of two arrays
         The last two frames.
-    film_sd : array, shape (cells,), or 0
-        Standard deviation of ln r0 by the residue of earlier loads in the film.
     window : tuple of (float, array)
-        Times and readings of the last frames since the step: those within WINDOW_S, and at least MIN_FRAMES.
+        Times and readings of the last frames under a load: those within WINDOW_S, and at least MIN_FRAMES.
+    steps : tuple of float
+        Times of the steps in the window.
     present : bool
         Whether a load is on the panel.
-    size, left, left_s : array, array, float
-        Scores (discs,) of the present load and of the last recognised one, and the time of that recognition.
-    seen, verdict : Observation, Verdict or None
-        Median frame of the last recognition of the present load, and its result.
     known : bool
         Whether there was a recognition since the last step.
-    next_s, breath_s, sample_s : float
-        Times of the next recognition, of the next judgement of breath, and of the next sample of suction.
-    judged_s : float
-        Time of the last frame of the last full window in which breath was judged.
-    uncovered_s : float or None
-        Time at which a load left that was present before the first frame.
-    uneven : bool
-        Whether a load may lie on the panel in the unloaded frames.
+    next_s : float
+        Time of the next recognition.
+    look : Look or None
+        The last recognition.
+    film_sd : array, shape (cells,), or 0
+        Standard deviation of ln r0 by the residue of earlier loads in the film.
+    history : str
+        What the unloaded frames show of a load, in words; '' for nothing.
+    faults : tuple of (str, float)
+        Open lines, such as 'row 3', and the times in s of the first frames in which they were.
     attachments : tuple of Attachment
     former : Watch or None
         State before the last step; None once a load was recognised since.
@@ -223,27 +268,18 @@ class Watch:
     panelled: Panelled
     test: StepTest
     sigma: Array
-    resting: Array
-    rested: float
-    rest_s: float
-    mean: Array
-    begun: float
+    rest: Level
+    level: Level
     recent: tuple[Array, ...]
-    film_sd: Array | float = 0.0
     window: Frames = ()
+    steps: tuple[float, ...] = ()
     present: bool = False
-    size: Array | float = 0.0
-    left: Array | float = 0.0
-    left_s: float = 0.0
-    seen: Observation | None = None
-    verdict: Verdict | None = None
     known: bool = False
     next_s: float = np.inf
-    breath_s: float = np.inf
-    sample_s: float = np.inf
-    judged_s: float = -np.inf
-    uncovered_s: float | None = None
-    uneven: bool = False
+    look: Look | None = None
+    film_sd: Array | float = 0.0
+    history: str = ""
+    faults: tuple[tuple[str, float], ...] = ()
     attachments: tuple[Attachment, ...] = ()
     former: "Watch | None" = None
 
@@ -269,7 +305,8 @@ class Watch:
         search = panelled.detector.search(frame.panel)
         intact = np.where(panelled.scene.broken, np.nan, frame.baseline.logarithm)
         test, uneven = StepTest.of(frame, search, np.log(filled)), search.lies_on(intact)
-        return cls(panelled, test, sigma, resting, frames, time, resting, time, (resting, resting), uneven=uneven)
+        rest = Level(resting, frames, time, time)
+        return cls(panelled, test, sigma, rest, rest, (resting, resting), history=UNEVENLY if uneven else "")
 
     @ONE_BLAS_THREAD
     def push(self, measured: Array, sigma: Array, time: float) -> "Watch":
@@ -288,28 +325,48 @@ class Watch:
         # In this order: the load may have gone, the last step may be cancelled, loads are recognised, breath and
         # suction judged.
         if not watch.known:
-            frame = watch._frame(watch.mean, time)
+            frame = watch._frame(watch.level.mean, time)
             if watch.panelled.detector.calm(frame) is not None and watch._left(frame):
-                return watch._gone(watch.begun)
-        watch = watch._resumed(watch.mean) if time >= watch.next_s else watch
-        watch = watch._recognised(time) if time >= watch.next_s and len(watch.window) >= MIN_FRAMES else watch
-        if not (watch.present and watch.known):
-            return watch
-        watch = watch._breathed(time) if time >= watch.breath_s else watch
-        return watch._pumped(time) if time >= watch.sample_s else watch
+                return watch._gone(watch.level.since_s)
+        if time >= watch.next_s:
+            watch = watch._resumed(watch.level.mean)
+        if time >= watch.next_s and len(watch._since_step) >= MIN_FRAMES:
+            watch = watch._looked(time)
+        return watch._heard(time) if watch.present and watch._recognised else watch
 
     def followed(self, measured: Array, sigma: Array, time: float) -> "Watch":
         """Return the watch after a frame, as `push`, with step detection only."""
+        sigma, faults = self._without_open_lines(measured, sigma, time)
         counts = np.isfinite(sigma).ravel()
-        logarithm = np.where(counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.mean)
+        logarithm = np.where(counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.level.mean)
         # the median of three frames, so that a single wrong reading is no step
         shown = np.median([*self.recent, logarithm], axis=0)
-        sigma = counting(sigma, np.exp(self.resting).reshape(sigma.shape))
-        return replace(self, recent=(self.recent[-1], logarithm), sigma=sigma)._stepped(shown, logarithm, time)
+        sigma = counting(sigma, np.exp(self.rest.mean).reshape(sigma.shape))
+        watch = replace(self, recent=(self.recent[-1], logarithm), sigma=sigma, faults=faults)
+        return watch._stepped(shown, logarithm, time)
+
+    def _without_open_lines(
+        self, measured: Array, sigma: Array, time: float
+    ) -> tuple[Array, tuple[tuple[str, float], ...]]:
+        """Return σ, infinite for the readings of open lines, and the faults with the times of their first frames.
+
+        Suction raises the cells of a mouth; only an open line raises nearly all resistances of a row or a column.
+        """
+        if self.panelled.scene.circuit.unit != "ohm":
+            return sigma, self.faults
+        known = np.isfinite(sigma) & (measured > 0)
+        ratio = np.where(known, measured, 0.0) / np.exp(self.rest.mean).reshape(measured.shape)
+        faults, known_faults = dict(self.faults), known.copy()
+        for axis, name in enumerate(("row", "column")):
+            read = np.maximum(known.sum(axis=1 - axis), 1)
+            for line in np.flatnonzero((ratio > OPEN_RATIO).sum(axis=1 - axis) > OPEN_SHARE * read):
+                np.moveaxis(known_faults, axis, 0)[line] = False
+                faults.setdefault(f"{name} {line}", time)
+        return np.where(known_faults, sigma, np.inf), tuple(faults.items())
 
     def ended(self) -> "Watch":
         """Return the watch after the last frame, in which a load that has just arrived is recognised, too."""
-        return self._recognised(self.window[-1][0]) if self.present and not self.known else self
+        return self._looked(self.window[-1][0]) if self.present and not self.known else self
 
     def touched(self, unloaded: Array) -> bool:
         """Return whether a load came or left during the unloaded frames, (frames, rows, columns).
@@ -319,32 +376,40 @@ class Watch:
         """
         logarithm = np.log(unloaded).reshape(len(unloaded), -1)
         medians = [np.median(logarithm[first : first + 3], axis=0) for first in range(len(unloaded) - 2)]
-        changes = np.nan_to_num([*medians, logarithm[0], logarithm[-1]] - self.resting)
+        changes = np.nan_to_num([*medians, logarithm[0], logarithm[-1]] - self.rest.mean)
         excess = np.array([np.max(self.test.scores(change) / self.test.least()) for change in changes])
         excess[-2:] /= SINGLE_FRAME
         if excess.max() < 1:
             return False
-        shown = self.resting + changes[np.argmax(excess)]
-        return self.panelled.detector.verdict(self._frame(shown, self.rest_s + SETTLES_S)).nothing < 0.5
+        shown = self.rest.mean + changes[np.argmax(excess)]
+        return self.panelled.detector.verdict(self._frame(shown, self.rest.until_s + SETTLES_S)).nothing < 0.5
 
     @property
     def stands_out(self) -> float:
         """Largest score of the last frames against the panel at rest, in standard deviations."""
-        return float(np.max(self.test.scores(np.median([*self.recent, self.mean], axis=0) - self.resting)))
+        return float(np.max(self.test.scores(np.median([*self.recent, self.level.mean], axis=0) - self.rest.mean)))
 
     @property
     def change(self) -> Array | None:
         """ln r/r0 (rows, columns) of the last recognised load; None before any."""
-        return None if self.verdict is None else self.verdict.best.change
+        return None if self.look is None else self.look.verdict.best.change
 
     @property
     def doubt(self) -> str:
         """The reason why the load on the panel is unknown, in words; '' where it is known."""
         if self.present and not self.known:
-            return f"something touched the panel at {self.begun:.1f} s, and has not been still for long enough"
-        if self.uncovered_s is not None:
-            return f"something stood on the panel in its unloaded frames, and left at {self.uncovered_s:.1f} s"
-        return UNEVENLY if self.uneven else ""
+            return f"something touched the panel at {self.level.since_s:.1f} s, and has not been still for long enough"
+        return self.history
+
+    @property
+    def _recognised(self) -> bool:
+        """Whether the load on the panel was recognised before or since the last step."""
+        return self.look is not None and not self.look.over
+
+    @property
+    def _since_step(self) -> Frames:
+        """Frames of the window since the last step."""
+        return tuple(frame for frame in self.window if frame[0] > self.level.since_s)
 
     def _stepped(self, shown: Array, logarithm: Array, time: float) -> "Watch":
         """Return the watch after a frame: a step begins a new interval, any other frame continues the present one.
@@ -358,46 +423,57 @@ class Watch:
         time : float
             s.
         """
-        before = self.window[-1][0] if self.window else self.begun
-        scores = self.test.scores(shown - self.mean)
-        fading = self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)  # score of the fading residue of a load
-        if np.any(scores >= (self._least_step if self.present else np.maximum(self.test.least(), MIN_CHANGE * fading))):
+        before = self.level.until_s
+        scores = self.test.scores(shown - self.level.mean)
+        if np.any(scores >= self._least_step(time)):
             # A step: either back to the level before the last step, or the beginning of a new interval.
             resumed = self._resumed(shown)
             if resumed is not self:
                 return resumed._stepped(shown, logarithm, time)
-            former, seen = (replace(self, former=None), self.seen) if self.present else (None, None)
-            watch = replace(self, mean=shown, begun=before, window=((time, logarithm),), known=False, former=former)
-            watch = replace(watch, present=True, seen=seen, size=self.test.sizes(shown - self.resting))
-            breath_s = time + MIN_WINDOW_S + 1 / MIN_RATE_HZ
-            return replace(watch, next_s=before + FIRST_S, breath_s=breath_s, sample_s=before + BLOCK_S)
+            former = replace(self, former=None) if self.present else None
+            window = latest((*self.window, (time, logarithm)))
+            steps = (*(step for step in self.steps if step >= window[0][0]), before)
+            level = Level(shown, 1.0, before, time)
+            watch = replace(self, level=level, window=window, steps=steps, present=True, known=False, former=former)
+            return replace(watch, next_s=before + FIRST_S)
         # No step: running mean with the time constant FOLLOWS_S; without a load the baseline and v_k² follow, too.
         share = min((time - before) / FOLLOWS_S, 1.0)
-        follows, window = max(1 / (len(self.window) + 1), share), latest((*self.window, (time, logarithm)))
-        watch = replace(self, mean=self.mean + follows * (shown - self.mean), window=window)
+        follows = max(1 / (self.level.frames + 1), share)
+        mean = self.level.mean + follows * (shown - self.level.mean)
+        level = Level(mean, min(self.level.frames + 1, max(1 / follows, 1.0)), self.level.since_s, time)
         if self.present:
-            return watch
+            return replace(self, level=level, window=latest((*self.window, (time, logarithm))))
         test = replace(self.test, loud=self.test.loud + share * (scores**2 - self.test.loud))
-        return replace(watch, resting=watch.mean, rest_s=time, rested=max(1 / follows, self.rested), test=test)
+        return replace(self, level=level, rest=replace(level, frames=max(level.frames, self.rest.frames)), test=test)
 
     def _resumed(self, logarithm: Array) -> "Watch":
         """Return the state before the last step with the frames since, if readings have returned; else unchanged."""
         former = self.former
-        if former is None or np.any(former.test.scores(logarithm - former.mean) >= former._least_step):
+        if former is None:
             return self
-        window = latest((*former.window, *self.window))
-        return replace(former, recent=self.recent, sigma=self.sigma, window=window)
+        least = former._least_step(former.level.until_s)
+        if np.any(former.test.scores(logarithm - former.level.mean) >= least):
+            return self
+        level = replace(former.level, until_s=self.level.until_s)
+        return replace(
+            former, recent=self.recent, sigma=self.sigma, window=self.window, level=level, faults=self.faults
+        )
 
-    @property
-    def _least_step(self) -> Array:
-        """Thresholds of the scores while a load is present, (discs,)."""
-        return np.maximum(self.test.least(), MIN_CHANGE * self.size)
+    def _least_step(self, time: float) -> Array:
+        """Return the thresholds of the scores, (discs,): a part of the load that is present, or of a fading residue."""
+        if not self.present:
+            size: Array | float = 0.0 if self.look is None else self.look.fading(time)
+        elif self.known and self.look is not None:
+            size = self.look.size
+        else:
+            size = self.test.sizes(self.level.mean - self.rest.mean)
+        return np.maximum(self.test.least(), MIN_CHANGE * size)
 
     def _frame(self, logarithm: Array, time: float) -> Observation:
         """Return readings ln y as an observation against the panel before the load, with the film's residue in C."""
         panelled, shape = self.panelled, self.panelled.scene.panel.shape
-        baseline = panelled.baseline(np.exp(self.resting).reshape(shape), self.sigma, max(self.rested, 1.0))
-        frame = panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, baseline, time - self.rest_s)
+        baseline = panelled.baseline(np.exp(self.rest.mean).reshape(shape), self.sigma, max(self.rest.frames, 1.0))
+        frame = panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, baseline, time - self.rest.until_s)
         covariance = baseline.covariance.copy()
         np.einsum("ii->i", covariance)[: logarithm.size] += self._keeps(frame) ** 2
         return replace(frame, baseline=replace(baseline, covariance=covariance))
@@ -407,7 +483,7 @@ class Watch:
 
         The common change by temperature is the median over the cells that were free, and is subtracted.
         """
-        if self.seen is None:
+        if not self._recognised:
             return True
         before = self._before
         common = np.median(frame.map[before == 0]) if np.any(before == 0) else 0.0
@@ -416,7 +492,7 @@ class Watch:
 
     def _keeps(self, frame: Observation) -> Array | float:
         """Return `film_sd` after a step of the recognised load: the residue of each cell's decrease of |ln r/r0|."""
-        if self.known or self.seen is None:
+        if self.known or not self._recognised:
             return self.film_sd
         fall = np.maximum(np.abs(self._before) - np.abs(frame.map), 0.0).ravel()
         return np.asarray(np.maximum(self.film_sd, self.panelled.errors.residue * fall))
@@ -424,92 +500,86 @@ class Watch:
     @property
     def _before(self) -> Array:
         """ln r/r0 (rows, columns) of the load before the last step; 0 without one."""
-        change = None if self.seen is None else self.change
-        return np.zeros(self.panelled.scene.panel.shape) if change is None else change
+        if self.look is None or self.look.over:
+            return np.zeros(self.panelled.scene.panel.shape)
+        return self.look.verdict.changed
 
     def _gone(self, time: float) -> "Watch":
         """Return the watch after the load has left at a time in s.
 
         The present readings become the baseline, unless no load had been recognised.
         """
-        closed = tuple(replace(load, until_s=time) if load.present else load for load in self.attachments)
-        watch = replace(self, present=False, known=False, former=None, attachments=closed)
-        watch = replace(watch, film_sd=0.0, next_s=np.inf, breath_s=np.inf)
-        if self.seen is None:
-            return replace(watch, mean=self.resting, window=())
-        return replace(watch, resting=self.mean, rest_s=time, rested=float(len(self.window)), left_s=time)
+        closed = tuple(load.ended(time) if load.present else load for load in self.attachments)
+        watch = replace(self, present=False, known=False, former=None, attachments=closed, film_sd=0.0)
+        watch = replace(watch, next_s=np.inf, window=(), steps=())
+        if self.look is None or self.look.over:
+            return replace(watch, level=replace(self.rest, until_s=self.level.until_s))
+        rest = replace(self.level, since_s=time)
+        return replace(watch, level=rest, rest=rest, look=replace(self.look, time_s=time, over=True))
 
-    def _recognised(self, time: float) -> "Watch":
-        """Return the watch with the loads that are recognised from the median frame of the window."""
-        # Recognition of the median frame; the next one follows after twice the time since the step.
-        again, scores = time + max(time - self.begun, FIRST_S), self.test.scores(self.mean - self.resting)
-        size, clear = self.test.sizes(self.mean - self.resting), scores >= self.test.least()
-        median = np.median([logarithm for _, logarithm in self.window], axis=0)
-        frame = self._frame(median, time)
-        verdict = self.panelled.detector.verdict(frame, self.verdict if self.known else None)
-        change, before = verdict.best.change, self._before
+    def _looked(self, time: float) -> "Watch":
+        """Return the watch after a look: loads are recognised from the median of the frames since the last step.
+
+        The next look follows after twice the time since the step, at the latest after LOOKS_S. One that fails is left
+        out.
+        """
+        again = time + min(max(time - self.level.since_s, FIRST_S), LOOKS_S)
+        scores = self.test.scores(self.level.mean - self.rest.mean)
+        median = np.median([logarithm for _, logarithm in self._since_step], axis=0)
+        try:
+            frame = self._frame(median, time)
+            verdict = self.panelled.detector.verdict(frame)
+        except (ArithmeticError, ValueError) as error:
+            logged_reason(error, f"look at {time:.1f} s")
+            return replace(self, next_s=again)
+        frame, change, before = verdict.frame, verdict.changed, self._before
         least = NOISE_REACH * self.panelled.errors.residue * np.sum(change * before)
         # No load, or only the residue of the former one: the load has left, unless its cells still show it.
-        memory = not self.known and np.sum(change**2) < least  # the film's residue in the cells of the former load
+        # the film's residue in the cells of the former load
+        memory = self._recognised and not self.known and np.sum(change**2) <= least
         if memory or verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing):  # odds: some steps are noise
-            if self._left(frame) and not (self.known and np.any(clear)):
-                return self._gone(time if self.known else self.begun)
+            if self._left(frame) and not (self.known and np.any(scores >= self.test.least())):
+                return self._gone(time if self.known else self.level.since_s)
             return replace(self, known=True, next_s=again, former=None)
-        if self.seen is None and self._uncovered(verdict, median, time):
-            return replace(self, seen=frame, left=size, uncovered_s=self.begun)._gone(self.begun)
+        look = Look(verdict, self.test.sizes(self.level.mean - self.rest.mean), time)
+        if not self._recognised and self._uncovered(verdict):
+            at = self.level.since_s
+            told = f"something stood on the panel in its unloaded frames, and left at {at:.1f} s"
+            return replace(self, look=look, history=told)._gone(at)
         patterns = patterns_of(frame, verdict.best, self.test.whitening, self.panelled.detector)
-        loads = attachments_of(frame, verdict, self.begun, patterns)
-        watch = replace(self, film_sd=self._keeps(frame), seen=frame, verdict=verdict, known=True, former=None)
-        continued = continued_by(self.attachments, loads, self.begun, again=self.known)
-        return replace(watch, left=size, left_s=time, size=size, next_s=again, attachments=continued)
+        loads = attachments_of(frame, verdict, self.level.since_s, patterns)
+        watch = replace(self, film_sd=self._keeps(frame), look=look, known=True, former=None, next_s=again)
+        continued = continued_by(self.attachments, loads, self.level.since_s, again=self.known)
+        return replace(watch, attachments=continued)
 
-    def _uncovered(self, verdict: Verdict, median: Array, time: float) -> bool:
-        """Return whether the step is rather a load that left the panel, present since before the first frame.
+    def _uncovered(self, verdict: Verdict) -> bool:
+        """Return whether the first change is a load that left, which was present before the first frame.
 
-        It is tested by exchanging the roles of the unloaded and the present readings, and comparing the evidence.
+        Half of the cells that changed, and at least MIN_RELIEVED, have risen. They were as uneven before, about the
+        median of all, as loads make them, and are even now: their deviations have less than UNCOVERED of the former
+        sum of squares. Nothing is concluded of readings that
+        the circuit does not explain.
         """
-        field = next(fit.evidence for fit in verdict.fits if fit.candidate is FIELD)
-        if field < verdict.best.evidence - IMPOSSIBLE:
+        if self.attachments or not self.panelled.explained:
             return False
-        watch = replace(self, resting=median, rested=float(len(self.window)), rest_s=time)
-        backwards = self.panelled.detector.verdict(watch._frame(self.resting, time))
-        return backwards.evidence > verdict.evidence + RARE_LOG_ODDS
+        frame, intact = verdict.frame, self.panelled.scene.panel.present & ~self.panelled.scene.broken
+        moved = intact & (np.abs(frame.free_map) > np.maximum(MIN_RISE, NOISE_REACH * frame.free_sd))
+        # what leaves relieves cells, and those rise
+        if np.sum(moved & (frame.free_map > 0)) < max(MIN_RELIEVED, moved.sum() / 2):
+            return False
+        resting = frame.baseline.logarithm - np.median(frame.baseline.logarithm[intact])
+        now = resting + frame.free_map
+        return bool(np.sum(now[moved] ** 2) < UNCOVERED * np.sum(resting[moved] ** 2))
 
-    def _breathed(self, time: float) -> "Watch":
-        """Return the watch with the breath by the frames since the last full window, judged until they fill a window.
+    def _heard(self, time: float) -> "Watch":
+        """Return the watch after breath and suction of every load were judged, once each FIRST_S and BLOCK_S.
 
-        The last frame is left out, because it may be the first one of a release.
+        The last frame is left out of a breath, because it may be the first one of a release.
         """
-        assert self.seen is not None and self.verdict is not None
-        frames = [frame for frame in self.window[:-1] if frame[0] > self.judged_s]
-        times, logarithms = np.array([at for at, _ in frames]), np.array([logarithm for _, logarithm in frames])
-        lasted, attachments = float(times[-1] - times[0]), list(self.attachments)
-        # complete if it lasts WINDOW_S but for 2.5 mean steps
-        full = lasted > WINDOW_S - 2.5 * lasted / max(len(times) - 1, 1)
-        changes = changes_without_water(logarithms, self.seen, self.verdict.best) @ self.test.whitening.T
-        for number, load in enumerate(attachments):
+        assert self.look is not None
+        loads, verdict = list(self.attachments), self.look.verdict
+        for number, load in enumerate(loads):
             if load.present and load.patterns is not None:
-                breathing = load.breath.after(breath(times, changes, load.patterns), full=full)
-                attachments[number] = replace(load, breath=breathing)
-        judged_s = float(times[-1]) if full else self.judged_s
-        breath_s = time + (MIN_WINDOW_S + 1 / MIN_RATE_HZ if full else FIRST_S)
-        return replace(self, attachments=tuple(attachments), judged_s=judged_s, breath_s=breath_s)
-
-    def _pumped(self, time: float) -> "Watch":
-        """Return the watch with one more sample of each suction, from the frames of the last BLOCK_S.
-
-        With fewer than MIN_FRAMES frames the sample waits.
-        """
-        assert self.seen is not None
-        block = np.array([logarithm for at, logarithm in self.window if at > self.sample_s - BLOCK_S])
-        if len(block) < MIN_FRAMES:
-            return self
-        attachments, reference = list(self.attachments), np.log(self.seen.measured.ravel())
-        for number, load in enumerate(attachments):
-            if load.present and load.sucks > 0.5 and load.patterns is not None:
-                track, moves = load.track, len(load.moved_s)
-                if track is None or track.moves != moves:
-                    weights = load.patterns.suction_weights(self.test.whitening)
-                    track = Pumping.begin(weights, reference, self.sample_s - BLOCK_S, moves, track)
-                attachments[number] = replace(load, track=track.after(block, time))
-        return replace(self, attachments=tuple(attachments), sample_s=time + BLOCK_S)
+                load = load.sampled(self.window, self.test.whitening, verdict.frame)
+                loads[number] = load.listened(self.window[:-1], self.steps, self.test.whitening, verdict)
+        return replace(self, attachments=tuple(loads))

@@ -15,11 +15,13 @@ from lampest.panel.panel import Array, Panel
 from lampest.report.compare import MAX_SHOWN, Table
 
 FORMAT, FILE = "detections/2", "detections.h5"
+ERRORS = "_errors"  # after the name of a quantity: its standard deviations in the file
 ANSWERS = ("lamprey", "sucks", "suction cup", "presses", "nothing", "cannot say")
 LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
 # Assumed probability that a panel without any step is bare: weak loads cause no step.
 BARE_PROBABILITY = 0.99
 MIN_PROBABILITY = 0.9  # from which an attachment is called a lamprey, or a suction cup
+MIN_PUMP_MINUTES = 10.0  # three of the longest published intervals between pumps
 CHANCES = {
     "sucks": ("1", "probability that it sucks"),
     "breathes": ("1", "probability that its suction changes as breathing does"),
@@ -29,12 +31,15 @@ NUMBERS = {
     "since_s": ("s", "time at which it came"),
     "until_s": ("s", "time at which it left; NaN: still present"),
     "cells": ("1", "number of touched cells"),
+    "pump_count": ("1", "number of times that the suction was pumped up; NaN: not observed"),
+    "pump_interval_s": ("s", "mean time between pumps"),
 }
 PAIRS = {
     "x_mm": ("mm", "centre across the columns, column 0 at 0"),
     "y_mm": ("mm", "centre across the rows, row 0 at 0"),
     "diameter_mm": ("mm", "outer diameter"),
-    "suction_kpa": ("kPa", "pressure inside against the surroundings"),
+    "suction_kpa": ("kPa", "pressure inside against the surroundings, typical of the attachment"),
+    "strongest_kpa": ("kPa", "the same where it was strongest"),
     "breathing_hz": ("Hz", "rate at which the suction changes"),
     "breathing_depth": ("1", "relative amplitude of that"),
     "area_mm2": ("mm2", "area of the touched cells"),
@@ -95,6 +100,12 @@ class Detected:
     panel : Panel or None
     warnings : tuple of str
         Doubts about the recording, a line each.
+    threshold : float
+        Probability from which an attachment is called a lamprey, or a suction cup.
+    start_time : str or None
+        Date and time at 0 s.
+    end_s : float or None
+        Time of the last frame, s.
     """
 
     recording: str
@@ -108,6 +119,9 @@ class Detected:
     change: Array | None = None
     panel: Panel | None = None
     warnings: tuple[str, ...] = ()
+    threshold: float = MIN_PROBABILITY
+    start_time: str | None = None
+    end_s: float | None = None
 
     @classmethod
     def of(cls, recording: str, attachments: Sequence[Attachment], rate: float, **known: Any) -> "Detected":
@@ -123,7 +137,7 @@ class Detected:
             Further attributes.
         """
         loads = [*filter(lambda load: load.present, reversed(attachments)), *reversed(attachments)]
-        called = [answer_of(load, rate) for load in loads]
+        called = [answer_of(load, rate, known.get("threshold", MIN_PROBABILITY)) for load in loads]
         chosen = min(called, key=lambda load: ANSWERS.index(load[0]), default=(NOTHING, BARE_PROBABILITY, ""))
         return cls(recording, *chosen, rate, attachments=tuple(attachments), **known)
 
@@ -135,7 +149,12 @@ class Detected:
     @property
     def called(self) -> list[str]:
         """The answer by each attachment alone."""
-        return [answer_of(load, self.frames_per_second or 0.0)[0] for load in self.attachments]
+        return [name for name, _, _ in self._answers]
+
+    @property
+    def _answers(self) -> list[tuple[str, float, str]]:
+        rate = self.frames_per_second or 0.0
+        return [answer_of(load, rate, self.threshold) for load in self.attachments]
 
     @property
     def chosen(self) -> Attachment | None:
@@ -155,16 +174,31 @@ class Detected:
             shown = [*map(_described, present[:MAX_SHOWN])]
             shown += [f"{len(present) - MAX_SHOWN} more"] if len(present) > MAX_SHOWN else []
             return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
+        if self._visits > 1:
+            return f"{self._headline}; last: {self._described(load, present)} ({odds}){why}"
+        return f"{self._described(load, present)} ({odds}){why}"
+
+    @property
+    def _visits(self) -> int:
+        """Number of attachments that suck."""
+        return sum(name in (LAMPREY, SUCKS, CUP) for name in self.called)
+
+    @property
+    def _headline(self) -> str:
+        """Counts of what sucks, in words, such as '7 lamprey visits, 2 unsure'."""
+        return headline(self.called)
+
+    def _described(self, load: Attachment, present: Sequence[Attachment]) -> str:
         name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(self.answer, self.answer)
         messages = [f"{name}{' attached' if load.sucks > 0.5 else ''} {_described(load)}"]
-        if self.answer == LAMPREY and load.pumps >= MIN_PROBABILITY:
+        if self.answer == LAMPREY and load.pumps >= self.threshold:
             messages.append("pumping up its suction")
         if self.answer == LAMPREY and load.breathes > 0.5 and load.breathing_hz and load.breathing_depth:
             depth = (100 * load.breathing_depth[0], 100 * load.breathing_depth[1])
             messages += [f"breathing {load.breathing_hz[0]:.1f} Hz", _shown(depth, "%")]
         if more := len(present) - load.present:
             messages.append(f"and {more} more")
-        return f"{', '.join(messages)} ({odds}){why}"
+        return ", ".join(messages)
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -179,7 +213,7 @@ class Detected:
 
     def content(self) -> dict[str, Any]:
         """Return the content of `--json`."""
-        rate, pairs = self.frames_per_second, zip(self.attachments, self.called, strict=True)
+        rate, pairs = self.frames_per_second, zip(self.attachments, self._answers, strict=True)
         return {
             "recording": self.recording,
             "answer": self.answer,
@@ -190,10 +224,10 @@ class Detected:
             "notes": list(self.notes),
             "warnings": list(self.warnings),
             "attachments": [
-                {"answer": answer}
+                {"answer": answer, "probability": round(probability, 4), "why": why}
                 | {name: round(getattr(load, name), 4) for name in CHANCES}
                 | {name: _rounded(getattr(load, name)) for name in (*NUMBERS, *PAIRS)}
-                for load, answer in pairs
+                for load, (answer, probability, why) in pairs
             ],
             "events": [
                 {"event": kind, "time_s": _rounded(time), "attachment": number} for kind, time, number in self.events
@@ -201,7 +235,7 @@ class Detected:
         }
 
 
-def answer_of(load: Attachment, rate: float) -> tuple[str, float, str]:
+def answer_of(load: Attachment, rate: float, threshold: float = MIN_PROBABILITY) -> tuple[str, float, str]:
     """Return the answer by one load, its probability, and the reason why it is no more specific, or ''.
 
     Parameters
@@ -209,21 +243,50 @@ def answer_of(load: Attachment, rate: float) -> tuple[str, float, str]:
     load : Attachment
     rate : float
         Frames per second.
+    threshold : float
+        Probability from which it is called a lamprey, or a suction cup.
     """
     breath, alive, lifeless = load.breath, load.sucks * load.lives, load.sucks * (1 - load.lives)
     if load.sucks <= 0.5:
         return PRESSES, 1 - load.sucks, ""
-    if alive >= MIN_PROBABILITY:
+    if alive >= threshold:
         return LAMPREY, alive, ""
     if why := too_slow(rate):
-        return SUCKS, load.sucks, f"{why}; whether suction is pumped up again shows within minutes"
+        return SUCKS, load.sucks, f"{why}; {_pumps_in_words(load)}"
     if breath.odds > 0 and breath.suction < 0.5:
         return SUCKS, load.sucks, "it moves at a breathing rate, but probably not by its suction: it may be shaken"
     if breath.hertz is None:
-        return SUCKS, load.sucks, f"breathing shows after {MIN_WINDOW_S:g} s at the earliest"
-    if breath.previous_odds < 0 and lifeless >= MIN_PROBABILITY:  # no breath in a full window
+        return SUCKS, load.sucks, _silence_in_words(load)
+    if breath.previous_odds < 0 and lifeless >= threshold:  # no breath in a full window
         return CUP, lifeless, ""
     return SUCKS, load.sucks, f"whether it breathes is not clear (P = {load.breathes:.2f})"
+
+
+def _pumps_in_words(load: Attachment) -> str:
+    """Return what is known of pumps, where breathing does not show."""
+    minutes = 0.0 if load.track is None else load.track.observed_s / 60
+    if minutes < MIN_PUMP_MINUTES:
+        return "whether suction is pumped up again shows within minutes"
+    return f"in {minutes:.0f} minutes it was not pumped up in a way that tells a mouth (P = {load.pumps:.2f})"
+
+
+def _silence_in_words(load: Attachment) -> str:
+    """Return why no breath is known yet."""
+    if np.isfinite(load.breath.judged_s):
+        return "its readings are never steady for long enough to show breathing, or too many frames are missing"
+    after = f"it moved at {load.moved_s[-1]:.1f} s, and " if load.moved_s else ""
+    return f"{after}breathing shows when it has been in its place for {MIN_WINDOW_S:g} s"
+
+
+def headline(called: Sequence[str]) -> str:
+    """Return the counts of visits in words, such as '7 lamprey visits, 2 unsure, 1 suction cup'."""
+    counts = {name: sum(one == name for one in called) for name in (LAMPREY, SUCKS, CUP)}
+    parts = [f"{counts[LAMPREY]} lamprey visit{'' if counts[LAMPREY] == 1 else 's'}"]
+    parts += [f"{counts[SUCKS]} unsure"] if counts[SUCKS] else []
+    parts += [f"{counts[CUP]} suction cup{'' if counts[CUP] == 1 else 's'}"] if counts[CUP] else []
+    contacts = len(called) - sum(counts.values())
+    parts += [f"{contacts} other contact{'' if contacts == 1 else 's'}"] if contacts else []
+    return ", ".join(parts)
 
 
 def alarming(detected: Detected) -> list[float]:
@@ -298,6 +361,7 @@ def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
             known, rate = answer.content(), answer.frames_per_second
             about = {name: known[name] for name in ("answer", "sentence", "why")} | {"probability": answer.probability}
             about |= {"frames_per_second": np.nan if rate is None else rate, "notes": "\n".join(answer.notes)}
+            about |= {"start_time": answer.start_time or "", "end_s": np.nan if answer.end_s is None else answer.end_s}
             group = entry.create_group(answer.recording)
             hdf5.set_attributes(group, NX_class="NXsubentry", order=order, **about)
             if answer.attachments:
@@ -312,13 +376,15 @@ def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
 
 def _attachment_columns(known: Sequence[dict[str, Any]]) -> dict[str, tuple[Any, str, str]]:
     """Return the columns of the attachments: name → (values, units, text)."""
-    answers = hdf5.ascii_array([load["answer"] for load in known])
+    answers, reasons = (hdf5.ascii_array([load[name] for load in known]) for name in ("answer", "why"))
     columns: dict[str, tuple[Any, str, str]] = {"answer": (answers, "1", "what it is")}
+    columns["why"] = reasons, "1", "why the answer is no more specific"
+    columns["probability"] = np.array([load["probability"] for load in known]), "1", "probability of the answer"
     for name, (units, text) in (CHANCES | NUMBERS).items():
         columns[name] = np.array([load[name] for load in known], dtype=float), units, text
     for name, (units, text) in PAIRS.items():
         values, errors = np.array([load[name] or (None, None) for load in known], dtype=float).T
-        columns |= {name: (values, units, text), f"{name}_errors": (errors, units, f"standard deviation: {text}")}
+        columns |= {name: (values, units, text), f"{name}{ERRORS}": (errors, units, f"standard deviation: {text}")}
     return columns
 
 

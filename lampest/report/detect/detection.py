@@ -1,9 +1,10 @@
 """Recognition of attachments in recordings and results, frame by frame of the readings."""
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import with_saturated_stage
 from lampest.estimate.warnings import touched, warnings_of
 from lampest.files.errors import InputError
+from lampest.files.hdf5 import format_of
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
 from lampest.loads.pressure import sigma_of_frames
 from lampest.loads.recognition.breathing import too_slow
@@ -26,7 +28,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings, stand_in
 from lampest.recording.recording import MEASURED, UNLOADED, Recording, StoredRecording
-from lampest.report.detect.answer import Detected
+from lampest.report.detect.answer import MIN_PROBABILITY, Detected
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
 from lampest.runs.filling import frame_noise_of
@@ -63,6 +65,12 @@ class Known:
         Edge of a cell's film; None where it is not specified.
     effects : CircuitEffects or None
         Effects that are taken off the readings.
+    explained : bool
+        Whether the circuit explains the readings.
+    threshold : float
+        Probability from which an attachment is called a lamprey, or a suction cup.
+    start_time : str or None
+        Date and time at 0 s.
     """
 
     name: str
@@ -76,6 +84,9 @@ class Known:
     notes: tuple[str, ...]
     patch_mm: float | None = None
     effects: CircuitEffects | None = None
+    explained: bool = True
+    threshold: float = MIN_PROBABILITY
+    start_time: str | None = None
 
     @ONE_BLAS_THREAD
     def watch(self) -> Watch | ImageWatch:
@@ -89,42 +100,56 @@ class Known:
         common = None if noise is None or layout else lambda measured: noise.columns(measured[None], baseline=False)
         panelled = Panelled.of(self.scene, ModelErrors().of_scene(self.scene, self.reading_error), self.patch_mm)
         kind: type[Watch] | type[ImageWatch] = ImageWatch if layout else Watch
-        return kind.begin(replace(panelled, common=common), self.resting, self.sigma, self.unloaded, self.begin)
+        return kind.begin(
+            replace(panelled, common=common, explained=self.explained),
+            self.resting,
+            self.sigma,
+            self.unloaded,
+            self.begin,
+        )
 
     @ONE_BLAS_THREAD
     def answer(self, frames: Frames) -> Detected:
         """Return the answer after all frames."""
-        course = list[tuple[float, float]]()
+        course, failed = list[tuple[float, float]](), list[str]()
         try:
             watch = self.watch()
-            for value, sigma, time in frames:
-                watch = watch.push(value, sigma, time)
-                course.append((time, watch.stands_out))
-            if len(course) < 2:
-                return Detected.unknown(self.name, "one frame shows no change; three are needed")
-            return self.detected(watch.ended(), frame_rate([time for time, _ in course]), np.array(course).T)
         except (ArithmeticError, ValueError) as error:
             return Detected.unknown(self.name, logged_reason(error, self.name))
+        for value, sigma, time in frames:
+            try:
+                watch = watch.push(value, sigma, time)
+                course.append((time, watch.stands_out))
+            except (ArithmeticError, ValueError) as error:  # such a frame is left out
+                failed.append(f"the frame at {time:.1f} s is left out: {logged_reason(error, self.name)}")
+        if len(course) < 2:
+            return Detected.unknown(self.name, failed[0] if failed else "one frame shows no change; three are needed")
+        answer = self.detected(watch.ended(), [time for time, _ in course], np.array(course).T)
+        more = (f"so are {len(failed) - 1} more frames",) if len(failed) > 1 else ()
+        return replace(answer, notes=(*answer.notes, *failed[:1], *more))
 
-    def detected(self, watch: Watch | ImageWatch, rate: float, course: Array | None = None) -> Detected:
+    def detected(self, watch: Watch | ImageWatch, times: Sequence[float], course: Array | None = None) -> Detected:
         """Return the answer after the frames so far.
 
         Parameters
         ----------
         watch : Watch or ImageWatch
-        rate : float
-            Frames per second.
+        times : sequence of float
+            Times of the last frames, s.
         course : array, optional
             As in `Detected`.
         """
-        attachments, response = watch.attachments, self.scene.response
+        attachments, response, rate = watch.attachments, self.scene.response, frame_rate(times)
+        time = times[-1] if times else None
         if watch.doubt and not attachments:
             return replace(Detected.unknown(self.name, watch.doubt), frames_per_second=rate, course=course)
         if response is None:
-            attachments = tuple(replace(load, suction_kpa=None) for load in attachments)
+            attachments = tuple(replace(load, suctions=()) for load in attachments)
+        faults = tuple(f"{line} is open in frames from {at:.1f} s on; these are left out" for line, at in watch.faults)
         slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
-        notes = (*self.notes, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (slow, watch.doubt)))
-        about = {"notes": notes, "course": course, "change": watch.change, "panel": self.scene.panel}
+        notes = (*self.notes, *faults, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (slow, watch.doubt)))
+        about: dict[str, Any] = {"notes": notes, "course": course, "change": watch.change, "panel": self.scene.panel}
+        about |= {"threshold": self.threshold, "start_time": self.start_time, "end_s": time}
         return Detected.of(self.name, attachments, rate, **about)
 
     def values(self, readings: Readings) -> tuple[Array, Array]:
@@ -133,20 +158,25 @@ class Known:
         return readings.value, np.where(readings.plain, self.sigma if sigma is None else sigma, np.inf)
 
 
-def frame_rate(times: "list[float] | tuple[float, ...]") -> float:
+def frame_rate(times: Sequence[float]) -> float:
     """Return the frames per second by the median step of their times in s; 0 for a single frame."""
     return float(1 / np.median(np.diff(times))) if len(times) > 1 else 0.0
 
 
 def detect_results(
-    results: Results, patch_mm: float | None = None, on_case: Callable[[int, int], None] = lambda done, total: None
+    results: Results,
+    patch_mm: float | None = None,
+    threshold: float = MIN_PROBABILITY,
+    on_case: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Detected]:
     """Return the answer to every recording of a results file."""
-    return list(each_of(_of_case, [(results.of(name)[0], patch_mm) for name in results.recordings()], on_case))
+    return list(
+        each_of(_of_case, [(results.of(name)[0], patch_mm, threshold) for name in results.recordings()], on_case)
+    )
 
 
-def _of_case(task: tuple[CaseResult, float | None]) -> Detected:
-    case, patch_mm = task
+def _of_case(task: tuple[CaseResult, float | None, float]) -> Detected:
+    case, patch_mm, threshold = task
     side, spread, notes = np.where(case.valued, case.measured, np.nan), case.sigma, tuple[str, ...]()
     noise = frame_noise_of(case.frame_noise, case.scene)
     if spread is None or case.sigma_baseline is None:
@@ -160,13 +190,15 @@ def _of_case(task: tuple[CaseResult, float | None]) -> Detected:
     before = baseline, deviation, baseline[None], begin, case.reading_error, noise, notes, patch_mm
     values = zip(side, np.where(case.valued, spread, np.inf), map(float, case.time), strict=True)
     messages = tuple(filter(None, case.warnings.split("\n")))
-    return replace(Known(case.recording, case.scene, *before).answer(values), warnings=messages)
+    known = Known(case.recording, case.scene, *before, threshold=threshold, start_time=case.start_time)
+    return replace(known.answer(values), warnings=messages)
 
 
 def detect_recording(
     path: Path,
     patch_mm: float | None = None,
     frames: range | None = None,
+    threshold: float = MIN_PROBABILITY,
     on_frame: Callable[[int, int], None] = lambda done, total: None,
 ) -> Detected:
     """Return the answer to a recording, which is read part by part. Raises InputError where it cannot be read.
@@ -178,6 +210,8 @@ def detect_recording(
         Edge of a cell's film.
     frames : range, optional
         Frames that are watched; by default all.
+    threshold : float
+        Probability from which an attachment is called a lamprey, or a suction cup.
     on_frame : callable
         Receives the numbers of watched and of all frames.
     """
@@ -190,7 +224,8 @@ def detect_recording(
     watched, doubts = known_of(head, patch_mm), warnings_of(head.recording, recognition_noise(head), head.check)
     messages = tuple(doubt for doubt in doubts if not doubt.startswith((TOUCHED, UNEVENLY)))
     if isinstance(watched, Detected):
-        return replace(watched, warnings=messages)
+        return replace(watched, warnings=messages, start_time=stored.start_time)
+    watched = replace(watched, threshold=threshold, start_time=stored.start_time)
     requested = range(stored.frames) if frames is None else frames
     blocks = stored.blocks
 
@@ -228,7 +263,7 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
         sigma, readings = seen.sigma_factor / seen.model_factor * specified, seen.readings
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
     before = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, notes, patch_mm
-    return Known(head.name, scene, *before, besides)
+    return Known(head.name, scene, *before, besides, prepared.check.explains is not False)
 
 
 def recognition_noise(prepared: Prepared) -> NoiseEstimate:
@@ -259,3 +294,33 @@ def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
         size = float(np.nan_to_num(np.nanmedian(relative)))
     message = f"the noise is unknown: {100 * size:.2g} % a reading, from differences of neighbouring frames"
     return median * np.fmax(relative, max(size, 1e-6)), (message,)
+
+
+def recordings_in(paths: Sequence[Path]) -> list[Path]:
+    """Return the files, and of folders the recordings in them and in their folders, in the order of their names.
+
+    Raises InputError for a folder without a recording.
+    """
+    files = list[Path]()
+    for path in paths:
+        if not path.is_dir():
+            files.append(path)
+            continue
+        inside = [file for file in sorted(path.rglob("*.h5")) if format_of(file).startswith("recording/")]
+        if not inside:
+            raise InputError(f"{path}: holds no recording (*.h5)")
+        files += inside
+    return list(dict.fromkeys(files))
+
+
+def named_apart(answers: Sequence[Detected]) -> list[Detected]:
+    """Return the answers with a number after the names of recordings that another one has, too."""
+    used, named = set[str](), list[Detected]()
+    for answer in answers:
+        name, number = answer.recording, 1
+        while name in used:
+            number += 1
+            name = f"{answer.recording}_{number}"
+        used.add(name)
+        named.append(replace(answer, recording=name))
+    return named

@@ -10,11 +10,13 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.typed import installed, of_kind, typed
 from lampest.files.whole import refuse_inputs, sparing, whole_file
 from lampest.report.export.formats import CsvExport, ExcelExport, Export, MatlabExport, ParquetExport, ZarrExport
 from lampest.report.export.nwb import NwbExport
+from lampest.report.export.visits import export_visits
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 
@@ -31,12 +33,12 @@ def export_results(
     start: str | None = None,
     frames: range | None = None,
 ) -> tuple[Path, ...]:
-    """Write a results file in another format, atomically.
+    """Write a results file, or the visits of a file of detections, in another format, atomically.
 
     Parameters
     ----------
     results : path
-        The results file.
+        The results file, or detections.h5, of which csv, parquet and mat have one row for each visit.
     to : str or Export
         ``csv``, ``xlsx``, ``parquet``, ``mat``, ``zarr``, ``nwb``, or an own `Export`.
     out : path, optional
@@ -64,6 +66,8 @@ def export_results(
     >>> lampest.export_results("results.h5", "mat")[0].name
     'results.mat'
     """
+    if hdf5.format_of(Path(results)).startswith("detections/"):
+        return (export_visits(Path(results), to, out),)
     known: tuple[Export, ...] = (*EXPORTS, *installed("lampest.exports", Export))
     export = of_kind(to, "format", known) if isinstance(to, str) else to
     source = Path(results)

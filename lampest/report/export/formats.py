@@ -247,3 +247,26 @@ class ZarrExport(Export):
         with ZipFile(path, "w") as archive:
             for key in sorted(held):
                 archive.writestr(ZipInfo(key), held[key].to_bytes())
+
+
+def write_parquet(path: Path, columns: Mapping[str, Sequence[object]], meanings: Mapping[str, str]) -> None:
+    """Write columns of plain values, None where there is none, with meanings. Raises InputError without pyarrow."""
+    with extra("export"):
+        import pyarrow
+        from pyarrow import parquet
+    table = pyarrow.table({name: list(values) for name, values in columns.items()})
+    fields = [field.with_metadata({"long_name": meanings[field.name]}) for field in table.schema]
+    parquet.write_table(table.cast(pyarrow.schema(fields)), path, compression="zstd")
+
+
+def write_matlab(path: Path, name: str, columns: Mapping[str, Sequence[object]]) -> None:
+    """Write columns of plain values as a structure of MATLAB 5; None is NaN, or '' among words."""
+    from scipy.io import savemat
+
+    arrays = dict[str, Any]()
+    for column, values in columns.items():
+        words = any(isinstance(value, str) for value in values)
+        blank: object = "" if words else np.nan
+        known = [blank if value is None else value for value in values]
+        arrays[column] = np.array(known, dtype=object if words else float)[:, None]
+    savemat(path, {name: arrays})

@@ -15,10 +15,10 @@ from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.report.detect.answer import Detected
-from lampest.report.detect.detection import HEAD_FRAMES, Known, frame_rate, known_of
+from lampest.report.detect.detection import HEAD_FRAMES, Known, known_of
 from lampest.report.live.handover import Beside
 
-MAX_REMEMBERED = 16  # former attachments that are kept
+MAX_REMEMBERED = 200  # former attachments that are kept: those of a day with eight visits an hour
 MAX_WAITING = 2000  # waiting frames beyond which every second one is dropped: a fit on 32 × 32 cells takes a minute
 WAITING = "waiting for frames of the unloaded panel"
 DIED = "the process that recognises loads has died; restart lampest live"
@@ -119,7 +119,7 @@ class Watched:
         """Answer after the last frame."""
         if self.why or self.known is None or self.watch is None:
             return Detected.unknown(self.name, self.why)
-        return self.known.detected(self.watch, frame_rate(self.times))
+        return self.known.detected(self.watch, self.times)
 
     def _begun(self, start: "Watched", news: Unloaded) -> "Watched":
         """Return the state `start` with the watch of new unloaded frames; previous attachments have ended."""
