@@ -21,10 +21,11 @@ FLOORS: tuple[tuple[str, ...], ...] = (
 )  # fmt: skip
 # numpy is everywhere; each other library has its doors: a room, or a module of one.
 DOORS: dict[str, tuple[str, ...]] = {
-    "casadi": ("panel.compiled", "panel.network", "cost", "formulation"),
+    "casadi": ("panel.compiled", "panel.network", "cost", "formulation", "estimate.own_program"),
     "scipy": (
         "panel.compiled", "panel.readouts", "panel.response", "loads", "cost.problem",
-        "recording.readings", "estimate.calibration", "estimate.model_check", "formulation", "solvers", "posterior",
+        "recording.readings", "estimate.calibration", "estimate.model_check", "estimate.own_program", "formulation",
+        "solvers", "posterior",
         "report.export.formats", "studies",
     ),
     "h5py": ("files.hdf5", "files.checksums", "files.parts", "recording", "runs.results"),
