@@ -24,7 +24,6 @@ from lampest.posterior.covariance import inverse_and_volume, swept
 MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
 PARAMETER_COST = 12.0  # −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs
 MIN_STILL_SHARE = 0.3  # of the cells: with fewer still cells, a load covers the panel
-MIN_ROWS = 8  # room for added cells at first
 
 Chosen = NDArray[np.bool_]
 
@@ -230,8 +229,8 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
         Returns one column of each P + 1, (hypotheses, cells), for one cell's number of each hypothesis, (hypotheses,).
     """
     index, total, taken = np.arange(len(vector)), np.zeros(len(vector)), np.zeros(vector.shape, dtype=bool)
-    rows = np.zeros((len(vector), MIN_ROWS, vector.shape[1]))  # of the pivoted Cholesky factors, `count` are used
-    for count in range(vector.shape[1]):
+    rows = np.zeros((len(vector), 0, vector.shape[1]))  # of the pivoted Cholesky factors of the cells taken
+    for _ in range(vector.shape[1]):
         pivots = np.maximum(size, 1e-300)
         gains = np.where(taken, -np.inf, vector**2 / pivots - np.log(pivots) - MOVED_COST)
         cells = np.argmax(gains, axis=1)
@@ -242,13 +241,10 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
         total, taken[index[active], cells[active]] = total + np.where(active, largest, 0.0), True
         # Schur complement by the new cell c: column ← column − Σ_k l_k l_kc, s ← s − column s_c/p, and the diagonal
         # loses l².
-        factors = rows[:, :count]
-        added = column(cells) - np.matmul(factors[index, :, cells][:, None], factors)[:, 0]
+        added = column(cells) - np.matmul(rows[index, :, cells][:, None], rows)[:, 0]
         pivot = np.where(active, added[index, cells], 1.0)[:, None]
         added = np.where(active[:, None], added, 0.0)
         vector = vector - added * (vector[index, cells][:, None] / pivot)
-        if count == rows.shape[1]:  # doubled, so that rows are copied once on average
-            rows = np.concatenate([rows, np.zeros_like(rows)], axis=1)
-        rows[:, count] = added / np.sqrt(pivot)
-        size = size - rows[:, count] ** 2
+        rows = np.concatenate([rows, (added / np.sqrt(pivot))[:, None]], axis=1)
+        size = size - rows[:, -1] ** 2
     return total
