@@ -253,7 +253,7 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     status = max((step.solution.status for step in solved), key=WEAKEST_LAST.index, default=first.status)
     missing = {"cell_resistance": np.nan, "reading": np.nan, "open_cell": False, "at_lower": False}
     solutions, bars = ([getattr(step, name, None) for step in steps] for name in ("solution", "bars"))
-    parts: dict[str, Any] = {"at": None, "dual": None, "preconditioner": None}
+    parts: dict[str, Any] = {"at": None, "dual": None, "carried": None}
     parts |= {name: _joined(layout, solutions, name, fill, slice(-1, None)) for name, fill in missing.items()}
     for name in ("kkt_residual", "iterations", "starts"):
         parts[name] = max(getattr(step.solution, name) for step in counted)

@@ -195,7 +195,7 @@ def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pyte
     data = estimator.data(recording.readings()[0].alone(), Background(recording.scene))
     solver = estimator.problem(Scene(Panel(3, 3)), 1, 1.0)
     for place in (
-        "lampest.solvers.projected_newton.newton_direction",
+        "lampest.solvers.multistart.check",
         "lampest.solvers.multistart.evaluated",
         "lampest.panel.readouts.two_point.convex_start",
     ):
