@@ -272,6 +272,13 @@ def program(
     ------
     InputError
         If a weight is open, a frame does not exist, or the formulation has another name.
+
+    Examples
+    --------
+    >>> terms = [lampest.Misfit(), lampest.Gradient(weight=1e-3)]
+    >>> program = lampest.program(recording, terms)
+    >>> program.subject_to("equal", program.cells()[0, 0] - program.cells()[1, 2]).solve().solved
+    True
     """
     if formulation not in EXCITATIONS:
         raise InputError(f"formulation must be one of {', '.join(EXCITATIONS)} for an own program, not {formulation}")

@@ -99,7 +99,7 @@ def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
     unloaded = recording.role == UNLOADED
     size = share_of_motion(scene, readings[unloaded].mean(), readings, measured) if unloaded.any() else None
     if size is None:
-        return noise.undetermined("motion", "cells explain each frame within its noise, so none was torn by motion")
+        return noise.undetermined("motion", "cells explain each frame within its noise, so none shows motion")
     return noise.with_motion(scene, measured, size[0]).determined("motion", size, "of the time between frames")
 
 
