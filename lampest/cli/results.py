@@ -128,7 +128,7 @@ def export(
     estimator
         Estimator for c, such as LSM. Default: the first.
     within
-        For c: largest deviation from the optimum in the median frame, in standard deviations of the cells.
+        For c: largest deviation from the optimum in the median frame, in standard deviations of the cells, such as 0.1.
     milliseconds
         For c: longest time of a frame on --processor.
     processor

@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.garbled import GarbledLines, garbled_lines, garbled_sentence, readings_of
 from lampest.estimate.memory import with_estimated_memory
 from lampest.estimate.model_check import ModelCheck, Question, check_of_modules
 from lampest.estimate.noise import NoiseEstimate, estimate_noise, noise_of_modules
@@ -22,6 +21,7 @@ from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.effects import EFFECTS, Effect
 from lampest.panel.panel import Modules
 from lampest.panel.systematic import unobservable_numbers
+from lampest.recording.garbled import GarbledLines, garbled_lines, garbled_sentence, readings_of
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 

@@ -4,7 +4,6 @@ The witness sees the data of the frame and nothing of the first solve: neither i
 """
 
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import Literal
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
+from lampest.files.levels import Witness
 from lampest.files.typed import Configuration
 from lampest.formulation.patterns import Nodal
 from lampest.panel.panel import Array
@@ -22,16 +22,6 @@ from lampest.solvers.solution import Settings, Solution
 
 MAX_CELLS = 256  # cells up to which `strongest` is verified: a frame takes IPOPT about half a second
 SAME_COST = 1e-6  # relative difference of costs below which two optima are one
-
-
-class Witness(IntEnum):
-    """What the second solve of a frame found."""
-
-    NONE = 0
-    SAME = 1
-    HIGHER = 2
-    LOWER = 3
-    FAILED = 4
 
 
 @dataclass(frozen=True)

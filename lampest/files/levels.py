@@ -4,6 +4,8 @@ Each level says its unit, the false alarms that it admits, and the tests that fa
 room states one of its own where a level of this table has the same meaning.
 """
 
+from enum import IntEnum
+
 # Standard deviations of a reading. Gaussian noise exceeds it once in 370 readings, on one side once in 740. Bounds of
 # cells and rails give way by it, and a cell that answers by more is pressed: with 1 % noise the truth itself violates
 # exact bounds in a third of cases (tests/laws/test_readouts.py); a resistance below it is indistinguishable from zero
@@ -41,3 +43,13 @@ FALSE_ALARM_RATE = 0.01
 
 TWO_SIDED = 1.959963984540054  # standard deviations of half a 95 % interval of a normal distribution
 MAD_TO_SIGMA = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+
+
+class Witness(IntEnum):
+    """What the second solve of a frame found."""
+
+    NONE = 0
+    SAME = 1
+    HIGHER = 2
+    LOWER = 3
+    FAILED = 4

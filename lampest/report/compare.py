@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.witness import Witness
 from lampest.files.errors import counted
+from lampest.files.levels import Witness
 from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
 from lampest.report.words import digits, no_formula, text_of

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lampest.estimate.garbled import garbled_lines, readings_of
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.recording.garbled import garbled_lines, readings_of
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.runs.case import CaseResult
 

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lampest.estimate.witness import Witness
 from lampest.files import hdf5
 from lampest.files.errors import InputError
+from lampest.files.levels import Witness
 from lampest.files.typed import Validated
 from lampest.panel.panel import Array, beyond_any_panel
 from lampest.panel.readouts.readout import Readout

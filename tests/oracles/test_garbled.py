@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lampest.estimate.garbled import garbled_lines
 from lampest.estimate.prepared import Prepared
+from lampest.recording.garbled import garbled_lines
 from lampest.report.strongest import strongest_readings
 from tests.panels import Plan, recorded
 

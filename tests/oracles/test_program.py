@@ -13,7 +13,8 @@ from numpy.testing import assert_allclose
 import lampest
 from lampest import Array
 from lampest.cost.problem import NO_DUAL
-from lampest.estimate.witness import Verification, Witness, compared
+from lampest.estimate.witness import Verification, compared
+from lampest.files.levels import Witness
 from lampest.formulation.circuit import Circuit
 from lampest.formulation.instance import Instance, Multipliers, ProgramResult
 from lampest.formulation.ipopt import Interface

@@ -17,8 +17,9 @@ from lampest.estimate.contacts import with_contacts
 from lampest.estimate.objective import Objective
 from lampest.estimate.state import UNKNOWN_SD, AnyState, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
-from lampest.estimate.witness import Witness, compared, testimony
+from lampest.estimate.witness import compared, testimony
 from lampest.files.errors import BROKEN
+from lampest.files.levels import Witness
 from lampest.files.process import delayed_interrupt, ended_where_hung
 from lampest.files.typed import Configuration
 from lampest.formulation.patterns import EXCITATIONS
