@@ -130,7 +130,7 @@ def export(
     within
         For c: largest deviation from the optimum in the median frame, in standard deviations of the cells, such as 0.1.
     milliseconds
-        For c: longest time of a frame on --processor.
+        For c: longest time of a frame on --processor, such as 20.
     processor
         For c: cortex-m4f, cortex-m7, rp2350 or esp32.
     """

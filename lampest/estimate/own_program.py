@@ -271,7 +271,8 @@ def program(
     Raises
     ------
     InputError
-        If a weight is open, a frame does not exist, or the formulation has another name.
+        If `terms` is no sequence of terms, a weight is open, a frame does not exist, or the formulation has
+        another name.
 
     Examples
     --------
@@ -282,6 +283,8 @@ def program(
     """
     if formulation not in EXCITATIONS:
         raise InputError(f"formulation must be one of {', '.join(EXCITATIONS)} for an own program, not {formulation}")
+    if isinstance(terms, str) or not isinstance(terms, Sequence):
+        raise InputError(f"terms must be a sequence of terms, not {terms!r}")
     method = OptimalMethod("per_pixel" if formulation == "per_pixel" else "nodal")
     estimator = Estimator(tuple(terms), method, solver or Settings(), bounds or Bounds(), error_bars=False)
     if estimator.automatic:

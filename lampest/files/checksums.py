@@ -47,7 +47,7 @@ def located(file: h5py.File, path: str) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Integrity:
-    """What a complete reading of a file has verified.
+    """Result of the verification of a whole file.
 
     Attributes
     ----------

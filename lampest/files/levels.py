@@ -46,7 +46,7 @@ MAD_TO_SIGMA = 1.4826  # standard deviation of a normal distribution over its me
 
 
 class Witness(IntEnum):
-    """What the second solve of a frame found."""
+    """Result of the second solve of a frame, by IPOPT."""
 
     NONE = 0
     SAME = 1

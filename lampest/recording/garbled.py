@@ -27,7 +27,7 @@ WINDOW = 2  # neighbouring frames before and after
 MIN_RATIO_TO_SCATTER = 3.0  # deviation over the scatter of the neighbours, so that an arriving load is not flagged
 MIN_LINE_SHARE = 0.25  # of deviating readings, beyond which a line counts as affected
 MIN_SHARE, MAX_SHARE_BESIDE = 0.6, 0.05  # of deviating readings in the affected lines, and in the other ones
-MIN_LINE_CELLS = 4  # readings of a line: with fewer, chance makes it as rough as a garbled one
+MIN_LINE_CELLS = 5  # readings of a line: with fewer, chance makes it as rough as a garbled one
 # Median second difference of ln y along the lines, and its ratio to the largest one of a line of the other frames. That
 # of random bytes is 1.5; film that scatters by 0.3 has 0.5, and loads add little (tests/oracles/test_garbled.py).
 MIN_ROUGHNESS, MIN_ROUGHNESS_RATIO = 0.5, 1.3

@@ -64,13 +64,14 @@ METHOD = InteriorPoint()
 SIDES = np.array([1.0, -1.0])[:, None, None, None]  # change of the distances (g − g_low, g_high − g) with g
 
 
-def central_path(start: Evaluation) -> tuple[Evaluation, int]:
+def central_path(start: Evaluation, max_steps: int | None = None) -> tuple[Evaluation, int]:
     """Return the point at which the barrier's share of the cost has vanished, and the number of steps.
 
     Returns `start` if the path ends at a higher cost.
     """
     barrier, steps = Barrier.of(start), 0
-    while steps < METHOD.max_steps and not start.data.overdue:
+    limit = METHOD.max_steps if max_steps is None else min(max_steps, METHOD.max_steps)
+    while steps < limit and not start.data.overdue:
         trial = barrier.advanced() if barrier.added > METHOD.max_barrier_share * barrier.at.objective else None
         if trial is None:
             break

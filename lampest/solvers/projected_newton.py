@@ -123,7 +123,7 @@ class ProjectedNewton(Solver):
         """Minimise from `start`. A failed solve does not raise; the outcome's status states the failure."""
         start, iteration = by_convex_program(start), 0
         if (self.from_afar and has_central_path(start)) or crowds_bounds(start):
-            start, iteration = central_path(start)
+            start, iteration = central_path(start, self.settings.max_iterations)
         iterate = Iterate.of(start, Smoothing.start(start), self.preconditioner)
         history, unsettled, tolerance = list[tuple[float, float]](), 0, self.settings.tolerance
         while iteration < self.settings.max_iterations:

@@ -21,7 +21,7 @@ WRONG: tuple[Any, ...] = (
 )  # fmt: skip
 MADE_BY_LAMPEST = {
     *("Data", "Estimates", "ModelCheck", "Outcome", "Readings", "Reconstruction", "Results"),
-    *("Solution", "State", "Step", "Stream"),
+    *("OwnProgram", "OwnSolution", "Solution", "State", "Step", "Stream"),
 }
 
 

@@ -78,7 +78,8 @@ def test_what_changed_is_solved_again(disk: SimpleNamespace, lampest: Command) -
 
 def test_frame_that_fails_is_no_number_and_stops_nothing(disk: SimpleNamespace, lampest: Command) -> None:
     """One iteration is too few: NaN and a sentence, in a finished case."""
-    few = "  penalised: {solver: {max_iterations: 1}, formulation: reduced, terms: {misfit: {}, cell_resistance: {weight: 0.1}}}\n  LSM: {"
+    terms = "verify: {frames: none}, terms: {misfit: {}, cell_resistance: {weight: 0.1}}"
+    few = f"  penalised: {{solver: {{max_iterations: 1, starts: 1}}, formulation: reduced, {terms}}}\n  LSM: {{"
     path = disk.run(disk.text.replace("  LSM: {", few))
     ended = lampest("run", path, "--out", disk.folder / "out", "--jobs", "1")
     assert (ended.code, ended.err) == (0, "")

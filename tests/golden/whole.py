@@ -44,9 +44,10 @@ from lampest.runs import batch
 from lampest.runs.case import ATTRIBUTES, COLUMNS, REQUIRED, all_columns
 from lampest.runs.columns import FRAMES, Column
 from lampest.runs.executors import Serial
-from lampest.solvers import interior_point, multistart
+from lampest.solvers import interior_point
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.certificate import certificate
+from lampest.solvers.convex import convex_cells
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.smoothing import Smoothing
 from lampest.studies.weights import weights_figure, why_not
@@ -104,7 +105,7 @@ def noisy_start(seed: int) -> problem.Evaluation:
     value = np.maximum(exact * (1 + 3 * rng.standard_normal(PANEL.shape)), 10.0)[None]
     estimator = Estimator((lp.Misfit(),), "reduced")
     data = estimator.data(lp.Readings.of(scene, value, 3 * exact[None]), Background(scene))
-    return problem.Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, multistart.convex(data, None))
+    return problem.Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, convex_cells(data, None))
 
 
 def barrier_row() -> Any:
@@ -118,13 +119,17 @@ def barrier_row() -> Any:
         start = replace(begin, data=data).elsewhere(cells)
         barrier = interior_point.Barrier.of(start)
         ahead = [barrier := barrier.advanced() or barrier for _ in range(3)]
-        end, steps = interior_point.by_interior_point(start)
+        end, steps = interior_point.central_path(start)
         noisy, way = interior_point.Barrier.of(noisy_start(6)), []
         while len(way) < 21:
             noisy = noisy.advanced() or noisy
             way.append((noisy.mean, noisy.length, noisy.added))
-        own = barrier.hessian.own.reshape(PANEL.shape) / barrier.conductance**2
-        pressed = np.where(np.indices((2, *PANEL.shape)).sum(axis=0) % 4 > 0, 0.9, 1.1) * own * barrier.distances
+        own = barrier.hessian.own.reshape(barrier.conductance.shape) / barrier.conductance**2
+        pressed = (
+            np.where(np.indices((2, *barrier.conductance.shape)).sum(axis=0) % 4 > 0, 0.9, 1.1)
+            * own
+            * barrier.distances
+        )
         few = [np.where(np.arange(20).reshape(cells.shape) < count, 1200.0, 2000.0) for count in (9, 10)]
         open_end = replace(data, upper=np.full(cells.shape, np.inf))
         others = [start.elsewhere(each) for each in few] + [replace(start, data=open_end), end]
@@ -136,7 +141,7 @@ def barrier_row() -> Any:
             "multipliers": [each.multipliers for each in ahead], "length": [each.length for each in ahead],
             "merit": [each.merit(0.1) for each in ahead], "added": [each.added for each in ahead],
             "bounds": [at.put_at_bounds().cell_resistance for at in (barrier, replace(barrier, multipliers=pressed))],
-            "noisy": way, "of noise": interior_point.by_interior_point(noisy_start(4))[0].cell_resistance,
+            "noisy": way, "of noise": interior_point.central_path(noisy_start(4))[0].cell_resistance,
         }  # fmt: skip
 
 

@@ -107,7 +107,7 @@ def test_a_contact_that_another_one_explains_as_well_is_named_but_not_taken_off(
 
 
 def test_the_size_of_a_leak_is_estimated_and_the_curve_of_a_converter_is_none() -> None:
-    (line,) = (line for line in Prepared(panel(2, leak_ohm=5e3, leak_from=UNLOADED)).warnings if "leak" in line)
+    line = Prepared(panel(2, leak_ohm=5e3, leak_from=UNLOADED)).check.better
     assert 4 < float(line.split("a leak of ")[1].split(" kohm")[0]) < 6
     audit = read_settings(AuditFile)(Path(__file__).parents[2] / "configs" / "audit.yaml")
     assert Prepared(AuditTask(audit, "INL 2 LSB", 403).recording()).effects.name == ""

@@ -618,7 +618,7 @@ class DrivenReadout(DrivenCircuit):
     A resistance is a number, or one for each line. Raises ValueError if a number is out of range, or if readings do not
     depend on the cells or on their common scale. Source: node analysis.
 
-    >>> lampest.DrivenReadout(load_ohm=1000.0, idle_ohm=3300.0, idle_load_ohm=math.inf).unit
+    >>> lampest.DrivenReadout(load_ohm=1000.0, idle_ohm=3300.0, idle_load_ohm=float("inf")).unit
     'volt'
     """
 
@@ -641,8 +641,8 @@ class DrivenReadout(DrivenCircuit):
     input_ohm: float | None = None
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         check_ranges(self, MIN_VOLT, MAX_VOLT, "drive_volt", "converter_volt")
+        super().__post_init__()
         if self.polarity == "down" and (self.drive_volt is not None or self.converter_volt is not None):
             raise ValueError(
                 "drive_volt and converter_volt have no place with polarity: down, where the driven line is at ground"

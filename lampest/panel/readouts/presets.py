@@ -194,8 +194,8 @@ class VirtualGroundReadout(DrivenCircuit):
     converter_volt: float | None = None
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         check_ranges(self, MIN_VOLT, MAX_VOLT, "drive_volt", "converter_volt")
+        super().__post_init__()
 
     @property
     def driving_volt(self) -> float:
