@@ -313,6 +313,7 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
 
     Raises InputError if the times do not increase.
     """
+    values = np.where(np.isfinite(values), values, np.nan)
     steps, finite = np.diff(values), values[np.isfinite(values)]
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     largest = float(np.max(values[_longest_growing(values)], initial=0.0))
