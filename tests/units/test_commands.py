@@ -132,7 +132,7 @@ def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
     assert ended.code == 0 and ended.out.startswith("contact since ")
     assert [path.name for path in (tmp_path / "data").iterdir()] == ["mine.h5"]
     written = sorted(path.name for path in (tmp_path / "results" / "mine").iterdir())
-    assert written == ["detections.h5", "timeline_mine.png"]
+    assert written == ["detections.h5", "timeline_mine.png", "visits.csv", "visits.png"]
 
 
 def test_words_of_the_release_before_answer_and_say_the_new_ones(lampest: Command) -> None:
