@@ -7,7 +7,7 @@ W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]]. CasADi differentiates 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, Protocol
@@ -540,20 +540,21 @@ class AddressedNetwork(Network):
         impedance = np.stack([network._impedance for network in networks])
         return cls(networks[0].cell_resistance, impedance, networks, read_at)
 
-    def _selected(self, values: list[Array]) -> Array:
+    def _selected(self, values: Sequence[Array]) -> Array:
         """Return the readings (rows, columns, …) of each address from those of all networks."""
         pairs = zip(self.read_at, values, strict=True)
         return np.asarray(sum(read.reshape(*read.shape, *(1,) * (part.ndim - 2)) * part for read, part in pairs))
 
     def read(self, entries: Entries) -> Array:
-        raise NotImplementedError("every address has its own entries")
+        """Return h(p, q, t), (rows, columns), of entries (addresses, …): each reading from those of its address."""
+        addresses = zip(self.networks, zip(*entries, strict=True), strict=True)
+        return self._selected([network.read(own) for network, own in addresses])
 
     @property
     def slopes(self) -> Entries:
-        raise NotImplementedError("every address has its own slopes")
-
-    def reading(self) -> Array:
-        return self._selected([network.reading() for network in self.networks])
+        """First derivatives (h_p, h_q, h_t) of each reading at its address, (rows, columns) each."""
+        row, column, mutual = zip(*(network.slopes for network in self.networks), strict=True)
+        return self._selected(row), self._selected(column), self._selected(mutual)
 
     def forward(self, step: Array) -> Array:
         return self._selected([network.forward(step) for network in self.networks])

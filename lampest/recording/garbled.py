@@ -112,7 +112,7 @@ def garbled_sentence(garbled: Sequence[GarbledLines]) -> str:
 
 
 def _signal(recording: Recording) -> Array:
-    """Return what the converter saw, volt (frames, rows, columns); without a readout the conductance, 1/ohm.
+    """Return the voltages at the converter (frames, rows, columns); without a readout the conductances, 1/ohm.
 
     Bounds are included, because garbled codes may lie at a rail; NaN where missing.
     """
@@ -148,7 +148,7 @@ class Along:
     Attributes
     ----------
     values, expected : array, shape (frames, lines, cells)
-        What the converter saw, volt, and what the neighbouring frames let expect.
+        Voltages at the converter, and those that the neighbouring frames predict.
     far : boolean array, same shape
         Readings that deviate from the neighbouring frames.
     scale : float

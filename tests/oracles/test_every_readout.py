@@ -160,6 +160,19 @@ def test_nodal_and_reduced_reach_one_optimum(readout: Any, terms: Any) -> None:
     assert_allclose(nodal.cell_resistance, reduced.cell_resistance, rtol=1e-6 if held else 1e-5)
 
 
+@pytest.mark.parametrize("name", [name for name in SEVERAL if name.startswith("parallel")])
+def test_slopes_of_all_addresses_give_the_change_of_each_reading(name: str) -> None:
+    readout = SEVERAL[name]
+    rng = np.random.default_rng(4)
+    cells, step = 3000 * np.exp(rng.normal(size=(ROWS, COLUMNS))), rng.normal(size=(ROWS, COLUMNS))
+    network = readout.network(cells, readout.ties(cells))
+    changes = [
+        network.response_of(lambda each, entry=entry: np.broadcast_to(each.changes(step)[entry], cells.shape))
+        for entry in range(3)
+    ]
+    assert_allclose(network.read_change(tuple(changes)), network.forward(step), rtol=1e-9, atol=1e-12)
+
+
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 @pytest.mark.parametrize("groups", [None, 2, 3])
 def test_any_states_of_idle_lines_read_what_the_netlist_says(driven: Any, groups: int | None) -> None:
