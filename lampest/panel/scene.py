@@ -402,7 +402,7 @@ class Scene(Configuration):
     creep : float or 'estimated', or None
         Change of log r of all cells alike since the unloaded frames, which is no load; None: none.
     outliers : {'exclude', 'keep'}, or None
-        Readings that a single frame has otherwise than its neighbours in time, and frozen ones. None: excluded.
+        Readings of a single frame that differ from its neighbours in time, and frozen ones. None: excluded.
     estimated : dict, or None
         Of resolved scenes: key of each number that the recording determined → (number, standard deviation).
     film : Film, or None

@@ -62,8 +62,8 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
     """Return a table without a header with names for the fields beside the readings, and without marks.
 
     These are a clock, a time, a frame's number, or marks, which are the same in every line, before or after the
-    readings; a row's number stands before. Where they cannot be told, and where a single field leads, the table is
-    returned unchanged.
+    readings; a row's number stands before. Where they cannot be distinguished, and where a single field leads, the
+    table is returned unchanged.
     """
     fits = table.width in (shape[0] * shape[1], *shape)  # or it would with rows and columns exchanged
     if any(table.names) or len(table.lines) < MIN_LINES or fits:
@@ -103,7 +103,7 @@ def _named(table: ReadingsTable, names: Sequence[str], lead: int) -> ReadingsTab
 def _told(
     table: ReadingsTable, fields: Sequence[int], lead: int, rows: int, marks: NDArray[np.bool_]
 ) -> list[str] | None:
-    """Return names of the fields beside the readings, of which `lead` stand before; None if one cannot be told."""
+    """Return names of the fields beside the readings, of which `lead` stand before; None if one is unclear."""
     leading = [_is_row(table.fields[:, field], rows) for field in fields[:lead]] if rows > 1 else []
     names: list[str | None] = [
         "row" if at < len(leading) and leading[at] else _name_of(table, field, rows, mark=bool(marks[field]))

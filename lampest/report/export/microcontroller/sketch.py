@@ -218,9 +218,7 @@ def _measured(
     table: tuple[Trade, ...] = ()
     with compiled(constants) as host:
         if case.sigma_own is None and not wishes.any:
-            notes.append(
-                "these results have no error bars, in which deviations would be told: the usual budget is taken"
-            )
+            notes.append("these results have no error bars, the unit of deviations: the usual budget is taken")
         else:
             table = trades(host, constants, case)
             trade, aim = chosen_budget(table, wishes.within, wishes.milliseconds, wishes.processor)

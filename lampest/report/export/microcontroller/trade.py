@@ -22,7 +22,7 @@ BUDGETS = (
     *(Budget(3, products, 0.0) for products in (8, 12, 20, 30)),
     *(Budget(5, products, 0.0) for products in (20, 40)),
 )
-DEFAULT_WITHIN = 0.05  # standard deviations of a cell's own error, which nobody sees
+DEFAULT_WITHIN = 0.05  # standard deviations of a cell's own error, which is not noticeable
 MIN_FRAMES, MAX_FRAMES = 6, 40  # the first ones of a recording: enough for a median
 MAX_OPERATIONS = 2_000_000  # of a product of all frames together: a minute for all budgets at 64 × 64 cells
 # Instructions of a Cortex-M4F, fitted to 60 counts of QEMU from 4 × 4 to 16 × 16 cells, all within 10 %
@@ -76,7 +76,7 @@ def instructions(constants: Constants, products: Array, steps: Array) -> Array:
 def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, ...]:
     """Return what each budget buys on the first frames of a case. Raises InputError without error bars."""
     if case.sigma_own is None:
-        raise InputError("these results have no error bars, in which the deviation would be told")
+        raise InputError("these results have no error bars, the unit of the deviation")
     affordable = max(MIN_FRAMES, MAX_OPERATIONS // operations_of(constants))
     count = min(MAX_FRAMES, affordable, len(case.frame))
     sums = constants.sums_of(case)[:count]
