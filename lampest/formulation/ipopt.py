@@ -37,6 +37,7 @@ WARM = {
     "warm_start_mult_bound_push": PUSH,
     "mu_init": 1e-6,
 }
+INTERRUPTED = "NonIpopt_Exception_Thrown"
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,13 @@ class Interface(CasadiOwner):
 
     @guarded
     def minimise(self, instance: Instance, multipliers: Multipliers | None = None) -> ProgramResult:
-        """Return IPOPT's result for an instance of the program; a warm start has multipliers in its units."""
+        """Return IPOPT's result for an instance of the program; a warm start has multipliers in its units.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            Ctrl-C came during the solve: CasADi catches it and ends IPOPT with a status of its own.
+        """
         solver = self._cold if multipliers is None else self._warm
         warm = {}
         if multipliers is not None:
@@ -94,6 +101,8 @@ class Interface(CasadiOwner):
         limits |= {"lbg": instance.equations[0], "ubg": instance.equations[1]}
         result = solver(x0=instance.start, p=instance.parameter, **limits, **warm)
         stats = solver.stats()
+        if stats["return_status"] == INTERRUPTED:
+            raise KeyboardInterrupt
         unknown, of_bounds, of_equations = (np.asarray(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
         status, iterations = str(stats["return_status"]), int(stats["iter_count"])
         corrected = any(stats["iterations"]["regularization_size"])

@@ -1,5 +1,7 @@
 """The program of node voltages: IPOPT solves it alone, and its optima are those of the solver without voltages."""
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -303,3 +305,30 @@ def test_a_program_that_cannot_be_solved_says_so_and_holds_no_number() -> None:
     assert solved.status != "optimum verified"
     values: Array = solved.cell_resistance
     assert np.isnan(values).all() and np.isnan(solved.cell_resistance_errors).all()
+
+
+def test_ctrl_c_while_ipopt_solves_ends_a_program() -> None:
+    text = """
+import signal
+import sys
+import numpy as np
+import lampest
+
+def interrupt(number, frame):
+    names = [frame.f_code.co_name, frame.f_back.f_code.co_name, frame.f_back.f_back.f_code.co_name]
+    if names == ["call", "__call__", "minimise"]:  # CasADi runs IPOPT
+        raise KeyboardInterrupt
+
+scene = lampest.Scene(lampest.Panel(16, 16), lampest.TwoPointReadout(noise_lsb=0.7))
+cells = 1000 * np.exp(np.random.default_rng(1).standard_normal((1, 16, 16)))
+recording = lampest.Recording(scene, cells, np.zeros(1), np.ones(1, dtype=np.uint8))
+program = lampest.program(recording, [lampest.Misfit(), lampest.LogGradient(weight=1.0)])
+signal.signal(signal.SIGALRM, interrupt)
+signal.setitimer(signal.ITIMER_REAL, 0.01, 0.01)
+try:
+    program.solve()
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+    ended = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=100)
+    assert ended.stdout == "interrupted\n", ended.stderr
