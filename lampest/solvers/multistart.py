@@ -55,12 +55,12 @@ class Effort:
         The cost was convex wherever the solver looked if it met no direction of negative curvature on its way from the
         first start; further starts then rarely find a lower minimum (docs/studies/speed.md).
         """
+        if self.requested:
+            return tried >= self.starts
         if not best.solved:
-            return not self.requested and iterations > MAX_UNSOLVED
-        if tried >= self.starts:
-            return True
+            return iterations > MAX_UNSOLVED
         convex = tried == 1 and best.strict and best.convex
-        return not self.requested and (convex or iterations > MAX_SPENT)
+        return tried >= self.starts or convex or iterations > MAX_SPENT
 
 
 def best_solution(solver: Solver, data: Data, previous: Array | None, carried: Any = None) -> Solution:
