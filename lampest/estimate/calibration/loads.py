@@ -42,6 +42,7 @@ ENDS = np.unique(np.outer((-1, 0, 1), 0.5 * 2.0 ** (np.arange(19) / 3)))
 # corner at 2.5 kPa, beyond which its slope is twelve times smaller, and other films have none.
 STEP_SD = 0.6
 START, RANGE = (0.2, 0.05), (1e-3, 2.0)  # initial spread and scatter, relative, and their limits
+LONGEST_STEP = 3.0  # of ln κ and ψ in a step of least squares: units of g for kg are ln 1000 = 7
 ROUNDS = 4  # alternations of least squares and evidence
 PER_OCTAVE, MIN_KPA = 3, 0.25  # points of the table in an octave, and the one next to 0 kPa
 UNLOADED_OHM = 1000.0  # first resistance of the table; only ratios count
@@ -187,7 +188,9 @@ def with_least_squares(loaded: Loaded, fitted: FittedResponse) -> FittedResponse
         residual, slopes = loaded.rows(replace(fitted, state=state), weight)
         return SumOfSquares(np.concatenate([residual, prior @ state]), np.vstack([slopes, prior]))
 
-    state, squares = LevenbergMarquardt(evaluations=100, settled=1e-9).minimum(model, fitted.state)
+    state, squares = LevenbergMarquardt(evaluations=100, settled=1e-9, longest=LONGEST_STEP).minimum(
+        model, fitted.state
+    )
     return replace(fitted, state=state, covariance=np.linalg.inv(squares.normal))
 
 

@@ -189,12 +189,14 @@ def _of_npz(path: Path) -> Arrays:
         for name in (name for name in archive.namelist() if name.endswith(".npy")):
             with archive.open(name) as stream:
                 first = npy.read_magic(stream) == (1, 0)
-                dtype = (npy.read_array_header_1_0 if first else npy.read_array_header_2_0)(stream)[2]
+                header = (npy.read_array_header_1_0 if first else npy.read_array_header_2_0)(stream)
+                (shape, _, dtype), member = header, name.removesuffix(".npy")
                 stream.seek(0)
                 if dtype.kind in "iufM":
+                    check_count(f"{path}: {member}", prod(shape))
                     array = npy.read_array(stream, allow_pickle=False)
                     since_1970 = array.astype("M8[ns]").astype(float) / 1e9 if dtype.kind == "M" else array
-                    arrays[name.removesuffix(".npy")] = since_1970
+                    arrays[member] = since_1970
     return arrays
 
 
