@@ -170,7 +170,7 @@ def evidence(exact: Recording) -> float:
 
 
 def named(what: str, check: ModelCheck) -> bool:
-    """Whether the sentence names the right circuit; a square panel fits transposed readings as well as exchanged sides."""
+    """Whether the sentence names the right circuit; on a square panel exchanged sides are transposed readings."""
     names = {
         "series of 140 ohm forgotten": ["series_resistance_ohm near"],
         "loaded columns told as two_point": ["loaded_columns, readout.driven: rows"],
