@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 
 FEW = 2  # variants of a test that `make test` runs where there are many
-THINNED = ("oracles", "units")  # laws and contracts keep all of theirs
+THINNED = ("board", "oracles", "units")  # laws and contracts keep all of theirs
 WHOLE = "test_table.py"  # the golden table keeps all of its rows with `--variants`, too
 
 

@@ -96,6 +96,7 @@ def _inputs(made: Path) -> Path:
     return made
 
 
+@pytest.mark.slow
 @attack()
 def test_links_and_pipes_in_place_of_outputs_are_refused_and_files_of_others_kept(
     rng: Rng, folder: Path, count: int

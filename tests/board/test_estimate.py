@@ -130,6 +130,7 @@ def test_a_lamprey_is_estimated_within_a_twentieth_of_its_error_by_one_and_a_hal
     np.testing.assert_allclose(reckoned, counted, rtol=0.15)
 
 
+@pytest.mark.slow
 def test_sixteen_by_sixteen_cells_take_six_million_instructions_and_32_kilobytes(tmp_path):
     scene = scene_of("grounded_one", 16, 16)
     _, case = solved_case(scene, [NOISY, lampest.LogGradient(weight=1.0)], error_bars=False)
@@ -151,6 +152,7 @@ def test_sixteen_by_sixteen_cells_take_six_million_instructions_and_32_kilobytes
     np.testing.assert_allclose(reckoned, counted, rtol=0.15)
 
 
+@pytest.mark.slow
 def test_the_mega_estimates_eight_by_eight_cells_in_two_seconds(tmp_path):
     sums, case = solved_case(scene_of("two_point", 8, 8), [NOISY, lampest.LogGradient(weight=1.0)], error_bars=False)
     constants = Constants.of(case).within(Budget(2, 6, 0.05))

@@ -39,6 +39,7 @@ def test_info_prints_health_verdict_and_advice(tmp_path: Path, lampest: Command)
     assert "model      doubtful" in told
 
 
+@pytest.mark.slow
 def test_a_clean_recording_has_no_advice(tmp_path: Path, lampest: Command) -> None:
     told = lampest("info", written(tmp_path / "clean.h5")).out
     assert "model      yes" in told and "advice" not in told
@@ -47,7 +48,7 @@ def test_a_clean_recording_has_no_advice(tmp_path: Path, lampest: Command) -> No
 
 @pytest.mark.parametrize(
     ("readout", "dead_row", "words"),
-    [(WRONG, None, "kind: loaded_columns"), (RIGHT, 5, "dead_rows")],
+    [pytest.param(WRONG, None, "kind: loaded_columns", marks=pytest.mark.slow), (RIGHT, 5, "dead_rows")],
     ids=["another circuit", "a dead row"],
 )
 def test_apply_writes_the_lines_into_the_scene(

@@ -165,7 +165,9 @@ def indented(page: Path) -> list[str]:
     return [textwrap.dedent(block).strip() + "\n" for block in blocks]
 
 
-@pytest.mark.parametrize("page", [README, DOCS / "howto" / "python.md"], ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page", [README, pytest.param(DOCS / "howto" / "python.md", marks=pytest.mark.slow)], ids=lambda page: page.name
+)
 def test_python_of_a_page_runs(page: Path, tmp_path: Path) -> None:
     blocks = [block for language, block in fences(page) if language == "python"]
     blocks += [block for block in indented(page) if block.startswith("import lampest")]

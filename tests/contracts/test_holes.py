@@ -65,6 +65,7 @@ def test_a_batch_loses_a_file_that_is_cut_off_and_no_more(tmp_path: Path, lampes
         assert np.isnan(given["resistance"][1, 3]).all() and given["reading_side"][0, 2, 2] == 1
 
 
+@pytest.mark.slow
 def test_errors_and_coverage_are_those_of_intact_cells(tmp_path: Path, lampest: Command) -> None:
     """Of a panel with a hole, an open and a shorted cell and a dead row; the report compares two estimators on it."""
     places = tuple((*place, 10.0 * place[1], 10.0 * place[0]) for place in np.ndindex(6, 6) if place != (0, 0))

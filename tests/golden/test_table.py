@@ -19,11 +19,14 @@ TOLERANT = {
 }
 LONG = {  # rows of 0.8 s or more
     "checks mistakes", "checks prepared amplifiers", "estimate moved resistors", "recognition detected mouth",
-    "recognition detected two", "report commands", "report descriptions", "report live smoother",
-    "report pictures of files", "report pictures of variants", "report timeline", "runs damaged files",
-    "runs refused commands", "studies tradeoff", "whole parts", "whole weights figure",
+    "recognition detected two", "report live smoother", "report pictures of files", "report pictures of variants",
+    "report timeline", "runs damaged files", "runs refused commands", "studies tradeoff", "whole weights figure",
 }  # fmt: skip
-ROWS = [pytest.param(name, marks=pytest.mark.long if name in LONG else ()) for name in TABLE]
+SLOW = {"report commands", "report descriptions", "whole parts"}  # rows of five seconds or more
+ROWS = [
+    pytest.param(name, marks=[pytest.mark.long] * (name in LONG) + [pytest.mark.slow] * (name in SLOW))
+    for name in TABLE
+]
 INTENDED = "an intended change, or a new row: python -m tests.golden.make table"
 
 

@@ -93,6 +93,7 @@ def test_recognition_looks_where_something_changed(tmp_path: Path, monkeypatch: 
     assert set(looks) == {(10, 10)} and len(looks) <= 5
 
 
+@pytest.mark.slow
 def test_breath_is_judged_in_windows_that_nothing_begins_anew() -> None:
     """A deep breath is no row of steps: by 14 % of its suction, it changes the readings by more than half of the load.
 
@@ -127,6 +128,7 @@ def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
     assert abs(attachment.place[0] - made.centres_mm[0][0]) == pytest.approx(15, abs=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("curve", ["straight", "delayed"])
 def test_bars_of_suction_and_breath_contain_films_that_no_one_measured(curve: str) -> None:
     watched = [seen("mouth", 4.0, seed, attached_s=9.0, curve=curve) for seed in range(9000, 9004)]

@@ -98,7 +98,7 @@ def test_the_evidence_chooses_its_fixed_point_and_says_how_sure_it_is(
     assert chosen.weight_sigma[1] == pytest.approx(np.sqrt(2 / DenseErrors(model).determined(1)), rel=0.03)
 
 
-@pytest.mark.parametrize("frame", [0, 17])
+@pytest.mark.parametrize("frame", [0, pytest.param(17, marks=pytest.mark.slow)])
 def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -> None:
     """Open cells differ from their neighbours by megohms, and the estimate must not swing with the weight."""
     recording, weights = Recording.load("data/insole_standing.h5", slice(frame, frame + 3)), []

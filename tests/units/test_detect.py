@@ -69,6 +69,7 @@ def test_noise_that_frames_share_is_what_it_was(readout: Any) -> None:
             frame_noise_of(arrays | wrong, scene)
 
 
+@pytest.mark.slow
 def test_a_mat_speaks_of_contacts_alone_two_of_them_with_place_and_area() -> None:
     """An L and a disc; then a mouth."""
     cells, disc = (

@@ -157,6 +157,7 @@ def leaving_a_child(seconds: float) -> None:
     os._exit(0)
 
 
+@pytest.mark.slow
 def test_a_dead_worker_whose_child_holds_its_pipe_is_no_wait() -> None:
     begin = time.monotonic()
     ((_, outcome),) = Processes(1).results(leaving_a_child, [60.0])

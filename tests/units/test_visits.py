@@ -83,6 +83,7 @@ def test_a_reason_is_of_its_time() -> None:
     assert "in 55 minutes" in answer_of(replace(silent, track=watched), 1.0)[2]
 
 
+@pytest.mark.slow
 def test_a_folder_of_recordings_is_one_table(tmp_path: Path, lampest: Callable[..., Any]) -> None:
     """Two recordings of one name, with clocks and in folders of their own; their visits are exported from the file."""
     whole, *_ = attached("ring", 1.0, 5, 6, 6.0)

@@ -106,6 +106,7 @@ USELESS: tuple[tuple[Script, str, int], ...] = (
 )
 
 
+@pytest.mark.slow
 def test_a_line_without_frames_that_fit_ends_in_a_sentence_and_earlier_frames_stay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
