@@ -21,7 +21,7 @@ def unclosed_recording(path: Path, scene: Scene, frames: int, unloaded: int, see
         for number in range(frames):
             sums = rng.integers(8000, 8010, scene.panel.shape, dtype=np.uint16)
             frame: Any = SimpleNamespace(readings=READINGS, device_ms=100 * number, sequence=number, missed=0)
-            frame.sums = sums
+            frame.sums, frame.log_change = sums, None
             sample: Any = Sample(frame, hello, scene, 0.1 * number, 1.7e9 + 0.1 * number, 0, 0)
             journal.append((sample,), int(number < unloaded))
         journal.mark(0.3, "touch")

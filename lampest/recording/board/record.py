@@ -113,8 +113,8 @@ class Journal:
 
     @classmethod
     @contextlib.contextmanager
-    def create(cls, path: Path, scene: Scene, readings: int) -> Iterator["Journal"]:
-        """Create and yield a journal. Raises InputError if the file cannot be created, or exists."""
+    def create(cls, path: Path, scene: Scene, readings: int, estimates: bool = False) -> Iterator["Journal"]:
+        """Create and yield a journal; `estimates` of the board are stored as well. Raises InputError if the file cannot be created, or exists."""
         check_output(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -122,7 +122,7 @@ class Journal:
         except OSError as error:
             raise InputError(f"{path}: cannot be made ({error.strerror or error})") from error
         with file:
-            _lay_out(file, scene, readings)
+            _lay_out(file, scene, readings, estimates)
             file.flush()
             sync_folder(path.parent)
             file.swmr_mode = True
@@ -134,11 +134,20 @@ class Journal:
 
         The first `unloaded` samples are unloaded.
         """
-        fields = [vars(sample.frame) | vars(sample) | {"recorded": sample.recorded} for sample in samples]
-        names = ("recorded", "time", "sums", *(name for name, *_ in FRAME_FIELDS))
-        recorded, time, sums, *acquired = ([field[name] for field in fields] for name in names)
-        roles = [UNLOADED if number < unloaded else MEASURED for number in range(len(samples))]
-        Rows.of_frames(self.scene.circuit).append(self.file, (recorded, time, roles, sums, *acquired))
+        rows = Rows.of_file(self.file, self.scene.circuit)
+        unknown = np.full(self.scene.panel.shape, np.nan)
+        fields = [
+            vars(sample.frame)
+            | vars(sample)
+            | {
+                "recorded": sample.recorded,
+                "role": UNLOADED if number < unloaded else MEASURED,
+                "log_change": unknown if sample.frame.log_change is None else sample.frame.log_change,
+            }
+            for number, sample in enumerate(samples)
+        ]
+        names = ["recorded", *(path.split("/")[-1] for path, *_ in rows.datasets[1:])]
+        rows.append(self.file, [[field[name] for field in fields] for name in names])
         for sample in samples:
             for event in (*sample.events, *keys()):
                 self.mark(sample.time, event)
@@ -149,7 +158,7 @@ class Journal:
 
     def keep(self, source: h5py.File) -> None:
         """Append the undamaged frames and events of another journal; damaged frames count as lost before the next."""
-        for rows in (Rows.of_frames(self.scene.circuit), EVENTS):
+        for rows in (Rows.of_file(self.file, self.scene.circuit), EVENTS):
             intact = np.flatnonzero(rows.undamaged(source))
             dropped = np.diff(intact, prepend=-1) - 1
             for part in blocks(len(intact), self.scene.panel.crossings):
@@ -161,14 +170,14 @@ class Journal:
                 rows.append(self.file, values)
 
 
-def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
+def _lay_out(file: h5py.File, scene: Scene, readings: int, estimates: bool) -> None:
     """Create the groups, datasets and attributes of a journal."""
     circuit, frames = scene.circuit, group_of(scene.circuit)
     entry = file.create_group("entry")
     hdf5.write_text(entry, "scene", to_yaml(scene))
-    series, salt = (Rows.of_frames(circuit), EVENTS), secrets.token_hex(16)
+    series, salt = (Rows.of_frames(circuit, estimates), EVENTS), secrets.token_hex(16)
     for path, kind, units, long_name in (dataset for rows in series for dataset in (*rows.datasets, rows.checksum)):
-        cells = scene.panel.shape if path.endswith((f"/{circuit.signal}", "/sums")) else ()
+        cells = scene.panel.shape if path.endswith((f"/{circuit.signal}", "/sums", "/log_change")) else ()
         chunk = (16 if cells else 1024, *cells)  # a chunk is written anew with every frame
         dataset = entry.create_dataset(path, (0, *cells), kind, maxshape=(None, *cells), chunks=chunk)
         hdf5.set_attributes(dataset, units=units, long_name=long_name)
@@ -232,14 +241,14 @@ def record(  # noqa: PLR0913 # the options of a command
     with ending_signals(lambda: count["frames"] > 0 and not states[-1]) as ended_by:
         try:
             with contextlib.ExitStack() as stack:
-                batches = samples_of(urls, scene, period, states.append, lambda: bool(ended_by()))
+                batches = samples_of(urls, scene, period, states.append, lambda: bool(ended_by()), baseline)
                 stack.enter_context(contextlib.closing(batches))
                 journal: Journal | None = None
                 for batch in _wanted(batches, frames, seconds, period or 1.0):
                     if batch:
                         states[:] = [""]
                         journal = journal or stack.enter_context(
-                            Journal.create(out, batch[0].scene, batch[0].hello.readings)
+                            Journal.create(out, batch[0].scene, batch[0].hello.readings, batch[0].hello.estimates)
                         )
                         journal.append(batch, baseline - count["frames"], keys)
                     for last in batch:
@@ -343,7 +352,9 @@ class Recorder:
         self._path, self._frames = self._folder / f"{name or time.strftime('live_%Y-%m-%d_%H-%M-%S')}.h5", 0
         if self._path.exists():
             raise InputError(f"{self._path}: exists already; a recording is never written over")
-        self._journal = self._open.enter_context(Journal.create(self._path, sample.scene, sample.hello.readings))
+        hello = sample.hello
+        journal = Journal.create(self._path, sample.scene, hello.readings, hello.estimates)
+        self._journal = self._open.enter_context(journal)
         self._grow(self._journal, tuple(self._unloaded), self._baseline)
         if sample is not self._unloaded[-1]:
             self._grow(self._journal, (sample,), 0)
@@ -415,11 +426,13 @@ def repair(path: Path) -> tuple[int, int]:
         raise InputError(f"{path}: still being recorded")
     with folder_beside(path) as folder:
         with recording_file(path) as (file, scene, _, _):
-            intact = Rows.of_frames(scene.circuit).undamaged(file)
+            rows = Rows.of_file(file, scene.circuit)
+            intact = rows.undamaged(file)
             if len(intact) and not intact.any():
                 raise InputError(f"{path}: every frame is damaged")
             readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
-            with Journal.create(folder / path.name, scene, readings) as journal:
+            estimates = rows != Rows.of_frames(scene.circuit)
+            with Journal.create(folder / path.name, scene, readings, estimates) as journal:
                 journal.keep(file)
         return finished(path, folder / path.name)[1], int(np.sum(~intact))
 

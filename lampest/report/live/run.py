@@ -201,7 +201,8 @@ def from_board(engine: Engine, board: LiveBoard, frames: int | None, on_sample: 
     Raises InputError as `lampest.recording.board.stream.stream`.
     """
     engine.say(f"waiting for the board at {', '.join(board.ports)}")
-    with closing(samples_of(board.ports, board.scene, board.period, engine.say)) as samples:
+    arriving = samples_of(board.ports, board.scene, board.period, engine.say, baseline=board.baseline)
+    with closing(arriving) as samples:
         for sample in islice((sample for batch in samples for sample in batch), frames):
             take_sample(engine, sample)
             on_sample(sample)
