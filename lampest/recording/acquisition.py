@@ -149,7 +149,7 @@ class Rows(NamedTuple):
     checksum: Dataset
 
     @classmethod
-    def of_frames(cls, circuit: Readout, estimates: bool = False) -> "Rows":
+    def of_frames(cls, circuit: Readout, *, estimates: bool = False) -> "Rows":
         """Return the datasets with a row for every frame; `estimates` are those of the board."""
         names = ("recorded", "time", "role", "raw_sums", *(("board_log_change",) if estimates else ()))
         recorded = itemgetter(*names)(stored_fields(circuit))
@@ -159,7 +159,8 @@ class Rows(NamedTuple):
     @classmethod
     def of_file(cls, file: h5py.File, circuit: Readout) -> "Rows":
         """Return the datasets of a growing file with a row for every frame."""
-        return cls.of_frames(circuit, hdf5.has(file, f"/entry/{stored_fields(circuit)['board_log_change'][0]}"))
+        path = stored_fields(circuit)["board_log_change"][0]
+        return cls.of_frames(circuit, estimates=hdf5.has(file, f"/entry/{path}"))
 
     def append(self, file: h5py.File, values: Sequence[Sequence[Any] | NDArray[Any]]) -> None:
         """Append rows to all datasets, and then their checksums, once the rows are in the file.

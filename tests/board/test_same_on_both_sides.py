@@ -164,7 +164,7 @@ def test_frames_are_the_same(
     assert len(sent_by_c(room.raw[:15] + b"\1" * (2 * sums.size))) <= longest
 
 
-@given(st.integers(1, 16), st.integers(1, 16), st.integers(0, 255), st.integers(0, 2**32 - 1))
+@given(st.integers(1, 16), st.integers(1, 16), st.integers(0, 4), st.integers(0, 2**32 - 1))
 def test_estimates_are_the_same(rows: int, columns: int, outcome: int, sequence: int) -> None:
     settings = Settings(rows, columns, 20, 1, 40, 1_000_000)
     change = np.linspace(-27.5, 20.25, rows * columns, dtype=np.float32).reshape(rows, columns)
@@ -174,6 +174,12 @@ def test_estimates_are_the_same(rows: int, columns: int, outcome: int, sequence:
         c().lampest_put_f32(ctypes.byref(room, 9 + 4 * number), ctypes.c_float(value))
     assert room.raw == estimate_body(Estimate(outcome, sequence, change))
     assert len(sent_by_c(room.raw)) - 2 <= protocol.MAX_STUFFED
+
+
+def test_outcomes_are_those_of_the_library() -> None:
+    text = (FIRMWARE / "lampest_estimate" / "lampest_estimate.h").read_text()
+    names = re.search(r"typedef enum \{([^}]*)\} lampest_outcome;", text)
+    assert len(re.findall(r"^ +LAMPEST_\w+", names[1], re.MULTILINE)) == len(protocol.OUTCOMES)
 
 
 def test_boards_that_estimate_take_a_baseline_and_others_do_not_know_the_command() -> None:

@@ -137,7 +137,14 @@ def test_estimates_come_back_and_impossible_ones_are_garbage() -> None:
     body = estimate_body(estimate)
     bad = (np.nan, np.inf, -np.inf, 28.1, 1e30)
     numbers = [body[:-4] + np.float32(number).astype("<f4").tobytes() for number in bad]
-    for wrong in (*numbers, body[:-1], body + b"\0", body[:2] + b"\x0f" + body[3:], body[:2] + bytes(2) + body[4:9]):
+    for wrong in (
+        *numbers,
+        body[:-1],
+        body + b"\0",
+        body[:2] + b"\x0f" + body[3:],
+        body[:2] + bytes(2) + body[4:9],
+        body[:4] + b"\5" + body[5:],
+    ):
         assert received(message(wrong)) == (Garbage(len(message(wrong)) - 2),)
 
 

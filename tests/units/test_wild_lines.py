@@ -607,6 +607,7 @@ def test_a_frame_has_the_estimate_that_came_before_it_and_no_other() -> None:
     samples, _ = line._taken(run, messages)
     assert [sample.frame.sequence for sample in samples] == [*range(7)]
     assert [sample.frame.log_change is None for sample in samples] == [False, *5 * [True], False]
+    assert samples[3].frame.unestimated == "something lies on the panel while it takes its baseline"
     np.testing.assert_array_equal(samples[6].frame.log_change, 2 * change)
     line._taken(run, 40 * (Estimate(0, 9, change),))
     assert not line._unfit

@@ -1,5 +1,6 @@
 /* A sketch on portable_scan.h as a program of this computer, behind a pseudo-terminal, with a simulated panel on its
- * pins: Arduino.h for the compiler of this computer, and the time that a board would need. */
+ * pins: Arduino.h for the compiler of this computer, and the time that a board would need. The sketch begins when a host
+ * opens the port, and its time stands still while the host does not read. */
 #include <getopt.h>
 #include <signal.h>
 #include <stdio.h>
@@ -184,6 +185,8 @@ int main(int count, char **words) {
     line_plug(&line);
     printf("port %s\n", line.name);
     fflush(stdout);
+    const struct timespec nap = {0, 1000000};
+    while (!quit && !line_pump(&line, &quit)) nanosleep(&nap, 0); /* until a host opens the port */
     for (setup(); !quit; pass(IDLE_US)) loop();
     line_unplug(&line);
     fprintf(stderr, "{\"board_s\": %.6f, \"bytes\": %lu, \"flipped\": %lu}\n", 1e-6 * (double)time_us, line.sent, line.flipped);

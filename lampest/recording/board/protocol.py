@@ -102,6 +102,16 @@ class Result(Enum):
 RESULT_CODES = tuple(Result)
 
 
+# Of firmware/lampest_estimate, `lampest_outcome`.
+OUTCOMES = (
+    "",
+    "its constants are not sound",
+    "too few readings are values",
+    "something lies on the panel while it takes its baseline",
+    "its arithmetic broke down",
+)
+
+
 @dataclass(frozen=True)
 class Hello:
     """Identity and settings of a board, sent after a reset, once a second while idle, and on request.
@@ -168,6 +178,8 @@ class Frame:
         Sums of codes.
     log_change : array, shape (rows, columns), or None
         ln(r / r unloaded) that the board estimated, from the message before the frame.
+    unestimated : str
+        Why the board says that it did not estimate the frame, one of OUTCOMES, or ''.
     """
 
     readings: int
@@ -176,12 +188,15 @@ class Frame:
     missed: int
     sums: NDArray[np.uint16]
     log_change: NDArray[np.float32] | None = None
+    unestimated: str = ""
 
     def with_estimate(self, estimate: "Estimate | None") -> "Frame":
-        """Return the frame with the board's estimate of it; unchanged if the estimate is of another frame, or failed."""
+        """Return the frame with the board's estimate, or why it failed; unchanged if that is of another frame."""
         if estimate is None or (estimate.sequence, estimate.log_change.shape) != (self.sequence, self.sums.shape):
             return self
-        return replace(self, log_change=estimate.log_change) if estimate.outcome == 0 else self
+        if estimate.outcome == 0:
+            return replace(self, log_change=estimate.log_change)
+        return replace(self, unestimated=OUTCOMES[estimate.outcome])
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +206,7 @@ class Estimate:
     Attributes
     ----------
     outcome : int
-        0, or a `lampest_outcome` of firmware/lampest_estimate if the board did not estimate the frame.
+        0, or the place in OUTCOMES of the reason why the board did not estimate the frame.
     sequence : int
         Number of the frame.
     log_change : array, shape (rows, columns)
@@ -284,7 +299,8 @@ def _read_frame(body: bytes) -> Frame:
 def _read_estimate(body: bytes) -> Estimate:
     _, _, rows, columns, outcome, sequence = _ESTIMATE.unpack_from(body)
     log_change = np.frombuffer(body, "<f4", offset=_ESTIMATE.size).astype(np.float32).reshape(rows, columns)
-    if not (0 < rows <= MAX_ROWS and 0 < columns <= MAX_COLUMNS and np.all(np.abs(log_change) <= MAX_LOG_CHANGE)):
+    fits = 0 < rows <= MAX_ROWS and 0 < columns <= MAX_COLUMNS and outcome < len(OUTCOMES)
+    if not (fits and np.all(np.abs(log_change) <= MAX_LOG_CHANGE)):
         raise ValueError("no board sends such an estimate")
     return Estimate(outcome, sequence, log_change)
 

@@ -27,7 +27,7 @@ from lampest.files.process import deaf, ending_signals
 from lampest.files.whole import check_output, folder_beside, is_locked, locked, own, sync_folder
 from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import EVENTS, FORMAT, FRAME_FIELDS, SALT, Rows, blocks, group_of
+from lampest.recording.acquisition import EVENTS, FORMAT, SALT, Rows, blocks, group_of
 from lampest.recording.board.protocol import MAX_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples
@@ -58,6 +58,8 @@ class Recorded:
         Frames that the port still contained at the end.
     ended_by : str
         Signal that ended the recording, such as SIGINT (Ctrl-C), or ''.
+    unestimated : tuple of (str, int)
+        Reasons why a board that estimates did not estimate frames, and their numbers.
     noise_lsb : float, or None
         Noise of one reading from the baseline's repeats, if these suffice.
     silent : float
@@ -74,6 +76,7 @@ class Recorded:
     parted: int
     behind: int
     ended_by: str
+    unestimated: tuple[tuple[str, int], ...]
     noise_lsb: float | None
     silent: float
 
@@ -113,8 +116,11 @@ class Journal:
 
     @classmethod
     @contextlib.contextmanager
-    def create(cls, path: Path, scene: Scene, readings: int, estimates: bool = False) -> Iterator["Journal"]:
-        """Create and yield a journal; `estimates` of the board are stored as well. Raises InputError if the file cannot be created, or exists."""
+    def create(cls, path: Path, scene: Scene, readings: int, *, estimates: bool = False) -> Iterator["Journal"]:
+        """Create and yield a journal, also of a board's `estimates`.
+
+        Raises InputError if the file cannot be created, or exists.
+        """
         check_output(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -122,7 +128,7 @@ class Journal:
         except OSError as error:
             raise InputError(f"{path}: cannot be made ({error.strerror or error})") from error
         with file:
-            _lay_out(file, scene, readings, estimates)
+            _lay_out(file, scene, readings, Rows.of_frames(scene.circuit, estimates=estimates))
             file.flush()
             sync_folder(path.parent)
             file.swmr_mode = True
@@ -170,12 +176,12 @@ class Journal:
                 rows.append(self.file, values)
 
 
-def _lay_out(file: h5py.File, scene: Scene, readings: int, estimates: bool) -> None:
+def _lay_out(file: h5py.File, scene: Scene, readings: int, frame_rows: Rows) -> None:
     """Create the groups, datasets and attributes of a journal."""
     circuit, frames = scene.circuit, group_of(scene.circuit)
     entry = file.create_group("entry")
     hdf5.write_text(entry, "scene", to_yaml(scene))
-    series, salt = (Rows.of_frames(circuit, estimates), EVENTS), secrets.token_hex(16)
+    series, salt = (frame_rows, EVENTS), secrets.token_hex(16)
     for path, kind, units, long_name in (dataset for rows in series for dataset in (*rows.datasets, rows.checksum)):
         cells = scene.panel.shape if path.endswith((f"/{circuit.signal}", "/sums", "/log_change")) else ()
         chunk = (16 if cells else 1024, *cells)  # a chunk is written anew with every frame
@@ -188,6 +194,11 @@ def _lay_out(file: h5py.File, scene: Scene, readings: int, estimates: bool) -> N
     hdf5.set_attributes(entry[frames], NX_class="NXdata", signal=circuit.signal, axes=["time", "row", "column"])
     hdf5.set_attributes(entry["raw"], NX_class="NXdata", signal="sums", readings=np.uint16(readings))
     hdf5.set_attributes(entry["acquisition"], NX_class="NXcollection")
+
+
+def _journal_for(sample: Sample, path: Path) -> contextlib.AbstractContextManager[Journal]:
+    """Return a journal for the frames of a board, from its first sample. Raises InputError if the file exists."""
+    return Journal.create(path, sample.scene, sample.hello.readings, estimates=sample.hello.estimates)
 
 
 def record(  # noqa: PLR0913 # the options of a command
@@ -238,6 +249,7 @@ def record(  # noqa: PLR0913 # the options of a command
         raise InputError(f"{out}: exists already; a recording is never written over")
     urls: Sequence[str] = (ports,) if isinstance(ports, str) else ports or ()
     count, states, last = Counter[str](), [""], None
+    unestimated = Counter[str]()
     with ending_signals(lambda: count["frames"] > 0 and not states[-1]) as ended_by:
         try:
             with contextlib.ExitStack() as stack:
@@ -247,13 +259,12 @@ def record(  # noqa: PLR0913 # the options of a command
                 for batch in _wanted(batches, frames, seconds, period or 1.0):
                     if batch:
                         states[:] = [""]
-                        journal = journal or stack.enter_context(
-                            Journal.create(out, batch[0].scene, batch[0].hello.readings, batch[0].hello.estimates)
-                        )
+                        journal = journal or stack.enter_context(_journal_for(batch[0], out))
                         journal.append(batch, baseline - count["frames"], keys)
                     for last in batch:
                         count.update(frames=1, lost=last.lost, parted=last.missing > 0, behind=bool(ended_by()))
                         count.update(last.events)
+                        unestimated.update(filter(None, [last.frame.unestimated]))
                         on_progress(Progress(last, count["frames"], count["lost"], ""))
                     if not batch and states[-1]:
                         on_progress(Progress(None, count["frames"], count["lost"], states[-1]))
@@ -278,6 +289,7 @@ def record(  # noqa: PLR0913 # the options of a command
             clock_stopped=count[CLOCK_STOPPED] > 0,
             **{name: count[name] for name in ("frames", "lost", "parted", "behind")},
             ended_by=ended_by(),
+            unestimated=tuple(unestimated.items()),
             noise_lsb=noise,
             silent=round(silent, 3),
         )
@@ -352,9 +364,7 @@ class Recorder:
         self._path, self._frames = self._folder / f"{name or time.strftime('live_%Y-%m-%d_%H-%M-%S')}.h5", 0
         if self._path.exists():
             raise InputError(f"{self._path}: exists already; a recording is never written over")
-        hello = sample.hello
-        journal = Journal.create(self._path, sample.scene, hello.readings, hello.estimates)
-        self._journal = self._open.enter_context(journal)
+        self._journal = self._open.enter_context(_journal_for(sample, self._path))
         self._grow(self._journal, tuple(self._unloaded), self._baseline)
         if sample is not self._unloaded[-1]:
             self._grow(self._journal, (sample,), 0)
@@ -432,7 +442,7 @@ def repair(path: Path) -> tuple[int, int]:
                 raise InputError(f"{path}: every frame is damaged")
             readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
             estimates = rows != Rows.of_frames(scene.circuit)
-            with Journal.create(folder / path.name, scene, readings, estimates) as journal:
+            with Journal.create(folder / path.name, scene, readings, estimates=estimates) as journal:
                 journal.keep(file)
         return finished(path, folder / path.name)[1], int(np.sum(~intact))
 

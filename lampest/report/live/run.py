@@ -226,7 +226,8 @@ def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) ->
 def take_sample(engine: Engine, sample: Sample) -> None:
     """Pass a frame of a board to the engine, in the form of a recording."""
     source = FrameSource(sample.scene, sample.hello.period, "receiving")
-    engine.take(source, Scan(sample.recorded, None, sample.time, sample.host_time, sample.lost))
+    scan = Scan(sample.recorded, None, sample.time, sample.host_time, sample.lost, sample.frame.log_change)
+    engine.take(source, scan)
 
 
 def from_recording(
@@ -249,4 +250,6 @@ def scan_of(recording: Recording, frame: int) -> Scan:
     sigma, recorded, origin = recording.sigma, recording.recorded, recording.acquisition
     of_frame = None if sigma is None else np.broadcast_to(sigma, recorded.shape)[frame]
     lost = 0 if origin is None else int(origin.lost[frame])
-    return Scan(recorded[frame], of_frame, float(recording.time[frame]), time.time(), lost)
+    board = recording.board_log_change
+    known = None if board is None or np.isnan(board[frame]).all() else board[frame]
+    return Scan(recorded[frame], of_frame, float(recording.time[frame]), time.time(), lost, known)
