@@ -431,6 +431,26 @@ def test_a_budget_is_the_smallest_that_fits(lamprey):
     assert fast.median == min(trade.median for trade in table if trade.milliseconds("cortex-m4f") <= 10)
 
 
+@pytest.mark.slow
+def test_a_first_touch_is_within_a_standard_deviation_after_two_frames():
+    """Suction from one frame to the next, for which the smallest budget of the median frame does not suffice."""
+    found = lampest.reconstruct(lampest.datasets.load("cup_air_20kpa"), formulation="reduced")
+    case = found.result("smooth")
+    constants = Constants.of(case)
+    with compiled(constants) as host:
+        table = trades(host, constants, case)
+        trade, _ = chosen_budget(table, None, None, None)
+        assert trade.median <= 0.05
+        assert min(trade.touch for trade in table if trade.most_instructions < 0.6e6 and trade.median <= 0.05) > 1
+        sums = constants.sums_of(case)
+        off = []
+        for frame in range(len(sums)):
+            touched = host.frames(sums[[frame, frame]], trade.budget).log_change[1]
+            optimum = np.log(case.cell_resistance[frame] / case.baseline_resistance)
+            off.append(np.sqrt(np.nanmean(((touched - optimum) / case.sigma_own[frame]) ** 2)))
+    assert max(off) < 1
+
+
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 def test_the_sketch_compiles_and_runs_on_the_computer(lamprey, tmp_path):
     folder = tmp_path / "mat"
