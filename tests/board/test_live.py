@@ -125,7 +125,7 @@ def test_the_map_of_a_board_that_estimates_is_beside_the_others(tmp_path: Path) 
     mine[-1] = np.nan
     replace(ring, board_log_change=mine).save(tmp_path / "failed.h5")
     ended = "return document.getElementById('state').innerText == 'the recording has ended'"
-    for name, words in (("board", "Cell resistance estimated by the board, relative change from −"), ("failed", "")):
+    for name, words in (("board", "Cell resistance by the board, relative change from −"), ("failed", "")):
         with live(tmp_path, "--recording", tmp_path / f"{name}.h5", "--speed", 5) as (window, _):
             window.until(ended)
             window.run("describe()")
@@ -136,7 +136,7 @@ def test_the_map_of_a_board_that_estimates_is_beside_the_others(tmp_path: Path) 
             assert (drawn[0].mean() > own[0].mean() + 0.2) == (name == "board")
     with live(tmp_path, "--recording", RING, "--speed", 5) as (window, _):
         window.until(ended)
-        assert window.run("return document.getElementById('of-board').hidden")
+        assert window.run("return document.getElementById('board').parentNode.hidden")
 
 
 def inside(ring: Any) -> Any:

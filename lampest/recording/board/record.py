@@ -58,12 +58,12 @@ class Recorded:
         Frames that the port still contained at the end.
     ended_by : str
         Signal that ended the recording, such as SIGINT (Ctrl-C), or ''.
-    unestimated : tuple of (str, int)
-        Reasons why a board that estimates did not estimate frames, and their numbers.
     noise_lsb : float, or None
         Noise of one reading from the baseline's repeats, if these suffice.
     silent : float
         Time without frames at the end of the requested duration, in s.
+    unestimated : tuple of (str, int)
+        Reasons why a board that estimates did not estimate frames, and their numbers.
     """
 
     path: Path
@@ -76,9 +76,9 @@ class Recorded:
     parted: int
     behind: int
     ended_by: str
-    unestimated: tuple[tuple[str, int], ...]
     noise_lsb: float | None
     silent: float
+    unestimated: tuple[tuple[str, int], ...] = ()
 
 
 @dataclass(frozen=True)
