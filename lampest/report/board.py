@@ -39,10 +39,10 @@ def _difference(recording: Recording, unloaded: NDArray[np.bool_], estimated: ND
     part = joined((recording,), np.union1d(np.flatnonzero(unloaded), chosen))
     assert recording.board_log_change is not None
     found = Reconstruction.of(part, Estimator(default_terms(part), "reduced"))
-    return difference_sentence(found.result(), recording.board_log_change[chosen])
+    return difference_sentence(found.result(), recording.board_log_change[chosen], chosen)
 
 
-def difference_sentence(case: CaseResult, board_log_change: Array) -> str:
+def difference_sentence(case: CaseResult, board_log_change: Array, frames: NDArray[np.intp]) -> str:
     """Return the difference of a board's cells from those of a case in words.
 
     Parameters
@@ -50,25 +50,29 @@ def difference_sentence(case: CaseResult, board_log_change: Array) -> str:
     case : CaseResult
     board_log_change : array, shape (frames of the case, rows, columns)
         ln(r / r unloaded).
+    frames : array, shape (frames of the case,)
+        Their numbers in the recording.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         difference = np.abs(board_log_change - np.log(case.cell_resistance / case.baseline_resistance))
     difference[(case.open_cell | case.at_lower_bound) > 0] = np.nan
-    known = difference[np.isfinite(difference)]
-    if not known.size:
-        return "no cell has both estimates"
-    percent = [digits(100 * np.expm1(value), 2) for value in (np.median(known), known.max())]
-    amounts = [f"{value} %" for value in percent]
+    size = difference
     if case.sigma_own is not None:
-        share = (difference / np.where(case.sigma_own > 0, case.sigma_own, np.nan)).ravel()
-        share = share[np.isfinite(share)]
-        amounts = [
-            f"{digits(float(value), 2)} σ ({text})"
-            for value, text in zip((np.median(share), share.max()), amounts, strict=True)
-        ]
+        size = difference / np.where(case.sigma_own > 0, case.sigma_own, np.nan)
+    known = np.isfinite(size)
+    if not np.any(known):
+        return "no cell has both estimates"
+    worst = np.unravel_index(np.nanargmax(np.where(known, size, np.nan)), size.shape)
+
+    def amount(share: float, log_difference: float) -> str:
+        percent = f"{digits(100 * float(np.expm1(log_difference)), 2)} %"
+        return percent if case.sigma_own is None else f"{digits(share, 2)} σ ({percent})"
+
+    median = amount(float(np.median(size[known])), float(np.median(difference[known])))
+    largest = amount(float(size[worst]), float(difference[worst]))
     unit = "" if case.sigma_own is None else "; σ is a cell's own error"
-    frames = f"{len(case.frame)} frame{'' if len(case.frame) == 1 else 's'}"
-    terms = " + ".join(case.costs)
+    count = f"{len(case.frame)} frame{'' if len(case.frame) == 1 else 's'}"
     return (
-        f"its cells differ from lampest's ({terms}, {frames}) by {amounts[0]} in the median, {amounts[1]} at most{unit}"
+        f"its cells differ from lampest's ({' + '.join(case.costs)}, {count}) by {median} in the median, {largest} at "
+        f"most, in frame {frames[worst[0]]}{unit}"
     )

@@ -1,5 +1,6 @@
 """A board that estimates, from its pins to record, info and live; its sketch runs as a program of this computer."""
 
+import dataclasses
 import itertools
 from pathlib import Path
 
@@ -13,11 +14,13 @@ from support import live_pictures
 
 from lampest import Estimator, LogGradient, LogRatio, Misfit, Recording, Squared, reconstruct
 from lampest.recording.board.record import record
+from lampest.report.board import difference_sentence
 from lampest.report.export.microcontroller.constants import Constants
 from lampest.report.export.microcontroller.header import header
 from lampest.report.export.microcontroller.host import compiled
 from lampest.report.export.microcontroller.sketch import export_sketch
 from lampest.report.live.run import LiveBoard, from_recording, recorded_from_board
+from lampest.report.words import digits
 
 SHAPE, UNLOADED_FRAMES, FRAMES = (6, 5), 4, 12
 SCENE = scene(*SHAPE)
@@ -180,3 +183,16 @@ def test_the_keyboard_prints_presses_and_releases_with_strengths_and_no_ghosts(t
         for _, row, column, strength in presses:
             assert float(strength) == pytest.approx(np.log(resting / cells)[int(row), int(column)], abs=0.15)
     assert all(strength == "0.00" for _, group in heard[1::2] for *_, strength in group)
+
+
+def test_the_largest_difference_has_its_frame_and_without_error_bars_its_percent(exported) -> None:
+    case = exported[2]
+    own = np.log(case.cell_resistance / case.baseline_resistance)
+    mine = own.copy()
+    mine[3, 2, 1] -= np.log(1.5)
+    numbers = 10 * np.arange(len(own))
+    bare = dataclasses.replace(case, sigma_own=None, sigma_common=None)
+    assert "by 0 % in the median, 50 % at most, in frame 30" in difference_sentence(bare, mine, numbers)
+    largest = np.log(1.5) / case.sigma_own[3, 2, 1]
+    assert f"{digits(largest, 2)} σ (50 %) at most, in frame 30; σ is" in difference_sentence(case, mine, numbers)
+    assert difference_sentence(case, np.full_like(own, np.nan), numbers) == "no cell has both estimates"
