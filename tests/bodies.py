@@ -1,12 +1,22 @@
 """What a board sends, packed as its firmware does: the reverse of what the package reads."""
 
 from lampest.recording.board import protocol
-from lampest.recording.board.protocol import ACROSS, PROTOCOL_VERSION, RESULT_CODES, WIRINGS, Answer, Frame, Hello, Kind
+from lampest.recording.board.protocol import (
+    ACROSS,
+    PROTOCOL_VERSION,
+    RESULT_CODES,
+    WIRINGS,
+    Answer,
+    Estimate,
+    Frame,
+    Hello,
+    Kind,
+)
 
 
 def hello_body(hello: Hello) -> bytes:
     """HELLO as the board packs it."""
-    *fields, wiring, drive = vars(hello).values()
+    *fields, wiring, drive, _ = vars(hello).values()
     fields[6], fields[13] = hello.firmware[0] << 8 | hello.firmware[1], ACROSS.index(hello.measured_across)
     more = b"" if wiring == "two_point" else protocol._HELLO_WIRING.pack(WIRINGS.index(wiring), drive)
     return protocol._HELLO.pack(PROTOCOL_VERSION, Kind.HELLO, *fields) + more
@@ -20,3 +30,9 @@ def frame_body(frame: Frame) -> bytes:
 def answer_body(answer: Answer) -> bytes:
     code = RESULT_CODES.index(answer.result)
     return protocol._ANSWER.pack(PROTOCOL_VERSION, Kind.ANSWER, answer.command, answer.tag, code, answer.value)
+
+
+def estimate_body(estimate: Estimate) -> bytes:
+    fields = (*estimate.log_change.shape, estimate.outcome, estimate.sequence)
+    numbers = estimate.log_change.astype("<f4").tobytes()
+    return protocol._ESTIMATE.pack(PROTOCOL_VERSION, Kind.ESTIMATE, *fields) + numbers

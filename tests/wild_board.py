@@ -78,7 +78,8 @@ class WildBoard:
         if kind in (Kind.STOP, Kind.START):
             self.hello = replace(self.hello, running=kind is Kind.START)
             self._plan = script(self.hello) if kind is Kind.START else None
-        return message(answer_body(Answer(kind, tag, Result.DONE, value)))
+        result = Result.REFUSED_UNKNOWN if kind is Kind.SET_BASELINE else Result.DONE  # it does not estimate
+        return message(answer_body(Answer(kind, tag, result, value)))
 
 
 @contextmanager

@@ -24,6 +24,11 @@
 #define LAMPEST_ROW_SHIFT 0
 #define LAMPEST_COLUMN_SHIFT 4
 
+/* The same for boards without PORTA, whose sketches scan by portable_scan.h: S0..S3 of each multiplexer, and its input. */
+#define LAMPEST_ROW_PINS {22, 23, 24, 25}
+#define LAMPEST_COLUMN_PINS {26, 27, 28, 29}
+#define LAMPEST_ADC_PIN A0
+
 /* Multiplexer channel of every line, in the order of the panel; with loaded columns the column's analog input. */
 #define LAMPEST_ROW_CHANNELS {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}
 #define LAMPEST_COLUMN_CHANNELS {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}

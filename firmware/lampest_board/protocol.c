@@ -1,6 +1,8 @@
 /* Framing, CRC, commands and scan order: see protocol.h. No registers, no Arduino. */
 #include "protocol.h"
 
+#include <string.h>
+
 #include "pins.h"
 
 void lampest_put_u16(uint8_t *place, uint16_t value) {
@@ -11,6 +13,12 @@ void lampest_put_u16(uint8_t *place, uint16_t value) {
 void lampest_put_u32(uint8_t *place, uint32_t value) {
     lampest_put_u16(place, (uint16_t)value);
     lampest_put_u16(place + 2, (uint16_t)(value >> 16));
+}
+
+void lampest_put_f32(uint8_t *place, float value) {
+    uint32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    lampest_put_u32(place, bits);
 }
 
 uint32_t lampest_get_u32(const uint8_t *place) {
@@ -86,6 +94,8 @@ lampest_settings_t lampest_start_settings(void) {
     settings.running = 0;
     settings.settle_us = LAMPEST_START_SETTLE_US;
     settings.period_us = LAMPEST_START_PERIOD_US;
+    settings.estimates = 0;
+    settings.baseline = 0;
     return settings;
 }
 
@@ -98,6 +108,8 @@ uint32_t lampest_shortest_period_us(const lampest_settings_t *settings) {
     uint32_t cell = (uint32_t)settings->readings * LAMPEST_CONVERSION_US + settings->settle_us + LAMPEST_CELL_US;
     uint32_t scan = (uint32_t)settings->rows * settings->columns * cell + LAMPEST_SCAN_US;
     uint32_t send = (uint32_t)lampest_frame_bytes(settings) * LAMPEST_BYTE_US + LAMPEST_SCAN_US;
+    /* Boards that estimate send after the scan, not beside it: four bytes more for each cell. */
+    if (settings->estimates) return scan + send + 4 * LAMPEST_BYTE_US * (uint32_t)settings->rows * settings->columns;
     return scan > send ? scan : send;
 }
 
@@ -131,6 +143,13 @@ static uint8_t set_settle(lampest_settings_t *settings, uint32_t value) {
     return LAMPEST_DONE;
 }
 
+static uint8_t set_baseline(lampest_settings_t *settings, uint32_t value) {
+    if (!settings->estimates) return LAMPEST_REFUSED_UNKNOWN;
+    if (value > LAMPEST_MOST_BASELINE) return LAMPEST_REFUSED_RANGE;
+    settings->baseline = (uint8_t)value;
+    return LAMPEST_DONE;
+}
+
 static uint8_t start(lampest_settings_t *settings) {
     if (settings->period_us < lampest_shortest_period_us(settings)) return LAMPEST_REFUSED_TOO_FAST;
     settings->running = 1;
@@ -144,6 +163,7 @@ static uint8_t change(lampest_settings_t *settings, uint8_t command, uint32_t va
         case LAMPEST_SET_READINGS: return set_byte(&settings->readings, value, LAMPEST_MOST_READINGS);
         case LAMPEST_SET_PERIOD: return set_period(settings, value);
         case LAMPEST_SET_SETTLE: return set_settle(settings, value);
+        case LAMPEST_SET_BASELINE: return set_baseline(settings, value);
         case LAMPEST_START: return start(settings);
         default: return LAMPEST_REFUSED_UNKNOWN;
     }
@@ -156,6 +176,7 @@ static uint32_t present_value(const lampest_settings_t *settings, uint8_t comman
         case LAMPEST_SET_READINGS: return settings->readings;
         case LAMPEST_SET_PERIOD: return settings->period_us;
         case LAMPEST_SET_SETTLE: return settings->settle_us;
+        case LAMPEST_SET_BASELINE: return settings->baseline;
         default: return settings->running;
     }
 }
@@ -224,6 +245,15 @@ void lampest_frame_header(const lampest_settings_t *settings, uint32_t sequence,
     lampest_put_u32(body + 5, sequence);
     lampest_put_u32(body + 9, device_ms);
     lampest_put_u16(body + 13, missed);
+}
+
+void lampest_estimate_header(const lampest_settings_t *settings, uint32_t sequence, uint8_t outcome, uint8_t *body) {
+    body[0] = LAMPEST_PROTOCOL_VERSION;
+    body[1] = LAMPEST_ESTIMATE;
+    body[2] = settings->rows;
+    body[3] = settings->columns;
+    body[4] = outcome;
+    lampest_put_u32(body + 5, sequence);
 }
 
 void lampest_scan_next(uint8_t *row, uint8_t *column, uint8_t rows, uint8_t columns) {

@@ -11,6 +11,9 @@
  *            is taken across it.
  *   FRAME    version, type, rows, columns, readings: u8, sequence u32, device ms u32, missed ticks u16,
  *            sums u16[rows * columns], row by row
+ *   ESTIMATE version, type, rows, columns, outcome: u8, sequence u32, ln(r / r unloaded) f32[rows * columns], row by row.
+ *            Sent before the FRAME of the same sequence, by boards that estimate. The outcome is that of lampest_frame;
+ *            the numbers are meant only where it is 0. Unloaded frames have none, unless the baseline fails.
  *   ANSWER   version, type, command, tag, result: u8, value u32 (the value that now holds)
  *   commands version, type, tag: u8, value u32
  */
@@ -25,12 +28,13 @@ extern "C" {
 
 #define LAMPEST_PROTOCOL_VERSION 1
 #define LAMPEST_FIRMWARE_MAJOR 1
-#define LAMPEST_FIRMWARE_MINOR 1
+#define LAMPEST_FIRMWARE_MINOR 2
 #define LAMPEST_BAUD 500000UL
 
 #define LAMPEST_HELLO 1
 #define LAMPEST_FRAME 2
 #define LAMPEST_ANSWER 3
+#define LAMPEST_ESTIMATE 4
 #define LAMPEST_IDENTIFY 16
 #define LAMPEST_START 17
 #define LAMPEST_STOP 18
@@ -39,6 +43,9 @@ extern "C" {
 #define LAMPEST_SET_READINGS 21
 #define LAMPEST_SET_PERIOD 22
 #define LAMPEST_SET_SETTLE 23
+/* Of boards that estimate: so many frames after START are unloaded, the baseline of the estimate; 0: that of its constants.
+ * Other boards do not know this command, by which a host tells them apart. */
+#define LAMPEST_SET_BASELINE 24
 
 #define LAMPEST_DONE 0
 #define LAMPEST_REFUSED_UNKNOWN 1
@@ -57,12 +64,14 @@ extern "C" {
 #define LAMPEST_MOST_ROWS 16
 #define LAMPEST_MOST_COLUMNS 16
 #define LAMPEST_MOST_READINGS 64
+#define LAMPEST_MOST_BASELINE 255
 #define LAMPEST_MOST_PERIOD_US 60000000UL
 #define LAMPEST_MOST_SETTLE_US 30000
 
 #define LAMPEST_HELLO_BYTES 29
 #define LAMPEST_HELLO_WIRING_BYTES 5
 #define LAMPEST_FRAME_HEADER_BYTES 15
+#define LAMPEST_ESTIMATE_HEADER_BYTES 9
 #define LAMPEST_ANSWER_BYTES 9
 #define LAMPEST_COMMAND_BYTES 7
 #define LAMPEST_CRC_BYTES 2
@@ -83,6 +92,8 @@ typedef struct {
     uint8_t rows, columns, readings, running;
     uint16_t settle_us;
     uint32_t period_us;
+    uint8_t estimates; /* 1 where the sketch estimates; set by it */
+    uint8_t baseline;  /* unloaded frames after START */
 } lampest_settings_t;
 
 typedef struct {
@@ -113,6 +124,10 @@ uint8_t lampest_command(lampest_settings_t *settings, const uint8_t *body, uint8
 uint8_t lampest_hello(const lampest_settings_t *settings, uint8_t *body);
 void lampest_frame_header(const lampest_settings_t *settings, uint32_t sequence, uint32_t device_ms, uint16_t missed,
                           uint8_t *body);
+
+/* Writes the header of an ESTIMATE; lampest_put_f32 writes its numbers behind. */
+void lampest_estimate_header(const lampest_settings_t *settings, uint32_t sequence, uint8_t outcome, uint8_t *body);
+void lampest_put_f32(uint8_t *place, float value);
 
 /* Bytes on the wire of one frame at most, and the shortest period that scanning and sending allow. */
 uint16_t lampest_frame_bytes(const lampest_settings_t *settings);

@@ -1,4 +1,6 @@
 /* The scan on an ATmega2560: see scanner.h. Timer 1 gives the period, timer 3 the settle time. */
+#ifdef __AVR_ATmega2560__ /* other boards scan by portable_scan.h */
+
 #include "scanner.h"
 
 #include <avr/interrupt.h>
@@ -182,3 +184,5 @@ void scanner_sleep(void) {
     sleep_cpu();
     sleep_disable();
 }
+
+#endif

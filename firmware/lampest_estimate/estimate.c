@@ -1,5 +1,7 @@
 #include "lampest_estimate.h"
 
+#include <float.h>
+
 #include "arithmetic.h"
 #include "network.h"
 #include "terms.h"
@@ -395,6 +397,7 @@ static void minimise(workspace *w, lampest_status *status) {
         cost = next;
         status->settled = status->left <= enough || predicted <= enough;
     }
+    if (!(status->left <= FLT_MAX)) status->left = FLT_MAX;
 }
 
 static bool sound(float value, float least, float largest) {

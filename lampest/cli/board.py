@@ -214,6 +214,10 @@ def report_recorded(done: "Recorded") -> None:
             "the board's clock stood still; an event marks since when, and time goes on by this computer's clock",
         ),
         (done.parted, f"{parted} lack a module; events mark which was gone, and when it was back"),
+        *(
+            (True, f"the board did not estimate {count} of the {done.frames} frames: {reason}")
+            for reason, count in done.unestimated
+        ),
         (done.silent, f"no frame came in the last {done.silent:.1f} s"),
         (
             bare,

@@ -56,6 +56,7 @@ def stored_fields(circuit: Readout) -> dict[str, Dataset]:
         "time": (f"{group}/time", "f8", "s", "time of the frame"),
         "role": (f"{group}/role", "u1", "1", "0 unloaded baseline, 1 measured"),
         "raw_sums": ("raw/sums", "u2", "1", "sums of ADC codes"),
+        "board_log_change": ("board/log_change", "f8", "1", "ln(r / r unloaded) that the board estimated"),
         "sigma": (f"{group}/sigma", "f8", unit, f"standard deviation of {signal}"),
         "truth_cell_resistance": ("truth/cell_resistance", "f8", "ohm", "true cell resistance"),
         "truth_pressure": ("truth/pressure", "f8", "kPa", "true pressure on the cells"),
@@ -148,11 +149,18 @@ class Rows(NamedTuple):
     checksum: Dataset
 
     @classmethod
-    def of_frames(cls, circuit: Readout) -> "Rows":
-        """Return the datasets with a row for every frame."""
-        recorded = itemgetter("recorded", "time", "role", "raw_sums")(stored_fields(circuit))
+    def of_frames(cls, circuit: Readout, *, estimates: bool = False) -> "Rows":
+        """Return the datasets with a row for every frame; `estimates` are those of the board."""
+        names = ("recorded", "time", "role", "raw_sums", *(("board_log_change",) if estimates else ()))
+        recorded = itemgetter(*names)(stored_fields(circuit))
         acquired = [(f"acquisition/{name}", kind, units, words) for name, kind, units, words in FRAME_FIELDS]
         return cls((*recorded, *acquired), ("acquisition/crc32", "u4", "1", "CRC-32 of all that belongs to the frame"))
+
+    @classmethod
+    def of_file(cls, file: h5py.File, circuit: Readout) -> "Rows":
+        """Return the datasets of a growing file with a row for every frame."""
+        path = stored_fields(circuit)["board_log_change"][0]
+        return cls.of_frames(circuit, estimates=hdf5.has(file, f"/entry/{path}"))
 
     def append(self, file: h5py.File, values: Sequence[Sequence[Any] | NDArray[Any]]) -> None:
         """Append rows to all datasets, and then their checksums, once the rows are in the file.
@@ -224,7 +232,7 @@ def undamaged_frames(file: h5py.File, scene: Scene) -> slice:
     """Return the frames of a finished file, or those written so far. Raises InputError if one is damaged."""
     if "lampest_unfinished" not in file.attrs:
         return hdf5.ALL
-    intact = Rows.of_frames(scene.circuit).undamaged(file)
+    intact = Rows.of_file(file, scene.circuit).undamaged(file)
     damaged = np.flatnonzero(~intact)
     if len(damaged) or not np.all(EVENTS.undamaged(file)):
         fault = f"{len(damaged)} of {len(intact)} frames are damaged, first frame {damaged[0]}" if len(damaged) else ""

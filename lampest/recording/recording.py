@@ -61,6 +61,8 @@ class Recording(Validated):
         Truth of simulated recordings, in ohm and kPa.
     raw_sums : array, shape (frames, rows, columns), or None
         Sums of converter codes.
+    board_log_change : array, shape (frames, rows, columns), or None
+        ln(r / r unloaded) that the board estimated itself; NaN where it did not.
     raw_readings : int, or None
         Number of codes in each sum.
     name : str
@@ -97,6 +99,7 @@ class Recording(Validated):
     start_time: str | None = None
     number: NDArray[np.intp] | None = None
     of_module: bool = False
+    board_log_change: Array | None = None
 
     def __post_init__(self) -> None:
         shape = self.scene.panel.shape
@@ -120,8 +123,8 @@ class Recording(Validated):
         if self.role.shape != (frames,) or not np.all(np.isin(self.role, ROLES)):
             raise InputError(f"{where}role must hold 0 or 1 for each frame")
         for field, (path, *_) in stored_fields(self.scene.circuit).items():
-            truth = getattr(self, field) if field.startswith("truth") else None
-            if truth is not None and truth.shape != self.recorded.shape:
+            values = getattr(self, field) if field.startswith(("truth", "board")) else None
+            if values is not None and values.shape != self.recorded.shape:
                 raise InputError(f"{self.name}: /entry/{path} has another shape than the frames")
         if self.acquisition is not None and len(self.acquisition.host_time) != frames:
             raise InputError(f"{self.name}: /entry/acquisition has another length than the frames")
@@ -586,7 +589,7 @@ def joined(parts: Sequence[Recording], chosen: NDArray[Any] | None = None) -> Re
     `chosen` are their indices or a mask; None: each numbered frame of overlapping parts once.
     """
     first = parts[0]
-    names = ["recorded", "time", "role", "number", "truth_cell_resistance", "truth_pressure"]
+    names = ["recorded", "time", "role", "number", "board_log_change", "truth_cell_resistance", "truth_pressure"]
     names += ["sigma"] if first.sigma is not None and first.sigma.ndim == 3 else []
     present = [name for name in names if getattr(first, name) is not None]
     columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in present}

@@ -29,6 +29,7 @@ from lampest.recording.recording import (
     opened,
     too_long,
 )
+from lampest.report.board import board_sentence
 from lampest.report.strongest import as_recorded, mean_reading, strongest_index, strongest_readings
 from lampest.report.words import spanned
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
@@ -92,6 +93,7 @@ def _recording_lines(recording: Recording) -> list[str]:
         "true cell resistance": recording.truth_cell_resistance,
         "true pressure": recording.truth_pressure,
         "sums of ADC codes": recording.raw_sums,
+        "the board's estimate": recording.board_log_change,
     }
     sentences = [
         *_frames(recording.role, recording.time),
@@ -100,6 +102,7 @@ def _recording_lines(recording: Recording) -> list[str]:
         *_audit(recording),
         ("readings", f"{spanned(recording.recorded, circuit.unit)} ({circuit.signal_name})"),
         *(("", sentence) for sentence in _holes(recording)),
+        ("board", board_sentence(recording)),
         ("besides", ", ".join(name for name, values in extras.items() if values is not None) or "nothing"),
     ]
     strongest, lines = strongest_readings(recording), _lines(sentences)

@@ -21,6 +21,7 @@ from tests.small_files import run_command
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 MULTIPLEXER_OHM = 70.0
+ESTIMATING = "lampest_board/examples/estimating_board/estimating_board.ino"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
@@ -60,12 +61,32 @@ def bench(
     sketch: str = "lampest_board",
 ) -> Iterator[Bench]:
     """A board whose panel shows `cells` (frames, rows, columns) ohm, one frame after another every `period` s."""
+    words = (built(wiring) / "simulated_board", "--firmware", built(wiring) / f"{sketch}.elf")
+    with _running(folder, words, cells, options, period) as running:
+        yield running
+
+
+@contextmanager
+def portable_bench(
+    folder: Path, constants: Path, cells: Array, *options: object, period: float = 1.0, sketch: str = ESTIMATING
+) -> Iterator[Bench]:
+    """A board with a sketch that estimates, by the constants of an exported folder, as a program of this computer."""
+    build, path = constants / "build", FIRMWARE / sketch
+    words = ["make", "-s", "-C", FIRMWARE, "portable", f"PANEL={constants}", f"BUILD={build}", f"PORTABLE={path}"]
+    subprocess.run([str(word) for word in words], check=True)
+    with _running(folder, (build / "portable_board",), cells, options, period) as running:
+        yield running
+
+
+@contextmanager
+def _running(
+    folder: Path, program: tuple[object, ...], cells: Array, options: tuple[object, ...], period: float
+) -> Iterator[Bench]:
     sys.path.insert(0, str(FIRMWARE / "simulated_board"))
     from truth import truth_text
 
     (folder / "truth.txt").write_text(truth_text(np.arange(len(cells)) * period, cells))
-    words = [built(wiring) / "simulated_board", "--firmware", built(wiring) / f"{sketch}.elf"]
-    words += ["--truth", folder / "truth.txt", "--link", folder / "port", *options]
+    words = [*program, "--truth", folder / "truth.txt", "--link", folder / "port", *options]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen([str(word) for word in words], **pipes) as process:
         if not process.stdout.readline().startswith("port "):

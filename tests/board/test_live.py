@@ -115,6 +115,30 @@ def test_a_user_sees_the_ring(tmp_path: Path) -> None:
     assert label.startswith("Reconstructed cell resistance, relative change from −")
 
 
+@pytest.mark.slow
+def test_the_map_of_a_board_that_estimates_is_beside_the_others(tmp_path: Path) -> None:
+    """Frames without an estimate leave it empty; a board without one has no third map."""
+    ring = Recording.load(RING)
+    change = np.log(ring.truth_cell_resistance / ring.truth_cell_resistance[0])
+    mine = np.where(np.arange(change.shape[1])[:, None] == 0, -2.0, change)  # the first row is the board's own
+    replace(ring, board_log_change=mine).save(tmp_path / "board.h5")
+    mine[-1] = np.nan
+    replace(ring, board_log_change=mine).save(tmp_path / "failed.h5")
+    ended = "return document.getElementById('state').innerText == 'the recording has ended'"
+    for name, words in (("board", "Cell resistance by the board, relative change from −"), ("failed", "")):
+        with live(tmp_path, "--recording", tmp_path / f"{name}.h5", "--speed", 5) as (window, _):
+            window.until(ended)
+            window.run("describe()")
+            drawn, own = blueness(window, tmp_path / "screen.png", "board", "cells")
+            label = window.run("return document.getElementById('board').getAttribute('aria-label')")
+            assert window.text("board-range").startswith("−86") == (name == "board")
+            assert label.startswith(words)
+            assert (drawn[0].mean() > own[0].mean() + 0.2) == (name == "board")
+    with live(tmp_path, "--recording", RING, "--speed", 5) as (window, _):
+        window.until(ended)
+        assert window.run("return document.getElementById('board').parentNode.hidden")
+
+
 def inside(ring: Any) -> Any:
     """Cells that have the ring on all four sides."""
     before = np.logical_or.accumulate

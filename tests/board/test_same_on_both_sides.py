@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from lampest import InputError
 from lampest.recording.board import protocol
-from lampest.recording.board.protocol import Answer, Frame, Hello, Kind, Receiver, Result, command, message
+from lampest.recording.board.protocol import Answer, Estimate, Frame, Hello, Kind, Receiver, Result, command, message
 from lampest.recording.board.stream import declared_readout, scene_of
-from tests.bodies import frame_body, hello_body
+from tests.bodies import estimate_body, frame_body, hello_body
 
 EMIT = ctypes.CFUNCTYPE(None, ctypes.c_uint8)
 BODIES = st.builds(
@@ -50,6 +50,7 @@ class Settings(ctypes.Structure):
         *((name, ctypes.c_uint8) for name in ("rows", "columns", "readings", "running")),
         ("settle_us", ctypes.c_uint16),
         ("period_us", ctypes.c_uint32),
+        *((name, ctypes.c_uint8) for name in ("estimates", "baseline")),
     ]
 
 
@@ -110,6 +111,10 @@ def test_the_numbers_are_the_same() -> None:
     assert [header[wiring.upper()] for wiring in protocol.WIRINGS] == [0, 1]
     sizes = (protocol._HELLO, protocol._HELLO_WIRING, protocol._FRAME, protocol._ANSWER, protocol._COMMAND)
     names = ("HELLO_BYTES", "HELLO_WIRING_BYTES", "FRAME_HEADER_BYTES", "ANSWER_BYTES", "COMMAND_BYTES")
+    assert (header["ESTIMATE_HEADER_BYTES"], header["MOST_BASELINE"]) == (
+        protocol._ESTIMATE.size,
+        protocol.MAX_BASELINE,
+    )
     assert [header[name] for name in names] == [layout.size for layout in sizes]
     assert "monitor_speed = " + str(protocol.BAUD) in (FIRMWARE / "platformio.ini").read_text()
 
@@ -157,6 +162,38 @@ def test_frames_are_the_same(
     assert room.raw[:15] + sums.tobytes() == frame_body(Frame(readings, sequence, device_ms, missed, sums))
     longest = c().lampest_frame_bytes(ctypes.byref(settings))
     assert len(sent_by_c(room.raw[:15] + b"\1" * (2 * sums.size))) <= longest
+
+
+@given(st.integers(1, 16), st.integers(1, 16), st.integers(0, 4), st.integers(0, 2**32 - 1))
+def test_estimates_are_the_same(rows: int, columns: int, outcome: int, sequence: int) -> None:
+    settings = Settings(rows, columns, 20, 1, 40, 1_000_000)
+    change = np.linspace(-27.5, 20.25, rows * columns, dtype=np.float32).reshape(rows, columns)
+    room = ctypes.create_string_buffer(9 + 4 * change.size)
+    c().lampest_estimate_header(ctypes.byref(settings), ctypes.c_uint32(sequence), ctypes.c_uint8(outcome), room)
+    for number, value in enumerate(change.ravel()):
+        c().lampest_put_f32(ctypes.byref(room, 9 + 4 * number), ctypes.c_float(value))
+    assert room.raw == estimate_body(Estimate(outcome, sequence, change))
+    assert len(sent_by_c(room.raw)) - 2 <= protocol.MAX_STUFFED
+
+
+def test_outcomes_are_those_of_the_library() -> None:
+    text = (FIRMWARE / "lampest_estimate" / "lampest_estimate.h").read_text()
+    names = re.search(r"typedef enum \{([^}]*)\} lampest_outcome;", text)
+    assert len(re.findall(r"^ +LAMPEST_\w+", names[1], re.MULTILINE)) == len(protocol.OUTCOMES)
+
+
+def test_boards_that_estimate_take_a_baseline_and_others_do_not_know_the_command() -> None:
+    settings = c().lampest_start_settings()
+    (answer,) = answered_by_c(settings, command(Kind.SET_BASELINE, 1, 5))
+    assert answer == Answer(Kind.SET_BASELINE, 1, Result.REFUSED_UNKNOWN, 0)
+    plain = c().lampest_shortest_period_us(ctypes.byref(settings))
+    settings.estimates = 1
+    for value, result, now in ((5, Result.DONE, 5), (256, Result.REFUSED_RANGE, 5), (255, Result.DONE, 255)):
+        assert answered_by_c(settings, command(Kind.SET_BASELINE, 1, value)) == (
+            Answer(Kind.SET_BASELINE, 1, result, now),
+        )
+    # It scans, and then sends both messages.
+    assert c().lampest_shortest_period_us(ctypes.byref(settings)) > plain + 4 * 100 * 20
 
 
 @given(st.integers(1, 16), st.integers(1, 16))

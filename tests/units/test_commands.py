@@ -64,6 +64,10 @@ WARNED: tuple[tuple[dict[str, Any], str], ...] = (
     ({"clock_jumps": 12}, "12 jumps of the board's clock; "),
     ({"clock_stopped": True}, "the board's clock stood still; "),
     ({"parted": 3}, "3 of the 7 frames lack a module; "),
+    (
+        {"unestimated": (("its arithmetic broke down", 2),)},
+        "the board did not estimate 2 of the 7 frames: its arithmetic",
+    ),
     ({"silent": 1.26}, "no frame came in the last 1.3 s"),
     ({"scene": Scene(Panel(3, 4), TwoPointReadout())}, "no series resistance is assumed, "),
     ({"ended_by": "SIGINT"}, "SIGINT ended the recording; no frame was still in the port then"),

@@ -2,6 +2,7 @@
 
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from lampest import InputError, Panel, Recording, Scene, TwoPointReadout
 from lampest.files.checksums import is_left_open
 from lampest.recording.acquisition import EVENTS, Rows
 from lampest.recording.board.record import repair
-from lampest.recording.recording import StoredRecording
+from lampest.recording.recording import StoredRecording, joined
 
 SCENE = Scene(Panel(3, 4), TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
 FRAMES = 12
@@ -55,6 +56,29 @@ def test_a_damaged_frame_is_named_and_repair_drops_it(killed: Path, place: str, 
     np.testing.assert_array_equal(found.acquisition.lost, (left == 6).astype(int))
     assert found.acquisition.event_label == ("touch", "leave")
     assert sorted(file.name for file in killed.parent.iterdir()) == ["growing.h5", "killed.h5"]
+
+
+def test_a_boards_estimates_are_kept_and_checked_as_sums_are(tmp_path: Path) -> None:
+    killed = unclosed_recording(tmp_path / "killed.h5", SCENE, FRAMES, unloaded=3, estimates=True)
+    number = np.where(np.arange(FRAMES) % 2, np.arange(FRAMES), np.nan)
+    expected = np.broadcast_to(number[:, None, None], (FRAMES, 3, 4))
+    np.testing.assert_array_equal(Recording.load(killed).board_log_change, expected)
+    flip(killed, "board/log_change", 5)
+    with pytest.raises(InputError, match=r"killed.h5: 1 of 12 frames .* frame 5"):
+        Recording.load(killed)
+    assert repair(killed) == (FRAMES - 1, 1)
+    found, left = Recording.load(killed), np.delete(np.arange(FRAMES), 5)
+    np.testing.assert_array_equal(found.board_log_change, expected[left])
+    assert joined((found,), left > 7).board_log_change.shape == (4, 3, 4)
+    with pytest.raises(InputError, match="/entry/board/log_change has another shape than the frames"):
+        replace(found, board_log_change=expected)
+
+
+def test_boards_without_estimates_leave_no_dataset_of_them(killed: Path) -> None:
+    repair(killed)
+    assert Recording.load(killed).board_log_change is None
+    with h5py.File(killed) as file:
+        assert "board" not in file["entry"]
 
 
 @pytest.mark.parametrize("damaged", [None, 5])

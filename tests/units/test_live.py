@@ -270,7 +270,7 @@ def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, mo
         Sample(each, hello, told, 0.5 * number, 50.0, 2 * (number == 1), 0) for number, each in enumerate(frames)
     ]
 
-    def arriving(*source: Any) -> Any:
+    def arriving(*source: Any, **more: Any) -> Any:
         yield from (samples[:2], (), samples[2:])
 
     for module in (run_module, record_module):

@@ -11,13 +11,24 @@ from hypothesis import strategies as st
 
 from lampest import InputError
 from lampest.recording.board import port, protocol
-from lampest.recording.board.protocol import Answer, Frame, Garbage, Hello, Kind, Receiver, Result, command, message
-from tests.bodies import answer_body, frame_body, hello_body
+from lampest.recording.board.protocol import (
+    Answer,
+    Estimate,
+    Frame,
+    Garbage,
+    Hello,
+    Kind,
+    Receiver,
+    Result,
+    command,
+    message,
+)
+from tests.bodies import answer_body, estimate_body, frame_body, hello_body
 
 HELLO = Hello(10, 10, 20, 16, 16, 64, (1, 0), 1_000_000, 230_100, 40, 5000, 1_000_000, 10, "reference", False)
 ANSWER = Answer(Kind.SET_ROWS, 7, Result.REFUSED_RANGE, 10)
-KINDS = {"HELLO": 1, "FRAME": 2, "ANSWER": 3, "IDENTIFY": 16, "START": 17, "STOP": 18}
-KINDS |= {"SET_ROWS": 19, "SET_COLUMNS": 20, "SET_READINGS": 21, "SET_PERIOD": 22, "SET_SETTLE": 23}
+KINDS = {"HELLO": 1, "FRAME": 2, "ANSWER": 3, "ESTIMATE": 4, "IDENTIFY": 16, "START": 17, "STOP": 18}
+KINDS |= {"SET_ROWS": 19, "SET_COLUMNS": 20, "SET_READINGS": 21, "SET_PERIOD": 22, "SET_SETTLE": 23, "SET_BASELINE": 24}
 RUN = bytes(range(1, 255)).hex()
 # Examples of the encyclopedia's article on COBS.
 COBS = (
@@ -117,6 +128,26 @@ def test_impossible_content_with_a_right_crc_is_garbage() -> None:
         assert received(message(wrong)) == (Garbage(len(message(wrong)) - 2),)
 
 
+def test_estimates_come_back_and_impossible_ones_are_garbage() -> None:
+    """A board in whose numbers a bit turned unseen by the CRC has sent no estimate rather than a wrong one."""
+    change = np.linspace(-27, 27, 256, dtype=np.float32).reshape(16, 16)
+    (estimate,) = received(message(estimate_body(Estimate(3, 2**32 - 1, change))))
+    assert isinstance(estimate, Estimate) and (estimate.outcome, estimate.sequence) == (3, 2**32 - 1)
+    np.testing.assert_array_equal(estimate.log_change, change)
+    body = estimate_body(estimate)
+    bad = (np.nan, np.inf, -np.inf, 28.1, 1e30)
+    numbers = [body[:-4] + np.float32(number).astype("<f4").tobytes() for number in bad]
+    for wrong in (
+        *numbers,
+        body[:-1],
+        body + b"\0",
+        body[:2] + b"\x0f" + body[3:],
+        body[:2] + bytes(2) + body[4:9],
+        body[:4] + b"\5" + body[5:],
+    ):
+        assert received(message(wrong)) == (Garbage(len(message(wrong)) - 2),)
+
+
 @given(st.binary(max_size=3000))
 def test_noise_is_never_a_frame_never_an_error_and_fills_no_memory(noise: bytes) -> None:
     receiver, items = Receiver().feed(noise)
@@ -202,8 +233,8 @@ def test_a_board_is_set_before_it_starts() -> None:
             return message(body)
 
         board, commands = asked(answers)
-        assert board.start(3, 4, 5, period) == found
-        sizes = [("SET_ROWS", 3), ("SET_COLUMNS", 4), ("SET_READINGS", 5), ("IDENTIFY", 0)]
+        assert board.start(3, 4, 5, period, baseline=300) == replace(found, estimates=True)
+        sizes = [("SET_ROWS", 3), ("SET_COLUMNS", 4), ("SET_READINGS", 5), ("SET_BASELINE", 255), ("IDENTIFY", 0)]
         assert commands == [("STOP", 0), *sizes, ("SET_PERIOD", chosen), ("IDENTIFY", 0), ("START", 0)]
         with pytest.raises(port.NoBoardError, match="restarted while it was being set"):
             board.start(3, 4, 6, period)

@@ -22,7 +22,7 @@ from lampest.panel.panel import EachModule, Modules
 from lampest.recording.acquisition import Acquisition
 from lampest.recording.board import several, stream
 from lampest.recording.board.port import NoBoardError
-from lampest.recording.board.protocol import Frame, Garbage, Hello, message
+from lampest.recording.board.protocol import Estimate, Frame, Garbage, Hello, message
 from lampest.recording.board.record import Progress, Recorded, Recorder, _wanted, noise_from_repeats, record
 from lampest.recording.board.several import LATE_SECONDS, Alignment, samples_of
 from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, Sample, Samples, Scanning, scene_of
@@ -540,8 +540,8 @@ def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytes
         samples[number] = replace(samples[number], **change)
     asked: list[Any] = []
 
-    def arriving(urls: object, scene: object, period: object, on_state: Any, ending: Any) -> Samples:
-        asked.append((urls, scene, period, ending()))
+    def arriving(urls: object, scene: object, period: object, on_state: Any, ending: Any, baseline: int) -> Samples:
+        asked.append((urls, scene, period, ending(), baseline))
         yield tuple(samples[:2])
         on_state("the board does not answer")
         on_state("the board is gone")
@@ -564,7 +564,7 @@ def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytes
         assert found.role.tolist() == [MEASURED] * 5 and found.acquisition is not None
         assert found.acquisition.event_label == ("clock jump", "clock stopped")
         np.testing.assert_allclose(found.acquisition.event_time, found.time[[2, 3]])
-    assert asked == [(urls, None, 0.1, False) for urls in (("p",), ["p", "q"], ())]
+    assert asked == [(urls, None, 0.1, False, 0) for urls in (("p",), ["p", "q"], ())]
 
 
 def batches_of(*sizes: int) -> Samples:
@@ -590,6 +590,28 @@ def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
     samples, ended = line._taken(run, (fit, fit))
     assert len(samples) == 1 and not ended and line._unfit == {"frames out of order": 1}
     assert line._taken(run, (fit,)) == ((), False) and line._unfit == {"frames out of order": 2}
+
+
+def test_a_frame_has_the_estimate_that_came_before_it_and_no_other() -> None:
+    """A lost, garbled, late or failed estimate costs nothing but itself, and is no reason to give a line up."""
+    line, run = stream._Line("url", None, None, lambda: False), Scanning(replace(IDLE, running=True), OWN, 0, None)
+    change = np.arange(12, dtype=np.float32).reshape(3, 4)
+    frames = [Frame(2, number, 50 + 1000 * number, 0, np.ones((3, 4), np.uint16)) for number in range(7)]
+    messages = (
+        *(Estimate(0, 0, change), frames[0], frames[1]),
+        *(Estimate(0, 1, change), frames[2]),
+        *(Estimate(3, 3, change), frames[3]),
+        *(Estimate(0, 4, change[:, :3]), frames[4]),
+        *(Garbage(40), frames[5]),
+        *(Estimate(0, 6, 2 * change), Garbage(40), frames[6]),
+    )
+    samples, _ = line._taken(run, messages)
+    assert [sample.frame.sequence for sample in samples] == [*range(7)]
+    assert [sample.frame.log_change is None for sample in samples] == [False, *5 * [True], False]
+    assert samples[3].frame.unestimated == "something lies on the panel while it takes its baseline"
+    np.testing.assert_array_equal(samples[6].frame.log_change, 2 * change)
+    line._taken(run, 40 * (Estimate(0, 9, change),))
+    assert not line._unfit
 
 
 def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch) -> None:

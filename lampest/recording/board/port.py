@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import count
 from typing import Any, NamedTuple
 
@@ -18,7 +19,18 @@ from serial.tools import list_ports
 
 from lampest.files.errors import InputError
 from lampest.recording.board import protocol
-from lampest.recording.board.protocol import Answer, Foreign, Frame, Garbage, Hello, Kind, Message, command
+from lampest.recording.board.protocol import (
+    MAX_BASELINE,
+    Answer,
+    Estimate,
+    Foreign,
+    Frame,
+    Garbage,
+    Hello,
+    Kind,
+    Message,
+    command,
+)
 
 # Silence after which a board is identified anew. A Mega's bootloader listens for one second after a reset, and must not
 # receive other bytes.
@@ -155,15 +167,18 @@ class Board:
                 raise InputError(f"{self._url}: {item.fault} (firmware pins.h)")
         return messages
 
-    def start(self, rows: int, columns: int, readings: int, period_us: int | None) -> Hello:
+    def start(self, rows: int, columns: int, readings: int, period_us: int | None, baseline: int = 0) -> Hello:
         """Configure and start the board; return its settings. A period of None is 1 s, or the shortest possible one.
 
+        The first `baseline` frames are the baseline of the board's own estimate, if it has one; 0 leaves the baseline.
         Raises InputError if the board refuses a setting.
         """
         self.order(Kind.STOP)
         self._waiting = []
         for kind, value in ((Kind.SET_ROWS, rows), (Kind.SET_COLUMNS, columns), (Kind.SET_READINGS, readings)):
             self.order(kind, value)
+        # The command by which boards that estimate differ from others.
+        estimates = self._ask(Kind.SET_BASELINE, min(baseline, MAX_BASELINE)).result is protocol.Result.DONE
         shortest = self.identify().shortest_period_us
         if period_us is not None and period_us < shortest:
             raise InputError(
@@ -175,8 +190,9 @@ class Board:
         if settings.size != (rows, columns, readings):
             raise NoBoardError(f"{self._url}: the board restarted while it was being set")
         self.order(Kind.START)
+        settings = replace(settings, estimates=estimates)
         # HELLOs from before the start would look like a restart.
-        self._waiting = [item for item in self._waiting if isinstance(item, Frame)]
+        self._waiting = [item for item in self._waiting if isinstance(item, Frame | Estimate)]
         return settings
 
     def stop(self) -> tuple[Message, ...]:

@@ -6,7 +6,7 @@ The same layouts and numbers are in firmware/lampest_board/protocol.h; tests com
 import struct
 from binascii import crc_hqx
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 from typing import Any, Literal
 
@@ -17,11 +17,14 @@ PROTOCOL_VERSION = 1
 BAUD = 500_000
 MAX_ROWS = MAX_COLUMNS = 16
 MAX_CODE = 1023
+MAX_BASELINE = 255  # unloaded frames of a board's own baseline
+MAX_LOG_CHANGE = 28.0  # ln(1e9 ohm / 1e-3 ohm): the widest range of cells that a board estimates
 MAX_READINGS = np.iinfo(np.uint16).max // MAX_CODE  # the sum of so many codes fits into 16 bits
 _HELLO = struct.Struct("<BBBBBBBBHIIHHIBBB")
 _HELLO_WIRING = struct.Struct("<BI")
 _FRAME = struct.Struct("<BBBBBIIH")
 _ANSWER = struct.Struct("<BBBBBI")
+_ESTIMATE = struct.Struct("<BBBBBI")
 _COMMAND = struct.Struct("<BBBI")
 ACROSS: tuple[Literal["reference"], Literal["sensor"]] = ("reference", "sensor")
 WIRINGS: tuple[Literal["two_point"], Literal["loaded_columns"]] = ("two_point", "loaded_columns")
@@ -63,8 +66,8 @@ def message(body: bytes) -> bytes:
     return b"\0" + stuffed(body + struct.pack(">H", crc16(body))) + b"\0"
 
 
-# Bytes of the longest message between its zeros: a frame and its CRC, without zeros to shorten the pieces.
-MAX_STUFFED = len(stuffed(b"\1" * (_FRAME.size + 2 * (MAX_ROWS * MAX_COLUMNS + 1))))
+# Bytes of the longest message between its zeros: an estimate and its CRC, without zeros to shorten the pieces.
+MAX_STUFFED = len(stuffed(b"\1" * (_ESTIMATE.size + 4 * MAX_ROWS * MAX_COLUMNS + 2)))
 
 
 class Kind(IntEnum):
@@ -73,6 +76,7 @@ class Kind(IntEnum):
     HELLO = 1
     FRAME = 2
     ANSWER = 3
+    ESTIMATE = 4
     IDENTIFY = 16
     START = 17
     STOP = 18
@@ -81,6 +85,7 @@ class Kind(IntEnum):
     SET_READINGS = 21
     SET_PERIOD = 22
     SET_SETTLE = 23
+    SET_BASELINE = 24
 
 
 class Result(Enum):
@@ -97,12 +102,22 @@ class Result(Enum):
 RESULT_CODES = tuple(Result)
 
 
+# Of firmware/lampest_estimate, `lampest_outcome`.
+OUTCOMES = (
+    "",
+    "its constants are not sound",
+    "too few readings are values",
+    "something lies on the panel while it takes its baseline",
+    "its arithmetic broke down",
+)
+
+
 @dataclass(frozen=True)
 class Hello:
     """Identity and settings of a board, sent after a reset, once a second while idle, and on request.
 
     With loaded columns, reference_milliohm is the load of every column, and drive_milliohm the resistance in series
-    with each row.
+    with each row. `estimates` is no part of HELLO: boards that estimate accept SET_BASELINE.
     """
 
     rows: int
@@ -122,6 +137,7 @@ class Hello:
     running: bool
     wiring: Literal["two_point", "loaded_columns"] = "two_point"
     drive_milliohm: int = 0
+    estimates: bool = False
 
     @property
     def fault(self) -> str:
@@ -160,6 +176,10 @@ class Frame:
         Scans that the board could not begin in time before this one.
     sums : array, shape (rows, columns)
         Sums of codes.
+    log_change : array, shape (rows, columns), or None
+        ln(r / r unloaded) that the board estimated, from the message before the frame.
+    unestimated : str
+        Why the board says that it did not estimate the frame, one of OUTCOMES, or ''.
     """
 
     readings: int
@@ -167,6 +187,35 @@ class Frame:
     device_ms: int
     missed: int
     sums: NDArray[np.uint16]
+    log_change: NDArray[np.float32] | None = None
+    unestimated: str = ""
+
+    def with_estimate(self, estimate: "Estimate | None") -> "Frame":
+        """Return the frame with the board's estimate, or why it failed; unchanged if that is of another frame."""
+        if estimate is None or (estimate.sequence, estimate.log_change.shape) != (self.sequence, self.sums.shape):
+            return self
+        if estimate.outcome == 0:
+            return replace(self, log_change=estimate.log_change)
+        return replace(self, unestimated=OUTCOMES[estimate.outcome])
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Estimate of the cells by the board, sent before its frame.
+
+    Attributes
+    ----------
+    outcome : int
+        0, or the place in OUTCOMES of the reason why the board did not estimate the frame.
+    sequence : int
+        Number of the frame.
+    log_change : array, shape (rows, columns)
+        ln(r / r unloaded); without meaning unless the outcome is 0.
+    """
+
+    outcome: int
+    sequence: int
+    log_change: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -193,7 +242,7 @@ class Garbage:
     length: int
 
 
-Message = Hello | Frame | Answer | Foreign | Garbage
+Message = Hello | Frame | Estimate | Answer | Foreign | Garbage
 
 
 @dataclass(frozen=True)
@@ -247,6 +296,15 @@ def _read_frame(body: bytes) -> Frame:
     return Frame(readings, sequence, device_ms, missed, sums)
 
 
+def _read_estimate(body: bytes) -> Estimate:
+    _, _, rows, columns, outcome, sequence = _ESTIMATE.unpack_from(body)
+    log_change = np.frombuffer(body, "<f4", offset=_ESTIMATE.size).astype(np.float32).reshape(rows, columns)
+    fits = 0 < rows <= MAX_ROWS and 0 < columns <= MAX_COLUMNS and outcome < len(OUTCOMES)
+    if not (fits and np.all(np.abs(log_change) <= MAX_LOG_CHANGE)):
+        raise ValueError("no board sends such an estimate")
+    return Estimate(outcome, sequence, log_change)
+
+
 def _read_answer(body: bytes) -> Answer:
     _, _, kind, tag, result, value = _ANSWER.unpack(body)
     return Answer(kind, tag, RESULT_CODES[result], value)
@@ -256,4 +314,5 @@ READERS: dict[int, Callable[[bytes], Message]] = {
     Kind.HELLO: _read_hello,
     Kind.FRAME: _read_frame,
     Kind.ANSWER: _read_answer,
+    Kind.ESTIMATE: _read_estimate,
 }

@@ -27,7 +27,7 @@ from lampest.files.process import deaf, ending_signals
 from lampest.files.whole import check_output, folder_beside, is_locked, locked, own, sync_folder
 from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import EVENTS, FORMAT, FRAME_FIELDS, SALT, Rows, blocks, group_of
+from lampest.recording.acquisition import EVENTS, FORMAT, SALT, Rows, blocks, group_of
 from lampest.recording.board.protocol import MAX_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples
@@ -62,6 +62,8 @@ class Recorded:
         Noise of one reading from the baseline's repeats, if these suffice.
     silent : float
         Time without frames at the end of the requested duration, in s.
+    unestimated : tuple of (str, int)
+        Reasons why a board that estimates did not estimate frames, and their numbers.
     """
 
     path: Path
@@ -76,6 +78,7 @@ class Recorded:
     ended_by: str
     noise_lsb: float | None
     silent: float
+    unestimated: tuple[tuple[str, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -113,8 +116,11 @@ class Journal:
 
     @classmethod
     @contextlib.contextmanager
-    def create(cls, path: Path, scene: Scene, readings: int) -> Iterator["Journal"]:
-        """Create and yield a journal. Raises InputError if the file cannot be created, or exists."""
+    def create(cls, path: Path, scene: Scene, readings: int, *, estimates: bool = False) -> Iterator["Journal"]:
+        """Create and yield a journal, also of a board's `estimates`.
+
+        Raises InputError if the file cannot be created, or exists.
+        """
         check_output(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -122,7 +128,7 @@ class Journal:
         except OSError as error:
             raise InputError(f"{path}: cannot be made ({error.strerror or error})") from error
         with file:
-            _lay_out(file, scene, readings)
+            _lay_out(file, scene, readings, Rows.of_frames(scene.circuit, estimates=estimates))
             file.flush()
             sync_folder(path.parent)
             file.swmr_mode = True
@@ -134,11 +140,20 @@ class Journal:
 
         The first `unloaded` samples are unloaded.
         """
-        fields = [vars(sample.frame) | vars(sample) | {"recorded": sample.recorded} for sample in samples]
-        names = ("recorded", "time", "sums", *(name for name, *_ in FRAME_FIELDS))
-        recorded, time, sums, *acquired = ([field[name] for field in fields] for name in names)
-        roles = [UNLOADED if number < unloaded else MEASURED for number in range(len(samples))]
-        Rows.of_frames(self.scene.circuit).append(self.file, (recorded, time, roles, sums, *acquired))
+        rows = Rows.of_file(self.file, self.scene.circuit)
+        unknown = np.full(self.scene.panel.shape, np.nan)
+        fields = [
+            vars(sample.frame)
+            | vars(sample)
+            | {
+                "recorded": sample.recorded,
+                "role": UNLOADED if number < unloaded else MEASURED,
+                "log_change": unknown if sample.frame.log_change is None else sample.frame.log_change,
+            }
+            for number, sample in enumerate(samples)
+        ]
+        names = ["recorded", *(path.split("/")[-1] for path, *_ in rows.datasets[1:])]
+        rows.append(self.file, [[field[name] for field in fields] for name in names])
         for sample in samples:
             for event in (*sample.events, *keys()):
                 self.mark(sample.time, event)
@@ -149,7 +164,7 @@ class Journal:
 
     def keep(self, source: h5py.File) -> None:
         """Append the undamaged frames and events of another journal; damaged frames count as lost before the next."""
-        for rows in (Rows.of_frames(self.scene.circuit), EVENTS):
+        for rows in (Rows.of_file(self.file, self.scene.circuit), EVENTS):
             intact = np.flatnonzero(rows.undamaged(source))
             dropped = np.diff(intact, prepend=-1) - 1
             for part in blocks(len(intact), self.scene.panel.crossings):
@@ -161,14 +176,14 @@ class Journal:
                 rows.append(self.file, values)
 
 
-def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
+def _lay_out(file: h5py.File, scene: Scene, readings: int, frame_rows: Rows) -> None:
     """Create the groups, datasets and attributes of a journal."""
     circuit, frames = scene.circuit, group_of(scene.circuit)
     entry = file.create_group("entry")
     hdf5.write_text(entry, "scene", to_yaml(scene))
-    series, salt = (Rows.of_frames(circuit), EVENTS), secrets.token_hex(16)
+    series, salt = (frame_rows, EVENTS), secrets.token_hex(16)
     for path, kind, units, long_name in (dataset for rows in series for dataset in (*rows.datasets, rows.checksum)):
-        cells = scene.panel.shape if path.endswith((f"/{circuit.signal}", "/sums")) else ()
+        cells = scene.panel.shape if path.endswith((f"/{circuit.signal}", "/sums", "/log_change")) else ()
         chunk = (16 if cells else 1024, *cells)  # a chunk is written anew with every frame
         dataset = entry.create_dataset(path, (0, *cells), kind, maxshape=(None, *cells), chunks=chunk)
         hdf5.set_attributes(dataset, units=units, long_name=long_name)
@@ -179,6 +194,11 @@ def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
     hdf5.set_attributes(entry[frames], NX_class="NXdata", signal=circuit.signal, axes=["time", "row", "column"])
     hdf5.set_attributes(entry["raw"], NX_class="NXdata", signal="sums", readings=np.uint16(readings))
     hdf5.set_attributes(entry["acquisition"], NX_class="NXcollection")
+
+
+def _journal_for(sample: Sample, path: Path) -> contextlib.AbstractContextManager[Journal]:
+    """Return a journal for the frames of a board, from its first sample. Raises InputError if the file exists."""
+    return Journal.create(path, sample.scene, sample.hello.readings, estimates=sample.hello.estimates)
 
 
 def record(  # noqa: PLR0913 # the options of a command
@@ -229,22 +249,22 @@ def record(  # noqa: PLR0913 # the options of a command
         raise InputError(f"{out}: exists already; a recording is never written over")
     urls: Sequence[str] = (ports,) if isinstance(ports, str) else ports or ()
     count, states, last = Counter[str](), [""], None
+    unestimated = Counter[str]()
     with ending_signals(lambda: count["frames"] > 0 and not states[-1]) as ended_by:
         try:
             with contextlib.ExitStack() as stack:
-                batches = samples_of(urls, scene, period, states.append, lambda: bool(ended_by()))
+                batches = samples_of(urls, scene, period, states.append, lambda: bool(ended_by()), baseline)
                 stack.enter_context(contextlib.closing(batches))
                 journal: Journal | None = None
                 for batch in _wanted(batches, frames, seconds, period or 1.0):
                     if batch:
                         states[:] = [""]
-                        journal = journal or stack.enter_context(
-                            Journal.create(out, batch[0].scene, batch[0].hello.readings)
-                        )
+                        journal = journal or stack.enter_context(_journal_for(batch[0], out))
                         journal.append(batch, baseline - count["frames"], keys)
                     for last in batch:
                         count.update(frames=1, lost=last.lost, parted=last.missing > 0, behind=bool(ended_by()))
                         count.update(last.events)
+                        unestimated.update(filter(None, [last.frame.unestimated]))
                         on_progress(Progress(last, count["frames"], count["lost"], ""))
                     if not batch and states[-1]:
                         on_progress(Progress(None, count["frames"], count["lost"], states[-1]))
@@ -269,6 +289,7 @@ def record(  # noqa: PLR0913 # the options of a command
             clock_stopped=count[CLOCK_STOPPED] > 0,
             **{name: count[name] for name in ("frames", "lost", "parted", "behind")},
             ended_by=ended_by(),
+            unestimated=tuple(unestimated.items()),
             noise_lsb=noise,
             silent=round(silent, 3),
         )
@@ -343,7 +364,7 @@ class Recorder:
         self._path, self._frames = self._folder / f"{name or time.strftime('live_%Y-%m-%d_%H-%M-%S')}.h5", 0
         if self._path.exists():
             raise InputError(f"{self._path}: exists already; a recording is never written over")
-        self._journal = self._open.enter_context(Journal.create(self._path, sample.scene, sample.hello.readings))
+        self._journal = self._open.enter_context(_journal_for(sample, self._path))
         self._grow(self._journal, tuple(self._unloaded), self._baseline)
         if sample is not self._unloaded[-1]:
             self._grow(self._journal, (sample,), 0)
@@ -415,11 +436,13 @@ def repair(path: Path) -> tuple[int, int]:
         raise InputError(f"{path}: still being recorded")
     with folder_beside(path) as folder:
         with recording_file(path) as (file, scene, _, _):
-            intact = Rows.of_frames(scene.circuit).undamaged(file)
+            rows = Rows.of_file(file, scene.circuit)
+            intact = rows.undamaged(file)
             if len(intact) and not intact.any():
                 raise InputError(f"{path}: every frame is damaged")
             readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
-            with Journal.create(folder / path.name, scene, readings) as journal:
+            estimates = rows != Rows.of_frames(scene.circuit)
+            with Journal.create(folder / path.name, scene, readings, estimates=estimates) as journal:
                 journal.keep(file)
         return finished(path, folder / path.name)[1], int(np.sum(~intact))
 

@@ -33,12 +33,16 @@ def samples_of(
     period: float | None = None,
     on_state: Callable[[str], None] = lambda sentence: None,
     ending: Callable[[], bool] = lambda: False,
+    baseline: int = 0,
 ) -> Samples:
-    """Return samples as `board_samples`: of one board (by default the only one), or of one for each module in order."""
+    """Return samples as `board_samples`: of one board (by default the only one), or of one for each module in order.
+
+    Of modules the boards' own estimates are left out.
+    """
     if scene is None or scene.panel.modules is None:
         if len(ports) > 1:
             raise InputError("--port: several boards need a scene with panel: {modules: ...}, a board for each module")
-        return board_samples(ports[0] if ports else only_port(), scene, period, on_state, ending)
+        return board_samples(ports[0] if ports else only_port(), scene, period, on_state, ending, baseline)
     layout = scene.panel.modules
     numbers = [number for number in range(layout.count) if number not in scene.dead_modules]
     if len(ports) != len(numbers):
@@ -211,8 +215,8 @@ def _image(
         places = [layout.place(numbers[board]) for board in inside if board not in outside]
         events += [f"{word}: {','.join(map(str, place))}" for place in places]
     return Sample(
-        replace(first.frame, sequence=before.frames, missed=missed, sums=layout.joined(sums)),
-        replace(first.hello, rows=rows, columns=columns),
+        replace(first.frame, sequence=before.frames, missed=missed, sums=layout.joined(sums), log_change=None),
+        replace(first.hello, rows=rows, columns=columns, estimates=False),
         scene,
         after.elapsed,
         max(sample.host_time for sample in parts.values()),

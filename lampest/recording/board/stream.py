@@ -13,7 +13,7 @@ from lampest.panel.readouts.lines import as_tuple
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import COUNTER, recorded_of_sums
 from lampest.recording.board.port import SILENCE_SECONDS, Board, NoBoardError
-from lampest.recording.board.protocol import Frame, Garbage, Hello, Message
+from lampest.recording.board.protocol import Estimate, Frame, Garbage, Hello, Message
 
 # Keys on which a board and a scene must agree, by the board's wiring.
 SHARED = {
@@ -131,6 +131,8 @@ class Scanning:
         Newest sample of the recording.
     before, earlier : Sample, or None
         The two newest samples of this run.
+    estimate : Estimate, or None
+        Newest estimate of the board, which precedes its frame.
     stray : Frame, or None
         Newest frame that did not follow another one.
     stray_host_time : float
@@ -147,6 +149,7 @@ class Scanning:
     last: Sample | None
     before: Sample | None = None
     earlier: Sample | None = None
+    estimate: Estimate | None = None
     stray: Frame | None = None
     stray_host_time: float = 0.0
     stopped: bool = False
@@ -154,6 +157,7 @@ class Scanning:
 
     def take(self, frame: Frame) -> tuple[Sample, ...]:
         """Take a further frame, and return the new samples: one, two, or none if the frame does not follow."""
+        frame = frame.with_estimate(self.estimate)
         if self.before is None:
             # Numbers start with 0: earlier frames are lost, unless the clock shows that there was no time for them.
             time_ms = min(frame.device_ms + 2, self._most_ms(self.since))
@@ -260,6 +264,7 @@ def board_samples(
     period: float | None = None,
     on_state: Callable[[str], None] = lambda sentence: None,
     ending: Callable[[], bool] = lambda: False,
+    baseline: int = 0,
 ) -> Samples:
     """Yield samples as they arrive, in batches, which may be empty. Closing the generator stops the board.
 
@@ -278,8 +283,10 @@ def board_samples(
         Called with a sentence when the board disappears.
     ending : callable
         Called repeatedly; once it returns True, the messages that the port has received follow as a last batch.
+    baseline : int
+        Number of unloaded frames at the beginning, for a board that estimates as well.
     """
-    line = _Line(url, scene, period, ending)
+    line = _Line(url, scene, period, ending, baseline)
     while not ending():
         heard = 0
         try:
@@ -308,8 +315,10 @@ def board_samples(
 class _Line:
     """Connection to a board: settings, newest sample, and the messages since then that were no valid frames."""
 
-    def __init__(self, url: str, scene: Scene | None, period: float | None, ending: Callable[[], bool]) -> None:
-        self._url, self._scene, self._period, self._ending = url, scene, period, ending
+    def __init__(
+        self, url: str, scene: Scene | None, period: float | None, ending: Callable[[], bool], baseline: int = 0
+    ) -> None:
+        self._url, self._scene, self._period, self._ending, self._baseline = url, scene, period, ending, baseline
         self.last: Sample | None = None
         self.renew()
 
@@ -332,7 +341,9 @@ class _Line:
                 agreed = scene_of(hello, self._scene)
                 readings = agreed.readout.readings if agreed.readout else hello.readings
                 requested = None if self._period is None else round(self._period * 1e6)
-                settings = board.start(agreed.panel.rows, agreed.panel.columns, readings, requested)
+                # A board that comes back may be loaded.
+                unloaded = self._baseline if self.last is None else 0
+                settings = board.start(agreed.panel.rows, agreed.panel.columns, readings, requested, unloaded)
                 for samples in self._run(board, settings, agreed):
                     if samples:
                         self.last, self._scene = samples[-1], agreed
@@ -379,6 +390,9 @@ class _Line:
         """Return the samples that messages continue a run by, and whether the board has restarted."""
         samples: tuple[Sample, ...] = ()
         for item in messages:
+            if isinstance(item, Estimate):
+                run.estimate = item
+                continue
             more, instead = tuple[Sample, ...](), "answers"
             if isinstance(item, Frame):
                 fits = (*item.sums.shape, item.readings) == run.hello.size

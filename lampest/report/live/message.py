@@ -74,6 +74,8 @@ class Picture:
         One of VERDICTS.
     outliers : int
         Single-frame outliers, replaced by predictions from the previous frames.
+    board_change : array, shape (rows, columns), or None
+        Change that the board estimated, in percent.
     """
 
     number: int
@@ -91,6 +93,7 @@ class Picture:
     saturated: NDArray[np.uint8] | None = None
     verdict: str = UNSOLVED
     outliers: int = 0
+    board_change: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +263,8 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
     """Return a line of JSON for the page: view, message, and history after frame `known`.
 
     The message is that of other programs without `cells` and `pressure`, with `measured` (percent), `passed` (frames
-    skipped for this one) and `centre`; `detection` and `alarm` stand in the view. sent_at : s since 1970-01-01 UTC.
+    skipped for this one), `centre`, and `board` (percent) where the board estimated; `detection` and `alarm` stand in
+    the view. sent_at : s since 1970-01-01 UTC.
     """
     first = bisect_right(view.history, known, key=lambda point: point.number)
     message, picture = Message.of(view), None
@@ -269,6 +273,8 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
         picture = {name: value for name, value in message.content(sent_at).items() if name not in elsewhere}
         picture |= {"measured": _numbers(message.picture.measured_change, 2), "passed": message.picture.skipped}
         picture["centre"] = _centre(message)
+        if (board := message.picture.board_change) is not None:
+            picture["board"] = _numbers(board, 2)
     as_they_are = ("source", "method", "state", "model", "zero", "frames", "lost", "skipped", "alarm")
     content = {name: getattr(view, name) for name in as_they_are} | {
         "deviation": _number(view.deviation, 4),

@@ -201,7 +201,8 @@ def from_board(engine: Engine, board: LiveBoard, frames: int | None, on_sample: 
     Raises InputError as `lampest.recording.board.stream.stream`.
     """
     engine.say(f"waiting for the board at {', '.join(board.ports)}")
-    with closing(samples_of(board.ports, board.scene, board.period, engine.say)) as samples:
+    arriving = samples_of(board.ports, board.scene, board.period, engine.say, baseline=board.baseline)
+    with closing(arriving) as samples:
         for sample in islice((sample for batch in samples for sample in batch), frames):
             take_sample(engine, sample)
             on_sample(sample)
@@ -225,7 +226,8 @@ def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) ->
 def take_sample(engine: Engine, sample: Sample) -> None:
     """Pass a frame of a board to the engine, in the form of a recording."""
     source = FrameSource(sample.scene, sample.hello.period, "receiving")
-    engine.take(source, Scan(sample.recorded, None, sample.time, sample.host_time, sample.lost))
+    scan = Scan(sample.recorded, None, sample.time, sample.host_time, sample.lost, sample.frame.log_change)
+    engine.take(source, scan)
 
 
 def from_recording(
@@ -248,4 +250,6 @@ def scan_of(recording: Recording, frame: int) -> Scan:
     sigma, recorded, origin = recording.sigma, recording.recorded, recording.acquisition
     of_frame = None if sigma is None else np.broadcast_to(sigma, recorded.shape)[frame]
     lost = 0 if origin is None else int(origin.lost[frame])
-    return Scan(recorded[frame], of_frame, float(recording.time[frame]), time.time(), lost)
+    board = recording.board_log_change
+    known = None if board is None or np.isnan(board[frame]).all() else board[frame]
+    return Scan(recorded[frame], of_frame, float(recording.time[frame]), time.time(), lost, known)

@@ -203,7 +203,10 @@ def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tup
     state, stream, time = replace(state, look=None), state.stream, scan.time
     scene, before = stream.scene, state.previous
     unknown, flags = np.full(scene.panel.shape, np.nan), np.zeros(scene.panel.shape, dtype=bool)
-    picture = Picture(number, time, scan.arrived, unknown, unknown, flags, UNKNOWN, "", 0.0, skipped)
+    board = None if scan.board_log_change is None else 100 * np.expm1(scan.board_log_change.astype(float))
+    picture = Picture(
+        number, time, scan.arrived, unknown, unknown, flags, UNKNOWN, "", 0.0, skipped, board_change=board
+    )
     try:
         readings = Readings.of(scene, scan.recorded, scan.sigma)
         change = percent_change(*(as_recorded(frame.shown, scene) for frame in (readings, stream.resting)))

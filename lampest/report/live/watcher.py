@@ -38,6 +38,8 @@ class Scan:
         Seconds since 1970-01-01 UTC.
     lost : int
         Frames missing before this one.
+    board_log_change : array, shape (rows, columns), or None
+        ln(r / r unloaded) that the board estimated.
     """
 
     recorded: Array
@@ -45,6 +47,7 @@ class Scan:
     time: float
     arrived: float
     lost: int = 0
+    board_log_change: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,11 @@
 /* Prints presses and releases of a matrix keyboard without diodes, with their strengths.
  *
  * panel_constants.h comes from `lampest export RESULTS --to c`; a term that suits keys, few of which are pressed, is
- * log_ratio with a squared loss and the weight 1e-4: a press changes ln r by about 1. Put your own scan into read_sums.
+ * log_ratio with a squared loss and the weight 1e-4: a press changes ln r by about 1. The scan is that of two multiplexers,
+ * of the library lampest_board (pins.h); for another circuit put your own into read_sums.
  */
+#include <portable_scan.h>
+
 #include "keys.h"
 #include "panel_constants.h"
 
@@ -13,7 +16,7 @@ static uint16_t sums[PANEL_ROWS * PANEL_COLUMNS];
 static uint8_t pressed[PANEL_ROWS * PANEL_COLUMNS];
 
 static void read_sums() {
-    for (uint16_t cell = 0; cell < PANEL_ROWS * PANEL_COLUMNS; ++cell) sums[cell] = LAMPEST_MISSING;
+    portable_scan(PANEL_ROWS, PANEL_COLUMNS, PANEL_READINGS, LAMPEST_START_SETTLE_US, sums);
 }
 
 static void print_event(uint8_t row, uint8_t column, float strength) {
@@ -27,6 +30,7 @@ static void print_event(uint8_t row, uint8_t column, float strength) {
 
 void setup() {
     Serial.begin(115200);
+    portable_scan_begin();
     if (lampest_begin(&panel, memory) != LAMPEST_FINE) Serial.println("the constants are not sound");
     for (uint8_t frame = 0; frame < 8; ++frame) {
         read_sums();
@@ -36,6 +40,5 @@ void setup() {
 
 void loop() {
     read_sums();
-    const lampest_status status = lampest_frame(&panel, sums, change);
-    if (status.outcome == LAMPEST_FINE) keys_update(&panel, change, pressed, print_event);
+    keys_scan(&panel, sums, change, pressed, print_event);
 }

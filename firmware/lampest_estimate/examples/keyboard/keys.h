@@ -3,6 +3,9 @@
  * The fourth corner of a rectangle of three pressed keys reads as if it were pressed. Its cell does not: the estimate
  * tells how far it fell, and its standard deviation how well that is known. A key is pressed where its cell has fallen by
  * more than DEVIATIONS of its standard deviation, and by FALL at least.
+ *
+ * A key that moves while the panel is scanned is down for some readings and up for others. Such a frame fits no cells, and
+ * its estimate has ghosts. Therefore a change counts once two frames in a row show it.
  */
 #ifndef KEYS_H
 #define KEYS_H
@@ -13,9 +16,13 @@
 #define KEYS_DEVIATIONS 5.0f /* standard deviations: one ghost in three million keys */
 #define KEYS_RELEASE 0.5f    /* share of the fall that is still a press: keys do not flutter */
 #define KEYS_PRODUCTS 30     /* of a standard deviation */
+#define KEYS_CALLS 8         /* of lampest_frame for one scan, until it has settled: many keys may change at once */
 
 /* Called for each key that changes: `strength` is -ln(r / r at rest), 0 at a release. */
 typedef void (*keys_event)(uint8_t row, uint8_t column, float strength);
+
+/* What `pressed` holds of a key: whether it is down, and whether the frame before showed a change. */
+enum { KEYS_DOWN = 1, KEYS_CHANGING = 2 };
 
 /* Look at a frame's log changes; `pressed` holds a byte for each key, 0 at first. Returns the number of pressed keys. */
 static inline uint16_t keys_update(lampest_panel *panel, const float *change, uint8_t *pressed, keys_event event) {
@@ -25,17 +32,36 @@ static inline uint16_t keys_update(lampest_panel *panel, const float *change, ui
         for (uint8_t column = 0; column < c->columns; column++) {
             const uint16_t key = row * c->columns + column;
             const float fall = -change[key];
-            bool down = fall > (pressed[key] ? KEYS_RELEASE * KEYS_FALL : KEYS_FALL);
-            if (down && !pressed[key]) {
+            const bool was_down = pressed[key] & KEYS_DOWN, was_changing = pressed[key] & KEYS_CHANGING;
+            bool down = fall > (was_down ? KEYS_RELEASE * KEYS_FALL : KEYS_FALL);
+            if (down && !was_down) {
                 const float deviation = lampest_deviation(panel, row, column, KEYS_PRODUCTS);
                 down = deviation > 0 && fall > KEYS_DEVIATIONS * deviation;
             }
-            if (down != (bool)pressed[key] && event) event(row, column, down ? fall : 0);
-            pressed[key] = down;
-            count += down;
+            if (down == was_down) {
+                pressed[key] = was_down;
+            } else if (!was_changing) {
+                pressed[key] = was_down | KEYS_CHANGING;
+            } else {
+                pressed[key] = down;
+                if (event) event(row, column, down ? fall : 0);
+            }
+            count += pressed[key] & KEYS_DOWN;
         }
     }
     return count;
+}
+
+/* Estimate a scan and look at its keys, unless it does not settle. */
+static inline lampest_status keys_scan(lampest_panel *panel, const uint16_t *sums, float *change, uint8_t *pressed,
+                                       keys_event event) {
+    lampest_status status;
+    uint8_t calls = KEYS_CALLS;
+    do {
+        status = lampest_frame(panel, sums, change);
+    } while (status.outcome == LAMPEST_FINE && !status.settled && --calls);
+    if (status.outcome == LAMPEST_FINE && status.settled) keys_update(panel, change, pressed, event);
+    return status;
 }
 
 #endif

@@ -22,6 +22,7 @@ BUDGETS = (
     *(Budget(3, products, 0.0) for products in (8, 12, 20, 30)),
     *(Budget(5, products, 0.0) for products in (20, 40)),
 )
+MAX_TOUCH = 0.5  # standard deviations after two frames of a touch: half of what shows, as loads move meanwhile
 DEFAULT_WITHIN = 0.05  # standard deviations of a cell's own error, which is not noticeable
 MIN_FRAMES, MAX_FRAMES = 6, 40  # the first ones of a recording: enough for a median
 MAX_OPERATIONS = 2_000_000  # of a product of all frames together: a minute for all budgets at 64 × 64 cells
@@ -37,9 +38,11 @@ class Trade:
     Attributes
     ----------
     budget : Budget
-    median, worst, second : float
+    median, worst : float
         Deviation from the optimum, rms over the cells, in standard deviations of their own errors: median and worst of
-        the frames, and of the second one.
+        the frames.
+    touch : float
+        The same after two frames of the strongest load, begun at the unloaded panel.
     instructions, most_instructions : float
         Of a Cortex-M4F for a frame, mean and largest.
     """
@@ -47,7 +50,7 @@ class Trade:
     budget: Budget
     median: float
     worst: float
-    second: float
+    touch: float
     instructions: float
     most_instructions: float
 
@@ -85,27 +88,32 @@ def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, .
         own = np.where(case.sigma_own > 0, case.sigma_own, np.nan)[:count]
     # An open cell has no value, and a cell at a bound no error.
     own[case.open_cell[:count] | case.at_lower_bound[:count] > 0] = np.nan
+    solved = np.isfinite(optimum / own).any(axis=(1, 2))
+    if not np.any(solved):
+        raise InputError("no frame of these results is solved, so that there is nothing to compare with")
+    strongest = int(np.argmax(np.nansum(np.where(np.isfinite(own), optimum, 0.0) ** 2, axis=(1, 2))))
     found = []
     for budget in BUDGETS:
         frames = host.frames(sums, budget)
-        with np.errstate(invalid="ignore"):
-            square = ((frames.log_change - optimum) / own) ** 2
-        known = np.isfinite(square)
-        mean = np.where(known, square, 0).sum(axis=(1, 2)) / np.maximum(known.sum(axis=(1, 2)), 1)
-        deviation = np.sqrt(mean[known.any(axis=(1, 2))])
-        if not deviation.size:
-            raise InputError("no frame of these results is solved, so that there is nothing to compare with")
+        deviation = _deviation(frames.log_change[solved], optimum[solved], own[solved])
+        touched = host.frames(sums[[strongest, strongest]], budget).log_change[1]
         spent = instructions(constants, frames.products - frames.steps, frames.steps)
-        second = float(deviation[min(1, len(deviation) - 1)])
         measures = (
             float(np.median(deviation)),
             float(deviation.max()),
-            second,
+            float(_deviation(touched, optimum[strongest], own[strongest])),
             float(spent.mean()),
             float(spent.max()),
         )
         found.append(Trade(budget, *measures))
     return tuple(found)
+
+
+def _deviation(log_change: Array, optimum: Array, own: Array) -> Array:
+    """Return the rms deviation over the cells, (...), of maps (..., rows, columns), in standard deviations."""
+    with np.errstate(invalid="ignore"):
+        square = ((log_change - optimum) / own) ** 2
+    return np.asarray(np.sqrt(np.nanmean(square, axis=(-2, -1))))
 
 
 def chosen_budget(
@@ -117,7 +125,8 @@ def chosen_budget(
     ----------
     table : sequence of Trade
     within : float or None
-        Largest deviation of the median frame, in standard deviations.
+        Largest deviation of the median frame, in standard deviations. The second frame of a touch ends within
+        MAX_TOUCH, or this, where a budget can.
     milliseconds : float or None
         Longest time of a frame on the processor; without `within` the most exact budget that takes no longer.
     processor : str or None
@@ -141,17 +150,20 @@ def chosen_budget(
     if not exact and within is not None:
         least = min(trade.median for trade in known)
         raise InputError(f"no budget ends within {within:g} σ in the median frame: the best one at {least:.2g}")
-    return (exact[0] if exact else min(known, key=lambda trade: trade.median)), aim
+    prompt = [trade for trade in exact if trade.touch <= max(MAX_TOUCH, aim)]
+    if prompt:
+        return prompt[0], aim
+    return min(exact, key=lambda trade: trade.touch) if exact else min(known, key=lambda trade: trade.median), aim
 
 
 def table_of(table: Sequence[Trade]) -> Table:
     """Return the table of what budgets buy."""
-    headers = ("steps", "products", "σ median", "σ worst", "σ second frame", "million instructions", "at most")
+    headers = ("steps", "products", "σ median", "σ worst", "σ touch", "million instructions", "at most")
     cells = tuple(
         (
             str(trade.budget.steps),
             str(trade.budget.products),
-            *(f"{value:.2g}" for value in (trade.median, trade.worst, trade.second)),
+            *(f"{value:.2g}" for value in (trade.median, trade.worst, trade.touch)),
             *(f"{value / 1e6:.2f}" for value in (trade.instructions, trade.most_instructions)),
             *(f"{trade.milliseconds(processor):.3g}" for processor in PROCESSORS),
         )

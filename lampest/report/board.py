@@ -1,0 +1,78 @@
+"""Comparison of a board's own estimate with lampest's."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array
+from lampest.recording.recording import MEASURED, UNLOADED, Recording, joined
+from lampest.report.words import digits
+from lampest.runs.case import CaseResult
+
+MAX_COMPARED = 12  # frames, evenly over the recording: some seconds
+
+
+def board_sentence(recording: Recording) -> str:
+    """Return what the board estimated, and its difference from lampest's default estimate; '' without a board's."""
+    if recording.board_log_change is None:
+        return ""
+    measured = recording.role == MEASURED
+    estimated = measured & np.isfinite(recording.board_log_change).any(axis=(1, 2))
+    count = f"the board estimated {int(np.sum(estimated))} of {int(np.sum(measured))} measured frames"
+    unloaded = recording.role == UNLOADED
+    if not np.any(unloaded) or not np.any(estimated):
+        return f"{count}; they are compared where unloaded frames precede them" if np.any(estimated) else count
+    try:
+        return f"{count}; {_difference(recording, unloaded, np.flatnonzero(estimated))}"
+    except InputError as error:
+        return f"{count}; not compared: {error}"
+
+
+def _difference(recording: Recording, unloaded: NDArray[np.bool_], estimated: NDArray[np.intp]) -> str:
+    """Return the difference in words. Raises InputError where lampest has no estimate."""
+    from lampest.estimate.estimator import Estimator  # with all of the estimate, which results do without
+    from lampest.estimate.sequence import default_terms
+    from lampest.report.reconstruction import Reconstruction
+
+    places = np.unique(np.linspace(0, len(estimated) - 1, MAX_COMPARED).round().astype(int))
+    chosen = estimated[places]
+    part = joined((recording,), np.union1d(np.flatnonzero(unloaded), chosen))
+    assert recording.board_log_change is not None
+    found = Reconstruction.of(part, Estimator(default_terms(part), "reduced"))
+    return difference_sentence(found.result(), recording.board_log_change[chosen], chosen)
+
+
+def difference_sentence(case: CaseResult, board_log_change: Array, frames: NDArray[np.intp]) -> str:
+    """Return the difference of a board's cells from those of a case in words.
+
+    Parameters
+    ----------
+    case : CaseResult
+    board_log_change : array, shape (frames of the case, rows, columns)
+        ln(r / r unloaded).
+    frames : array, shape (frames of the case,)
+        Their numbers in the recording.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        difference = np.abs(board_log_change - np.log(case.cell_resistance / case.baseline_resistance))
+    difference[(case.open_cell | case.at_lower_bound) > 0] = np.nan
+    size = difference
+    if case.sigma_own is not None:
+        size = difference / np.where(case.sigma_own > 0, case.sigma_own, np.nan)
+    known = np.isfinite(size)
+    if not np.any(known):
+        return "no cell has both estimates"
+    worst = np.unravel_index(np.nanargmax(np.where(known, size, np.nan)), size.shape)
+
+    def amount(share: float, log_difference: float) -> str:
+        percent = f"{digits(100 * float(np.expm1(log_difference)), 2)} %"
+        return percent if case.sigma_own is None else f"{digits(share, 2)} σ ({percent})"
+
+    median = amount(float(np.median(size[known])), float(np.median(difference[known])))
+    largest = amount(float(size[worst]), float(difference[worst]))
+    unit = "" if case.sigma_own is None else "; σ is a cell's own error"
+    count = f"{len(case.frame)} frame{'' if len(case.frame) == 1 else 's'}"
+    return (
+        f"its cells differ from lampest's ({' + '.join(case.costs)}, {count}) by {median} in the median, {largest} at "
+        f"most, in frame {frames[worst[0]]}{unit}"
+    )
