@@ -31,7 +31,7 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
 from lampest.solvers.by_ipopt import Ipopt
-from lampest.solvers.multistart import SAME_MINIMUM, best_solution, lower_of
+from lampest.solvers.multistart import best_solution, lower_of, settles
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Solution, Solver
 
@@ -307,8 +307,7 @@ class OptimalMethod(Method):
             return solution
         other = _solver(solver.cost, data.readout, data.wiring, "nodal" if is_newton else "reduced", solver.settings)
         second = best_solution(other, data, previous)
-        is_better = second.strict and second.objective <= solution.objective * (1 + SAME_MINIMUM)
-        return second if is_better else lower_of(solution, second)
+        return second if settles(second, solution) else lower_of(solution, second)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
         """Return what the solution of a single frame carries for the next one, else None."""
