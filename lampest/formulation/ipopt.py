@@ -18,10 +18,10 @@ from lampest.formulation.program import Program
 from lampest.panel.compiled import CasadiOwner, guarded
 
 PUSH = 1e-9  # distance that IPOPT keeps from a bound, relative to max(bound, 1); far below the accuracy of a cell
-# MUMPS orders by METIS (5) and permutes nothing for scaling (0): 0.8 of the time at 10 × 10, 0.55 at 16 × 16
+# MUMPS orders by METIS (5), up to MAX_AMD_UNKNOWNS by AMD (0), and permutes nothing for scaling (0)
 # (docs/studies/speed.md). A relaxed bound of 0 would let conductances come back negative.
+MAX_AMD_UNKNOWNS = 300
 COMMON = {
-    "mumps_pivot_order": 5,
     "mumps_permuting_scaling": 0,
     "bound_relax_factor": 0.0,
     "nlp_scaling_method": "none",
@@ -31,24 +31,26 @@ COMMON = {
 # The barrier parameter stays below a hundredth of the unit of the objective. Without this limit the adaptive rule lets
 # it grow by decades where readings are far from linear (driven lines), and cells end at their bounds.
 COLD = {"mu_strategy": "adaptive", "mu_max": 0.01}
+GIVEN_MULTIPLIERS = {"warm_start_init_point": "yes", "mu_strategy": "adaptive"}
 WARM = {
-    "warm_start_init_point": "yes",
+    **GIVEN_MULTIPLIERS,
     "warm_start_bound_push": PUSH,
     "warm_start_bound_frac": PUSH,
     "warm_start_mult_bound_push": PUSH,
     "mu_init": 1e-6,
+    "mu_max": 1e-4,
 }
 # Readings of shorts are decades below the others, and so are their parts of the optimality conditions: IPOPT goes on
 # below its usual tolerance, with pivots that keep digits.
 FINE = {
-    **WARM,
+    **GIVEN_MULTIPLIERS,
     "warm_start_bound_push": 1e-20,
     "warm_start_bound_frac": 1e-20,
     "warm_start_mult_bound_push": 1e-30,
     "mu_init": 1e-16,
-    "mu_strategy": "adaptive",
     "mumps_pivtol": 0.1,
     "mumps_pivtolmax": 0.5,
+    "mumps_pivot_order": 5,
     "mumps_permuting_scaling": 7,
 }
 FINE_TOLERANCE = 1e-20
@@ -149,6 +151,7 @@ class Interface(CasadiOwner):
 
     def _solver(self, chosen: dict[str, Any]) -> casadi.Function:
         scaling = {"nlp_scaling_method": "gradient-based"} if self.scaled else {}
-        ipopt = {**COMMON, **scaling, **chosen}
+        order = 0 if self.program.unknown.column.shape[0] <= MAX_AMD_UNKNOWNS else 5
+        ipopt = {**COMMON, "mumps_pivot_order": order, **scaling, **chosen}
         options: dict[str, Any] = {"ipopt": ipopt, "print_time": False, **self.program.derivatives}
         return casadi.nlpsol("ipopt", "ipopt", self.program.nlp, options)
