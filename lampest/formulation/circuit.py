@@ -112,13 +112,21 @@ class Circuit:
     @cached_property
     def incidence(self) -> casadi.DM:
         """B, (nodes, cells): +1 at a cell's node on the row, −1 at its node on the column."""
-        return _symbolic(_incidence(self.count, self.cell_ends))
+        return _symbolic(self._cell_incidence)
 
     @cached_property
     def wire_admittance(self) -> casadi.DM:
         """Conductance matrix of the wire alone, (nodes, nodes) siemens."""
+        return _symbolic(self._wire_admittance)
+
+    @cached_property
+    def _cell_incidence(self) -> scipy.sparse.csc_array:
+        return _incidence(self.count, self.cell_ends)
+
+    @cached_property
+    def _wire_admittance(self) -> scipy.sparse.csc_array:
         incidence = _incidence(self.count, self.wire_ends)
-        return _symbolic((incidence * self.wire_siemens) @ incidence.T)
+        return scipy.sparse.csc_array((incidence * self.wire_siemens) @ incidence.T)
 
     @cached_property
     def at_terminals(self) -> casadi.DM:
@@ -161,21 +169,19 @@ class Circuit:
         RuntimeError
             If a node is not connected.
         """
-        cells = _incidence(self.count, self.cell_ends)
-        wire = _incidence(self.count, self.wire_ends)
         ground = np.bincount(self.terminals, np.where(self.held, 0.0, tie), self.count)
+        cells = self._cell_incidence
         admittance = scipy.sparse.csc_array(
-            (cells * (1 / cell_resistance.ravel())) @ cells.T
-            + (wire * self.wire_siemens) @ wire.T
-            + scipy.sparse.diags_array(ground)
+            (cells * (1 / cell_resistance.ravel())) @ cells.T + self._wire_admittance + scipy.sparse.diags_array(ground)
         )
         lines = np.arange(len(self.terminals))
         volt = self.potentials(lines)
         into = self.currents(lines) - admittance @ volt
         free = self.free
-        if len(free):
-            factor = scipy.sparse.linalg.splu(admittance[free][:, free].tocsc())
-            volt[free] = factor.solve(into[free])
+        if not len(free):
+            return volt
+        between = admittance if len(free) == self.count else admittance[free][:, free].tocsc()
+        volt[free] = scipy.sparse.linalg.splu(between).solve(into[free])
         return volt
 
 

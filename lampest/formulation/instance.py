@@ -128,14 +128,16 @@ class Instance:
 
         # Unit of split residuals: the largest one of the start and of the apparent resistances, because a start at the
         # baseline may leave none.
-        places = ((known.cells, voltages), (known.apparent, known.voltages(known.apparent, scale)))
         parameter = program.parameter.stacked({**values, "split_scale": 1.0})
-        residuals = [program.split_residuals(stacked(*place, 0.0), parameter) for place in places]
-        split_scale = max((float(np.abs(group).max(initial=0)) for place in residuals for group in place), default=0.0)
-        split_scale = max(split_scale, MIN_SPLIT_UNIT)
-        parts = [side for group in residuals[0] for side in (group, -group)]
+        residuals = program.split_residuals(stacked(known.cells, voltages, 0.0), parameter)
+        split_scale = MIN_SPLIT_UNIT
+        if residuals:
+            apparent = stacked(known.apparent, known.voltages(known.apparent, scale), 0.0)
+            groups = [*residuals, *program.split_residuals(apparent, parameter)]
+            split_scale = max(split_scale, *(float(np.abs(group).max(initial=0)) for group in groups))
+        parts = [side for group in residuals for side in (group, -group)]
         split = [np.maximum(side / split_scale, 0) + SPLIT_START for side in parts]
-        start = stacked(*places[0], np.concatenate([np.zeros(0), *split]))
+        start = stacked(known.cells, voltages, np.concatenate([np.zeros(0), *split]))
         lower = {name: unknown.lower for name, unknown in program.own.items()}
         upper = {name: unknown.upper for name, unknown in program.own.items()}
         limits = [

@@ -1,11 +1,12 @@
 """IPOPT: the program's derivatives, the options, and a solve from a cold or a warm start.
 
 A cold start has a barrier parameter of its own choice, which leads the iterates away from the bounds and into low
-minima. A warm start has IPOPT's own multipliers of an earlier solve, and a small barrier parameter.
+minima. A warm start has IPOPT's own multipliers of an earlier solve, and a small barrier parameter. A fine solve goes
+on from the end of another one to the digits that double precision holds.
 Source: Wächter & Biegler, Mathematical Programming 106, 2006.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,10 +18,10 @@ from lampest.formulation.program import Program
 from lampest.panel.compiled import CasadiOwner, guarded
 
 PUSH = 1e-9  # distance that IPOPT keeps from a bound, relative to max(bound, 1); far below the accuracy of a cell
-# MUMPS orders by METIS (5) and permutes nothing for scaling (0): 0.8 of the time at 10 × 10, 0.55 at 16 × 16
+# MUMPS orders by METIS (5), up to MAX_AMD_UNKNOWNS by AMD (0), and permutes nothing for scaling (0)
 # (docs/studies/speed.md). A relaxed bound of 0 would let conductances come back negative.
+MAX_AMD_UNKNOWNS = 300
 COMMON = {
-    "mumps_pivot_order": 5,
     "mumps_permuting_scaling": 0,
     "bound_relax_factor": 0.0,
     "nlp_scaling_method": "none",
@@ -30,13 +31,30 @@ COMMON = {
 # The barrier parameter stays below a hundredth of the unit of the objective. Without this limit the adaptive rule lets
 # it grow by decades where readings are far from linear (driven lines), and cells end at their bounds.
 COLD = {"mu_strategy": "adaptive", "mu_max": 0.01}
+GIVEN_MULTIPLIERS = {"warm_start_init_point": "yes", "mu_strategy": "adaptive"}
 WARM = {
-    "warm_start_init_point": "yes",
+    **GIVEN_MULTIPLIERS,
     "warm_start_bound_push": PUSH,
     "warm_start_bound_frac": PUSH,
     "warm_start_mult_bound_push": PUSH,
     "mu_init": 1e-6,
+    "mu_max": 1e-4,
 }
+# Readings of shorts are decades below the others, and so are their parts of the optimality conditions: IPOPT goes on
+# below its usual tolerance, with pivots that keep digits.
+FINE = {
+    **GIVEN_MULTIPLIERS,
+    "warm_start_bound_push": 1e-20,
+    "warm_start_bound_frac": 1e-20,
+    "warm_start_mult_bound_push": 1e-30,
+    "mu_init": 1e-16,
+    "mumps_pivtol": 0.1,
+    "mumps_pivtolmax": 0.5,
+    "mumps_pivot_order": 5,
+    "mumps_permuting_scaling": 7,
+}
+FINE_TOLERANCE = 1e-20
+FINE_ITERATIONS = 60
 INTERRUPTED = "NonIpopt_Exception_Thrown"
 
 
@@ -59,8 +77,15 @@ class Limits:
 
     def options(self) -> dict[str, Any]:
         """Return the options of IPOPT."""
-        seconds = {} if np.isinf(self.seconds) else {"max_wall_time": self.seconds}
-        return {"tol": self.tolerance, "max_iter": self.max_iterations, **seconds}
+        return {"tol": self.tolerance, "max_iter": self.max_iterations, **self._wall_time()}
+
+    def fine_options(self) -> dict[str, Any]:
+        """Return the options of a fine solve, which ends where it no longer comes closer than the usual tolerance."""
+        most = min(FINE_ITERATIONS, self.max_iterations)
+        return {"tol": FINE_TOLERANCE, "acceptable_tol": self.tolerance, "max_iter": most, **self._wall_time()}
+
+    def _wall_time(self) -> dict[str, float]:
+        return {} if np.isinf(self.seconds) else {"max_wall_time": self.seconds}
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +98,19 @@ class Interface(CasadiOwner):
     limits : Limits
     scaled : bool
         Whether IPOPT scales constraints by their gradients, for own ones.
+    is_fine : bool
+        Whether warm starts are fine ones.
     """
 
     program: Program
     limits: Limits
     scaled: bool = False
+    is_fine: bool = False
+
+    @cached_property
+    def fine(self) -> "Interface":
+        """The interface whose warm starts go on to the digits that double precision holds."""
+        return replace(self, is_fine=True)
 
     @guarded
     def prepare(self) -> None:
@@ -110,27 +143,15 @@ class Interface(CasadiOwner):
 
     @cached_property
     def _cold(self) -> casadi.Function:
-        return self._solver(COLD)
+        return self._solver(COLD | self.limits.options())
 
     @cached_property
     def _warm(self) -> casadi.Function:
-        return self._solver(WARM)
+        return self._solver(FINE | self.limits.fine_options() if self.is_fine else WARM | self.limits.options())
 
-    @cached_property
-    def _derivatives(self) -> dict[str, casadi.Function]:
-        """Gradient of f, Jacobian of g, and Hessian of the Lagrangian, with the names that CasADi expects."""
-        nlp = self.program.nlp
-        arguments = [nlp["x"], nlp["p"]]
-        gradient = casadi.Function(
-            "nlp_grad_f", arguments, [nlp["f"], casadi.gradient(nlp["f"], nlp["x"])], ["x", "p"], ["f", "grad_f_x"]
-        )
-        jacobian = casadi.Function(
-            "nlp_jac_g", arguments, [nlp["g"], casadi.jacobian(nlp["g"], nlp["x"])], ["x", "p"], ["g", "jac_g_x"]
-        )
-        return {"grad_f": gradient, "jac_g": jacobian, "hess_lag": self.program.hessian()}
-
-    def _solver(self, begin: dict[str, Any]) -> casadi.Function:
+    def _solver(self, chosen: dict[str, Any]) -> casadi.Function:
         scaling = {"nlp_scaling_method": "gradient-based"} if self.scaled else {}
-        ipopt = {**COMMON, **scaling, **begin, **self.limits.options()}
-        options: dict[str, Any] = {"ipopt": ipopt, "print_time": False, **self._derivatives}
+        order = 0 if self.program.unknown.column.shape[0] <= MAX_AMD_UNKNOWNS else 5
+        ipopt = {**COMMON, "mumps_pivot_order": order, **scaling, **chosen}
+        options: dict[str, Any] = {"ipopt": ipopt, "print_time": False, **self.program.derivatives}
         return casadi.nlpsol("ipopt", "ipopt", self.program.nlp, options)

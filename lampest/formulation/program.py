@@ -364,6 +364,19 @@ class Program(CasadiOwner):
             "g": self.equation.column,
         }
 
+    @cached_property
+    def derivatives(self) -> dict[str, casadi.Function]:
+        """Gradient of f, Jacobian of g, and Hessian of the Lagrangian, with the names that CasADi expects."""
+        nlp = self.nlp
+        arguments = [nlp["x"], nlp["p"]]
+        gradient = casadi.Function(
+            "nlp_grad_f", arguments, [nlp["f"], casadi.gradient(nlp["f"], nlp["x"])], ["x", "p"], ["f", "grad_f_x"]
+        )
+        jacobian = casadi.Function(
+            "nlp_jac_g", arguments, [nlp["g"], casadi.jacobian(nlp["g"], nlp["x"])], ["x", "p"], ["g", "jac_g_x"]
+        )
+        return {"grad_f": gradient, "jac_g": jacobian, "hess_lag": self.hessian()}
+
     def hessian(self) -> casadi.Function:
         """Return the function (x, p, σ, λ) → ∇²(σf + λᵀg), upper triangle, (x, x) sparse.
 

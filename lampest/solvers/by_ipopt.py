@@ -20,7 +20,8 @@ from lampest.formulation.program import Program
 from lampest.panel.compiled import guarded
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
-from lampest.solvers.solution import Outcome, Settings, Solver, Status
+from lampest.solvers.certificate import certificate
+from lampest.solvers.solution import Outcome, Settings, Solver, Status, sharp_hessian
 
 STATUS = {
     "Solve_Succeeded": Status.OPTIMUM,
@@ -33,6 +34,7 @@ STATUS = {
 }
 # The unit of the objective is the cost of a cell at readings of zero; that of an optimum is decades smaller.
 ACCURACY = 1e-4
+MAX_FINE = 3  # fine solves of a start: one, and one more after each saddle
 FAR = log(4.0)  # of ln r: a frame whose cells move less stays in its valley, even where IPOPT corrects the inertia
 
 
@@ -77,20 +79,45 @@ class Ipopt(Solver):
         """Minimise from `start`. A failed solve does not raise; the outcome's status states the failure."""
         if data.overdue:
             return Outcome(start.cell_resistance, np.zeros_like(self.cost.slope), Status.TIME, 0)
-        circuits = _circuits(self.readout, self.cost.panel.shape, self.wiring)
-        instance = Instance.of(self._interface.program, circuits, self.patterns, [start])
+        instance = self._instance(start)
         result, iterations = self._minimise(instance)
         status = STATUS.get(result.status, Status.BREAKDOWN)
-        cells = instance.cells_of(result)
+        outcome = self._outcome(start, instance, result, status, iterations)
+        multipliers = instance.multipliers_of(result)
+        for _ in range(MAX_FINE):
+            verdict = outcome.certificate
+            if verdict is None or outcome.at is None or verdict.settled:
+                break
+            # IPOPT goes on, from the lower point beside a saddle if there is one, in units of that point
+            instance = self._instance(verdict.lower or outcome.at)
+            multipliers = multipliers.in_units(instance.program, instance.scale, instance.cost_scale)
+            result = self._interface.fine.minimise(instance, multipliers)
+            multipliers = instance.multipliers_of(result)
+            fine = self._outcome(start, instance, result, status, outcome.iterations + result.iterations)
+            if fine.at is None or fine.at.objective > outcome.at.objective:
+                return replace(outcome, iterations=fine.iterations)
+            outcome = fine
+            if verdict.lower is None:
+                break
+        return outcome
+
+    def _instance(self, at: Evaluation) -> Instance:
+        """Return the program's instance that begins at an evaluation."""
+        circuits = _circuits(self.readout, self.cost.panel.shape, self.wiring)
+        return Instance.of(self._interface.program, circuits, self.patterns, [at])
+
+    def _outcome(
+        self, start: Evaluation, instance: Instance, result: ProgramResult, status: Status, iterations: int
+    ) -> Outcome:
+        """Return the outcome of a result, with the certificate of an optimum."""
+        cells, dual = instance.cells_of(result), instance.duals_of(result, self.cost.slope)
         moved = float(np.abs(np.log(cells / start.cell_resistance)).max())
-        return Outcome(
-            cells,
-            instance.duals_of(result, self.cost.slope),
-            status,
-            iterations,
-            carried=instance.multipliers_of(result) if status is Status.OPTIMUM else None,
-            convex=not (result.corrected and moved > FAR),
-        )
+        outcome = Outcome(cells, dual, status, iterations, convex=not (result.corrected and moved > FAR))
+        if status is not Status.OPTIMUM or not np.all(np.isfinite(cells)):
+            return outcome
+        at = start.elsewhere(np.clip(cells, start.data.lower, start.data.upper))
+        verdict = certificate(sharp_hessian(at, dual))
+        return replace(outcome, at=at, certificate=verdict, carried=instance.multipliers_of(result))
 
     def _minimise(self, instance: Instance) -> tuple[ProgramResult, int]:
         """Return IPOPT's result, and its iterations: warm where there are multipliers, and cold if that fails."""

@@ -18,6 +18,7 @@ from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.files.errors import BROKEN
 from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
+from lampest.solvers.certificate import MIN_COST_SHARE
 from lampest.solvers.convex import convex_cells, convex_is_the_answer
 from lampest.solvers.solution import MAX_STARTS, Outcome, Solution, Solver, Status, check, failure
 
@@ -100,6 +101,13 @@ def lower_of(best: Solution | None, solution: Solution) -> Solution:
     if solution.solved and solution.objective < best.objective * (1 - SAME_MINIMUM):
         return solution
     return best
+
+
+def settles(second: Solution, first: Solution) -> bool:
+    """Return whether a second solution is a strict minimum and costs no more than the first, within rounding."""
+    if not second.strict or second.at is None:
+        return False
+    return not first.solved or second.objective <= first.objective + MIN_COST_SHARE * second.at.cost_scale
 
 
 def several_minima(cost: Cost, data: Data) -> bool:

@@ -300,7 +300,7 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
     # Where the KKT residual is too large, the certificate's step can still be within rounding.
     ended = outcome.status is not Status.TIME and np.all(np.isfinite(gradient))
     if not worse and not stationary and ended and at.dual_gap(dual) <= VERIFIED * at.cost_scale:
-        hessian = _sharp(at, outcome)
+        hessian = sharp_hessian(at, dual)
         verdict = outcome.certificate or certificate(hessian, outcome.preconditioner)
         stationary = verdict.converged(at.cost_scale) and _balanced(hessian)
         outcome = replace(outcome, certificate=verdict)
@@ -309,7 +309,7 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
         fault = fault if outcome.status is Status.OPTIMUM else outcome.status
         return failure(cost, data, _cause(at, gradient, outcome, fault), residual, outcome)
     # Second order: definiteness of the Hessian and length of the next Newton step.
-    verdict = outcome.certificate or certificate(_sharp(at, outcome), outcome.preconditioner)
+    verdict = outcome.certificate or certificate(sharp_hessian(at, dual), outcome.preconditioner)
     if verdict.definiteness is Definiteness.INDEFINITE:
         return failure(cost, data, Status.SADDLE, residual, outcome)
     if not verdict.settled:
@@ -317,9 +317,9 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
     return solution_at(at, residual, outcome, Status.HELD if bounds_matter(at, gradient, dual) else Status.OPTIMUM)
 
 
-def _sharp(at: Evaluation, outcome: Outcome) -> Hessian:
+def sharp_hessian(at: Evaluation, dual: Array) -> Hessian:
     """Return the Hessian with absolute losses smoothed by SMOOTHING_WIDTH of the largest residual."""
-    return Hessian(at, Smoothing(SMOOTHING_WIDTH * (float(np.abs(at.nonsmooth).max(initial=0.0)) or 1.0), outcome.dual))
+    return Hessian(at, Smoothing(SMOOTHING_WIDTH * (float(np.abs(at.nonsmooth).max(initial=0.0)) or 1.0), dual))
 
 
 def _balanced(hessian: Hessian) -> bool:
@@ -361,7 +361,7 @@ def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> 
         np.isfinite(gradient)
     ):
         return fault
-    rounded = certificate(_sharp(at, outcome)).definiteness is Definiteness.UNDETERMINED
+    rounded = certificate(sharp_hessian(at, outcome.dual)).definiteness is Definiteness.UNDETERMINED
     return Status.ROUNDED if rounded else fault
 
 

@@ -253,7 +253,7 @@ def begun_row(cost: str, circuit: str, form: str) -> list[Any]:
         ended = instance.start * np.exp(0.1 * rng.standard_normal(len(instance.start)))
         return ProgramResult(ended, pull, equations, "Search_Direction_Becomes_Too_Small", 7)
 
-    with patch.object(Interface, "minimise", minimise):
+    with patch.object(Interface, "minimise", minimise), patch.object(by_ipopt, "MAX_FINE", 0):
         solver = by_ipopt.Ipopt(at.cost, Settings(), scene.circuit, scene.wiring, EXCITATIONS[form])
         outcome = solver.solve(at.data, at)
     return [given, outcome.cell_resistance, outcome.dual, outcome.status, outcome.iterations]

@@ -31,7 +31,7 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
 from lampest.solvers.by_ipopt import Ipopt
-from lampest.solvers.multistart import best_solution
+from lampest.solvers.multistart import best_solution, lower_of, settles
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Solution, Solver
 
@@ -295,17 +295,19 @@ class OptimalMethod(Method):
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """Return the lowest optimum of a frame's starts; `prepared` is what an earlier solution carries, or None.
 
-        With auto a frame that one solver does not end at an optimum is given to the other one, from the same starts.
+        With auto a frame that one solver does not end at an optimum is given to the other one, from the same starts;
+        so is one that IPOPT does not end at a strict optimum, because the other one holds more digits.
         """
         solution = best_solution(solver, data, previous, prepared)
-        if self.kind != "auto" or solution.optimum or data.overdue:
-            return solution
         is_newton = isinstance(solver, ProjectedNewton)
+        enough = solution.optimum if is_newton else solution.strict
+        if self.kind != "auto" or enough or data.overdue:
+            return solution
         if is_newton and solver.cost.panel.crossings > FALLBACK_CELLS:
             return solution
         other = _solver(solver.cost, data.readout, data.wiring, "nodal" if is_newton else "reduced", solver.settings)
         second = best_solution(other, data, previous)
-        return second if second.solved else solution
+        return second if settles(second, solution) else lower_of(solution, second)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
         """Return what the solution of a single frame carries for the next one, else None."""
