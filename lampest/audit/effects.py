@@ -26,7 +26,6 @@ from lampest.panel.scene import ESTIMATED, Scene, Systematic
 from lampest.recording.readings import strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-MIN_CERTAINTY = 3.0  # standard deviations of a reading error above zero (tests/oracles/test_noise.py)
 MIN_SHARE_READ = 0.9  # of the unloaded readings that are values: with fewer, films look rough (tests/golden/checks.py)
 
 
@@ -169,8 +168,9 @@ def _reading_error(evidence: Gathered) -> Iterator[Finding]:
     if len(evidence.measured):
         strongest = strongest_frame(noise.readings.plain_values, resting.value, evidence.measured)
         loaded = noise.readings[strongest]
-    mean, deviation = shared_errors(asked, resting, loaded, noise.frame).sizes.get("reading_error", (0.0, 1.0))
-    if mean > MIN_CERTAINTY * deviation:
+    found = shared_errors(asked, resting, loaded, noise.frame)
+    if found.no_reading_error < SIGNIFICANCE:
+        mean, deviation = found.sizes["reading_error"]
         yield _finding(
             f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, the same in all frames: cells are "
             "rougher than those of films",

@@ -4,8 +4,9 @@ The deviation of a reading from its mean over frames is, in units of the specifi
 
     deviation = gain of the frame · voltage + ripple common to all lines + ripple of the line + own noise.
 
-A component is kept where χ² of its deviations against the noise has a tail probability below SIGNIFICANCE. Its
-variance is that of its deviations less the noise's, times ν/(ν − 2), the variance of Student's t with ν degrees.
+The size of a gain and of a ripple has a posterior, whose mean square is the variance of the component. Only where χ² of
+a ripple's deviations against the noise has a tail probability below SIGNIFICANCE its covariance between channels is
+estimated: that of its deviations less the noise's, times ν/(ν − 2), the variance of Student's t with ν degrees.
 """
 
 from collections.abc import Mapping, Sequence
@@ -38,7 +39,9 @@ SHARES = np.linspace(0, 1, 6)  # of the time between frames that a scan takes
 # Factor on σ: a smaller excess changes no verdict, and creeping films cause it too. The ratio of first to second
 # differences of noise alone is 1.00 ± 0.06 with 100 readings.
 MIN_EXCESS = 1.25
-MAX_SIZES = 5.0  # root mean squares of a size's samples, beyond which its posterior is nothing from four samples on
+MAX_SIZES = 100.0  # root mean squares of a size's samples, beyond which its posterior is nothing from two samples on
+MIN_NOISE_SHARE = 1e-3  # of an effect's size: less noise beside it, and sizes below this share of noise, change nothing
+SIZES = 3000  # of a posterior: their steps are smaller than its width up to ten thousand samples
 EDGE_WIDTHS = 3.0  # widths of the Tracy-Widom law beyond the edge: noise alone exceeds it once in thousands
 # Samples for each channel, below which the smallest eigenvalues of noise come near zero, and rounding takes them below
 # (tests/oracles/test_every_readout.py).
@@ -260,7 +263,7 @@ def _with_estimated_frame_noise(noise: NoiseEstimate, recording: Recording, part
     known = noise.frame or FrameNoise(scene, unloaded, 0.0, parts.common_ripple[:, :0], parts.line_ripple[:, :0])
     relative = 1 / np.sqrt(2 * (unloaded - 1))  # of a standard deviation with as many degrees of freedom
     if "gain" in asked:
-        known = replace(known, gain=parts.gain)
+        known = replace(known, gain=float(np.hypot(parts.gain, parts.gain_sd)))  # √E[s²]
         noise = noise.determined("gain", (parts.gain, parts.gain_sd))
     if "ripple" in asked:
         known = replace(known, common_ripple=parts.common_ripple * volt, line_ripple=parts.line_ripple * volt)
@@ -546,7 +549,7 @@ def scatter(deviation: Array, loudness: Array, repeats: int, *, gain: bool = Tru
         squares = float((common**2).sum())
         ripple_tail = float(chi_square_tail(squares / max(variance, 1e-300), repeats * channels))
         size, ripple_sd = posterior_size(squares, repeats * channels, variance)
-        shared = size * np.eye(channels)
+        shared = np.hypot(size, ripple_sd) * np.eye(channels)  # E[s²] is the variance by an uncertain size
     if ripple_tail < SIGNIFICANCE:
         sizes, direction = np.linalg.eigh(common.T @ common / repeats)
         sizes, freedom = _shrunk(np.maximum(sizes, 0.0), repeats)
@@ -566,21 +569,23 @@ def scatter(deviation: Array, loudness: Array, repeats: int, *, gain: bool = Tru
 
 
 def posterior_size(squares: float, freedom: float, variance: float) -> tuple[float, float]:
-    """Return the posterior root mean square and standard deviation of the size s of an effect beside noise.
+    """Return the posterior mean and standard deviation of the size s of an effect beside noise.
 
-    Σ x² of n samples x ~ N(0, s² + variance) is `squares`; n is `freedom`. The prior is uniform in s, up to
-    MAX_SIZES times the root mean square of the samples.
+    Σ x² of n samples x ~ N(0, s² + v) is `squares`; n is `freedom`, v `variance`. The prior is p(s) ~ 1/(s² + v), so
+    that the mean is unbiased for every n where an effect exceeds the noise of its samples: for v → 0
 
-        −2 ln p(s) = n ln(s² + v) + Σ x²/(s² + v)
+        E[s | x] = √(Σ x²/2) Γ(n/2)/Γ((n + 1)/2),   E[√(Σ x²)] = √2 s Γ((n + 1)/2)/Γ(n/2).
     """
-    least = max(variance, 1e-300)
-    sizes = np.linspace(0.0, MAX_SIZES * np.sqrt(max(squares / freedom, least)), 400)
-    total = sizes**2 + least
-    costs = freedom * np.log(total) + squares / total
+    rms = np.sqrt(max(squares / freedom, variance, 1e-300))
+    noise = max(variance, (rms * MIN_NOISE_SHARE) ** 2)
+    sizes = np.geomspace(MIN_NOISE_SHARE * np.sqrt(noise), MAX_SIZES * rms, SIZES)
+    total = sizes**2 + noise
+    # −2 ln p(s) = (n + 2) ln(s² + v) + Σ x²/(s² + v), and ds = s d ln s
+    costs = (freedom + 2) * np.log(total) + squares / total - 2 * np.log(sizes)
     odds = np.exp(-(costs - costs.min()) / 2)
     odds /= odds.sum()
-    mean, square = float(odds @ sizes), float(odds @ sizes**2)
-    return float(np.sqrt(square)), float(np.sqrt(max(square - mean**2, 0.0)))
+    mean = float(odds @ sizes)
+    return mean, float(np.sqrt(odds @ (sizes - mean) ** 2))
 
 
 def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:

@@ -39,9 +39,12 @@ from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 
-# Tried values of e, with a prior that is uniform in √e, between that of a size and that of a scale.
-READING_ERRORS = np.geomspace(2e-5, 0.2, 40)
+# Tried values of e. None is as probable as all others together, whose prior is uniform in ln e, that of a scale.
+READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))
+PRIOR_ODDS = np.where(READING_ERRORS > 0, 0.5 / np.count_nonzero(READING_ERRORS), 0.5)
 LINEAR_LIMIT = 0.15  # of log r: the second order of a larger error moves cells by more than one per cent
+# Tried sizes of a load's skirt, of log r. Always the largest would hide errors where no load has a skirt.
+SKIRTS = ASSUMED.skirt * np.array([0.0, 0.03, 0.1, 0.3, 1.0])
 LOADED_CHANGE = NOISE_REACH * LINEAR_LIMIT  # of log r: only loads move cells by more, errors within the limit do not
 
 
@@ -57,11 +60,14 @@ class SharedErrors:
         Field of `Systematic` → (size, standard deviation) of each error that was determined.
     undetermined : str
         The reason why the other estimated errors keep their prior, in words; '' where all are determined.
+    no_reading_error : float
+        Posterior probability that no reading has an error of its own; 1 where that is not asked.
     """
 
     possible: Possible
     sizes: dict[str, tuple[float, float]]
     undetermined: str = ""
+    no_reading_error: float = 1.0
 
 
 def shared_errors(scene: Scene, resting: Readings, loaded: Readings | None, noise: FrameNoise | None) -> SharedErrors:
@@ -89,27 +95,24 @@ def shared_errors(scene: Scene, resting: Readings, loaded: Readings | None, nois
     learns, sizes = READING_ERROR.setting in asked, dict[str, tuple[float, float]]()
     unloaded = _unloaded_costs(scene, resting) if learns else np.zeros(len(READING_ERRORS))
     moves = None if fit is None or loaded is None or not explained else shared_changes(scene, fit, loaded, prior, noise)
-    if moves is None:
-        if learns:
-            sizes[READING_ERROR.setting] = _moments(unloaded)
-            size = _root_mean_square(unloaded)
-            possible = Possible(replace(prior, reading_error=size), in_sigma=_median(unloaded))
-        reason = "no frame is loaded" if loaded is None else "no cells explain the unloaded frames or the loaded ones"
-        return SharedErrors(possible, sizes, reason if set(asked) - {READING_ERROR.setting} else "")
-    size = READING_ERROR.size(prior)
+    size, none = READING_ERROR.size(prior), 1.0
     if learns:
-        # The prior of smooth loads keeps a load's skirt from being taken for an error of the readings.
-        smoothed = replace(moves, noise=moves.noise + _smooth_loads(resting.value.shape))
-        costs = _error_costs(smoothed) + unloaded
-        size, sizes[READING_ERROR.setting] = _root_mean_square(costs), _moments(costs)
-        possible = Possible(replace(prior, reading_error=size), in_sigma=_median(costs))
+        # Skirts of loads are no errors of the readings.
+        moved = 0.0 if moves is None else _error_costs(moves, _smooth_loads(resting.value.shape))
+        odds = _odds(unloaded + moved)
+        none, size = float(odds[0]), _root_mean_square(odds)
+        sizes[READING_ERROR.setting] = _moments(odds)
+        possible = Possible(replace(prior, reading_error=size), in_sigma=_median(odds))
+    if moves is None:
+        reason = "no frame is loaded" if loaded is None else "no cells explain the unloaded frames or the loaded ones"
+        return SharedErrors(possible, sizes, reason if set(asked) - {READING_ERROR.setting} else "", none)
     changes = moves.changes(size)
     still = away_from_changed(_still(changes)[1], resting.value.shape)
     if size * moves.reach > LINEAR_LIMIT or still.mean() < MIN_STILL_SHARE:
         reason = (
             "errors of the readings are too large" if still.mean() >= MIN_STILL_SHARE else "a load covers the panel"
         )
-        return SharedErrors(possible, sizes, reason if set(asked) - {READING_ERROR.setting} else "")
+        return SharedErrors(possible, sizes, reason if set(asked) - {READING_ERROR.setting} else "", none)
     # Neighbours of moved cells are left out, because a load has a skirt.
     mean, covariance = changes.posterior(still)
     second = covariance + np.outer(mean, mean)
@@ -124,7 +127,8 @@ def shared_errors(scene: Scene, resting: Readings, loaded: Readings | None, nois
         sizes[error.setting] = error.size(prior) * float(left), error.size(prior) * float(spread)
         first = last
     settings = tuple(error.setting for error in moves.errors) + (READING_ERROR.setting,) * bool(size)
-    return SharedErrors(Possible(possible.sizes, settings, root, possible.in_sigma), sizes)
+    possible = Possible(possible.sizes, settings, root, possible.in_sigma)
+    return SharedErrors(possible, sizes, no_reading_error=none)
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,45 +228,53 @@ def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen
 
 
 def _smooth_loads(shape: tuple[int, ...]) -> Array:
-    """Return the covariance (cells, cells) of changes in a load's skirt: s² exp(−distance²/(2 ℓ²))."""
+    """Return the covariance (cells, cells) of changes in the skirt of a load of unit size: exp(−distance²/(2 ℓ²))."""
     row, column = (index.ravel() for index in np.indices(shape))
     square = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
-    return np.asarray(ASSUMED.skirt**2 * np.exp(-square / (2 * ASSUMED.skirt_cells**2)))
+    return np.asarray(np.exp(-square / (2 * ASSUMED.skirt_cells**2)))
 
 
-def _error_costs(moves: SharedChanges) -> Array:
-    """Return −2 ln evidence of READING_ERRORS, (errors,).
+def _error_costs(moves: SharedChanges, loads: Array) -> Array:
+    """Return −2 ln evidence of READING_ERRORS, (errors,), averaged over SKIRTS, which are equally probable.
 
     Every second error is computed, and the others are interpolated; each search begins with the still cells of the
     error before, because these change little. Beyond LINEAR_LIMIT the last value holds.
+
+    Parameters
+    ----------
+    moves : SharedChanges
+    loads : array, shape (cells, cells)
+        Covariance of the changes in the skirt of a load of unit size.
     """
-    sizes = [size for size in READING_ERRORS[::2] if size * moves.reach <= LINEAR_LIMIT] or [float(READING_ERRORS[0])]
-    costs, start = list[float](), None
-    for size in sizes:
-        cost, start = _still(moves.changes(size), start)
-        costs.append(cost)
-    return np.asarray(np.interp(np.log(READING_ERRORS), np.log(sizes), costs))
+    tried = [n for n in range(0, len(READING_ERRORS), 2) if READING_ERRORS[n] * moves.reach <= LINEAR_LIMIT]
+    costs = np.zeros((len(SKIRTS), len(tried)))
+    for skirt, of_skirt in zip(SKIRTS, costs, strict=True):
+        smoothed, start = replace(moves, noise=moves.noise + skirt**2 * loads), None
+        for column, size in enumerate(READING_ERRORS[tried]):
+            of_skirt[column], start = _still(smoothed.changes(size), start)
+    # −2 ln Σ_skirt p(d | e, skirt)
+    marginal = -2 * np.logaddexp.reduce(-costs / 2, axis=0)
+    return np.asarray(np.interp(np.arange(len(READING_ERRORS)), tried, marginal))
 
 
 def _odds(costs: Array) -> Array:
     """Return the posterior probabilities of READING_ERRORS from their −2 ln likelihoods."""
-    odds = np.exp(-(costs - costs.min()) / 2) * np.sqrt(READING_ERRORS)
+    odds = np.exp(-(costs - costs.min()) / 2) * PRIOR_ODDS
     return np.asarray(odds / odds.sum())
 
 
-def _root_mean_square(costs: Array) -> float:
-    """Return √E[e²] from −2 ln likelihoods of READING_ERRORS; it exceeds the most probable e where e is uncertain."""
-    return float(np.sqrt(_odds(costs) @ np.square(READING_ERRORS)))
+def _root_mean_square(odds: Array) -> float:
+    """Return √E[e²] by the probabilities of READING_ERRORS; it exceeds the most probable e where e is uncertain."""
+    return float(np.sqrt(odds @ np.square(READING_ERRORS)))
 
 
-def _median(costs: Array) -> float:
-    """Return the posterior median of e from −2 ln likelihoods of READING_ERRORS."""
-    return float(np.interp(0.5, np.cumsum(_odds(costs)), READING_ERRORS))
+def _median(odds: Array) -> float:
+    """Return the median of e by the probabilities of READING_ERRORS; 0 where none is more probable than any."""
+    return float(np.interp(0.5, np.cumsum(odds), READING_ERRORS))
 
 
-def _moments(costs: Array) -> tuple[float, float]:
-    """Return the posterior mean and standard deviation of e from −2 ln likelihoods of READING_ERRORS."""
-    odds = _odds(costs)
+def _moments(odds: Array) -> tuple[float, float]:
+    """Return the mean and standard deviation of e by the probabilities of READING_ERRORS."""
     mean = float(odds @ READING_ERRORS)
     return mean, float(np.sqrt(max(float(odds @ np.square(READING_ERRORS)) - mean**2, 0.0)))
 
