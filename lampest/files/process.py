@@ -27,8 +27,8 @@ ALLOWED = "LAMPEST_MEMORY"  # environment variable with the user's memory limit,
 WANTED = (signal.SIGINT, signal.SIGTERM)
 ENDING = (*WANTED, signal.SIGHUP, signal.SIGQUIT)
 # Libraries that cannot map a segment or reserve a buffer raise KeyError or ImportError, wait for ever, or end the
-# process. Below 440 MiB some command did (tests/attack/test_memory.py).
-ADDRESS_SPACE = 480 * 2**20  # bytes of addresses that a command needs, mostly of its libraries
+# process. Below 600 MiB some command did (tests/attack/test_memory.py).
+ADDRESS_SPACE = 660 * 2**20  # bytes of addresses that a command needs, mostly of its libraries
 HUNG_SECONDS = 120.0  # s, and ten times a frame's limit: no library call took longer (tests/units/test_time_limit.py)
 EXPENDABLE = ContextVar("expendable", default=False)  # whether a parent process replaces this one if it is killed
 FOREIGN = (ArithmeticError, LookupError, ValueError, TypeError, AttributeError, AssertionError, MemoryError)
@@ -70,11 +70,29 @@ ONE_BLAS_THREAD = OneBlasThread()
 
 
 def check_address_space() -> None:
-    """Raise InputError if the limit of addresses (ulimit -v) is too small for the libraries of a command."""
+    """Raise InputError if the limit of addresses (ulimit -v) is too small for the libraries of a command.
+
+    Under a limit that suffices, the libraries reserve their buffers at once, before data take the addresses.
+    """
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit != resource.RLIM_INFINITY and limit < ADDRESS_SPACE:
+    if limit == resource.RLIM_INFINITY:
+        return
+    if limit < ADDRESS_SPACE:
         both = f"{in_bytes(ADDRESS_SPACE)} of addresses are needed, and the limit is {in_bytes(limit)} (ulimit -v)"
         raise InputError(f"not enough memory: {both}")
+    _reserve_buffers()
+
+
+def _reserve_buffers() -> None:
+    """Let each copy of OpenBLAS reserve its buffer, which it keeps: refused one, it asks again for ever."""
+    import casadi
+    import numpy as np
+    from scipy.linalg import lu_factor
+
+    regular = np.eye(2)
+    np.linalg.inv(regular)
+    lu_factor(regular)
+    casadi.solve(regular, regular, "lapacklu")
 
 
 def check_memory(needed: float, label: str) -> None:

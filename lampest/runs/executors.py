@@ -21,7 +21,7 @@ from threading import Thread
 from typing import Annotated, Any, Literal
 
 from lampest.files.errors import InputError, extra
-from lampest.files.process import ENDING, EXPENDABLE, interrupted, libraries_to_the_log
+from lampest.files.process import ENDING, EXPENDABLE, check_address_space, interrupted, libraries_to_the_log
 from lampest.files.typed import ByKind, Configuration, check_not_negative, check_ranges
 
 Function = Callable[[Any], Any]
@@ -148,6 +148,7 @@ def _serve(pipe: Connection, begun: Callable[..., None] | None, arguments: tuple
     if begun is not None:
         begun(*arguments)
     EXPENDABLE.set(True)
+    check_address_space()
     with suppress(EOFError):
         while True:
             pipe.send_bytes(_answer(pipe.recv_bytes()))

@@ -15,6 +15,9 @@ from fuzz.mutants import good_recordings
 from lampest.files import process
 
 pytestmark = pytest.mark.slow
+ULIMITS = 450_000, 500_000, 512_000, 600_000  # KiB of addresses
+TOO_FEW_ADDRESSES = "not enough memory", "of addresses are needed", "ulimit -v"
+JOBS = "run", "run.yaml", "--jobs", "2", "--out", "out"
 MEGABYTES, SECONDS = 900, 60  # of a command; with its libraries it has 150, and machines have other things to do
 WIDE = "panel: {rows: 1, columns: 60001}\nreadout: {kind: two_point, noise_lsb: 0.7}\n"
 TABLE = ("--rows", "3", "--columns", "4", "--out", "out.h5")
@@ -102,12 +105,50 @@ def _bounded(ended: Ended, *words: str) -> str:
 def test_a_tight_limit_of_addresses_is_one_sentence_and_never_a_wait(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Libraries that cannot map a segment raise KeyError, wait, or end the process; so that they are not loaded."""
     made = small_folder(folder / "work")
-    commands = (("info", "small.h5"), ("run", "run.yaml", "--jobs", "2", "--out", "out"), ("plot", "results.h5"))
+    commands = (("info", "small.h5"), JOBS, ("plot", "results.h5"))
     for number in range(count):
-        arguments, limit = commands[number % 3], int(rng.integers(100, 700)) * 2**20
-        script = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({limit}, {limit}))\n"
-        words = [sys.executable, "-c", f"{script}from lampest.cli import main; main()", *arguments]
-        done = subprocess.run(words, cwd=made, env=environment(), capture_output=True, text=True, timeout=SECONDS)
-        ended = Ended(done.returncode, done.stdout, done.stderr, 0.0, 0)
+        limit = int(rng.integers(100, 900)) * 2**20
+        ended = _within_addresses(limit, *commands[number % 3], folder=made)
         enough = limit >= process.ADDRESS_SPACE
-        yield ended.survived() if enough else ended.refused("not enough memory", "of addresses are needed", "ulimit -v")
+        yield ended.survived() if enough else ended.refused(*TOO_FEW_ADDRESSES)
+
+
+@attack(len(ULIMITS), len(ULIMITS))
+def test_a_run_under_a_limit_of_addresses_ends(rng: Rng, folder: Path, count: int) -> Outcomes:
+    made = small_folder(folder / "work")
+    with (made / "run.yaml").open("a") as run:
+        run.write("sweep: {solver.tolerance: [1e-8, 1e-9]}\n")  # two cases, so that there are two processes
+    for kibibytes in ULIMITS:
+        yield _within_addresses(kibibytes * 1024, *JOBS, folder=made).refused(*TOO_FEW_ADDRESSES)
+
+
+def _within_addresses(limit: int, *arguments: str, folder: Path) -> Ended:
+    """Run the command under a limit of addresses in bytes."""
+    script = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({limit}, {limit}))\n"
+    words = [sys.executable, "-c", f"{script}from lampest.cli import main; main()", *arguments]
+    done = subprocess.run(words, cwd=folder, env=environment(), capture_output=True, text=True, timeout=SECONDS)
+    return Ended(done.returncode, done.stdout, done.stderr, 0.0, 0)
+
+
+FILLED = """
+import re, resource
+from pathlib import Path
+from lampest import Misfit, Panel, Recording, reconstruct, two_point_resistance
+from lampest.files.process import check_address_space
+import numpy as np
+
+resource.setrlimit(resource.RLIMIT_AS, (2**33, 2**33))
+check_address_space()
+cells = np.random.default_rng(1).uniform(900, 2000, (2, 6, 7))
+recording = Recording.from_array(two_point_resistance(cells), baseline=1)
+reconstruct(Recording.from_array(recording.resistance[:, :1, :2], baseline=1), [Misfit()], formulation="reduced")
+taken = 1024 * int(re.search(r"VmSize:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
+resource.setrlimit(resource.RLIMIT_AS, (taken + 50 * 2**20,) * 2)
+print(reconstruct(recording, [Misfit()], formulation="nodal").status[0])
+"""
+
+
+def test_ipopt_needs_no_further_buffer_where_data_took_the_addresses() -> None:
+    """OpenBLAS asks for ever for the 128 MiB that it is refused."""
+    done = subprocess.run([sys.executable, "-c", FILLED], env=environment(), capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "optimum verified\n", "")

@@ -9,8 +9,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from lampest import Array, two_point_resistance
 from lampest.formulation.circuit import Circuit
 from lampest.panel.kirchhoff import current_balance, injected, laplacian
+from lampest.panel.network import inverse_of
 from lampest.panel.panel import as_panels_have
-from lampest.panel.readouts.floating import FloatingNetwork, grounding
+from lampest.panel.readouts.floating import FloatingNetwork, convex_start, grounding
 
 QUICK = settings(derandomize=True, deadline=None, max_examples=25, database=None)
 panels = st.builds(
@@ -79,3 +80,34 @@ def test_any_line_may_be_grounded(cells: Array) -> None:
 def test_numbers_beyond_any_panel_are_nothing_or_infinite() -> None:
     values = np.array([0.0, 1e-300, -1e-300, 5.0, 1e300, -1e300, np.inf])
     np.testing.assert_array_equal(as_panels_have(values), [0, 0, 0, 5, np.inf, -np.inf, np.inf])
+
+
+@pytest.mark.parametrize("shape", [(1, 30), (30, 1), (3, 20), (20, 3), (5, 6, 2)])
+def test_a_network_costs_the_inverse_of_its_shorter_side(
+    shape: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The inverse is that of L + diag(t), and no matrix over all lines is inverted for it."""
+    conductance = 10.0 ** np.random.default_rng(4).uniform(-5, -2, shape)
+    ties = 10.0 ** np.random.default_rng(5).uniform(-5, -2, (*shape[:-2], shape[-2] + shape[-1]))
+    whole = np.linalg.inv(laplacian(conductance) + np.eye(ties.shape[-1]) * ties[..., None, :])
+    invert, sizes = np.linalg.inv, []
+    monkeypatch.setattr(np.linalg, "inv", lambda matrix: sizes.append(matrix.shape[-1]) or invert(matrix))
+    assert_allclose(inverse_of(conductance, ties), whole, rtol=1e-10)
+    assert sizes == [min(shape[-2:])]
+
+
+@pytest.mark.parametrize("shape", [(2, 150), (20, 20), (32, 32)])
+def test_the_convex_start_of_large_panels_converges_as_newtons_method(
+    shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Steps as exact as the gradient is small, and a line search that does not stall in the rounding of the values."""
+    rng = np.random.default_rng(1)
+    cells = 2000 * 10 ** rng.uniform(-0.3, 0.3, shape)
+    near = cells * 10 ** rng.uniform(-0.1, 0.1, shape)
+    near[: shape[0] // 2 + 1, : shape[1] // 2] *= 3
+    measured = two_point_resistance(cells) * (1 + 1e-3 * rng.standard_normal(shape))
+    solve, solved = FloatingNetwork.solve, []
+    monkeypatch.setattr(FloatingNetwork, "solve", lambda *network: solved.append(0) or solve(*network))
+    start = convex_start(measured, np.full(shape, 1e7), near)
+    assert_allclose(two_point_resistance(start), measured, rtol=1e-9)
+    assert len(solved) <= 12

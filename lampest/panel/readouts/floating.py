@@ -22,6 +22,8 @@ from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, steihau
 MIN_DIAGONAL_SHARE = 0.05
 MAX_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32 without noise
 STEP_LENGTHS = tuple(0.5**power for power in range(20))  # shares of a step; smaller ones change the cost by rounding
+MAX_RESIDUAL = 0.05  # of a step's equation; near the minimum the relative misfit, for quadratic convergence
+MIN_DECREASE_SHARE = 1e-12  # of ⟨R_m, g⟩: a smaller decrease is rounding
 MAX_RELATIVE_MISFIT = 1e-9  # relative misfit of any reading at convergence; Newton's steps double the correct digits
 
 
@@ -183,21 +185,29 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
         network = FloatingNetwork.solve(conductance, tie)
         return float(np.sum(measured * conductance) + np.linalg.slogdet(network.potentials())[1]), network
 
+    def freely(network: FloatingNetwork) -> tuple[Array, NDArray[np.bool_], float]:
+        """Return ∇ = R_m − R, the cells that are free to follow it, and its largest entry relative to R_m."""
+        gradient = measured - network.reading()
+        free = (network.conductance > least * (1 + 1e-12)) | (gradient < 0)
+        return gradient, free, float(np.max(np.abs(gradient[free] / measured[free]), initial=0))
+
     first = measured / uniform_factor(*measured.shape) if near is None else near
     conductance = np.maximum(1 / first, least)
     value, network = at(conductance)
     for _ in range(MAX_ITERATIONS):
-        # ∇(⟨R_m, g⟩ − log det C) = R_m − R
-        gradient = measured - network.reading()
-        free = (conductance > least * (1 + 1e-12)) | (gradient < 0)
-        if np.max(np.abs(gradient[free] / measured[free]), initial=0) < MAX_RELATIVE_MISFIT:
+        gradient, free, misfit = freely(network)
+        if misfit < MAX_RELATIVE_MISFIT:
             break
-        step = _step(network, gradient, free)
-        # Backtracking line search, in which no conductance falls by more than a factor of ten.
+        step = _step(network, gradient, free, min(MAX_RESIDUAL, misfit))
+        rounding = MIN_DECREASE_SHARE * float(np.sum(measured * conductance))
+        # Backtracking line search, in which no conductance falls by more than a factor of ten: Armijo's condition;
+        # where the change is within rounding, the gradient must halve.
         for length in STEP_LENGTHS:
             trial = np.maximum(conductance + length * step, np.maximum(least, conductance / 10))
             trial_value, trial_network = at(trial)
             if trial_value <= value + SUFFICIENT_DECREASE * float(np.sum(gradient * (trial - conductance))):
+                break
+            if trial_value <= value + rounding and freely(trial_network)[2] <= misfit / 2:
                 break
         else:
             break
@@ -205,8 +215,11 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
     return np.asarray(1 / conductance)
 
 
-def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_]) -> Array:
-    """Return the Newton step −(D∘D)⁻¹ ∇ over the free cells, (rows, columns) siemens; (D∘D)·p = −(∂R/∂g)·p."""
+def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_], accuracy: float) -> Array:
+    """Return the Newton step −(D∘D)⁻¹ ∇ over the free cells, (rows, columns) siemens; (D∘D)·p = −(∂R/∂g)·p.
+
+    `accuracy` is that of the step of a large panel, relative to the gradient.
+    """
     step = np.zeros(gradient.shape)
     if gradient.size <= DENSE_CELLS:
         chosen, transfer = np.flatnonzero(free), network.transfer
@@ -226,7 +239,7 @@ def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_]) ->
         lambda search: over_panel(lambda full: network.forward(full * network.cell_resistance), search),
         lambda residual: over_panel(stencil.solve, residual),
         gradient[free],
-        0.05,
+        accuracy,
     ).step
     return step
 
