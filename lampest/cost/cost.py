@@ -161,8 +161,12 @@ class Symbols:
 
     def compiled(self, name: str, output: casadi.SX, **more: casadi.SX) -> Compiled:
         """Return a function of the inputs that an output depends on, and of the inputs `more`, by their names."""
-        inputs = {name: symbol for name, symbol in self.inputs().items() if casadi.depends_on(output, symbol)} | more
-        return Compiled(casadi.Function(name, [*inputs.values()], [output], [*inputs], ["value"]))
+        inputs = self.inputs()
+        # One pass for all inputs: which of their entries the output depends on
+        depends = casadi.which_depends(output, casadi.vertcat(*inputs.values(), *more.values()))
+        parts = np.split(np.array(depends), np.cumsum([symbol.numel() for symbol in inputs.values()]))
+        used = {name: inputs[name] for name, part in zip(inputs, parts, strict=False) if part.any()} | more
+        return Compiled(casadi.Function(name, [*used.values()], [output], [*used], ["value"]))
 
 
 @dataclass(frozen=True, eq=False)

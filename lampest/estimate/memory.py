@@ -4,24 +4,21 @@ With a wrong share every change of a cell appears in the next channel, too, so t
 evidence of the pair of frames (`lampest.estimate.nuisances`) is compared over MEMORIES, all equally probable before.
 """
 
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from lampest.estimate.cells_fit import fitted
-from lampest.estimate.nuisances import FittedPair
-from lampest.files.errors import BROKEN
+from lampest.estimate.changed_cells import PARAMETER_COST
+from lampest.estimate.model_check import Explanation, Question
 from lampest.panel.panel import Array
 from lampest.panel.scene import ESTIMATED
 from lampest.posterior.reference import MAX_CELLS
-from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 KEY = "converter_memory"
 MEMORIES = np.linspace(0.0, 0.3, 16)
 FINER = 9  # points between the neighbours of the most probable one
-LIKELY = 0.05  # of a converter whose channel settles too briefly
+TRIED = (0.01, 0.02, 0.04, 0.08, 0.16)  # shares against none: one of them is near enough to the best one to show it
 MAX_DEVIATION = 0.05  # of the share: with more, the recording does not determine it
 
 
@@ -51,38 +48,43 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
 
 
 def memory_gain(recording: Recording) -> float:
-    """Return the decrease of −2 ln evidence by a memory of the size that converters have, LIKELY, against none."""
+    """Return the decrease of −2 ln evidence by the best of the memories TRIED against none.
+
+    It is relative to the misfit of still cells, which errors that the scene does not name increase. The edge of a load
+    looks like a memory: the result is 0 unless cells that touch no moved ones show the memory, too.
+    """
     small = recording.scene.panel.crossings <= MAX_CELLS
     if recording.scene.readout is None or not small or len(set(recording.role.tolist())) < 2:
         return 0.0
-    without, likely = _costs(recording, np.array([0.0, LIKELY]))
-    return float(without - likely) if np.isfinite(likely) else 0.0
+    without, *explanations = _explanations(recording, np.array([0.0, *TRIED]))
+    best = min(explanations, key=_cost)
+    if without is None or without.pair is None or best is None or best.pair is None:
+        return 0.0
+    shown = without.pair.gain_apart(best.pair) > PARAMETER_COST * best.pair.excess
+    return (_cost(without) - _cost(best)) / best.pair.excess if shown else 0.0
 
 
 def _costs(recording: Recording, shares: Array) -> Array:
-    """Return −2 ln density of the strongest frame given the unloaded ones for each share; infinite without a fit."""
-    unloaded, measured = recording.role == UNLOADED, np.flatnonzero(recording.role == MEASURED)
-    plain = Readings.of(replace(recording.scene, converter_memory=None), recording.recorded, recording.sigma)
-    frame = strongest_frame(plain.plain_values, plain[unloaded].mean().value, measured)
-    costs = np.full(len(shares), np.inf)
+    """Return −2 ln density of loaded frames given the unloaded ones for each share; infinite without a fit."""
+    return np.array([_cost(explanation) for explanation in _explanations(recording, shares)])
+
+
+def _explanations(recording: Recording, shares: Array) -> list[Explanation | None]:
+    """Return the explanations of the check's frames with each share; None without a fit."""
+    plain = replace(recording, scene=replace(recording.scene, converter_memory=None))
+    question = Question.of(plain, np.zeros(recording.recorded.shape, dtype=bool))
     with np.errstate(all="ignore"):
-        for number, share in enumerate(shares.tolist()):
-            with suppress(*BROKEN):
-                costs[number] = _cost(recording, share, frame)
-    return costs
+        rivals = [question.specified.with_memory(share) for share in shares.tolist()]
+        return [Explanation.of(rival, question, patient=True) for rival in rivals]
 
 
-def _cost(recording: Recording, share: float, frame: int) -> float:
-    """Return −2 ln density of the loaded frame given the unloaded ones, with the converter's memory."""
-    scene = replace(recording.scene, converter_memory=share)
-    readings = Readings.of(scene, recording.recorded, recording.sigma)
-    resting, loaded = readings[recording.role == UNLOADED].mean(), readings[frame]
-    base, frame_fit = fitted(scene, resting, patient=True), fitted(scene, loaded, patient=True)
-    if base is None or frame_fit is None:
+def _cost(explanation: Explanation | None) -> float:
+    """Return −2 ln density of the loaded frames given the unloaded ones; infinite without an explanation."""
+    if explanation is None or explanation.pair is None:
         return np.inf
     # p(recorded) = p(freed) |∂freed/∂recorded|, (1 − m)⁻¹ for each reading
-    jacobian = 2 * np.log1p(-share) * float(np.sum(loaded.seen > 0))
-    return float(FittedPair.of(base, frame_fit).density + base.chi_square + frame_fit.chi_square + jacobian)
+    read = float(np.sum(explanation.fits[-1].readings.seen > 0))
+    return explanation.score + 2 * float(np.log1p(-(explanation.rival.scene.known_memory or 0.0))) * read
 
 
 def with_estimated_memory(recording: Recording) -> tuple[Recording, tuple[float, float] | str | None]:

@@ -9,7 +9,7 @@ W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]]. CasADi differentiates 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -621,16 +621,23 @@ def equation_derivatives(readout: ReadCircuit, rows: int, columns: int, names: t
     """Return the function of p, q and t, flat (rows · columns) each, with the named derivatives of h, flat."""
     import casadi
 
-    flat = {name: casadi.SX.sym(name, rows * columns) for name in SLOPES}
+    # Expressions of whole arrays: their number does not grow with the panel.
+    flat = {name: casadi.MX.sym(name, rows * columns) for name in SLOPES}
     reading = readout.reading(*(casadi.reshape(entry, columns, rows).T for entry in flat.values()))
-    derivatives = []
-    for name in names:
-        # Every reading depends on its own entries only, so the gradient of the sum is the elementwise derivative.
-        derivative = casadi.vec(casadi.densify(reading).T)
-        for entry in name:
-            derivative = casadi.gradient(casadi.sum1(derivative), flat[entry])
-        derivatives.append(casadi.densify(derivative))
-    return Compiled(casadi.Function("derivatives", list(flat.values()), [casadi.vertcat(*derivatives)]))
+    every = casadi.DM.ones(rows * columns)
+
+    @cache
+    def derivative(name: str) -> casadi.MX:
+        """Return the derivative by the entries that `name` lists, flat.
+
+        Every reading depends on its own entries only: along a change of all entries by one it is elementwise.
+        """
+        if not name:
+            return casadi.vec(casadi.densify(reading).T)
+        return casadi.jtimes(derivative(name[:-1]), flat[name[-1]], every)
+
+    stacked = casadi.cse(casadi.vertcat(*(casadi.densify(derivative(name)) for name in names)))
+    return Compiled(casadi.Function("derivatives", list(flat.values()), [stacked]))
 
 
 @guarded
@@ -639,6 +646,6 @@ def reads_own(readout: ReadCircuit, rows: int, columns: int) -> tuple[bool, bool
     """Return whether the reading depends on the rows' impedances Z_jj, and whether on the columns' Z_kk."""
     import casadi
 
-    row, column, mutual = (casadi.SX.sym(name, rows, columns) for name in SLOPES)
+    row, column, mutual = (casadi.MX.sym(name, rows, columns) for name in SLOPES)
     reading = readout.reading(row, column, mutual)
     return bool(casadi.depends_on(reading, row)), bool(casadi.depends_on(reading, column))

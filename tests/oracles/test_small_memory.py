@@ -1,0 +1,60 @@
+"""A converter's small memory is named where evidence shows it, and the edge of a load is not taken for one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lampest import Array, GroundedReadout, LoadedColumnsReadout, Panel, Recording, Scene
+from lampest.estimate.memory import estimated_memory, memory_gain
+from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
+from lampest.panel.readouts.readout import Readout, with_memory
+
+FRAMES = 6  # unloaded ones, and as many loaded ones
+CONVERTER = {"adc_bits": 12, "readings": 1, "noise_lsb": 1}
+COLUMNS = LoadedColumnsReadout(load_ohm=10_000, drive_ohm=70, **CONVERTER)
+
+
+def recording_of(readout: Readout, cells: Array, kept: float, generator: np.random.Generator) -> Recording:
+    """A recording of cells (frames, rows, columns) ohm by a converter that keeps a share of the channel before."""
+    volt = with_memory(readout, kept, readout.exact_reading(cells))
+    codes = np.round(volt / readout.lsb_volt + generator.standard_normal(volt.shape))
+    role = np.repeat([0, 1], FRAMES).astype(np.uint8)
+    return Recording(Scene(Panel(8, 8), readout), codes * readout.lsb_volt, np.arange(2.0 * FRAMES), role)
+
+
+def pressed_mat(kept: float) -> Recording:
+    generator = np.random.default_rng(7)
+    cells = np.repeat(2000 * np.exp(0.1 * generator.standard_normal((1, 8, 8))), 2 * FRAMES, axis=0)
+    cells[FRAMES:, (1, 4, 6), (2, 6, 7)] *= 0.4
+    return recording_of(COLUMNS, cells, kept, generator)
+
+
+@pytest.mark.parametrize("kept", [0.02, 0.04, 0.08])
+def test_evidence_shows_a_small_memory(kept: float) -> None:
+    recording = pressed_mat(kept)
+    assert memory_gain(recording) > MIN_EVIDENCE_GAIN
+    estimate = estimated_memory(recording)
+    assert not isinstance(estimate, str) and abs(estimate[0] - kept) < 0.005
+
+
+def test_evidence_shows_no_memory_where_there_is_none() -> None:
+    assert memory_gain(pressed_mat(0.0)) <= 0
+
+
+def test_noise_that_the_scene_understates_is_no_memory() -> None:
+    recording = pressed_mat(0.0)
+    quiet = replace(recording.scene, readout=replace(COLUMNS, readings=20))
+    assert memory_gain(replace(recording, scene=quiet)) <= 0
+
+
+def test_the_edge_of_a_load_is_no_memory() -> None:
+    """Edge cells that follow the load in the order of the scan have changed by a share of what the load has."""
+    generator = np.random.default_rng(100)
+    cells = 2000 * np.exp(generator.choice([0.05, 0.3]) * generator.standard_normal((8, 8)))
+    cells, (row, column) = np.repeat(cells[None], 2 * FRAMES, axis=0), np.indices((8, 8))
+    for _ in range(generator.integers(1, 4)):
+        distance = np.hypot(row - generator.uniform(0, 8), column - generator.uniform(0, 8))
+        cells[FRAMES:] *= np.exp(-generator.uniform(0.3, 2) * np.exp(-((distance / generator.uniform(1, 3)) ** 4)))
+    readout = GroundedReadout(load_ohm=1000, drive_ohm=50, **CONVERTER)
+    assert memory_gain(recording_of(readout, cells, 0.0, generator)) < MIN_EVIDENCE_GAIN
