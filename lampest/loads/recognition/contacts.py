@@ -12,8 +12,8 @@ from lampest.files.levels import NOISE_REACH
 from lampest.loads.recognition.suction import MIN_FALL
 from lampest.panel.panel import Array, Panel
 
-# Of the strongest ln r0/r of a contact: cells with less are its surroundings. Between two feet under a soft cover it is a
-# fifth, under the arch of one foot a half.
+# Of the strongest ln r0/r of a contact: cells with less are its surroundings. Between two feet under a soft cover it is
+# a fifth, under the arch of one foot a half.
 FAINT_SHARE = 0.3
 GHOST_SHARE = 0.05  # of the strongest ln r0/r of all cells: errors of the circuit beside a heavy load
 

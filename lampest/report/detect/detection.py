@@ -151,7 +151,8 @@ class Known:
             for begin, end in watch.brief
         )
         slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
-        notes = (*self.notes, *faults, *brief, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (slow, watch.doubt)))
+        doubts = filter(None, (slow, watch.doubt))
+        notes = (*self.notes, *faults, *brief, BY, *(() if response else (NO_RESPONSE,)), *doubts)
         about: dict[str, Any] = {"notes": notes, "course": course, "change": watch.change, "panel": self.scene.panel}
         about |= {"threshold": self.threshold, "start_time": self.start_time, "end_s": time}
         detected = Detected.of(self.name, attachments, rate, **about)
