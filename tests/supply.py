@@ -17,7 +17,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 LOCKS = {
-    "requirements.lock": [],
+    "requirements.lock": ["--extra", "plots"],
     "requirements-dev.lock": ["--extra", "dev", "--extra", "docs", "--extra", "cluster"],
 }
 BUILD = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["build-system"]["requires"]

@@ -20,7 +20,7 @@ from lampest.recording.recording import UNLOADED, Recording
 # Ratio of the disorder in the best other order to that in the scene's. Of 500 clean recordings the smallest is 0.7; of
 # panels whose rows were cut at the wrong length nine in ten are below 0.54 (tests/oracles/test_health.py).
 MAX_RATIO = 0.5
-MIN_LINES = 4  # of a side, with fewer of which any order is as smooth
+MIN_LINES = 4  # of each side: with fewer, another order is smoother by chance
 MIN_CHANGED = 6  # readings whose change exceeds the noise by far
 
 
@@ -91,7 +91,7 @@ def order_findings(recording: Recording, volts: Array) -> Iterator[Finding]:
     """
     scene, unloaded = recording.scene, recording.role == UNLOADED
     rows, columns = scene.panel.shape
-    if min(rows, columns) < 2 or not unloaded.any() or unloaded.all() or not scene.whole:
+    if min(rows, columns) < MIN_LINES or not unloaded.any() or unloaded.all() or not scene.whole:
         return
     change = _changes(recording, volts, unloaded)
     if not len(change):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
     from lampest.report.detect.answer import Detected
     from lampest.report.detect.pressed import PressedCells
+    from lampest.report.detect.visits import Visit
 
 FramesNamed = Annotated[str | None, screen.option("Range of frames: 40:50 is 40 to 49.", metavar="RANGE")]
 
@@ -237,18 +239,14 @@ def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder
     from lampest.report.detect.answer import FILE, event_table, headline, load_table, write_detections
     from lampest.report.detect.pressed import FILE as PRESSED
     from lampest.report.detect.pressed import pressed_table, write_pressed
-    from lampest.report.plots.season import plot_season
-    from lampest.report.plots.timeline import plot_timelines, timeline_files
 
     season = visits.visits_of(answers)
-    drawn = timeline_files(answers, folder)
-    written = [FILE, visits.FILE, *([visits.PICTURE] if season else []), *([PRESSED] if loads else [])]
-    refuse_inputs([*drawn, *(folder / name for name in written)])
-    with screen.progress("pictures") as on_picture:
-        files = [write_detections(folder / FILE, answers), *plot_timelines(answers, folder, on_picture)]
-    files.append(visits.write_visits(folder / visits.FILE, season))
-    files += [plot_season(folder / visits.PICTURE, season)] if season else []
+    written = [FILE, visits.FILE, *([PRESSED] if loads else [])]
+    refuse_inputs([folder / name for name in written])
+    files = [write_detections(folder / FILE, answers), visits.write_visits(folder / visits.FILE, season)]
     files += [write_pressed(folder / PRESSED, loads)] if loads else []
+    drawing = find_spec("matplotlib") is not None
+    files += _draw(answers, season, folder) if drawing else []
     if len(answers) > 1:
         screen.say(f"{len(answers)} recordings: {headline([visit.answer for visit in season])}")
     for answer in answers:
@@ -263,6 +261,21 @@ def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder
         screen.print_notes(tuple(f"{answer.recording}: {note}" for answer in answers for note in answer.notes))
     for path in files:
         screen.say(path)
+    if not drawing:
+        screen.print_notes(["no pictures: matplotlib is not installed; pip install 'lampest[plots]' brings it"])
+
+
+def _draw(answers: "Sequence[Detected]", season: "Sequence[Visit]", folder: Path) -> list[Path]:
+    """Draw the timelines of the answers, and the visits, and return the files."""
+    from lampest.files.whole import refuse_inputs
+    from lampest.report.detect import visits
+    from lampest.report.plots.season import plot_season
+    from lampest.report.plots.timeline import plot_timelines, timeline_files
+
+    refuse_inputs([*timeline_files(answers, folder), *([folder / visits.PICTURE] if season else [])])
+    with screen.progress("pictures") as on_picture:
+        files = [*plot_timelines(answers, folder, on_picture)]
+    return files + ([plot_season(folder / visits.PICTURE, season)] if season else [])
 
 
 def terms() -> None:

@@ -6,8 +6,9 @@ from dataclasses import fields
 from difflib import get_close_matches
 from typing import Any
 
-# Packages by module, where their names differ.
+# What brings a module, where its package has another name or is in an extra that many parts of lampest need.
 PACKAGES = {
+    "matplotlib": "lampest[plots]",
     "serial": "pyserial",
     "ruamel": "ruamel.yaml",
     "paho": "paho-mqtt",
@@ -92,7 +93,7 @@ def brief(value: Any) -> str:
 def extra(name: str = "") -> Iterator[None]:
     """Raise InputError with the command that installs a library if an import within the block fails.
 
-    `name` is the extra that contains the library; '' for libraries of every installation.
+    `name` is the extra that contains the library; '' for libraries of every installation, and for matplotlib.
     """
     try:
         yield

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lampest.files import hdf5
 from lampest.files.document import parse_document, validated
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, extra
 from lampest.files.parts import join_parts
 from lampest.files.process import check_memory
 from lampest.files.typed import Validated, typed
@@ -351,7 +351,8 @@ class Recording(Validated):
         InputError
             If there is no such frame.
         """
-        from lampest.report.plots import recording_picture  # loaded where a picture is asked for
+        with extra():
+            from lampest.report.plots import recording_picture  # loaded where a picture is asked for
 
         return recording_picture(self, frame, ax, figsize, vmin, vmax)
 

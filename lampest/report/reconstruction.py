@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from html import escape
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -124,10 +125,13 @@ class Reconstruction(Estimates):
 
     def _repr_html_(self) -> str:
         """Return the report and a picture of the strongest frame, for notebooks."""
-        with extra():
-            from lampest.report.plots.style import data_uri
-        picture = f'<img alt="change of the cells" style="max-width: 100%" src="{data_uri(self.plot("change"))}">'
-        return f'<pre style="line-height: 1.3">{escape(self.fit_report())}</pre>{picture}'
+        report = f'<pre style="line-height: 1.3">{escape(self.fit_report())}</pre>'
+        if find_spec("matplotlib") is None:
+            return report
+        from lampest.report.plots.style import data_uri
+
+        source = data_uri(self.plot("change"))
+        return f'{report}<img alt="change of the cells" style="max-width: 100%" src="{source}">'
 
     def result(self, name: str | None = None, columns: Sequence[Column] = ()) -> CaseResult:
         """Return the case for a results file; `write_results` writes several into one file."""

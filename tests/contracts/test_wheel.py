@@ -20,7 +20,7 @@ from lampest import InputError, datasets, read_run
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-EXTRAS = {"requirements.lock": [], "requirements-dev.lock": ["dev", "docs", "cluster"]}
+EXTRAS = {"requirements.lock": ["plots"], "requirements-dev.lock": ["dev", "docs", "cluster"]}
 
 
 @pytest.fixture(scope="module")

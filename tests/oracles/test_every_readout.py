@@ -420,9 +420,7 @@ def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.2
 
 
-@pytest.mark.parametrize(
-    "readout", [one for name, one in READOUTS.items() if one.unit == "volt" and name != "floating, drained"]
-)
+@pytest.mark.parametrize("readout", [one for one in (READOUTS | SEVERAL).values() if one.unit == "volt"])
 def test_a_start_of_cells_that_are_alike_reproduces_the_readings(readout: Any) -> None:
     """Within the change of log g at which its rounds end; from cells nearby it ends there, too."""
     cells = cells_of(shape=(ROWS, COLUMNS)) ** 0.5 * 50.0

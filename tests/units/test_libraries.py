@@ -10,7 +10,10 @@ from pathlib import Path
 
 import pytest
 
+import lampest
+from lampest.cli.results import _tell
 from lampest.files.errors import PACKAGES, InputError, extra
+from lampest.report.detect.answer import Detected
 
 HOUSE = Path(__file__).parents[2]
 PROJECT = tomllib.loads((HOUSE / "pyproject.toml").read_text())["project"]
@@ -45,6 +48,7 @@ def imported() -> set[str]:
 def test_every_library_that_may_be_missing_is_named_as_pip_knows_it() -> None:
     requirements = [*PROJECT["dependencies"], *itertools.chain(*PROJECT["optional-dependencies"].values())]
     known = {match[0].lower() for text in requirements if (match := re.match(r"[\w.-]+", text))} | EXTRAS.keys()
+    known |= {f"lampest[{name}]" for name in PROJECT["optional-dependencies"]}
     assert len(imported()) > 20
     assert not {module for module in imported() if PACKAGES.get(module, module) not in known}
 
@@ -57,6 +61,33 @@ def test_a_missing_library_is_named_with_what_brings_it_and_a_module_of_ours_is_
     for name in (None, "lampest.nothing"):
         with pytest.raises(ModuleNotFoundError, match=r"^no such module$"), extra("streams"):
             raise ModuleNotFoundError("no such module", name=name)
+
+
+def test_without_matplotlib_reports_have_no_picture_and_plots_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = lampest.Recording.load(HOUSE / "tests" / "golden" / "recording.h5")
+    found = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise")], error_bars=False)
+    for name in [*sys.modules]:
+        if name.startswith("lampest.report.plots"):
+            monkeypatch.delitem(sys.modules, name)
+        if name.partition(".")[0] == "matplotlib":
+            monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    for plot in (recording.plot, found.plot):
+        with pytest.raises(InputError, match=r"pip install 'lampest\[plots\]' brings it"):
+            plot()
+    monkeypatch.setattr("lampest.report.reconstruction.find_spec", lambda name: None)
+    page = found._repr_html_()
+    assert "<pre" in page and "<img" not in page
+
+
+def test_without_matplotlib_detect_writes_everything_but_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("lampest.cli.results.find_spec", lambda name: None)
+    _tell([Detected.unknown("mat", "one frame shows no change; three are needed")], [], tmp_path, everything=False)
+    assert {path.name for path in tmp_path.iterdir()} == {"detections.h5", "visits.csv"}
+    captured = capsys.readouterr()
+    assert "lampest[plots]" in captured.out + captured.err
 
 
 def loaded(code: str) -> set[str]:

@@ -22,10 +22,10 @@ from lampest.loads.recognition.breathing import (
     changes_without_water,
 )
 from lampest.loads.recognition.candidates import UNIFORM, under
+from lampest.loads.recognition.contacts import contacts_of
 from lampest.loads.recognition.fit import RARE_LOG_ODDS, Verdict
 from lampest.loads.recognition.observation import Observation
 from lampest.loads.recognition.pumping import BLOCK_S, Pumping
-from lampest.loads.recognition.suction import groups_of
 from lampest.panel.panel import Array, Panel
 
 Pair = tuple[float, float]
@@ -236,7 +236,7 @@ class Attachment:
 def attachments_of(
     frame: Observation, verdict: Verdict, since: float, patterns: Sequence[Patterns | None] = ()
 ) -> list[Attachment]:
-    """Return the loads of the most probable candidate; without a shape, one load for each group of changed cells.
+    """Return the loads of the most probable candidate; without a shape, one load for each contact.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def attachments_of(
             "patterns": effects,
         }
         if disc is None:
-            groups = _groups(frame.panel, moved, more, errors)
+            groups = _contacts(frame, more, errors)
         else:
             groups, half_pitch = [moved & under(frame.panel, disc)], frame.panel.pitch_mm / 2
             known |= {"x_mm": (disc.x_mm, half_pitch), "y_mm": (disc.y_mm, half_pitch)}
@@ -285,12 +285,11 @@ def attachments_of(
     return attachments
 
 
-def _groups(panel: Panel, moved: NDArray[np.bool_], more: Array, errors: Array) -> list[NDArray[np.bool_]]:
-    """Return the groups of neighbouring changed cells with a significant conductance; all of them if none is."""
-    # a group counts if |Σ Δg| > SIGNIFICANT · √Σ σ²
-    groups = groups_of(panel, moved)
-    sure = [group for group in groups if abs(more[group].sum()) > SIGNIFICANT * np.hypot.reduce(errors[group])]
-    return sure or [moved]
+def _contacts(frame: Observation, more: Array, errors: Array) -> list[NDArray[np.bool_]]:
+    """Return the cells of the contacts whose conductance rose significantly by `more` siemens with the `errors`."""
+    sd = np.hypot(frame.free_sd, frame.baseline.model_errors.resting_sd(frame.seconds))
+    groups = contacts_of(frame.panel, frame.free_map, sd)
+    return [group for group in groups if more[group].sum() > SIGNIFICANT * np.hypot.reduce(errors[group])]
 
 
 def _touched(panel: Panel, group: NDArray[np.bool_], change: Array) -> dict[str, Any]:

@@ -223,6 +223,11 @@ class ImageWatch:
         return tuple(dict.fromkeys(fault for watch in self._watches for fault in watch.faults))
 
     @property
+    def brief(self) -> tuple[tuple[float, float], ...]:
+        """Times of loads that left too soon to be recognised, of all windows, as `Watch.brief`."""
+        return tuple(dict.fromkeys(times for _, watch, _ in self.opened for times in watch.brief))
+
+    @property
     def stands_out(self) -> float:
         """Largest `Watch.stands_out` of all windows and modules."""
         return max(watch.stands_out for watch in self._watches)

@@ -38,6 +38,7 @@ MAX_CELLS = 1024  # patterns of loads take memory for each pair of cells: 134 MB
 SINGLE_FRAME = 2.0  # score of a single unloaded frame, which scatters more, over the threshold of a median of three
 TOUCHED = "something touched the panel while its unloaded frames were taken"
 UNEVENLY = "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
+RELIEVED = "the panel changed, and no cell conducts more than in the unloaded frames"
 FIRST_S, LOOKS_S = 1.0, 60.0  # time until the first recognition, and the longest one between two
 MIN_FRAMES = 3  # that a recognition needs
 # Resistances of an open line over those at rest, and the share of its readings that have them: mouths raise up to five
@@ -260,6 +261,8 @@ class Watch:
         What the unloaded frames show of a load, in words; '' for nothing.
     faults : tuple of (str, float)
         Open lines, such as 'row 3', and the times in s of the first frames in which they were.
+    brief : tuple of (float, float)
+        Times, s, of loads that came and left too soon to be recognised.
     attachments : tuple of Attachment
     former : Watch or None
         State before the last step; None once a load was recognised since.
@@ -280,6 +283,7 @@ class Watch:
     film_sd: Array | float = 0.0
     history: str = ""
     faults: tuple[tuple[str, float], ...] = ()
+    brief: tuple[tuple[float, float], ...] = ()
     attachments: tuple[Attachment, ...] = ()
     former: "Watch | None" = None
 
@@ -327,7 +331,7 @@ class Watch:
         if not watch.known:
             frame = watch._frame(watch.level.mean, time)
             if watch.panelled.detector.calm(frame) is not None and watch._left(frame):
-                return watch._gone(watch.level.since_s)
+                return watch._with_brief_load()._gone(watch.level.since_s)
         if time >= watch.next_s:
             watch = watch._resumed(watch.level.mean)
         if time >= watch.next_s and len(watch._since_step) >= MIN_FRAMES:
@@ -517,6 +521,30 @@ class Watch:
         rest = replace(self.level, since_s=time)
         return replace(watch, level=rest, rest=rest, look=replace(self.look, time_s=time, over=True))
 
+    def _with_brief_load(self) -> "Watch":
+        """Return the watch with a load that has left before it was looked at.
+
+        On a mat its contacts are recognised, from the frames in which it stood. What sucks is not known so soon, so
+        elsewhere it is noted alone.
+        """
+        if self._recognised:
+            return self
+        least = self.test.least()
+        stood = [
+            (at, logarithm)
+            for at, logarithm in self.window
+            if np.any(self.test.scores(logarithm - self.rest.mean) >= least)
+        ]
+        if len(stood) < MIN_FRAMES:
+            return self
+        begin, end = stood[0][0], self.level.since_s
+        if not self.panelled.detector.any_form:
+            return replace(self, brief=(*self.brief, (begin, end)))
+        frame = self._frame(np.median([logarithm for _, logarithm in stood], axis=0), begin)
+        verdict = self.panelled.detector.verdict(frame)
+        loads = [load.ended(end) for load in attachments_of(verdict.frame, verdict, begin)]
+        return replace(self, attachments=(*self.attachments, *loads))
+
     def _looked(self, time: float) -> "Watch":
         """Return the watch after a look: loads are recognised from the median of the frames since the last step.
 
@@ -548,6 +576,8 @@ class Watch:
             return replace(self, look=look, history=told)._gone(at)
         patterns = patterns_of(frame, verdict.best, self.test.whitening, self.panelled.detector)
         loads = attachments_of(frame, verdict, self.level.since_s, patterns)
+        if not loads:
+            return replace(self, known=True, next_s=again, former=None, history=RELIEVED)
         watch = replace(self, film_sd=self._keeps(frame), look=look, known=True, former=None, next_s=again)
         continued = continued_by(self.attachments, loads, self.level.since_s, again=self.known)
         return replace(watch, attachments=continued)

@@ -49,6 +49,7 @@ from lampest.panel.readouts.lines import (
     per_line,
     with_channels,
 )
+from lampest.panel.readouts.matching import matching_cells
 from lampest.panel.readouts.readout import MIN_LOAD_SHARE, SHORT_SHARE, Address, FreeTest, Readout, Surroundings
 from lampest.panel.readouts.wiring import Wiring
 
@@ -408,10 +409,10 @@ class DrivenCircuit(Readout):
 
         The cells determine the potentials u_p of all driven lines p while i is driven and j is read. Given these
         potentials, Σ_p g_pj (u_p − v_ij) = v_ij/Rs_j is linear in the cells of one sensed line. The alternation
-        converges in about six rounds, and in up to 40 for large Rd. The result is a start, not an estimate: its
-        conductances stay within MIN_RATIO and MAX_RATIO of those of the uniform start. Where driven lines float and
-        idle sensed lines conduct to ground, it need not converge. Without loads the equations determine ratios of cells
-        alone, and the start is the uniform one.
+        converges in about six rounds, and in up to 40 for large Rd. Where idle lines have potentials of their own, it
+        moves away from the cells: as soon as a round changes more than the one before, Newton's method takes its place.
+        The result is a start, not an estimate: its conductances stay within MIN_RATIO and MAX_RATIO of those of the
+        uniform start. Without loads the equations determine ratios of cells alone, and the start is the uniform one.
         """
         equation = self._equation(measured.shape)
         load = equation.states.load
@@ -421,14 +422,24 @@ class DrivenCircuit(Readout):
             return super().start(measured, upper, near)
         volt, ideal = self._turned(measured / equation.gain), self._turned(1 / self.uniform_start(measured))
         ties = self._ties(measured, None)
-        conductance = ideal if near is None else np.clip(self._turned(1 / near), MIN_RATIO * ideal, MAX_RATIO * ideal)
+        least, most = MIN_RATIO * ideal, MAX_RATIO * ideal
+        first = ideal if near is None else np.clip(self._turned(1 / near), least, most)
+        conductance, change = first, np.inf
         for _ in range(MAX_ROUNDS):
             potentials, before = self._driven_potentials(conductance, volt, equation, ties), conductance
             # One linear system for each sensed line j: rows i (driven while j is read), unknowns g_pj.
             solved = np.linalg.solve(potentials - volt.T[:, :, None], (volt / load).T[:, :, None])[:, :, 0].T
-            conductance = np.clip(solved, MIN_RATIO * ideal, MAX_RATIO * ideal)
-            if np.abs(np.log(conductance / before)).max() < CONVERGED:
+            conductance = np.clip(solved, least, most)
+            change_before, change = change, float(np.abs(np.log(conductance / before)).max())
+            if change < CONVERGED:
                 break
+            if change > change_before:
+                positive = np.maximum(measured, OPEN_SHARE * self.driving_volt * equation.gain)
+                cells, smallest, largest = (self._turned(1 / siemens) for siemens in (first, most, least))
+                matching = matching_cells(
+                    lambda cells: self.network(cells, self.ties(measured)), positive, cells, smallest, largest
+                )
+                return np.asarray(np.minimum(matching, upper))
         return np.asarray(np.minimum(self._turned(1 / conductance), upper))
 
     def _turned(self, values: Array) -> Array:

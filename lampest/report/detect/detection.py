@@ -146,11 +146,17 @@ class Known:
         if response is None:
             attachments = tuple(replace(load, suctions=()) for load in attachments)
         faults = tuple(f"{line} is open in frames from {at:.1f} s on; these are left out" for line, at in watch.faults)
+        brief = tuple(
+            f"something touched the panel from {begin:.1f} s to {end:.1f} s, too shortly to be recognised"
+            for begin, end in watch.brief
+        )
         slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
-        notes = (*self.notes, *faults, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (slow, watch.doubt)))
+        doubts = filter(None, (slow, watch.doubt))
+        notes = (*self.notes, *faults, *brief, BY, *(() if response else (NO_RESPONSE,)), *doubts)
         about: dict[str, Any] = {"notes": notes, "course": course, "change": watch.change, "panel": self.scene.panel}
         about |= {"threshold": self.threshold, "start_time": self.start_time, "end_s": time}
-        return Detected.of(self.name, attachments, rate, **about)
+        detected = Detected.of(self.name, attachments, rate, **about)
+        return replace(detected, why=brief[-1]) if brief and not attachments else detected
 
     def values(self, readings: Readings) -> tuple[Array, Array]:
         """Return the values and σ of one frame, (rows, columns); σ is infinite where a reading is no value."""

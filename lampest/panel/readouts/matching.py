@@ -1,0 +1,65 @@
+"""Cells whose exact readings are the measured ones, by Newton's method on the logarithms of both.
+
+A step solves J·p = log(y/y(u)) for u = log r, by GMRES with products of J. It is shortened until the misfit falls.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, gmres
+
+from lampest.panel.network import Network
+from lampest.panel.panel import Array
+
+MAX_ITERATIONS, MAX_PRODUCTS = 20, 30
+CONVERGED = 1e-3  # change of log r
+MAX_STEP = 2.0  # of log r
+STEP_LENGTHS = tuple(0.5**power for power in range(8))
+SOLVED = 1e-2  # relative residual of a step's linear system
+
+
+def matching_cells(
+    network: Callable[[Array], Network], measured: Array, first: Array, least: Array, most: Array
+) -> Array:
+    """Return cells between two limits that reproduce the readings as well as possible, (rows, columns) ohm.
+
+    Parameters
+    ----------
+    network : callable
+        Solved network of cells (rows, columns) ohm.
+    measured : array, shape (rows, columns)
+        Positive readings.
+    first, least, most : array, shape (rows, columns)
+        Cells of the first iteration, and the limits, ohm.
+    """
+    lower, upper = np.log(least), np.log(most)
+
+    def at(logarithm: Array) -> tuple[Network, Array, Array]:
+        solved = network(np.exp(logarithm))
+        reading = solved.reading()
+        return solved, reading, np.log(measured / np.maximum(reading, np.finfo(float).tiny))
+
+    current = np.clip(np.log(first), lower, upper)
+    solved, reading, misfit = at(current)
+    for _ in range(MAX_ITERATIONS):
+        response = LinearOperator(
+            (measured.size, measured.size),
+            matvec=lambda step, solved=solved, reading=reading: (
+                solved.forward(step.reshape(measured.shape)) / reading
+            ).ravel(),
+            dtype=float,
+        )
+        step, _ = gmres(response, misfit.ravel(), rtol=SOLVED, restart=MAX_PRODUCTS, maxiter=1)
+        step = np.clip(step.reshape(measured.shape), -MAX_STEP, MAX_STEP)
+        for length in STEP_LENGTHS:
+            trial = np.clip(current + length * step, lower, upper)
+            state = at(trial)
+            if np.sum(state[2] ** 2) < np.sum(misfit**2):
+                break
+        else:
+            break
+        change = np.abs(trial - current).max()
+        current, (solved, reading, misfit) = trial, state
+        if change < CONVERGED:
+            break
+    return np.asarray(np.exp(current))

@@ -1,0 +1,90 @@
+"""Mats of the package matsense, live: the page's lines beside a server that answers as the package's own does."""
+
+import re
+import socket
+import struct
+import threading
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lampest
+
+PAGE = Path(__file__).parents[2] / "docs" / "howto" / "matsense.md"
+RESTING_OHM, PRESSED_OHM, UNLOADED = 12_000.0, 700.0, 10
+PRESSED = (slice(3, 7), slice(9, 13))
+CLOSE, RAW = 0, 2  # matsense.cmd.CMD
+
+
+def block(language: str) -> str:
+    """Return the page's code of a language."""
+    match = re.search(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert match is not None
+    return match[1]
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> lampest.Scene:
+    (tmp_path / "mat.yaml").write_text(block("yaml"), encoding="utf-8")
+    return lampest.read_scene(tmp_path / "mat.yaml")
+
+
+@pytest.fixture
+def server(tmp_path: Path, scene: lampest.Scene) -> Iterator[tuple[str, threading.Event]]:
+    """The address of a server of raw frames, each sent twice, and an event that presses the mat."""
+    address, press = str(tmp_path / "server"), threading.Event()
+    resting = np.full(scene.panel.shape, RESTING_OHM)
+    pressed = resting.copy()
+    pressed[PRESSED] = PRESSED_OHM
+    volts = {state: scene.circuit.exact_reading(cells) for state, cells in ((False, resting), (True, pressed))}
+    rng = np.random.default_rng(4)
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    listener.bind(address)
+
+    def serve() -> None:
+        asked, codes = 0, np.zeros(0)
+        while True:
+            command, client = listener.recvfrom(8192)
+            if command[0] == CLOSE:
+                return
+            assert command[0] == RAW
+            if asked % 2 == 0:
+                volt = volts[press.is_set()]
+                codes = np.clip(np.floor(volt / 5 * 256 + rng.normal(0, 0.5, volt.shape)), 0, 255)
+            listener.sendto(struct.pack(f"={codes.size}di", *codes.ravel(), asked // 2), client)
+            asked += 1
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    yield address, press
+    listener_end = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    listener_end.sendto(bytes([CLOSE]), address)
+    thread.join(timeout=5)
+    listener_end.close()
+    listener.close()
+
+
+def test_the_lines_of_the_page_find_the_pressed_cells(
+    scene: lampest.Scene, server: tuple[str, threading.Event]
+) -> None:
+    address, press = server
+    page: Any = ModuleType("live")
+    exec(compile(block("python"), "live.py", "exec"), page.__dict__)
+    terms = [lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1.0)]
+    estimator = lampest.Estimator(terms, formulation="truncated", error_bars=False)
+    source = page.frames(scene, address)
+    estimates = page.cells(scene, estimator, source, UNLOADED)
+    resting = next(estimates)
+    assert np.median(resting) == pytest.approx(RESTING_OHM, rel=0.3)
+    press.set()
+    loaded = list(islice(estimates, 12))[-1]
+    assert np.median(np.abs(loaded[PRESSED] / PRESSED_OHM - 1)) < 0.2
+    outside = np.ones(scene.panel.shape, dtype=bool)
+    outside[PRESSED] = False
+    assert np.median(loaded[outside]) > 5 * PRESSED_OHM
+    source.close()

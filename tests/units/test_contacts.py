@@ -1,0 +1,51 @@
+"""Contacts of a map of changes: what is one, what are two, and which cells they have."""
+
+import numpy as np
+
+from lampest import Panel
+from lampest.loads.recognition.contacts import contacts_of
+
+PANEL = Panel(12, 14, 20.0)
+SD = np.full(PANEL.shape, 0.02)
+
+
+def blob(x: float, y: float, width: float, depth: float) -> np.ndarray:
+    """ln r/r0 under a soft load about column x and row y, in cells."""
+    rows, columns = np.indices(PANEL.shape)
+    return -depth * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * width**2))
+
+
+def test_two_loads_under_one_cover_are_two_contacts() -> None:
+    change = blob(3.5, 6, 1.2, 3.0) + blob(9.5, 6, 1.2, 2.0)
+    left, right = contacts_of(PANEL, change, SD)
+    assert left[6, 3] and right[6, 9] and not (left & right).any()
+    assert np.all(change[6, 3:10] < -0.1), "cells between them have changed clearly"
+    assert not (left | right)[:, 6:8].all()
+
+
+def test_heel_and_ball_of_a_foot_are_one_contact() -> None:
+    change = blob(5, 2.5, 1.3, 3.2) + blob(5, 9, 1.5, 2.8) + blob(5, 6, 1.2, 1.2)
+    (foot,) = contacts_of(PANEL, change, SD)
+    assert foot[2, 5] and foot[6, 5] and foot[9, 5]
+
+
+def test_cells_that_conduct_less_are_no_contact() -> None:
+    change = blob(5, 5, 1.5, 2.0) - blob(11, 9, 0.7, 1.0)
+    (contact,) = contacts_of(PANEL, change, SD)
+    assert contact[5, 5] and not contact[9, 11]
+    assert contacts_of(PANEL, -blob(5, 5, 1.5, 2.0), SD) == []
+
+
+def test_what_the_readings_hardly_show_is_no_contact() -> None:
+    change = blob(5, 5, 1.5, 3.0)
+    change[0, 13] = -0.1  # a thirtieth of the load's: an error of the circuit
+    change[11, 0] = -0.5
+    unsure = SD.copy()
+    unsure[11, 0] = 0.3
+    assert len(contacts_of(PANEL, change, unsure)) == 1
+    assert len(contacts_of(PANEL, change, SD)) == 2
+
+
+def test_a_light_load_beside_a_heavy_one_is_a_contact() -> None:
+    heavy, light = contacts_of(PANEL, blob(3, 6, 1.2, 3.5) + blob(10, 6, 1.0, 0.5), SD)
+    assert heavy[6, 3] and light[6, 10]
