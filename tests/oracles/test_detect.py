@@ -71,10 +71,7 @@ def frames_of(recording: Recording, measured: Any = None, errors: ModelErrors | 
 
 def seen(frames: list[Any], panel: Panel = PANEL) -> list[Verdict]:
     detector = Detector(0.6 * panel.pitch_mm)
-    verdicts: list[Verdict] = []
-    for frame in frames:
-        verdicts.append(detector.verdict(frame, verdicts[-1] if verdicts else None))
-    return verdicts
+    return [detector.verdict(frame) for frame in frames]
 
 
 def disc_of(verdict: Verdict) -> Disc:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lampest.loads.recognition.breathing import Breath, Patterns, SteadyFrames, breath, settled
+from lampest.loads.recognition.breathing import Breath, Breathing, Patterns, SteadyFrames, breath, settled
 from lampest.loads.recognition.pumping import BLOCK_S, MIN_LOG_ODDS, Pumping
 from lampest.panel.panel import Array
 
@@ -53,7 +53,7 @@ def test_suction_that_swings_with_its_rim_is_breath_on_any_film(seed: int, uneve
     found = window(own=0.08, seed=seed, uneven=uneven)
     assert found.odds > 3 and found.suction > 0.95
     assert found.hertz[0] == pytest.approx(1.1, abs=0.05)
-    assert abs(found.depth[0] - 0.08) < 2.5 * found.depth[1] < 0.08  # a film of unknown curve is in the bars
+    assert abs(found.depth[0] - 0.08) < 2.5 * found.depth[1] < 0.05
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -88,6 +88,41 @@ def test_waves_and_noise_are_none_and_hide_none(seed: int) -> None:
     for hiding in ({"own": 0.08, "waves": 3.0}, {"own": 0.04, "wild": True, "strong": 0.05}):  # or outliers
         found = window(**hiding, seed=seed)
         assert found.odds > 3 and found.suction > 0.9
+
+
+def test_odds_of_a_window_before_a_pull_stay() -> None:
+    """A pull ends the window; without one, the longer window replaces the shorter."""
+    shown, hidden = (Breath(odds, 1.0, (1.1, 0.1), (0.08, 0.01)) for odds in (8.0, -3.0))
+    before = Breathing().after(shown, 9.0, full=False)
+    assert before.parted((8.0,)) == before
+    assert before.after(hidden, 12.0, full=False).probability < 0.1
+    pulled = before.parted((8.0, 10.0))
+    assert pulled.full_s == 9.0 and pulled.after(hidden, 15.0, full=False).probability > 0.9
+
+
+def pulled_window(swings: Array, level: Array, *steps: float) -> Breath:
+    """8 s with these steps, s, in which suction and its rim change by these shares."""
+    rng = np.random.default_rng(2)
+    rise = np.repeat([-2.0, 1.0], READINGS // 2)
+    slopes, moves = np.where(rise < 0, -300.0, 90.0), 8 * rng.standard_normal((1, READINGS))
+    changes = np.outer(level + swings, slopes) + rng.standard_normal((len(TIMES), READINGS))
+    known = Patterns.of(np.eye(READINGS), rise, slopes[None], 0.2 * np.abs(slopes), moves, np.ones((READINGS, 1)))
+    interval, still = SteadyFrames.of(TIMES, changes).parted(steps)
+    return breath(interval, changes[still], known)
+
+
+def test_a_breath_is_a_share_of_suction_that_is_pulled() -> None:
+    level = 1.5 * ((TIMES > 2.5) & (TIMES < 5.5))
+    found = pulled_window(0.05 * (1 + level) * np.sin(2 * np.pi * 1.1 * TIMES), level, 2.5, 5.25)
+    assert found.odds > 3 and found.depth[0] == pytest.approx(0.05, rel=0.2)
+
+
+def test_a_part_of_a_window_shows_a_breath_alone() -> None:
+    """While a mouth pulls, it does not breathe steadily."""
+    pull = TIMES > 3.75
+    wild = 0.5 * pull * np.random.default_rng(5).standard_normal(len(TIMES))
+    found = pulled_window(np.where(pull, wild, 0.08 * np.sin(2 * np.pi * 1.1 * TIMES)), 0.0 * TIMES, 3.75)
+    assert found.odds > 3 and found.hertz[0] == pytest.approx(1.1, abs=0.15)
 
 
 def followed(suction: Array, noise: float = 0.02, seed: int = 0) -> Array:

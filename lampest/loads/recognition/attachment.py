@@ -200,19 +200,20 @@ class Attachment:
         verdict : Verdict
             The last recognition.
         """
-        begin = max(self.breath.full_s, self.placed_s)
+        before = self.breath.parted(steps)
+        begin = max(before.full_s, self.placed_s)
         times = np.array([at for at, _ in frames if at > begin])
         if self.patterns is None or len(times) < 3:
-            return self
+            return replace(self, breath=before)
         last = float(times[-1])
-        if last - times[0] < MIN_WINDOW_S or last - self.breath.judged_s < JUDGED_S:
-            return self
+        if last - times[0] < MIN_WINDOW_S or last - before.judged_s < JUDGED_S:
+            return replace(self, breath=before)
         interval = SteadyFrames.of(times, np.array([logarithm for at, logarithm in frames if at > begin]), steps)
         if not len(interval.times):
-            return self
+            return replace(self, breath=before)
         full = float(np.ptp(interval.times)) > WINDOW_S - 2.5 * interval.period
         changes = changes_without_water(interval, verdict.frame, verdict.best) @ whitening.T
-        return replace(self, breath=self.breath.after(breath(interval, changes, self.patterns), last, full=full))
+        return replace(self, breath=before.after(breath(interval, changes, self.patterns), last, full=full))
 
     def sampled(self, frames: Sequence[tuple[float, Array]], whitening: Array, frame: Observation) -> "Attachment":
         """Return the attachment after a sample of its suction, where the last one is BLOCK_S old.

@@ -11,7 +11,8 @@ Source: Bretthorst, Bayesian Spectrum Analysis and Parameter Estimation, 1988; d
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import exp, inf
+from math import exp, inf, log
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +33,7 @@ RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
 PRIOR_ODDS = 10.0  # assumed, of suction that oscillates to the rim alone, and to the place or the tilt
 LEAKS = 2.0  # over the duration: distance of rates beyond which a tapered wave does not leak
 MAX_RATE_SHARE = 0.475  # of the frame rate: at half of it a wave may show nothing
+MIN_FRAMES = 13  # that determine a rhythm: six numbers of wave and trend, and as many again
 MIN_PART = 4  # frames between two steps, with which a part says more than its mean
 MIN_RATE_HZ = 3.8  # frames per second: four with a slow clock; they resolve rates up to 2 Hz
 # A: the mean amplitude of mouths is 5.4 % of their suction (docs/studies/mouths.md). That of loads that do not breathe
@@ -47,6 +49,7 @@ EDGE_SD = 0.5
 # Assumed: of each cell's swing with the suction, over the root mean square of all cells; and of the depth of breath, by
 # a curve under suction that was not measured.
 OWN_SD, CURVE_SD = 0.1, 0.27
+MAX_PULL = 3.0  # largest suction that counts over that of the recognised frame, and the inverse of the smallest
 THRESHOLD_KPA = -2.0  # suction from which an alternative curve through the published point may begin, instead of 0 kPa
 MAX_LOG_ODDS = 10.0  # upper limit of accumulated ln odds of breathing
 
@@ -111,6 +114,21 @@ class Breathing:
         """Probability that suction oscillates at a breathing rate; 1/2 before any observation."""
         return self.suction * float(expit(self.odds))
 
+    def parted(self, steps: Sequence[float]) -> "Breathing":
+        """Return the breath after steps at times in s: one ends a window that determined a rhythm.
+
+        The swings after a pull are others. They begin a window of their own, and do not replace the odds of this one.
+        """
+        if self.odds == self.previous_odds or not any(step > self.judged_s for step in steps):
+            return self
+        return replace(self._caused(self.last), previous_odds=self.odds, full_s=self.judged_s)
+
+    def _caused(self, suction: float) -> "Breathing":
+        """Return the breath with one more window, in which suction oscillates with this probability."""
+        window = logit(suction) - np.log(PRIOR_ODDS / 2)
+        causes = float(np.clip(self.causes + window, -MAX_LOG_ODDS, MAX_LOG_ODDS))
+        return replace(self, suction=float(expit(causes + np.log(PRIOR_ODDS / 2))), causes=causes)
+
     def after(self, seen: Breath | None, time: float, *, full: bool) -> "Breathing":
         """Return the breath after a window that ends at a time in s; of a full one the odds are kept.
 
@@ -132,9 +150,7 @@ class Breathing:
         described = replace(breathing, hertz=seen.hertz, depth=seen.depth, last=seen.suction)
         if not full:
             return replace(described, suction=min(seen.suction, self.last))
-        window = logit(seen.suction) - np.log(PRIOR_ODDS / 2)
-        causes = float(np.clip(self.causes + window, -MAX_LOG_ODDS, MAX_LOG_ODDS))
-        return replace(described, suction=float(expit(causes + np.log(PRIOR_ODDS / 2))), causes=causes)
+        return described._caused(seen.suction)
 
 
 class Patterns(NamedTuple):
@@ -150,15 +166,28 @@ class Patterns(NamedTuple):
         Place and tilt of the load.
     others : array
         Further changes of any size, which are projected out.
+    curve : float
+        Relative standard deviation of the depth by a curve under suction that was not measured.
     """
 
     own: Array
     rim: Array
     moves: Array
     others: Array
+    curve: float = 0.0
 
     @classmethod
-    def of(cls, by_cell: Array, rise: Array, slopes: Array, spread: Array, moves: Array, others: Array) -> "Patterns":
+    def of(
+        cls,
+        by_cell: Array,
+        rise: Array,
+        slopes: Array,
+        spread: Array,
+        moves: Array,
+        others: Array,
+        *,
+        curve: float = 0.0,
+    ) -> "Patterns":
         """Return the patterns of a load.
 
         Parameters
@@ -175,6 +204,7 @@ class Patterns(NamedTuple):
             Changes of ln r/r0 by movements of usual size.
         others : array, shape (readings, m)
             Further changes.
+        curve : float
         """
         mean, rim = slopes[0], rise < 0
         spread = np.hypot(spread, OWN_SD * np.sqrt(np.mean(mean**2)))
@@ -182,7 +212,7 @@ class Patterns(NamedTuple):
         rigid = np.delete(suction, 1, axis=1) * rim[:, None]
         changes = np.linalg.norm(moves, axis=0)
         moving = np.column_stack([moves.T, np.diag(EDGE_SD * np.hypot(changes, np.sqrt(np.mean(changes**2))))])
-        return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others)
+        return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others, curve)
 
     def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
         """Return the patterns and the changes (frames, readings), projected on the complement of `others`."""
@@ -190,11 +220,12 @@ class Patterns(NamedTuple):
         suction, rim, moves, left = (
             pattern - span @ (span.T @ pattern) for pattern in (self.own, self.rim, self.moves, changes.T)
         )
-        return Patterns(suction, rim, moves, self.others), left.T
+        return Patterns(suction, rim, moves, self.others, self.curve), left.T
 
     def seen_by(self, whitening: Array) -> "Patterns":
         """Return the patterns of readings that are whitened once more, by (readings, readings)."""
-        return Patterns(*(whitening @ pattern for pattern in self))
+        own, rim, moves, others = (whitening @ pattern for pattern in self[:4])
+        return Patterns(own, rim, moves, others, self.curve)
 
     def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
         """Return the weights (readings,) with which readings sum to the amplitude of suction, with least variance.
@@ -251,6 +282,7 @@ def patterns_of(frame: Observation, fit: Fit, whitening: Array, detector: Detect
     changed = (
         np.any(cells, axis=0) | (np.abs(frame.free_map) > np.maximum(MIN_FALL, NOISE_REACH * frame.free_sd)).ravel()
     )
+    curve = CURVE_SD if isinstance(frame.baseline.response, PublishedResponse) else 0.0
     _, by_parameter = detector.fitting(fit.candidate, frame).effect(fit.parameters)
     for number, ((part, own), under) in enumerate(zip(loads, cells, strict=True)):
         if part.sucks:
@@ -258,7 +290,7 @@ def patterns_of(frame: Observation, fit: Fit, whitening: Array, detector: Detect
             moves = (sways * by_parameter[first : first + len(own), under])[sways[:, 0] > 0]
             others = np.column_stack([whitening.sum(axis=1), by_cell[:, changed & ~under]])
             own_cells = by_cell[:, under], rise.ravel()[under], slopes[:, under], spread[under]
-            patterns[number] = Patterns.of(*own_cells, moves, others)
+            patterns[number] = Patterns.of(*own_cells, moves, others, curve=curve)
         first += len(own)
     return patterns
 
@@ -298,6 +330,11 @@ class SteadyFrames(NamedTuple):
         _, part = np.unique(apart[still], return_inverse=True)
         return SteadyFrames(self.times[still], self.logarithms[still], part, self.period), still
 
+    def only(self, frames: NDArray[np.bool_]) -> "SteadyFrames":
+        """Return the interval of some frames, (frames,)."""
+        _, part = np.unique(self.part[frames], return_inverse=True)
+        return SteadyFrames(self.times[frames], self.logarithms[frames], part, self.period)
+
     def pulled(self, series: Array, wave: float) -> tuple[float, ...]:
         """Return the times between which a series, (frames,), is at another level; () where a wave explains it better.
 
@@ -327,6 +364,9 @@ class SteadyFrames(NamedTuple):
 def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath | None:
     """Return the breath of a window; None where it is too short or frames are too few.
 
+    The breath is steady in the whole window, or in one of its parts, because a pull changes the swings: each is as
+    probable as the others.
+
     Parameters
     ----------
     interval : SteadyFrames
@@ -334,8 +374,21 @@ def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath
         Whitened changes of ln y.
     patterns : Patterns
     """
+    suction: Array = np.ones(len(interval.times))
+    spans: list[NDArray[np.bool_]] = [np.ones(len(interval.times), dtype=bool)]
+    if interval.part.any():
+        suction = _relative_suction(interval, changes, patterns)
+        spans += [interval.part == number for number in range(interval.part.max() + 1)]
+    breaths = [_steady_breath(interval.only(span), changes[span], patterns, suction[span]) for span in spans]
+    known = [steady for steady in breaths if steady is not None]
+    best = max(known, key=attrgetter("odds"), default=None)
+    return None if best is None else replace(best, odds=best.odds - log(len(known)))
+
+
+def _steady_breath(interval: SteadyFrames, changes: Array, patterns: Patterns, suction: Array) -> Breath | None:
+    """Return the breath of a window in which it is steady, with the relative `suction`, (frames,)."""
     times, rate = interval.times, 1 / interval.period
-    if len(times) < MIN_WINDOW_S * MIN_RATE_HZ or rate < MIN_RATE_HZ:
+    if len(times) < MIN_FRAMES or rate < MIN_RATE_HZ:
         return None
     lasted = float(times[-1] - times[0])
     # Remove the trend, and the changes of `others`.
@@ -346,12 +399,13 @@ def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], MAX_RATE_SHARE * rate), 0.25 / lasted)
     waves = np.exp(2j * np.pi * hertz[:, None] * times)
     waves = np.stack([waves.real, waves.imag], axis=2)
+    even_waves, waves = waves, suction[:, None] * waves
     axes, sizes, _ = np.linalg.svd(waves - trend @ (trend.T @ waves), full_matrices=False)
     axes, gain = np.swapaxes(axes, 1, 2), sizes**2
     swings = axes @ changes  # (rates, 2, readings)
     # Movements at all rates, and noise, by tapered waves at rates that the strongest one does not leak into.
     strongest = hertz[np.argmax((swings**2).sum(axis=(1, 2)))]
-    far = waves[np.abs(hertz - strongest) > LEAKS / lasted] * (np.sin(np.pi * at) ** 2)[:, None]
+    far = even_waves[np.abs(hertz - strongest) > LEAKS / lasted] * (np.sin(np.pi * at) ** 2)[:, None]
     far = np.swapaxes(far / np.linalg.norm(far, axis=1, keepdims=True), 1, 2)
     others = far @ changes
     noise = max(1.0, float(np.quantile((others**2).mean(axis=(1, 2)), 0.25))) if len(others) else 1.0
@@ -377,6 +431,16 @@ def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath
         (float(hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
         _depth(patterns, changes, waves[best] - trend @ (trend.T @ waves[best]), at, loud / float(gain.mean())),
     )
+
+
+def _relative_suction(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Array:
+    """Return the suction of each frame's part over that of the recognised frame, (frames,).
+
+    A breath swings by a share of the suction. While that is pulled, it is larger, and so are the swings.
+    """
+    level = changes @ patterns.suction_weights(np.eye(changes.shape[1]))
+    means = np.bincount(interval.part, level) / np.bincount(interval.part)
+    return np.asarray(np.clip(1 + means, 1 / MAX_PULL, MAX_PULL)[interval.part])
 
 
 def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: float) -> tuple[float, float]:
@@ -410,7 +474,7 @@ def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: f
         coefficients, variances = covariance @ (basis.T @ series) / left, np.diag(covariance)
         # A² from all four coefficients, less the noise of the two of linear change
         depth = max(float(coefficients @ coefficients - variances[2:].sum()), TREMBLE_SD**2) ** 0.5
-        film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2 + CURVE_SD**2
+        film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2 + patterns.curve**2
         variance = depth**2 * film + float(variances[:2].mean())
     return depth / (1 - RESPONSE_SD), variance**0.5 / (1 - RESPONSE_SD)
 
