@@ -632,9 +632,8 @@ def equation_derivatives(readout: ReadCircuit, rows: int, columns: int, names: t
 
         Every reading depends on its own entries only: along a change of all entries by one it is elementwise.
         """
-        if not name:
-            return casadi.vec(casadi.densify(reading).T)
-        return casadi.jtimes(derivative(name[:-1]), flat[name[-1]], every)
+        shorter: casadi.MX = derivative(name[:-1]) if name else casadi.vec(casadi.densify(reading).T)
+        return casadi.jtimes(shorter, flat[name[-1]], every) if name else shorter
 
     stacked = casadi.cse(casadi.vertcat(*(casadi.densify(derivative(name)) for name in names)))
     return Compiled(casadi.Function("derivatives", list(flat.values()), [stacked]))
