@@ -16,7 +16,9 @@ from lampest.audit.verdict import verdict
 from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.prepared import Prepared
 
-ENTRY = re.compile(r"([a-z_.]+)(?:: | near )([^,()]+)")  # 'readout.kind: grounded', 'drive_ohm near 1100'
+# 'readout.kind: grounded', 'drive_ohm near 1100', 'readout.groups: [[0, 1], [2, 3]]'
+ENTRY = re.compile(r"([a-z_.]+)(?:: | near )(\[\[.*?\]\]|[^,()]+)")
+OF_SCENE = ("series_resistance_ohm", "converter_memory")  # keys that are no part of the readout
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +70,7 @@ def entry_line(name: str) -> str:
     """Return the line of a scene for a circuit in words, such as 'readout.sense: one, drive_ohm near 50'."""
     content: dict[str, object] = {}
     for key, value in ENTRY.findall(name):
-        path = key.split(".") if "." in key or key == "series_resistance_ohm" else ["readout", key]
+        path = key.split(".") if "." in key or key in OF_SCENE else ["readout", key]
         part = content
         for step in path[:-1]:
             part = part.setdefault(step, {})  # type: ignore[assignment]

@@ -450,8 +450,10 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
     if specified.pair is None or gain <= DOUBTFUL_GAIN or not best.pair.moved.any():
         return BetterExplanation()
     if gain <= MIN_EVIDENCE_GAIN or specified.pair.gain_apart(best.pair) <= PARAMETER_COST:
-        # a resistance in series follows hidden errors of the circuit, so that it alone is no doubt
-        return BetterExplanation(nearly=best.rival.name if gain <= MIN_EVIDENCE_GAIN and best.rival.kind else "")
+        # A resistance in series follows hidden errors of the circuit, a memory the edge of a load: alone, neither is
+        # a doubt.
+        doubtful = best.rival.kind and best.rival.scene.converter_memory == memory
+        return BetterExplanation(nearly=best.rival.name if gain <= MIN_EVIDENCE_GAIN and doubtful else "")
     moved, as_specified = (int(known.moved.sum()) for known in (best.pair, specified.pair))
     return BetterExplanation(best.rival.name, question.loaded, moved, as_specified)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lampest import Array, GroundedReadout, LoadedColumnsReadout, Panel, Recording, Scene
+from lampest.audit.advice import entry_line
 from lampest.estimate.memory import estimated_memory, memory_gain
 from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
 from lampest.panel.readouts.readout import Readout, with_memory
@@ -58,3 +59,14 @@ def test_the_edge_of_a_load_is_no_memory() -> None:
         cells[FRAMES:] *= np.exp(-generator.uniform(0.3, 2) * np.exp(-((distance / generator.uniform(1, 3)) ** 4)))
     readout = GroundedReadout(load_ohm=1000, drive_ohm=50, **CONVERTER)
     assert memory_gain(recording_of(readout, cells, 0.0, generator)) < MIN_EVIDENCE_GAIN
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("converter_memory near 0.08", "converter_memory: 0.08"),
+        ("readout.groups: [[0, 1], [2, 3]] (read in parallel)", "readout: {groups: [[0, 1], [2, 3]]}"),
+    ],
+)
+def test_the_advised_line_is_one_of_the_scene(name: str, line: str) -> None:
+    assert entry_line(name) == line
