@@ -627,7 +627,7 @@ def equation_derivatives(readout: ReadCircuit, rows: int, columns: int, names: t
     every = casadi.DM.ones(rows * columns)
 
     @cache
-    def derivative(name: str) -> casadi.MX:
+    def derivative(name: str) -> Any:
         """Return the derivative by the entries that `name` lists, flat.
 
         Every reading depends on its own entries only: along a change of all entries by one it is elementwise.
