@@ -21,9 +21,9 @@ FLOORS: tuple[tuple[str, ...], ...] = (
 )  # fmt: skip
 # numpy is everywhere; each other library has its doors: a room, or a module of one.
 DOORS: dict[str, tuple[str, ...]] = {
-    "casadi": ("panel.compiled", "panel.network", "cost", "formulation", "estimate.own_program"),
+    "casadi": ("files.process", "panel.compiled", "panel.network", "cost", "formulation", "estimate.own_program"),
     "scipy": (
-        "panel.compiled", "panel.readouts", "panel.response", "loads", "cost.problem",
+        "files.process", "panel.compiled", "panel.readouts", "panel.response", "loads", "cost.problem",
         "recording.readings", "estimate.calibration", "estimate.model_check", "estimate.own_program", "formulation",
         "solvers", "posterior",
         "report.export.formats", "studies",
