@@ -58,7 +58,8 @@ class Audit:
             yield Finding("circuit", "another circuit", check.sentence, entry_line(check.better))
 
     def _noise(self) -> Iterator[Finding]:
-        scene, noise = self.prepared.recording.scene, self.prepared.frame_noise
+        scene = self.prepared.recording.scene
+        noise = self.prepared.frame_noise
         if scene.readout is None:
             return
         if scene.readout.noise_specified and noise.sigma_factor != 1:

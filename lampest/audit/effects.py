@@ -115,7 +115,9 @@ def _saturation(evidence: Gathered) -> Iterator[Finding]:
 
 def _frame_errors(evidence: Gathered) -> Iterator[Finding]:
     """Yield advice on gain and ripple, from the scatter of the unloaded frames."""
-    scene, readings, unloaded = evidence.scene, evidence.noise.readings, evidence.unloaded
+    scene = evidence.scene
+    readings = evidence.noise.readings
+    unloaded = evidence.unloaded
     unknown = scene.readout is None or readings.sigma is None or unloaded.sum() < 2
     if unknown or scene.readout is None or not evidence.names_none("gain", "ripple"):
         return
@@ -157,12 +159,15 @@ def _memory(evidence: Gathered) -> Iterator[Finding]:
 
 def _reading_error(evidence: Gathered) -> Iterator[Finding]:
     """Yield advice on errors of each reading that stay the same in all frames."""
-    scene, noise, unloaded = evidence.scene, evidence.noise, evidence.unloaded
+    scene = evidence.scene
+    noise = evidence.noise
+    unloaded = evidence.unloaded
     if noise.readings.sigma is None or not unloaded.any() or not evidence.names_none("systematic.reading_error"):
         return
     known = scene.systematic if isinstance(scene.systematic, Systematic) else Systematic()
     asked = replace(scene, systematic=replace(known, reading_error=ESTIMATED))
-    resting, loaded = noise.readings[unloaded].mean(), None
+    resting = noise.readings[unloaded].mean()
+    loaded = None
     if resting.plain[scene.requested].mean() < MIN_SHARE_READ:
         return
     if len(evidence.measured):
@@ -181,7 +186,8 @@ def _reading_error(evidence: Gathered) -> Iterator[Finding]:
 
 def _motion(evidence: Gathered) -> Iterator[Finding]:
     """Yield advice on loads that move while a frame is scanned."""
-    readings, unloaded = evidence.noise.readings, evidence.unloaded
+    readings = evidence.noise.readings
+    unloaded = evidence.unloaded
     if readings.sigma is None or not unloaded.any() or not evidence.names_none("motion"):
         return
     share = share_of_motion(evidence.scene, readings[unloaded].mean(), readings, evidence.measured)

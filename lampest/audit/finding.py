@@ -53,7 +53,8 @@ def with_line(scene: Scene, line: str) -> Scene:
 
 def with_lines(scene: Scene, findings: Iterable[Finding]) -> tuple[Scene, tuple[str, ...], tuple[str, ...]]:
     """Return the scene with the lines of findings, the lines that it took, and sentences on those that it did not."""
-    taken, refused = list[str](), list[str]()
+    taken = list[str]()
+    refused = list[str]()
     for line in dict.fromkeys(finding.line for finding in findings if finding.line):
         try:
             scene = with_line(scene, line)
@@ -65,7 +66,8 @@ def with_lines(scene: Scene, findings: Iterable[Finding]) -> tuple[Scene, tuple[
 
 def _fitting(content: dict[str, Any], addition: dict[str, Any]) -> dict[str, Any]:
     """Return a scene's content without the entries that a readout of another kind does not have."""
-    readout, kind = content.get("readout"), addition.get("readout", {}).get("kind")
+    readout = content.get("readout")
+    kind = addition.get("readout", {}).get("kind")
     known = {member.kind: {entry.name for entry in fields(member)} for member in members_of(AnyReadout)}
     if readout is None or kind not in known:
         return content

@@ -33,12 +33,14 @@ WELL = {  # what the table says of a room without a finding
     "times": "evenly spaced",
     "order": "neighbours change alike",
 }
-OPEN_OHM, SHORT_OHM = 1e9, 1e-3
+OPEN_OHM = 1e9
+SHORT_OHM = 1e-3
 MAX_ASIDE = 0.12  # of the way from the voltage of a short to that of a usual cell: no load is there in every frame
 MIN_DISTANCE = 2.0  # times the noise: how far the readings of living lines lie from those of dead ones
 # Least shift in ln y that two touching lines have over single ones on a uniform panel, so that it shows; share of it
 # that is observed. Loads in the middle make two rows of a uniform film equal in every reading, and shift none.
-MIN_SHIFT, MIN_SHIFT_SHARE = 0.1, 0.5
+MIN_SHIFT = 0.1
+MIN_SHIFT_SHARE = 0.5
 MIN_NOISE_FRAMES = 4  # unloaded frames that show whose noise is larger
 MAX_NOISE_RATIO = {"line": 2.0, "cell": 4.0}  # of a line's or a cell's standard deviation to the usual one
 MAX_GAP = 2.5  # median intervals between frames: beyond it frames are missing
@@ -71,7 +73,8 @@ class Health:
         checks = (_dead_lines, _touching_lines, _cells, _noise, _readings, _frames, _times, _order)
         found = tuple(finding for check in checks for finding in check(view))
         asked = recording.scene.requested
-        missing, bounds = view.readings.missing(recording.scene)[:, asked], view.readings.bounds[:, asked]
+        missing = view.readings.missing(recording.scene)[:, asked]
+        bounds = view.readings.bounds[:, asked]
         unloaded = int((recording.role == UNLOADED).sum())
         return cls(found, len(recording.role), unloaded, float(missing.mean()), float(bounds.mean()))
 
@@ -216,7 +219,8 @@ def _is_structured(view: _View, name: str, group: Sequence[int]) -> bool:
 def _is_shifted(view: _View, name: str, group: Sequence[int]) -> bool:
     """Return whether the unloaded readings of lines deviate from the other ones as those of touching lines do."""
     cells = np.full(view.scene.panel.shape, view.usual_ohm)
-    known, joined = view.scene.faults or Faults(), (tuple(group),)
+    known = view.scene.faults or Faults()
+    joined = (tuple(group),)
     faults = replace(known, joined_rows=joined) if name == "row" else replace(known, joined_columns=joined)
     axis = 1 if name == "row" else 0
     effects = [
@@ -287,7 +291,8 @@ def _noise(view: _View) -> Iterator[Finding]:
     degrees = 2 / 3 * len(steps)
     if not usual > 0:
         return
-    ratio, known = np.nan_to_num(square / usual), np.isfinite(square)
+    ratio = np.nan_to_num(square / usual)
+    known = np.isfinite(square)
     noisy = {
         name: np.flatnonzero(
             (np.sqrt((ratio.sum(axis=axis) - ratio.max(axis=axis)) / np.maximum(known.sum(axis=axis) - 1, 1)))
@@ -321,7 +326,9 @@ def _noise(view: _View) -> Iterator[Finding]:
 
 def _readings(view: _View) -> Iterator[Finding]:
     """Tell the shares of missing readings and of those at rails."""
-    scene, missing, bounds = view.scene, view.readings.missing(view.scene), view.readings.bounds
+    scene = view.scene
+    missing = view.readings.missing(view.scene)
+    bounds = view.readings.bounds
     total = max(int(scene.requested.sum()) * len(missing), 1)
     kinds = ((missing, "missing"), (bounds & scene.requested, "at a rail, zero or below the series resistance"))
     for which, words in kinds:

@@ -89,7 +89,8 @@ def order_findings(recording: Recording, volts: Array) -> Iterator[Finding]:
 
     volts : (frames, rows, columns), NaN where missing.
     """
-    scene, unloaded = recording.scene, recording.role == UNLOADED
+    scene = recording.scene
+    unloaded = recording.role == UNLOADED
     rows, columns = scene.panel.shape
     if min(rows, columns) < MIN_LINES or not unloaded.any() or unloaded.all() or not scene.whole:
         return
@@ -112,7 +113,8 @@ def _changes(recording: Recording, volts: Array, unloaded: NDArray[np.bool_]) ->
     """Return the changes of the voltages from the unloaded panel, in frames that change strongly."""
     change = volts[~unloaded] - median(volts[unloaded])[0]
     change = np.where(np.isfinite(change), change, 0.0)
-    readout, steps = recording.scene.readout, np.diff(volts[unloaded], axis=0)
+    readout = recording.scene.readout
+    steps = np.diff(volts[unloaded], axis=0)
     known = np.isfinite(steps)
     noise = float(np.sqrt(np.sum(steps[known] ** 2) / (2 * max(int(known.sum()), 1))))
     noise = max(noise, 0.0 if readout is None else readout.lsb_volt)
@@ -141,6 +143,7 @@ def disorder(change: Array) -> float:
 
 def roughness(change: Array) -> float:
     """Return the mean square difference of neighbours over the mean square, for images (frames, rows, columns)."""
-    down, across = np.diff(change, axis=1), np.diff(change, axis=2)
+    down = np.diff(change, axis=1)
+    across = np.diff(change, axis=2)
     neighbours = (np.sum(down**2) + np.sum(across**2)) / (down[0].size + across[0].size)
     return float(neighbours / max(float(np.sum(change**2)) / change[0].size, np.finfo(float).tiny))

@@ -191,7 +191,8 @@ def live(
         screen.say(f"{url}  (Ctrl-C ends)" if url.startswith("http") else url)
 
     with ending_signals():  # every end of the command sends the board its command to stop
-        estimators, outlets = chosen(estimator, config, tuple(assign or ())), Outlets(http, token, publish or ())
+        estimators = chosen(estimator, config, tuple(assign or ()))
+        outlets = Outlets(http, token, publish or ())
         done = run_live(source, estimators, outlets, count, on_address, screen.warn)
     if done is not None:
         report_recorded(done)

@@ -46,7 +46,8 @@ def init(
     circuit = circuit_called(readout)
     for path in write_starter(folder, readout, rows, columns, purpose):
         screen.say(path)
-    run, scene = folder / RUN, folder / SCENE
+    run = folder / RUN
+    scene = folder / SCENE
     screen.say_text(
         f"\nthe wiring that {scene} describes ({circuit.kind}); another one: lampest init --readout CIRCUIT"
     )

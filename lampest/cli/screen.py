@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from lampest.report.compare import Table
 
 
-WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
+WRONG_INPUT = 2
+SOME_FAILED = 3
+INTERRUPTED = 130
 WIDTH = 100  # columns of a terminal that every table and note fits
 
 
@@ -196,7 +198,8 @@ def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int, *, l
     full = [max(len(line) for lines in column for line in lines) for column in columns]
     least = [max(len(word) for lines in column for line in lines for word in line.split(" ")) for column in columns]
     for gap, floors in ((2, least), (1, [min(least[0], max(MIN_NAME, len(headers[0]))), *least[1:]])):
-        widths, beyond = list(full), sum(full) + gap * (len(full) - 1) + 2 - room
+        widths = list(full)
+        beyond = sum(full) + gap * (len(full) - 1) + 2 - room
         while beyond > 0 and (spare := [(width, at) for at, width in enumerate(widths) if width > floors[at]]):
             widths[max(spare, key=itemgetter(0))[1]] -= 1
             beyond -= 1

@@ -56,7 +56,8 @@ def study_command(word: str) -> Callable[..., None]:
     def command(config: Config = None, out: screen.Output = None, assign: screen.Assign = None) -> None:
         run_study(import_module(module).STUDY, config, out, assign)
 
-    command.__name__, command.__doc__ = word, f"{about}{PARAMETERS}"
+    command.__name__ = word
+    command.__doc__ = f"{about}{PARAMETERS}"
     return command
 
 

@@ -76,7 +76,8 @@ class Cost:
             # Frame 1 of a joint solve compares with frame 0, its baseline; a single frame compares with given earlier
             # frames.
             known = symbols.given.of_frame(frame, baseline, looks_back=self.needs_previous)
-            cells, reading = symbols.cell_resistance[:, frame], symbols.reading[:, frame]
+            cells = symbols.cell_resistance[:, frame]
+            reading = symbols.reading[:, frame]
             state = State(panel=self.panel, cell_resistance=cells, reading=reading, **known)
             for number, term in enumerate(self.terms):
                 if frame or self.needs_previous or not term.needs_previous:
@@ -200,7 +201,8 @@ class CostFunctions:
     @classmethod
     def build(cls, cost: Cost) -> "CostFunctions":
         """Differentiate the terms symbolically, and compile the sparse results."""
-        symbols, weights = cost.symbols(), casadi.SX.sym("weights", len(cost.terms))
+        symbols = cost.symbols()
+        weights = casadi.SX.sym("weights", len(cost.terms))
         parts = summands(cost.terms, cost.residuals(symbols), weights)
         # Σ weight·loss of each term, and the function to differentiate: Σ smooth + Σ weight·z·x
         costs = [sum((part.cost for part in parts if part.term == n), casadi.SX(0)) for n in range(len(cost.terms))]
@@ -265,8 +267,10 @@ class Entries:
         diagonal = np.array_equal(rows[model], columns[model])
         at_model = rows[model] - count if diagonal else None
         # Nonzeros that are neither between cells nor between readings couple the two.
-        pivots, crossed = np.flatnonzero(rows == columns), len(cells) + len(model) < len(rows)
-        at_cells, on_diagonal = (rows[cells], columns[cells]), (pivots, rows[pivots])
+        pivots = np.flatnonzero(rows == columns)
+        crossed = len(cells) + len(model) < len(rows)
+        at_cells = (rows[cells], columns[cells])
+        on_diagonal = (pivots, rows[pivots])
         return cls(cells, at_cells, model, at_model, crossed, on_diagonal)
 
 
@@ -293,7 +297,8 @@ class Summand:
         """Value of the summand. Raises InputError if a loss does not sum over its residuals."""
         cost = self.loss.cost(self.residual)
         if cost.shape != (1, 1):
-            name, shape = type(self.loss).__name__, "×".join(map(str, cost.shape))
+            name = type(self.loss).__name__
+            shape = "×".join(map(str, cost.shape))
             raise InputError(f"loss {name}: cost gives {shape} numbers; it must give one, the sum over all residuals")
         return self.weight * cost
 

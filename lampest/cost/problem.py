@@ -91,7 +91,8 @@ class Data:
     @cached_property
     def flat(self) -> dict[str, Array]:
         """Arrays (…, numbers) by name for compiled functions; absent ones consist of the number of their source."""
-        blank, known = (*self.panels, self.lower[0].size), dict(self.given.named())
+        blank = (*self.panels, self.lower[0].size)
+        known = dict(self.given.named())
         absent = {name: np.full(blank, source.absent) for name, source in self.given.sources().items()}
         return {name: values.reshape(*self.panels, -1) for name, values in (absent | known).items()}
 
@@ -226,7 +227,8 @@ class Evaluation:
 
     def call(self, function: Compiled, dual: Array | None = None) -> Array:
         """Return the values of a compiled function at this point, (…, nonzeros); duals of None are zeros."""
-        panels, zeros = self.data.panels, np.zeros(len(self.cost.slope))
+        panels = self.data.panels
+        zeros = np.zeros(len(self.cost.slope))
         values = self.data.flat | {
             "cell_resistance": self.cell_resistance,
             "reading": self.reading,
@@ -278,7 +280,8 @@ class Evaluation:
     @property
     def cell_costs(self) -> Array:
         """Mean cost φ of a cell if all readings were 0, (…)."""
-        terms, cells = len(self.cost.terms), math.prod(self.cell_resistance.shape[-3:])
+        terms = len(self.cost.terms)
+        cells = math.prod(self.cell_resistance.shape[-3:])
         return np.asarray(self.first[..., terms : 2 * terms].sum(axis=-1) / cells)
 
     @cached_property
@@ -389,7 +392,8 @@ def residuals(cost: Cost) -> Residuals:
 @lru_cache(maxsize=64)
 def _residuals(cost: Cost) -> Residuals:
     symbols = cost.symbols()
-    inputs, pairs = symbols.inputs(), cost.residuals(symbols)
+    inputs = symbols.inputs()
+    pairs = cost.residuals(symbols)
     stacked = casadi.vertcat(*(part for _, part in pairs))
     term = np.concatenate([np.full(part.shape[0], number, dtype=np.intp) for number, part in pairs])
     # Rows whose derivative by the readings has a structural nonzero are data.

@@ -56,7 +56,8 @@ def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Strea
     A group has one estimator, converter and faults. If the frame of any of its streams is due to choose weights, the
     streams with the largest change from rest choose them for all.
     """
-    weighed, groups = list(streams), dict[Hashable, dict[int, Stream]]()
+    weighed = list(streams)
+    groups = dict[Hashable, dict[int, Stream]]()
     for number, stream in enumerate(streams):
         if stream is None or not stream.chooses_weights or not (stream.rested or not stream.estimator.relative):
             continue
@@ -67,8 +68,10 @@ def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Strea
         if any(stream.choosing(readings[number]) for number, stream in group.items()):
             changes = [stream.change(readings[number]) for number, stream in group.items()]
             numbers = [list(group)[place] for place in strongest(changes)]
-            stream, pairs = group[numbers[0]], [group[number].given(readings[number]) for number in numbers]
-            first, further = pairs[0][0].limited(stream.estimator.solver.time_limit_s), [data for data, _ in pairs[1:]]
+            stream = group[numbers[0]]
+            pairs = [group[number].given(readings[number]) for number in numbers]
+            first = pairs[0][0].limited(stream.estimator.solver.time_limit_s)
+            further = [data for data, _ in pairs[1:]]
             objective = with_chosen_weights(stream.estimator, stream.scene, first, pairs[0][1], further)
             weights = tuple(float(term.weight) for term in objective.terms)
             for number, stream in group.items():
@@ -90,7 +93,9 @@ def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Ste
     readings : Readings
         The next frames, (frames, rows, columns).
     """
-    size, count, solved = readings.value[0].size, 1, dict[int, tuple[Stream, Step]]()
+    size = readings.value[0].size
+    count = 1
+    solved = dict[int, tuple[Stream, Step]]()
     if size <= MAX_BLOCK_CELLS and not stream.first and stream.is_independent:
         count = min(len(readings.value), MAX_BLOCK_FRAMES)
     if count > 1:
@@ -118,7 +123,8 @@ def _solved_together(
 
     Streams with the same cost are one batch; large batches are split among threads.
     """
-    groups, batchable = dict[Hashable, list[int]](), dict[int, Stream]()
+    groups = dict[Hashable, list[int]]()
+    batchable = dict[int, Stream]()
     partial = ((readings.side != 0) | (readings.seen < 1)).any(axis=(1, 2)).tolist()
     for number, stream in enumerate(streams):
         if stream is not None and _in_batches(stream, readings[number], partial=partial[number]):
@@ -151,7 +157,9 @@ def _in_batches(stream: Stream, readings: Readings, *, partial: bool) -> bool:
     A batch continues from an earlier estimate and has the reduced formulation, unwired two-point readouts, the
     solver's default limits and known weights.
     """
-    estimator, method, settings = stream.estimator, stream.estimator.method, stream.estimator.solver
+    estimator = stream.estimator
+    method = stream.estimator.method
+    settings = stream.estimator.solver
     reduced = isinstance(method, OptimalMethod) and method.kind in ("reduced", "auto")
     unwired = isinstance(stream.scene.circuit, TwoPointReadout) and stream.scene.wiring is None
     unlimited = settings.time_limit_s is None and settings.starts is None
@@ -189,7 +197,8 @@ def _solved_batch(
         Number of the batch, as in `Data`.
     """
     begin = perf_counter()
-    estimator, behind = _unweighted(streams[0].estimator), streams[0].background
+    estimator = _unweighted(streams[0].estimator)
+    behind = streams[0].background
     previous = np.stack([stream.previous for stream in streams if stream.previous is not None])
     if estimator.relative:
         resting = np.stack([stream.baseline_resistance for stream in streams])
@@ -202,10 +211,13 @@ def _solved_batch(
     weights = np.array([[float(term.weight) for term in stream.weighted.terms] for stream in streams])
     start = Evaluation.at(cost, data, np.clip(previous[:, None], data.lower, data.upper), weights)
     ended = solve(start, inverses, numbers, estimator.solver)
-    seconds, points = (perf_counter() - begin) / len(numbers), ended.points
+    seconds = (perf_counter() - begin) / len(numbers)
+    points = ended.points
     after = {}
     for row in np.flatnonzero(ended.solved & (points.residual <= VERIFIED)).tolist():
-        at, stream, stream_weights = points.at.some(row), streams[row], tuple(weights[row].tolist())
+        at = points.at.some(row)
+        stream = streams[row]
+        stream_weights = tuple(weights[row].tolist())
         gradient = points.gradient[row].reshape(at.cell_resistance.shape)
         status = Status.HELD if bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
         iterations = int(ended.iterations[row])

@@ -83,7 +83,8 @@ class CellsFit(SumOfSquares):
         """Return the fit of given cells, (rows, columns) ohm, to readings of a frame."""
         unaffected = data.network(0, cells)
         network, added = with_effects(effects, scene, unaffected)
-        readings, sigma = replace(measured, value=measured.value - added), measured.known_sigma
+        readings = replace(measured, value=measured.value - added)
+        sigma = measured.known_sigma
         # (f(r) − y)/σ; 0 where nothing was read, or a bound is satisfied
         missed = (network.reading() - readings.value) / sigma
         counted = (readings.seen > 0) & ((readings.side == 0) | (readings.side * missed < 0))

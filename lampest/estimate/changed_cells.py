@@ -157,12 +157,15 @@ def _exchange_cells(slope: Array, slab: Array, moved: Chosen, fixed: Chosen) -> 
         P + 1.
     moved, fixed : boolean array, shape (cells,)
     """
-    inside, outside = np.flatnonzero(moved), np.flatnonzero(~moved)
+    inside = np.flatnonzero(moved)
+    outside = np.flatnonzero(~moved)
     # Table of the sweep operator [P + 1 | s], swept by the moved cells M: block (M, M) is −(P_MM + 1)⁻¹, the last
     # column holds (P_MM + 1)⁻¹ s_M within M, and s − P_·M (P_MM + 1)⁻¹ s_M outside.
-    moved, inverse = moved.copy(), np.linalg.inv(slab[np.ix_(inside, inside)])
+    moved = moved.copy()
+    inverse = np.linalg.inv(slab[np.ix_(inside, inside)])
     table = np.ascontiguousarray(np.column_stack([slab, slope]))
-    pulled, across = inverse @ table[inside], slab[np.ix_(outside, inside)]
+    pulled = inverse @ table[inside]
+    across = slab[np.ix_(outside, inside)]
     cost = MOVED_COST * len(inside) - float(np.linalg.slogdet(inverse)[1] + slope[inside] @ pulled[:, -1])
     table[outside] -= across @ pulled
     table[inside], table[np.ix_(inside, inside)] = pulled, -inverse
@@ -228,7 +231,9 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
     column : callable
         Returns one column of each P + 1, (hypotheses, cells), for one cell's number of each hypothesis, (hypotheses,).
     """
-    index, total, taken = np.arange(len(vector)), np.zeros(len(vector)), np.zeros(vector.shape, dtype=bool)
+    index = np.arange(len(vector))
+    total = np.zeros(len(vector))
+    taken = np.zeros(vector.shape, dtype=bool)
     rows = np.zeros((len(vector), 0, vector.shape[1]))  # of the pivoted Cholesky factors of the cells taken
     for _ in range(vector.shape[1]):
         pivots = np.maximum(size, 1e-300)

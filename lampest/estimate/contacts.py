@@ -82,7 +82,8 @@ class SolvedContacts:
     def normal(self) -> Array:
         """S/s²."""
         model = self._model
-        rows, errors = model.through @ self._response, errors_of(model, None)
+        rows = model.through @ self._response
+        errors = errors_of(model, None)
         # F = −∂u/∂c: the response of the free cells to contacts; `left` is E − J F
         follow = errors.answer(rows)
         full = model.over_all(follow)
@@ -112,11 +113,16 @@ def with_contacts(
     solve : callable
         Solves the readings for another state, from given cells on.
     """
-    prior, shape, model = state.scene.contact_prior, state.scene.panel.shape, solved.surroundings()
+    prior = state.scene.contact_prior
+    shape = state.scene.panel.shape
+    model = solved.surroundings()
     if prior is None or state.track is None or model is None:
         return state, solved
-    mean, deviation = prior.mean(shape), prior.deviation(shape)
-    sought, scale, seconds = deviation > 0, model.scale, [solved.seconds]
+    mean = prior.mean(shape)
+    deviation = prior.deviation(shape)
+    sought = deviation > 0
+    scale = model.scale
+    seconds = [solved.seconds]
     precision = np.where(sought, deviation, 1.0) ** -2.0  # contacts without a deviation stay where bounds hold them
 
     def at(ohm: Array) -> SolvedContacts:

@@ -57,7 +57,8 @@ def barred_maps(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[
         return np.where(np.isnan(cells), np.nan, stacked)
 
     with np.errstate(over="ignore"):  # the interval of an undetermined cell extends to infinity
-        lower, upper = ratio * np.exp(-frames("below", change=True)), ratio * np.exp(frames("above", change=True))
+        lower = ratio * np.exp(-frames("below", change=True))
+        upper = ratio * np.exp(frames("above", change=True))
         return {
             "cell_resistance_errors": cells * frames("deviation"),
             "cell_resistance_lower": cells * np.exp(-frames("below")),
@@ -177,7 +178,8 @@ class Estimates:
     automatic: bool = False
 
     def __repr__(self) -> str:
-        solved, status = int(self.solved.sum()), self.status[0]
+        solved = int(self.solved.sum())
+        status = self.status[0]
         return (
             f"{type(self).__name__}({self.recording.name}: {self.method}, "
             f"{solved} of {len(self.steps)} frames solved, the first: {status})"
@@ -226,7 +228,8 @@ class Estimates:
     @property
     def status(self) -> tuple[str, ...]:
         """Outcome of each solve in a sentence, (frames,); it names rails of the converter that leave cells open."""
-        readout, messages = self.recording.scene.readout, []
+        readout = self.recording.scene.readout
+        messages = []
         if readout is None or self.recording.scene.panel.modules is not None:
             return tuple(step.status for step in self.steps)
         for step, recorded in zip(self.steps, self.recording.recorded[self.frame], strict=True):
@@ -288,7 +291,8 @@ class Estimates:
         None without error bars; NaN in a frame without.
         """
         deviation = [None if step.bars is None else step.bars.reading for step in self.steps]
-        noise, scene = self.readings.sigma, self.prepared.recording.scene
+        noise = self.readings.sigma
+        scene = self.prepared.recording.scene
         if self._bars is None or noise is None or all(frame is None for frame in deviation):
             return None
         of_cells = np.stack([np.full(scene.panel.shape, np.nan) if frame is None else frame for frame in deviation])
@@ -319,7 +323,8 @@ class Estimates:
     @property
     def model_check(self) -> ModelCheck:
         """The check whether the scene's circuit explains the recording's readings."""
-        check, number = self.prepared.check, self.prepared.recording.number
+        check = self.prepared.check
+        number = self.prepared.recording.number
         if not self._is_part or number is None:
             return check
         message = f"; of a long recording {len(number)} frames between {number[0]} and {number[-1]} were asked"
@@ -365,7 +370,8 @@ class Estimates:
 
         Strengths that the scene leaves open are estimated from the frames after a load was taken off.
         """
-        film, known = self.recording.scene.film, log_change(self)
+        film = self.recording.scene.film
+        known = log_change(self)
         return None if film is None or known is None else FilmKnown.specified(film).estimated(*known, self.time)
 
     @property
@@ -402,7 +408,8 @@ class Estimates:
             return None
         interval = self._bars["ratio_lower"], self._bars["ratio_upper"]
         ratio = self.cell_resistance / self.baseline_resistance
-        individual, scene = self._bars["change_own"], self.recording.scene
+        individual = self._bars["change_own"]
+        scene = self.recording.scene
         return pressure_of(ratio, *interval, scene, self.time, self.film, self.estimator.tare, individual)
 
 

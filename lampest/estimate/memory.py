@@ -24,7 +24,8 @@ MAX_DEVIATION = 0.05  # of the share: with more, the recording does not determin
 
 def estimated_memory(recording: Recording) -> tuple[float, float] | str:
     """Return the share and its standard deviation, or the reason why the recording cannot determine it, in words."""
-    unloaded, measured = recording.role == UNLOADED, np.flatnonzero(recording.role == MEASURED)
+    unloaded = recording.role == UNLOADED
+    measured = np.flatnonzero(recording.role == MEASURED)
     if recording.scene.readout is None:
         return "the scene has no readout"
     if not unloaded.any() or not len(measured):
@@ -32,7 +33,8 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
     if recording.scene.panel.crossings > MAX_CELLS:
         return f"the panel has more than {MAX_CELLS} cells: estimate it on a part of it"
     costs = _costs(recording, MEMORIES)
-    best, step = float(MEMORIES[np.argmin(costs)]), float(MEMORIES[1])
+    best = float(MEMORIES[np.argmin(costs)])
+    step = float(MEMORIES[1])
     shares = np.linspace(max(best - step, 0.0), max(best, step) + step, FINER)
     costs = _costs(recording, shares)
     if not np.isfinite(costs).all():
@@ -41,7 +43,8 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
     middle = int(np.clip(np.argmin(costs), 1, len(shares) - 2))
     before, at, after = costs[middle - 1 : middle + 2]
     spacing = float(shares[1] - shares[0])
-    slope, curvature = (after - before) / (2 * spacing), (after - 2 * at + before) / spacing**2
+    slope = (after - before) / (2 * spacing)
+    curvature = (after - 2 * at + before) / spacing**2
     if not curvature > 0 or (deviation := float(np.sqrt(2 / curvature))) > MAX_DEVIATION:
         return "the load changes all channels alike: press a few cells"
     return max(float(shares[middle]) - slope / curvature, 0.0), deviation

@@ -135,7 +135,8 @@ class Question:
         """Return the frames of a recording whose noise is known; without an unloaded frame the first is used."""
         role = recording.role
         specified = Rival(recording.scene, np.where(outliers, np.nan, recording.recorded), recording.sigma)
-        readings, named = specified.readings(), np.arange(len(role)) if recording.number is None else recording.number
+        readings = specified.readings()
+        named = np.arange(len(role)) if recording.number is None else recording.number
         resting = np.flatnonzero(role == UNLOADED) if np.any(role == UNLOADED) else np.array([0])
         standing = np.setdiff1d(np.flatnonzero(role == MEASURED), resting)
         # The most strongly loaded frame, averaged with those that are equal to it within their noise.
@@ -154,7 +155,8 @@ class Question:
 
     def readings(self, rival: Rival) -> tuple[Readings, ...]:
         """Return the mean of the unloaded frames, and of the standing ones. Raises InputError as `Rival.readings`."""
-        chosen, count = np.concatenate([self.resting, self.standing]), len(self.resting)
+        chosen = np.concatenate([self.resting, self.standing])
+        count = len(self.resting)
         read = rival.readings(chosen)
         usable = rival.ordered(self._usable[chosen])
         read = replace(read, sigma=self.widening * read.known_sigma, seen=read.seen * usable)
@@ -169,7 +171,8 @@ class Question:
     @cached_property
     def _shares(self) -> tuple[float, float]:
         """Shares of bounds and of missing readings in the frames to explain."""
-        scene, compared = self.specified.scene, self.specified.readings(np.concatenate([self.resting, self.standing]))
+        scene = self.specified.scene
+        compared = self.specified.readings(np.concatenate([self.resting, self.standing]))
         read = (compared.seen > 0)[:, scene.requested].sum()
         bounded = (compared.bounds & scene.requested).sum() / max(read, 1)
         return float(bounded), float(compared.missing(scene).mean())
@@ -188,7 +191,8 @@ class Question:
     @cached_property
     def below(self) -> str:
         """The reading that lies significantly below its series resistance, in words; '' where there is none."""
-        scene, readings = self.specified.scene, self.specified.readings()
+        scene = self.specified.scene
+        readings = self.specified.readings()
         if scene.circuit.unit != "ohm" or readings.sigma is None:
             return ""
         left = scene.circuit.from_recorded(self.specified.recorded, scene)
@@ -212,7 +216,8 @@ class Question:
                 return ModelCheck(explains=True, sentence=lawful).with_doubts("no cells were fitted")
             return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
         # Rivals and effects compete by evidence if enough readings are values.
-        best, complete = BetterExplanation(), missing <= MAX_MISSING and (few_bounds or bool(self.below))
+        best = BetterExplanation()
+        complete = missing <= MAX_MISSING and (few_bounds or bool(self.below))
         if complete:
             best = better_rival(self, None if fault else explanation)
             if besides.name and (besides.fits_noise or not fault) and (not best.name or besides.count < best.count):
@@ -235,7 +240,8 @@ class Question:
 
     def effects(self, kinds: Sequence[type[Effect]] = EFFECTS) -> CircuitEffects:
         """Return the effects beside the circuit, from the frames that changed most and from the last frame."""
-        scene, explanation = self.specified.scene, self.explanation
+        scene = self.specified.scene
+        explanation = self.explanation
         last = np.flatnonzero(self.role == MEASURED)[-1:]
         if explanation is None or explanation.pair is None or scene.readout is None or UNLOADED not in self.role:
             return CircuitEffects()
@@ -294,7 +300,8 @@ def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
     readings = recording.readings()[recording.role == UNLOADED] if UNLOADED in recording.role else recording.readings()
     values = np.moveaxis(np.log(layout.split(readings.plain_values)), 1, 0).reshape(layout.count, -1)
     read = np.isfinite(values).any(axis=1)
-    factors, levels = dict.fromkeys(np.flatnonzero(~read).tolist(), np.nan), np.nanmedian(values[read], axis=1)
+    factors = dict.fromkeys(np.flatnonzero(~read).tolist(), np.nan)
+    levels = np.nanmedian(values[read], axis=1)
     for place, number in enumerate(np.flatnonzero(read).tolist() if len(levels) > 2 else ()):
         # ln level less the median of the remaining ones, against 5 robust standard deviations of these and MIN_AWAY
         remaining = np.delete(levels, place)
@@ -318,11 +325,13 @@ def noise_factor(resting: Readings) -> float:
 def _unexplained(explanation: "Explanation", question: Question) -> str:
     """Return the significant misfit of the explanation in words; '' where there is none."""
     worst = int(np.argmin([fit.tail for fit in explanation.fits]))
-    fit, place = explanation.fits[worst], question.loaded if worst else "the unloaded panel"
+    fit = explanation.fits[worst]
+    place = question.loaded if worst else "the unloaded panel"
     if fit.tail >= SIGNIFICANCE:
         return ""
     squares = fit.residual.reshape(fit.cells.shape) ** 2
-    rows, columns = squares.sum(axis=1), squares.sum(axis=0)
+    rows = squares.sum(axis=1)
+    columns = squares.sum(axis=0)
     name, lines = ("row", rows) if rows.max() >= columns.max() else ("column", columns)
     return (
         f"no cells give the readings of {place}: chi square is {fit.chi_square:.3g} where some {fit.degrees:.3g} "

@@ -75,7 +75,8 @@ def broken_laws(readings: Readings, recording: Recording) -> float:
     single garbled one is no error of the model; neither is one that a brief fit does not come near, of which the check
     of the circuit speaks. 1 without unloaded frames.
     """
-    scene, unloaded = recording.scene, recording.role == UNLOADED
+    scene = recording.scene
+    unloaded = recording.role == UNLOADED
     if not unloaded.any():
         return 1.0
     resting = readings[unloaded].mean()
@@ -124,7 +125,8 @@ def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Dat
 
     The second description, by changes since rest, needs unloaded frames.
     """
-    scene, resting = recording.scene, baseline_readings(recording, readings)
+    scene = recording.scene
+    resting = baseline_readings(recording, readings)
     frames = deciding_frames(recording, readings, resting)
     if not len(frames):
         return

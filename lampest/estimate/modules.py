@@ -132,7 +132,8 @@ class CoupledStream(Stream):
     def push(self, readings: Readings) -> tuple[Stream, Step]:
         """Push a frame, as `Stream.push`."""
         stream, step = super().push(readings)
-        unread, solution = self._unread(readings), step.solution
+        unread = self._unread(readings)
+        solution = step.solution
         if not (unread.any() and solution.solved):
             return stream, step
         cells, reading = (np.where(unread, np.nan, part) for part in (solution.cell_resistance, solution.reading))
@@ -173,8 +174,10 @@ class ModulesStream(Stream):
         self, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple[Stream, list[Step]]:
         """Solve a sequence, as `Stream.sequence`, one module after the other."""
-        layout, frames = self._layout, len(readings.value)
-        modules, columns = list[Stream | None](), list[Sequence[Step | None]]()
+        layout = self._layout
+        frames = len(readings.value)
+        modules = list[Stream | None]()
+        columns = list[Sequence[Step | None]]()
         for number, module in enumerate(self.modules):
             inside = resting.of_module(layout, number), readings.of_module(layout, number)
             after, solved = (None, [None] * frames) if module is None else module.sequence(*inside, lambda: None)
@@ -249,7 +252,8 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     """
     present = [step for step in steps if step is not None]
     solved = [step for step in present if step.solution.solved]
-    counted, first = solved or present[:1], present[0].solution
+    counted = solved or present[:1]
+    first = present[0].solution
     status = max((step.solution.status for step in solved), key=WEAKEST_LAST.index, default=first.status)
     missing = {"cell_resistance": np.nan, "reading": np.nan, "open_cell": False, "at_lower": False}
     solutions, bars = ([getattr(step, name, None) for step in steps] for name in ("solution", "bars"))

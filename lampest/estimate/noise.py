@@ -116,7 +116,8 @@ class NoiseEstimate:
         """Standard deviations of a frame's gain, %, of the ripple common to all lines and of each line's own, LSB."""
         if self.frame is None:
             return 0.0, 0.0, 0.0
-        roots, lsb_volt = (self.frame.common_ripple, self.frame.line_ripple), self.frame.scene.circuit.lsb_volt
+        roots = (self.frame.common_ripple, self.frame.line_ripple)
+        lsb_volt = self.frame.scene.circuit.lsb_volt
         common_lsb, line_lsb = (float(np.sqrt((root**2).sum() / len(root))) / lsb_volt for root in roots)
         return 100 * self.frame.gain, common_lsb, line_lsb
 
@@ -203,15 +204,20 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
     cleaned : Readings
         Readings of all frames without outliers.
     """
-    scene, readout, unloaded = recording.scene, recording.scene.readout, int((recording.role == UNLOADED).sum())
+    scene = recording.scene
+    readout = recording.scene.readout
+    unloaded = int((recording.role == UNLOADED).sum())
     unscaled = NoiseEstimate(outliers, _outlier_messages(outliers, cleaned, recording.role == UNLOADED), cleaned)
     unscaled = _with_specified_frame_noise(unscaled, scene, unloaded)
     asked = None if readout is None else readout.noise_lsb == ESTIMATED
     if cleaned.sigma is None or (parts := _scatter_of(recording, cleaned)) is None:
         reason = "record five or more unloaded frames"
         return unscaled.undetermined("readout.noise_lsb", reason) if asked else unscaled
-    ratio, message, used = parts.own, "", 1.0
-    squares, error = ratio**2 * parts.own_freedom, ratio / np.sqrt(2 * parts.own_freedom)
+    ratio = parts.own
+    message = ""
+    used = 1.0
+    squares = ratio**2 * parts.own_freedom
+    error = ratio / np.sqrt(2 * parts.own_freedom)
     specified = readout is None or recording.sigma is not None or readout.noise_specified
     if specified and not excludes_model_error(scene):
         used = noted_excess(squares, parts.own_freedom)
@@ -224,7 +230,8 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
             # Only of a converter it is known how small the noise may be: its step.
             used = factor if smaller and recording.sigma is None else used
             assumed = float(np.mean(readout.assumed_noise))
-            measured_text, specified_text = f"{noise_lsb:.2g} LSB", f"{assumed:.2g} LSB"
+            measured_text = f"{noise_lsb:.2g} LSB"
+            specified_text = f"{assumed:.2g} LSB"
             if measured_text != specified_text:
                 message = f"noise {measured_text}, measured in {where}; the scene specifies {specified_text}"
     elif readout is not None and not specified and unloaded >= (MIN_UNLOADED_FRAMES if not asked else 2):
@@ -251,7 +258,8 @@ def _with_specified_frame_noise(noise: NoiseEstimate, scene: Scene, unloaded: in
 
 def _with_estimated_frame_noise(noise: NoiseEstimate, recording: Recording, parts: "Scatter") -> NoiseEstimate:
     """Return the noise with the gain and the ripple that the scene calls `estimated`, from the unloaded frames."""
-    scene, unloaded = recording.scene, int((recording.role == UNLOADED).sum())
+    scene = recording.scene
+    unloaded = int((recording.role == UNLOADED).sum())
     asked = [key for key in ("gain", "ripple") if getattr(scene, key) == ESTIMATED]
     if not asked or scene.readout is None:
         return noise
@@ -281,7 +289,8 @@ def excludes_model_error(scene: Scene) -> bool:
 
 def _outlier_messages(outliers: NDArray[np.bool_], cleaned: Readings, resting: NDArray[np.bool_]) -> tuple[str, ...]:
     """Return sentences on impossible readings and on outliers; `resting` are the unloaded frames, (frames,)."""
-    messages, impossible = list[str](), outliers & (cleaned.seen == 0) & ~resting[:, None, None]
+    messages = list[str]()
+    impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
     if count := int(impossible.sum()):
         many = "reading is" if count == 1 else "readings are"
         messages.append(f"{count} {many} larger than any cells allow beside the others, and left out")
@@ -300,7 +309,8 @@ def _scatter_of(recording: Recording, cleaned: Readings) -> "Scatter | None":
 
     A scatter at rest below MIN_MEDIAN_NOISE of a converter is not used.
     """
-    resting, readout = recording.role == UNLOADED, recording.scene.readout
+    resting = recording.role == UNLOADED
+    readout = recording.scene.readout
     parts = unloaded_scatter(recording, cleaned[resting]) if resting.sum() > 1 else None
     if parts is None:
         parts = repeated_scatter(cleaned[~resting])
@@ -371,7 +381,8 @@ def steps_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.int
     between the middle of a frame and a reading's own time. It is zero for a load that is present in a single frame,
     and the larger step is not.
     """
-    steps, channels = np.zeros((2, *readings.value.shape)), readings.value[0].size
+    steps = np.zeros((2, *readings.value.shape))
+    channels = readings.value[0].size
     if len(measured) > 1:
         step = np.diff(readings.value[measured], axis=0)
         steps[:, measured] = np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]])
@@ -402,7 +413,8 @@ def share_of_motion(
     base = fitted(scene, resting, patient=True)
     if base is None or base.tail < SIGNIFICANCE:
         return None
-    costs, broken = np.zeros(len(SHARES)), 0
+    costs = np.zeros(len(SHARES))
+    broken = 0
     for frame in moving:
         near = None
         for number, share in enumerate(SHARES):
@@ -410,7 +422,8 @@ def share_of_motion(
             fit = fitted(scene, replace(readings[frame], sigma=widened), near, patient=True)
             if fit is None:
                 return None
-            near, spread = fit.cells, float(np.mean(np.log(widened / readings.known_sigma[frame])))
+            near = fit.cells
+            spread = float(np.mean(np.log(widened / readings.known_sigma[frame])))
             costs[number] += fit.chi_square + 2 * fit.degrees * spread
             broken += number == 0 and fit.tail < SIGNIFICANCE
     if not broken:
@@ -471,7 +484,9 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
 
     Without a readout in the scene the voltages are unknown, and the gain multiplies the readings themselves.
     """
-    circuit, scene, value = recording.scene.circuit, recording.scene, resting.plain_values
+    circuit = recording.scene.circuit
+    scene = recording.scene
+    value = resting.plain_values
     count = np.sum(~np.isnan(value), axis=0)
     if not (count > 1).any():
         return None
@@ -484,7 +499,8 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
         volt = circuit.volt_from_recorded(circuit.to_recorded(middle, scene))
         loudness = np.asarray(volt / np.broadcast_to(scene.readout.sigma_volt(), volt.shape))
     if circuit.by_columns:
-        deviation, loudness = deviation.swapaxes(1, 2), loudness.T
+        deviation = deviation.swapaxes(1, 2)
+        loudness = loudness.T
     return scatter(deviation, loudness, len(value) - 1, gain=scene.gain is not None, ripple=scene.ripple is not None)
 
 
@@ -496,7 +512,8 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
     counts. Where first differences, divided by √2 σ, are larger by MIN_EXCESS, motion remains and the scatter is only
     an upper bound: it is then not taken for noise above the specified one.
     """
-    value, sigma = measured.plain_values, measured.known_sigma[1:-1]
+    value = measured.plain_values
+    sigma = measured.known_sigma[1:-1]
     if len(value) < 3:
         return None
     second = np.abs(value[2:] - 2 * value[1:-1] + value[:-2]) / (np.sqrt(6) * sigma)
@@ -506,7 +523,8 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
         return None
     of_second, of_first = (np.nanmedian(size[usable], axis=(1, 2)) for size in (second, first))
     calmest = np.argsort(of_second)[: max(1, round(QUIET_SHARE * len(of_second)))]
-    quiet, moving = float(of_second[calmest].mean()) * MAD_TO_SIGMA, float(of_first[calmest].mean()) / PAIR_MEDIAN
+    quiet = float(of_second[calmest].mean()) * MAD_TO_SIGMA
+    moving = float(of_first[calmest].mean()) / PAIR_MEDIAN
     if quiet > 1 and moving > MIN_EXCESS * quiet:
         return None
     count = int(np.isfinite(second[usable]).sum() / usable.sum() * MEDIAN_EFFICIENCY)
@@ -528,7 +546,8 @@ def scatter(deviation: Array, loudness: Array, repeats: int, *, gain: bool = Tru
     known = ~np.isnan(deviation)
     lines, channels = deviation.shape[1:]
     # Of a single line, gain and common ripple are not distinguished from its own ripple, and count as that.
-    several, free = lines > 1, max(lines - 1, 1)
+    several = lines > 1
+    free = max(lines - 1, 1)
     loud = np.maximum((known * loudness**2).sum(axis=(1, 2)), 1e-300)
     # Gain of each frame by least squares, Σ deviation · loudness / Σ loudness², (frames,); then the mean over lines,
     # (frames, channels).
@@ -543,8 +562,10 @@ def scatter(deviation: Array, loudness: Array, repeats: int, *, gain: bool = Tru
     noise, line_ripple = _patterns(inner, max(samples, 1.0), separated=ripple)
     # Variance of one reading by own noise and line ripple, and of the mean over lines if no common ripple existed.
     line = noise + float((line_ripple**2).sum()) / channels
-    shared, variance = np.zeros((channels, 0)), line / (lines * share)
-    ripple_sd, ripple_tail = 0.0, 1.0
+    shared = np.zeros((channels, 0))
+    variance = line / (lines * share)
+    ripple_sd = 0.0
+    ripple_tail = 1.0
     if ripple and several:
         squares = float((common**2).sum())
         ripple_tail = float(chi_square_tail(squares / max(variance, 1e-300), repeats * channels))
@@ -594,7 +615,9 @@ def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
     Oracle-approximating shrinkage, (1 − ρ) S + ρ (tr S/p) 1, so that directions without a sample have a variance, too.
     Source: Chen, Wiesel, Eldar and Hero, IEEE Trans. Signal Processing 58(10), 2010.
     """
-    channels, total, squares = len(sizes), float(sizes.sum()), float((sizes**2).sum())
+    channels = len(sizes)
+    total = float(sizes.sum())
+    squares = float((sizes**2).sum())
     # ρ = ((1 − 2/p) tr S² + tr² S) / ((n + 1 − 2/p) (tr S² − tr² S/p)), at most 1
     within = (repeats + 1 - 2 / channels) * (squares - total**2 / channels)
     share = min(((1 - 2 / channels) * squares + total**2) / max(within, 1e-300), 1.0)
@@ -618,7 +641,8 @@ def _patterns(rows: Array, freedom: float, *, separated: bool) -> tuple[float, A
     """
     channels = rows.shape[1]
     size, direction = np.linalg.eigh(rows.T @ rows / freedom)
-    first, second = np.sqrt(freedom), np.sqrt(channels)
+    first = np.sqrt(freedom)
+    second = np.sqrt(channels)
     # largest eigenvalue of a white Wishart matrix: n · edge = (√n + √p)² with the width (√n + √p)(1/√n + 1/√p)^⅓;
     # `unsure` allows for the error of the mean of the others
     width = (first + second) * (1 / first + 1 / second) ** (1 / 3)

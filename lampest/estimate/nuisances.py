@@ -325,7 +325,8 @@ class FittedPair:
         for _ in range(FIT.evaluations):
             evidence = pair.explained(pair.columns(effects))
             free = np.array([constant or effect.since for effect in effects])
-            step, sd = np.where(free, evidence.size[1:], 0.0), evidence.sd[1:]
+            step = np.where(free, evidence.size[1:], 0.0)
+            sd = evidence.sd[1:]
             if not np.isfinite(step).all():
                 return None
             # Gauss-Newton step of θ, of at most one prior deviation; halved until cells explain both frames.
@@ -333,7 +334,8 @@ class FittedPair:
             after = next(filter(None, (pair._stepped(effects, short * 0.5**half) for half in range(5))), None)
             if after is None:
                 return None
-            pair, effects = after, after.effects
+            pair = after
+            effects = after.effects
             if np.all(np.abs(step) < SETTLED_STEP * np.maximum(sd, SETTLED_STEP)):
                 break
         return pair
@@ -404,7 +406,9 @@ def find_effects(pairs: Sequence[tuple[str, FittedPair]], kinds: Sequence[type[E
     kinds : sequence of type
         Kinds of effects that are searched for.
     """
-    besides, common, most = CircuitEffects(), "", 0.0
+    besides = CircuitEffects()
+    common = ""
+    most = 0.0
     for name, pair in pairs:
         common = _together(pair) or common
         grown, certain = _grown(pair, kinds)
@@ -416,9 +420,11 @@ def find_effects(pairs: Sequence[tuple[str, FittedPair]], kinds: Sequence[type[E
         off_by_one = pair.scores_with((), LooseContact.prior * pair.frames[1].gain).min()
         if off_by_one < grown.evidence.score + MIN_EVIDENCE_GAIN or pair.gain_apart(grown) <= 0:
             continue
-        most, fits_noise = gain, min(fit.tail for fit in grown.frames) >= SIGNIFICANCE
+        most = gain
+        fits_noise = min(fit.tail for fit in grown.frames) >= SIGNIFICANCE
         names = " and ".join(effect.sentence(pair.shape[0]) for effect in grown.effects)
-        counts, taken_off = (int(grown.moved.sum()), int(pair.moved.sum())), bool(certain.effects) and fits_noise
+        counts = (int(grown.moved.sum()), int(pair.moved.sum()))
+        taken_off = bool(certain.effects) and fits_noise
         besides = CircuitEffects(names, name, *counts, fits_noise, pair=certain if taken_off else None)
     return besides if besides.name else replace(besides, common_change=common)
 
@@ -434,7 +440,8 @@ def _grown(pair: FittedPair, kinds: Sequence[type[Effect]]) -> tuple[FittedPair,
         With the unambiguous effects: those added before the first one that another candidate explains about as well,
         within half of MIN_EVIDENCE_GAIN.
     """
-    certain, doubtful = pair, False
+    certain = pair
+    doubtful = False
     for _ in range(MAX_CANDIDATES):
         tried = sorted(_tried(pair, kinds), key=lambda candidate: candidate.evidence.score)
         if not tried or pair.evidence.score - tried[0].evidence.score <= MIN_EVIDENCE_GAIN:
@@ -489,8 +496,11 @@ def without_effects_of(pair: FittedPair, readings: Readings, unloaded: NDArray[n
     Readings
         (frames, rows, columns).
     """
-    value, sigma, resting = readings.value.copy(), readings.known_sigma.copy(), pair.frames[0]
-    fit, frames = replace(resting, effects=without_late(pair.effects)), np.flatnonzero(~unloaded)
+    value = readings.value.copy()
+    sigma = readings.known_sigma.copy()
+    resting = pair.frames[0]
+    fit = replace(resting, effects=without_late(pair.effects))
+    frames = np.flatnonzero(~unloaded)
     for numbers in (unloaded, *frames):
         if numbers is not unloaded:
             fit = pair.frame_like(readings[numbers], fit) or fit

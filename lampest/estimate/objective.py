@@ -24,7 +24,9 @@ from lampest.recording.readings import AT_MOST, Readings, stand_in_spread
 from lampest.solvers.solution import Settings
 
 Rule = Literal["risk", "evidence"]  # function of a weight that its choice minimises
-OPEN_FACTOR, SHORT_FACTOR = 1e9, 1e-6  # of the apparent resistance: beyond, double precision has no difference
+# of the apparent resistance: beyond, double precision has no difference
+OPEN_FACTOR = 1e9
+SHORT_FACTOR = 1e-6
 CONTRADICTED_FACTOR = 1e-3  # of the upper bound: the lower bound of a cell whose reading contradicts its bounds
 MAX_CONTRADICTED = 0.5  # of the readings: if more contradict the bounds, the bounds are the mistake
 UNKNOWN_NOISE = 0.01  # of a reading, where the noise is not specified: that of a 10-bit divider
@@ -84,7 +86,8 @@ class Bounds(Configuration):
 
         Raises InputError where the upper bound is below the lower one for more than half of the readings.
         """
-        lower, upper = readout.nearly_shorted(measured), readout.apparent_resistance(measured) * OPEN_FACTOR
+        lower = readout.nearly_shorted(measured)
+        upper = readout.apparent_resistance(measured) * OPEN_FACTOR
         if self.lower == "measured":
             least = readout.least_cells(measured, sigma)
             lower = least if wiring is None else np.maximum(least - wiring.path_ohm(measured.shape[-2:]), lower)
@@ -207,7 +210,9 @@ class Objective:
 
         Raises InputError as `Bounds.limits`, and where a term needs the noise and it is unknown.
         """
-        measured, sigma, scene = readings.value, readings.sigma, background.scene
+        measured = readings.value
+        sigma = readings.sigma
+        scene = background.scene
         if sigma is None and any(getattr(term, "weighting", "plain") == "noise" for term in self.terms):
             raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
         if sigma is None and self.weighs_previous:
@@ -227,7 +232,8 @@ class Objective:
             typical = np.exp(np.mean(np.log(apparent), axis=(-2, -1), keepdims=True))
             for known, factor in ((scene.open_cells, OPEN_FACTOR), (scene.shorted_cells, SHORT_FACTOR)):
                 lower, upper = (np.where(known, typical * factor, bound) for bound in (lower, upper))
-        given, noisy = Given.of(readings, background), sigma is not None
+        given = Given.of(readings, background)
+        noisy = sigma is not None
         return Data(given, lower, upper, scene.circuit, scene.wiring, noisy, parts=scene.parts)
 
     def cost(self, scene: Scene, frames: int, *, partial: bool = False) -> Cost:
@@ -270,7 +276,8 @@ def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: NDArray
     bounded = readings.bounds if readings.sigma is not None else np.zeros(readings.seen.shape, dtype=bool)
     noise = readings.value * UNKNOWN_NOISE if readings.sigma is None else readings.sigma
     # own: noise of each bound and substitute; usual: geometric mean of σ over the frame's values
-    wide, usual = noise.copy(), np.ones((len(noise), 1, 1))
+    wide = noise.copy()
+    usual = np.ones((len(noise), 1, 1))
     for frame, plain in enumerate(readings.plain):
         if plain.any():
             usual[frame] = np.exp(np.log(noise[frame][plain]).mean())

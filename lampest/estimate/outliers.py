@@ -58,11 +58,13 @@ def detect_outliers(value: Array, scale: Array, max_share: float = 1.0) -> tuple
     """
     # Two predictions: the median suits rest, a straight line suits motion. A reading is flagged if either one fails.
     predictors = [_by_median, *([_by_line] if len(value) > WINDOW else [])]
-    frames, width = np.arange(len(value)), min(len(value), WINDOW + 1)
+    frames = np.arange(len(value))
+    width = min(len(value), WINDOW + 1)
     first = np.clip(frames - WINDOW // 2, 0, len(value) - width)
     expected = [_from_window(value, first, frames - first, predict) for predict in predictors]
     scale = np.broadcast_to(median(scale), scale.shape)  # of the frames around: that of a touched cell is another
-    outlying, size = np.zeros(value.shape, dtype=bool), value.size
+    outlying = np.zeros(value.shape, dtype=bool)
+    size = value.size
     with np.errstate(divide="ignore", invalid="ignore"):
         for prediction, predict in zip(expected, predictors, strict=True):
             far = _exceeds_threshold(value, scale, prediction)
@@ -72,7 +74,8 @@ def detect_outliers(value: Array, scale: Array, max_share: float = 1.0) -> tuple
     outlying &= (outlying.mean(axis=(-2, -1), keepdims=True) <= max_share) & (len(value) >= MIN_FRAMES)
     # The prediction with the smaller scatter is used; its disagreement with the other one adds to its uncertainty.
     (middle, spread, _), (line, line_spread, _) = expected[0], expected[-1]
-    nearer, deviation = line_spread < spread, np.nan_to_num(np.abs(line - middle))
+    nearer = line_spread < spread
+    deviation = np.nan_to_num(np.abs(line - middle))
     return outlying, np.where(nearer, line, middle), np.hypot(np.where(nearer, line_spread, spread), deviation)
 
 
@@ -90,10 +93,13 @@ def frozen_readings(recording: Recording) -> NDArray[np.bool_]:
     """
     value = recording.readings().plain_values
     known = np.isfinite(value)
-    least, most = np.where(known, value, np.inf).min(axis=0), np.where(known, value, -np.inf).max(axis=0)
-    constant, both = least == most, known[1:] & known[:-1]
+    least = np.where(known, value, np.inf).min(axis=0)
+    most = np.where(known, value, -np.inf).max(axis=0)
+    constant = least == most
+    both = known[1:] & known[:-1]
     compared = both & ~constant
-    count, repeated = compared.sum(axis=(1, 2)), ((value[1:] == value[:-1]) & compared).sum(axis=(1, 2))
+    count = compared.sum(axis=(1, 2))
+    repeated = ((value[1:] == value[:-1]) & compared).sum(axis=(1, 2))
     if not constant.any() or not count.any() or constant.sum() > max(1.0, MAX_SHARE * constant.size):
         return np.zeros(constant.shape, dtype=bool)
     shares = np.sort(np.maximum(repeated, 1)[count > 0] / count[count > 0])
@@ -124,8 +130,10 @@ def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool
     -------
     boolean array, same shape
     """
-    value, sigma = readings.value, readings.sigma_of_values
-    outliers, frames = np.zeros(value.shape, dtype=bool), np.arange(len(value))
+    value = readings.value
+    sigma = readings.sigma_of_values
+    outliers = np.zeros(value.shape, dtype=bool)
+    frames = np.arange(len(value))
     if sigma is None:
         return outliers
     for _ in range(int(MAX_SHARE * value[0].size) + 1):
@@ -170,7 +178,9 @@ def without_outliers(
     readings = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
     value = readings.plain_values
     sigma = np.ones(value.shape) if readings.sigma is None else readings.sigma
-    outlying, instead, spread = np.zeros(value.shape, dtype=bool), value.copy(), np.zeros(value.shape)
+    outlying = np.zeros(value.shape, dtype=bool)
+    instead = value.copy()
+    spread = np.zeros(value.shape)
     # The specified σ may be wrong, so it is rescaled by the median change from frame to frame, which is noise.
     seen = [_pair_scale(value[chosen], sigma[chosen]) for chosen in (unloaded, ~unloaded)]
     scale = sigma * np.fmax(seen[0] if unloaded.sum() >= MIN_FRAMES else seen[1], float(readings.sigma is not None))
@@ -203,9 +213,11 @@ def _alone_in_time(value: Array, scale: Array, resting: Array, measured: NDArray
         Median of the unloaded frames.
     measured : boolean array, shape (frames,)
     """
-    isolated, frames = np.ones(value.shape, dtype=bool), value[measured]
+    isolated = np.ones(value.shape, dtype=bool)
+    frames = value[measured]
     if len(frames) > 1:
-        before, after = np.concatenate([resting[None], frames[:-2]]), frames[1:]
+        before = np.concatenate([resting[None], frames[:-2]])
+        after = frames[1:]
         nearer = np.minimum(np.abs(frames[:-1] - before), np.abs(frames[:-1] - after))
         least = np.fmax(np.abs(after - before), OUTLIER_THRESHOLD * scale[measured][:-1])
         isolated[np.flatnonzero(measured)[:-1]] = ~(nearer < least)
@@ -213,7 +225,8 @@ def _alone_in_time(value: Array, scale: Array, resting: Array, measured: NDArray
 
 
 def _replaced(readings: Readings, outlying: NDArray[np.bool_], instead: Array, spread: Array) -> Readings:
-    value, sigma = np.where(outlying, instead, readings.value), readings.sigma
+    value = np.where(outlying, instead, readings.value)
+    sigma = readings.sigma
     wider = None if sigma is None else np.where(outlying, np.hypot(sigma, spread), sigma)
     return replace(readings, value=value, sigma=wider)
 
@@ -275,7 +288,8 @@ def _from_window(value: Array, first: NDArray[np.intp], place: NDArray[np.intp],
     The neighbours are gathered as (width − 1, frames, ...), with their offsets (width − 1, frames).
     """
     width = min(len(value), WINDOW + 1)
-    within, target = first[:, None] + np.arange(width), first + place
+    within = first[:, None] + np.arange(width)
+    target = first + place
     nearest = within[within != target[:, None]].reshape(len(first), width - 1).T
     return predict(value[nearest], nearest - target)
 
@@ -295,12 +309,16 @@ def _is_usual(
     largest : float
         Multiple of σ that chance does not exceed.
     """
-    frames, block = len(value), 2 * WINDOW  # errors are compared with those of a block before and one after
+    # errors are compared with those of a block before and one after
+    frames = len(value)
+    block = 2 * WINDOW
     if frames - WINDOW - 1 < WINDOW:
         return np.zeros(value.shape, dtype=bool)
-    place, usual = np.arange(frames) - first, np.zeros(value.shape)
+    place = np.arange(frames) - first
+    usual = np.zeros(value.shape)
     # Frames within the recording lie in the middle of their windows: median error over three blocks of frames.
-    middle, deviation = place == WINDOW // 2, np.nan_to_num(np.abs(value - expected))
+    middle = place == WINDOW // 2
+    deviation = np.nan_to_num(np.abs(value - expected))
     for begin in range(0, frames, block):
         around = slice(max(begin - block, 0), begin + 2 * block)
         usual[begin : begin + block] = median(deviation[around][middle[around]])
@@ -342,7 +360,8 @@ def _by_line(neighbours: Array, offset: NDArray[np.intp]) -> Expected:
     centre = offset.mean(axis=0)
     centred = offset - centre
     size = np.sum(centred**2, axis=0)
-    height, slope = neighbours.mean(axis=0), np.sum(centred * neighbours, axis=0) / size
+    height = neighbours.mean(axis=0)
+    slope = np.sum(centred * neighbours, axis=0) / size
     # residual variance s² with n − 2 degrees of freedom; var(y − line at offset 0) = σ² (1 + 1/n + x̄²/Σ(x − x̄)²)
     left = np.sum((neighbours - height - slope * centred) ** 2, axis=0) / (len(neighbours) - 2)
     noise = np.sqrt(1 + 1 / len(neighbours) + centre**2 / size)

@@ -181,7 +181,8 @@ class OwnSolution(CasadiOwner):
         All derivatives are evaluated anew, outside of IPOPT.
         """
         gradient, jacobian, _ = self._derivatives
-        x, instance = self.result.unknown, self.instance
+        x = self.result.unknown
+        instance = self.instance
         slope = gradient + jacobian.T @ self.result.of_equations
         projected = np.clip(x - slope, instance.lower, instance.upper)
         values = self._equations
@@ -206,7 +207,9 @@ class OwnSolution(CasadiOwner):
     @guarded
     def _derivatives(self) -> tuple[Array, scipy.sparse.csc_array, scipy.sparse.csc_array]:
         """∇f (unknowns,), J (constraints, unknowns), and ∇²L (unknowns, unknowns)."""
-        program, x, p = self.instance.program, self.result.unknown, self.instance.parameter
+        program = self.instance.program
+        x = self.result.unknown
+        p = self.instance.parameter
         nlp = program.nlp
         at = [nlp["x"], nlp["p"]]
         outputs = [casadi.gradient(nlp["f"], nlp["x"]), casadi.jacobian(nlp["g"], nlp["x"])]
@@ -222,7 +225,8 @@ class OwnSolution(CasadiOwner):
         if not self.solved:
             return np.full(len(chosen), np.nan)
         _, jacobian, hessian = self._derivatives
-        x, instance = self.result.unknown, self.instance
+        x = self.result.unknown
+        instance = self.instance
         inside = np.minimum(x - instance.lower, instance.upper - x) > AT_BOUND
         # Constraints that are active: equations, and inequalities at a limit.
         low, high = instance.equations
@@ -290,7 +294,8 @@ def program(
     if estimator.automatic:
         raise InputError("an own program needs terms with weights, not weight: auto")
     prepared = Prepared.of(recording)
-    scene, readings = prepared.recording.scene, prepared.noise.readings
+    scene = prepared.recording.scene
+    readings = prepared.noise.readings
     chosen = [int(prepared.recording.measured_frames()[0])] if frames is None else list(frames)
     for frame in chosen:
         if not 0 <= frame < len(readings.value):

@@ -86,14 +86,16 @@ class Prepared:
         """The preparation of each module, None for a dead one; () for a single network."""
         if self.layout is None:
             return ()
-        dead, parts = self.recording.scene.dead_modules, enumerate(self.recording.modules)
+        dead = self.recording.scene.dead_modules
+        parts = enumerate(self.recording.modules)
         known = self.whole_recording.of_modules if self.whole_recording else (None,) * self.layout.count
         return tuple(None if number in dead else Prepared(part, known[number]) for number, part in parts)
 
     @cached_property
     def cleaned(self) -> Cleaned:
         """The readings of a single network without outliers."""
-        kept, recording = self.recording.scene.outliers == "keep", with_saturated_stage(self.recording)
+        kept = self.recording.scene.outliers == "keep"
+        recording = with_saturated_stage(self.recording)
         recording, memory = with_estimated_memory(recording)
         frozen = np.zeros(recording.scene.panel.shape, dtype=bool) if kept else frozen_readings(recording)
         garbled = () if kept else garbled_lines(recording)
@@ -165,7 +167,8 @@ class Prepared:
         if self.cleaned.readings.sigma is None:
             return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            check, count = self.question.check(self.effects), int(self.cleaned.outliers.sum())
+            check = self.question.check(self.effects)
+            count = int(self.cleaned.outliers.sum())
             left_out = f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""
             return replace(check, sentence=check.sentence + left_out)
         return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")

@@ -90,7 +90,9 @@ def _besides(noise: NoiseEstimate, recording: Recording, effects: Effects) -> No
 
 def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
     """Widen σ of readings that were taken while loads moved."""
-    scene, readings, measured = recording.scene, noise.readings, np.flatnonzero(recording.role == MEASURED)
+    scene = recording.scene
+    readings = noise.readings
+    measured = np.flatnonzero(recording.role == MEASURED)
     share = scene.motion
     if readings.sigma is None or share is None or len(measured) < 2:
         return noise
@@ -105,7 +107,8 @@ def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
 
 def _shared(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
     """Determine the errors that all frames share."""
-    scene, readings = recording.scene, noise.readings
+    scene = recording.scene
+    readings = noise.readings
     asked = estimated_errors(scene)
     unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
     asked = tuple(name for name in asked if name != "model_error")
@@ -138,7 +141,8 @@ def _with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEsti
     Error bars treat the error as one that all frames share. Averaging does not reduce it, so σ of each of n unloaded
     frames includes √n times the error.
     """
-    sigma, size = noise.readings.sigma, 0.0 if noise.possible_errors is None else noise.possible_errors.in_sigma
+    sigma = noise.readings.sigma
+    size = 0.0 if noise.possible_errors is None else noise.possible_errors.in_sigma
     if sigma is None or not size:
         return noise
     unloaded = recording.role == UNLOADED
@@ -149,16 +153,19 @@ def _with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEsti
 
 def _creep(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
     """Determine the change of all cells alike since the unloaded frames, from the cells that no load touches."""
-    scene, readings = recording.scene, noise.readings
+    scene = recording.scene
+    readings = noise.readings
     if scene.creep != ESTIMATED:
         return noise
-    unloaded, measured = recording.role == UNLOADED, np.flatnonzero(recording.role == MEASURED)
+    unloaded = recording.role == UNLOADED
+    measured = np.flatnonzero(recording.role == MEASURED)
     if readings.sigma is None or not unloaded.any() or not len(measured):
         return noise.undetermined("creep", "record unloaded frames, and frames whose load leaves cells free")
     if scene.panel.crossings > MAX_CELLS:
         return noise.undetermined("creep", f"the panel has more than {MAX_CELLS} cells")
     resting = readings[unloaded].mean()
-    base, last = fitted(scene, resting, patient=True), fitted(scene, readings[int(measured[-1])], patient=True)
+    base = fitted(scene, resting, patient=True)
+    last = fitted(scene, readings[int(measured[-1])], patient=True)
     if base is None or last is None:
         return noise.undetermined("creep", "no cells explain the unloaded panel and the last frame")
     evidence = FittedPair.of(base, last).evidence

@@ -37,7 +37,8 @@ BY_COLUMNS = "readings listed column by column (lampest import --transpose)"
 PARALLEL = (2, 4)  # multiplexers in parallel: 16 lines on two of eight or four of four channels
 # Largest noise of a resistance with which the divider's function of Gaussian voltages is still nearly Gaussian, as a
 # fraction. Largest shift of a mean by the same curvature, in its standard deviations.
-MAX_RELATIVE_NOISE, MAX_SHIFT = 0.05, 0.1
+MAX_RELATIVE_NOISE = 0.05
+MAX_SHIFT = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +134,8 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
         Whether to include circuits under which the readings decrease with a load where those of the specified circuit
         increase.
     """
-    scene, readout = specified.scene, specified.scene.readout
+    scene = specified.scene
+    readout = specified.scene.readout
     if readout is None:
         return
     volt = readout.volt_from_recorded(specified.recorded)
@@ -191,7 +193,8 @@ def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
 
 def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
     """Return the words that each literal setting of a kind may have; the first setting is its name."""
-    types, names = get_type_hints(kind), [field.name for field in fields(kind)]
+    types = get_type_hints(kind)
+    names = [field.name for field in fields(kind)]
     return {name: get_args(types[name]) for name in names if get_origin(types[name]) is Literal}
 
 
@@ -203,7 +206,8 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
     if kind is DrivenReadout:  # its presets are rivals of their own; what remains has lines that switches hold
         yield from _held(specified)
         return
-    words, types = choices(kind), get_type_hints(kind)
+    words = choices(kind)
+    types = get_type_hints(kind)
     names = {field.name for field in fields(kind)} - {*words, "groups"}
     shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
     if "converter_volt" not in names:
@@ -266,10 +270,12 @@ def _sense(first: Array, second: Array) -> float:
 @np.errstate(all="ignore")
 def changes_beyond_noise(scene: Scene, readings: Readings, role: NDArray[np.uint8]) -> Array:
     """Return ln(R/R_unloaded) of the apparent resistances, (measured frames, rows, columns); 0 where insignificant."""
-    unloaded, measured = role == UNLOADED, role == MEASURED
+    unloaded = role == UNLOADED
+    measured = role == MEASURED
     if not unloaded.any() or not measured.any() or readings.sigma is None:
         return np.zeros((0, *scene.panel.shape))
-    resting, values = readings[unloaded].mean().value, readings[measured].plain_values
+    resting = readings[unloaded].mean().value
+    values = readings[measured].plain_values
     change = np.log(scene.circuit.apparent_resistance(values) / scene.circuit.apparent_resistance(resting))
     # a change counts if it exceeds six standard deviations of the reading and MIN_CHANGE
     beyond = (np.abs(values - resting) > OUTLIER_THRESHOLD * readings.sigma[measured]) & (np.abs(change) > MIN_CHANGE)
@@ -290,7 +296,8 @@ def standing_frames(readings: Readings, frame: int, candidates: NDArray[np.intp]
     noise : float
         Factor on every σ.
     """
-    plain, sigma = readings.plain & readings.plain[frame], readings.known_sigma
+    plain = readings.plain & readings.plain[frame]
+    sigma = readings.known_sigma
     spread = noise * np.hypot(sigma, sigma[frame])
     # χ² of the difference of two frames, Σ (y − y₀)²/(σ² + σ₀²)
     square = np.where(plain, (readings.value - readings.value[frame]) / spread, 0.0) ** 2

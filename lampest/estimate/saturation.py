@@ -55,7 +55,9 @@ def saturated(recording: Recording) -> Saturated | None:
     Channels that moved under load are tested by their largest or smallest voltage over the measured frames, all
     channels by their unloaded voltage.
     """
-    scene, unloaded, measured = recording.scene, recording.role == UNLOADED, recording.role == MEASURED
+    scene = recording.scene
+    unloaded = recording.role == UNLOADED
+    measured = recording.role == MEASURED
     readout = scene.readout
     if (
         readout is None
@@ -64,7 +66,8 @@ def saturated(recording: Recording) -> Saturated | None:
         or not unloaded.any()
     ):
         return None
-    width, volts = NOISE_REACH * readout.sigma_volt(), scene.circuit.volt_from_recorded(recording.recorded)
+    width = NOISE_REACH * readout.sigma_volt()
+    volts = scene.circuit.volt_from_recorded(recording.recorded)
     plain = Readings.of(scene, recording.recorded, recording.sigma).plain
     plain &= _differ(volts, float(np.mean(width)))
     for sign in (1.0, -1.0):
@@ -78,7 +81,8 @@ def saturated(recording: Recording) -> Saturated | None:
             piled = below <= width  # at the end
             extended = end - float(np.nanmin(channels, initial=end)) > MIN_EXTENT * float(np.mean(width))
             lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
-            several, around = int(piled.sum()), int((below <= MIN_EXTENT * width).sum())
+            several = int(piled.sum())
+            around = int((below <= MIN_EXTENT * width).sum())
             # Binomial test: if the other channels within MIN_EXTENT were evenly spread, each would lie within the first
             # width with probability 1/MIN_EXTENT.
             rare = binomial_tail(several - 1, around - 1, 1 / MIN_EXTENT) < SIGNIFICANCE
@@ -112,7 +116,8 @@ def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
     width : float
         Width within which voltages count as equal, V.
     """
-    differing, volt = [], volt[:: max(len(volt) // 8, 1)]
+    differing = []
+    volt = volt[:: max(len(volt) // 8, 1)]
     for axis in (1, 2):
         lines = np.moveaxis(volt, axis, 0).reshape(volt.shape[axis], -1)
         with np.errstate(invalid="ignore"):

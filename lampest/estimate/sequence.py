@@ -79,7 +79,8 @@ def reconstruct(
     """
     prepared = Prepared.of(recording)
     prepared.recording.scene.panel.check_memory()
-    recording, readings = prepared.resolved, prepared.noise.readings
+    recording = prepared.resolved
+    readings = prepared.noise.readings
     stream = first_stream(recording, readings, estimator, prepared.noise)
     return MeasuredPart(recording, recording.measured_frames(), readings, prepared).solve(stream, on_frame)[1]
 
@@ -111,7 +112,9 @@ class MeasuredPart:
         on_frame: Callable[[int, int, Callable[[], Estimates] | None], None] = lambda done, frames, so_far: None,
     ) -> tuple[Stream, Estimates]:
         """Return the stream after these frames, and their estimates; see `reconstruct`."""
-        readings, count, steps = self.readings[self.frames], len(self.frames), list[Step]()
+        readings = self.readings[self.frames]
+        count = len(self.frames)
+        steps = list[Step]()
 
         def so_far() -> Estimates:
             solved = (*steps, *[stream.unsolved(Status.BROKEN_OFF)] * (count - len(steps)))
@@ -132,7 +135,8 @@ class MeasuredPart:
             )
 
         if stream.estimator.method.needs_all_frames:
-            numbers, resting = iter(range(1, count + 1)), self.readings[self.recording.role == UNLOADED]
+            numbers = iter(range(1, count + 1))
+            resting = self.readings[self.recording.role == UNLOADED]
             stream, steps = stream.sequence(resting, readings, lambda: on_frame(next(numbers, count), count, None))
         verifies = stream.estimator.verify.chosen(readings, stream.resting) & stream.estimator.method.optimum
         while len(steps) < count:
@@ -169,10 +173,12 @@ def first_stream(
     period : float, optional
         Time between frames, s; by default that of the recording.
     """
-    scene, layout = recording.scene, recording.scene.panel.modules
+    scene = recording.scene
+    layout = recording.scene.panel.modules
     recordings = [recording] if layout is None or layout.coupled else recording.modules
     parts = zip(network_scenes(scene, estimator), recordings, network_readings(scene, readings), strict=True)
-    networks, similar = list[_Network | None](), dict[Hashable, list[_Network]]()
+    networks = list[_Network | None]()
+    similar = dict[Hashable, list[_Network]]()
     for own, part, read in parts:
         network = None
         if own is not None:
@@ -266,7 +272,8 @@ class Parts:
         Raises InputError where the estimator needs all frames at once, or as `Stream.begin`.
         """
         check_by_parts(estimator, stored)
-        noise, period = asked[1].noise, frame_period(stored.part(stored.blocks[0]))
+        noise = asked[1].noise
+        period = frame_period(stored.part(stored.blocks[0]))
         stream = first_stream(asked[1].resolved, noise.readings, estimator, noise, period)
         return cls(stored, *asked, stream)
 
@@ -342,7 +349,8 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
         if part is None:
             continue
         recording = joined((lead, part))
-        taken, places = Prepared(recording).frame_noise.readings, _own_frames(recording, frames)
+        taken = Prepared(recording).frame_noise.readings
+        places = _own_frames(recording, frames)
         # the strongest frame of the part, by the change of its cleaned readings
         size: Array = np.where(
             taken.enough(stored.scene)[places], mean_change(taken.plain_values[places], resting.value), -1.0

@@ -82,7 +82,8 @@ class Step:
 
     def surroundings(self) -> LinearModel | None:
         """Return the linear model at a verified optimum, for error bars; None where there is no such optimum."""
-        at, dual = self.solution.at, self.solution.dual
+        at = self.solution.at
+        dual = self.solution.dual
         if not self.solution.optimum or at is None or dual is None:
             return None
         return LinearModel(at, dual, weight_sigma=self.weight_sigma)

@@ -84,7 +84,8 @@ def shared_errors(scene: Scene, resting: Readings, loaded: Readings | None, nois
     noise : FrameNoise or None
         Errors that the readings of a frame share.
     """
-    prior, asked = systematic_of(scene) or Systematic(), estimated_errors(scene)
+    prior = systematic_of(scene) or Systematic()
+    asked = estimated_errors(scene)
     possible = Possible(prior, in_sigma=READING_ERROR.size(prior))
     if resting.sigma is None:
         return SharedErrors(possible, {}, "the noise of the readings is unknown: name the readout's noise_lsb")
@@ -92,15 +93,18 @@ def shared_errors(scene: Scene, resting: Readings, loaded: Readings | None, nois
         return SharedErrors(possible, {}, f"the panel has more than {MAX_CELLS} cells: estimate them on a part of it")
     fit = fitted(scene, resting, patient=True)
     explained = fit is not None and fit.tail >= SIGNIFICANCE
-    learns, sizes = READING_ERROR.setting in asked, dict[str, tuple[float, float]]()
+    learns = READING_ERROR.setting in asked
+    sizes = dict[str, tuple[float, float]]()
     unloaded = _unloaded_costs(scene, resting) if learns else np.zeros(len(READING_ERRORS))
     moves = None if fit is None or loaded is None or not explained else shared_changes(scene, fit, loaded, prior, noise)
-    size, none = READING_ERROR.size(prior), 1.0
+    size = READING_ERROR.size(prior)
+    none = 1.0
     if learns:
         # Skirts of loads are no errors of the readings.
         moved = 0.0 if moves is None else _error_costs(moves, _smooth_loads(resting.value.shape))
         odds = _odds(unloaded + moved)
-        none, size = float(odds[0]), _root_mean_square(odds)
+        none = float(odds[0])
+        size = _root_mean_square(odds)
         sizes[READING_ERROR.setting] = _moments(odds)
         possible = Possible(replace(prior, reading_error=size), in_sigma=_median(odds))
     if moves is None:
@@ -181,7 +185,8 @@ def shared_changes(
     noise : FrameNoise or None
         Errors that the readings of a frame share.
     """
-    unit, asked = replace(sizes, reading_error=1.0), estimated_errors(scene)
+    unit = replace(sizes, reading_error=1.0)
+    asked = estimated_errors(scene)
     further = [error for error in SHARED_ERRORS if error is not READING_ERROR and error.size(sizes)]
     estimated = tuple(error for error in further if error.setting in asked and error is not REFERENCE)
     known = tuple(error for error in further if error not in estimated)
@@ -249,7 +254,8 @@ def _error_costs(moves: SharedChanges, loads: Array) -> Array:
     tried = [n for n in range(0, len(READING_ERRORS), 2) if READING_ERRORS[n] * moves.reach <= LINEAR_LIMIT]
     costs = np.zeros((len(SKIRTS), len(tried)))
     for skirt, of_skirt in zip(SKIRTS, costs, strict=True):
-        smoothed, start = replace(moves, noise=moves.noise + skirt**2 * loads), None
+        smoothed = replace(moves, noise=moves.noise + skirt**2 * loads)
+        start = None
         for column, size in enumerate(READING_ERRORS[tried]):
             of_skirt[column], start = _still(smoothed.changes(size), start)
     # −2 ln Σ_skirt p(d | e, skirt)
@@ -311,9 +317,12 @@ def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
     the largest error, then that of the most probable one of a few errors. Where the cells are not alike, e is
     overestimated rather than underestimated. Raises the errors of `BROKEN`.
     """
-    data, plain = cells_alone().data(resting.alone(), Background(scene)), resting.plain.ravel()
-    share, scatters = np.abs(recorded_share(resting.value, scene)), np.square(ASSUMED.scatters)[:, None]
-    cells, costs = np.log(data.uniform_start[0]), np.zeros((1, len(ASSUMED.scatters)))
+    data = cells_alone().data(resting.alone(), Background(scene))
+    plain = resting.plain.ravel()
+    share = np.abs(recorded_share(resting.value, scene))
+    scatters = np.square(ASSUMED.scatters)[:, None]
+    cells = np.log(data.uniform_start[0])
+    costs = np.zeros((1, len(ASSUMED.scatters)))
     for errors, before in ((READING_ERRORS[1::4], READING_ERRORS[-1:]), (READING_ERRORS, READING_ERRORS[1::4])):
         row, column = np.unravel_index(np.argmin(costs), costs.shape)
         deviation = np.where(resting.plain, np.hypot(resting.known_sigma, before[row] * share), np.inf)
@@ -325,7 +334,8 @@ def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
             tau = np.hypot(resting.known_sigma, error * share).ravel()[plain]
             scaled = jacobian[plain] / tau[:, None]
             values, turned = np.linalg.eigh(scaled @ scaled.T)
-            projected, ones = turned.T @ (target[plain] / tau), turned.T @ scaled.sum(axis=1)
+            projected = turned.T @ (target[plain] / tau)
+            ones = turned.T @ scaled.sum(axis=1)
             # v = 1 + s²λ, (scatters, readings); `mean` is Σ b²/v, the precision of μ, which is integrated out
             grown = 1 + scatters * np.maximum(values, 0.0)
             mean = (ones**2 / grown).sum(axis=1)

@@ -259,6 +259,7 @@ class CarriedOver:
         memory: Memory | None = DenseMemory(known["blocks"]) if "blocks" in known else None
         if "samples" in known:
             memory = SampledMemory(known["samples"], int(known["frames"][0]))
-        answers, deviation = known.get("answers"), known.get("deviation")
+        answers = known.get("answers")
+        deviation = known.get("deviation")
         track = begun.track and replace(begun.track, deviation=deviation, memory=memory, answers=answers)
         return replace(begun, previous=known.get("previous"), track=track, first=False)

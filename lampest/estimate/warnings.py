@@ -32,7 +32,8 @@ def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -
     lesser_load = "" if check.better else _less_load(recording, readings)
     frames = _roles(recording.role), _times(recording), _unit(recording, readings), _scatter(recording, noise)
     of_readings = (*frames, *_modules(recording, readings), lesser_load)
-    circuit, effects = "" if check.explains else check.sentence, noise.corrected_effects
+    circuit = "" if check.explains else check.sentence
+    effects = noise.corrected_effects
     taken = "" if effects is None else effects.corrections
     learned = tuple(line for line in noise.warnings if line != taken)  # the circuit's sentence names these effects
     circuit = "" if check.by_effect else circuit  # advice, or taken off the readings
@@ -50,8 +51,10 @@ def touched(recording: Recording) -> bool:
     """
     if recording.scene.panel.modules is not None:
         return any(touched(module) for module in recording.modules)
-    unloaded, scene = recording.readings()[recording.role == UNLOADED], recording.scene
-    few, large = len(unloaded.value) < 2, scene.panel.crossings > MAX_CELLS
+    unloaded = recording.readings()[recording.role == UNLOADED]
+    scene = recording.scene
+    few = len(unloaded.value) < 2
+    large = scene.panel.crossings > MAX_CELLS
     if scene.readout is None or few or large or noise_factor(unloaded) == 1:
         return False
     supply = FrameNoise(scene, len(unloaded.value), MAX_GAIN, NO_RIPPLE, NO_RIPPLE)
@@ -59,7 +62,8 @@ def touched(recording: Recording) -> bool:
         Panelled.of(scene, ModelErrors().of_scene(scene, 0.0)),
         common=lambda measured: supply.columns(measured[None], baseline=False),
     )
-    sigma, values = np.min(np.where(unloaded.plain, unloaded.known_sigma, np.inf), axis=0), unloaded.plain_values
+    sigma = np.min(np.where(unloaded.plain, unloaded.known_sigma, np.inf), axis=0)
+    values = unloaded.plain_values
     return Watch.begin(panelled, unloaded.mean().value, sigma, values, 0.0).touched(values)
 
 
@@ -93,7 +97,9 @@ def _times(recording: Recording) -> str:
 
 
 def _unit(recording: Recording, readings: Readings) -> str:
-    circuit, readout, recorded = recording.scene.circuit, recording.scene.readout, recording.recorded
+    circuit = recording.scene.circuit
+    readout = recording.scene.readout
+    recorded = recording.recorded
     if readout is None or recording.sigma is not None:
         return ""
     if readout.floor_code is not None:  # codes that were not recorded say nothing of the unit
@@ -111,10 +117,13 @@ def _unit(recording: Recording, readings: Readings) -> str:
 
 def _modules(recording: Recording, readings: Readings) -> tuple[str, ...]:
     """Return warnings of dead modules, of modules without a value, and of modules that differ from the others."""
-    scene, layout = recording.scene, recording.scene.panel.modules
+    scene = recording.scene
+    layout = recording.scene.panel.modules
     if layout is None:
         return ()
-    factors, dead, sides = module_factors(recording, layout), scene.dead_modules, layout.split(readings.side)
+    factors = module_factors(recording, layout)
+    dead = scene.dead_modules
+    sides = layout.split(readings.side)
     texts = dict[int, str]()
     for number, factor in factors.items():
         stuck = "every reading is at a rail of the converter, or beyond: is it connected?"
@@ -138,7 +147,8 @@ def _scatter(recording: Recording, noise: NoiseEstimate) -> str:
 
 def _less_load(recording: Recording, readings: Readings) -> str:
     """Return a warning if all changes are reductions of load: a load at rest, or a reversed circuit; ''."""
-    circuit, change = recording.scene.circuit, changes_beyond_noise(recording.scene, readings, recording.role)
+    circuit = recording.scene.circuit
+    change = changes_beyond_noise(recording.scene, readings, recording.role)
     if (change > 0).any(axis=0).sum() < MIN_CHANNELS or (change < 0).any():
         return ""
     reverse = [

@@ -33,9 +33,13 @@ from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
-MAX_SOLVES, SETTLED = 8, 0.2  # solves for one factor on σ; change of ln λ that changes no reported figure
+# solves for one factor on σ; change of ln λ that changes no reported figure
+MAX_SOLVES = 8
+SETTLED = 0.2
 MIN_SHARE = 0.25  # of a step of ln λ that a secant shortens
-SCALE_RATIO, MAX_SCALES = 1.5, 8  # ratio of successive factors on σ, and their largest number beyond the first
+# ratio of successive factors on σ, and their largest number beyond the first
+SCALE_RATIO = 1.5
+MAX_SCALES = 8
 MAX_SWEEPS = 6  # over several penalties: each converges within a few
 # Degrees of freedom of known noise per reading. On ten arrays of 500 to 1,140 cells that differ at random by 30 %, more
 # noise gains up to 0.09 per reading with a penalty of differences; where static errors of five times the noise ruin the
@@ -131,7 +135,8 @@ class WeightSearch:
 
     def models(self, weights: Sequence[float]) -> list[LinearModel]:
         """Return the cost with these weights, linearised at the reference estimate of each solve."""
-        cost, pairs = self.weighted(weights), zip(self.solves, self.references, strict=True)
+        cost = self.weighted(weights)
+        pairs = zip(self.solves, self.references, strict=True)
         return [
             LinearModel(evaluated(cost, data, reference.cells), NO_DUAL, deviation=reference.deviation)
             for data, reference in pairs
@@ -160,7 +165,9 @@ class WeightSearch:
         first : array, shape (frames, rows, columns)
             Cells in ohm.
         """
-        weights, sigma, several = self.suggested(first), [np.nan] * len(self.cost.terms), len(self.open_terms) > 1
+        weights = self.suggested(first)
+        sigma = [np.nan] * len(self.cost.terms)
+        several = len(self.open_terms) > 1
         with suppress(*BROKEN):
             if several:
                 weights = first_weights(self.models(self.begun)[0], self.begun, self.open_terms)
@@ -221,7 +228,8 @@ class WeightSearch:
         # λ is proportional to s² where the estimate stays
         ratio = (scale / near.scale) ** 2
         weights = [weight * ratio if n in self.open_terms else weight for n, weight in enumerate(near.weights)]
-        moved, previous = np.zeros(len(weights)), np.zeros(len(weights))
+        moved = np.zeros(len(weights))
+        previous = np.zeros(len(weights))
         for _ in range(MAX_SOLVES):
             near = self._solved(weights, near.cells, scale)
             updated = next_weights if isinstance(near.errors, SampledErrors) else settled_weights
@@ -230,7 +238,8 @@ class WeightSearch:
             with np.errstate(divide="ignore", invalid="ignore"):
                 share = moved / (previous - step)
             share = np.where(share > 0, np.clip(share, MIN_SHARE, 1.0), 1.0)
-            moved, previous = share * step, step
+            moved = share * step
+            previous = step
             if np.abs(moved).max() < SETTLED:
                 break
             weights = [float(weight) for weight in np.exp(np.log(weights) + moved)]
@@ -296,7 +305,9 @@ class EvidencePoint:
 
 def most_evident(points: Sequence[EvidencePoint]) -> float:
     """Return the factor s of the largest evidence, given points of ascending s."""
-    level, best = 0.0, (0.0, points[0].scale)  # −2 ln evidence less that of the first point, and the factor
+    # −2 ln evidence less that of the first point, and the factor
+    level = 0.0
+    best = (0.0, points[0].scale)
     for below, above in pairwise(points):
         length = 2 * np.log(above.scale / below.scale)
         if below.slope < 0 <= above.slope:

@@ -167,7 +167,9 @@ def read_through(file: h5py.File) -> Integrity:
 
     Raises InputError with the path of the first damaged dataset, or if datasets were exchanged or removed.
     """
-    datasets, without_digest, without_checksum = 0, list[str](), list[str]()
+    datasets = 0
+    without_digest = list[str]()
+    without_checksum = list[str]()
     for path, node in nodes_below(file, "/"):
         with located(file, path):
             for name, value in node.attrs.items():
@@ -245,7 +247,8 @@ class Closed(io.FileIO):
 
     def readinto(self, buffer: Any) -> int | None:
         """Read bytes from the current position; the superblock reads as that of a closed file."""
-        begin, count = self.tell(), super().readinto(buffer)
+        begin = self.tell()
+        count = super().readinto(buffer)
         head = self._head[begin : begin + (count or 0)]
         memoryview(buffer).cast("B")[: len(head)] = head
         return count
@@ -261,10 +264,13 @@ def lookup3(superblock: bytes) -> int:
         return word << shift | word >> 32 - shift
 
     for first in range(0, 9, 3):
-        a, b, c = a + words[first], b + words[first + 1], c + words[first + 2]
+        a = a + words[first]
+        b = b + words[first + 1]
+        c = c + words[first + 2]
         for shift in (4, 6, 8, 16, 19, 4):
             a, b, c = b, c + b, (a - c) ^ rotated(c, shift)
-    a, b = a + words[9], b + words[10]
+    a = a + words[9]
+    b = b + words[10]
     for shift in (14, 11, 25, 16, 4, 14, 24):
         a, b, c = b, (c ^ b) - rotated(b, shift), a
     return b % 2**32

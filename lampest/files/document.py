@@ -26,7 +26,8 @@ from lampest.files.whole import note_read
 MAX_DEPTH = 50  # nested brackets: the parser's time grows with the square (tests/fuzz)
 MAX_SIZE = 100_000  # bytes of a text, parsed within 4 s, and values of a document (tests/fuzz)
 # Range of physical quantities in any unit: numbers beyond it lose their digits when they are squared.
-MIN_NUMBER, MAX_NUMBER = 1e-30, 1e30
+MIN_NUMBER = 1e-30
+MAX_NUMBER = 1e30
 NO_MEASURE = f"must be zero or lie between {MIN_NUMBER:g} and {MAX_NUMBER:g}, whatever its sign"
 UNKNOWN = "no such key"
 
@@ -51,7 +52,9 @@ class Document:
 
     def position(self, location: tuple[int | str, ...]) -> str:
         """Return 'file:line:column' of the deepest part of `location` that exists in the text."""
-        node, line, column = self.marks, 0, 0
+        node = self.marks
+        line = 0
+        column = 0
         for part in location:
             if isinstance(node, CommentedMap) and part in node:
                 line, column = node.lc.key(part)
@@ -112,7 +115,8 @@ def _with_table(document: Document, place: tuple[str, ...]) -> Document:
         value = value.get(key) if isinstance(value, dict) else None
     if not isinstance(value, str):
         return document
-    path, rows = Path(document.source).parent / value, list[list[float]]()
+    path = Path(document.source).parent / value
+    rows = list[list[float]]()
     for number, line in enumerate(csv.reader(io.StringIO(_text_of(path))), start=1):
         try:
             rows += [[int(text) if text.strip().isdecimal() else float(text) for text in line]] if line else []

@@ -169,12 +169,14 @@ def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> Non
 
 def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
     """Write an uncompressed dataset, within the metadata if it is small; also scalars."""
-    properties, links = h5py.h5p.create(h5py.h5p.DATASET_CREATE), h5py.h5p.create(h5py.h5p.LINK_CREATE)
+    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    links = h5py.h5p.create(h5py.h5p.LINK_CREATE)
     links.set_create_intermediate_group(True)
     properties.set_obj_track_times(False)  # times would make equal contents different files
     if data.nbytes <= 60_000:  # HDF5's limit is 64 KiB; h5py itself cannot request it for scalars
         properties.set_layout(h5py.h5d.COMPACT)
-    kind, space = h5py.h5t.py_create(data.dtype, logical=True), h5py.h5s.create_simple(data.shape)
+    kind = h5py.h5t.py_create(data.dtype, logical=True)
+    space = h5py.h5s.create_simple(data.shape)
     dataset = h5py.Dataset(h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, links))
     if data.size:
         dataset[...] = data
@@ -265,7 +267,9 @@ def read_array(
     size = len(range(*part.indices(len(dataset)))) * int(np.prod(dataset.shape[1:]))
     if size > MAX_VALUES:
         raise InputError(f"{file.filename}: {path} claims {size} values; more than {MAX_VALUES} are not read")
-    stored, claimed = dataset.id.get_storage_size(), dataset.size * dataset.dtype.itemsize  # a part is of a whole
+    # a part is of a whole
+    stored = dataset.id.get_storage_size()
+    claimed = dataset.size * dataset.dtype.itemsize
     # Deflate compresses to a 1032nd at best; a larger claim has no stored values behind it.
     if claimed > max(64_000_000, 1100 * stored):
         raise InputError(f"{file.filename}: {path} claims {claimed} bytes, but holds only {stored}")

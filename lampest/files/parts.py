@@ -111,10 +111,12 @@ def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> 
     """Return the plan of a dataset extended by this part; texts have the length of the longest one."""
     scales = () if dataset.is_scale else tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims)
     along = f"{dataset.name if dataset.is_scale else (*scales, '')[0]}".endswith(f"/{TIME}")
-    shape, dtype = dataset.shape, dataset.dtype
+    shape = dataset.shape
+    dtype = dataset.dtype
     packing = hdf5.PACKED if dataset.compression or not dataset.chunks else hdf5.UNPACKED
     if before is not None and along:
-        shape, packing = (before.shape[0] + shape[0], *shape[1:]), before.packing
+        shape = (before.shape[0] + shape[0], *shape[1:])
+        packing = before.packing
         dtype = max(before.dtype, dtype, key=lambda kind: int(kind.itemsize))
     return DatasetPlan(tuple(shape), packing, dtype, scales, bool(dataset.is_scale), along, owner)
 

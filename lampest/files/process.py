@@ -232,7 +232,8 @@ def logged_reason(error: BaseException, of: str) -> str:
 
     `of` is the computation, for the log.
     """
-    trace, raised = error.__traceback__, ""
+    trace = error.__traceback__
+    raised = ""
     while trace is not None:
         raised = str(trace.tb_frame.f_globals.get("__name__"))
         trace = trace.tb_next

@@ -61,7 +61,8 @@ def combinations(
         if a path does not exist, or if a value does not fit.
     """
     content = document.content if isinstance(document.content, dict) else {}
-    sweep, entries = content.get("sweep", {}), content.get(apart)
+    sweep = content.get("sweep", {})
+    entries = content.get(apart)
     if not isinstance(sweep, dict):
         raise document.error(("sweep",), "must be a mapping of dotted paths to lists of values")
     for path, values in sweep.items():

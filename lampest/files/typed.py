@@ -141,8 +141,10 @@ def _checks(owner: Any) -> dict[str, Callable[[Any, str], Any]]:
 def _check_of(hint: Any) -> Callable[[Any, str], Any] | None:
     """Return a function (value, label) → validated argument of a type; None for a type without a check."""
     parts = typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, UnionType) else (hint,)
-    kinds, validator = tuple(part for part in parts if isinstance(part, type)), schema_of(hint)
-    is_array, number = any(typing.get_origin(part) is np.ndarray for part in parts), "float64" in str(hint)
+    kinds = tuple(part for part in parts if isinstance(part, type))
+    validator = schema_of(hint)
+    is_array = any(typing.get_origin(part) is np.ndarray for part in parts)
+    number = "float64" in str(hint)
 
     def checked(value: Any, label: str) -> Any:
         if is_array:

@@ -239,7 +239,8 @@ class _Known:
     @property
     def given(self) -> dict[str, Array]:
         """Inputs of the terms by name; those of no single frame are the same in all blocks."""
-        first, sources = self.data[0], self.data[0].given.sources()
+        first = self.data[0]
+        sources = self.data[0].given.sources()
         return {
             name: np.concatenate([data.flat[name] for data in self.data]) if sources[name].per_frame else values
             for name, values in first.flat.items()

@@ -137,7 +137,8 @@ class Interface(CasadiOwner):
         if stats["return_status"] == INTERRUPTED:
             raise KeyboardInterrupt
         unknown, of_bounds, of_equations = (np.asarray(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
-        status, iterations = str(stats["return_status"]), int(stats["iter_count"])
+        status = str(stats["return_status"])
+        iterations = int(stats["iter_count"])
         corrected = any(stats["iterations"]["regularization_size"])
         return ProgramResult(unknown, of_bounds, of_equations, status, iterations, corrected)
 

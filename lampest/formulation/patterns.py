@@ -163,7 +163,9 @@ def _network_of_lines(
 ) -> NetworkSymbols:
     """Return the nodal network of lines without wire, in the unknowns of a symmetric Z; see `Nodal`."""
     driven, far = (numbers.tolist() for numbers in _sides(circuit.shape))
-    size, others, count = len(driven), len(far), circuit.count
+    size = len(driven)
+    others = len(far)
+    count = circuit.count
     reads_far = _reads_far(circuit, readout)
     unknowns = _Unknowns()
     half = unknowns.new("driven_voltage", size * (size + 1) // 2)

@@ -70,8 +70,10 @@ class Plays:
     def at_rest(cls, hysteresis: Array) -> "Plays":
         """Return the state before the first load of cells with the largest gap η, of any shape."""
         # s; corners t of the hyperbola, and p_e/P there
-        steep, cut = (1 + hysteresis) / (1 - hysteresis), np.exp(CUTS.reshape(-1, *[1] * np.ndim(hysteresis)))
-        corners, effective = 1 / (1 + steep / cut), 1 / (1 + 1 / (steep * cut))
+        steep = (1 + hysteresis) / (1 - hysteresis)
+        cut = np.exp(CUTS.reshape(-1, *[1] * np.ndim(hysteresis)))
+        corners = 1 / (1 + steep / cut)
+        effective = 1 / (1 + 1 / (steep * cut))
         # slopes of the lines; differences of successive slopes give w_i, the last slope is w_0
         slopes = np.diff(effective, axis=0, prepend=0, append=1) / np.diff(corners, axis=0, prepend=0, append=1)
         weight = np.concatenate([slopes[-1:], -np.diff(slopes, axis=0) * corners])
@@ -312,7 +314,8 @@ class FilmKnown:
         films = [(0.0, 0.0), *[(1.0, 0.0)] * (self.hysteresis.sd > 0), *[(0.0, 1.0)] * (self.creep.sd > 0)]
         plus, plus_creep = np.array(films).T[..., None, None] * np.ones(water.shape)
         creep, creep_sd = self.cells or self.creep
-        gap, strength = self.hysteresis.mean + plus * self.hysteresis.sd, creep + plus_creep * creep_sd
+        gap = self.hysteresis.mean + plus * self.hysteresis.sd
+        strength = creep + plus_creep * creep_sd
         return FilmMemory.at_rest(gap, strength, self.film.answer * response.gains + 0 * gap, water, response)
 
     def estimated(self, change: Array, sd: Array, time: Array) -> "FilmKnown":
@@ -334,7 +337,8 @@ class FilmKnown:
         """
         if self.film.creep_per_decade != "auto":
             return self
-        usual, data = self.film.strength("creep_per_decade"), (self.film.answer, change, sd, time)
+        usual = self.film.strength("creep_per_decade")
+        data = (self.film.answer, change, sd, time)
         likelihood = _likelihood(*data, ERRORS.cell_memory, RESIDUES).sum(axis=(2, 3))
         logarithm = likelihood - RESIDUES[:, None] / self.residue - CREEPS / usual.mean
         # moments of c, marginal over ρ; then of ρ, integrated over c with the grid's spacing
@@ -343,8 +347,10 @@ class FilmKnown:
         residue, residue_sd = _moments(volume, RESIDUES)
         if mean > ERRORS.most_creep:
             return replace(self, creep=Strength(0.0, 0.0), residue=ERRORS.lasting_share)
-        spread, lasting = float(np.hypot(shared, mean * self.film.cell_spread)), float(np.hypot(residue, residue_sd))
-        creep, cells = Strength(mean, float(np.hypot(spread, ERRORS.cell_memory * mean))), None
+        spread = float(np.hypot(shared, mean * self.film.cell_spread))
+        lasting = float(np.hypot(residue, residue_sd))
+        creep = Strength(mean, float(np.hypot(spread, ERRORS.cell_memory * mean)))
+        cells = None
         if spread > shared:
             by_cell = _likelihood(*data, ERRORS.memory, residue[None])[0]
             cells = _moments(by_cell - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2, CREEPS)
@@ -364,12 +370,16 @@ class FilmKnown:
         """
         mean, sd = self.cells or self.creep
         strength = np.stack([np.broadcast_to(size, change.shape[1:]) for size in (mean, mean + sd)])
-        creep, answers, last = Creep.at_rest(strength), list[Array](), float(time[0]) - 1.0
+        creep = Creep.at_rest(strength)
+        answers = list[Array]()
+        last = float(time[0]) - 1.0
         for frame, frame_time in zip(change, time, strict=True):
             seconds = max(float(frame_time) - last, MIN_PERIOD)
             answers.append(creep.at_once(np.broadcast_to(frame, strength.shape), seconds))
-            after, known = creep.after(answers[-1], seconds), np.isfinite(frame)
-            creep, last = replace(creep, crept=np.where(known, after.crept, creep.crept)), float(frame_time)
+            after = creep.after(answers[-1], seconds)
+            known = np.isfinite(frame)
+            creep = replace(creep, crept=np.where(known, after.crept, creep.crept))
+            last = float(frame_time)
         expected, stronger = np.stack(answers, axis=1)
         return expected, np.abs(stronger - expected)
 
@@ -401,17 +411,22 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, memory: floa
     """
     likelihood = np.zeros((len(residues), len(CREEPS), *change.shape[1:]))
     felt = np.nanmax(-change, axis=0, initial=0.0) > ERRORS.unloaded  # other cells are explained equally by every c
-    change, sd, share = change[:, felt], sd[:, felt], residues[:, None, None]
-    creep, last = Creep.at_rest(np.broadcast_to(CREEPS[:, None], (len(CREEPS), felt.sum()))), float(time[0])
+    change = change[:, felt]
+    sd = sd[:, felt]
+    share = residues[:, None, None]
+    creep = Creep.at_rest(np.broadcast_to(CREEPS[:, None], (len(CREEPS), felt.sum())))
+    last = float(time[0])
     total, resting = np.zeros((2, len(residues), *creep.strength.shape))
     peak = np.zeros(change.shape[1])
     for frame, error, frame_time in zip(change, sd, time, strict=True):
-        seconds, known = max(float(frame_time) - last, MIN_PERIOD), np.isfinite(frame) & np.isfinite(error)
+        seconds = max(float(frame_time) - last, MIN_PERIOD)
+        known = np.isfinite(frame) & np.isfinite(error)
         if not known.any():
             continue
         fading = creep.answer(np.zeros(creep.strength.shape), seconds)
         answer = np.where(known, np.clip(-frame / gain, -ERRORS.open_cell, ERRORS.open_cell), fading)
-        drift, stays = ERRORS.resting_sd((frame_time - time[0]) / 60), fading + share * peak
+        drift = ERRORS.resting_sd((frame_time - time[0]) / 60)
+        stays = fading + share * peak
         variance = (np.where(known, error, 0.0) / gain) ** 2 + drift**2 + (memory * stays) ** 2
         # N(u; 0, σ) with σ² of the estimate, drift and memory; total += ln(½ N + ½/range), resting += P(no load)
         density = np.exp(-0.5 * (answer - stays) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
@@ -419,7 +434,8 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, memory: floa
         total += known * np.log((density + 1 / ERRORS.loaded_range) / 2)
         resting += known * density / (density + 1 / ERRORS.loaded_range)
         peak = np.fmax(peak, np.where(known, answer[0].clip(0.0), 0.0))
-        creep, last = creep.after(creep.at_once(answer, seconds), seconds), float(frame_time)
+        creep = creep.after(creep.at_once(answer, seconds), seconds)
+        last = float(frame_time)
     # the unloaded frames of a cell count as `independent_frames` at most
     likelihood[..., felt] = total / np.maximum(resting.max(axis=1, keepdims=True) / ERRORS.independent_frames, 1.0)
     return likelihood

@@ -22,7 +22,8 @@ from lampest.panel.systematic import systematic_of
 
 # ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3 kPa. The weakest
 # suction of a lamprey, 0.6 kPa, covers more than four cells, while the drift of films is independent in each cell.
-MAX_CHANGE, MAX_CHANGE_OF_FOUR = 0.15, 0.06
+MAX_CHANGE = 0.15
+MAX_CHANGE_OF_FOUR = 0.06
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,8 @@ class TareWatch:
         time : float
             s.
         """
-        zeroed, count = time if self.zeroed is None else self.zeroed, self.tare.frames
+        zeroed = time if self.zeroed is None else self.zeroed
+        count = self.tare.frames
         if not np.isfinite(left).any():
             return TareWatch(self.tare, zeroed), None, ""
         watch = TareWatch(self.tare, zeroed, (*self.frames, (left, time))[-count:])
@@ -97,12 +99,14 @@ class TareWatch:
         """
         frames = np.stack([left for left, _ in self.frames])
         known = np.isfinite(frames).all(axis=0)
-        noise, half = sigma_of_frames(frames[:, known]), len(frames) // 2
+        noise = sigma_of_frames(frames[:, known])
+        half = len(frames) // 2
         drift = np.hypot(ERRORS.unloaded, self.tare.drift_per_minute * minutes)
         moved = np.hypot(drift, ERRORS.cell_memory * memory[known])
         # deviations in units of noise, drift and memory: none beyond OUTLIER_THRESHOLD, mean square near 1 in every
         # frame
-        departure, mean = frames[:, known] / np.hypot(noise, moved), frames[:half].mean(axis=0)
+        departure = frames[:, known] / np.hypot(noise, moved)
+        mean = frames[:half].mean(axis=0)
         quiet = np.abs(departure).max() < OUTLIER_THRESHOLD and (departure**2).mean(axis=1).max() < MAX_MEAN_SQUARE
         worth = np.mean(mean[known] ** 2) >= TWO_SIDED**2 * np.mean(noise**2) / half
         if not (quiet and worth) or _stands_out(frames.mean(axis=0)):
@@ -202,7 +206,8 @@ def pressure_of(
     track = PressureTrack.begin(scene, known, tare)
     if not track.remembers:
         return track.pressure(ratio, lower, upper, 0.0, own)
-    frames, tared = list[Pressure](), list[str]()
+    frames = list[Pressure]()
+    tared = list[str]()
     for number, at in enumerate(np.arange(float(len(ratio))) if time is None else time):
         part = None if own is None else own[number]
         frames.append(track.pressure(ratio[number], lower[number], upper[number], float(at), part))
@@ -248,8 +253,10 @@ class PressureTrack:
     @classmethod
     def begin(cls, scene: Scene, known: FilmKnown | None = None, tare: Tare | None = None) -> "PressureTrack":
         """Return the track before the first frame; `known` and `tare` as in `pressure_of`."""
-        known, water = known or FilmKnown.specified(scene.film or Film()), water_pressure(scene.panel, scene.water)
-        films, residue = known.at_rest(water, scene.response or PUBLISHED), known.residue * known.film.remembers
+        known = known or FilmKnown.specified(scene.film or Film())
+        water = water_pressure(scene.panel, scene.water)
+        films = known.at_rest(water, scene.response or PUBLISHED)
+        residue = known.residue * known.film.remembers
         watch = None if tare is None else TareWatch(tare)
         return cls(scene, films, np.zeros(films.gain.shape), np.zeros(water.shape), residue, watch=watch)
 
@@ -270,7 +277,8 @@ class PressureTrack:
         own : array, optional
             As in `pressure_of`.
         """
-        change, remembered = self._change(ratio), self._kept(ratio, time)
+        change = self._change(ratio)
+        remembered = self._kept(ratio, time)
         # The mean film, and the alternatives with one strength increased: their differences are errors by the film's
         # memory.
         answer, *answers = -self._of_films(self.films.at_once, change, time)
@@ -286,13 +294,18 @@ class PressureTrack:
         curve_sd = 0.0 if self.scene.film is None else self.scene.film.answer_sd
         shared = TWO_SIDED * np.hypot(remembered, np.hypot(response_sd(self.scene, answer), curve_sd) * answer)
         with np.errstate(divide="ignore"):
-            fell, rose = np.log(ratio) - np.log(lower), np.log(upper) - np.log(ratio)
-        below, above = np.hypot(fell, shared), np.hypot(rose, shared)
-        least, most = of_change(above), of_change(-below)
+            fell = np.log(ratio) - np.log(lower)
+            rose = np.log(upper) - np.log(ratio)
+        below = np.hypot(fell, shared)
+        above = np.hypot(rose, shared)
+        least = of_change(above)
+        most = of_change(-below)
         errors = (of_change(-below / TWO_SIDED) - of_change(above / TWO_SIDED)) / 2
-        open_kpa, empty = _distance(alternatives, expected), VACUUM_KPA - self.films.water
+        open_kpa = _distance(alternatives, expected)
+        empty = VACUUM_KPA - self.films.water
         least = np.maximum(expected - np.hypot(expected - least, TWO_SIDED * open_kpa), empty)
-        most, errors = expected + np.hypot(most - expected, TWO_SIDED * open_kpa), np.hypot(errors, open_kpa)
+        most = expected + np.hypot(most - expected, TWO_SIDED * open_kpa)
+        errors = np.hypot(errors, open_kpa)
         # Split of the error: each cell's own part, and the rest, which cells share.
         half = (fell + rose) / (2 * TWO_SIDED) if own is None else own
         scatter = np.hypot(half, scatter_sd(self.scene, systematic_of(self.scene)) * answer)
@@ -311,14 +324,18 @@ class PressureTrack:
         """Return the track after a frame of r/r_baseline (rows, columns) at a time in s; NaN leaves cells unchanged."""
         if not self.remembers:
             return self
-        change, seconds, track = self._change(ratio), self._seconds(time), self
+        change = self._change(ratio)
+        seconds = self._seconds(time)
+        track = self
         zeroed = time if self.zeroed is None else self.zeroed
         if np.isfinite(change).any():
-            films, peak = self.films.observed(change - self.zeros, seconds), np.fmax(self.peak, np.abs(change))
+            films = self.films.observed(change - self.zeros, seconds)
+            peak = np.fmax(self.peak, np.abs(change))
             track = replace(self, films=films, time=time, zeroed=zeroed, peak=peak)
         if self.watch is None:
             return track
-        memory, zero = self.films.fading(seconds)[0], self.zeros[0]
+        memory = self.films.fading(seconds)[0]
+        zero = self.zeros[0]
         watch, moved, tared = self.watch.after(change - (memory + zero), memory, time)
         if moved is not None:
             track = track._zeroed(moved + (track.films.fading(track._seconds(time))[0] + zero), time)
@@ -346,7 +363,8 @@ class PressureTrack:
 
         Residue and drift are multiplied by √(1 − x²/peak²): they matter as far as the largest load is gone.
         """
-        change, spread = self._change(ratio), np.zeros(ratio.shape)
+        change = self._change(ratio)
+        spread = np.zeros(ratio.shape)
         if self.residue and self.zeroed is not None:
             drift = ERRORS.resting_sd((time - self.zeroed) / 60)
             gone = 1 - (change / np.maximum(self.peak, MIN_TOUCH)) ** 2
@@ -433,6 +451,7 @@ def sum_sd(weight: Array | float, own: Array, common: Array) -> float:
 
 def total_force(scene: Scene, load: Pressure) -> Force:
     """Return the force of one frame, Σ p·pitch² over the pressed cells."""
-    area, pressed = scene.panel.pitch_mm**2 * KPA_MM2, load.pressing != 0
+    area = scene.panel.pitch_mm**2 * KPA_MM2
+    pressed = load.pressing != 0
     kpa, own, common = (part[pressed] for part in determined(scene, load.pressure, load.own, load.common))
     return Force(float(area * kpa.sum()), sum_sd(area, own, common), int(np.sum((load.saturated != 0) & pressed)))

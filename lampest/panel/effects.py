@@ -85,7 +85,8 @@ class LineLeak(Effect):
 
     def changed(self, network: Network) -> Network:
         """Return the network with the leak; see `Network.leaking`."""
-        unit, lines = np.eye(sum(network.conductance.shape)), list(self.lines)
+        unit = np.eye(sum(network.conductance.shape))
+        lines = list(self.lines)
         return network.leaking(unit[:, lines] - unit[:, [line + 1 for line in lines]], self.size)
 
 

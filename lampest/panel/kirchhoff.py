@@ -42,7 +42,8 @@ def injected(conductance: Array, potentials: Array) -> Array:
 
 def bipartite_matrix(diagonal: Array, between: Array) -> Array:
     """Return diag(d) + [[0, A], [Aᵀ, 0]], (…, lines, lines), for d (…, lines) and A (…, rows, columns)."""
-    rows, lines = between.shape[-2], diagonal.shape[-1]
+    rows = between.shape[-2]
+    lines = diagonal.shape[-1]
     matrix = np.zeros((*diagonal.shape, lines), dtype=between.dtype)
     matrix[..., :rows, rows:], matrix[..., rows:, :rows] = between, between.swapaxes(-1, -2)
     np.einsum("...ii->...i", matrix)[...] = diagonal

@@ -121,23 +121,30 @@ class LevenbergMarquardt:
         """
         low, high = (np.broadcast_to(bound, start.shape) for bound in bounds)
         position = np.clip(start, low, high)
-        point, count, damping = model(position), 1, self.damping
+        point = model(position)
+        count = 1
+        damping = self.damping
         while count < self.evaluations and not ended(point, count):
             gradient = point.gradient
             free = ~(((position <= low) & (gradient > 0)) | ((position >= high) & (gradient < 0)))
             if not free.any():
                 break
             # Damped step −(JᵀJ + μ diag(JᵀJ))⁻¹ Jᵀ f of the free unknowns, shortened to `longest`
-            damped, step = point.normal[free][:, free], np.zeros(len(free))
+            damped = point.normal[free][:, free]
+            step = np.zeros(len(free))
             scale = damped.diagonal()
             step[free] = -np.linalg.solve(damped + damping * np.diag(np.where(scale > 0, scale, 1.0)), gradient[free])
             step *= min(1.0, float(np.min(self.longest / np.maximum(np.abs(step), 1e-300))))
             moved = np.clip(position + step, low, high)
-            step, trial, count = moved - position, model(moved), count + 1
+            step = moved - position
+            trial = model(moved)
+            count = count + 1
             # Actual gain, and the linear model's: −gᵀδ − ½ δᵀJᵀJ δ
-            gain, predicted = point.cost - trial.cost, -float(gradient @ step + step @ point.normal @ step / 2)
+            gain = point.cost - trial.cost
+            predicted = -float(gradient @ step + step @ point.normal @ step / 2)
             if gain > 0:
-                position, point = moved, trial
+                position = moved
+                point = trial
                 damping = max(damping / 10, min(damping, 1e-6)) if gain > predicted / 2 else damping
             else:
                 damping = max(10 * damping, 1e-3)

@@ -195,7 +195,8 @@ class Network(ABC):
 
     def entries(self, matrix: Array) -> Entries:
         """Return (K_jj, K_kk, K_jk) of K (…, lines, lines)."""
-        diagonal, rows = matrix.diagonal(axis1=-2, axis2=-1), self.rows
+        diagonal = matrix.diagonal(axis1=-2, axis2=-1)
+        rows = self.rows
         return diagonal[..., :rows, None], diagonal[..., None, rows:], matrix[..., :rows, rows:]
 
     def entries_of_product(self, left: Array, right: Array, *, symmetric: bool = True) -> Entries:
@@ -462,7 +463,8 @@ class DifferenceSecondOrder(SecondOrder):
 
         dDᵀ = X·(g·p·Dᵀ), and W' is the change of W by the change of the slopes of h.
         """
-        network, change = self.network, self.network.changes(step)
+        network = self.network
+        change = self.network.changes(step)
         differences = network.potential_differences
         moved = network.driven_through((differences * (network.conductance * step).ravel()).T).T
         twice = 2 * np.sum(moved * bipartite(*self.loading, differences), axis=0).reshape(step.shape)
@@ -513,7 +515,8 @@ def excitations(admittance: Array, ties: Array) -> tuple[Array, Array]:
     held = np.isinf(ties)
     other = ~held
     within = np.linalg.inv(admittance[np.ix_(other, other)] + np.diag(ties[other]))
-    entries, potentials = np.zeros_like(admittance), np.zeros_like(admittance)
+    entries = np.zeros_like(admittance)
+    potentials = np.zeros_like(admittance)
     # Current into held lines from the others: −G = admittance between them
     between = -admittance[np.ix_(held, other)] @ within
     entries[np.ix_(other, other)] = potentials[np.ix_(other, other)] = within

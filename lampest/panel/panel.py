@@ -77,18 +77,21 @@ class Modules(Configuration):
     def cells(self, number: int) -> tuple[slice, slice]:
         """Return the slices of the image that contain the cells of a module."""
         row, column = self.place(number)
-        rows, columns = self.each.rows, self.each.columns
+        rows = self.each.rows
+        columns = self.each.columns
         return slice(row * rows, (row + 1) * rows), slice(column * columns, (column + 1) * columns)
 
     def split(self, image: NDArray[Any]) -> NDArray[Any]:
         """Return the modules of an image (…, rows, columns) as (…, modules, rows, columns)."""
-        module, shape = self.each, image.shape[:-2]
+        module = self.each
+        shape = image.shape[:-2]
         blocks = image.reshape(*shape, self.rows, module.rows, self.columns, module.columns)
         return np.moveaxis(blocks, -3, -2).reshape(*shape, self.count, module.rows, module.columns)
 
     def joined(self, parts: NDArray[Any]) -> NDArray[Any]:
         """Return the image of parts (…, modules, rows, columns), the inverse of `split`."""
-        module, shape = self.each, parts.shape[:-3]
+        module = self.each
+        shape = parts.shape[:-3]
         blocks = parts.reshape(*shape, self.rows, self.columns, module.rows, module.columns)
         return np.moveaxis(blocks, -2, -3).reshape(*shape, *self.shape)
 
@@ -174,10 +177,12 @@ class Panel(Configuration):
 
     def centres_mm(self) -> tuple[Array, Array]:
         """Return the positions of columns, x_k = k·pitch, and of rows, y_j = j·pitch, in mm, including seams."""
-        x, y = np.arange(self.columns), np.arange(self.rows)
+        x = np.arange(self.columns)
+        y = np.arange(self.rows)
         if self.modules is None:
             return x * self.pitch_mm, y * self.pitch_mm
-        module, seam = self.modules.each, self.modules.seam_mm
+        module = self.modules.each
+        seam = self.modules.seam_mm
         return x * self.pitch_mm + x // module.columns * seam, y * self.pitch_mm + y // module.rows * seam
 
     @property
@@ -252,7 +257,8 @@ def connected_parts(conducting: NDArray[np.bool_]) -> NDArray[np.intp] | None:
     `conducting`, (rows, columns), states which crossings conduct.
     """
     rows, columns = conducting.shape
-    row, column = np.arange(rows), np.arange(rows, rows + columns)
+    row = np.arange(rows)
+    column = np.arange(rows, rows + columns)
     # Every line takes the least number of its part, which passes from rows to columns and back.
     changed = True
     while changed:

@@ -116,7 +116,8 @@ class TableResponse(Response):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        pressure, ohm = np.array(self.pressure_kpa), np.array(self.resistance_ohm)
+        pressure = np.array(self.pressure_kpa)
+        ohm = np.array(self.resistance_ohm)
         if len(pressure) < 2 or len(pressure) != len(ohm):
             raise ValueError("a table needs two or more points, as many of resistance_ohm as of pressure_kpa")
         if not (np.all(np.isfinite(pressure)) and np.all(np.diff(pressure) > 0) and pressure[0] <= 0 < pressure[-1]):

@@ -258,7 +258,8 @@ class Faults(Configuration):
 
     def check(self, panel: Panel) -> None:
         """Raise ValueError unless all faults are on the panel, agree with each other, and leave an intact part."""
-        layout, lines = panel.modules, self.dead_rows or self.dead_columns or self.joined_rows or self.joined_columns
+        layout = panel.modules
+        lines = self.dead_rows or self.dead_columns or self.joined_rows or self.joined_columns
         if layout is not None and lines:
             raise ValueError(
                 "faults: every module has lines of its own; name those under modules: [{at: ..., faults: ...}]"
@@ -475,7 +476,8 @@ class Scene(Configuration):
 
     def _check_modules(self) -> None:
         """Raise ValueError if an entry of `modules` is not allowed, or does not fit its scene."""
-        layout, places = self.panel.modules, [module.at for module in self.modules or ()]
+        layout = self.panel.modules
+        places = [module.at for module in self.modules or ()]
         for module in self.modules or ():
             where = list(module.at)
             if layout is None or not (0 <= module.at[0] < layout.rows and 0 <= module.at[1] < layout.columns):
@@ -490,14 +492,16 @@ class Scene(Configuration):
     @cached_property
     def of_modules(self) -> tuple["Scene", ...]:
         """Scenes of all modules, by their numbers; equal ones are one object. The scene itself without modules."""
-        layout, known = self.panel.modules, dict[Scene, Scene]()
+        layout = self.panel.modules
+        known = dict[Scene, Scene]()
         if layout is None:
             return (self,)
         owns = {module.at: module for module in self.modules or ()}
         scenes = []
         for number in range(layout.count):
             module = owns.get(layout.place(number)) or OwnOfModule((0, 0))
-            series, cells = module.series_resistance_ohm, layout.cells(number)
+            series = module.series_resistance_ohm
+            cells = layout.cells(number)
             scene = replace(
                 self,
                 panel=self.panel.network,
@@ -522,7 +526,8 @@ class Scene(Configuration):
     @property
     def dead_modules(self) -> tuple[int, ...]:
         """Numbers of the modules that are not read."""
-        layout, faults = self.panel.modules, self.faults or Faults()
+        layout = self.panel.modules
+        faults = self.faults or Faults()
         return () if layout is None else tuple(sorted({row * layout.columns + k for row, k in faults.dead_modules}))
 
     @cached_property

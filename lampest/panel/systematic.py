@@ -112,7 +112,8 @@ def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
 
 def recorded_share(measured: Array, scene: Scene) -> Array:
     """Return ∂(reading)/∂ log(recorded), the effect of a factor on a recorded value, by central differences."""
-    recorded, step = scene.circuit.to_recorded(measured, scene), 1e-6
+    recorded = scene.circuit.to_recorded(measured, scene)
+    step = 1e-6
     above, below = (scene.circuit.from_recorded(recorded * np.exp(sign * step), scene) for sign in (1, -1))
     return np.asarray((above - below) / (2 * step))
 

@@ -75,14 +75,19 @@ def steihaug(
     most_products : int
         Maximum number of products; the iteration then ends with the step so far.
     """
-    step, residual = np.zeros_like(gradient), gradient
+    step = np.zeros_like(gradient)
+    residual = gradient
     scaled = precondition(residual)
     if not (strength := float(residual @ scaled)) > 0:
         precondition = np.copy  # M has lost its digits
-        scaled, strength = residual, float(residual @ residual)
+        scaled = residual
+        strength = float(residual @ residual)
     search = -scaled
     goal = accuracy**2 * strength
-    inner, mixed, outer = 0.0, 0.0, strength  # ‖s‖², sᵀMp, ‖p‖²
+    # ‖s‖², sᵀMp, ‖p‖²
+    inner = 0.0
+    mixed = 0.0
+    outer = strength
     count = 0
     while strength > goal and count < most_products:
         count += 1
@@ -97,20 +102,24 @@ def steihaug(
             if negative:
                 length = min(length, _length_to_largest_change(step, search))
             ended = np.sqrt(inner + 2 * length * mixed + length * length * outer)
-            step, residual = step + length * search, residual + length * image
+            step = step + length * search
+            residual = residual + length * image
             # −gᵀs − ½ sᵀHs = −½ sᵀ(g + r) with the residual r = g + Hs
             return SubproblemStep(step, float(ended), -0.5 * float(step @ (gradient + residual)), negative, count)
         longer = step + length * search
         if admits is not None and count > 1 and not admits(longer):
             break
-        step, inner = longer, further
+        step = longer
+        inner = further
         residual = residual + length * image
         scaled = precondition(residual)
-        before, strength = strength, float(residual @ scaled)
+        before = strength
+        strength = float(residual @ scaled)
         ratio = strength / before
         search = ratio * search - scaled
         # sᵀMp and ‖p‖² of the next search direction p ← βp − z by recursion (Steihaug 1983)
-        mixed, outer = ratio * (mixed + length * outer), strength + ratio**2 * outer
+        mixed = ratio * (mixed + length * outer)
+        outer = strength + ratio**2 * outer
     return SubproblemStep(
         step, float(np.sqrt(inner)), -0.5 * float(step @ (gradient + residual)), negative=False, products=count
     )

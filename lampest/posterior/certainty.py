@@ -67,14 +67,16 @@ class Certainty:
         maps = np.zeros((4, at.cell_resistance.size))
         maps[:, model.free] = *variances, *shares
         variance, shared, resolution, data_share = maps.reshape(4, *at.cell_resistance.shape)
-        deviation, noise = np.sqrt(variance), TWO_SIDED * np.minimum(at.data.sigma / at.data.measured, 0.5)
+        deviation = np.sqrt(variance)
+        noise = TWO_SIDED * np.minimum(at.data.sigma / at.data.measured, 0.5)
         reach = TWO_SIDED * deviation
         above = np.where((at.position + reach >= upper) & (lower < upper), np.inf, reach)
         below = np.minimum(reach, at.position - lower + noise)
         pressed = np.flatnonzero(model.at_lower | model.at_upper)
         if len(pressed):
             # −log density of log r at the bound has the slope |∂φ/∂u|/(2 s²).
-            slope, low = np.abs(model.gradient[pressed]) / (2 * model.scale), model.at_lower[pressed]
+            slope = np.abs(model.gradient[pressed]) / (2 * model.scale)
+            low = model.at_lower[pressed]
             size, quantile = one_sided(slope, released(pressed))
             deviation.flat[pressed] = np.where(low, size, np.inf)
             above.flat[pressed] = np.where(low, quantile, np.inf)
@@ -122,12 +124,14 @@ class Certainty:
         answers = answer.reshape(*shape[:-2], shape[-2] * shape[-1], -1)
         variance, common = (part.reshape(shape) for part in ((answers**2).sum(axis=-1), common_variance(answers)))
         wider = self.reaching_farther(TWO_SIDED**2 * variance, TWO_SIDED**2 * variance)
-        deviation, common = np.sqrt(self.deviation**2 + variance), np.sqrt(self.common**2 + common)
+        deviation = np.sqrt(self.deviation**2 + variance)
+        common = np.sqrt(self.common**2 + common)
         return replace(wider, deviation=deviation, common=common)
 
     def reaching(self, cells: NDArray[np.intp], below: Array, above: Array) -> "Certainty":
         """Return the certainty with intervals of single cells (numbers) extended to at least `below` and `above`."""
-        lower, upper = self.below.copy(), self.above.copy()
+        lower = self.below.copy()
+        upper = self.above.copy()
         lower.flat[cells] = np.maximum(lower.flat[cells], below)
         upper.flat[cells] = np.maximum(upper.flat[cells], above)
         return replace(self, below=lower, above=upper)

@@ -99,7 +99,8 @@ class Chain:
 
         The precision is that after all other border unknowns are eliminated.
         """
-        corner, count = self.corner.copy(), len(precision)
+        corner = self.corner.copy()
+        count = len(precision)
         corner[:count, :count] += precision - positive_inverse(self.border_covariance[:count, :count])
         return replace(self, corner=corner)
 
@@ -146,7 +147,8 @@ class Chain:
 
     def since(self, first: int) -> Array:
         """Return the covariance of a frame with itself and all later ones, cell by cell, (frames − first, cells)."""
-        across, covariances = np.eye(self.own.shape[1]), [np.diag(self.blocks[first])]
+        across = np.eye(self.own.shape[1])
+        covariances = [np.diag(self.blocks[first])]
         for gain, block in zip(self._gains[first:], self.blocks[first + 1 :], strict=True):
             # cov(x_first, x_t) = K_first ⋯ K_{t−1} P_t
             across = across @ gain

@@ -192,7 +192,8 @@ class DenseErrors:
         γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t), B_t = Z_tᵀ Ω Z_t, B the sum over terms. For a single term tr(B⁺ B_t) is the rank
         of B_t.
         """
-        of_term, rows = self.model.penalty_term == term, self._penalties
+        of_term = self.model.penalty_term == term
+        rows = self._penalties
         # tr(A⁻¹ B_t) = Σ over the rows of term t of diag(√Ω Z A⁻¹ Zᵀ √Ω)
         used = float(np.sum(rows[of_term] * self._pulls.T[of_term]))
         if of_term.all():
@@ -231,7 +232,8 @@ class DenseErrors:
         """The same of (A⁻¹ M) S₀ (A⁻¹ M)ᵀ, block by block of S₀."""
         if self.before is None:
             return []
-        pairs, blocks = product(self._carried, repeat=2), self.before.blocks
+        pairs = product(self._carried, repeat=2)
+        blocks = self.before.blocks
         return [(first @ blocks[row, column], second) for (row, first), (column, second) in pairs]
 
     @cached_property
@@ -282,7 +284,8 @@ class DenseErrors:
         quantile of the other residuals of the term.
         """
         model = self.model
-        squares, unread = model.penalty_squares, model.unread_rows
+        squares = model.penalty_squares
+        unread = model.unread_rows
         widened = np.maximum(1.0, squares)
         for number in np.unique(model.penalty_term):
             chosen = model.penalty_term == number
@@ -346,7 +349,8 @@ class DenseErrors:
 
     def released(self, cells: NDArray[np.intp]) -> Array:
         """Return the variance of log r of cells (numbers) at a bound, each released alone among the free cells."""
-        model, chosen = self.model, (cells, np.arange(len(cells)))
+        model = self.model
+        chosen = (cells, np.arange(len(cells)))
         # Schur complement of each released cell c: A_cc − A_cf A_ff⁻¹ A_fc, with A = Jᵀ Ω J + Zᵀ Ω Z
         unit = np.zeros((model.at.cell_resistance.size, len(cells)))
         unit[chosen] = 1.0
@@ -405,14 +409,17 @@ class SampledErrors(DenseErrors):
     @cached_property
     def _system(self) -> tuple[Linear, Linear]:
         """Product with A, and preconditioner M⁻¹ ≈ A⁻¹, for vectors over the free cells."""
-        model, cells, free = self.model, np.zeros(self.model.at.cell_resistance.size), self.model.free
+        model = self.model
+        cells = np.zeros(self.model.at.cell_resistance.size)
+        free = self.model.free
 
         def product(search: Array) -> Array:
             cells[free] = search
             image = self._adjoint(self._forward(cells)) + self._rows.T @ (self._rows @ cells)
             return np.asarray(image[free] + model.scale * model.ignorance * search)
 
-        ridge, chosen = np.full(len(cells), IGNORANCE * model.scale), np.isin(np.arange(len(cells)), free)
+        ridge = np.full(len(cells), IGNORANCE * model.scale)
+        chosen = np.isin(np.arange(len(cells)), free)
         return product, TwoLevel.of(self._curvature, ridge).over(chosen, model.at.cell_resistance)
 
     def determined(self, term: int) -> float:
@@ -429,7 +436,8 @@ class SampledErrors(DenseErrors):
     @cached_property
     def draws(self) -> Array:
         """Changes Z δ of the penalties for random δ ~ N(0, s² A⁻¹) of the free cells, (penalty rows, probes)."""
-        model, random = self.model, np.random.default_rng(1)
+        model = self.model
+        random = np.random.default_rng(1)
         # δ = s A⁻¹ (Jᵀ √Ω z₁ + Zᵀ √Ω z₂ + √(ε s²) z₃) with standard normal z
         data = np.sqrt(np.maximum(model.data_curvature, np.finfo(float).tiny))
         right = np.empty((len(model.free), self.probes))
@@ -442,8 +450,10 @@ class SampledErrors(DenseErrors):
     @cached_property
     def _samples(self) -> tuple[Array, Array]:
         """Samples of ε, (samples, free), and an estimate of the diagonal of A⁻¹ Zᵀ Ω Z, (free,)."""
-        model, random = self.model, np.random.default_rng(self.before.frames if self.before else 0)
-        pulled, samples = np.zeros(len(model.free)), np.empty((self.samples, len(model.free)))
+        model = self.model
+        random = np.random.default_rng(self.before.frames if self.before else 0)
+        pulled = np.zeros(len(model.free))
+        samples = np.empty((self.samples, len(model.free)))
         size = np.sqrt(self.widening * model.scale)
         for number in range(self.samples):
             noise = random.standard_normal(len(model.noise)) * model.noise
@@ -535,16 +545,19 @@ def active_bounds(errors: DenseErrors, rows: Array, known: Array) -> tuple[Array
     Raises numpy.linalg.LinAlgError if the cost is flat.
     """
     model = errors.model
-    free, cells = model.free, np.flatnonzero(model.at_lower | model.at_upper)
+    free = model.free
+    cells = np.flatnonzero(model.at_lower | model.at_upper)
     # Unknowns: u of cells inside and at a lower bound; conductance over that of a typical cell at an upper bound.
     typical = np.exp(np.log(model.at.cell_resistance).ravel()[free].mean()) if len(free) else 1.0
     stretch = np.where(model.at_upper, np.maximum(model.at.cell_resistance.ravel() / typical, 1.0), 1.0)
     # Whitened rows: A = Xᵀ X with X = (√Ω J; √Ω Z), and their change Y with z; the effect of z is (Xᵀ X)⁻¹ Xᵀ Y.
-    data, penalties = np.sqrt(model.data_curvature)[:, None], np.sqrt(model.penalty_curvature)[:, None]
+    data = np.sqrt(model.data_curvature)[:, None]
+    penalties = np.sqrt(model.penalty_curvature)[:, None]
     stacked = np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties]) * stretch
     moved = np.vstack([rows * data, -model.carried(known) * penalties])
     # Each cell at a bound alone: Schur complement, variance v, slope of −log density, and effect a of z.
-    at_bounds, inside = stacked[:, cells], stacked[:, free]
+    at_bounds = stacked[:, cells]
+    inside = stacked[:, free]
     across = errors.inverse @ (inside.T @ at_bounds)
     left = np.maximum(
         np.sum(at_bounds**2, axis=0) - np.sum((inside.T @ at_bounds) * across, axis=0), IGNORANCE * model.scale
@@ -589,7 +602,9 @@ def swept(table: Array, place: int) -> Array:
 
     Source: Goodnight, The American Statistician 33, 1979 (the sweep operator).
     """
-    pivot, row, column = table[place, place], table[place].copy(), table[:, place].copy()
+    pivot = table[place, place]
+    row = table[place].copy()
+    column = table[:, place].copy()
     # dger adds in place, in a fifth of the time of np.outer.
     table = blas.dger(-1 / pivot, row, column, a=table.T, overwrite_a=True).T
     table[place], table[:, place], table[place, place] = row / abs(pivot), column / abs(pivot), -1 / pivot

@@ -15,7 +15,8 @@ def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
 
     This is a normal distribution with mean −slope·variance, truncated at 0. Any shape.
     """
-    slope, variance = np.asarray(slope, dtype=float), np.asarray(variance, dtype=float)
+    slope = np.asarray(slope, dtype=float)
+    variance = np.asarray(variance, dtype=float)
     size = np.sqrt(variance)
     deviations = slope * size
     near = np.minimum(deviations, MAX_DEVIATIONS)

@@ -183,8 +183,11 @@ class LinearModel:
         Without it, 95 % intervals cover 81 to 83 % of the cells where the noise is as large as the prior
         (docs/studies/calibration.md). H is half the slope ∂φ/∂x of each row beyond ω x̂; see `Loss.steady_pull`.
         """
-        terms, weights, residual = self.at.cost.terms, self.at.weights, self.penalty
-        beyond, columns = np.zeros(len(residual)), [sparse.csc_array((len(residual), 0))]
+        terms = self.at.cost.terms
+        weights = self.at.weights
+        residual = self.penalty
+        beyond = np.zeros(len(residual))
+        columns = [sparse.csc_array((len(residual), 0))]
         for number, loss, rows in curved_rows(self.at.cost, self.penalty_term):
             beyond[rows] = weights[number] * loss.steady_pull(residual[rows])
         for number, sigma in enumerate(self.weight_sigma):
@@ -211,7 +214,8 @@ class LinearModel:
 
         u₀ = log r of the previous frame (0) and of the baseline (1).
         """
-        given, jacobians = self.at.data.given, list[sparse.csc_array]()
+        given = self.at.data.given
+        jacobians = list[sparse.csc_array]()
         for name, cells in (("previous", given.previous), ("baseline", given.baseline)):
             jacobian = self._residuals.penalties.jacobian(name, self.at)
             if cells is not None and jacobian.nnz:

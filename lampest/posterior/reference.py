@@ -153,12 +153,15 @@ def references(solves: Sequence[Data], cost: Cost, *, believed: bool = False) ->
     """
     fits = [ReferenceFit.of(data, cost, frame) for data in solves for frame in range(len(data.measured))]
     known = solves[0].noise_known
-    scale, lowest, tried = 1.0 if known else MODEL.min_relative_noise, np.inf, dict[float, list[ReferenceFit]]()
+    scale = 1.0 if known else MODEL.min_relative_noise
+    lowest = np.inf
+    tried = dict[float, list[ReferenceFit]]()
     for _ in range(1 if known and believed else MODEL.max_scales):
         # Each fit begins at the previous one.
         fits = tried[scale] = [fit.settled(scale**2) for fit in fits]
         bound = sum(fit.bound for fit in fits)
-        lowest, excess = min(lowest, bound), np.sqrt(max(fit.residual_variance for fit in fits)) / scale
+        lowest = min(lowest, bound)
+        excess = np.sqrt(max(fit.residual_variance for fit in fits)) / scale
         if bound > lowest + MODEL.max_excess and excess <= 1:
             break
         # If the residuals are far larger than s, half of the grid points up to their size are skipped.
@@ -172,7 +175,8 @@ def references(solves: Sequence[Data], cost: Cost, *, believed: bool = False) ->
         best = 1.0  # the specified noise holds unless the readings clearly contradict it
     errors = np.concatenate([fit.errors(best) for fit in tried[best]])
     tail = float(np.quantile(errors, LEVEL)) if len(errors) else 0.0
-    frames, estimates = iter([fit.reference(best) for fit in tried[best]]), []
+    frames = iter([fit.reference(best) for fit in tried[best]])
+    estimates = []
     for data in solves:
         frames_of_data = [next(frames) for _ in data.measured]
         cells, deviation = (
@@ -236,7 +240,8 @@ class ReferenceFit:
         panel = cost.panel
         cells = np.setdiff1d(np.flatnonzero(np.ravel(panel.present)), cost.faulty)
         if cost.needs_previous and data.given.previous is not None:
-            steps, origin = np.eye(len(cells)), np.log(data.given.previous.ravel()[cells])
+            steps = np.eye(len(cells))
+            origin = np.log(data.given.previous.ravel()[cells])
         else:
             # Steps between neighbours: (u_b − u_a)/d_ab
             first, second, distance = panel.neighbours
@@ -287,12 +292,14 @@ class ReferenceFit:
 
     def settled(self, square: float) -> "ReferenceFit":
         """Return the fit after expectation and Gauss–Newton steps at s² = `square`, until the bound has converged."""
-        fit, previous = self, np.inf
+        fit = self
+        previous = np.inf
         for _ in range(MODEL.max_steps):
             fit = fit.expected(square)
             if abs(fit.bound - previous) < MODEL.settled_bound:
                 break
-            previous, moved = fit.bound, fit.moved(square)
+            previous = fit.bound
+            moved = fit.moved(square)
             if moved is None:
                 break
             converged = float(np.abs(moved.position - fit.position).max()) < MODEL.settled_step
@@ -303,16 +310,24 @@ class ReferenceFit:
 
     def expected(self, square: float) -> "ReferenceFit":
         """Return the fit with weights and τ² updated by expectation–maximisation about u, and the resulting step."""
-        rows, nu, variance = np.flatnonzero(self.counted), MODEL.degrees_of_freedom, self.variance
-        of_readings, of_steps, value = self.reading_weights[rows], self.step_weights, self.values[rows]
-        count, rank = int(value.sum()), min(len(self.steps), len(self.cells) - (not self.origin.any()))
+        rows = np.flatnonzero(self.counted)
+        nu = MODEL.degrees_of_freedom
+        variance = self.variance
+        of_readings = self.reading_weights[rows]
+        of_steps = self.step_weights
+        value = self.values[rows]
+        count = int(value.sum())
+        rank = min(len(self.steps), len(self.cells) - (not self.origin.any()))
         jacobian = (self.network.sensitivity() / self.sigma[:, None])[np.ix_(rows, self.cells)]
-        residual, step = self.residual[rows], self.step
+        residual = self.residual[rows]
+        step = self.step
         # σ₀² = n/tr(JᵀWJ/s²): the harmonic mean of the variances with which the readings alone determine single cells
         prior_scale = len(self.cells) * square / float(np.sum(of_readings[:, None] * jacobian**2))
         for number in range(MODEL.max_rounds):
             # S⁻¹ = Jᵀ diag(w/s²) J + Dᵀ diag(v/τ²) D, upper triangle
-            readings, steps, previous = of_readings / square, of_steps / variance, variance
+            readings = of_readings / square
+            steps = of_steps / variance
+            previous = variance
             matrix = blas.dsyrk(1.0, (jacobian * np.sqrt(readings)[:, None]).T)
             matrix = blas.dsyrk(1.0, (self.steps * np.sqrt(steps)[:, None]).T, 1.0, matrix, overwrite_c=True)
             matrix[np.diag_indices(len(matrix))] += MODEL.ridge * np.trace(matrix) / len(matrix)
@@ -320,7 +335,8 @@ class ReferenceFit:
             slope = jacobian.T @ (readings * residual) + self.steps.T @ (steps * step)
             change = self._within_bounds(matrix, slope)
             # Residuals and steps at û, and their variances diag(J S Jᵀ) and diag(D S Dᵀ).
-            missed, stepped = residual + jacobian @ change, step + self.steps @ change
+            missed = residual + jacobian @ change
+            stepped = step + self.steps @ change
             missed_variance = np.sum((jacobian @ covariance) * jacobian, axis=1)
             stepped_variance = np.sum((self.steps @ covariance) * self.steps, axis=1)
             # Σ w x²/(n − tr(S Jᵀ W J)) of the values
@@ -330,7 +346,8 @@ class ReferenceFit:
             determined = max(rank - float(np.sum(steps * stepped_variance)), 0.0)
             variance = self._updated_variance(float(np.sum(of_steps * stepped**2)), determined, variance, prior_scale)
             # Expected precisions w = (ν + 1)/(ν + E x²/s²) and v = (ν + 1)/(ν + E z²/τ²)
-            missed_squares, stepped_squares = missed**2 + missed_variance, stepped**2 + stepped_variance
+            missed_squares = missed**2 + missed_variance
+            stepped_squares = stepped**2 + stepped_variance
             of_readings = (nu + 1) / (nu + missed_squares / square)
             of_steps = (nu + 1) / (nu + stepped_squares / variance)
             if number and abs(np.log(variance / previous)) < MODEL.settled_variance:
@@ -377,7 +394,8 @@ class ReferenceFit:
         place = self.position[self.cells]
         # Active set: fixed cells, and cells that the gradient presses against a bound; Newton step of the others.
         held = (upper <= lower) | ((place <= lower) & (slope > 0)) | ((place >= upper) & (slope < 0))
-        free, change = np.flatnonzero(~held), np.zeros(len(slope))
+        free = np.flatnonzero(~held)
+        change = np.zeros(len(slope))
         symmetric = np.triu(matrix) + np.triu(matrix, 1).T
         change[free] = -np.linalg.solve(symmetric[np.ix_(free, free)], slope[free])
         return change
@@ -401,7 +419,8 @@ class ReferenceFit:
 
     def errors(self, scale: float) -> Array:
         """Return s √(E e²) of the values, from their weights w = (ν + 1)/(ν + E e²)."""
-        nu, weights = MODEL.degrees_of_freedom, np.maximum(self.reading_weights[self.values], 1e-12)
+        nu = MODEL.degrees_of_freedom
+        weights = np.maximum(self.reading_weights[self.values], 1e-12)
         return np.asarray(scale * np.sqrt(np.maximum((nu + 1) / weights - nu, 0.0)))
 
     def reference(self, scale: float) -> Reference:

@@ -31,10 +31,14 @@ from lampest.posterior.linear import IGNORANCE, LinearModel, rank
 GRID = 80  # points in log λ, between which the minimum is refined
 PRECISION = 0.005  # of log λ
 # Factor of the range of λ beyond the stiffest and the softest direction; share of the largest κ below which κ is zero.
-EXTENT_FACTOR, NEGLIGIBLE = 1e4, 1e-12
-MAX_ROUNDS, TOLERANCE = 30, 0.01  # iterations of the fixed point; change of log λ at which they end
+EXTENT_FACTOR = 1e4
+NEGLIGIBLE = 1e-12
+# iterations of the fixed point; change of log λ at which they end
+MAX_ROUNDS = 30
+TOLERANCE = 0.01
 # Regularisation relative to the mean curvature; mean η of a residual, in its unit, below which there are none yet.
-RIDGE, MIN_RESIDUAL = 1e-9, 1e-12
+RIDGE = 1e-9
+MIN_RESIDUAL = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +91,8 @@ class Spectrum:
         Raises numpy.linalg.LinAlgError if the cost without this penalty is flat.
         """
         number = model.penalty_term[0] if number is None else number
-        size, of_term = np.sqrt(model.data_curvature), model.penalty_term == number
+        size = np.sqrt(model.data_curvature)
+        of_term = model.penalty_term == number
         # A = R Rᵀ of the data, the other penalties and the prior precision
         jacobian = DenseErrors(model).jacobian * size[:, None]
         rows = model.penalty_jacobian.toarray()[:, model.free]
@@ -96,20 +101,24 @@ class Spectrum:
         matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
         factor, _ = cho_factor(matrix, lower=True)
         # R⁻¹ Zᵀ, with rows of Z weighted by √(½ρ'(x)/x)
-        loss, far = model.at.cost.terms[number].loss, model.penalty[of_term]
+        loss = model.at.cost.terms[number].loss
+        far = model.penalty[of_term]
         penalties = solve_triangular(factor, rows[of_term].T, lower=True)
         if loss.enters == "dual":
             noisy = solve_triangular(factor, jacobian.T * (size * model.noise), lower=True)
             far = np.sqrt(far**2 + np.sum((noisy.T @ penalties) ** 2) / len(far))
         weight = np.sqrt(loss.stiffness(far))
-        penalty, penalties = weight * model.penalty[of_term], weight * penalties
+        penalty = weight * model.penalty[of_term]
+        penalties = weight * penalties
         # R⁻¹ Zᵀ Z R⁻ᵀ = Q diag(κ) Qᵀ, T = R⁻ᵀ Q
         stiffness, vectors = eigh(penalties @ penalties.T)
         basis = solve_triangular(factor, vectors, lower=True, trans="T")
-        directions, gram = jacobian @ basis, basis.T @ basis
+        directions = jacobian @ basis
+        gram = basis.T @ basis
         noise = directions * (size * model.noise)[:, None]
         # Covariance of T⁻¹ u = Qᵀ Rᵀ u
-        known, back = np.zeros_like(gram), vectors.T @ np.tril(factor).T
+        known = np.zeros_like(gram)
+        back = vectors.T @ np.tril(factor).T
         if covariance is not None and loss.enters != "dual":  # absolute losses hold cells where the reference cannot
             known = back @ covariance[np.ix_(model.free, model.free)] @ back.T
         return cls(
@@ -167,7 +176,9 @@ def best_weight(spectra: Sequence[Spectrum]) -> float:
     # search takes 0.2 s to import, a third of all imports of a first estimate.
     grid = np.linspace(min(lowest), max(highest), GRID)
     least = int(np.argmin([value(place) for place in grid]))
-    low, high, ratio = grid[max(least - 1, 0)], grid[min(least + 1, GRID - 1)], (np.sqrt(5) - 1) / 2
+    low = grid[max(least - 1, 0)]
+    high = grid[min(least + 1, GRID - 1)]
+    ratio = (np.sqrt(5) - 1) / 2
     while high - low > PRECISION:
         width = ratio * (high - low)
         low, high = (low, low + width) if value(high - width) < value(low + width) else (high - width, high)
@@ -196,7 +207,8 @@ def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]
     E|x| is the mean of |x̂ + Z δ| over δ ~ N(0, s² A⁻¹). With |x̂| alone, a penalty without residuals would have an
     infinite weight.
     """
-    errors, weights = SampledErrors(model), list(model.at.weights)
+    errors = SampledErrors(model)
+    weights = list(model.at.weights)
     share = min(rank(model.at.cost.unweighted), len(model.free)) / len(np.unique(model.penalty_term))
     for number in open_terms:
         of_term = model.penalty_term == number
@@ -209,11 +221,13 @@ def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]
 
 def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]:
     """Return the weights at the fixed point while the estimate follows them within the linear model, by matrices."""
-    errors, weights = DenseErrors(model), list(model.at.weights)
+    errors = DenseErrors(model)
+    weights = list(model.at.weights)
     if not len(model.free):
         return weights
     weighted = errors.jacobian.T * model.data_curvature
-    data, slope = weighted @ errors.jacobian, weighted @ model.residual
+    data = weighted @ errors.jacobian
+    slope = weighted @ model.residual
     rows = model.penalty_jacobian.toarray()[:, model.free]
     for _ in range(MAX_ROUNDS):
         # Estimate for the present weights: p = −A⁻¹ (Jᵀ Ω x̂ + Zᵀ Ω x̂)
@@ -223,7 +237,8 @@ def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[flo
         step = -inverse @ (slope + rows.T @ (curvature * model.penalty))
         # B⁺, by a regularised inverse of the penalties alone
         prior_inverse = positive_inverse(prior + RIDGE * np.trace(prior) / len(prior) * np.eye(len(prior)))
-        residual, before = model.penalty + rows @ step, weights
+        residual = model.penalty + rows @ step
+        before = weights
         weights = list(weights)
         for number in open_terms:
             of_term = model.penalty_term == number

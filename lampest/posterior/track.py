@@ -103,13 +103,17 @@ class Track:
 
         Raises numpy.linalg.LinAlgError if the cost is flat.
         """
-        shape, joint = model.at.cell_resistance[0].shape, len(model.at.cell_resistance) == 2
+        shape = model.at.cell_resistance[0].shape
+        joint = len(model.at.cell_resistance) == 2
         errors = self._errors(model, baseline=joint)
         answers, certainty = self._answered(errors)
-        answer, frame = answers[-np.prod(shape) :], certainty.of_frame(-1)
-        baseline, resting = self.baseline, answer if self.answers is None else self.answers[1]
+        answer = answers[-np.prod(shape) :]
+        frame = certainty.of_frame(-1)
+        baseline = self.baseline
+        resting = answer if self.answers is None else self.answers[1]
         if joint:
-            baseline, resting = certainty.of_frame(0), answers[: len(answer)]
+            baseline = certainty.of_frame(0)
+            resting = answers[: len(answer)]
         memory = errors.memory() if any(term.needs_previous for term in model.at.cost.terms) else None
         change = None
         if baseline is not None:
@@ -131,7 +135,9 @@ class Track:
 
         `baseline` states whether the first frame is the mean of the unloaded ones.
         """
-        terms, measured, drawn = model.at.cost.terms, model.at.data.measured, None
+        terms = model.at.cost.terms
+        measured = model.at.data.measured
+        drawn = None
         if self.shared is not None:
             own_error = self.shared.own_error(measured)
             if self.shared.in_sigma:
@@ -149,15 +155,18 @@ class Track:
 
     def _answered(self, errors: DenseErrors) -> tuple[Array, Certainty]:
         """Return the effect of shared errors on log r, (frames · cells, n), and the certainty including them."""
-        model, bars = errors.model, errors.certainty
-        cells, measured = model.at.cell_resistance, model.at.data.measured
+        model = errors.model
+        bars = errors.certainty
+        cells = model.at.cell_resistance
+        measured = model.at.data.measured
         if self.shared is None:
             return np.zeros((cells.size, 0)), bars
         # U of every frame, and its effect on log r; cells at bounds are treated one by one.
         pairs = zip(model.at.networks, measured, strict=True)
         columns = np.concatenate([self.shared.columns(*pair) for pair in pairs])
         known = np.zeros((2, cells[0].size, columns.shape[1])) if self.answers is None else self.answers
-        answer, rows = np.zeros((cells.size, columns.shape[1])), np.asarray(model.through @ columns)
+        answer = np.zeros((cells.size, columns.shape[1]))
+        rows = np.asarray(model.through @ columns)
         if not isinstance(errors, SampledErrors) and (model.at_lower | model.at_upper).any():
             answer[model.free], held, below, above = active_bounds(errors, rows, known)
             bars = bars.reaching(held, below, above)
@@ -185,7 +194,8 @@ def beyond_tangents(
     moved : callable or None
         Readings → change of log r (rows, columns), NaN if the solve fails. None if a penalty determines the cells.
     """
-    errors, size = errors_of(model, None), readings.value.size
+    errors = errors_of(model, None)
+    size = readings.value.size
     straight, below, above = np.zeros((3, size))
     for place in np.flatnonzero(missing)[:MAX_MISSING]:
         cell = int(place) + model.at.cell_resistance.size - size
@@ -214,24 +224,30 @@ def tangent(errors: DenseErrors, cell: int) -> Array:
 
 def profile_end(errors: DenseErrors, cell: int, side: int) -> Array:
     """Return the change of log r of all cells at a free cell's lower (side −1) or upper (1) end, (cells,)."""
-    begin, far = errors.model.at, tangent(errors, cell)[cell]
+    begin = errors.model.at
+    far = tangent(errors, cell)[cell]
     place = int(np.searchsorted(errors.model.free, cell))
     # Rise of φ at the end: 1.96² s² C = 1.96² S_cc/(A⁻¹)_cc
     most = TWO_SIDED**2 * errors.variance[place] / errors.inverse[place, place]
-    step, risen, before, position = side * min(far / STEPS, MAX_STEP), 0.0, 0.0, begin.position
+    step = side * min(far / STEPS, MAX_STEP)
+    risen = 0.0
+    before = 0.0
+    position = begin.position
     for _ in range(round(min(MAX_TANGENTS * far / abs(step), MAX_STEPS))):
         model = errors.model
         if cell not in model.free:  # a bound holds it
             break
         place = int(np.searchsorted(model.free, cell))
         # δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c with λ such that δ_c = step
-        newton, column = -errors.inverse @ model.gradient[model.free] / 2, errors.inverse[:, place]
+        newton = -errors.inverse @ model.gradient[model.free] / 2
+        column = errors.inverse[:, place]
         force = float((step - newton[place]) / column[place])
         change = model.over_all(newton + force * column)
         change *= min(1.0, 2 * MAX_STEP / float(np.abs(change).max()))
         position = np.clip(position + change.reshape(position.shape), *begin.data.log_bounds)
         # Rise of φ along the path by the trapezoidal rule, with the force λ = ½ dφ/du_c.
-        risen, before = risen + step * (before + force), force
+        risen = risen + step * (before + force)
+        before = force
         if risen >= most:
             break
         errors = DenseErrors(replace(model, at=begin.elsewhere(np.exp(position))))
@@ -242,7 +258,8 @@ def _stood_in(
     errors: DenseErrors, readings: Readings, place: int, moved: Callable[[Readings], Array]
 ) -> tuple[Array, Array, Array]:
     """Return tangent and ends by solving again with a reading's substitute (number) at both ends of its spread."""
-    model, unit = errors.model, np.zeros(readings.value.shape)
+    model = errors.model
+    unit = np.zeros(readings.value.shape)
     unit.flat[place] = TWO_SIDED * stand_in_spread(readings.value, readings.plain).flat[place]
     rows = np.asarray(model.through @ (readings.value * unit).reshape(-1, 1))
     along = model.over_all(errors.answer(rows)[:, 0])

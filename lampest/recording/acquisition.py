@@ -50,7 +50,9 @@ def group_of(circuit: Readout) -> str:
 
 def stored_fields(circuit: Readout) -> dict[str, Dataset]:
     """Return the datasets of the fields of a `Recording`, by field; the first one of a group is its signal."""
-    group, unit, signal = group_of(circuit), circuit.unit, circuit.signal
+    group = group_of(circuit)
+    unit = circuit.unit
+    signal = circuit.signal
     return {
         "recorded": (f"{group}/{signal}", "f8", unit, circuit.signal_name),
         "time": (f"{group}/time", "f8", "s", "time of the frame"),
@@ -127,7 +129,8 @@ class Acquisition(Validated):
             name: hdf5.read_array(file, f"{PATH}/{name}", 1, part=part, kind=None if kind == "f8" else kind)
             for name, kind, *_ in FRAME_FIELDS
         }
-        times, labels = np.zeros(0), tuple[str, ...]()
+        times = np.zeros(0)
+        labels = tuple[str, ...]()
         if hdf5.has(file, f"{PATH}/event_time") and hdf5.has(file, f"{PATH}/event_label"):
             times = hdf5.read_array(file, f"{PATH}/event_time", 1).astype(float)
             labels = hdf5.read_texts(file, f"{PATH}/event_label")
@@ -190,7 +193,8 @@ class Rows(NamedTuple):
         """Return which rows of an unfinished file are complete and agree with their checksum."""
         paths = [f"/entry/{path}" for path, *_ in (self.checksum, *self.datasets)]
         count, *lengths = (hdf5.length_of(file, path) for path in paths)
-        right, salt = np.zeros(count, dtype=np.bool_), hdf5.read_attribute(file, paths[0], SALT) or ""
+        right = np.zeros(count, dtype=np.bool_)
+        salt = hdf5.read_attribute(file, paths[0], SALT) or ""
         for part in blocks(min(count, *lengths), prod(hdf5.shape_of(file, paths[1])[1:])):
             expected = checksums(self.stored(file, part), str(salt).encode(), part.start)
             right[part] = expected == hdf5.read_array(file, paths[0], 1, part=part)
@@ -210,7 +214,8 @@ def _extend(dataset: h5py.Dataset, values: Sequence[Any] | NDArray[Any]) -> NDAr
     """Append values in the dataset's type, integers clipped to its maximum, and return them."""
     if dataset.dtype.kind == "u":
         values = np.minimum(np.asarray(values, np.uint64), np.iinfo(dataset.dtype).max)
-    column, length = np.asarray(values, dataset.dtype), dataset.shape[0]
+    column = np.asarray(values, dataset.dtype)
+    length = dataset.shape[0]
     dataset.resize(length + len(column), axis=0)
     dataset[length:] = column
     return column

@@ -26,15 +26,19 @@ MIN_FRAMES = 5  # with fewer, the neighbours of a frame do not show which one is
 WINDOW = 2  # neighbouring frames before and after
 MIN_RATIO_TO_SCATTER = 3.0  # deviation over the scatter of the neighbours, so that an arriving load is not flagged
 MIN_LINE_SHARE = 0.25  # of deviating readings, beyond which a line counts as affected
-MIN_SHARE, MAX_SHARE_BESIDE = 0.6, 0.05  # of deviating readings in the affected lines, and in the other ones
+# of deviating readings in the affected lines, and in the other ones
+MIN_SHARE = 0.6
+MAX_SHARE_BESIDE = 0.05
 MIN_LINE_CELLS = 5  # readings of a line: with fewer, chance makes it as rough as a garbled one
 # Median second difference of ln y along the lines, and its ratio to the largest one of a line of the other frames. That
 # of random bytes is 1.5; film that scatters by 0.3 has 0.5, and loads add little (tests/oracles/test_garbled.py).
-MIN_ROUGHNESS, MIN_ROUGHNESS_RATIO = 0.5, 1.3
+MIN_ROUGHNESS = 0.5
+MIN_ROUGHNESS_RATIO = 1.3
 CLEARLY = 1.5  # times as rough: such lines are garbled even if other lines of the frame move as well
 MAX_DISPLACEMENT = 4  # readings along the scan
 # Ratio of the median deviation to that after a displacement, and share of the readings that it explains.
-MIN_IMPROVEMENT, MIN_EXPLAINED = 5.0, 0.95
+MIN_IMPROVEMENT = 5.0
+MIN_EXPLAINED = 0.95
 ORDERS: tuple[Literal["C", "F"], ...] = ("C", "F")  # of a scan: along the rows, or along the columns
 
 
@@ -116,7 +120,8 @@ def _signal(recording: Recording) -> Array:
 
     Bounds are included, because garbled codes may lie at a rail; NaN where missing.
     """
-    scene, recorded = recording.scene, recording.recorded
+    scene = recording.scene
+    recorded = recording.recorded
     with np.errstate(divide="ignore", invalid="ignore"):
         values = 1 / recorded if scene.readout is None else scene.readout.volt_from_recorded(recorded)
     return np.where(np.isfinite(values) & scene.requested, values, np.nan)
@@ -124,7 +129,8 @@ def _signal(recording: Recording) -> Array:
 
 def _expected(values: Array) -> tuple[Array, Array]:
     """Return the median of the neighbours of each frame and their scatter, (frames, rows, columns)."""
-    frames, width = np.arange(len(values)), 2 * WINDOW + 1
+    frames = np.arange(len(values))
+    width = 2 * WINDOW + 1
     first = np.clip(frames - WINDOW, 0, len(values) - width)
     within = first[:, None] + np.arange(width)
     nearest = within[within != frames[:, None]].reshape(len(frames), width - 1).T
@@ -190,7 +196,9 @@ class Along:
 
     def garbled(self, frame: int) -> NDArray[np.intp]:
         """Return the garbled lines of a frame."""
-        shares, least, roughness = self.far[frame].mean(axis=1), self._least_rough[frame], self.roughness[frame]
+        shares = self.far[frame].mean(axis=1)
+        least = self._least_rough[frame]
+        roughness = self.roughness[frame]
         clear = (shares > MIN_SHARE) & ((roughness > CLEARLY * least) | self._lost[frame])
         # Lines that deviate as a whole while the others do not.
         inside = shares > MIN_LINE_SHARE
@@ -208,7 +216,8 @@ class Along:
         if not 0 < frame < len(self.values) - 1:
             return False
         previous, current, following = self.values[frame - 1 : frame + 2, lines]
-        whole, first = self.expected[frame], self.values[0]
+        whole = self.expected[frame]
+        first = self.values[0]
         deviation = middle(np.abs(current - whole[lines]))
         if MIN_IMPROVEMENT * middle(np.abs(following - previous)) > deviation:
             return False

@@ -16,7 +16,9 @@ from lampest.panel.panel import Array, Modules, beyond_any_panel, check_line_mem
 from lampest.panel.readouts.readout import without_memory
 from lampest.panel.scene import Scene
 
-VALUE, AT_LEAST, AT_MOST = 0.0, 1.0, -1.0
+VALUE = 0.0
+AT_LEAST = 1.0
+AT_MOST = -1.0
 
 
 def stand_in(value: Array, known: NDArray[np.bool_]) -> Array:
@@ -63,7 +65,8 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
             effects[axis], residual = effects[axis] + step, residual - step
     # Lines without a known reading have the mean effect of the others, with the variance of these.
     for axis, effect in effects.items():
-        known_lines, across = known.any(axis=axis, keepdims=True), -3 - axis
+        known_lines = known.any(axis=axis, keepdims=True)
+        across = -3 - axis
         count = np.maximum(known_lines.sum(axis=across, keepdims=True), 1)
         mean = np.where(known_lines, effect, 0.0).sum(axis=across, keepdims=True) / count
         square = np.where(known_lines, (effect - mean) ** 2, 0.0).sum(axis=across, keepdims=True) / count
@@ -74,7 +77,9 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
 
 def median(values: Array, axis: int = 0) -> Array:
     """Return medians along an axis, which is kept, without NaN; NaN where all values are. Faster than nanmedian."""
-    ordered, count = np.sort(values, axis=axis), np.sum(~np.isnan(values), axis=axis, keepdims=True)  # NaN last
+    # NaN last
+    ordered = np.sort(values, axis=axis)
+    count = np.sum(~np.isnan(values), axis=axis, keepdims=True)
     low, high = (np.take_along_axis(ordered, np.maximum(count - more, 0) // 2, axis) for more in (1, 0))
     return np.asarray((low + high) / 2)
 
@@ -147,7 +152,8 @@ class Readings:
             side = np.where(side == VALUE, beyond, side)
         # From recorded values to readings of the network; missing and blind readings have no weight.
         noise = _noise(scene, within, sigma)
-        network, side = scene.circuit.from_recorded(within, scene), side * scene.circuit.direction
+        network = scene.circuit.from_recorded(within, scene)
+        side = side * scene.circuit.direction
         seen = np.where(np.isnan(recorded), 0.0, 1.0)
         if noise is not None:
             seen = np.where(np.isfinite(noise), seen, 0.0)
@@ -160,7 +166,8 @@ class Readings:
             series = scene.readout.sigma(np.broadcast_to(scene.series_ohm, scene.panel.shape))
             least = np.minimum(reach, NOISE_REACH * series)
         small = (network <= least) & (side != AT_LEAST)
-        side, network = np.where(small, AT_MOST, side), np.where(small, np.maximum(network, 0) + reach, network)
+        side = np.where(small, AT_MOST, side)
+        network = np.where(small, np.maximum(network, 0) + reach, network)
         # Finite numbers for bounds, and substitutes for missing readings.
         network, seen = _numbered(network, seen)
         side = np.where(seen > 0, side, VALUE)
@@ -265,7 +272,8 @@ class Readings:
         If bounds outnumber the values of a cell, or are within the noise of their mean, the mean of values and bounds
         is a bound. Lower and upper bounds in equal numbers count as missing.
         """
-        value, bound = self.plain, self.bounds
+        value = self.plain
+        bound = self.bounds
         of_values, deviation = _averaged(self.value, self.sigma, value)
         among = bound.sum(axis=0) > value.sum(axis=0)
         if self.sigma is not None:
@@ -354,7 +362,8 @@ def _numbered(network: Array, seen: Array) -> tuple[Array, Array]:
 
 def _averaged(value: Array, sigma: Array | None, counted: NDArray[np.bool_]) -> tuple[Array, Array | None]:
     """Return the mean over the counted frames and its σ, (rows, columns) each; 1 if no frame counts."""
-    count, blank = np.maximum(counted.sum(axis=0), 1), ~counted.any(axis=0)
+    count = np.maximum(counted.sum(axis=0), 1)
+    blank = ~counted.any(axis=0)
     mean = np.where(counted, value, 0.0).sum(axis=0) / count + blank
     noise = None if sigma is None else np.sqrt(np.where(counted, sigma**2, 0.0).sum(axis=0)) / count + blank
     return mean, noise
@@ -383,11 +392,13 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     other rows in every frame. Rows of a uniform panel that no load reaches differ from the others only under loads, and
     not in the frame in which the rows are most alike.
     """
-    sigma, rows = readings.sigma_of_values, readings.value.shape[-2]
+    sigma = readings.sigma_of_values
+    rows = readings.value.shape[-2]
     if sigma is None:
         return ()
     check_line_memory(rows, 1)
-    value, noise = readings.value.reshape(-1, *readings.value.shape[-2:]), sigma.reshape(-1, *sigma.shape[-2:])
+    value = readings.value.reshape(-1, *readings.value.shape[-2:])
+    noise = sigma.reshape(-1, *sigma.shape[-2:])
     unlike, count = _row_differences(value, noise)
     # Equal rows: the mean square of n normal differences is 1 ± √(2/n).
     similar = (unlike <= 1 + UNUSUAL * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)
@@ -407,7 +418,8 @@ def _row_differences(value: Array, noise: Array) -> tuple[Array, NDArray[np.intp
     """Return the mean square difference of each two rows in units of their noise, and the number of its values."""
     rows = value.shape[-2]
     value, noise = (part.swapaxes(-1, -2).reshape(-1, rows) for part in (value, noise))
-    unlike, count = np.zeros((rows, rows)), np.zeros((rows, rows), dtype=np.intp)
+    unlike = np.zeros((rows, rows))
+    count = np.zeros((rows, rows), dtype=np.intp)
     for row in range(rows):
         spread = np.hypot(noise[:, [row]], noise)
         finite = np.isfinite(spread)

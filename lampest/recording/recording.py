@@ -132,12 +132,14 @@ class Recording(Validated):
     def __repr__(self) -> str:
         """Return a description in one line: '24 frames (3 unloaded) of 10 × 10 cells'."""
         unloaded, (rows, columns) = int(np.sum(self.role == UNLOADED)), self.scene.panel.shape
-        frames, span = f"{len(self.role)} frames ({unloaded} unloaded)", f"{self.time.min():g} to {self.time.max():g} s"
+        frames = f"{len(self.role)} frames ({unloaded} unloaded)"
+        span = f"{self.time.min():g} to {self.time.max():g} s"
         return f"Recording({self.name}: {frames} of {rows} × {columns} cells, {span})"
 
     def _check_unit(self) -> None:
         """Raise InputError if the values are probably in kohm: without raw sums, all below the series resistance."""
-        circuit, valid = self.scene.circuit, self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
+        circuit = self.scene.circuit
+        valid = self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
         if not isinstance(circuit, TwoPointReadout) or self.raw_sums is not None or self.of_module or not valid.size:
             return
         series = float(np.min(self.scene.series_ohm))
@@ -185,13 +187,15 @@ class Recording(Validated):
             dimensions: dict[str, int | tuple[int, int]] = {"time": 1, "role": 1, "sigma": (2, 3)}
             for field, place in places.items():
                 flat = field == "sigma" and len(hdf5.shape_of(file, place)) == 2
-                kind, rows = np.uint16 if field == "raw_sums" else None, hdf5.ALL if flat else chosen
+                kind = np.uint16 if field == "raw_sums" else None
+                rows = hdf5.ALL if flat else chosen
                 held[field] = hdf5.read_array(file, place, dimensions.get(field, 3), part=rows, kind=kind)
             for field, name in (("start_time", "start_time"), ("simulation", "truth/simulation")):
                 held[field] = hdf5.read_text(file, f"/entry/{name}") if hdf5.has(file, f"/entry/{name}") else None
             if "raw_sums" in held:
                 held["raw_readings"] = int(hdf5.read_number(file, "/entry/raw", "readings", 0))
-            frames, acquisition = len(held["recorded"]), Acquisition.read(file, chosen)
+            frames = len(held["recorded"])
+            acquisition = Acquisition.read(file, chosen)
             if acquisition is not None and held["start_time"] is None and frames and "time" in held:
                 held["start_time"] = acquisition.start(float(held["time"][0]))
             number = (chosen.start or 0) + np.arange(frames)
@@ -434,7 +438,8 @@ def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
         if str(hdf5.read_attribute(file, "/", "lampest_format")).startswith("results/"):
             raise InputError(f"{path}: holds results; lampest.read_results reads them")
         scene = _scene_of(hdf5.read_text(file, "/entry/scene"), f"{path}:/entry/scene")
-        group, signal = f"/entry/{group_of(scene.circuit)}", scene.circuit.signal
+        group = f"/entry/{group_of(scene.circuit)}"
+        signal = scene.circuit.signal
         if len(hdf5.shape_of(file, f"{group}/{signal}")) != 3:
             raise InputError(f"{path}: {group}/{signal} must be frames × rows × columns")
         yield file, scene, group, signal
@@ -500,10 +505,12 @@ def tared(recording: Recording, frames: range) -> tuple[Recording, float]:
     role = np.full(len(recording.role), MEASURED, dtype=np.uint8)
     role[frames.start : frames.stop] = UNLOADED
     shown = recording.readings()[frames.start : frames.stop].shown
-    half, change = len(shown) // 2, 0.0
+    half = len(shown) // 2
+    change = 0.0
     if half:
         known = np.isfinite(shown).all(axis=0)
-        before, after = shown[:half, known].mean(axis=0), shown[half:, known].mean(axis=0)
+        before = shown[:half, known].mean(axis=0)
+        after = shown[half:, known].mean(axis=0)
         change = float(np.abs(after / before - 1).max(initial=0.0))
     return replace(recording, role=role), change
 
@@ -564,7 +571,8 @@ class StoredRecording:
 
         If possible, a part ends with a chunk of the measured frames in results.
         """
-        chunk, ends = max(1, hdf5.CHUNK // self.scene.panel.crossings), [0]
+        chunk = max(1, hdf5.CHUNK // self.scene.panel.crossings)
+        ends = [0]
         measured = self.role == MEASURED
         full = measured & (np.cumsum(measured) % chunk == 0)
         while ends[-1] < self.frames:

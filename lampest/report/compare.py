@@ -79,7 +79,8 @@ class _Template(Formatter):
 
 def screen_table(items: Iterable[Any], columns: Columns, title: str = "") -> Table:
     """Return a table with a row for each item, without empty columns."""
-    items, template = list(items), _Template()
+    items = list(items)
+    template = _Template()
 
     def text(of: str | Callable[[Any], str], item: Any) -> str:
         if callable(of):
@@ -256,7 +257,8 @@ def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
 
 def table_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Return the rows as one table, header → figure, with a column for each swept key."""
-    keys, lines = swept_keys(rows), list[dict[str, Any]]()
+    keys = swept_keys(rows)
+    lines = list[dict[str, Any]]()
     for row in rows:
         swept = {key: row["swept"].get(key) for key in keys}
         parts = (swept if header == "swept" else {header: row[header]} for header in row if header not in ASIDE)

@@ -36,7 +36,9 @@ from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_re
 
 MAX_ROWS = 48  # of a map
 MAX_NAMED = 4  # datasets in a sentence
-FALLS, RISES, UNKNOWN = " ░▒▓█", " .+*#", "?"
+FALLS = " ░▒▓█"
+RISES = " .+*#"
+UNKNOWN = "?"
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 SEALED = "as written: {bytes} bytes in {datasets} datasets agree with their checksums"
 Sentence = tuple[str, object]  # heading, text
@@ -50,7 +52,8 @@ def describe(path: str | Path) -> list[str]:
     Of a file that exceeds the memory, all frames are counted and the first ones are described. Raises InputError for a
     damaged file and for one that is neither a recording nor results.
     """
-    path, too_long_words = Path(path), "too long for memory; frames {} to {}:"
+    path = Path(path)
+    too_long_words = "too long for memory; frames {} to {}:"
     form = hdf5.format_of(path)
     with hdf5.existing_file(path) as file:
         if not form and not any(hdf5.has(file, path) for path in READINGS):
@@ -61,7 +64,8 @@ def describe(path: str | Path) -> list[str]:
         if not any(too_long(case.frames, case.cells) for case in cases):
             return [head, *_results_lines(read_results(path))]
         part = next(read_each(path, PART_READINGS))
-        first, last = int(part.frame[0]), int(part.frame[-1])
+        first = int(part.frame[0])
+        last = int(part.frame[-1])
         long = [f"  {case.estimator}  {case.frames} frames  case {case.case_id}" for case in cases]
         shown = _results_lines(read_results(path, frames=range(first, last + 1)))
         return [head, *long, too_long_words.format(first, last), *shown]
@@ -82,7 +86,8 @@ def _lines(sentences: Iterable[Sentence]) -> list[str]:
 
 def _frames(role: NDArray[np.uint8], time: Array) -> Iterator[Sentence]:
     """Yield the numbers of frames and their times."""
-    unloaded, measured = int(np.sum(role == UNLOADED)), int(np.sum(role == MEASURED))
+    unloaded = int(np.sum(role == UNLOADED))
+    measured = int(np.sum(role == MEASURED))
     yield "frames", f"{len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s"
 
 
@@ -105,7 +110,8 @@ def _recording_lines(recording: Recording) -> list[str]:
         ("board", board_sentence(recording)),
         ("besides", ", ".join(name for name, values in extras.items() if values is not None) or "nothing"),
     ]
-    strongest, lines = strongest_readings(recording), _lines(sentences)
+    strongest = strongest_readings(recording)
+    lines = _lines(sentences)
     if strongest is None:
         return [*lines, f"readings of frame 0 in {circuit.unit}:", *text_map(recording.recorded[0])]
     where = f"frame {strongest[0]} at {recording.time[strongest[0]]:g} s"
@@ -154,7 +160,8 @@ def apply_advice(path: str | Path) -> list[str]:
 
 def _processing(recording: Recording) -> str:
     """Return what firmware did to the recorded readings; '' where nothing is seen. See `processing_of`."""
-    readout, panel = recording.scene.readout, recording.scene.panel
+    readout = recording.scene.readout
+    panel = recording.scene.panel
     if readout is None or readout.floor_code is not None:
         return ""
     codes = np.floor(readout.volt_from_recorded(recording.recorded) / readout.lsb_volt)
@@ -163,12 +170,14 @@ def _processing(recording: Recording) -> str:
 
 def _scene(scene: Scene) -> Iterator[Sentence]:
     """Describe panel, readout and series resistance in words, and other entries by their keys."""
-    panel, cells = scene.panel, ""
+    panel = scene.panel
+    cells = ""
     if panel.cells is not None:
         wide, tall = (most - least for least, most in panel.extents_mm)
         cells = f", {len(panel.cells)} cells at listed places over {wide:g} × {tall:g} mm"
     if (modules := panel.modules) is not None:
-        each, seam = f"{modules.each.rows} × {modules.each.columns}", f"seams of {modules.seam_mm:g} mm"
+        each = f"{modules.each.rows} × {modules.each.columns}"
+        seam = f"seams of {modules.seam_mm:g} mm"
         cells = f", {modules.rows} × {modules.columns} modules of {each} cells with {seam}"
     yield "panel", f"{panel.rows} rows × {panel.columns} columns{cells}, pitch {panel.pitch_mm:g} mm"
     yield "readout", "unknown, resistances alone" if scene.readout is None else scene.readout.description()
@@ -254,9 +263,11 @@ def _starts(case: CaseResult) -> str:
 
 def _holes(recording: Recording) -> Iterator[str]:
     """Yield sentences on missing and bounded readings, except those of faulty cells, and on their consequences."""
-    readings, scene = recording.readings(), recording.scene
+    readings = recording.readings()
+    scene = recording.scene
     yield holes_sentence(readings.missing(scene), readings.bounds)
-    estimable, unloaded = readings.enough(scene), recording.role == UNLOADED
+    estimable = readings.enough(scene)
+    unloaded = recording.role == UNLOADED
     if not np.all(estimable):
         yield f"{int(np.sum(~estimable))} of {len(estimable)} frames have too few values to be estimated"
     if np.any(unloaded) and np.any(estimable) and not readings[unloaded].mean().enough(scene):
@@ -324,7 +335,8 @@ def shaded_map(change: Array) -> list[str]:
     Falls are blocks and rises are signs; each has its own scale up to its largest value. A cell is two characters wide
     if all columns fit, else one.
     """
-    signs, keys = np.where(np.isfinite(change), " ", UNKNOWN), []
+    signs = np.where(np.isfinite(change), " ", UNKNOWN)
+    keys = []
     for name, shades, part in (("falls by", FALLS, -change), ("rises by", RISES, change)):
         known = np.where(np.isfinite(part), part, 0.0)
         end = max(float(np.max(known)), 1.0)  # changes from noise alone stay white
@@ -353,7 +365,8 @@ def _fitted(
     shape : of the whole map.
     """
     left = max(map(len, labels))
-    rows, columns = min(shape[0], MAX_ROWS), min(shape[1], max(1, (_room() - left) // width))
+    rows = min(shape[0], MAX_ROWS)
+    columns = min(shape[1], max(1, (_room() - left) // width))
     drawn = [
         f"{label:>{left}}" + "".join(f"{text:>{width}}" for text in line[:columns])
         for label, line in zip(labels, lines, strict=True)

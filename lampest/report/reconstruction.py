@@ -94,7 +94,8 @@ class Reconstruction(Estimates):
         >>> print(found.fit_report().splitlines()[0])
         [[Model]]
         """
-        case, place = self.result(), strongest_index([self.result()])
+        case = self.result()
+        place = strongest_index([self.result()])
         residual = np.sqrt(np.nanmean(data_error(case)[case.solved] ** 2)) if case.solved.any() else np.nan
         statistics = {
             "frames solved": f"{int(self.solved.sum())} of {len(self.steps)}",

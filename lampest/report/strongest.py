@@ -75,11 +75,13 @@ def strongest_readings(recording: Recording) -> tuple[int, Array] | None:
     Frames with garbled lines are not considered. None without unloaded frames or without measured ones.
     """
     garbled = readings_of(garbled_lines(recording), recording)
-    unloaded, intact = recording.role == UNLOADED, ~garbled.any(axis=(1, 2))
+    unloaded = recording.role == UNLOADED
+    intact = ~garbled.any(axis=(1, 2))
     if not np.any(unloaded) or not np.any(~unloaded & intact):
         return None
     recorded = np.where(garbled | recording.scene.blind, np.nan, recording.recorded)
-    resting, frames = mean_reading(recorded[unloaded]), np.flatnonzero(~unloaded & intact)
+    resting = mean_reading(recorded[unloaded])
+    frames = np.flatnonzero(~unloaded & intact)
     frame = int(frames[furthest(recorded[frames], resting)])
     with np.errstate(divide="ignore", invalid="ignore"):
         return frame, percent_change(recorded[frame], resting)

@@ -228,7 +228,8 @@ def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> It
 
     Progress is read from files, whichever process or machine solves the cases.
     """
-    frames, ended = sum(task.case.frames for task in tasks), threading.Event()
+    frames = sum(task.case.frames for task in tasks)
+    ended = threading.Event()
 
     def tell() -> None:
         on_frames(sum(task.frames_done for task in tasks), frames)
@@ -272,7 +273,8 @@ def parts_to_solve(task: Task) -> list[int]:
 
     Damaged parts are removed.
     """
-    stored, previous = task.case.stored, task.case.estimator.uses_previous
+    stored = task.case.stored
+    previous = task.case.estimator.uses_previous
     blocks = () if stored is None or previous else stored.measured_blocks
     waiting = [number for number in blocks if task.carried_over(number) is None]
     for number in waiting:
@@ -303,7 +305,8 @@ def solve_case(task: Task) -> CaseResult | StoredCase:
 
 def solve_long(task: Task, stored: StoredRecording) -> StoredCase:
     """Solve a case part by part, beginning with the first unfinished one, and write its result atomically."""
-    solved, stored_parts = list[int](), set(task.whole_parts)
+    solved = list[int]()
+    stored_parts = set(task.whole_parts)
     if task.case.estimator.uses_previous or not set(stored.measured_blocks) <= stored_parts:
         parts = _parts(task.case.estimator, stored)
         # Files after a newly solved part depend on another state and are solved again, unless parts are independent.

@@ -97,7 +97,8 @@ class CaseResult(Content):
     def __post_init__(self) -> None:
         check_name(self.recording, "recording")
         check_name(self.estimator, "estimator")
-        path, base = self._path(MEASURED), f"/entry/{self.recording}/{self.estimator}"
+        path = self._path(MEASURED)
+        base = f"/entry/{self.recording}/{self.estimator}"
         if self.measured.ndim != 3 or self.measured.size == 0:
             raise InputError(f"{path} must be frames × rows × columns with at least one frame")
         if self.measured.shape[1:] != self.scene.panel.shape:
@@ -115,7 +116,8 @@ class CaseResult(Content):
         """Weights chosen by the data with the standard deviation of ln λ, as text."""
         messages = []
         for term, sigma in self.weight_sigma.items():
-            known, weights = sigma[np.isfinite(sigma)], self.weights[term][np.isfinite(self.weights[term])]
+            known = sigma[np.isfinite(sigma)]
+            weights = self.weights[term][np.isfinite(self.weights[term])]
             if known.size and weights.size:
                 messages.append(f"{term} λ = {np.median(weights):.3g} (ln λ ± {np.median(known):.2g})")
         return ", ".join(messages)
@@ -146,12 +148,11 @@ class CaseResult(Content):
         """Medians of own and common standard deviations as text; '' if unknown."""
         if self.sigma_own is None or self.sigma_common is None or not np.isfinite(self.sigma_own).any():
             return ""
-        known, words = np.isfinite(self.sigma_own) & (self.sigma_own > 0), "own {:.2g} {unit}, common {:.2g} {unit}"
+        known = np.isfinite(self.sigma_own) & (self.sigma_own > 0)
+        words = "own {:.2g} {unit}, common {:.2g} {unit}"
         individual, common = (100 * float(np.median(part[known])) for part in (self.sigma_own, self.sigma_common))
-        message, parts = (
-            f"standard deviation of cells: {words.format(individual, common, unit='%')}",
-            self.pressed_errors(self.solved),
-        )
+        message = f"standard deviation of cells: {words.format(individual, common, unit='%')}"
+        parts = self.pressed_errors(self.solved)
         if parts is None or not parts[0].size:
             return message
         return f"{message}; of pressures: {words.format(*map(np.median, parts), unit='kPa')}"
@@ -238,18 +239,22 @@ class CaseResult(Content):
         filled = {column: held for column, held in values.items() if column.name in REQUIRED or held is not None}
         for column, held in filled.items():
             self._check_shape(self._path(column), held, column.axes)
-        present, estimated = self.scene.panel.present, self._estimated()
+        present = self.scene.panel.present
+        estimated = self._estimated()
         for column, held in filled.items():
-            tested, solved = np.asarray(held), self.solved
+            tested = np.asarray(held)
+            solved = self.solved
             if column.axes[-2:] == CELLS:
-                tested, solved = tested[..., present], estimated[..., present]
+                tested = tested[..., present]
+                solved = estimated[..., present]
             for fault in (check(tested, solved) for check in column.checks):
                 if fault is not None:
                     raise InputError(f"{self._path(column)} {fault}")
 
     def _estimated(self) -> NDArray[np.bool_]:
         """Return a mask (frames, rows, columns) of expected estimates: solved frames, in modules that have any."""
-        estimated, layout = np.broadcast_to(self.solved[:, None, None], self.measured.shape), self.scene.panel.modules
+        estimated = np.broadcast_to(self.solved[:, None, None], self.measured.shape)
+        layout = self.scene.panel.modules
         if layout is None:
             return estimated
         known = layout.split(np.isfinite(self.cell_resistance))
@@ -301,14 +306,18 @@ def series_of(case: CaseResult, columns: Sequence[Column], *, raw: bool = False)
     missing = np.isnan(case.cell_resistance)
     for column in (column.of(case.scene.circuit) for column in columns):
         if (values := case.column(column.name)) is not None:
-            flagged, dtype = column.flags and column.axes == MAPS and not column.shared, column.dtype
+            flagged = column.flags and column.axes == MAPS and not column.shared
+            dtype = column.dtype
             if flagged and not raw and missing.any():
-                values, dtype = np.where(missing, np.nan, values), np.float64
+                values = np.where(missing, np.nan, values)
+                dtype = np.float64
             words = column.units, column.long_name, column.flags, column.shared, dtype, column.path
             held[column.label] = Series(column.label, column.axes, values, *words)
     for folder in FIGURES:
         for figure, values in getattr(case, folder.name).items():
-            name, units, meaning = f"{folder.folder}_{figure}", folder.units, folder.long_name(figure)
+            name = f"{folder.folder}_{figure}"
+            units = folder.units
+            meaning = folder.long_name(figure)
             held[name] = Series(name, FRAMES, values, units, meaning, path=f"{folder.folder}/{figure}")
     return held
 

@@ -29,7 +29,8 @@ if TYPE_CHECKING:  # readers of results need not load the solvers
     from lampest.estimate.model_check import ModelCheck
     from lampest.estimate.state import Step
 
-FRAMES, CELLS = ("time",), ("row", "column")
+FRAMES = ("time",)
+CELLS = ("row", "column")
 MAPS = FRAMES + CELLS
 # Names in the groups of a results file that are no columns.
 RESERVED = (*CELLS, "x", "y", "scene", "start_time", "cost", "weight", "weight_sigma", "model_check")
@@ -156,7 +157,8 @@ class Column(Validated):
         part : slice
             Frames that are read.
         """
-        path, shape = f"{group}/{self.path}", tuple(sizes[axis] for axis in self.axes)
+        path = f"{group}/{self.path}"
+        shape = tuple(sizes[axis] for axis in self.axes)
         part = part if self.axes[:1] == FRAMES else hdf5.ALL
         if self.dtype is str:
             return hdf5.read_texts(file, path, shape[0], part)
@@ -225,7 +227,9 @@ def _declared(
     return field(default=default, metadata={"column": about})
 
 
-_maps, _frames, _cells = partial(_declared, MAPS), partial(_declared, FRAMES), partial(_declared, CELLS, "ohm")
+_maps = partial(_declared, MAPS)
+_frames = partial(_declared, FRAMES)
+_cells = partial(_declared, CELLS, "ohm")
 _counts = partial(_frames, "1", dtype=np.int64)
 _given = partial(_cells, shared=True)
 
@@ -289,7 +293,8 @@ def _truth(done: Estimates) -> Array | None:
 
 def _truth_baseline(done: Estimates) -> Array | None:
     """Return the mean of true unloaded cells, (rows, columns) ohm, NaN without an intact cell, or None."""
-    cells, unloaded = done.recording.truth_cell_resistance, done.recording.role == UNLOADED
+    cells = done.recording.truth_cell_resistance
+    unloaded = done.recording.role == UNLOADED
     if cells is None or not np.any(unloaded):
         return None
     return np.where(done.recording.scene.broken, np.nan, cells[unloaded].mean(axis=0))
@@ -326,9 +331,11 @@ def _contacts(done: Estimates) -> dict[str, Array]:
     """Return contact resistances of the lines and their standard deviations, equal in all frames; empty if unknown."""
     if done.contacts is None:
         return {}
-    shape, per_frame = done.recording.scene.panel.shape, np.ones(len(done.steps))
+    shape = done.recording.scene.panel.shape
+    per_frame = np.ones(len(done.steps))
     lines = [f"{side}_{line}" for side, count in zip(("row", "column"), shape, strict=True) for line in range(count)]
-    ohm, errors = done.contacts.mean(shape), done.contacts.deviation(shape)
+    ohm = done.contacts.mean(shape)
+    errors = done.contacts.deviation(shape)
     names = [*lines, *(f"{line}_errors" for line in lines)]
     return dict(zip(names, np.outer([*ohm, *errors], per_frame), strict=True))
 

@@ -178,7 +178,8 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
         executor = run.executor.beside(path.parent) if isinstance(run.executor, Dask) else run.executor
         prefix = f"estimators.{point.entry}."  # swept keys without the estimator: gradient.weight
         swept = {path.removeprefix(prefix).removeprefix("terms."): value for path, value in point.assignments.items()}
-        name, estimator = _varied_name(point.entry, swept), resolve(point.document, run, point.entry)
+        name = _varied_name(point.entry, swept)
+        estimator = resolve(point.document, run, point.entry)
         for file in recording_paths(path, run.recordings):
             source = recordings[file] = recordings.get(file) or _Source.read(file)
             source.check(f"{path}: {name} × {file.stem}", estimator)
@@ -285,7 +286,8 @@ def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
     """
     files: dict[str, Path] = {}
     for pattern in patterns:
-        target, matches = config.parent / pattern, list[Path]()
+        target = config.parent / pattern
+        matches = list[Path]()
         with suppress(OSError, ValueError):  # a name that is too long
             # '**' would traverse all folders below.
             several = "*" in target.name and "**" not in pattern

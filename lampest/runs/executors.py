@@ -52,7 +52,9 @@ class Worker:
     """
 
     def __init__(self, begun: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()) -> None:
-        self._begun, self._arguments, self._killed = begun, arguments, False
+        self._begun = begun
+        self._arguments = arguments
+        self._killed = False
         self.pipe: Connection
         self.process: SpawnProcess | None = None
 
@@ -252,13 +254,15 @@ class Processes(Executor):
 
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
         """Yield results, as `Executor.results`."""
-        waiting, deaths = deque(range(len(arguments))), Counter[int]()
+        waiting = deque(range(len(arguments)))
+        deaths = Counter[int]()
         with ExitStack() as stack:
             idle = [stack.enter_context(Worker()) for _ in range(min(self.workers or cores(), len(arguments)))]
             busy: dict[Worker, int] = {}
             while waiting or busy:
                 while waiting and idle:
-                    worker, number = idle.pop(), waiting.popleft()
+                    worker = idle.pop()
+                    number = waiting.popleft()
                     worker.begin(function, arguments[number])
                     busy[worker] = number
                 for worker in answered_first(busy):
@@ -352,7 +356,8 @@ class Dask(Executor):
             for tasks in rounds:
                 numbers = {client.submit(function, task, pure=False): number for number, task in tasks.items()}
                 for future in distributed.as_completed(list(numbers), loop=client.loop):
-                    number, outcome = numbers.pop(future), _outcome(distributed, client, future)
+                    number = numbers.pop(future)
+                    outcome = _outcome(distributed, client, future)
                     if not isinstance(outcome, distributed.KilledWorker):
                         yield arguments[number], outcome
                     elif len(tasks) > 1:  # Dask attributes the death of a worker to all of its tasks: try each alone

@@ -44,7 +44,8 @@ def named_result(estimates: Estimates, name: str | None, columns: Sequence[Colum
     columns : sequence of Column
         Columns besides those of lampest and of installed packages.
     """
-    recording, estimator = estimates.recording, estimates.estimator
+    recording = estimates.recording
+    estimator = estimates.estimator
     names = {
         "recording": recording.name,
         "estimator": " + ".join(map(term_kind, estimator.terms)) if name is None else name,

@@ -277,7 +277,8 @@ def read_results(path: str | Path, columns: Sequence[Column] = (), frames: range
     >>> lampest.read_results("results.h5").recordings()
     ('mine',)
     """
-    path, table = Path(path), all_columns(columns)
+    path = Path(path)
+    table = all_columns(columns)
     with _results_file(path) as file:
         published = _read_published(file)
         names = _in_order(file, "/entry")
@@ -350,7 +351,8 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: s
     table = [column.of(scene.circuit) for column in table]
     path = f"{base}/{MEASURED.of(scene.circuit).path}"
     hdf5.read_array(file, path, len(MAPS), part=slice(0))  # validation of type and dimensions; no values are read
-    shape, estimators = hdf5.shape_of(file, path), _estimators(file, name)
+    shape = hdf5.shape_of(file, path)
+    estimators = _estimators(file, name)
     maps = sum(column.axes == MAPS and not column.shared for column in table)
     if len(estimators) * maps * len(range(shape[0])[part]) * prod(shape[1:]) > hdf5.MAX_VALUES:
         raise InputError(

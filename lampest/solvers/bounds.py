@@ -37,7 +37,8 @@ def within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:
 
 def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
     """Return a point of lower cost forward or backward along a direction (cells,) of u; None if none is found."""
-    least, size = _certain_cost(at) - MIN_DECREASE_SHARE * at.cost_scale, float(np.abs(along).max(initial=0.0)) or 1.0
+    least = _certain_cost(at) - MIN_DECREASE_SHARE * at.cost_scale
+    size = float(np.abs(along).max(initial=0.0)) or 1.0
     lengths = [sign * length / size for length in STEP_LENGTHS for sign in (1.0, -1.0)]
     candidates = (moved_by(at, length * along) for length in lengths)
     return next((point for point in candidates if point is not None and _certain_cost(point) < least), None)
@@ -81,7 +82,8 @@ def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
         return False
     if all(term.reads_measurement and term.loss.squared for term in at.cost.terms):
         return True
-    through, networks = at.partials(np.clip(dual, -1, 1))[1], at.networks
+    through = at.partials(np.clip(dual, -1, 1))[1]
+    networks = at.networks
     # Pull of a cell's own reading, J_cc·∂φ/∂y_c, and of all readings, Jᵀ·∂φ/∂y.
     curvature = through * np.stack([network.own_response() for network in networks])
     pull = np.stack([network.adjoint(part) for network, part in zip(networks, through, strict=True)])
@@ -98,6 +100,7 @@ def _missed(at: Evaluation) -> NDArray[np.bool_]:
     limit = data.deviation if data.noise_known else MILLIONTH * np.abs(data.measured)
     missed = at.reading - data.measured
     if data.partial:
-        side, seen = data.given.side, data.given.seen
+        side = data.given.side
+        seen = data.given.seen
         missed = np.where(side == 0, missed, np.minimum(side * missed, 0.0)) * (seen > 0)
     return np.asarray(np.abs(missed) > limit)

@@ -110,7 +110,8 @@ class Ipopt(Solver):
         self, start: Evaluation, instance: Instance, result: ProgramResult, status: Status, iterations: int
     ) -> Outcome:
         """Return the outcome of a result, with the certificate of an optimum."""
-        cells, dual = instance.cells_of(result), instance.duals_of(result, self.cost.slope)
+        cells = instance.cells_of(result)
+        dual = instance.duals_of(result, self.cost.slope)
         moved = float(np.abs(np.log(cells / start.cell_resistance)).max())
         outcome = Outcome(cells, dual, status, iterations, convex=not (result.corrected and moved > FAR))
         if status is not Status.OPTIMUM or not np.all(np.isfinite(cells)):

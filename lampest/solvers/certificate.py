@@ -75,7 +75,9 @@ class Certificate:
         cls, hessian: Hessian, kind: Definiteness, free: Numbers, part: Array, decrement: float | None, **more: Any
     ) -> "Certificate":
         """Return the certificate for a Newton step `part` of the `free` cells (numbers); decrement None: computed."""
-        step, data, deviations = within_bounds(hessian.at, free, part), hessian.at.data, float("inf")
+        step = within_bounds(hessian.at, free, part)
+        data = hessian.at.data
+        deviations = float("inf")
         if decrement is None:
             # δ² = gᵀ H⁻¹ g = −gᵀs
             decrement = float(np.sqrt(max(-float(hessian.gradient[free] @ part), 0.0)))
@@ -134,15 +136,18 @@ def _of_reproduced(hessian: Hessian) -> Certificate | None:
     """
     if not all(term.reads_measurement for term in hessian.at.cost.terms) or not hessian.only_data:
         return None
-    curvature, reading = hessian.curvature, hessian.at.reading.ravel()
+    curvature = hessian.curvature
+    reading = hessian.at.reading.ravel()
     if not np.all(curvature > 0):
         return None
     # e = (∂φ/∂y)/(∂²φ/∂y²)/y: relative residual of each reading
     missed = hessian.by_reading.ravel() / curvature / reading
-    known, close = hessian.at.data.noise_known, float(np.abs(missed).max()) <= MAX_RELATIVE_MISFIT
+    known = hessian.at.data.noise_known
+    close = float(np.abs(missed).max()) <= MAX_RELATIVE_MISFIT
     if len(reading) > (DENSE_CELLS if known else MAX_DENSE) or (known and not close):
         return None
-    sensitivity, cells = hessian.at.networks[0].sensitivity() / reading[:, None], np.arange(len(reading))
+    sensitivity = hessian.at.networks[0].sensitivity() / reading[:, None]
+    cells = np.arange(len(reading))
     _, _, step, singular = lapack.dgesv(sensitivity, -missed)
     if singular or not np.all(np.isfinite(step)):
         return Certificate.of(hessian, Definiteness.UNDETERMINED, cells, 0 * missed, np.inf) if close else None
@@ -168,11 +173,13 @@ def _confirmed(
 
 def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
     """Return the certificate by a Cholesky factor; where that fails, by eigenvectors."""
-    matrix, slope = hessian.matrix[np.ix_(free, free)], hessian.gradient[free]
+    matrix = hessian.matrix[np.ix_(free, free)]
+    slope = hessian.gradient[free]
     # Usual curvature from a cell's own reading: the median weight of the readings times J_cc²
     weight = hessian.curvature[hessian.curvature > 0]
     usual = np.median(weight) * hessian.own_response**2 if len(weight) else np.ones(len(hessian.own_response))
-    least, factor = ROUNDING * usual[free], None
+    least = ROUNDING * usual[free]
+    factor = None
     if np.all(matrix.diagonal() > least):
         factor = Cholesky.of(hessian.at.cell_resistance, free, matrix)
     if factor is not None and clear_of_rounding(factor.triangle, factor.norm):
@@ -234,7 +241,8 @@ def _by_conjugate_gradients(
 ) -> Certificate:
     """Return the certificate by conjugate gradients; UNDETERMINED if these cannot take a first step."""
     chosen = np.flatnonzero(free)
-    slope, product = hessian.gradient[chosen], restricted(hessian.product, chosen, free.size)
+    slope = hessian.gradient[chosen]
+    product = restricted(hessian.product, chosen, free.size)
     precondition = (preconditioner or TwoLevel.of(hessian)).over(free, hessian.at.cell_resistance)
     solved = steihaug(product, precondition, slope, ACCURACY)
     moved = bool(solved.products) or not slope.any()
@@ -242,7 +250,8 @@ def _by_conjugate_gradients(
     if solved.negative:
         # Negative curvature counts only beyond its rounding error.
         along = solved.step / (float(np.abs(solved.step).max()) or 1.0)
-        curvature, size = float(along @ product(along)), hessian.diagonal[chosen]
+        curvature = float(along @ product(along))
+        size = hessian.diagonal[chosen]
         rounding = max(ROUNDING * float(along @ (size * along)), MIN_CURVATURE * hessian.at.cost_scale)
         definiteness = Definiteness.UNDETERMINED if curvature > -rounding else Definiteness.INDEFINITE
     definiteness, lower = _confirmed(hessian, definiteness, chosen, solved.step)

@@ -45,7 +45,8 @@ class Hessian:
     @cached_property
     def dense(self) -> bool:
         """Whether a matrix over the cells that can move is cheaper than products."""
-        data, size = self.at.data, self.at.cell_resistance.size
+        data = self.at.data
+        size = self.at.cell_resistance.size
         if size <= DENSE_CELLS or size > MATRIX_CELLS:
             return size <= DENSE_CELLS
         # Absolute losses and joint pairs need many products, so a matrix pays off up to MATRIX_CELLS.
@@ -197,7 +198,8 @@ class Hessian:
 
     def _stiffness(self, part: Part) -> Array:
         """Return weight·ρ'(x)/x of the residuals x of a part, (rows,); absolute losses are smoothed."""
-        cost, value = self.at.cost, part.values(self.at)
+        cost = self.at.cost
+        value = part.values(self.at)
         stiffness = np.zeros(len(value))
         for number, term in enumerate(cost.terms):
             rows = part.term == number
@@ -211,7 +213,8 @@ class Hessian:
     @cached_property
     def only_data(self) -> bool:
         """Whether the second derivatives have no part at fixed readings: one frame, no penalty on its cells."""
-        cells, functions = self.at.cell_resistance, self.at.cost.functions
+        cells = self.at.cell_resistance
+        functions = self.at.cost.functions
         absolute = functions.nonsmooth_jacobian.pattern[1] < cells.size
         return len(cells) == 1 and not (len(functions.entries.cells) or absolute.any())
 
@@ -238,7 +241,8 @@ class Hessian:
     @cached_property
     def matrix(self) -> Array:
         """The Hessian ∇²φ, dense (…, frames · cells, frames · cells)."""
-        matrix, jacobian = block_diagonal([second.matrix() for second in self._second_orders]), self.jacobian
+        matrix = block_diagonal([second.matrix() for second in self._second_orders])
+        jacobian = self.jacobian
         cells = self._flat(self.at.cell_resistance)
         count, (entries, values) = cells.shape[-1], self._entries
         # N + diag(r) T_rr diag(r)

@@ -69,13 +69,15 @@ def central_path(start: Evaluation, max_steps: int | None = None) -> tuple[Evalu
 
     Returns `start` if the path ends at a higher cost.
     """
-    barrier, steps = Barrier.of(start), 0
+    barrier = Barrier.of(start)
+    steps = 0
     limit = METHOD.max_steps if max_steps is None else min(max_steps, METHOD.max_steps)
     while steps < limit and not start.data.overdue:
         trial = barrier.advanced() if barrier.added > METHOD.max_barrier_share * barrier.at.objective else None
         if trial is None:
             break
-        barrier, steps = trial, steps + 1
+        barrier = trial
+        steps = steps + 1
     bounded = barrier.put_at_bounds()
     return (bounded if bounded.objective < start.objective else start), steps
 
@@ -88,7 +90,9 @@ def has_central_path(start: Evaluation) -> bool:
 
 def crowds_bounds(start: Evaluation) -> bool:
     """Return whether the cost is plain least squares of a large frame with more cells at a bound than lines."""
-    hessian, data, cells = Hessian(start, Smoothing.start(start)), start.data, start.cell_resistance
+    hessian = Hessian(start, Smoothing.start(start))
+    data = start.data
+    cells = start.cell_resistance
     if hessian.dense or not hessian.only_data or not all(term.loss.squared for term in start.cost.terms):
         return False
     # 1/(1/r) and exp(log r) of a bound differ from it in their last bits.
@@ -132,7 +136,9 @@ class Barrier:
     @classmethod
     def of(cls, start: Evaluation) -> "Barrier":
         """Return the first iterate: a point inside the bounds with z·(g − g_low) = w·(g_high − g) = μ."""
-        low, high, conductance = 1 / start.data.upper, 1 / start.data.lower, 1 / start.cell_resistance
+        low = 1 / start.data.upper
+        high = 1 / start.data.lower
+        conductance = 1 / start.cell_resistance
         margin = np.minimum(METHOD.start_margin * float(np.median(conductance)), (high - low) / 50)
         at = start.elsewhere(1 / np.clip(conductance, low + margin, high - margin))
         bare = cls(at, np.zeros((2, *low.shape)), 0.0)
@@ -188,7 +194,8 @@ class Barrier:
         step = self.newton_step(push)
         length = reach(self.distances, SIDES * step)
         # Backtracking until the barrier function falls by a share of the predicted decrease.
-        current, slope = self.merit(mean), SUFFICIENT_DECREASE * float(np.sum(push * step))
+        current = self.merit(mean)
+        slope = SUFFICIENT_DECREASE * float(np.sum(push * step))
         for _ in range(METHOD.max_halvings):
             with suppress(np.linalg.LinAlgError):
                 trial = Barrier(self.at.elsewhere(1 / (self.conductance + length * step)), push, mean)
@@ -224,7 +231,8 @@ class Barrier:
 
     def _sparse(self, chosen: Numbers, stiff: Array, slope: Array) -> Array:
         """Return the relative step of the chosen cells by conjugate gradients."""
-        hessian, free = self.hessian, self.moving.ravel()
+        hessian = self.hessian
+        free = self.moving.ravel()
         precondition = TwoLevel.of(hessian, stiff).over(free, self.at.cell_resistance)
         # Accuracy grows as the barrier's share shrinks: residuals of cells at bounds hide those of the others. With
         # ACCURACY throughout, besides the changes named at METHOD, a later frame takes 83 s (docs/studies/speed.md).

@@ -24,7 +24,9 @@ from lampest.solvers.solution import MAX_STARTS, Outcome, Solution, Solver, Stat
 
 # Starts of a frame whose first solve met negative curvature: as many as there are kinds of starts.
 MAX_MINIMA = 3
-MAX_SPENT, MAX_UNSOLVED = 100, 300  # iterations of all starts after which a frame ends: with, and without an estimate
+# iterations of all starts after which a frame ends: with, and without an estimate
+MAX_SPENT = 100
+MAX_UNSOLVED = 300
 START_SPREAD = 20.0  # largest factor between a scattered start and the apparent resistance
 SAME_MINIMUM = 1e-9  # relative difference of cost below which two minima are the same
 
@@ -81,7 +83,9 @@ def best_solution(solver: Solver, data: Data, previous: Array | None, carried: A
     solver = solver.continued(carried)
     effort = Effort.of(solver, data)
     further = scattered(data) if effort.requested else ()
-    best, tried, iterations = None, 0, 0
+    best = None
+    tried = 0
+    iterations = 0
     with np.errstate(all="ignore"), delayed_interrupt():
         for start in evaluable(solver.cost, data, chain(starts(solver.cost, data, previous), further)):
             solution = solved_from(solver if tried == 0 else solver.cold(), start)

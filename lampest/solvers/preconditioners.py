@@ -117,7 +117,9 @@ class Cholesky(Preconditioner):
         place = np.full(free.size, -1)
         place[self.cells] = np.arange(len(self.cells))
         known = place[chosen] >= 0
-        inner, outer, right = place[chosen][known], 1 / self.diagonal[chosen], np.zeros(len(self.cells))
+        inner = place[chosen][known]
+        outer = 1 / self.diagonal[chosen]
+        right = np.zeros(len(self.cells))
 
         def solve(values: Array) -> Array:
             right[inner] = values[known]
@@ -175,7 +177,8 @@ class TwoLevel(Preconditioner):
 
     def over(self, free: Free, cell_resistance: Array) -> Linear:
         chosen = np.flatnonzero(free)
-        size, part = cell_resistance.ravel()[chosen], restricted(self._solved, chosen, free.size)
+        size = cell_resistance.ravel()[chosen]
+        part = restricted(self._solved, chosen, free.size)
         return lambda values: np.asarray(part(values / size) / size)
 
     def _solved(self, values: Array) -> Array:
@@ -201,12 +204,14 @@ class Woodbury(Preconditioner):
         with catch_warnings(), suppress(np.linalg.LinAlgError):
             simplefilter("ignore", linalg.LinAlgWarning)
             inner = linalg.inv(linalg.inv(self.lines.mixed) + self.lines.between(inverse))
-        chosen, flat = np.flatnonzero(free), inverse.ravel()
+        chosen = np.flatnonzero(free)
+        flat = inverse.ravel()
 
         def solve(values: Array) -> Array:
             return flat * (values - self.lines.back(inner @ self.lines.sums(flat * values)))
 
-        size, part = cell_resistance.ravel()[chosen], restricted(solve, chosen, free.size)
+        size = cell_resistance.ravel()[chosen]
+        part = restricted(solve, chosen, free.size)
         return lambda values: np.asarray(part(values / size) / size)
 
 
@@ -238,13 +243,15 @@ class CoarseLines:
             return None
         # V with columns of unit length
         row, column = np.indices(along.shape[1:]).reshape(2, -1)
-        number, places = np.tile(np.arange(len(row)), 2), np.concatenate([row, along.shape[1] + column])
+        number = np.tile(np.arange(len(row)), 2)
+        places = np.concatenate([row, along.shape[1] + column])
         incidence = sparse.csr_array((np.ones(len(places)), (number, places)))
         columns = sparse.csr_array(sparse.hstack([sparse.diags_array(side.ravel()) @ incidence for side in along]))
         length = np.sqrt(np.maximum(columns.multiply(columns).sum(axis=0), 1e-300))
         columns = sparse.csr_array(columns @ sparse.diags_array(1 / length))
         # VᵀAV = Vᵀ(T + diag(c))V + (VᵀV) S (VᵀV)
-        crossed, square = (columns.T @ (local @ columns)).toarray(), (columns.T @ columns).toarray()
+        crossed = (columns.T @ (local @ columns)).toarray()
+        square = (columns.T @ columns).toarray()
         added = square @ (mixed * length[:, None] * length) @ square
         if np.quantile(added.diagonal() / crossed.diagonal(), 0.75) < 1:
             return None
@@ -284,7 +291,8 @@ def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
     """Return a new preconditioner at a point: over the free cells on small problems, over all cells on large ones."""
     if not hessian.dense:
         return TwoLevel.of(hessian)
-    cells, chosen = hessian.at.cell_resistance, np.flatnonzero(free)
+    cells = hessian.at.cell_resistance
+    chosen = np.flatnonzero(free)
     factor = Cholesky.of(cells, chosen, hessian.matrix[np.ix_(chosen, chosen)])
     return factor or gauss_newton_factor(hessian, free) or TwoLevel.of(hessian)
 
@@ -296,7 +304,8 @@ def gauss_newton_factor(hessian: Hessian, free: Free, damping: float = SHIFTS[0]
     """
     if not hessian.dense:
         return None
-    chosen, cells = np.flatnonzero(free), hessian.at.cell_resistance
+    chosen = np.flatnonzero(free)
+    cells = hessian.at.cell_resistance
     matrix = hessian.gauss_newton_matrix[np.ix_(chosen, chosen)]
     matrix.flat[:: len(matrix) + 1] = floored(np.diag(matrix))
     tried = (Cholesky.of(cells, chosen, matrix, shift) for shift in (damping, *SHIFTS) if shift >= damping)

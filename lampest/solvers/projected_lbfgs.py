@@ -62,7 +62,8 @@ class InverseHessians:
     @classmethod
     def nothing(cls, panels: int, cells: int) -> "InverseHessians":
         """Return the state before the first frame, without any inverse."""
-        blank, none = np.zeros((panels, cells), dtype=bool), np.zeros(panels, dtype=bool)
+        blank = np.zeros((panels, cells), dtype=bool)
+        none = np.zeros(panels, dtype=bool)
         return cls(np.zeros((panels, cells, cells)), np.full((panels, cells), np.nan), blank, none, ~none)
 
     def distance(self, panels: Numbers, position: Array) -> Array:
@@ -97,7 +98,8 @@ class InverseHessians:
         np.einsum("...ii->...i", matrices)[...] += points.gradient
         # M⁻¹ over the free cells; 1/diagonal elsewhere, and everywhere if M is not positive definite.
         for number, panel in enumerate(panels):
-            matrix, free = matrices[number], np.flatnonzero(points.free[number])
+            matrix = matrices[number]
+            free = np.flatnonzero(points.free[number])
             scale = np.abs(np.diag(matrix))
             inverse = np.diag(1 / np.where(scale > 0, scale, 1.0))
             factor = Cholesky.of(points.position[number], free, matrix[np.ix_(free, free)]) if len(free) else None
@@ -154,8 +156,10 @@ def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settin
     """
     begun = points = Hessian(start, Smoothing(1.0, NO_DUAL))
     ends, (count,) = begun.position.copy(), start.data.panels
-    solved, iterations = np.zeros(count, dtype=bool), np.zeros(count, dtype=np.int64)
-    panels, secants = np.arange(count), Secants()
+    solved = np.zeros(count, dtype=bool)
+    iterations = np.zeros(count, dtype=np.int64)
+    panels = np.arange(count)
+    secants = Secants()
     for _ in range(min(MAX_STEPS, settings.max_iterations)):
         if not len(panels):
             break
@@ -175,7 +179,9 @@ def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settin
             staying = ~(settled | stuck)
             if not staying.all():
                 ends[panels] = points.position - np.where(settled[:, None], step, 0.0)
-                points, panels, secants = points.some(np.flatnonzero(staying)), panels[staying], secants.some(staying)
+                points = points.some(np.flatnonzero(staying))
+                panels = panels[staying]
+                secants = secants.some(staying)
         if not len(panels):
             break
         # One L-BFGS step of all others. Panels without a step of lower cost leave, too.
@@ -183,7 +189,9 @@ def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settin
         iterations[panels] += 1
         if not moved.all():
             ends[panels] = points.position
-            points, panels, secants = points.some(np.flatnonzero(moved)), panels[moved], secants.some(moved)
+            points = points.some(np.flatnonzero(moved))
+            panels = panels[moved]
+            secants = secants.some(moved)
     ends[panels] = points.position
     return BatchOutcome(begun.elsewhere(ends), solved, iterations)
 
@@ -224,7 +232,8 @@ class Secants:
 
     def direction(self, points: Hessian, inverses: InverseHessians, panels: Numbers) -> Array:
         """Return −H ∇φ over the free cells by the two-loop recursion, H = M⁻¹ corrected by the secants."""
-        slope, shares = np.where(points.free, points.gradient, 0.0), list[Array]()
+        slope = np.where(points.free, points.gradient, 0.0)
+        shares = list[Array]()
         for step, change, size in reversed(self.pairs):
             # α = sᵀq/sᵀy, q ← q − α y
             shares.append(size * (step * slope).sum(axis=1))
@@ -248,10 +257,13 @@ def _advanced(
     if old.any():
         inverses.renew(panels[old], points.some(np.flatnonzero(old)))
         secants = secants.without(old)
-    step, length = secants.direction(points, inverses, panels), np.ones((len(panels), 1))
-    low, high = points.position - STEPS.max_step, points.position + STEPS.max_step
+    step = secants.direction(points, inverses, panels)
+    length = np.ones((len(panels), 1))
+    low = points.position - STEPS.max_step
+    high = points.position + STEPS.max_step
     most = -np.expm1(-STEPS.max_step)  # relative change of a conductance
-    trial, moved = points, np.zeros(len(panels), dtype=bool)
+    trial = points
+    moved = np.zeros(len(panels), dtype=bool)
     # Backtracking line search: u − log(1 − t·s), t shortened for the panels that have not found a step, at last to 0.
     for attempt in range(STEPS.max_tries + 1):
         target = points.position - np.log1p(-np.minimum(length * step, most))

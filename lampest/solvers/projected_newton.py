@@ -121,18 +121,23 @@ class ProjectedNewton(Solver):
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`. A failed solve does not raise; the outcome's status states the failure."""
-        start, iteration = by_convex_program(start), 0
+        start = by_convex_program(start)
+        iteration = 0
         if (self.from_afar and has_central_path(start)) or crowds_bounds(start):
             start, iteration = central_path(start, self.settings.max_iterations)
         iterate = Iterate.of(start, Smoothing.start(start), self.preconditioner)
-        history, unsettled, tolerance = list[tuple[float, float]](), 0, self.settings.tolerance
+        history = list[tuple[float, float]]()
+        unsettled = 0
+        tolerance = self.settings.tolerance
         while iteration < self.settings.max_iterations:
             history.append((iterate.objective, iterate.residual))
             if data.overdue or stalled(history):
                 return iterate.outcome(Status.TIME if data.overdue else Status.STALLED, iteration)
             # Absolute losses: narrow the smoothing once its error exceeds what is left of the gradient.
-            stationary, sharp = iterate.residual <= tolerance, iterate.sharp(tolerance)
-            reached, trial = stationary or iterate.residual <= iterate.gap / 2, None
+            stationary = iterate.residual <= tolerance
+            sharp = iterate.sharp(tolerance)
+            reached = stationary or iterate.residual <= iterate.gap / 2
+            trial = None
             # At an optimum of the smoothed cost: end where the certificate holds.
             if reached and sharp:
                 if iterate.settled or unsettled == STEPS.max_tries:
@@ -144,8 +149,10 @@ class ProjectedNewton(Solver):
             if trial is None and sharp:
                 return iterate.outcome(Status.OPTIMUM if stationary else Status.BREAKDOWN, iteration)
             if trial is None:
-                trial, history = iterate.sharpened(), []
-            iterate, iteration = trial, iteration + 1
+                trial = iterate.sharpened()
+                history = []
+            iterate = trial
+            iteration = iteration + 1
         return iterate.outcome(Status.ITERATIONS, iteration)
 
 
@@ -237,7 +244,8 @@ class Iterate:
     @cached_property
     def certificate(self) -> Certificate:
         """Certificate of this point, reusing a previous factor while the Hessian has hardly changed."""
-        previous, hessian = self.nearby, self.hessian
+        previous = self.nearby
+        hessian = self.hessian
         if previous and previous.factor and previous.definiteness is Definiteness.POSITIVE:
             near = previous.factor.distance(self.at.cell_resistance) <= STEPS.refactor_distance**2
             if near and np.array_equal(np.flatnonzero(hessian.free), previous.factor.cells):
@@ -273,7 +281,8 @@ class Iterate:
         and short enough for the certificate to remain valid.
         """
         final: Certificate | None = self.__dict__.get("certificate")
-        cells, dual = self.at.cell_resistance, self.hessian.smoothing.slope(self.at.nonsmooth)
+        cells = self.at.cell_resistance
+        dual = self.hessian.smoothing.slope(self.at.nonsmooth)
         exact = final is not None and final.factor is not None and final.settled and not len(dual)
         if final is not None and exact and MILLIONTH / 1000 < np.abs(final.step).max() <= STEPS.refactor_distance:
             cells = np.exp(self.at.position + final.step.reshape(cells.shape))
@@ -315,7 +324,9 @@ def trust_region_step(point: Iterate) -> Iterate | None:
         cached = preconditioner(hessian, hessian.free)
     # Unknowns are relative changes s of conductances, δu = −log(1 − s) = s + s²/2 + …: their Hessian is ∇²φ + diag(∇φ).
     # Where lines touch, steps are in log r itself.
-    radius, patience, convex = inf, point.gauss_newton, point.convex
+    radius = inf
+    patience = point.gauss_newton
+    convex = point.convex
     curved = np.zeros_like(hessian.gradient) if shares_conductance(point.at) else hessian.gradient
     exact: Linear = lambda step: hessian.product(step) + curved * step  # noqa: E731
     product = exact
@@ -327,7 +338,8 @@ def trust_region_step(point: Iterate) -> Iterate | None:
             damped = None if len(point.at.nonsmooth) else levenberg_step(point)
             if damped is not None:
                 return replace(damped, gauss_newton=patience - 1, convex=False)
-            product, patience = hessian.gauss_newton_product, patience - 1
+            product = hessian.gauss_newton_product
+            patience = patience - 1
             cached = gauss_newton_factor(hessian, hessian.free) or cached
             direction = newton_direction(point, cached, product, radius)
         trial = point.at_step(direction.step)
@@ -350,7 +362,8 @@ def trust_region_step(point: Iterate) -> Iterate | None:
 
 def decrease_ratio(point: Iterate, trial: Iterate, predicted: float) -> float:
     """Return actual over predicted decrease of the cost; within rounding, 1 if the gradient halved, otherwise −1."""
-    decrease, rounding = point.objective - trial.objective, MIN_DECREASE_SHARE * abs(point.objective)
+    decrease = point.objective - trial.objective
+    rounding = MIN_DECREASE_SHARE * abs(point.objective)
     if predicted > rounding:
         return decrease / predicted if np.isfinite(decrease) else -1.0
     return 1.0 if abs(decrease) <= rounding and trial.residual <= point.residual / 2 else -1.0
@@ -380,24 +393,37 @@ def newton_direction(point: Iterate, precondition: Preconditioner, product: Line
     radius : float
         Trust radius in the norm of the preconditioner.
     """
-    at, gradient, free = point.at, point.hessian.gradient, point.hessian.free
+    at = point.at
+    gradient = point.hessian.gradient
+    free = point.hessian.free
     low, high = (bound.ravel() - at.position.ravel() for bound in at.data.log_bounds)
-    low, high = np.maximum(low, -STEPS.max_step), np.minimum(high, STEPS.max_step)
+    low = np.maximum(low, -STEPS.max_step)
+    high = np.minimum(high, STEPS.max_step)
     if not (logarithmic := shares_conductance(at)):
-        low, high = -np.expm1(-low), -np.expm1(-high)  # 1 − exp(−δu)
+        # 1 − exp(−δu)
+        low = -np.expm1(-low)
+        high = -np.expm1(-high)
     # Forcing term: superlinear convergence (Nocedal & Wright 2006, section 7.1).
-    accuracy, limit = min(0.1, point.residual**0.5), STEPS.max_products[point.hessian.dense]
-    moving, step, slope, products, negative = free, np.zeros(free.size), gradient, 0, False
+    accuracy = min(0.1, point.residual**0.5)
+    limit = STEPS.max_products[point.hessian.dense]
+    moving = free
+    step = np.zeros(free.size)
+    slope = gradient
+    products = 0
+    negative = False
     for _ in range(STEPS.max_tries):
         chosen = np.flatnonzero(moving)
-        part, inverse = restricted(product, chosen, free.size), precondition.over(moving, at.cell_resistance)
+        part = restricted(product, chosen, free.size)
+        inverse = precondition.over(moving, at.cell_resistance)
         solved = steihaug(part, inverse, slope[chosen], accuracy, radius, most_products=limit)
-        products, negative = max(products, solved.products), negative or solved.negative
+        products = max(products, solved.products)
+        negative = negative or solved.negative
         step[chosen] = solved.step
         beyond = moving & ((step < low) | (step > high))
         if not beyond.any():
             break
-        step, moving = np.clip(step, low, high), moving & ~beyond
+        step = np.clip(step, low, high)
+        moving = moving & ~beyond
         if not moving.any():
             break
         # Gradient of the model over the moving cells, with the others at their bounds: g + H s_fixed
@@ -413,17 +439,20 @@ def levenberg_step(point: Iterate) -> Iterate | None:
     The damping μ of the next step is a tenth if the cost fell by at least half of the predicted decrease (Moré 1978).
     Returns None on large problems, or if no μ lowers the cost.
     """
-    hessian, free = point.hessian, point.hessian.free
+    hessian = point.hessian
+    free = point.hessian.free
     if not hessian.dense or not free.any():
         return None
-    slope, damping = hessian.gradient[free], point.damping
+    slope = hessian.gradient[free]
+    damping = point.damping
     while damping <= STEPS.max_damping:
         factor = gauss_newton_factor(hessian, free, damping)
         if factor is not None:
             step = np.zeros(free.size)
             step[free] = np.clip(factor.solve(-slope), -STEPS.max_step, STEPS.max_step)
             # Predicted decrease of the damped model: −½ ∇φᵀδu
-            trial, predicted = point.at_step(step), -0.5 * float(step[free] @ slope)
+            trial = point.at_step(step)
+            predicted = -0.5 * float(step[free] @ slope)
             if trial is not None and (decrease := point.objective - trial.objective) > SUFFICIENT_DECREASE * predicted:
                 eased = damping / 10 if decrease > predicted / 2 else damping
                 return replace(trial, preconditioner=None, damping=max(eased, STEPS.min_damping))

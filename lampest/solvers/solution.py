@@ -284,7 +284,9 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
         Evaluation at the start of the solve.
     outcome : Outcome
     """
-    cost, data, dual = start.cost, start.data, outcome.dual
+    cost = start.cost
+    data = start.data
+    dual = outcome.dual
     cells = np.clip(outcome.cell_resistance, data.lower, data.upper)
     if not np.all(np.isfinite(cells)):
         status = Status.BREAKDOWN if outcome.status is Status.OPTIMUM else outcome.status
@@ -334,8 +336,10 @@ def _balanced(hessian: Hessian) -> bool:
 
     if not hessian.dense:
         return True
-    at, dual = hessian.at, hessian.smoothing.dual
-    cells, jacobian = at.cell_resistance, hessian.smoothing.jacobian(at)
+    at = hessian.at
+    dual = hessian.smoothing.dual
+    cells = at.cell_resistance
+    jacobian = hessian.smoothing.jacobian(at)
     by_log = (jacobian[:, : cells.size] * cells.ravel()).toarray()
     for row, by_reading in enumerate(jacobian[:, cells.size :].toarray()):
         by_log[row] += hessian.adjoint(by_reading.reshape(cells.shape)) if by_reading.any() else 0.0
@@ -381,7 +385,8 @@ def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:
 
 def solution_at(at: Evaluation, residual: float, outcome: Outcome, status: Status) -> Solution:
     """Return the solution at an evaluation, with its KKT residual, for a checked outcome."""
-    cells, data = at.cell_resistance, at.data
+    cells = at.cell_resistance
+    data = at.data
     ends = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
     fields = (cells, at.reading, at.costs, at.objective, residual, *ends, status, outcome.iterations)
     return Solution(*fields, at=at, dual=outcome.dual, carried=outcome.carried, convex=outcome.convex)
@@ -395,5 +400,6 @@ def failure(cost: Cost, data: Data, status: Status, residual: float, outcome: Ou
 
 def blank(shape: tuple[int, ...], terms: int, status: Status) -> Solution:
     """Return a solution of NaN with a status where nothing was solved; shape (frames, rows, columns)."""
-    empty, flags = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
+    empty = np.full(shape, np.nan)
+    flags = np.zeros(shape, dtype=bool)
     return Solution(empty, empty, np.full(terms, np.nan), float("nan"), float("nan"), flags, flags, status, 0)

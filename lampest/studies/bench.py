@@ -171,7 +171,8 @@ class BenchPart(NamedTuple):
 
     def expected_s(self, bench: BenchFile, done: Sequence[BenchFrame]) -> float:
         """Predict the time from the largest panel up to this size, growing as (M + N)³."""
-        solvers, lines = bench.solvers(self.shape), sum(self.shape)
+        solvers = bench.solvers(self.shape)
+        lines = sum(self.shape)
         similar = [frame for frame in done if frame.method == self.method and frame.solver in solvers]
         nearest = max((size for frame in similar if (size := sum(frame.shape)) <= lines), default=lines)
         similar = [frame for frame in similar if sum(frame.shape) == nearest]
@@ -195,11 +196,15 @@ def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
 
     on_step : receives the numbers of finished and of all parts, and the name of the next one.
     """
-    end, frames, missed = perf_counter() + bench.budget_s, list[BenchFrame](), list[LeftOut]()
+    end = perf_counter() + bench.budget_s
+    frames = list[BenchFrame]()
+    missed = list[LeftOut]()
     parts = [BenchPart(*part) for part in product(range(bench.recordings), bench.shapes, bench.estimators)]
     simulated = lru_cache(maxsize=1)(bench.recording)
     for number, part in enumerate(parts):
-        shape, method, name = part.shape, part.method, f"recording {part.recording + 1}"
+        shape = part.shape
+        method = part.method
+        name = f"recording {part.recording + 1}"
         on_step(number, len(parts), f"{shape[0]} × {shape[1]} {method}, {name}")
         if part.expected_s(bench, frames) > end - perf_counter():
             missed.append((shape, method, name))
@@ -222,13 +227,15 @@ def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
 def _frames(bench: BenchFile, recording: Recording, part: BenchPart, end: float) -> Iterator[BenchFrame]:
     """Solve every frame by all solvers, until less time is left than the last frame took."""
     estimators = {name: bench.estimator(part.method, name, part.shape) for name in bench.solvers(part.shape)}
-    readings, matrix = recording.readings(), laplacian(np.ones(part.shape))[1:, 1:]
+    readings = recording.readings()
+    matrix = laplacian(np.ones(part.shape))[1:, 1:]
     stream = first_stream(recording, readings, bench.estimator(part.method, "reduced", part.shape))
     start = stream.previous if stream.estimator.relative else None  # without it, the first frame is a cold start
     streams = {name: replace(stream, estimator=estimator, previous=start) for name, estimator in estimators.items()}
     kind = "pair" if stream.estimator.joint_start else "first"
     for number, frame in enumerate(recording.measured_frames()):
-        begin, turns = perf_counter(), []
+        begin = perf_counter()
+        turns = []
         for _ in range(bench.repeats if number else 1):
             turns.append({name: pushed(method_stream, readings[frame]) for name, method_stream in streams.items()})
             if sum(turn.seconds for turn in turns[-1].values()) > 1.0:  # disturbances are small against 1 s

@@ -80,7 +80,8 @@ def exact_residual(cost: Cost, data: Data, cells: Array) -> float:
     Of the package's derivatives only those of the terms are used. Not for absolute losses. The rounding error of u in
     the terms' part is subtracted: under a penalty of 10¹² no u in double precision is closer to an optimum.
     """
-    step, readings = 1e-4, exact_two_point_resistance(cells)
+    step = 1e-4
+    readings = exact_two_point_resistance(cells)
     direct, through = Evaluation(cost, data, cells, readings, ()).partials(NO_DUAL)
     slope = direct * cells
     odd = np.indices(cells.shape).sum(axis=0) % 2 == 1

@@ -163,9 +163,11 @@ def outcome(recording: Recording, step: Step) -> dict[str, Any]:
 
 def clocked(call: Callable[[], Result]) -> tuple[Result, float]:
     """Return the result of a call and its seconds: the lesser of wall and processor time."""
-    wall, cpu = perf_counter(), process_time()
+    wall = perf_counter()
+    cpu = process_time()
     result = call()
-    wall, cpu = perf_counter() - wall, process_time() - cpu
+    wall = perf_counter() - wall
+    cpu = process_time() - cpu
     return result, min(wall, cpu)
 
 

@@ -119,7 +119,8 @@ def recording_of(sample: AtlasSample) -> tuple[Recording, Array]:
     row, column = np.indices(sample.shape)
     cells *= case.factor(row, column, sample, rng)
     rng = np.random.default_rng([sample.seed, *sample.shape, 2])
-    exact, readout = two_point_resistance(cells), case.readout
+    exact = two_point_resistance(cells)
+    readout = case.readout
     noise = 1 + sample.noise * rng.standard_normal(exact.shape)
     if case.still:
         noise[1] = noise[0]
@@ -130,7 +131,8 @@ def recording_of(sample: AtlasSample) -> tuple[Recording, Array]:
     if readout is not None:
         volt = readout.volt_from_recorded(total) + readout.noise_volt() * rng.standard_normal(total.shape)
         codes = readout.code_from_volt(volt).astype(float)
-        total, sigma = readout.recorded_from_volt(readout.volt_from_code(codes)), None
+        total = readout.recorded_from_volt(readout.volt_from_code(codes))
+        sigma = None
     usable = np.isfinite(total) & (total > 0)  # readings that are no value hold any finite number
     sigma = None if sigma is None else np.where(usable, sigma, USUAL_OHM)
     scene = Scene(Panel(*sample.shape), readout, case.series_ohm, case.faults(sample.cell))
@@ -142,7 +144,8 @@ def _broken(part: Literal["cell", "row", "column"], factor: float, stated: str =
     """Return a case with a cell, row or column times a factor, which the scene states under a key."""
 
     def times(row: Array, column: Array, sample: AtlasSample, rng: np.random.Generator) -> Array:
-        in_row, in_column = row == sample.cell[0], column == sample.cell[1]
+        in_row = row == sample.cell[0]
+        in_column = column == sample.cell[1]
         return np.where({"cell": in_row & in_column, "row": in_row, "column": in_column}[part], factor, 1.0)
 
     return Extreme(times, single_fault=True, stated=stated)
@@ -274,13 +277,15 @@ class AtlasFile(Configuration):
 
     def formulations(self, sample: AtlasSample) -> tuple[Literal["reduced", "nodal"], ...]:
         """Return the formulations in which every method solves a scene."""
-        part, small_special = self.nodal, bool(CASES[sample.case].shapes) and sample.rows * sample.columns < 100
+        part = self.nodal
+        small_special = bool(CASES[sample.case].shapes) and sample.rows * sample.columns < 100
         known = 100 * sample.noise in part.noise and sample.decades in (*part.decades, 0.0)
         chosen = known and sample.seed < part.seeds and (small_special or sample.shape in part.shapes)
         return ("reduced", "nodal") if chosen else ("reduced",)
 
 
-CRASHED, REFUSED = "crashed: ", "refused: "
+CRASHED = "crashed: "
+REFUSED = "refused: "
 
 
 @dataclass(frozen=True)
@@ -339,7 +344,8 @@ def solves_of(atlas: AtlasFile, sample: AtlasSample) -> tuple[Solve, ...]:
     """Return all solves of a scene."""
     recording, cells = recording_of(sample)
     forward = min(correct_digits(two_point_resistance(frame), fifty_digits(frame)) for frame in cells)
-    weight, solves = CASES[sample.case].weight, list[Solve]()
+    weight = CASES[sample.case].weight
+    solves = list[Solve]()
     for formulation, (name, method) in product(atlas.formulations(sample), atlas.estimators.items()):
         try:
             estimator = method.estimator(formulation, atlas.solver)
@@ -377,7 +383,8 @@ def judged(
         parts.insert(0, ("baseline", truth[:1], absolute, blank.given(blank.resting)[0], stream.baseline))
     solves = []
     for part, cells, fit, data, step in parts:
-        solution, cost = step.solution, fit.cost(recording.scene, len(data.measured), partial=data.partial)
+        solution = step.solution
+        cost = fit.cost(recording.scene, len(data.measured), partial=data.partial)
         about: dict[str, Any] = {**vars(sample), "method": name, "formulation": fit.method.kind, "part": part}
         about |= study.named_values(solution, "solved", "iterations")
         about |= {"status": solution.status.value, "residual": solution.kkt_residual}

@@ -61,7 +61,8 @@ class RecordGroup:
 
     def write(self, entry: Any) -> None:
         """Write the records; truth values become 0 and 1, None becomes NaN."""
-        group, axis = entry.create_group(self.path), self.axis or "record"
+        group = entry.create_group(self.path)
+        axis = self.axis or "record"
         hdf5.set_attributes(group, NX_class="NXdata", signal=self.signal, axes=[axis], **self.attributes)
         if not self.axis:
             hdf5.write_scale(group, axis, np.arange(len(self.records)), "1", "number of the record")
@@ -135,7 +136,8 @@ class Study(Generic[Settings, Measured]):
         """
         file = config or shipped_folder() / "configs" / self.config
         measured = self.measure(self.read(file, assigned), on_step)
-        remarks, folder = self.remarks(measured), out or Path("results") / file.stem
+        remarks = self.remarks(measured)
+        folder = out or Path("results") / file.stem
         tables = [(title, screen_table(rows, columns)) for title, rows, columns in self.sheets(measured)]
         texts = {f"{self.name}.csv": csv_of(self.rows(measured)), **self.texts(measured)}
         texts |= {f"{self.name}.md": page(self.name, tables, remarks)} if tables else {}

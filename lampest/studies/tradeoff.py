@@ -233,7 +233,9 @@ class TradeoffFrame(TimedFrame):
 
 def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list[TradeoffFrame]:
     """Measure all methods and formulations; `on_step` receives the numbers of finished and of all parts."""
-    settings, done, measured = plan.settings, count(1), list[TradeoffFrame]()
+    settings = plan.settings
+    done = count(1)
+    measured = list[TradeoffFrame]()
     first = {recording.scene.panel.shape: recording for recording in reversed(plan.recordings)}
     pairs = [(data, method) for data in plan.recordings for method in settings.methods(data.scene.panel.shape)]
     fresh = [(shape, name) for shape in first if settings.memory for name in settings.rungs(shape)]
@@ -250,7 +252,8 @@ def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list
 
 def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Iterator[TradeoffFrame]:
     """Measure all formulations with a method on a recording."""
-    rungs, begin = settings.rungs(recording.scene.panel.shape), perf_counter()
+    rungs = settings.rungs(recording.scene.panel.shape)
+    begin = perf_counter()
     runs: dict[str, list[Estimates]] = {name: [] for name in rungs}
     for turn in range(settings.repeats):
         if turn and perf_counter() - begin > settings.patience_s:
@@ -284,7 +287,8 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
 
 def errors(estimates: Estimates) -> tuple[Array, Array]:
     """Return median errors of all cells and of changed ones in percent, shape (frames,); NaN if unknown."""
-    recording, frames = estimates.recording, len(estimates.frame)
+    recording = estimates.recording
+    frames = len(estimates.frame)
     truth = recording.truth_cell_resistance
     if truth is None:
         return np.full(frames, np.nan), np.full(frames, np.nan)
@@ -299,7 +303,8 @@ def errors(estimates: Estimates) -> tuple[Array, Array]:
 
 def _costs(reference: Estimates) -> Iterator[tuple[Cost, Data]]:
     """Yield cost and data of every frame, with the reference's estimate of the previous frame."""
-    recording, estimator = reference.recording, reference.estimator
+    recording = reference.recording
+    estimator = reference.estimator
     readings = recording.readings()
     stream = replace(first_stream(recording, readings, estimator), baseline=reference.baseline)
     estimates = np.concatenate([reference.baseline_resistance[None], reference.cell_resistance[:-1]])

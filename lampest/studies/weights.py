@@ -65,7 +65,9 @@ class WeightSubject:
     @classmethod
     def of(cls, case: Case, recording: Recording) -> "WeightSubject | None":
         """Return the deciding frame of a recording, with the baseline if terms need it; None without usable frames."""
-        readings, scene, estimator = recording.readings(), recording.scene, case.estimator
+        readings = recording.readings()
+        scene = recording.scene
+        estimator = case.estimator
         resting = baseline_readings(recording, readings)
         frames = deciding_frames(recording, readings, resting)
         if not len(frames):
@@ -105,7 +107,8 @@ class WeightSubject:
     def units(self) -> dict[str, str]:
         """Units of squared misfit and penalty, and of λ, their ratio, in ASCII."""
         terms = self.search.cost.terms
-        data_term, term = terms[1 - self.penalty], terms[self.penalty]
+        data_term = terms[1 - self.penalty]
+        term = terms[self.penalty]
         units = "1" if getattr(data_term, "weighting", "plain") == "noise" else data_term.unit, term.unit
         misfit, penalty = ("1" if unit == "1" else f"({unit})^2" if " " in unit else f"{unit}^2" for unit in units)
         ratio = "1" if misfit == penalty else f"{misfit}/{penalty}"
@@ -161,7 +164,9 @@ def solve_at(subject: WeightSubject, weight: float, start: Array | None) -> Curv
     start : array, shape (frames, rows, columns), or None
         Estimate at a weight near by, ohm; None: the solve begins at all starts.
     """
-    scene, settings, noisy = subject.recording.scene, subject.search.settings, subject.data.noise_known
+    scene = subject.recording.scene
+    settings = subject.search.settings
+    noisy = subject.data.noise_known
     solver = named_method("reduced").solver(subject.with_weight(weight), scene, settings, 1.0)
     solution = best_solution(solver, subject.data, start)
     if solution.at is None or solution.dual is None:
@@ -193,7 +198,8 @@ def free_evidence(model: LinearModel, weight: float) -> float:
 
     (ρ + λη)/s² + log det((A + λ ZᵀZ)/s²) − rank·log(λ/s²), A the curvature of the data.
     """
-    spectrum, scale = Spectrum.of(model), model.scale
+    spectrum = Spectrum.of(model)
+    scale = model.scale
     fit = (float(model.data_curvature @ model.residual**2) + weight * spectrum.penalty) / scale
     # log det((A + λ ZᵀZ)/s²) = log det(A/s²) + Σ log(1 + λ κ)
     volume = spectrum.volume + float(np.sum(np.log1p(weight * spectrum.stiffness)))
@@ -280,11 +286,13 @@ def trace(subject: WeightSubject, marks: list[float]) -> Curves:
     marks : list of float
         Chosen weights.
     """
-    low, high = min(marks) / 1e4, max(marks) * 1e4
+    low = min(marks) / 1e4
+    high = max(marks) * 1e4
     with suppress(*BROKEN):  # without free cells the extent is unknown
         first = evaluated(subject.with_weight(marks[0]), subject.data, convex_cells(subject.data, None))
         least, largest = np.exp(Spectrum.of(LinearModel(first, NO_DUAL)).extent)
-        low, high = max(least, low), min(largest, high)
+        low = max(least, low)
+        high = min(largest, high)
     weights = np.geomspace(min(low, *marks), max(high, *marks), 33).tolist()
     return Curves(subject, ()).extended(sorted(weights, key=lambda weight: abs(np.log(weight / marks[0]))))
 
@@ -295,7 +303,8 @@ def tune(subject: WeightSubject) -> Curves:
 
     Raises InputError if the rule of the estimator requires an unknown noise.
     """
-    rule, noisy = subject.case.estimator.auto_weight.rule or "risk", subject.data.noise_known
+    rule = subject.case.estimator.auto_weight.rule or "risk"
+    noisy = subject.data.noise_known
     if rule == "evidence" and not noisy:
         raise InputError("auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the recording")
     initial = subject.search.cost.terms[subject.penalty].weight
@@ -343,7 +352,8 @@ def l_curve(points: Sequence[CurvePoint]) -> float | None:
     if len(points) < 5 or min(min(point.misfit, point.penalty) for point in points) <= 0:
         return None
     weight, across, up = np.log([(point.weight, point.misfit, point.penalty) for point in points]).T
-    right, rise = np.gradient(across, weight), np.gradient(up, weight)
+    right = np.gradient(across, weight)
+    rise = np.gradient(up, weight)
     speed = np.hypot(right, rise)
     moving = speed > 0.05 * speed.max()  # where the curve hardly moves, its curvature is meaningless
     curvature = right * np.gradient(rise, weight) - rise * np.gradient(right, weight)
@@ -367,7 +377,8 @@ def weights_figure(curves: Curves) -> Figure:
 
     Evidence and risk are drawn above their least values.
     """
-    subject, count = curves.subject, curves.subject.count
+    subject = curves.subject
+    count = curves.subject.count
     units = {name: _shown_unit(unit) for name, unit in subject.units.items()}
     misfit = f"misfit ρ{'/s²' if subject.data.noise_known else ''} [{units['misfit']}]"
     penalty = f"penalty η [{units['penalty']}]"
@@ -430,7 +441,8 @@ def _over_weight(axes: Axes, curves: Curves, lines: dict[str, Array]) -> None:
         axes.legend(fontsize=SMALL_POINT, edgecolor="none", framealpha=0.9, loc="best")
     for choice in curves.choices:
         if choice.weight is not None:
-            wide, style = 1.6 if choice.in_use else 0.9, LOOKS[choice.rule]
+            wide = 1.6 if choice.in_use else 0.9
+            style = LOOKS[choice.rule]
             axes.axvline(choice.weight, color=style["color"], ls=style["ls"], lw=wide, alpha=0.9, zorder=1.5)
 
 
@@ -499,7 +511,8 @@ SCREEN: Columns = {
 def _groups(cases: study.Cases[Curves]) -> Iterator[study.RecordGroup]:
     """Yield the groups /entry/<recording>/<estimator>, with the curves, and their subgroups `choices`."""
     for curves in cases.measured:
-        subject, path = curves.subject, f"{curves.subject.case.recording}/{curves.subject.case.name}"
+        subject = curves.subject
+        path = f"{curves.subject.case.recording}/{curves.subject.case.name}"
         about = {"frame": subject.frame, "readings": subject.count, "noise_known": int(subject.data.noise_known)}
         yield study.RecordGroup(path, curves.points, "risk", "weight", subject.units, about)
         yield study.RecordGroup(f"{path}/choices", curves.choices, "weight", units=subject.units)

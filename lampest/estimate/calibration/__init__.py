@@ -9,7 +9,8 @@ from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 
 # Written decimals: of an ohm, finer than contacts repeat; of a fraction, a hundredth of a code.
-DIGITS, FRACTION_DIGITS = 3, 5
+DIGITS = 3
+FRACTION_DIGITS = 5
 MIN_SAMPLE = 5  # frames or loads; with fewer, a wild one cannot be identified
 
 

@@ -72,7 +72,8 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     scenes differ, or where no frame can be estimated.
     """
     common_scene(recordings, _circuit)
-    scene, name = recordings[0].scene, recordings[0].name
+    scene = recordings[0].scene
+    name = recordings[0].name
     if scene.readout is None:
         raise InputError(f"{name}: its scene names no readout, whose numbers a calibration could find")
     if not scene.circuit.line_numbers():
@@ -91,8 +92,11 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     inverse = positive_inverse(unit + BELIEVED * sum(precision for _, precision, _ in parts))
     units = _units(scene, prior, len(unit))
     errors = units @ (BELIEVED * inverse @ sum((precision + unit) @ z for z, precision, _ in parts))
-    covariance, frames = units @ inverse @ units.T, sum(count for *_, count in parts)
-    deviation, lines, mean = np.sqrt(np.diag(covariance)), covariance[1:, 1:], np.zeros((rows + columns, 2))
+    covariance = units @ inverse @ units.T
+    frames = sum(count for *_, count in parts)
+    deviation = np.sqrt(np.diag(covariance))
+    lines = covariance[1:, 1:]
+    mean = np.zeros((rows + columns, 2))
     mean[:rows, 0], mean[rows:, 1] = 1 / rows, 1 / columns
     of_means = mean.T @ lines @ mean
     # mean variance of a channel against the mean of its side: (Σ var e − Σ_sides n var ē)/(lines − 2)
@@ -154,7 +158,9 @@ def _circuit(scene: Scene) -> Scene:
 
 def _likelihoods(recording: Recording) -> list[tuple[Array, Array, int]]:
     """Return z, Λ and the number of frames of every block of frames that can be estimated."""
-    noise, parts, method = Prepared(recording).noise, [], SmootherMethod()
+    noise = Prepared(recording).noise
+    parts = []
+    method = SmootherMethod()
     estimator = Estimator((Misfit(weighting="noise", loss=Student(corner=4.0)),), method, error_bars=False)
     stream = first_stream(recording, noise.readings, estimator, noise)
     usable = np.flatnonzero(noise.readings.enough(recording.scene))
@@ -168,7 +174,8 @@ def _likelihoods(recording: Recording) -> list[tuple[Array, Array, int]]:
 def _units(scene: Scene, prior: Systematic, count: int) -> Array:
     """Return the matrix (1 + lines, count) that maps z to the relative error of the reference and to ohm of lines."""
     (rows, columns), lines = scene.panel.shape, sum(scene.panel.shape)
-    first, units = 0 if scene.contact_prior is None else lines, np.zeros((1 + lines, count))
+    first = 0 if scene.contact_prior is None else lines
+    units = np.zeros((1 + lines, count))
     sizes = [prior.reference_tolerance / np.sqrt(3), *lines * [prior.channel_spread_ohm]]
     units[:, first : first + 1 + lines] = np.diag(sizes)
     if prior.series_tolerance_ohm:

@@ -127,13 +127,15 @@ class KnownLoads:
 
     def pressures(self, panel: Panel) -> tuple[Array, Array]:
         """Return the pressures of the loads and their standard deviations by position, (loads, rows, columns) kPa."""
-        shift, patch = self.place_mm, patch_of(panel, self.patch_mm)
+        shift = self.place_mm
+        patch = patch_of(panel, self.patch_mm)
 
         def moved(*step: float) -> Array:
             return np.stack([load.pressure(panel, patch, *step) for load in self.loads])
 
         # σ_p = √((Δp_x/2)² + (Δp_y/2)²), from displacements by ± place_mm
-        across, down = moved(shift, 0.0) - moved(-shift, 0.0), moved(0.0, shift) - moved(0.0, -shift)
+        across = moved(shift, 0.0) - moved(-shift, 0.0)
+        down = moved(0.0, shift) - moved(0.0, -shift)
         return moved(), np.hypot(across, down) / 2
 
 

@@ -35,16 +35,22 @@ MAX_SCATTER = 0.6  # scatter from load to load, relative: that of films is a ten
 ALIKE = 0.02  # least scatter of ln of a response: the best repeatability of films
 UNLIKE = 2.0  # ln of the ratio to the first guess: beyond two standard deviations of its prior, units may be wrong
 UNITS = "is mass_g in gram, force_newton in newton, and diameter_mm the diameter in mm?"
-CHANGED, BESIDE = 0.25, 0.5  # of a load's response: change within its frames, and response of cells beside its foot
+# of a load's response: change within its frames, and response of cells beside its foot
+CHANGED = 0.25
+BESIDE = 0.5
 # Ends of the intervals, kPa: thirds of octaves. Within an interval the curve has the form of the base.
 ENDS = np.unique(np.outer((-1, 0, 1), 0.5 * 2.0 ** (np.arange(19) / 3)))
 # Assumed standard deviation of ψ from one interval to the next; that of the level of ψ is 1. The published curve has a
 # corner at 2.5 kPa, beyond which its slope is twelve times smaller, and other films have none.
 STEP_SD = 0.6
-START, RANGE = (0.2, 0.05), (1e-3, 2.0)  # initial spread and scatter, relative, and their limits
+# initial spread and scatter, relative, and their limits
+START = (0.2, 0.05)
+RANGE = (1e-3, 2.0)
 LONGEST_STEP = 3.0  # of ln κ and ψ in a step of least squares: units of g for kg are ln 1000 = 7
 ROUNDS = 4  # alternations of least squares and evidence
-PER_OCTAVE, MIN_KPA = 3, 0.25  # points of the table in an octave, and the one next to 0 kPa
+# points of the table in an octave, and the one next to 0 kPa
+PER_OCTAVE = 3
+MIN_KPA = 0.25
 UNLOADED_OHM = 1000.0  # first resistance of the table; only ratios count
 
 
@@ -178,7 +184,9 @@ def fit_loads(loaded: Loaded) -> FittedResponse:
 
 def with_least_squares(loaded: Loaded, fitted: FittedResponse) -> FittedResponse:
     """Return the least-squares fit with the spread, scatter and weights of the previous fit."""
-    cells, pieces, weight = len(fitted.gains), len(fitted.pieces), loaded.weight(fitted)
+    cells = len(fitted.gains)
+    pieces = len(fitted.pieces)
+    weight = loaded.weight(fitted)
     # rows of the prior: ln κ/spread, (ψ_{k+1} − ψ_k)/STEP_SD, and ψ of the interval next to 0 kPa with σ = 1
     level = (np.arange(pieces) == np.searchsorted(ENDS, 0.0) + 1)[None]
     walk = np.vstack([np.diff(np.eye(pieces), axis=0) / STEP_SD, level])
@@ -260,7 +268,8 @@ def response_of(fitted: FittedResponse, base: Response, shape: tuple[int, int], 
         else np.zeros(0)
         for most in (-base.told_kpa[0], base.told_kpa[1])
     )
-    pressure, zero = np.concatenate([-falling[::-1], rising]), len(falling)
+    pressure = np.concatenate([-falling[::-1], rising])
+    zero = len(falling)
     logarithm, sd = fitted.curve(pressure, base)
     sd = np.insert(sd, zero, np.interp(0.0, pressure, sd))
     gain, gain_sd = (tuple(_significant(row, 4) for row in part.reshape(shape)) for part in fitted.gain())
@@ -303,7 +312,8 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     tolerance : float
         Largest relative error that all loads share.
     """
-    scene, loads = common_scene(recordings), known.loads
+    scene = common_scene(recordings)
+    loads = known.loads
     place = _places([recording.name for recording in recordings], loads)
     (change, sd), within = np.empty((2, len(loads), *scene.panel.shape)), np.empty(len(loads))
     for index in np.unique(place):
@@ -312,14 +322,16 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
             recordings[index], [loads[number] for number in own_loads]
         )
     pressure, pressure_sd = known.pressures(scene.panel)
-    felt, simultaneous = pressure != 0, _together(loads, place)
+    felt = pressure != 0
+    simultaneous = _together(loads, place)
     for number in np.flatnonzero(~felt.any(axis=(1, 2))):
         raise InputError(f"load {number + 1}: its foot misses the film of every cell")
     common = np.any(felt[:, None] & felt, axis=(2, 3))
     for first, second in 1 + np.argwhere(np.triu(simultaneous & common, 1)):
         raise InputError(f"loads {first} and {second} lie on the same cells in the same frames: give one line")
     # The fit, and doubts about its loads.
-    base, water = scene.response or PUBLISHED, water_pressure(scene.panel, scene.water)
+    base = scene.response or PUBLISHED
+    water = water_pressure(scene.panel, scene.water)
     flat = [values.reshape(len(loads), -1) for values in (change, sd, pressure, pressure_sd)]
     loaded = Loaded(flat[0], flat[1], flat[2], flat[3], water.ravel(), base)
     fitted = fit_loads(loaded)
@@ -366,7 +378,8 @@ def _together(loads: Sequence[KnownLoad], place: NDArray[np.intp]) -> NDArray[np
 
 def _result_in_words(fitted: FittedResponse, loads: int) -> Iterator[str]:
     """Yield the summary of a fit to a number of loads, and remarks on its numbers."""
-    touched, blank = fitted.touched.sum(), (~fitted.touched).sum()
+    touched = fitted.touched.sum()
+    blank = (~fitted.touched).sum()
     yield (
         f"response from {loads} loads on {touched} of {fitted.touched.size} cells: gains spread by "
         f"{100 * fitted.spread:.1f} %, a cell answers alike within {100 * fitted.scatter:.1f} %"
@@ -388,7 +401,8 @@ def _odd_loads(loaded: Loaded, fitted: FittedResponse) -> NDArray[np.bool_]:
 
 def _unlike_first_guess(fitted: FittedResponse, pressure: Array, base: Response) -> str:
     """Return a warning of a response far from the first guess, or of loads beyond its range; '' where neither holds."""
-    middle, most = np.array([float(np.median(np.abs(pressure[pressure != 0])))]), max(map(abs, base.told_kpa))
+    middle = np.array([float(np.median(np.abs(pressure[pressure != 0])))])
+    most = max(map(abs, base.told_kpa))
     if middle[0] > most:
         return f"half of the loads press with more than {most:.3g} kPa, beyond what the first guess knows: {UNITS}"
     ratio = fitted.curve(middle, base)[0][0] / float(base.logarithm(middle)[0])

@@ -31,7 +31,10 @@ from lampest.panel.scene import Scene, SeriesPerLine
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import SHORT_OHM
 
-BEST_OHM, TYPICAL_OHM, WORST_OHM = 40.0, 70.0, 160.0  # channel of a CD74HC4067 at 5 V, by its data sheet
+# channel of a CD74HC4067 at 5 V, by its data sheet
+BEST_OHM = 40.0
+TYPICAL_OHM = 70.0
+WORST_OHM = 160.0
 RESISTOR_TOLERANCE = 0.05  # of ordinary resistors, uniformly distributed
 # Numbers that are estimated where the scene names them.
 MEMORY = LineNumber("converter_memory", (), in_scene=True, unit="1")
@@ -143,13 +146,15 @@ def calibrate_resistors(
         If the scene's readout has no such numbers, if the readings do not determine them, or if these resistors do not
         explain the readings.
     """
-    scene, name = common_scene(recordings), recordings[0].name
+    scene = common_scene(recordings)
+    name = recordings[0].name
     if not scene.circuit.line_numbers():
         raise InputError(f"{name}: known resistors tell nothing of this readout ({scene.circuit.description()})")
     trials = tuple(Trial.of(recording, ohm) for recording, ohm in zip(recordings, known, strict=True))
     fit = _fit(Problem(scene, trials, tolerance))
     _check_fit(fit)
-    numbers, noise = tuple(map(partial(_estimated, fit), fit.problem.unknowns)), noise_of(trials)
+    numbers = tuple(map(partial(_estimated, fit), fit.problem.unknowns))
+    noise = noise_of(trials)
     remarks = [remark for number in numbers for remark in number.remarks(fit.readings)]
     if noise is not None:
         remarks.append(f"noise_lsb: of one reading, from {sum(trial.repeats.sum() for trial in trials):g} repeats")
@@ -252,10 +257,12 @@ class Problem:
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
         """Numbers that resistors determine: those of the readout, and memory and wires that the scene names."""
-        scene, unknowns = self.scene, list[Unknown]()
+        scene = self.scene
+        unknowns = list[Unknown]()
         memory = () if scene.known_memory is None else (MEMORY,)
         numbers = scene.circuit.line_numbers() + memory + (WIRE if scene.lines is not None else ())
-        lengths, first = dict(zip(("rows", "columns"), scene.panel.shape, strict=True)), len(numbers)
+        lengths = dict(zip(("rows", "columns"), scene.panel.shape, strict=True))
+        first = len(numbers)
         for index, number in enumerate(numbers):
             lines = dict[Side, slice]()
             for side in number.sides:
@@ -285,7 +292,8 @@ class Problem:
             Relative error of the reference resistor.
         """
         channels: list[Array] = [np.zeros(lines) for lines in self.scene.panel.shape]
-        known, volts = dict[str, Any](), (self.scene.circuit.lsb_volt, self.scene.circuit.full_scale_volt)
+        known = dict[str, Any]()
+        volts = (self.scene.circuit.lsb_volt, self.scene.circuit.full_scale_volt)
         for unknown in self.unknowns:
             common, offsets = unknown.values(unknowns)
             if unknown.number.in_scene and offsets:
@@ -297,7 +305,9 @@ class Problem:
                 limited = np.clip(numbers, *limits[unknown.number.unit]).tolist()
                 known[scene_key(unknown.number)] = tuple(limited) if offsets else limited
         # Contacts and faults belong to the panel, which is unplugged.
-        panel, converter, memory = self.scene.panel, self.scene.readout, self.scene.known_memory
+        panel = self.scene.panel
+        converter = self.scene.readout
+        memory = self.scene.known_memory
         scene: Scene = with_numbers(Scene(panel, converter, lines=self.scene.lines, converter_memory=memory), known)
         readout = scene.circuit
         volt = readout.off_by(reference_off).volt_from_recorded(readout.simulated(cells, scene, *channels))
@@ -338,7 +348,8 @@ class Problem:
         It includes noise, quantisation, the tolerances of resistors and of the reference, and `own_lsb`, the
         converter's own error in LSB.
         """
-        at, names = self.expected(unknowns), dict.fromkeys(name for trial in self.trials for name in trial.resistors)
+        at = self.expected(unknowns)
+        names = dict.fromkeys(name for trial in self.trials for name in trial.resistors)
         moved = [*(self.expected(unknowns, name) for name in names), self.expected(unknowns, reference=STEP)]
         # ∂V/∂ln R by forward differences, times tolerance/√3, the standard deviation of a uniform error
         tolerances = self.tolerance / np.sqrt(3) / STEP * (np.stack(moved, axis=1) - at[:, None])
@@ -403,7 +414,8 @@ class CircuitFit(NamedTuple):
 
 def _fit(problem: Problem) -> CircuitFit:
     """Return the least-squares fit; C is evaluated at the start, then once more near the minimum."""
-    unknowns, commons = problem.start, len(problem.unknowns)
+    unknowns = problem.start
+    commons = len(problem.unknowns)
     least = np.where(np.arange(len(unknowns)) < commons, 0.0, -np.inf)
     for settled in (1.0, 1e-4):  # change of ½ χ²: the second one leaves an error of a hundredth of σ
         root = np.linalg.cholesky(problem.covariance(unknowns))
@@ -411,7 +423,8 @@ def _fit(problem: Problem) -> CircuitFit:
         method = LevenbergMarquardt(25, settled)
         unknowns, squares = method.minimum(partial(problem.squares, root), unknowns, (least, np.inf))
     # The converter's own error: integral nonlinearity of 0.5 LSB, by the data sheet of the ATmega2560.
-    residual, spread = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, 0.5)
+    residual = problem.measured - problem.expected(unknowns)
+    spread = problem.covariance(unknowns, 0.5)
     weighted = solve_triangular(np.linalg.cholesky(spread), residual, lower=True)
     # A reading counts as a value unless both the measurement and its expectation lie at a rail.
     inside = [within_rails(problem.scene.circuit, volt) for volt in (problem.measured, problem.expected(unknowns))]
@@ -435,7 +448,8 @@ def _estimated(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
         means = [offset[known].mean() for offset, known in zip(offsets, measured.values(), strict=True)]
         return np.concatenate([[common + sum(means)], *map(np.subtract, offsets, means)])
 
-    at, slopes = values(fit.unknowns), forward_differences(values, fit.unknowns)
+    at = values(fit.unknowns)
+    slopes = forward_differences(values, fit.unknowns)
     # σ² = diag(S P Sᵀ), with S the derivatives of the values and P the covariance of θ
     sigma = np.sqrt(np.maximum(np.einsum("li,ij,lj->l", slopes, fit.covariance, slopes), 0.0))
     ends = np.cumsum([1, *(len(lines) for lines in measured.values())])[:-1]
@@ -451,7 +465,8 @@ def _estimated(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
 
 def _check_fit(fit: CircuitFit) -> None:
     """Raise InputError where no such circuit explains the readings with the known resistors."""
-    trials, readout = fit.problem.trials, fit.problem.scene.circuit
+    trials = fit.problem.trials
+    readout = fit.problem.scene.circuit
 
     def spoken(volt: float) -> str:
         return f"{float(readout.recorded_from_volt(np.array(volt))):.4g} {readout.unit}"
@@ -469,7 +484,8 @@ def _check_fit(fit: CircuitFit) -> None:
         many = "nothing was read across a known resistor" if not fit.readings else f"only {fit.readings} readings"
         raise InputError(f"{trials[0].name}: no calibration: {many}; join lines by more known resistors")
     # σ itself is estimated from a finite number of repeats, so χ²/freedom follows Fisher's F distribution.
-    freedom, repeated = max(fit.freedom, 1), sum(BELIEF + trial.repeats.sum() for trial in trials)
+    freedom = max(fit.freedom, 1)
+    repeated = sum(BELIEF + trial.repeats.sum() for trial in trials)
     if fdtrc(freedom, repeated, fit.chi_square / freedom) < 1e-7:  # of good calibrations may be refused
         deviation = np.abs(fit.residual) / fit.sigma
         index = int(deviation.argmax())
@@ -494,7 +510,8 @@ def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None
     specified : float
         The scene's value.
     """
-    number, channels = estimate.number, len(estimate.lines)
+    number = estimate.number
+    channels = len(estimate.lines)
     *_, expected = EXPECTED.get(number.name, (WORST_OHM - TYPICAL_OHM if number.channel else 0.0,))
     if estimate.sigma > max(expected, 0.3 * estimate.value):
         raise InputError(
@@ -511,7 +528,8 @@ def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None
         )
     most = max(WORST_OHM - BEST_OHM if number.channel else 0.0, 4 * RESISTOR_TOLERANCE * estimate.value)
     for side, offset, sigma in estimate.lines:
-        high, low = int(np.nanargmax(offset)), int(np.nanargmin(offset))
+        high = int(np.nanargmax(offset))
+        low = int(np.nanargmin(offset))
         difference = float(offset[high] - offset[low])
         if difference - SIGNIFICANT * np.hypot(sigma[high], sigma[low]) > most:
             raise InputError(
@@ -525,7 +543,8 @@ def _with_estimates(scene: Scene, numbers: Sequence[CircuitNumber], noise: float
     if noise is not None:
         scene = with_numbers(scene, {"readout.noise_lsb": noise})
     for estimate in numbers:
-        number, digits = estimate.number, FRACTION_DIGITS if estimate.number in (MEMORY, *WIRE) else DIGITS
+        number = estimate.number
+        digits = FRACTION_DIGITS if estimate.number in (MEMORY, *WIRE) else DIGITS
         # Lines have their share of the sum where a reading has two channels, and the mean where not measured. Values
         # are clipped at 0, because noise may make a small one negative.
         value: Any = round(max(estimate.value, 0.0), digits)

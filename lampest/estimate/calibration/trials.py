@@ -57,7 +57,8 @@ class Trial:
 
         Raises InputError without a readout or a resistor, or where readings change from frame to frame.
         """
-        readout, name = recording.scene.readout, recording.name
+        readout = recording.scene.readout
+        name = recording.name
         if readout is None:
             raise InputError(f"{name}: its scene names no readout, whose numbers a calibration could find")
         ohm = np.broadcast_to(np.asarray(known, dtype=float), recording.scene.panel.shape)
@@ -66,7 +67,8 @@ class Trial:
             raise InputError("known resistors must be zero or positive")
         if not np.isfinite(ohm).any():
             raise InputError(f"{name}: no row line is joined to a column line by a known resistor")
-        volt, across = readout.volt_from_recorded(recording.recorded), 1 if readout.noisy_side == "rows" else 0
+        volt = readout.volt_from_recorded(recording.recorded)
+        across = 1 if readout.noisy_side == "rows" else 0
         valid = _valid(name, readout, volt, across)
         counts = valid.sum(axis=0)
         with np.errstate(invalid="ignore"):
@@ -74,7 +76,8 @@ class Trial:
         inside = within_rails(readout, mean)
         residual = np.where(valid & inside, (volt - mean) / readout.lsb_volt, 0.0)
         _check_drift(name, readout, residual)
-        squares, freedom = (residual**2).sum(axis=(0, 1 + across)), np.where(inside, counts - 1, 0).sum(axis=across)
+        squares = (residual**2).sum(axis=(0, 1 + across))
+        freedom = np.where(inside, counts - 1, 0).sum(axis=across)
         # pooled variance: (BELIEF σ_scene² + Σ residual²)/(BELIEF + freedom), LSB²
         variance = (BELIEF * readout.averaged_variance(readout.assumed_noise) + squares) / (BELIEF + freedom)
         noise = np.array([readout.noise_of_variance(value) for value in variance])
@@ -91,7 +94,8 @@ class Trial:
     @cached_property
     def used(self) -> NDArray[np.bool_]:
         """Whether a reading exists and both of its lines lead to a resistor, (rows, columns)."""
-        rows, columns = self.connected("rows")[:, None], self.connected("columns")[None, :]
+        rows = self.connected("rows")[:, None]
+        columns = self.connected("columns")[None, :]
         return np.asarray((self.everywhere | (rows & columns)) & np.isfinite(self.volt))
 
     def connected(self, side: Side) -> NDArray[np.bool_]:

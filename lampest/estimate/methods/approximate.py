@@ -43,7 +43,8 @@ class UncorrectedMethod(Method):
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """Return the closed form within the bounds."""
-        readout, measured = data.readout, data.measured
+        readout = data.readout
+        measured = data.measured
         cells = readout.apparent_resistance(measured) if self.kind == "naive" else readout.uniform_start(measured)
         cells = np.clip(cells, data.lower, data.upper)
         return approximation(solver.cost, data, Outcome(cells, np.zeros(len(solver.cost.slope)), Status.APPROXIMATE, 0))
@@ -85,7 +86,8 @@ class LinearisedMethod(Method):
 
     def begin(self, state: AnyState) -> AnyState:
         """Return the state with its baseline and the factor of H_b; without a factor where the baseline failed."""
-        absolute, reduced = state.without_comparisons(), OptimalMethod("reduced")
+        absolute = state.without_comparisons()
+        reduced = OptimalMethod("reduced")
         start = state.with_baseline(reduced.solve(absolute, *reduced.given(absolute, state.resting)))
         if start.previous is None:
             return start

@@ -107,7 +107,8 @@ class Joint:
             drawn[:resting] *= np.sqrt(resting / noise.unloaded)
         lasting = np.median(np.stack([alone[:-2], alone[1:-1], alone[2:]]), axis=0)
         start = np.pad(np.concatenate([alone[:1], lasting, alone[-1:]]), ((0, 0), (0, drawn.shape[2])))
-        border, steps = np.zeros((count, size, 0)), np.zeros(count - 1)
+        border = np.zeros((count, size, 0))
+        steps = np.zeros(count - 1)
         joint = cls(tuple(cost), tuple(data), errors, alone, drawn, border, start, steps, np.zeros((count - 1, size)))
         return replace(joint, position=np.clip(start, *joint.bounds)).sharing()
 
@@ -117,7 +118,8 @@ class Joint:
         Evaluated at the measured readings, U would correlate with the noise, and a reference that reduces the noise
         would seem to fit.
         """
-        shared, known = self.responses(self.errors), self._sharing
+        shared = self.responses(self.errors)
+        known = self._sharing
         shift = np.append(self.shift[:known] if known else np.zeros(shared.shape[2]), self.shift[known:])
         return replace(self, shared=shared, shift=shift)
 
@@ -242,7 +244,8 @@ class Joint:
     @cached_property
     def _sizes(self) -> list[Array]:
         """√ω of every frame's residuals: ω is the loss's curvature, or where that is not positive, its IRLS weight."""
-        loss, x = self.cost[0].terms[0].loss, [model.residual for model in self.models]
+        loss = self.cost[0].terms[0].loss
+        x = [model.residual for model in self.models]
         differences = np.concatenate(x)
         curvature = loss.curvature(differences)
         size = np.sqrt(np.where(curvature > 0, curvature, loss.stiffness(differences)))
@@ -251,7 +254,10 @@ class Joint:
     @cached_property
     def chain(self) -> Chain:
         """Half of the Gauss-Newton Hessian of Φ; unknowns at a bound are fixed."""
-        free, count, sharing, cells = ~self.pressed, len(self.position), self._sharing, self.cells
+        free = ~self.pressed
+        count = len(self.position)
+        sharing = self._sharing
+        cells = self.cells
         prior = np.pad(self.ties + IGNORANCE, ((0, 0), (0, self.drawn.shape[2])), constant_values=1.0)
         # Diagonal blocks A_t = J̃ᵀ J̃ + ties + ε over the free unknowns, 1 for the fixed ones.
         blocks = np.stack([rows.T @ rows for rows in self.sensitivities])
@@ -259,7 +265,8 @@ class Joint:
         across = np.arange(blocks.shape[1])
         blocks[:, across, across] = np.where(free, blocks[:, across, across] + prior, 1.0)
         # Border: ∂²Φ/∂u∂z = J̃ᵀ Ũ and ∂²Φ/∂u∂c = ±λ; corner: prior of z and c, Ũᵀ Ũ and Σ λ.
-        border, corner = np.zeros((*self.position.shape, len(self.shift))), np.diag(self.certainty)
+        border = np.zeros((*self.position.shape, len(self.shift)))
+        corner = np.diag(self.certainty)
         border[:, :, :sharing], corner[:sharing, :sharing] = self._bordered(self.shared)
         corner[:sharing, :sharing] += np.diag(self.certainty[:sharing])
         step = np.arange(count - 1)
@@ -331,15 +338,18 @@ class Joint:
         stiffness : array, shape (frames − 1, cells)
             λ with which the cells near loads are free.
         """
-        count, unlinked = self._sharing, replace(self, stiffness=stiffness)
+        count = self._sharing
+        unlinked = replace(self, stiffness=stiffness)
         covariance, without = (problem.chain.border_covariance[:count, :count] for problem in (self, unlinked))
         shift, shift_alone = (self.shift[:count] + problem.newton()[1][:count] for problem in (self, unlinked))
-        expected, squares = float(np.trace(without - covariance)), float(np.sum((shift_alone - shift) ** 2))
+        expected = float(np.trace(without - covariance))
+        squares = float(np.sum((shift_alone - shift) ** 2))
         if squares <= expected:
             return self
         precision, prior_precision = (positive_inverse(matrix) for matrix in (covariance, without))
         # precision = share · C⁻¹ + (1 − share) · C'⁻¹, and ẑ is the mean weighted by these precisions
-        ratio, between = squares / expected, without - covariance
+        ratio = squares / expected
+        between = without - covariance
         share = (ratio * np.exp(1 - ratio)) ** (expected**2 / np.sum(between**2) / 2)
         believed, pull = (
             share * first + (1 - share) * second
@@ -402,8 +412,11 @@ def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
     """
     cells = slice(joint.cells)
     model = TiedModel(joint.at[frame], NO_DUAL, 2 * joint.gradient[frame, cells])
-    posterior, rows = chain.covariance(frame), joint.sensitivities[frame][:, cells]
-    covariance, free, tie = posterior[cells, cells], model.free, joint.ties[frame]
+    posterior = chain.covariance(frame)
+    rows = joint.sensitivities[frame][:, cells]
+    covariance = posterior[cells, cells]
+    free = model.free
+    tie = joint.ties[frame]
 
     def released(cells: NDArray[np.intp]) -> Array:
         """Return the variance of cells at a bound if each alone were released; neighbouring frames count as known."""
@@ -415,7 +428,8 @@ def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
 
     # diag(P J̃ᵀ J̃), the diagonal of the averaging kernel
     followed = np.einsum("ij,ri,rj->i", covariance, rows, rows, optimize=True)
-    shares, variance = (followed[free], np.ones(len(free))), np.diag(covariance)
+    shares = (followed[free], np.ones(len(free)))
+    variance = np.diag(covariance)
     across = posterior[cells, joint.cells :]
     # variance of u that w explains: P_uw P_ww⁻¹ P_wu
     inherited = np.sum(across @ np.linalg.inv(posterior[joint.cells :, joint.cells :]) * across, axis=1)

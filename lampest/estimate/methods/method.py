@@ -107,7 +107,9 @@ class Method(Configuration):
         readings : Readings
             (rows, columns).
         """
-        objective, behind, previous = state.estimator, state.background, state.previous
+        objective = state.estimator
+        behind = state.background
+        previous = state.previous
         if self.joint_start(objective) and not state.rested:
             return objective.data(state.resting.together(readings), behind), None
         if objective.relative:
@@ -158,7 +160,8 @@ class Method(Configuration):
         absolute = state.without_comparisons() if state.estimator.relative else state
         first = self.solve(absolute, *self.given(absolute, state.resting))
         settled, baseline = with_contacts(absolute, state.resting, first, self._elsewhere)
-        state, model = replace(state, scene=settled.scene, track=settled.track), baseline.surroundings()
+        state = replace(state, scene=settled.scene, track=settled.track)
+        model = baseline.surroundings()
         if state.track is not None and model is not None:
             with suppress(*BROKEN):
                 track = state.track.resting(model, remembered=state.estimator.relative)
@@ -203,13 +206,16 @@ class Method(Configuration):
 
     def after(self, state: AnyState, step: Step, readings: Readings) -> tuple[AnyState, Step]:
         """Return the state after a solved frame, and its step with error bars where the state requests them."""
-        track, model, begin = state.track, step.surroundings(), perf_counter()
+        track = state.track
+        model = step.surroundings()
+        begin = perf_counter()
         if track is not None and model is not None:
             with suppress(*BROKEN):
                 advanced, bars = track.advanced(model)
                 if readings.partial:
                     bars = bars.reaching_farther(*self._beyond(state, readings, step, model))
-                track, step = advanced, replace(step, bars=bars, bars_seconds=perf_counter() - begin)
+                track = advanced
+                step = replace(step, bars=bars, bars_seconds=perf_counter() - begin)
         prepared, step, estimate = self.prepared_by(step.solution, state.prepared), step.bare(), step.estimate(-1)
         baseline = step if len(step.solution.cell_resistance) == 2 else state.baseline
         state = replace(state, baseline=baseline, prepared=prepared, track=track)

@@ -48,9 +48,11 @@ MAX_UNLOADED_PARTS = 5  # of the unloaded frames: enough to identify a wrong rea
 MAX_ROUNDS = 40  # 15 to 40 were needed on simulated lampreys
 MAX_ROUND_CHANGE = 0.3  # of a standard deviation: change of a cell in a round below which rounds may end
 # Factors on q from round to round. The slow one applies where the variance of steps depends on λ, and must follow it.
-FAST_DECREASE, SLOW_DECREASE = 0.6, 0.8
+FAST_DECREASE = 0.6
+SLOW_DECREASE = 0.8
 # Median E x² of still cells over q²: above TIED the decrease is slow; above FOLLOWED λ has not followed q, which waits.
-TIED, FOLLOWED = 0.5, 1.5
+TIED = 0.5
+FOLLOWED = 1.5
 
 
 @dataclass(frozen=True)
@@ -115,13 +117,15 @@ class SmootherMethod(Method):
         parts = np.array_split(numbers, min(len(numbers), MAX_UNLOADED_PARTS)) if len(numbers) else []
         groups = [resting[part].mean() for part in parts] or [state.resting]
         state, steps = self._together(state, groups, read, [], on_frame)
-        missing, solved = state.unsolved(Status.UNREAD if rested else Status.UNRESTED), iter(steps)
+        missing = state.unsolved(Status.UNREAD if rested else Status.UNRESTED)
+        solved = iter(steps)
         return state, [next(solved) if read_enough else missing for read_enough in usable]
 
     def push(self, state: AnyState, readings: Readings) -> tuple[AnyState, Step]:
         """Return the state after one frame, and its step, solved together with the `lag` frames before it."""
         before, estimates = state.prepared or ((), ())  # readings of the last frames, and their cells
-        read, cells = (*before, readings)[-1 - self.lag :], estimates[-self.lag :]
+        read = (*before, readings)[-1 - self.lag :]
+        cells = estimates[-self.lag :]
         after, steps = self._together(state, [state.resting], read, cells, lambda: None)
         if not steps[-1].solution.solved:
             return state, steps[-1]
@@ -159,12 +163,15 @@ class SmootherMethod(Method):
             joint, rounds = self._joint(state, data, start, len(resting), until)
             fault = Status.TIME if monotonic() > until else Status.UNVERIFIED
             solutions = _checked(joint, rounds, fault)[len(resting) - 1 :]
-            seconds, track = (perf_counter() - begin) / len(data), state.track
+            seconds = (perf_counter() - begin) / len(data)
+            track = state.track
             baseline, *steps = (Step(solution, seconds, (1.0,)).bare() for solution in solutions)
             if track is not None and baseline.solution.solved:
-                begin, shared = perf_counter(), track.shared and track.shared.beyond(joint.errors)
+                begin = perf_counter()
+                shared = track.shared and track.shared.beyond(joint.errors)
                 certainty, bars = error_bars(joint, len(resting), shared)
-                seconds, track = (perf_counter() - begin) / len(solutions), replace(track, baseline=certainty)
+                seconds = (perf_counter() - begin) / len(solutions)
+                track = replace(track, baseline=certainty)
                 pairs = zip(steps, bars, strict=True)
                 steps = [replace(s, bars=bar, bars_seconds=seconds) if s.solution.solved else s for s, bar in pairs]
             baseline = baseline if baseline.solution.solved else state.baseline
@@ -210,7 +217,8 @@ def _begun(
     """
     assert state.baseline is not None
     terms = tuple(replace(term, loss=Squared()) for term in state.estimator.terms)
-    absolute, reduced = replace(state, estimator=state.estimator.with_terms(terms)), OptimalMethod("reduced")
+    absolute = replace(state, estimator=state.estimator.with_terms(terms))
+    reduced = OptimalMethod("reduced")
     data = [state.estimator.data(frame.alone(), state.background) for frame in (*resting, *readings)]
     estimates = [state.baseline.cell_resistance, *cells] if len(resting) == 1 else []
     for number, frame in enumerate(data[len(estimates) :], len(estimates)):
@@ -225,7 +233,8 @@ def _begun(
 def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
     """Return the solution of every frame; NaN with the status `fault` where the optimality conditions do not hold."""
     faint = np.any(np.abs(joint.newton()[0]) > MAX_LAST_CHANGE * np.sqrt(joint.chain.variance), axis=1)
-    solutions, slopes = [], 2 * joint.gradient[:, : joint.cells]
+    solutions = []
+    slopes = 2 * joint.gradient[:, : joint.cells]
     for at, residual, weak, slope in zip(joint.at, joint.kkt_residual.tolist(), faint, slopes, strict=True):
         outcome = Outcome(at.cell_resistance, NO_DUAL, fault, rounds)
         if not residual <= VERIFIED:
@@ -347,15 +356,18 @@ def smoothed(joint: Joint, walk: Walk, settings: Settings, until: float = inf) -
     walk, least = replace(walk, deviation=NOISE_REACH * noise), walk.deviation * noise
     joint = replace(joint, stiffness=walk.stiffness(joint.steps**2 + variance[1:] + variance[:-1]))
     # Rounds: Newton step, E x² under P, smaller q, new λ.
-    rounds, moving = 0, True
+    rounds = 0
+    moving = True
     while rounds < MAX_ROUNDS and moving and monotonic() < until:
-        before, joint = joint, joint.stepped()
+        before = joint
+        joint = joint.stepped()
         moved = np.abs(joint.log_cells - before.log_cells).max(initial=0.0, where=~joint.pressed[:, cells])
         squares = joint.expected_squares()
         walk, on = walk.drawn_down(squares, joint.stiffness, least)
         # U is evaluated at the model's readings, and again with the last q: with a large q these follow the noise,
         # which an error of the reference would seem to explain.
-        joint, rounds = replace(joint if on else joint.sharing(), stiffness=walk.stiffness(squares)), rounds + 1
+        joint = replace(joint if on else joint.sharing(), stiffness=walk.stiffness(squares))
+        rounds = rounds + 1
         moving = on or moved > MAX_ROUND_CHANGE * noise
     # Fixed λ: hold z as far as cells away from loads agree, then minimise Φ to the tolerance.
     near = walk.near_loads(joint.expected_squares(), joint.data[0].measured.shape[-2:])
@@ -363,7 +375,8 @@ def smoothed(joint: Joint, walk: Walk, settings: Settings, until: float = inf) -
     for _ in range(settings.max_iterations):
         if joint.kkt_residual.max() <= settings.tolerance or monotonic() > until:
             break
-        before, joint = joint, joint.stepped()
+        before = joint
+        joint = joint.stepped()
         if joint is before:
             break
     return joint, rounds

@@ -223,7 +223,9 @@ class Attachment:
         """
         if self.patterns is None or self.sucks <= 0.5:
             return self
-        track, moves, time = self.track, len(self.moved_s), frames[-1][0]
+        track = self.track
+        moves = len(self.moved_s)
+        time = frames[-1][0]
         begin = max(self.placed_s, frames[0][0]) if track is None or track.moves != moves else track.since_s
         block = np.array([logarithm for at, logarithm in frames if at > begin])
         if time - begin < BLOCK_S or len(block) < MIN_SAMPLE_FRAMES:
@@ -249,16 +251,22 @@ def attachments_of(
         Patterns of the most probable candidate's loads.
     """
     # ln r/r0 of the cells with the prior N(0, 1), independent of any candidate
-    best, attachments, first = verdict.best, list[Attachment](), 0
-    change, sd = frame.free_map, frame.free_sd
+    best = verdict.best
+    attachments = list[Attachment]()
+    first = 0
+    change = frame.free_map
+    sd = frame.free_sd
     moved = np.abs(change) > NOISE_REACH * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
     # Δg = g₀ (e^−x − 1) and σ = g₀ e^−x σ_x of x = ln r/r₀
     resting = np.exp(-frame.baseline.logarithm)
-    more, errors = resting * np.expm1(-change), resting * np.exp(-change) * sd
+    more = resting * np.expm1(-change)
+    errors = resting * np.exp(-change) * sd
     clear = best.evidence - max(fit.evidence for fit in verdict.fits if fit.candidate in UNIFORM)
     for (candidate, parameters), effects in zip_longest(best.loads, patterns):
-        disc, after = candidate.disc(parameters), first + len(parameters)
-        covariance, first = best.covariance[first:after, first:after], after
+        disc = candidate.disc(parameters)
+        after = first + len(parameters)
+        covariance = best.covariance[first:after, first:after]
+        first = after
         known: dict[str, Any] = {
             "sucks": verdict.sucks_at(disc),
             "since_s": since,
@@ -269,7 +277,8 @@ def attachments_of(
         if disc is None:
             groups = _contacts(frame, more, errors)
         else:
-            groups, half_pitch = [moved & under(frame.panel, disc)], frame.panel.pitch_mm / 2
+            groups = [moved & under(frame.panel, disc)]
+            half_pitch = frame.panel.pitch_mm / 2
             known |= {"x_mm": (disc.x_mm, half_pitch), "y_mm": (disc.y_mm, half_pitch)}
             known["sucks_s"] = since if known["sucks"] > 0.5 else None
             # σ² = sᵀ C s, with s the derivative of the quantity by φ
@@ -296,9 +305,11 @@ def _contacts(frame: Observation, more: Array, errors: Array) -> list[NDArray[np
 def _touched(panel: Panel, group: NDArray[np.bool_], change: Array) -> dict[str, Any]:
     """Return the centre, number and area of a group of cells that changed by ln r/r0, by their names."""
     # centre of the cells weighted by |ln r/r₀|, to half a pitch
-    weight, half_pitch = np.abs(change) * (group if group.any() else 1.0), panel.pitch_mm / 2
+    weight = np.abs(change) * (group if group.any() else 1.0)
+    half_pitch = panel.pitch_mm / 2
     x, y = (float(np.nansum(weight * line) / weight.sum()) for line in panel.places_mm)
-    count, square = int(group.sum()), panel.pitch_mm**2
+    count = int(group.sum())
+    square = panel.pitch_mm**2
     area = count * square, square * (max(count, 1) / 3) ** 0.5
     return {"x_mm": (x, half_pitch), "y_mm": (y, half_pitch), "cells": count, "area_mm2": area}
 
@@ -319,7 +330,8 @@ def continued_by(
         Whether it is a repeated recognition since that step. Attachments without a load then stay, because nothing
         leaves without a step, except those that arrived with the step, which were parts of another load.
     """
-    attachments, left = list(before), [number for number, load in enumerate(before) if load.present]
+    attachments = list(before)
+    left = [number for number, load in enumerate(before) if load.present]
     # Greedy matching: the load with the nearest attachment first, within the larger diameter of both.
     distances = [min((attachments[number].distance(load.place) for number in left), default=inf) for load in loads]
     for load in (loads[number] for number in np.argsort(distances, kind="stable")):

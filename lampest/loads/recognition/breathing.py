@@ -38,8 +38,11 @@ MIN_PART = 4  # frames between two steps, with which a part says more than its m
 MIN_RATE_HZ = 3.8  # frames per second: four with a slow clock; they resolve rates up to 2 Hz
 # A: the mean amplitude of mouths is 5.4 % of their suction (docs/studies/mouths.md). That of loads that do not breathe
 # is an assumption: cups tremble and leak, but at no single rate.
-BREATHING_SD, TREMBLE_SD = 0.045, 0.002
-WINDOW_S, MIN_WINDOW_S = 8.0, 4.5  # duration over which a rhythm is steady, and the least that determines one
+BREATHING_SD = 0.045
+TREMBLE_SD = 0.002
+# duration over which a rhythm is steady, and the least that determines one
+WINDOW_S = 8.0
+MIN_WINDOW_S = 4.5
 # Largest amplitude of each cause, in units of its pattern. Suction: above 15 % the unevenness of a film would explain
 # the swings of a shaken cup. The rim alone: all of its pressure. Movements: ten times their usual size.
 MAX_SWINGS = {"own": 0.15, "rim": 1.0, "moves": 10.0}
@@ -48,7 +51,8 @@ MAX_SWINGS = {"own": 0.15, "rim": 1.0, "moves": 10.0}
 EDGE_SD = 0.5
 # Assumed: of each cell's swing with the suction, over the root mean square of all cells; and of the depth of breath, by
 # a curve under suction that was not measured.
-OWN_SD, CURVE_SD = 0.1, 0.27
+OWN_SD = 0.1
+CURVE_SD = 0.27
 MAX_PULL = 3.0  # largest suction that counts over that of the recognised frame, and the inverse of the smallest
 THRESHOLD_KPA = -2.0  # suction from which an alternative curve through the published point may begin, instead of 0 kPa
 MAX_LOG_ODDS = 10.0  # upper limit of accumulated ln odds of breathing
@@ -206,7 +210,8 @@ class Patterns(NamedTuple):
             Further changes.
         curve : float
         """
-        mean, rim = slopes[0], rise < 0
+        mean = slopes[0]
+        rim = rise < 0
         spread = np.hypot(spread, OWN_SD * np.sqrt(np.mean(mean**2)))
         suction = np.column_stack([mean, EDGE_SD * rim * mean, slopes[1:].T, np.diag(spread)])
         rigid = np.delete(suction, 1, axis=1) * rim[:, None]
@@ -268,7 +273,9 @@ def patterns_of(frame: Observation, fit: Fit, whitening: Array, detector: Detect
         Whitens changes of ln y.
     detector : Detector
     """
-    loads, panel, first = fit.loads, frame.panel, 0
+    loads = fit.loads
+    panel = frame.panel
+    first = 0
     patterns: list[Patterns | None] = [None] * len(loads)
     if not any(part.sucks for part, _ in loads):
         return patterns
@@ -340,14 +347,16 @@ class SteadyFrames(NamedTuple):
 
         Both ends of the best level, or one, are compared by the squares that they explain, `wave` by the best wave.
         """
-        trend, count = self.trend(), len(series)
+        trend = self.trend()
+        count = len(series)
         begins, ends = np.triu_indices(count + 1, MIN_PART)
         numbers = np.arange(count)[:, None]
         level = ((numbers >= begins) & (numbers < ends)).astype(float)
         level -= trend @ (trend.T @ level)
         size = np.sum(level**2, axis=0)
         explained = np.where(size > 1e-3, (level.T @ series) ** 2 / np.maximum(size, 1e-3), 0.0)
-        best, total = int(np.argmax(explained)), float(series @ series)
+        best = int(np.argmax(explained))
+        total = float(series @ series)
         scatter = (total - explained[best]) / max(count - trend.shape[1] - 1, 1)
         if explained[best] <= max(wave, SIGNIFICANT**2 * scatter):
             return ()
@@ -387,21 +396,26 @@ def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath
 
 def _steady_breath(interval: SteadyFrames, changes: Array, patterns: Patterns, suction: Array) -> Breath | None:
     """Return the breath of a window in which it is steady, with the relative `suction`, (frames,)."""
-    times, rate = interval.times, 1 / interval.period
+    times = interval.times
+    rate = 1 / interval.period
     if len(times) < MIN_FRAMES or rate < MIN_RATE_HZ:
         return None
     lasted = float(times[-1] - times[0])
     # Remove the trend, and the changes of `others`.
-    at, trend = (times - times[0]) / lasted, interval.trend()
-    all_patterns, all_changes = patterns, changes
+    at = (times - times[0]) / lasted
+    trend = interval.trend()
+    all_patterns = patterns
+    all_changes = changes
     patterns, changes = patterns.beside_others(changes - trend @ (trend.T @ changes))
     # Sine and cosine at every rate without their trend, as orthonormal axes (rates, 2, frames) with their gains.
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], MAX_RATE_SHARE * rate), 0.25 / lasted)
     waves = np.exp(2j * np.pi * hertz[:, None] * times)
     waves = np.stack([waves.real, waves.imag], axis=2)
-    even_waves, waves = waves, suction[:, None] * waves
+    even_waves = waves
+    waves = suction[:, None] * waves
     axes, sizes, _ = np.linalg.svd(waves - trend @ (trend.T @ waves), full_matrices=False)
-    axes, gain = np.swapaxes(axes, 1, 2), sizes**2
+    axes = np.swapaxes(axes, 1, 2)
+    gain = sizes**2
     swings = axes @ changes  # (rates, 2, readings)
     # Movements at all rates, and noise, by tapered waves at rates that the strongest one does not leak into.
     strongest = hertz[np.argmax((swings**2).sum(axis=(1, 2)))]
@@ -413,15 +427,18 @@ def _steady_breath(interval: SteadyFrames, changes: Array, patterns: Patterns, s
     others = others.reshape(-1, swings.shape[2])
     root = cholesky(noise * np.eye(swings.shape[2]) + others.T @ others / max(len(others), 1), lower=True)
     whitening = solve_triangular(root, np.eye(len(root)), lower=True)
-    steadied, swings = patterns.seen_by(whitening), swings @ whitening.T
+    steadied = patterns.seen_by(whitening)
+    swings = swings @ whitening.T
     # Amplitudes a, b of s_t at every rate, and the odds of A = BREATHING_SD against A = TREMBLE_SD.
     series = changes @ whitening.T @ steadied.weights(TREMBLE_SD, 1 / gain.mean())
-    amplitude, total = axes @ series, float(series @ series)
+    amplitude = axes @ series
+    total = float(series @ series)
     power = (amplitude**2).sum(axis=1)
     if pulled := interval.pulled(series, float(power.max())):
         interval, left = interval.parted(pulled)
         return breath(interval, all_changes[left], all_patterns)
-    freedom, best = len(times) - trend.shape[1], int(np.argmax(power))
+    freedom = len(times) - trend.shape[1]
+    best = int(np.argmax(power))
     breathing, steady = (logsumexp(_evidence(total, amplitude, gain, sd, freedom)) for sd in (BREATHING_SD, TREMBLE_SD))
     left = max(total - power[best], 1e-12) / (freedom - 2)
     spread = np.sqrt(3 * left / max(power[best], 1e-12)) / (np.pi * lasted)  # Rife, Boorstyn, IEEE Trans. IT-20, 1974
@@ -462,7 +479,9 @@ def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: f
         Variance of the amplitude in each reading.
     """
     basis = np.hstack([waves, 12**0.5 * (at[:, None] - 0.5) * waves])
-    depth, variance, square = BREATHING_SD, 0.0, basis.T @ basis
+    depth = BREATHING_SD
+    variance = 0.0
+    square = basis.T @ basis
     for _ in range(MAX_ROUNDS):
         weights = patterns.weights(depth, noise)
         series = changes @ weights
@@ -471,7 +490,8 @@ def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: f
         residual = series - basis @ np.linalg.lstsq(basis, series, rcond=None)[0]
         left = max(float(residual @ residual) / freedom, 1e-12)
         covariance = np.linalg.inv(square / left + np.eye(4) / MAX_SWINGS["own"] ** 2)
-        coefficients, variances = covariance @ (basis.T @ series) / left, np.diag(covariance)
+        coefficients = covariance @ (basis.T @ series) / left
+        variances = np.diag(covariance)
         # A² from all four coefficients, less the noise of the two of linear change
         depth = max(float(coefficients @ coefficients - variances[2:].sum()), TREMBLE_SD**2) ** 0.5
         film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2 + patterns.curve**2
@@ -540,7 +560,8 @@ def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:
         Variance σ² of the swings.
     """
     along, lengths, _ = np.linalg.svd(root, full_matrices=False)
-    square, sizes = (swings @ along) ** 2 / noise, np.geomspace(TREMBLE_SD, most, 13)
+    square = (swings @ along) ** 2 / noise
+    sizes = np.geomspace(TREMBLE_SD, most, 13)
     wide = (sizes[:, None] * lengths) ** 2 / noise
     # swings ~ N(0, σ² + a² B Bᵀ): ½ Σ z² w/(1 + w) − ½ · 2 Σ ln(1 + w), with w = a² l²/σ² along each axis of B, for
     # sine and cosine
@@ -555,16 +576,20 @@ def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
     curve has one point under suction: a straight line of r, and an exponential beyond a threshold, are each one
     standard deviation from their geometric mean.
     """
-    response, water = frame.baseline.response, frame.water
+    response = frame.baseline.response
+    water = frame.water
     points, weights = hermegauss(5)
     gains = response.gains * np.exp(np.hypot(scatter, frame.baseline.model_errors.bent) * points[:, None, None])
     logarithm = rise / gains + response.logarithm(water)
     pressure = response.pressure(logarithm) - water
     more, lower = (response.logarithm(water + by * pressure) for by in (1 + BREATHING_SD, 1 - BREATHING_SD))
-    rise, delay = np.maximum(logarithm, 0.1), np.log(CURVE_RATIO[0]) / (CURVE_KPA[0] / THRESHOLD_KPA - 1)
-    straight, delayed = np.log(-np.expm1(-rise) / rise), np.log1p(delay / rise)
+    rise = np.maximum(logarithm, 0.1)
+    delay = np.log(CURVE_RATIO[0]) / (CURVE_KPA[0] / THRESHOLD_KPA - 1)
+    straight = np.log(-np.expm1(-rise) / rise)
+    delayed = np.log1p(delay / rise)
     unknown = (logarithm > 0) & isinstance(response, PublishedResponse)
-    middle, curve = unknown * (delayed + straight) / 2, unknown * (delayed - straight) / 2
+    middle = unknown * (delayed + straight) / 2
+    curve = unknown * (delayed - straight) / 2
     slopes = (gains * (more - lower) / (2 * BREATHING_SD) * np.exp(middle)).reshape(len(points), -1)
     shares = weights / weights.sum()
     mean = shares @ slopes
@@ -590,7 +615,8 @@ def changes_without_water(interval: SteadyFrames, frame: Observation, fit: Fit) 
     for number in range(interval.part.max(initial=-1) + 1):
         own = interval.part == number
         changes[own] = settled(changes[own])
-    loaded, response = fit.change != 0, frame.baseline.response
+    loaded = fit.change != 0
+    response = frame.baseline.response
     free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
     pressure = response.pressure(fit.change / response.gains + response.logarithm(frame.water)) - frame.water
     slope = frame.slope(fit.change) @ frame.change(pressure)[1].ravel() / frame.measured.ravel()

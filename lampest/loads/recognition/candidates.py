@@ -20,7 +20,9 @@ AND = " and "
 # Standard deviations of a template's score. Of 720 bare panels with films uneven by 12 to 25 %, some with correlated
 # neighbours or with faulty cells, the largest score was 6.3.
 MAX_UNEVENNESS = 8.0
-FULL_KPA, HOLLOW_KPA = (0.0, 8.0), (-6.0, 30.0)  # initial pressures inside, and under the rim
+# initial pressures inside, and under the rim
+FULL_KPA = (0.0, 8.0)
+HOLLOW_KPA = (-6.0, 30.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -112,7 +114,8 @@ class DiscSearch:
     @lru_cache(maxsize=16)
     def over(cls, panel: Panel, patch_mm: float, templates: tuple[Template, ...]) -> "DiscSearch":
         """Return the search with all templates at all places of a panel."""
-        discs, patterns = [], []
+        discs = []
+        patterns = []
         x, y = panel.places_mm[:, panel.present]
         places = x + 1j * y  # complex places: regular panels have few distinct displacements, computed once each
         steps, step = np.unique(np.round(places - places[:, None], 6), return_inverse=True)
@@ -181,7 +184,8 @@ class DiscSearch:
             A and e of `CellLikelihood`: Λ = AᵀA and b = Aᵀe.
         """
         patterns = self.changes.T
-        pulled, size = patterns @ (slope.T @ error), patterns.multiply(patterns @ (slope.T @ slope)).sum(axis=1)
+        pulled = patterns @ (slope.T @ error)
+        size = patterns.multiply(patterns @ (slope.T @ slope)).sum(axis=1)
         gain = pulled * np.abs(pulled) / np.maximum(size, 1e-300)
         best = np.argmax(gain.reshape(len(self.templates), -1), axis=1)
         size = len(self.discs) // len(self.templates)

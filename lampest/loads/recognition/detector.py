@@ -122,8 +122,10 @@ class Detector:
         The area of the risen cells gives the starts. Cells beside the loads have whatever they changed by as their
         standard deviation, so that a body beside a mouth does not pull at its rim.
         """
-        loose, panel = np.abs(field.change), frame.panel
-        frame, without = replace(frame, loose=loose), replace(without, loose=loose)
+        loose = np.abs(field.change)
+        panel = frame.panel
+        frame = replace(frame, loose=loose)
+        without = replace(without, loose=loose)
         fits = list[Fit]()
         for kind in kinds:
             candidate = kind if len(places) == 1 else Several.of((kind,) * len(places))
@@ -145,7 +147,8 @@ class Detector:
 
     def calm(self, frame: Observation) -> Observation | None:
         """Return the frame without outliers if it shows no load, neither by χ² nor by a template; else None."""
-        whitening, residual = Whitening.about(frame), frame.residual()
+        whitening = Whitening.about(frame)
+        residual = frame.residual()
         undisturbed = frame.without(outliers(whitening, residual))
         errors = Whitening.about(undisturbed) @ residual
         if errors @ errors >= MAX_MEAN_SQUARE * errors.size:
@@ -171,7 +174,8 @@ class Detector:
         array, shape (rows, columns)
         array, shape (cells, cells)
         """
-        baseline, cells = frame.baseline, fit.change.size
+        baseline = frame.baseline
+        cells = fit.change.size
         calm, whitening = self.with_errors(frame, fit)
         resting = baseline.model_errors.resting_covariance(frame.seconds, cells)
         spread = resting + self.fitting(fit.candidate, frame).film(fit, fit.scatter)
@@ -213,7 +217,8 @@ class Detector:
             far = self._contradicting(frame, fit)
             if far.tolist() == dropped:
                 break
-            calm, dropped = frame.without(far), far.tolist()
+            calm = frame.without(far)
+            dropped = far.tolist()
         return calm, fit
 
     def _contradicting(self, frame: Observation, fit: Fit) -> NDArray[np.intp]:
@@ -224,10 +229,12 @@ class Detector:
 
     def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
         """Return the best fit of every kind from the matches of its templates, with coarse errors about the field."""
-        likelihood, fits = coarse_errors(calm, field.change), list[Fit]()
+        likelihood = coarse_errors(calm, field.change)
+        fits = list[Fit]()
         starts = self.search(calm.panel).starts(likelihood.slope, likelihood.error)
         for load in kinds:
-            fitting, begins = self.fitting(load, calm), [load.start(starts[template]) for template in load.templates]
+            fitting = self.fitting(load, calm)
+            begins = [load.start(starts[template]) for template in load.templates]
             descents = [fitting.descended(begin, likelihood, SEARCH.evaluations // 2) for begin in begins]
             fits.append(fitting.fit_at(min(descents, key=lambda descent: descent[1].cost)[0], likelihood))
         return fits
@@ -246,7 +253,8 @@ class Detector:
         field, calm : Fit, Observation
             Results of `field_fit`.
         """
-        explains, scatter = field, self.response_levels[-1] * frame.baseline.model_errors.response
+        explains = field
+        scatter = self.response_levels[-1] * frame.baseline.model_errors.response
         for _ in range(len(fits)):
             best = min(fits, key=attrgetter("score"))
             rivals = [fit for fit in fits if fit is not best]
@@ -266,7 +274,8 @@ class Detector:
 
         The film's deviation is the one of `response_levels` with the largest evidence.
         """
-        fitting, response = self.fitting(fit.candidate, calm), calm.baseline.model_errors.response
+        fitting = self.fitting(fit.candidate, calm)
+        response = calm.baseline.model_errors.response
         errors = [fitting.errors(fit, level * response) for level in self.response_levels]
         # type-II maximum likelihood of the film's deviation on a grid
         likelihoods = (fitting.about(fit.parameters, whitening) for whitening in errors)
@@ -349,10 +358,13 @@ class Detector:
         C = C_1 + Σ q_a (φ_a − φ_1)(φ_a − φ_1)ᵀ over the exponents a, with q_a ∝ evidence^EVIDENCE_SHARE. The circuit is
         linearised at φ_1.
         """
-        baseline, film = calm.baseline, calm.baseline.response
+        baseline = calm.baseline
+        film = calm.baseline.response
         if not fit.candidate.sucks or not isinstance(film, PublishedResponse):
             return fit
-        likelihood, offsets, evidence = self.fitting(fit.candidate, calm).about(fit.parameters, whitening), [], []
+        likelihood = self.fitting(fit.candidate, calm).about(fit.parameters, whitening)
+        offsets = []
+        evidence = []
         for exponent in (1.0, *self.exponents):
             bent = BentSuction(exponent=exponent, gain=film.gain, gain_sd=film.gain_sd)
             frame = replace(calm, baseline=replace(baseline, scene=replace(baseline.scene, response=bent)))

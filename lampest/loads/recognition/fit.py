@@ -31,11 +31,15 @@ SEARCH = LevenbergMarquardt(evaluations=30, settled=0.3)
 MAX_ROUNDS = 4  # linearisations of the circuit in a fit; also fits with errors about the previous one
 # Profile along a parameter: the difference of ln P at its end, the evaluations and the largest number of points to each
 # side, and by how much a step is longer than the one before.
-NEGLIGIBLE, PROFILE_STEPS, MAX_PROFILE, FARTHER = 5.0, 5, 6, 1.5
+NEGLIGIBLE = 5.0
+PROFILE_STEPS = 5
+MAX_PROFILE = 6
+FARTHER = 1.5
 MAX_LOG_RATIO = 20.0  # difference of ln P to the best candidate beyond which candidates do not count
 # Assumed −ln P: of one in twenty, for every further load, a rim that moves without its suction, and a mouth that does
 # not breathe; and of the impossible, two loads in one place.
-RARE_LOG_ODDS, IMPOSSIBLE = log(20), 60.0
+RARE_LOG_ODDS = log(20)
+IMPOSSIBLE = 60.0
 OVERLAP = 0.25  # share of the smaller diameter by which two loads may overlap: soft rims touch
 # Exponent of evidence ratios, because films and loads deviate from their models in more ways than the errors include.
 # Fitted by log-likelihood to scenes made without this package's simulation; see docs/studies/mouths.md.
@@ -173,7 +177,8 @@ class Fitting:
             Number of a parameter that is fixed.
         """
         mean, sd, longest = self._prior
-        low, high = mean - SIGNIFICANT * sd, mean + SIGNIFICANT * sd
+        low = mean - SIGNIFICANT * sd
+        high = mean + SIGNIFICANT * sd
         if held is not None:
             low[held] = high[held] = start[held]
         loop = replace(SEARCH, evaluations=steps, longest=longest)
@@ -186,19 +191,24 @@ class Fitting:
         The circuit is linearised again at the end of each search, until the exact cost agrees with the linearised one.
         `most` and `held` are those of `descended`.
         """
-        fits, position, likelihood = list[Fit](), start, self.about(start, whitening)
+        fits = list[Fit]()
+        position = start
+        likelihood = self.about(start, whitening)
         for _ in range(MAX_ROUNDS):
             position, squares = self.descended(position, likelihood, most=most, held=held)
             likelihood = self.about(position, whitening)
             fits.append(self.fit_at(position, likelihood))
-            exact, linear = fits[-1].cost, squares.cost
+            exact = fits[-1].cost
+            linear = squares.cost
             if abs(exact - linear) < SEARCH.settled or min(exact, linear) > most:
                 break
         return min(fits, key=lambda fit: fit.cost)
 
     def fit_at(self, parameters: Array, likelihood: CellLikelihood) -> Fit:
         """Return the fit at given φ with its evidence, by a likelihood that was linearised there or nearby."""
-        squares, whitening, sd = self.at(parameters, likelihood), likelihood.whitening, self._prior[1]
+        squares = self.at(parameters, likelihood)
+        whitening = likelihood.whitening
+        sd = self._prior[1]
         covariance, width = inverse_beside_prior(squares.normal, sd)
         covariance += np.diag(self.candidate.blind(parameters) ** 2)
         errors = whitening @ likelihood.residual
@@ -284,7 +294,8 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
     names = list(fit.candidate.priors(fitting.frame.panel))
     if "diameter" not in names:
         return fit
-    place, sd = names.index("diameter"), fitting.candidate.sd(fitting.frame.panel)
+    place = names.index("diameter")
+    sd = fitting.candidate.sd(fitting.frame.panel)
     remaining = np.ix_(*2 * [np.arange(len(names)) != place])
     points = [(fit.parameters, fitting.at(fit.parameters, likelihood))]
     # Profile: step ln d in both directions, ever farther, until P(δ) is negligible; all other parameters are fitted.
@@ -337,11 +348,15 @@ def _of_two_maps(frame: Observation) -> tuple[Fit, MostProbable]:
 
 def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
     """Return the most probable field with the states of ln r/r0 = `start` (rows, columns), which is also the start."""
-    of_cells, none = states(frame.panel, start), np.zeros(0)
+    of_cells = states(frame.panel, start)
+    none = np.zeros(0)
     most_probable = frame.cells(start, prior(frame, SD[of_cells].ravel()))
-    change, whitening = most_probable.state.reshape(start.shape), most_probable.whitening
-    errors, left = whitening @ most_probable.apart, frame.residual(change)
-    misfit, cost = Whitening.about(frame, change) @ left, float(errors @ errors) / 2
+    change = most_probable.state.reshape(start.shape)
+    whitening = most_probable.whitening
+    errors = whitening @ most_probable.apart
+    left = frame.residual(change)
+    misfit = Whitening.about(frame, change) @ left
+    cost = float(errors @ errors) / 2
     # ln P(R | states) = −½ eᵀ (A P Aᵀ + C)⁻¹ e − ½ ln det (A P Aᵀ + C), and ln P(states) of the Potts field
     likely = float(misfit @ misfit), cost, whitening.volume, -cost - whitening.volume - paid(frame.panel, of_cells)
     return Fit(FIELD, none, none.reshape(0, 0), change, left, *likely), most_probable
@@ -356,7 +371,8 @@ def prior(frame: Observation, sd: Array) -> Array:
 def states(panel: Panel, change: Array) -> NDArray[np.intp]:
     """Return the state of each cell, 0 to 3 for quiet to strongly changed, by its own and its neighbours' changes."""
     square, (first, second, _) = change.ravel() ** 2, panel.neighbours
-    cell, neighbour = np.concatenate([first, second]), np.concatenate([second, first])
+    cell = np.concatenate([first, second])
+    neighbour = np.concatenate([second, first])
     near = np.bincount(cell, square[neighbour], square.size).astype(float)
     sides = np.bincount(cell, minlength=square.size)
     near += np.maximum(4 - sides, 0) * square  # a cell at the border stands for its missing neighbours
@@ -419,7 +435,8 @@ class Verdict:
 
         A shape that is of one mind with them says by how much, because the prior of free cells draws large ones in.
         """
-        cells, shaped = self.frame.free_map, self.best.change
+        cells = self.frame.free_map
+        shaped = self.best.change
         agreed = np.where(cells * shaped > 0, np.maximum(np.abs(cells), np.abs(shaped)), np.abs(cells))
         return np.where(np.abs(cells) > NOISE_REACH * self.frame.free_sd, np.sign(cells) * agreed, 0.0)
 

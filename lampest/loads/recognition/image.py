@@ -130,10 +130,12 @@ class Window:
     @classmethod
     def about(cls, scene: Scene, place: Array) -> "Window":
         """Return the window over the modules that a load at a place (x, y) in mm may reach."""
-        layout, spans = layout_of(scene.panel), list[NDArray[np.intp]]()
+        layout = layout_of(scene.panel)
+        spans = list[NDArray[np.intp]]()
         sizes = layout.each.columns, layout.each.rows
         for at, axis, size in zip(place, scene.panel.centres_mm(), sizes, strict=True):
-            first, last = axis[::size], axis[size - 1 :: size]
+            first = axis[::size]
+            last = axis[size - 1 :: size]
             reach = min(NEAR_PITCHES * scene.panel.pitch_mm, float(last[0] - first[0]) / 2)
             distance = np.maximum(first - at, at - last)
             spans.append(np.flatnonzero((distance <= reach) | (distance == distance.min())))
@@ -141,7 +143,8 @@ class Window:
         numbers = tuple(int(j * layout.columns + k) for j in rows for k in columns)
         (top, left), (bottom, right) = layout.cells(numbers[0]), layout.cells(numbers[-1])
         cells = slice(top.start, bottom.stop), slice(left.start, right.stop)
-        part, response = replace(layout, rows=len(rows), columns=len(columns)), scene.response
+        part = replace(layout, rows=len(rows), columns=len(columns))
+        response = scene.response
         scenes = tuple(scene.of_modules[number] for number in numbers)
         window_scene = WindowScene(Panel(modules=part), response and response.of_cells(cells), scenes)
         places = scene.panel.places_mm[:, *cells]
@@ -190,7 +193,8 @@ class ImageWatch:
     def push(self, measured: Array, sigma: Array, time: float) -> "ImageWatch":
         """Push a frame, as `Watch.push`."""
         # Step detection in modules without a window; a step opens one, and freezes the modules under it.
-        followed, opened = dict[int, Watch](), list(self.opened)
+        followed = dict[int, Watch]()
+        opened = list(self.opened)
         for number, module in self.modules.items():
             if number not in under_windows(self.opened):
                 cells = self._layout.cells(number)
@@ -262,7 +266,8 @@ class ImageWatch:
 
     def _begun(self, window: Window, sigma: Array) -> Watch:
         """Return the watch of a new window, with the joined states of its modules."""
-        layout, known = layout_of(window.scene.panel), [self.modules[n] for n in window.numbers if n in self.modules]
+        layout = layout_of(window.scene.panel)
+        known = [self.modules[n] for n in window.numbers if n in self.modules]
         blank = np.full(known[0].rest.mean.shape, np.median([np.median(part.rest.mean) for part in known]))
         levels = {number: (part.rest.mean, part.level.mean, *part.recent) for number, part in self.modules.items()}
         states = np.array([levels.get(number, 4 * (blank,)) for number in window.numbers])
@@ -288,7 +293,8 @@ class ImageWatch:
             for number, levels in zip(window.numbers, np.swapaxes(layout.split(images), 0, 1), strict=True):
                 if number in modules and number not in under_windows(opened):
                     baseline, mean, *recent = levels.reshape(4, -1)
-                    rest, level = replace(watch.rest, mean=baseline), replace(watch.level, mean=mean)
+                    rest = replace(watch.rest, mean=baseline)
+                    level = replace(watch.level, mean=mean)
                     module = replace(modules[number], rest=rest, level=level, recent=tuple(recent))
                     modules[number] = replace(module, history=watch.history)
         return replace(self, modules=modules, opened=opened)

@@ -119,7 +119,8 @@ class ModelErrors:
 
 # Of ln r: the longest Gauss-Newton step, and the largest change by a load. Beyond, a cell is open or shorted to all
 # readings, and the network soon becomes singular.
-MAX_STEP, MAX_LOG_CHANGE = 1.5, 12.0
+MAX_STEP = 1.5
+MAX_LOG_CHANGE = 12.0
 OUTLIER_SHARE = 0.03  # largest share of outliers among the readings
 DROPPED_FACTOR = 1e3  # factor on σ, or on the reading, that gives the σ of a reading that does not count
 
@@ -226,16 +227,19 @@ class Baseline:
         common : array, shape (cells, n), optional
             Root of the covariance of random errors that the readings share.
         """
-        circuit, spread = scene.circuit, model_errors.offsets(measured, scene)
+        circuit = scene.circuit
+        spread = model_errors.offsets(measured, scene)
         cells, offsets = spread.shape
-        mean, prior = np.zeros(cells + offsets), np.eye(cells + offsets)
+        mean = np.zeros(cells + offsets)
+        prior = np.eye(cells + offsets)
         mean[:cells] = np.log(np.median(circuit.uniform_start(measured)))
         prior[:cells, :cells] = 9.0 + model_errors.cell_spread**2 * np.eye(cells)  # their mean is open: σ = 3
         # crossings without a cell are fixed at a nearly infinite resistance
         absent = np.flatnonzero(~scene.panel.present)
         mean[absent] += MAX_LOG_CHANGE
         prior[absent] = prior[:, absent] = 0.0
-        shared, noise = 0.0 if common is None else common @ common.T, sigma.ravel() ** 2
+        shared = 0.0 if common is None else common @ common.T
+        noise = sigma.ravel() ** 2
 
         def model(state: Array) -> tuple[Array, Array, Array]:
             resistance = np.exp(state[:cells].reshape(measured.shape))
@@ -247,7 +251,8 @@ class Baseline:
         coarse = most_probable(model, mean, mean, prior, MAX_STEP / 10)
         noise[outliers(coarse.whitening, coarse.apart)] *= DROPPED_FACTOR**2
         fine = most_probable(model, coarse.state, mean, prior, 1e-6)
-        logarithm, shifts = fine.state[:cells].reshape(measured.shape), fine.state[cells:]
+        logarithm = fine.state[:cells].reshape(measured.shape)
+        shifts = fine.state[cells:]
         return cls(logarithm, shifts, fine.covariance, model_errors, scene)
 
     @property
@@ -257,7 +262,8 @@ class Baseline:
 
     def network(self, change: Array | float = 0.0) -> Network:
         """Return the solved network of cells r0·e^change."""
-        cells, circuit = np.exp(self.logarithm + change), self.scene.circuit
+        cells = np.exp(self.logarithm + change)
+        circuit = self.scene.circuit
         return circuit.network(cells, circuit.ties(cells), self.scene.wiring)
 
     @cached_property
@@ -331,7 +337,9 @@ class Observation:
 
     def change(self, pressure: Array) -> tuple[Array, Array]:
         """Return x of pressures (rows, columns) kPa, and dx/dp in 1/kPa; |x| is at most MAX_LOG_CHANGE."""
-        response, step = self.baseline.response, 1e-3  # kPa, for a central difference: F has corners
+        # kPa, for a central difference: F has corners
+        response = self.baseline.response
+        step = 1e-3
         # x = κ (ln F(p + p_w) − ln F(p_w)) at p and p ± step
         near = pressure + self.water + np.array([0.0, step, -step])[:, None, None]
         change, up, down = response.gains * (response.logarithm(near) - response.logarithm(self.water))
@@ -352,7 +360,8 @@ class Observation:
             Further covariance of ln r, added to T.
         """
         # H = (J, E); H (C + T) Hᵀ with T on the block of the cells
-        both, errors = np.hstack([slope, self.offsets]), self.baseline.covariance.copy()
+        both = np.hstack([slope, self.offsets])
+        errors = self.baseline.covariance.copy()
         errors[: len(slope), : len(slope)] += self.baseline.model_errors.resting_covariance(self.seconds, len(slope))
         errors[: len(slope), : len(slope)] += cells
         total = both @ errors @ both.T
@@ -459,7 +468,8 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
     """
     inverse = whitening @ np.eye(len(residual))
     precision = inverse.T @ inverse
-    pull, left = precision @ residual, np.ones(len(residual), dtype=bool)
+    pull = precision @ residual
+    left = np.ones(len(residual), dtype=bool)
     for _ in range(max(1, int(OUTLIER_SHARE * len(residual)))):
         score = np.divide(pull**2, np.diag(precision), out=np.zeros(len(pull)), where=left)  # z²
         worst = int(np.argmax(score))

@@ -108,7 +108,9 @@ class Pumping:
         """Return the state after one more sample, the median of ln y (frames, readings), at a time in s."""
         sample = float(self.weights @ (np.median(logarithms, axis=0) - self.reference))
         seconds = time - self.since_s
-        leak, noise, drift = LEAKS[:, None, None, None], NOISES[:, None, None], DRIFTS[:, None]
+        leak = LEAKS[:, None, None, None]
+        noise = NOISES[:, None, None]
+        drift = DRIFTS[:, None]
         rate = np.where(self.age_s < OF_KINDS.interval_s, KINDS[0].rate_hz / 2, OF_KINDS.rate_hz)
         # Prediction: u decays by λ Δt, its variance grows by q² Δt; a jump occurs with probability 1 − e^(−rate Δt).
         mean = self.mean - leak * seconds

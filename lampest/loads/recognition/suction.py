@@ -65,7 +65,9 @@ def suctions(frame: Observation) -> list[Suction]:
     deviations. It is under suction if MIN_ENCLOSED of the cells around it have fallen as clearly. Nothing is concluded
     if the cells of the unloaded panel are as uneven as under loads: what rises may then have been relieved.
     """
-    panel, change, sd = frame.panel, frame.free_map, frame.free_sd
+    panel = frame.panel
+    change = frame.free_map
+    sd = frame.free_sd
     if not _even(frame):
         return []
     clear = np.maximum(MIN_FALL, NOISE_REACH * sd)
@@ -84,7 +86,8 @@ def may_suck(frame: Observation) -> bool:
 
     Their standard deviation is above MIN_RISE, and within NOISE_REACH of them they have risen by it.
     """
-    change, sd = frame.free_map, frame.free_sd
+    change = frame.free_map
+    sd = frame.free_sd
     hidden = (sd > MIN_RISE) & (change + NOISE_REACH * sd > MIN_RISE)
     fallen = (change < -np.maximum(MIN_FALL, NOISE_REACH * sd)) & ~hidden
     return _even(frame) and bool(_enclosed(frame.panel, hidden, fallen))

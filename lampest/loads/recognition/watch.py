@@ -39,11 +39,14 @@ SINGLE_FRAME = 2.0  # score of a single unloaded frame, which scatters more, ove
 TOUCHED = "something touched the panel while its unloaded frames were taken"
 UNEVENLY = "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
 RELIEVED = "the panel changed, and no cell conducts more than in the unloaded frames"
-FIRST_S, LOOKS_S = 1.0, 60.0  # time until the first recognition, and the longest one between two
+# time until the first recognition, and the longest one between two
+FIRST_S = 1.0
+LOOKS_S = 60.0
 MIN_FRAMES = 3  # that a recognition needs
 # Resistances of an open line over those at rest, and the share of its readings that have them: mouths raise up to five
 # cells of a row of ten.
-OPEN_RATIO, OPEN_SHARE = 2.0, 0.8
+OPEN_RATIO = 2.0
+OPEN_SHARE = 0.8
 MIN_RELIEVED = 3  # cells that rise where a load left: one or two are even by chance
 UNCOVERED = 0.25  # of the unevenness of cells under a load, which is left where it has gone: films keep an eighth
 Frames = tuple[tuple[float, Array], ...]
@@ -146,7 +149,8 @@ class StepTest:
         unloaded : array, shape (frames, cells)
             ln y of the unloaded frames.
         """
-        value, cells = frame.measured.ravel(), frame.measured.size
+        value = frame.measured.ravel()
+        cells = frame.measured.size
         slope = frame.slope() / value[:, None]
         errors = frame.baseline.model_errors
         # C = noise + drift S Sᵀ + common changes of all cells and of all readings; W = L⁻¹ of C = L Lᵀ
@@ -157,7 +161,8 @@ class StepTest:
         root = cholesky(np.diag((frame.sigma.ravel() / value) ** 2) + settled + columns @ columns.T, lower=True)
         whitening = solve_triangular(root, np.eye(cells), lower=True)
         response = whitening @ slope
-        templates, matched = search.matched(response), response.T @ whitening
+        templates = search.matched(response)
+        matched = response.T @ whitening
         places, place = np.unique(search.places, axis=0, return_inverse=True)
         x, y = places.T / frame.panel.pitch_mm
         near = np.hypot(x[:, None] - x, y[:, None] - y) < NEAR_PITCHES
@@ -303,12 +308,15 @@ class Watch:
         time : float
             Time of the last unloaded frame, s.
         """
-        frames, sigma, resting = max(len(unloaded), 1), counting(sigma, measured), np.log(measured.ravel())
+        frames = max(len(unloaded), 1)
+        sigma = counting(sigma, measured)
+        resting = np.log(measured.ravel())
         frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames))
         filled = np.where(np.isnan(unloaded), measured, unloaded).reshape(len(unloaded), resting.size)
         search = panelled.detector.search(frame.panel)
         intact = np.where(panelled.scene.broken, np.nan, frame.baseline.logarithm)
-        test, uneven = StepTest.of(frame, search, np.log(filled)), search.lies_on(intact)
+        test = StepTest.of(frame, search, np.log(filled))
+        uneven = search.lies_on(intact)
         rest = Level(resting, frames, time, time)
         return cls(panelled, test, sigma, rest, rest, (resting, resting), history=UNEVENLY if uneven else "")
 
@@ -360,7 +368,8 @@ class Watch:
             return sigma, self.faults
         known = np.isfinite(sigma) & (measured > 0)
         ratio = np.where(known, measured, 0.0) / np.exp(self.rest.mean).reshape(measured.shape)
-        faults, known_faults = dict(self.faults), known.copy()
+        faults = dict(self.faults)
+        known_faults = known.copy()
         for axis, name in enumerate(("row", "column")):
             read = np.maximum(known.sum(axis=1 - axis), 1)
             for line in np.flatnonzero((ratio > OPEN_RATIO).sum(axis=1 - axis) > OPEN_SHARE * read):
@@ -475,7 +484,8 @@ class Watch:
 
     def _frame(self, logarithm: Array, time: float) -> Observation:
         """Return readings ln y as an observation against the panel before the load, with the film's residue in C."""
-        panelled, shape = self.panelled, self.panelled.scene.panel.shape
+        panelled = self.panelled
+        shape = self.panelled.scene.panel.shape
         baseline = panelled.baseline(np.exp(self.rest.mean).reshape(shape), self.sigma, max(self.rest.frames, 1.0))
         frame = panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, baseline, time - self.rest.until_s)
         covariance = baseline.covariance.copy()
@@ -537,7 +547,8 @@ class Watch:
         ]
         if len(stood) < MIN_FRAMES:
             return self
-        begin, end = stood[0][0], self.level.since_s
+        begin = stood[0][0]
+        end = self.level.since_s
         if not self.panelled.detector.any_form:
             return replace(self, brief=(*self.brief, (begin, end)))
         frame = self._frame(np.median([logarithm for _, logarithm in stood], axis=0), begin)
@@ -560,7 +571,9 @@ class Watch:
         except (ArithmeticError, ValueError) as error:
             logged_reason(error, f"look at {time:.1f} s")
             return replace(self, next_s=again)
-        frame, change, before = verdict.frame, verdict.changed, self._before
+        frame = verdict.frame
+        change = verdict.changed
+        before = self._before
         least = NOISE_REACH * self.panelled.errors.residue * np.sum(change * before)
         # No load, or only the residue of the former one: the load has left, unless its cells still show it.
         # the film's residue in the cells of the former load
@@ -592,7 +605,8 @@ class Watch:
         """
         if self.attachments or not self.panelled.explained:
             return False
-        frame, intact = verdict.frame, self.panelled.scene.panel.present & ~self.panelled.scene.broken
+        frame = verdict.frame
+        intact = self.panelled.scene.panel.present & ~self.panelled.scene.broken
         moved = intact & (np.abs(frame.free_map) > np.maximum(MIN_RISE, NOISE_REACH * frame.free_sd))
         # what leaves relieves cells, and those rise
         if np.sum(moved & (frame.free_map > 0)) < max(MIN_RELIEVED, moved.sum() / 2):
@@ -607,7 +621,8 @@ class Watch:
         The last frame is left out of a breath, because it may be the first one of a release.
         """
         assert self.look is not None
-        loads, verdict = list(self.attachments), self.look.verdict
+        loads = list(self.attachments)
+        verdict = self.look.verdict
         for number, load in enumerate(loads):
             if load.present and load.patterns is not None:
                 load = load.sampled(self.window, self.test.whitening, verdict.frame)

@@ -103,7 +103,8 @@ def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) ->
     outer, press, (tilt_x, tilt_y) = disc.diameter_mm / 2, disc.rim_kpa, disc[-2:]
     along, stretched, lobe_along, lobe_across = form
     # Coordinates in which the elongated disc is round: (u, v) = ((1 − a) x − s y, (1 + a) y − s x).
-    u, v = (1 - along) * x - stretched * y, (1 + along) * y - stretched * x
+    u = (1 - along) * x - stretched * y
+    v = (1 + along) * y - stretched * x
     square = np.maximum(u * u + v * v, MIN_SQUARE)
     radius = np.sqrt(square)
     edges = np.array([outer, disc.inner_mm / 2])
@@ -111,7 +112,10 @@ def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) ->
     (whole, hole), (whole_slope, hole_slope) = _inside(radius - edges[:, None, None], soft)
     if not disc.inner_mm:
         hole = hole_slope = np.zeros_like(radius)
-    rim, twice, cross = whole - hole, (u * u - v * v) / square, 2 * u * v / square  # cos 2θ and sin 2θ
+    # cos 2θ and sin 2θ
+    rim = whole - hole
+    twice = (u * u - v * v) / square
+    cross = 2 * u * v / square
     level = 1 + (tilt_x / outer) * u + (tilt_y / outer) * v + lobe_along * twice + lobe_across * cross
     # ∂p/∂u and ∂p/∂v by the chain rule: radially, by the tilt, and by the angle of the lobes
     outward = (press * level * (whole_slope - hole_slope) + disc.suction_kpa * hole_slope) / radius

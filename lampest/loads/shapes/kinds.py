@@ -97,7 +97,9 @@ class RoundCandidate(Candidate):
     def start(self, disc: Disc) -> Array:
         """Return φ of a disc; numbers that the disc lacks are small, and a full disc has the same force."""
         hollow = "width" in self.numbers
-        width, bearing, mean = exp(self.numbers["width"].mean) if hollow else 0.0, 0.0, disc.rim_kpa
+        width = exp(self.numbers["width"].mean) if hollow else 0.0
+        bearing = 0.0
+        mean = disc.rim_kpa
         if disc.inner_mm:
             hole = (disc.inner_mm / disc.diameter_mm) ** 2
             mean = disc.rim_kpa * (1 - hole) + disc.suction_kpa * hole
@@ -221,7 +223,8 @@ class SuctionCup(RoundShape):
     pressure_kpa: float
 
     def disc(self) -> Disc:
-        inner, outer = self.inner_diameter_mm, self.outer_diameter_mm
+        inner = self.inner_diameter_mm
+        outer = self.outer_diameter_mm
         return self.pressing(inner, outer, bearing_kpa(self.pressure_kpa, inner, outer), self.pressure_kpa)
 
 
@@ -288,8 +291,10 @@ class OralDisc(RoundShape):
         Points are mapped to the round mouth of equal area, and the rim's pressure is multiplied by its unevenness.
         """
         round_one = self.disc()
-        turn, stretch = radians(self.elongation_deg), sqrt(self.elongation)
-        along, across = (x * cos(turn) + y * sin(turn)) / stretch, (y * cos(turn) - x * sin(turn)) * stretch
+        turn = radians(self.elongation_deg)
+        stretch = sqrt(self.elongation)
+        along = (x * cos(turn) + y * sin(turn)) / stretch
+        across = (y * cos(turn) - x * sin(turn)) * stretch
         contact, suction = round_one.pressure_at(along, across)
         around = np.arctan2(across, along) + turn - radians(self.unevenness_deg)
         return contact * (1 + self.unevenness * np.cos(self.lobes * around)), suction
@@ -334,6 +339,7 @@ class Block(Shape):
 
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
         angle = radians(self.angle_deg)
-        along, across = x * cos(angle) + y * sin(angle), y * cos(angle) - x * sin(angle)
+        along = x * cos(angle) + y * sin(angle)
+        across = y * cos(angle) - x * sin(angle)
         under = (np.abs(along) < self.length_mm / 2) & (np.abs(across) < self.width_mm / 2)
         return under * contact_of_weight(self.mass_g, self.length_mm * self.width_mm), np.zeros_like(x)

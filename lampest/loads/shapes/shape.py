@@ -116,7 +116,8 @@ def centre_priors(panel: Panel) -> dict[str, Prior]:
 
     They have the mean and variance of a uniform distribution over the panel, steps of half a pitch, and a sway of 1 mm.
     """
-    pitch, extents = panel.pitch_mm, zip("xy", panel.extents_mm, strict=True)
+    pitch = panel.pitch_mm
+    extents = zip("xy", panel.extents_mm, strict=True)
     return {
         name: Prior((least + most) / 2, (most - least + pitch) / 12**0.5, pitch / 2, sway=1.0)
         for name, (least, most) in extents

@@ -18,7 +18,9 @@ from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_l
 
 MIN_REPEATS = 50  # repeated readings, which determine a noise to a tenth
 ENDLESS = 65535  # readings, so many that the remaining part of σ is the one that averaging cannot remove
-MIN_VOLT, MAX_VOLT = 1e-3, 1e3  # V: that of a thermocouple; the limit of low voltage in IEC 60038
+# V: that of a thermocouple; the limit of low voltage in IEC 60038
+MIN_VOLT = 1e-3
+MAX_VOLT = 1e3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +147,8 @@ class Converter(Configuration):
 
     def noise_of_variance(self, variance: float) -> float:
         """Return the noise in LSB whose `averaged_variance` is a given one in LSB², by bisection."""
-        low, high = 0.0, 2.0**self.adc_bits
+        low = 0.0
+        high = 2.0**self.adc_bits
         while high - low > 1e-6:
             middle = (low + high) / 2
             low, high = (middle, high) if float(self.averaged_variance(middle)) < variance else (low, middle)

@@ -56,7 +56,10 @@ from lampest.panel.readouts.wiring import Wiring
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
 # Alternating start: rounds, change of log g at convergence, and range of conductances about those of the closed form,
 # beyond which a reading no longer depends on its cell (tests/oracles).
-MAX_ROUNDS, CONVERGED, MIN_RATIO, MAX_RATIO = 40, 1e-3, 0.02, 1e3
+MAX_ROUNDS = 40
+CONVERGED = 1e-3
+MIN_RATIO = 0.02
+MAX_RATIO = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,12 +130,17 @@ def equation_of(circuit: "DrivenCircuit", rows: int, columns: int) -> Equation:
     """Return the numbers of a circuit's equation on a panel."""
     driven, sensed = of_side(circuit.driven, rows, columns)
     states = circuit.states(driven, sensed)
-    drive, idle, load, idle_load = states.drive, states.idle, states.load, states.idle_load
+    drive = states.drive
+    idle = states.idle
+    load = states.load
+    idle_load = states.idle_load
     unchanged = np.array_equal(load, idle_load)
     addresses = [] if unchanged or circuit.groups is None else _addresses(circuit.groups)
     several = len(circuit.groups or ()) > 1 and bool(addresses)
     with np.errstate(divide="ignore", invalid="ignore"):
-        idle_ties, load_ties, idle_load_ties = 1 / idle, 1 / load, 1 / idle_load
+        idle_ties = 1 / idle
+        load_ties = 1 / load
+        idle_load_ties = 1 / idle_load
         # Lines that 0 ohm hold at ground while they are idle have an equation of their own.
         held = idle == 0
         drive_terms = np.where(held, (np.ones(driven), -drive), (drive, np.where(drive == idle, 0.0, 1 - drive / idle)))
@@ -143,7 +151,8 @@ def equation_of(circuit: "DrivenCircuit", rows: int, columns: int) -> Equation:
             held = idle_load == 0
             load_terms = np.where(held, (load_ties, -np.ones(sensed)), (np.ones(sensed), load_ties - idle_load_ties))
     # Ties at every address: of idle lines, and of the loads of the lines that are read together.
-    ties, read = [], []
+    ties = []
+    read = []
     for lines in addresses if several else [np.arange(sensed)]:
         chosen = np.isin(np.arange(sensed), lines)
         of_sensed = np.where(chosen, load_ties, idle_load_ties) if several else idle_load_ties
@@ -377,7 +386,8 @@ class DrivenCircuit(Readout):
     def apparent_resistance(self, measured: Array) -> Array:
         """Return Rs·((Vcc − V_d)·c/V − 1) − Rd, the resistance of a single divider with this reading."""
         equation = self._equation(measured.shape)
-        load, drive = self._reference(equation), equation.drive
+        load = self._reference(equation)
+        drive = equation.drive
         volt = np.maximum(measured / equation.gain, OPEN_SHARE * self.driving_volt)
         # (Vcc − V_d)/I with the current I = V/(c·Rs): the sum of cell, load and drive
         total = load * (self.driving_volt - self._lost(volt / load)) / volt
@@ -396,7 +406,8 @@ class DrivenCircuit(Readout):
             apparent = self.apparent_resistance(measured)
             if np.mean(equation.states.idle) > np.median(apparent):
                 return apparent
-        load, driven = self._reference(equation), -3 - self._along_sensed
+        load = self._reference(equation)
+        driven = -3 - self._along_sensed
         # Voltages over the supply, with a lower limit for open cells.
         share = measured / (self.driving_volt * equation.gain)
         share = np.maximum(share, OPEN_SHARE * share.max(axis=(-2, -1), keepdims=True))
@@ -420,17 +431,22 @@ class DrivenCircuit(Readout):
             return convex_start(self.apparent_resistance(measured), upper, near)
         if not np.isfinite(load).all():
             return super().start(measured, upper, near)
-        volt, ideal = self._turned(measured / equation.gain), self._turned(1 / self.uniform_start(measured))
+        volt = self._turned(measured / equation.gain)
+        ideal = self._turned(1 / self.uniform_start(measured))
         ties = self._ties(measured, None)
-        least, most = MIN_RATIO * ideal, MAX_RATIO * ideal
+        least = MIN_RATIO * ideal
+        most = MAX_RATIO * ideal
         first = ideal if near is None else np.clip(self._turned(1 / near), least, most)
-        conductance, change = first, np.inf
+        conductance = first
+        change = np.inf
         for _ in range(MAX_ROUNDS):
-            potentials, before = self._driven_potentials(conductance, volt, equation, ties), conductance
+            potentials = self._driven_potentials(conductance, volt, equation, ties)
+            before = conductance
             # One linear system for each sensed line j: rows i (driven while j is read), unknowns g_pj.
             solved = np.linalg.solve(potentials - volt.T[:, :, None], (volt / load).T[:, :, None])[:, :, 0].T
             conductance = np.clip(solved, least, most)
-            change_before, change = change, float(np.abs(np.log(conductance / before)).max())
+            change_before = change
+            change = float(np.abs(np.log(conductance / before)).max())
             if change < CONVERGED:
                 break
             if change > change_before:
@@ -457,7 +473,8 @@ class DrivenCircuit(Readout):
         ties : array, shape (addresses, lines)
             Siemens, of the panel's lines.
         """
-        states, count = equation.states, len(conductance)
+        states = equation.states
+        count = len(conductance)
         if equation.together is None and np.isinf(states.idle).all():
             # No current through floating lines, u_p Σ_j g_pj = Σ_j g_pj v_ij; Σ_j v_ij/Rs_j through the driven one
             potentials = (volt @ conductance.T) / conductance.sum(axis=1)
@@ -472,14 +489,14 @@ class DrivenCircuit(Readout):
         for of_address, read in zip(ties, equation.read_at, strict=True):
             in_order = np.concatenate(of_side(self.driven, *np.split(of_address, [read.shape[0]])))
             entries, excited = excitations(laplacian(conductance), in_order)
-            own, other, mutual = np.diag(entries)[:count, None], np.diag(entries)[count:], entries[:count, count:]
+            own = np.diag(entries)[:count, None]
+            other = np.diag(entries)[count:]
+            mutual = entries[:count, count:]
             over = other * by_load + load
             determinant = (own * by_drive + drive) * over - mutual**2 * by_drive * by_load
             # Excitations of both lines, (driven i, sensed j), and the potentials of driven lines that follow from them
-            of_driven, of_load = (
-                self.driving_volt * over / determinant,
-                -self.driving_volt * by_load * mutual / determinant,
-            )
+            of_driven = self.driving_volt * over / determinant
+            of_load = -self.driving_volt * by_load * mutual / determinant
             lines = of_driven.T[:, :, None] * excited[None, :count, :count]
             lines = lines + of_load.T[:, :, None] * excited[count:, None, :count]
             chosen = self._turned(read)[0] > 0
@@ -493,7 +510,8 @@ class DrivenCircuit(Readout):
         its potential. The bound holds because I_i is at least the current through each cell and its load alone. Where
         other lines conduct to ground, cells can increase and decrease a reading, and r > 0 alone holds.
         """
-        equation, least = self._equation(measured.shape), super().least_cells(measured, sigma)
+        equation = self._equation(measured.shape)
+        least = super().least_cells(measured, sigma)
         states = equation.states
         quiet = equation.together is None or np.isinf(states.idle_load).all()
         if not (quiet and np.isinf(states.idle).all() and np.isfinite(states.load).all()):

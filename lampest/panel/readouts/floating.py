@@ -155,7 +155,8 @@ def square_by_lines(conductance: Array, two_point_resistance: Array, weight: Arr
 
 def _parts(conductance: Array, two_point_resistance: Array) -> tuple[Array, Array]:
     """Return the diagonal d of the stencil, (rows, columns), and K, 1/A² and 1/B² of the lines, (lines,)."""
-    of_rows, of_columns = conductance.sum(axis=1) ** -2.0, conductance.sum(axis=0) ** -2.0
+    of_rows = conductance.sum(axis=1) ** -2.0
+    of_columns = conductance.sum(axis=0) ** -2.0
     square = two_point_resistance**2
     # d = R² − 1/A_j² − 1/B_k², because a cell is in both its row and its column
     diagonal = np.maximum(square - of_rows[:, None] - of_columns, MIN_DIAGONAL_SHARE * square)
@@ -179,7 +180,8 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
     near : array, shape (rows, columns), or None
         Estimate of an earlier frame, from which the iteration begins; None for R_m·MN/(M + N − 1).
     """
-    tie, least = grounding(measured), 1 / upper
+    tie = grounding(measured)
+    least = 1 / upper
 
     def at(conductance: Array) -> tuple[float, FloatingNetwork]:
         network = FloatingNetwork.solve(conductance, tie)
@@ -211,7 +213,9 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
                 break
         else:
             break
-        conductance, value, network = trial, trial_value, trial_network
+        conductance = trial
+        value = trial_value
+        network = trial_network
     return np.asarray(1 / conductance)
 
 
@@ -222,7 +226,8 @@ def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_], ac
     """
     step = np.zeros(gradient.shape)
     if gradient.size <= DENSE_CELLS:
-        chosen, transfer = np.flatnonzero(free), network.transfer
+        chosen = np.flatnonzero(free)
+        transfer = network.transfer
         transfer = transfer if len(chosen) == free.size else transfer[np.ix_(chosen, chosen)]
         curvature = (transfer * transfer).T  # symmetric; the transpose has LAPACK's memory order
         step[free] = scipy.linalg.lapack.dposv(curvature, -gradient[free], lower=1, overwrite_a=1)[1]
@@ -315,7 +320,8 @@ def _all_pairs(weights: Array, rows: int) -> tuple[Array, Index, Index]:
     row, column : array of int, shape (pairs,)
         Numbers of the two lines of each pair.
     """
-    lines, first_column = np.arange(weights.shape[1])[None], rows
+    lines = np.arange(weights.shape[1])[None]
+    first_column = rows
     shorted = bool(np.any(np.isinf(weights)))
     while weights.shape[1] > 2:
         columns = weights.shape[1] - rows
@@ -337,7 +343,8 @@ def _all_pairs(weights: Array, rows: int) -> tuple[Array, Index, Index]:
 def _without_last(weights: Array, count: int, *, shorted: bool) -> Array:
     """Return the networks after star–mesh elimination of their last `count` lines; `weights` is overwritten."""
     for last in range(weights.shape[1] - 1, weights.shape[1] - 1 - count, -1):
-        spokes, mesh = weights[:, last, :last], weights[:, :last, :last]
+        spokes = weights[:, last, :last]
+        mesh = weights[:, :last, :last]
         # w_ab += w_as·w_sb/Σ_c w_sc
         total = spokes.sum(axis=1, keepdims=True)
         share = np.divide(spokes, total, out=np.zeros_like(spokes), where=total > 0)

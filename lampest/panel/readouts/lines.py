@@ -11,7 +11,8 @@ PerLine = float | tuple[float, ...]
 Groups = tuple[tuple[int, ...], ...]  # lines behind one multiplexer each, in the order of its addresses
 Side = Literal["rows", "columns"]
 # Limits of resistances next to cells of kilo-ohms: a wire, and an insulator that leaves ten of sixteen digits.
-MIN_OHM, MAX_OHM = 1e-6, 1e9
+MIN_OHM = 1e-6
+MAX_OHM = 1e9
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,8 @@ def as_tuple(value: PerLine) -> tuple[float, ...]:
 
 def lines_text(value: PerLine, unit: str = "ohm") -> str:
     """Return '10000 ohm', or 'from 980 to 1020 ohm' if lines differ."""
-    low, high = min(as_tuple(value)), max(as_tuple(value))
+    low = min(as_tuple(value))
+    high = max(as_tuple(value))
     return f"{low:g} {unit}" if low == high else f"from {low:g} to {high:g} {unit}"
 
 

@@ -11,7 +11,8 @@ from scipy.sparse.linalg import LinearOperator, gmres
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 
-MAX_ITERATIONS, MAX_PRODUCTS = 20, 30
+MAX_ITERATIONS = 20
+MAX_PRODUCTS = 30
 CONVERGED = 1e-3  # change of log r
 MAX_STEP = 2.0  # of log r
 STEP_LENGTHS = tuple(0.5**power for power in range(8))
@@ -32,7 +33,8 @@ def matching_cells(
     first, least, most : array, shape (rows, columns)
         Cells of the first iteration, and the limits, ohm.
     """
-    lower, upper = np.log(least), np.log(most)
+    lower = np.log(least)
+    upper = np.log(most)
 
     def at(logarithm: Array) -> tuple[Network, Array, Array]:
         solved = network(np.exp(logarithm))

@@ -321,7 +321,8 @@ class Readout(Converter, ABC):
             Effect of the reference, then of the channel of each line, rows first.
         """
         rows, columns = cells.shape
-        lines, unchanged = rows + columns if channel else 0, self.exact_reading(cells, scene.wiring)
+        lines = rows + columns if channel else 0
+        unchanged = self.exact_reading(cells, scene.wiring)
         errors = np.zeros((1 + lines, rows, columns))
         if reference:
             errors[0] = self.off_by(reference).exact_reading(cells, scene.wiring) - unchanged
@@ -384,7 +385,8 @@ def without_memory(readout: Readout, fraction: float, recorded: Array, sigma: Ar
     # U_n = (V_n − m·V_(n−1))/(1 − m), with σ propagated to volt, through the difference, and back.
     volt = readout.volt_from_recorded(recorded)
     noise = sigma / slope(volt)
-    before, noise_before = before_it(volt), before_it(noise)
+    before = before_it(volt)
+    noise_before = before_it(noise)
     unknown = ~np.isfinite(before)
     before = np.where(unknown, volt, before)
     noise_before = np.where(unknown, readout.full_scale_volt / np.sqrt(12), noise_before)

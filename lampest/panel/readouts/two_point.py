@@ -181,7 +181,8 @@ def four_point_excess(resistance: Array, sigma: Array) -> Array:
         Standard deviations; infinite for readings that are excluded.
     """
     value = np.where(np.isfinite(sigma), resistance, np.inf)
-    variance, excess = np.where(np.isfinite(sigma), sigma, 0.0) ** 2, np.full(value.shape, -np.inf)
+    variance = np.where(np.isfinite(sigma), sigma, 0.0) ** 2
+    excess = np.full(value.shape, -np.inf)
     for row in range(value.shape[1]):
         # Row to row p: min_q (R_jq + R_pq), and its variance
         over = value[:, [row]] + value
@@ -272,7 +273,8 @@ class BlockNetwork(FloatingNetwork):
 
     def scattered(self, blocks: Array) -> Array:
         """Return blocks (modules, cells, cells) as a matrix (cells, cells) over the cells of the image."""
-        size, layout = self.conductance.size, self.layout
+        size = self.conductance.size
+        layout = self.layout
         numbers = layout.split(np.arange(size).reshape(layout.shape)).reshape(layout.count, -1)
         matrix = np.zeros((size, size))
         matrix[numbers[:, :, None], numbers[:, None, :]] = blocks

@@ -139,7 +139,8 @@ class Wiring:
         """
         rows, columns = shape
         # Segments from the terminal of the row, and of the column, to every cell.
-        along, down = np.arange(1, columns + 1), np.arange(1, rows + 1)
+        along = np.arange(1, columns + 1)
+        down = np.arange(1, rows + 1)
         along = along[::-1] if self.lines.rows_enter == "right" else along
         down = down[::-1] if self.lines.columns_leave == "bottom" else down
         wire = self.lines.row_ohm_per_cell * along + self.lines.column_ohm_per_cell * down[:, None]
@@ -191,12 +192,14 @@ class Ladder:
     @classmethod
     def of(cls, cells: Array, wiring: Wiring) -> "Ladder":
         """Return the ladder of cells (rows, columns) ohm."""
-        lines, contacts = wiring.lines, wiring.contact_ohm(cells.shape)
+        lines = wiring.lines
+        contacts = wiring.contact_ohm(cells.shape)
         outer = slice(None, None, -1 if lines.columns_leave == "top" else 1)
         inner = slice(None, None, -1 if lines.rows_enter == "right" else 1)
         turned = cells[outer, inner]
         count, size = turned.shape
-        steps, index = np.arange(1, size + 1), np.arange(size)
+        steps = np.arange(1, size + 1)
+        index = np.arange(size)
         # K of one rung: cells c and d share min(c, d) segments and the rung's contact; r on the diagonal.
         matrix = np.tile(lines.row_ohm_per_cell * np.minimum.outer(steps, steps).astype(float), (count, 1, 1))
         matrix += contacts[:count][outer, None, None]
@@ -204,7 +207,9 @@ class Ladder:
         segment = np.full((count, size), lines.column_ohm_per_cell)
         segment[-1] += contacts[count:][inner]
         rung = np.linalg.inv(matrix)
-        passed, shown, before = np.empty_like(rung), np.empty_like(rung), np.zeros((size, size))
+        passed = np.empty_like(rung)
+        shown = np.empty_like(rung)
+        before = np.zeros((size, size))
         for number in range(count):
             # Y ← (1 + (Y + Y_rung)·diag(segment))⁻¹ (Y + Y_rung), the conductance behind the next segment
             total = before + rung[number]
@@ -215,8 +220,10 @@ class Ladder:
     def solve(self, differences: Array) -> Array:
         """Return i = K⁻¹·e: currents through the cells for e (rows, columns, patterns) volt, the same shape, ampere."""
         driven = self.rung @ differences[self.outer, self.inner]
-        source, potential = np.empty_like(driven), np.empty_like(driven)
-        before, after = np.zeros(driven.shape[1:]), np.zeros(driven.shape[1:])
+        source = np.empty_like(driven)
+        potential = np.empty_like(driven)
+        before = np.zeros(driven.shape[1:])
+        after = np.zeros(driven.shape[1:])
         # Forward: source current of all rungs so far, behind each segment.
         for number in range(len(driven)):
             before = source[number] = self.passed[number] @ (before + driven[number])
@@ -323,7 +330,8 @@ def wire_responses(network: Network, lines: Lines) -> Array:
         return np.moveaxis(by_address, -1, 0)
     # Currents through the cells, g·D, then cumulated from the far end to each segment.
     currents = network.potential_differences * network.flat_conductance[..., None, :]
-    maps, responses = currents.reshape(*currents.shape[:-1], *network.conductance.shape[-2:]), []
+    maps = currents.reshape(*currents.shape[:-1], *network.conductance.shape[-2:])
+    responses = []
     for axis, near_first in ((-1, lines.rows_enter == "left"), (-2, lines.columns_leave == "top")):
         beyond = np.cumsum(np.flip(maps, axis) if near_first else maps, axis).reshape(currents.shape)
         responses.append(network.read_change(network.entries(beyond @ beyond.swapaxes(-1, -2))))

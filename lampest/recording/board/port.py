@@ -76,7 +76,8 @@ class Board:
     """
 
     def __init__(self, port: serial.SerialBase, url: str) -> None:
-        self._port, self._url = port, url
+        self._port = port
+        self._url = url
         self._receiver = protocol.Receiver()
         self._waiting: list[Message] = []  # to be read
         self._tags = count(1)
@@ -105,7 +106,8 @@ class Board:
 
     def messages(self) -> tuple[Message, ...]:
         """Return complete messages; waits at most 0.05 s for a byte. Raises InputError for another protocol version."""
-        waiting, self._waiting = tuple(self._waiting), []
+        waiting = tuple(self._waiting)
+        self._waiting = []
         return waiting or self._arrived()
 
     def hello(self) -> Hello:
@@ -140,7 +142,8 @@ class Board:
 
     def _ask(self, kind: Kind, value: int = 0) -> Any:
         """Send a command until its answer arrives, and return it; other messages except garbage remain to be read."""
-        tag, expected = next(self._tags) % 256, Hello if kind is Kind.IDENTIFY else Answer
+        tag = next(self._tags) % 256
+        expected = Hello if kind is Kind.IDENTIFY else Answer
         for _ in range(4):  # a line may be disturbed
             self._port.write(command(kind, tag, value))
             until = time.monotonic() + ANSWER_SECONDS
@@ -202,7 +205,8 @@ class Board:
         """
         with contextlib.suppress(OSError, InputError):
             self.order(Kind.STOP)
-        waiting, self._waiting = tuple(self._waiting), []
+        waiting = tuple(self._waiting)
+        self._waiting = []
         return waiting
 
 

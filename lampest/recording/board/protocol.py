@@ -51,9 +51,11 @@ def stuffed(body: bytes) -> bytes:
 
 def unstuffed(data: bytes) -> bytes | None:
     """Return the body of COBS-encoded data, or None if the data are not valid."""
-    pieces, place = [], 0
+    pieces = []
+    place = 0
     while place < len(data):
-        code, end = data[place], place + data[place]
+        code = data[place]
+        end = place + data[place]
         if code == 0 or end > len(data):
             return None
         pieces.append(data[place + 1 : end] + (b"\0" if code < 255 and end < len(data) else b""))

@@ -178,10 +178,12 @@ class Journal:
 
 def _lay_out(file: h5py.File, scene: Scene, readings: int, frame_rows: Rows) -> None:
     """Create the groups, datasets and attributes of a journal."""
-    circuit, frames = scene.circuit, group_of(scene.circuit)
+    circuit = scene.circuit
+    frames = group_of(scene.circuit)
     entry = file.create_group("entry")
     hdf5.write_text(entry, "scene", to_yaml(scene))
-    series, salt = (frame_rows, EVENTS), secrets.token_hex(16)
+    series = (frame_rows, EVENTS)
+    salt = secrets.token_hex(16)
     for path, kind, units, long_name in (dataset for rows in series for dataset in (*rows.datasets, rows.checksum)):
         cells = scene.panel.shape if path.endswith((f"/{circuit.signal}", "/sums", "/log_change")) else ()
         chunk = (16 if cells else 1024, *cells)  # a chunk is written anew with every frame
@@ -248,7 +250,9 @@ def record(  # noqa: PLR0913 # the options of a command
     if out.exists():
         raise InputError(f"{out}: exists already; a recording is never written over")
     urls: Sequence[str] = (ports,) if isinstance(ports, str) else ports or ()
-    count, states, last = Counter[str](), [""], None
+    count = Counter[str]()
+    states = [""]
+    last = None
     unestimated = Counter[str]()
     with ending_signals(lambda: count["frames"] > 0 and not states[-1]) as ended_by:
         try:
@@ -311,7 +315,8 @@ class Recorder:
     """
 
     def __init__(self, folder: Path, baseline: int, say: Callable[[str, bool], None]) -> None:
-        self._folder, self._say = folder.absolute(), say
+        self._folder = folder.absolute()
+        self._say = say
         self._baseline, self._unloaded = baseline, deque[Sample](maxlen=baseline)
         self._asked: deque[str] = deque(maxlen=1)
         self._zeroed = Event()
@@ -361,7 +366,8 @@ class Recorder:
 
     def _begin(self, name: str, sample: Sample) -> None:
         """Start a recording with the unloaded frames and a sample. Raises InputError if the file exists."""
-        self._path, self._frames = self._folder / f"{name or time.strftime('live_%Y-%m-%d_%H-%M-%S')}.h5", 0
+        self._path = self._folder / f"{name or time.strftime('live_%Y-%m-%d_%H-%M-%S')}.h5"
+        self._frames = 0
         if self._path.exists():
             raise InputError(f"{self._path}: exists already; a recording is never written over")
         self._journal = self._open.enter_context(_journal_for(sample, self._path))
@@ -380,7 +386,9 @@ class Recorder:
         if self._journal is None:
             self._say(f"not recorded: {trouble}", self._journal is not None)
             return
-        path, frames, self._journal = self._path, self._frames, None
+        path = self._path
+        frames = self._frames
+        self._journal = None
         self._open.close()
         self._say(f"closing {path}", self._journal is not None)
 
@@ -403,11 +411,15 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
     The host's clock ends a timed recording 5 %, a period and 1 s later. Raises InputError if frames are counted and
     none has arrived for UNFIT_SECONDS and three periods.
     """
-    most, until = math.inf if frames is None else frames, math.inf if seconds is None else seconds
-    count, began, heard = 0, 0.0, time.monotonic()
+    most = math.inf if frames is None else frames
+    until = math.inf if seconds is None else seconds
+    count = 0
+    began = 0.0
+    heard = time.monotonic()
     for batch in batches:
         time_now = time.monotonic()
-        began, heard = began or time_now, time_now if batch else heard
+        began = began or time_now
+        heard = time_now if batch else heard
         if frames is not None and time_now - heard > UNFIT_SECONDS + 3 * period:
             raise InputError(f"no frame came for {time_now - heard:.0f} s")
         last = [
@@ -469,9 +481,12 @@ def _with_sigma(recording: Recording, noise: float | None) -> Recording:
 
 def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
     """Return the noise of a reading in LSB from differences of successive unloaded codes; None below MIN_REPEATS."""
-    total, count, readout = 0.0, 0, None
+    total = 0.0
+    count = 0
+    readout = None
     for part in parts:
-        readout, sums = part.scene.readout, part.raw_sums
+        readout = part.scene.readout
+        sums = part.raw_sums
         if readout is None or sums is None or part.raw_readings is None:
             return None
         mean_code = sums / part.raw_readings
@@ -481,7 +496,8 @@ def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
         # Codes near the rails are excluded: their noise is clipped.
         inside = (mean_code > 2) & (mean_code < MAX_CODE - 2)
         difference = np.diff(mean_code, axis=0)[(inside[1:] & inside[:-1]) & pairs[:, None, None]]
-        total, count = total + float(np.sum(difference**2)), count + len(difference)
+        total = total + float(np.sum(difference**2))
+        count = count + len(difference)
     if readout is None or count < MIN_REPEATS:
         return None
     # The variance of a difference of two readings is twice that of one.

@@ -81,7 +81,8 @@ class Alignment:
     """
 
     def __init__(self, boards: int) -> None:
-        self.boards, self.frames = boards, 0
+        self.boards = boards
+        self.frames = 0
         self.moment: float | None = None
         self.began: float | None = None
         self.elapsed: float
@@ -96,7 +97,8 @@ class Alignment:
 
     def take(self, board: int, sample: Sample) -> None:
         """Take a frame of a board; its delays begin anew after a restart."""
-        known, delays = self._known(board), self.delays[board]
+        known = self._known(board)
+        delays = self.delays[board]
         if not known or known[-1][1].session != sample.session:
             delays.clear()
         delays.append(sample.host_time - sample.time)
@@ -107,8 +109,10 @@ class Alignment:
         led = self._led(now)
         if led is None:
             return None
-        at, period = led[0], led[1].hello.period
-        late, parts = now > at + 1.5 * period + LATE_SECONDS, dict[int, Stamped]()
+        at = led[0]
+        period = led[1].hello.period
+        late = now > at + 1.5 * period + LATE_SECONDS
+        parts = dict[int, Stamped]()
         for board in range(self.boards):
             known = self._known(board)
             newest = known[-1][0] if known else -np.inf
@@ -126,7 +130,8 @@ class Alignment:
         ]
         self.shown = [parts.get(board, last) for board, last in enumerate(self.shown)]
         self.missing = tuple(board for board in range(self.boards) if board not in parts)
-        self.moment, self.frames = at, self.frames + 1
+        self.moment = at
+        self.frames = self.frames + 1
         self.began = at if self.began is None else self.began
         self.elapsed = at - self.began
         return {board: sample for board, (_, sample) in parts.items()}
@@ -159,8 +164,11 @@ def _images(
     """Yield samples of the whole image in batches; see `board_samples`. `numbers` are the modules of the boards."""
     assert scene.panel.modules is not None
     places = [",".join(map(str, scene.panel.modules.place(number))) for number in numbers]
-    current, ended, arrived = Alignment(len(numbers)), Event(), Arrived()
-    states, listening = [""] * len(numbers), set(range(len(numbers)))
+    current = Alignment(len(numbers))
+    ended = Event()
+    arrived = Arrived()
+    states = [""] * len(numbers)
+    listening = set(range(len(numbers)))
     boards = zip(range(len(numbers)), ports, map(scene.of_modules.__getitem__, numbers), strict=True)
     threads = [Thread(target=_listen, args=(*board, period, arrived, ended), daemon=True) for board in boards]
     for thread in threads:
@@ -180,7 +188,8 @@ def _images(
                     listening.discard(board)
                 else:
                     states[board] = item
-            made, before = list[Sample](), copy(current)
+            made = list[Sample]()
+            before = copy(current)
             while (parts := current.frame(time() if listening else np.inf)) is not None:
                 made.append(_image(scene, numbers, parts, before, current))
                 before = copy(current)
@@ -202,7 +211,8 @@ def _image(
     scene: Scene, numbers: Sequence[int], parts: dict[int, Sample], before: Alignment, after: Alignment
 ) -> Sample:
     """Return the boards' frames as one sample, with the clock of the first board and the restarts of all."""
-    layout, first = scene.panel.modules, next(iter(parts.values()))
+    layout = scene.panel.modules
+    first = next(iter(parts.values()))
     assert layout is not None
     (rows, columns), module = layout.shape, layout.each
     sums = np.full((layout.count, module.rows, module.columns), NO_SUM, dtype=np.uint16)

@@ -22,7 +22,9 @@ SHARED = {
 }
 UNFIT_SECONDS = 30.0  # s without a valid frame on a line that is not silent
 RETRY_SECONDS = 0.2  # s between attempts to open a port
-CLOCK_STOPPED, CLOCK_JUMPED = "clock stopped", "clock jump"  # labels of events
+# labels of events
+CLOCK_STOPPED = "clock stopped"
+CLOCK_JUMPED = "clock jump"
 
 
 def scene_of(hello: Hello, scene: Scene | None) -> Scene:
@@ -58,7 +60,8 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
 
 def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
     """Return the readout that a board declares in its HELLO."""
-    reference, drive = hello.reference_milliohm / 1000, hello.drive_milliohm / 1000
+    reference = hello.reference_milliohm / 1000
+    drive = hello.drive_milliohm / 1000
     known: dict[str, Any] = {"supply_volt": hello.supply_millivolt / 1000, "adc_bits": hello.adc_bits}
     known["readings"] = hello.readings
     if hello.wiring == "loaded_columns":
@@ -166,7 +169,8 @@ class Scanning:
         for newest in (self.last or self.before, self.before):  # these differ after `doubt`
             if self._follows(frame, newest.frame, newest.host_time):
                 steps, elapsed_ms = _since(newest.frame, frame)
-                self.before, at = newest, newest.time + elapsed_ms / 1000
+                self.before = newest
+                at = newest.time + elapsed_ms / 1000
                 between = self._between(newest, frame, at)
                 known = 0 if not between else _since(newest.frame, between[0].frame)[0]
                 return (*between, self._accept(self._sample(frame, at, steps - 1 - known)))
@@ -185,7 +189,8 @@ class Scanning:
         stray = self.stray
         if stray is None or self.last is not newest or not at > newest.time:
             return ()
-        steps, all_steps = _since(newest.frame, stray)[0], _since(newest.frame, frame)[0]
+        steps = _since(newest.frame, stray)[0]
+        all_steps = _since(newest.frame, frame)[0]
         if not 0 < steps < all_steps:
             return ()
         moved = newest.time + steps / all_steps * (at - newest.time)
@@ -204,7 +209,8 @@ class Scanning:
 
     def doubt(self) -> None:
         """Forget the newest sample, after a silence: if it was a wrong frame, no other frame would follow it."""
-        self.before, self.stray = self.earlier, None
+        self.before = self.earlier
+        self.stray = None
 
     def _accept(self, sample: Sample) -> Sample:
         """Continue from a sample, and return it, with an event if the clock stopped."""
@@ -213,7 +219,10 @@ class Scanning:
         stopped = elapsed_ms == 0 and self.hello.period > 2e-3
         if stopped and not self.stopped:
             sample = replace(sample, events=(*sample.events, CLOCK_STOPPED))
-        self.session, self.last, self.stray, self.stopped = sample.session, sample, None, stopped
+        self.session = sample.session
+        self.last = sample
+        self.stray = None
+        self.stopped = stopped
         self.before, self.earlier = sample, self.before
         return sample
 
@@ -318,7 +327,11 @@ class _Line:
     def __init__(
         self, url: str, scene: Scene | None, period: float | None, ending: Callable[[], bool], baseline: int = 0
     ) -> None:
-        self._url, self._scene, self._period, self._ending, self._baseline = url, scene, period, ending, baseline
+        self._url = url
+        self._scene = scene
+        self._period = period
+        self._ending = ending
+        self._baseline = baseline
         self.last: Sample | None = None
         self.renew()
 
@@ -346,7 +359,8 @@ class _Line:
                 settings = board.start(agreed.panel.rows, agreed.panel.columns, readings, requested, unloaded)
                 for samples in self._run(board, settings, agreed):
                     if samples:
-                        self.last, self._scene = samples[-1], agreed
+                        self.last = samples[-1]
+                        self._scene = agreed
                     yield samples
                 if self._ending():
                     return
@@ -393,7 +407,8 @@ class _Line:
             if isinstance(item, Estimate):
                 run.estimate = item
                 continue
-            more, instead = tuple[Sample, ...](), "answers"
+            more = tuple[Sample, ...]()
+            instead = "answers"
             if isinstance(item, Frame):
                 fits = (*item.sums.shape, item.readings) == run.hello.size
                 more = run.take(item) if fits else ()

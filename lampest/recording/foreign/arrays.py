@@ -26,7 +26,9 @@ MAX_BYTES = 500_000_000  # of a file, unpacked, and of its values in memory (tes
 # Data elements of a .mat file in the order of their numbers from 0; '-' is reserved.
 ELEMENTS = "- i1 u1 i2 u2 i4 u4 f4 - f8 - - i8 u8 matrix compressed utf-8 utf-16 utf-32"
 PICKLED = "it holds pickled objects, which run code when they are opened, so that lampest does not open them"
-ONE, STACKED, FRAMES = "(rows, columns)", "(rows, columns, frames)", "(frames, rows, columns)"
+ONE = "(rows, columns)"
+STACKED = "(rows, columns, frames)"
+FRAMES = "(frames, rows, columns)"
 FLAT = "(frames, rows·columns), row by row"
 
 Arrays = dict[str, NDArray[Any]]
@@ -209,7 +211,8 @@ def _of_mat(path: Path) -> Arrays:
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if order is None:
         raise InputError(f"{path}: no readable .mat file (save it with the option -v7)")
-    arrays, at = Arrays(), 128
+    arrays = Arrays()
+    at = 128
     while at + 8 <= len(data):
         kind, body, at = _element(memoryview(data), at, order)
         if kind == "compressed":
@@ -225,9 +228,12 @@ def _element(view: memoryview, at: int, order: str) -> tuple[str, memoryview, in
     kind, size = struct.unpack_from(order + "II", view, at)
     small = kind >> 16  # its size: a small one holds both in eight bytes
     name = ELEMENTS.split()[kind & 0xFFFF]
-    begin, after = at + 8, at + 8 + size + (0 if name == "compressed" else -size % 8)
+    begin = at + 8
+    after = at + 8 + size + (0 if name == "compressed" else -size % 8)
     if small:
-        size, begin, after = small, at + 4, at + 8
+        size = small
+        begin = at + 4
+        after = at + 8
     if begin + size > len(view):
         raise ValueError("an element reaches beyond its end")
     return name, view[begin : begin + size], after
@@ -282,7 +288,8 @@ def frames_of_arrays(path: Path, arrays: Arrays, shape: Shape, variable: str | N
     layouts = (ONE, STACKED, FRAMES) if matlab else tuple(sizes)
     fits = {name: [way for way in layouts if _fits(array.shape, sizes[way])] for name, array in arrays.items()}
     name = _chosen(path, arrays, fits, shape, variable)
-    array, where = arrays[name], f"{path}: {name}" if name else str(path)
+    array = arrays[name]
+    where = f"{path}: {name}" if name else str(path)
     if not fits[name]:
         ways = f"fits {shape[0]} × {shape[1]} cells in no way: {', '.join(layouts)}"
         raise InputError(f"{where}: is {_by(array.shape)}, which {ways}")

@@ -48,8 +48,10 @@ def _written(form: str, *parts: float) -> str:
 
 def _joined(table: ReadingsTable, fields: Sequence[int], texts: Sequence[str], name: str) -> ReadingsTable:
     """Return the table with texts in the first of the fields, and without the others."""
-    first, kept = fields[0], [field for field in range(table.width) if field not in fields[1:]]
-    held, values = table.fields.copy(), table.values.copy()
+    first = fields[0]
+    kept = [field for field in range(table.width) if field not in fields[1:]]
+    held = table.fields.copy()
+    values = table.values.copy()
     held[:, first] = texts
     values[:, first] = np.nan
     names = tuple(name if field == first else old for field, old in enumerate(table.names))
@@ -74,7 +76,8 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
         if not 1 <= extra <= MAX_BESIDE:
             continue
         for trailing in range(extra + 1):
-            lead, end = range(extra - trailing), range(table.width - trailing, table.width)
+            lead = range(extra - trailing)
+            end = range(table.width - trailing, table.width)
             names = _told(table, [*lead, *end], len(lead), rows, marks)
             if names is None:
                 continue
@@ -126,7 +129,8 @@ def _told(
 
 def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str | None:
     """Return what a field beside the readings is: 'time', 'frame', or '-' for a mark; None if nothing fits."""
-    texts, values = table.fields[:, field], table.values[:, field]
+    texts = table.fields[:, field]
+    values = table.values[:, field]
     if all(is_stamp(text) for text in set(texts[table.words[:, field]])) and table.words[:, field].all():
         return "time"
     if mark:

@@ -153,7 +153,8 @@ def _recording(  # noqa: PLR0913 # the options of an import
     resting: tuple[Path, Frames] | None = None,
 ) -> tuple[Recording, tuple[str, ...]]:
     """Return frames as a recording in the scene's unit, and the notes; see `import_file`."""
-    values, count = frames.values, len(frames.values)
+    values = frames.values
+    count = len(frames.values)
     values[~panel.present & ~(values > 0)] = np.nan
     if not 0 <= baseline_frames <= count:
         raise InputError(f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} frames")
@@ -162,7 +163,8 @@ def _recording(  # noqa: PLR0913 # the options of an import
         for frame, row, column in np.argwhere(np.isnan(values) & panel.present).tolist():
             place = frames.place(frame, row, column)
             raise InputError(f"{place}: the reading of row {row}, column {column} is missing")
-    kind, reason = unit, f"unit {unit}, as specified"
+    kind = unit
+    reason = f"unit {unit}, as specified"
     if kind is None:
         kind, reason = understood_unit(values, named_units(frames, path), scene, path)
     scene, given = scene or Scene(panel), scene is not None
@@ -173,7 +175,8 @@ def _recording(  # noqa: PLR0913 # the options of an import
         _check_unprocessed(values, kind, scene, role, path)
     recorded = recorded_values(values, kind, scene, frames.place, path)
     chosen, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
-    series, time = recorded[chosen], clock.seconds[chosen]
+    series = recorded[chosen]
+    time = clock.seconds[chosen]
     recording = Recording(scene, series, time, role[chosen], name=path.stem, start_time=clock.start)
     notes = (*frames.notes, reason, clock.sentence, _assumed(scene, given=given), gaps, *_summary(recording))
     return recording, tuple(map(printable, filter(None, notes)))
@@ -365,11 +368,13 @@ def _assumed(scene: Scene, *, given: bool) -> str:
 
 def _summary(recording: Recording) -> Iterator[str]:
     """Yield notes on readings at the converter's rails, which count as bounds, and on the number of frames."""
-    scene, recorded = recording.scene, recording.recorded
+    scene = recording.scene
+    recorded = recording.recorded
     least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
     beyond = int(np.sum((recorded < least) | (recorded > largest) | (recorded == 0) | np.isposinf(recorded)))
     if beyond:
         rail = "zero or infinite" if scene.readout is None else "at or beyond a rail of the converter"
         yield f"{counted(beyond, 'reading')} {rail}: kept as bounds"
-    cells, unloaded = " × ".join(map(str, scene.panel.shape)), int(np.sum(recording.role == UNLOADED))
+    cells = " × ".join(map(str, scene.panel.shape))
+    unloaded = int(np.sum(recording.role == UNLOADED))
     yield f"{counted(len(recorded), 'frame')} of {cells} cells, the first {unloaded} unloaded"

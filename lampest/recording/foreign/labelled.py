@@ -42,7 +42,8 @@ def labelled_array(data: Any) -> tuple[Array, Array | None, str | None]:
     wanted = [frame, places.get("row"), places.get("column")]
     if None in wanted or len(data.dims) != len(wanted):
         raise InputError(f"the dimensions must be time, row and column, not {', '.join(map(str, data.dims))}")
-    values, seconds = np.asarray(data.transpose(*wanted).values, dtype=float), None
+    values = np.asarray(data.transpose(*wanted).values, dtype=float)
+    seconds = None
     if frame in data.coords and role_of(str(frame)) == "time":
         times = np.asarray(data.coords[frame].values)
         dated = times.dtype.kind in "mM"

@@ -30,7 +30,8 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
     if order is not None:
         return _frames_of_single_values(table, shape, order)
     table = described(table, shape)
-    cells, names = shape[0] * shape[1], table.names
+    cells = shape[0] * shape[1]
+    names = table.names
     if table.width == 1 and shape[1] > 1 and len(table.lines) >= cells:
         return _frames_of_numbers(table, shape)
     named = _cells_by_name(table.source.source, names, shape) or _cells_by_number(names, shape)
@@ -86,10 +87,8 @@ def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cel
 def _cells_by_number(names: Sequence[str], shape: Shape) -> tuple[Cells, str] | None:
     """Return the cells of columns that are named by one word and the numbers of all cells, and a sentence; or None."""
     lines = {field: line for field, name in enumerate(names) if (line := line_of(name)) and not role_of(name)}
-    first, one_word = (
-        min((number for _, number in lines.values()), default=0),
-        len({word for word, _ in lines.values()}) == 1,
-    )
+    first = min((number for _, number in lines.values()), default=0)
+    one_word = len({word for word, _ in lines.values()}) == 1
     ways = {"row by row": (shape[1], (0, 1)), "a digit for the row and one for the column": (10, (0, 11))}
     for way, (base, firsts) in ways.items():
         cells = {field: divmod(number - first, base) for field, (_, number) in lines.items()}
@@ -156,7 +155,8 @@ def _count_cells(table: ReadingsTable, cells: int) -> bool:
 
 def _line_numbers(table: ReadingsTable, field: int) -> Array:
     """Return the row or column numbers in a field of all lines, from 3, R3 or 'row 3'; NaN for any other text."""
-    values, unread = table.values[:, field].copy(), table.words[:, field]
+    values = table.values[:, field].copy()
+    unread = table.words[:, field]
     texts = table.fields[unread, field]
     lines = {text: line_of(text) or ("", np.nan) for text in set(texts)}
     values[unread] = [lines[text][1] for text in texts]
@@ -205,10 +205,12 @@ def _cells_of_lines(table: ReadingsTable, order: dict[str, int], shape: Shape) -
             first = int(numbers.min() > 0)
             rows, columns = (part + first for part in np.divmod(numbers - first, shape[1]))
     else:
-        rows, columns = _indices(table, order["row"]), _indices(table, order["column"])
+        rows = _indices(table, order["row"])
+        columns = _indices(table, order["column"])
     first = int(min(rows.min(), columns.min()) > 0)
     for name, values, size in (("row", rows, shape[0]), ("column", columns, shape[1])):
-        name, bad = name if name in order else "cell", (values < first) | (values >= first + size)
+        name = name if name in order else "cell"
+        bad = (values < first) | (values >= first + size)
         table.refuse(bad, order[name], f"{name} {{0}} is beyond the panel's {first} to {first + size - 1}")
     return rows - first, columns - first, first
 
@@ -234,7 +236,8 @@ def _frame_numbers(table: ReadingsTable, cells: Index, order: dict[str, int]) ->
 
 def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
     """Return whether a frame begins at a line, (lines,): its number occurs again, or a title precedes it."""
-    numbers_of_frame, begins = set[int](), np.zeros(len(numbers), dtype=bool)
+    numbers_of_frame = set[int]()
+    begins = np.zeros(len(numbers), dtype=bool)
     for line, number in enumerate(numbers.tolist()):
         if number in numbers_of_frame or (ended[line] and line):
             begins[line], numbers_of_frame = True, set()
@@ -248,7 +251,8 @@ def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
     labels, times = _before_the_row(table, extra, shape[0])
     columns, order = _column_order(table, extra, shape[1])
     fields = list(range(extra, table.width))
-    title, left_out = None, ""
+    title = None
+    left_out = ""
     if labels is None:
         frame, row, begins, left_out, title = _blocks(table, shape[0])
     else:
@@ -260,7 +264,8 @@ def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
         for field in numbered:
             changes[1:] |= table.fields[1:, field] != table.fields[:-1, field]
         ended = [bool(kinds & ends) or bool(new) for kinds, new in zip(table.kinds, changes, strict=True)]
-        frame, row = np.cumsum(_begins_again(labels, ended)), labels
+        frame = np.cumsum(_begins_again(labels, ended))
+        row = labels
         begins = np.unique(frame, return_index=True)[1].tolist()
     timing = table.timing(times, begins) or table.title_timing(begins, title)
     named = "rows from top to bottom" if labels is None else "rows by their names"
@@ -315,11 +320,13 @@ def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], s
         Kind of the titles between frames.
     """
     groups, title = _grouped(table, rows)
-    frame, row = np.full(len(table.lines), -1), np.zeros(len(table.lines), dtype=np.intp)
+    frame = np.full(len(table.lines), -1)
+    row = np.zeros(len(table.lines), dtype=np.intp)
     begins: list[int] = []
     notes: list[str] = []
     for number, lines in enumerate(groups):
-        place, cut = table.source.called(int(table.lines[lines[0]])), len(lines) % rows
+        place = table.source.called(int(table.lines[lines[0]]))
+        cut = len(lines) % rows
         if number == 0 and len(groups) > 1 and len(lines) < rows:
             notes.append(f"the first block ({place}) is cut and left out")
         elif cut and number < len(groups) - 1:  # nobody knows which row was lost
@@ -351,7 +358,8 @@ def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
     options: list[tuple[list[range], str | None]] = [(split(separators), None)]
     for kind, _ in often.most_common(8):  # titles are among the most frequent
         options.append((split([line for line in separators if kind in kinds[line]]), kind))
-    best, ungrouped = max(options, key=lambda option: whole(option[0])), split([])
+    best = max(options, key=lambda option: whole(option[0]))
+    ungrouped = split([])
     if rows > 1 and (len(best[0]) == len(kinds) or 2 * len(best[0]) < whole(ungrouped)):
         return ungrouped, None
     long = next((group for group in best[0] if len(group) > rows), None)

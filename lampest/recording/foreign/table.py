@@ -40,7 +40,8 @@ SAMPLED_LINES = 1000
 DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
 COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)  # not Excel's words for no number
 # '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
-DATE, TIME = r"(?:\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} )?", r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
+DATE = r"(?:\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} )?"
+TIME = r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
 STAMPED = re.compile(rf"\s*\[?({DATE}{TIME})\s*(?:\]|->|>|\|)\s*")
 LABELLED = re.compile(r"\s*([^\W\d]+[ _]?\d+)\s*[=:]\s*(?=[-+.\d])")  # 'ROW0=512,511', 'R0: 512 511'
 LISTED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
@@ -115,10 +116,13 @@ def field_lines(
     source: str, word: str, at: Callable[[int, int | None], str], notes: Iterable[str], lines: Iterable[FieldLine]
 ) -> FieldLines:
     """Return lines as a table. Raises InputError if it is too large."""
-    read, total, width = list[FieldLine](), 0, 0
+    read = list[FieldLine]()
+    total = 0
+    width = 0
     for line in lines:
         read.append(line)
-        total, width = total + len(line.texts), max(width, len(line.texts))
+        total = total + len(line.texts)
+        width = max(width, len(line.texts))
         if max(total, len(read) * width // 2) > MAX_FIELDS:
             raise InputError(f"{at(line.number, None)}: more than {MAX_FIELDS} fields are not imported")
     fields = np.full((len(read), width), "", dtype=object)
@@ -380,7 +384,8 @@ class ReadingsTable:
             return self._timing(stamps, "", lines, None, "the terminal's, ") if all(stamps) else None
         dates = [column for column in columns if role_of(self.names[column]) == "date"]
         chosen = [*dates[:1], *[column for column in columns if column not in dates][:1]]
-        texts, name = [" ".join(self.fields[line, chosen]) for line in lines], self.names[chosen[-1]]
+        texts = [" ".join(self.fields[line, chosen]) for line in lines]
+        name = self.names[chosen[-1]]
         return self._timing(texts, name, lines, chosen[-1], f"column {name!r} in " if name else "first field in ")
 
     def title_timing(self, begins: Sequence[int], title: str | None) -> Timing:
@@ -411,7 +416,9 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     `layout` contains names of the columns, separated by commas, in place of the file's. Raises InputError if there are
     no readings, if a line has more fields than the others, or if the layout has another number of columns.
     """
-    fields, counts, comment = source.fields, source.counts, source.comment
+    fields = source.fields
+    counts = source.counts
+    comment = source.comment
     if fields.size == 0 or np.all(comment):
         raise InputError(f"{source.source}: holds no values")
     comma = has_decimal_comma([text for text in fields[~comment].ravel()[:SAMPLED] if text])
@@ -440,7 +447,8 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
         raise InputError(f"{source.source}: holds a header but no values")
     long = data & np.any(fields[:, width:] != "", axis=1)
     if np.any(long):
-        line, usual_line = int(np.argmax(long)), int(np.argmax(data & ~long))
+        line = int(np.argmax(long))
+        usual_line = int(np.argmax(data & ~long))
         mismatch = f"{counts[line]} fields, where {source.called(usual_line)} has {width}"
         raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
     notes = [", ".join((*source.notes, *(["decimal commas"] if comma else [])))]
@@ -491,9 +499,11 @@ def _names(fields: NDArray[Any], header: int) -> tuple[list[str], bool]:
 
 def _data_lines(source: FieldLines, words: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return whether a line has a number or a word for a missing one, and few other words, boolean (lines,)."""
-    fields, filled = source.fields, source.fields != ""
+    fields = source.fields
+    filled = source.fields != ""
     strange = {text for text in set(fields[words].tolist()) if not is_stamp(text) and line_of(text) is None}
-    foreign, total = np.zeros(len(fields), dtype=int), filled.sum(axis=1)
+    foreign = np.zeros(len(fields), dtype=int)
+    total = filled.sum(axis=1)
     np.add.at(foreign, np.nonzero(words)[0], [text in strange for text in fields[words]])
     few = ((foreign <= 1) & (2 * foreign < total)) | (4 * foreign < total)
     alone = source.counts.max() <= 2 or np.median(source.counts[~source.comment]) == 1

@@ -62,8 +62,10 @@ def understood_unit(values: Array, named: Sequence[str], scene: Scene | None, so
 
 def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tuple[list[str], str]:
     """Return the allowed units that explain the values, and the reason: of one, why it is; of several, a remark."""
-    top, supply = 2**readout.adc_bits - 1, readout.full_scale_volt
-    middle, largest = float(np.median(finite)), float(finite.max())
+    top = 2**readout.adc_bits - 1
+    supply = readout.full_scale_volt
+    middle = float(np.median(finite))
+    largest = float(finite.max())
     whole = bool(np.all(finite == np.round(finite)))
     in_steps = {unit: _on_steps(finite, unit, readout) for unit in allowed}
     # Codes are whole, or means of as many as a reading has; others are filtered, and compete with every other unit.
@@ -100,7 +102,8 @@ def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tupl
 
 def _without_readout(finite: Array, allowed: Sequence[str]) -> tuple[list[str], str]:
     """Return which of the resistances' units explain values that no readout describes, and the reason."""
-    middle, zeros = float(np.median(finite)), float(np.mean(finite == 0))
+    middle = float(np.median(finite))
+    zeros = float(np.mean(finite == 0))
     if zeros > MAX_SHORTED:
         return (
             [],
@@ -117,7 +120,8 @@ def _without_readout(finite: Array, allowed: Sequence[str]) -> tuple[list[str], 
 
 def _are_means(finite: Array, readings: int) -> bool:
     """Return whether values are means of whole numbers, rounded or cut to the digits that they are written with."""
-    sums, slack = finite * readings, 2 * _rounding(finite) * readings
+    sums = finite * readings
+    slack = 2 * _rounding(finite) * readings
     distance = np.abs(sums - np.round(sums))
     return 2 * slack < 1 and bool(np.all(distance <= slack + 1e-9 * np.maximum(1.0, np.abs(sums))))
 
@@ -167,7 +171,8 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source
     (frame, row, column) of an impossible value, or with the source if most readings are at the rail of a shorted cell:
     unit or range are probably wrong.
     """
-    scaled, readout = values * FACTORS[unit], scene.readout
+    scaled = values * FACTORS[unit]
+    readout = scene.readout
 
     def refuse(bad: NDArray[np.bool_], why: str) -> None:
         for frame, row, column in np.argwhere(bad).tolist():
@@ -188,7 +193,8 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source
         recorded = readout.recorded_from_volt(np.where(np.isnan(finite), np.nan, scaled))
     if readout is not None:
         shorted = Readings.of(scene, recorded).side == (AT_MOST if readout.unit == "ohm" else AT_LEAST)
-        count, total = int(shorted.sum()), int(np.isfinite(recorded).sum())
+        count = int(shorted.sum())
+        total = int(np.isfinite(recorded).sum())
         key = "converter_volt" if hasattr(readout, "converter_volt") else "supply_volt"
         if 2 * count > total:
             wrong = f"{count} of {total} readings stand at the rail of the converter that a shorted cell reaches"

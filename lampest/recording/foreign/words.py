@@ -70,7 +70,8 @@ BRACKETED = re.compile(
 )
 PARTED = re.compile(r"(.*?)(\s*[\[(<{]\s*|\s+in\s+|\s*/\s*|[\s_]+)([^\W\d_]+)\s*[\])>}]?")
 ELECTRIC = re.compile(r".*(ohms?|[ωΩΩ]|volts?)|.?v", re.IGNORECASE)
-ROW, COLUMN = r"(?:r|rows?|zeile|z|y)", r"(?:c|cols?|columns?|spalte|s|x)"
+ROW = r"(?:r|rows?|zeile|z|y)"
+COLUMN = r"(?:c|cols?|columns?|spalte|s|x)"
 GAP = r"[_,;/|=\[\]()]*"
 LINE_NUMBER = re.compile(rf"(?:{ROW}|{COLUMN})\s*{GAP}\s*\d{{1,9}}")  # in brackets: a part of a cell's name, no unit
 CELLS = (
@@ -106,12 +107,16 @@ Where = Callable[[int], str]
 
 def parted(name: str) -> tuple[str, str]:
     """Return a name in lower case, its words joined by underscores, and the unit at its end as written, or ''."""
-    text, unit = name[:MAX_LENGTH].strip(), ""
-    match, bracketed = PARTED.fullmatch(text), BRACKETED.fullmatch(text)
+    text = name[:MAX_LENGTH].strip()
+    unit = ""
+    match = PARTED.fullmatch(text)
+    bracketed = BRACKETED.fullmatch(text)
     if bracketed and bracketed[1] and not LINE_NUMBER.fullmatch(bracketed[2].lower()):
-        text, unit = bracketed[1], bracketed[2]
+        text = bracketed[1]
+        unit = bracketed[2]
     elif match and (match[2].strip(" _") in tuple("[(<{") or match[3].lower() in UNITS or ELECTRIC.fullmatch(match[3])):
-        text, unit = match[1], match[3]
+        text = match[1]
+        unit = match[3]
     return re.sub(r"[\s_\-.:]+", "_", text.strip("#% ").lower()).strip("_"), unit
 
 
@@ -299,7 +304,8 @@ def _iso(text: str, way: str) -> str:
     if match is None or (match[2] or "none") not in DATES.get(way, "none"):
         raise ValueError
     parts = dict(zip(re.split("[-./]", way), match.group(1, 3, 4), strict=False)) if match[1] else {"year": "2000"}
-    hours, half = int(match[5] or 0), (match[9] or "").upper()
+    hours = int(match[5] or 0)
+    half = (match[9] or "").upper()
     hours = hours % 12 + 12 * (half == "PM") if half else hours
     time = f"{hours:02d}:{match[6] or '00'}:{match[7] or '00'}{f'.{match[8]}' if match[8] else ''}"
     zone = (match[10] or "").upper().replace("UTC", "Z")
@@ -314,7 +320,8 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
     Raises InputError if the times do not increase.
     """
     values = np.where(np.isfinite(values), values, np.nan)
-    steps, finite = np.diff(values), values[np.isfinite(values)]
+    steps = np.diff(values)
+    finite = values[np.isfinite(values)]
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     largest = float(np.max(values[_longest_growing(values)], initial=0.0))
     integers = bool(np.all(finite == np.round(finite)))
@@ -324,9 +331,11 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
     named = unit or TIME_UNIT_OF_WORD.get(suffix.lower()) or TIME_UNIT_OF_WORD.get(word)
     # Frames come every 10 ms to 10 s.
     counted = "us" if usual >= 10_000 else "ms" if usual >= 10 else None
-    how, unit = " (as specified)" if unit else "", named
+    how = " (as specified)" if unit else ""
+    unit = named
     if unit is None and counted and integers and largest < (EPOCH if counted == "ms" and not again[-1] else COUNTER):
-        unit, how = counted, f" (guessed: whole numbers that grow by {usual:g}; --time-unit says otherwise)"
+        unit = counted
+        how = f" (guessed: whole numbers that grow by {usual:g}; --time-unit says otherwise)"
     largest *= SECONDS[unit or "s"]
     if unit is None and largest >= EPOCH:  # 1.7e9 s, 1.7e12 ms, 1.7e15 us since 1970
         unit = ("s", "ms", "us", "ns")[min(int(np.log10(largest / EPOCH) // 3), 3)]
@@ -358,7 +367,8 @@ def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
         raise InputError(f"{where(int(np.argmax(bad)))}: times must be finite and grow; `period` sets them instead")
     if not len(cut):
         return seconds, ""
-    number, known = np.arange(len(seconds)), np.flatnonzero(grow)
+    number = np.arange(len(seconds))
+    known = np.flatnonzero(grow)
     inner = np.interp(number, known, seconds[known])
     places = ", ".join(where(int(place)) for place in cut[:5]) + (", ..." if len(cut) > 5 else "")
     return inner, f"; the time at {places} is missing or does not grow, and is interpolated"
@@ -371,13 +381,16 @@ def grows(values: Array) -> bool:
 
 def _longest_growing(values: Array) -> NDArray[np.bool_]:
     """Return the longest increasing subsequence of values, boolean (n,); the last one of equally long ones."""
-    ends, numbers, before = list[float](), list[int](), list[int]()
+    ends = list[float]()
+    numbers = list[int]()
+    before = list[int]()
     for number, value in enumerate(values.tolist()):
         length = bisect_left(ends, value) if np.isfinite(value) else -1
         before.append(numbers[length - 1] if length > 0 else -1)
         if length >= 0:
             ends[length : length + 1], numbers[length : length + 1] = [value], [number]
-    chosen, number = np.zeros(len(values), dtype=bool), numbers[-1] if numbers else -1
+    chosen = np.zeros(len(values), dtype=bool)
+    number = numbers[-1] if numbers else -1
     while number >= 0:
         chosen[number], number = True, before[number]
     return chosen

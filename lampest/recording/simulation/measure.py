@@ -17,7 +17,9 @@ from lampest.panel.readouts.wiring import Contacts, Lines
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import SINES
 
-SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # limits of true cells: a strip of copper tape, and the insulation between two lines
+# limits of true cells: a strip of copper tape, and the insulation between two lines
+SHORT_OHM = 1e-3
+OPEN_OHM = 1e12
 
 
 @dataclass(frozen=True)
@@ -182,15 +184,18 @@ def _true_circuit(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Read
     if scene.contact_prior is not None:
         scene = replace(scene, contacts=true_contacts(scene, seed))
     if unmodelled.wire_ohm_per_cell:
-        lines, more = scene.lines or Lines(), unmodelled.wire_ohm_per_cell
-        row, column = lines.row_ohm_per_cell + more, lines.column_ohm_per_cell + more
+        lines = scene.lines or Lines()
+        more = unmodelled.wire_ohm_per_cell
+        row = lines.row_ohm_per_cell + more
+        column = lines.column_ohm_per_cell + more
         scene = replace(scene, lines=replace(lines, row_ohm_per_cell=row, column_ohm_per_cell=column))
     return actual, scene
 
 
 def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:
     """Return recorded readings of cells (frames, rows, columns) ohm, with leak and contact from their begin on."""
-    begin, cells = int(np.ceil((unmodelled.begins_s or 0.0) / period_s)), np.where(scene.panel.present, cells, np.inf)
+    begin = int(np.ceil((unmodelled.begins_s or 0.0) / period_s))
+    cells = np.where(scene.panel.present, cells, np.inf)
     recorded = actual.simulated(cells, scene, *_channel_errors(scene, unmodelled, seed, late=False))
     if unmodelled.contact_ohm:
         late = actual.simulated(cells, scene, *_channel_errors(scene, unmodelled, seed, late=True))
@@ -207,7 +212,8 @@ def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, s
 
 def true_contacts(scene: Scene, seed: int) -> Contacts:
     """Return contacts drawn from the scene's prior, truncated at zero, with deviations of zero."""
-    contacts, shape = scene.contact_prior or Contacts(), scene.panel.shape
+    contacts = scene.contact_prior or Contacts()
+    shape = scene.panel.shape
     normal = random_stream(seed, "contacts").standard_normal(sum(shape))
     ohm = np.maximum(contacts.mean(shape) + contacts.deviation(shape) * normal, 0.0)
     return Contacts.of(ohm, np.zeros(len(ohm)), shape[0])
@@ -233,7 +239,8 @@ def sums_of_codes(
 
     Outliers are random codes.
     """
-    noise, outliers = random_stream(seed, "noise"), random_stream(seed, "outliers")
+    noise = random_stream(seed, "noise")
+    outliers = random_stream(seed, "outliers")
     sigma = readout.noise_volt() * (1.0 if unmodelled.noise_factor is None else unmodelled.noise_factor)
     sums = np.zeros(volt.shape, dtype=np.int64)
     for frame, exact in enumerate(volt):
@@ -261,7 +268,8 @@ def _disturbed(readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int,
         gain = unmodelled.gain_spread * random_stream(seed, "gain").standard_normal(len(volt))
         volt = volt * (1 + gain[:, None, None])
     if unmodelled.supply_ripple_lsb:
-        channels, lines = volt[0].size, volt.shape[2 if readout.by_columns else 1]
+        channels = volt[0].size
+        lines = volt.shape[2 if readout.by_columns else 1]
         periods = lines if unmodelled.supply_ripple_hz is None else unmodelled.supply_ripple_hz * period_s
         time = (np.arange(channels) + 0.5) / channels * periods
         phase = random_stream(seed, "ripple").uniform(0, 2 * np.pi, len(volt))

@@ -181,7 +181,8 @@ class Simulation(Configuration):
 
     def __post_init__(self) -> None:
         check_range("frame_period_s", self.frame_period_s, 1e-9, 1e8, " s")
-        film, digital = self.film or self.scene.film, self.scene.readout is not None
+        film = self.film or self.scene.film
+        digital = self.scene.readout is not None
         electronic = ", ".join(self.unmodelled.needs_converter)
         late = self.course.start_s > -self.frame_period_s
         auto = film is not None and "auto" in (film.hysteresis, film.creep_per_decade)
@@ -227,8 +228,11 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     >>> lampest.simulate(lampest.Simulation(schema=1, seed=1, scene=recording.scene, frames=2)).recorded.shape
     (5, 2, 3)
     """
-    scene, unmodelled, frames = simulation.scene, simulation.unmodelled, simulation.all_frames
-    time, moves = np.arange(frames) * simulation.frame_period_s, bool(unmodelled.load_speed_mm_s)
+    scene = simulation.scene
+    unmodelled = simulation.unmodelled
+    frames = simulation.all_frames
+    time = np.arange(frames) * simulation.frame_period_s
+    moves = bool(unmodelled.load_speed_mm_s)
     ladder = scene.panel.network
     # Memory: pressures, cells, their factors, readings and sums; for moving loads also the cells while each line is
     # read.
@@ -240,7 +244,8 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     later = ((np.arange(lines) + 0.5) / max(lines, 1) - 0.5) * simulation.frame_period_s
     scanned = [cells_under(simulation, time, float(part)) for part in later]
     recorded, sums = measured(scene, cells, unmodelled, simulation.seed, simulation.frame_period_s, scanned, on_frame)
-    raw, present = raw_sums(scene.readout, sums), scene.panel.present
+    raw = raw_sums(scene.readout, sums)
+    present = scene.panel.present
     return Recording(
         scene=scene,
         recorded=recorded,
@@ -266,7 +271,8 @@ def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
         Time after the middle of the scan in s. It changes the position of moving loads, which travel TRAVEL_MM along x
         and back, but not their pressure.
     """
-    panel, way = simulation.scene.panel, (simulation.unmodelled.load_speed_mm_s or 0.0) * (time + later_s)
+    panel = simulation.scene.panel
+    way = (simulation.unmodelled.load_speed_mm_s or 0.0) * (time + later_s)
     way = np.mod(way + TRAVEL_MM / 2, 2 * TRAVEL_MM)
     along, frames = np.unique(np.minimum(way, 2 * TRAVEL_MM - way) - TRAVEL_MM / 2, return_inverse=True)
     fully = np.zeros((len(along), 2, *panel.shape))  # contact and suction of loads that are fully there
@@ -293,14 +299,16 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
     later_s : float
         See `pressure_at`.
     """
-    scene, unmodelled = simulation.scene, simulation.unmodelled
+    scene = simulation.scene
+    unmodelled = simulation.unmodelled
 
     def normal(purpose: str) -> Array:
         return random_stream(simulation.seed, purpose).standard_normal(scene.panel.shape)
 
     with np.errstate(over="ignore", under="ignore", invalid="ignore"):
         ratio = _film_ratio(simulation, time, later_s)
-        loss, spread = unmodelled.response_loss or 0.0, unmodelled.response_spread or 0.0
+        loss = unmodelled.response_loss or 0.0
+        spread = unmodelled.response_spread or 0.0
         ratio = ratio ** ((1 - loss) * np.exp(spread * normal("response")))
         rate = unmodelled.drift_per_minute * normal("drift") + (unmodelled.common_drift_per_minute or 0.0)
         drift = np.exp(rate / 60 * time[:, None, None])
@@ -316,8 +324,11 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 
 def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     """Return r over that of a flat, unloaded film in air, (frames, rows, columns), with drawn film parameters."""
-    scene, first, step = simulation.scene, time[simulation.baseline_frames], simulation.frame_period_s / MOMENTS
-    response, film = simulation.response or scene.response or PUBLISHED, simulation.film or scene.film
+    scene = simulation.scene
+    first = time[simulation.baseline_frames]
+    step = simulation.frame_period_s / MOMENTS
+    response = simulation.response or scene.response or PUBLISHED
+    film = simulation.film or scene.film
     if film is None:
         pressure = pressure_at(simulation, time - first, later_s)
         return np.asarray(ratio_from_pressure(pressure, response) ** response.gains)
@@ -327,13 +338,15 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
         assert value != "auto"
         stream = random_stream(simulation.seed, f"film {name}")
         # A factor of all cells with the film's deviation, and one of each cell with its spread.
-        shared, individual = stream.standard_normal(), stream.standard_normal(water.shape)
+        shared = stream.standard_normal()
+        individual = stream.standard_normal(water.shape)
         return np.minimum(value * np.exp(film.deviation * shared + film.cell_spread * individual), most)
 
     hysteresis = strength("hysteresis", film.hysteresis, film.most["hysteresis"])
     creep = strength("creep", film.creep_per_decade, film.most["creep_per_decade"])
     gain = np.broadcast_to(film.answer * response.gains, water.shape)
-    memory, ratios = FilmMemory.at_rest(hysteresis, creep, gain, water, response), list[Array]()
+    memory = FilmMemory.at_rest(hysteresis, creep, gain, water, response)
+    ratios = list[Array]()
     # The film's memory advances in MOMENTS steps per frame; the last step of each frame gives its ratio.
     for begin in range(0, len(time), 64):
         felt = time[begin : begin + 64, None] - step * np.arange(MOMENTS)[::-1] - first
@@ -371,7 +384,8 @@ def run(
     needed = sum(32 * simulation.values + 100_000 for _, simulation in planned)
     check_memory(needed, f"{path}: all recordings of the sweep at once")
     check_room(targets[0], needed)
-    recordings, done = [], count(1)
+    recordings = []
+    done = count(1)
     frames = sum(simulation.all_frames for _, simulation in planned)
     for (name, simulation), target in zip(planned, targets, strict=True):
         try:

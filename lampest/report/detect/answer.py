@@ -14,7 +14,8 @@ from lampest.loads.recognition.breathing import MIN_WINDOW_S, too_slow
 from lampest.panel.panel import Array, Panel
 from lampest.report.compare import MAX_SHOWN, Table
 
-FORMAT, FILE = "detections/2", "detections.h5"
+FORMAT = "detections/2"
+FILE = "detections.h5"
 ERRORS = "_errors"  # after the name of a quantity: its standard deviations in the file
 ANSWERS = ("lamprey", "sucks", "suction cup", "presses", "nothing", "cannot say")
 LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
@@ -165,7 +166,8 @@ class Detected:
     @property
     def sentence(self) -> str:
         """The answer in words: the attachment of the answer, or all present contacts."""
-        load, why = self.chosen, f": {self.why}" if self.why else ""
+        load = self.chosen
+        why = f": {self.why}" if self.why else ""
         if load is None:
             return self.answer + why
         odds = f"P = {self.probability:.2f}" if self.probability < 0.995 else "P > 0.99"
@@ -213,7 +215,8 @@ class Detected:
 
     def content(self) -> dict[str, Any]:
         """Return the content of `--json`."""
-        rate, pairs = self.frames_per_second, zip(self.attachments, self._answers, strict=True)
+        rate = self.frames_per_second
+        pairs = zip(self.attachments, self._answers, strict=True)
         return {
             "recording": self.recording,
             "answer": self.answer,
@@ -246,7 +249,9 @@ def answer_of(load: Attachment, rate: float, threshold: float = MIN_PROBABILITY)
     threshold : float
         Probability from which it is called a lamprey, or a suction cup.
     """
-    breath, alive, lifeless = load.breath, load.sucks * load.lives, load.sucks * (1 - load.lives)
+    breath = load.breath
+    alive = load.sucks * load.lives
+    lifeless = load.sucks * (1 - load.lives)
     if load.sucks <= 0.5:
         return PRESSES, 1 - load.sucks, ""
     if alive >= threshold:
@@ -328,7 +333,8 @@ def event_table(answers: Sequence[Detected]) -> Table:
     """Return a table with a row for each event."""
     rows = []
     for answer, event in ((detected, event) for detected in answers for event in detected.events):
-        load, name = answer.attachments[event.number], answer.called[event.number]
+        load = answer.attachments[event.number]
+        name = answer.called[event.number]
         place = f"{load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}"
         numbers = [_shown(pair) for pair in (load.diameter_mm, load.suction_kpa, load.breathing_hz)]
         rows.append((answer.recording, f"{event.time_s:.1f}", event.kind, name, place, *numbers))
@@ -358,7 +364,8 @@ def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
         entry = file.create_group("entry")
         hdf5.set_attributes(entry, NX_class="NXentry")
         for order, answer in enumerate(answers):
-            known, rate = answer.content(), answer.frames_per_second
+            known = answer.content()
+            rate = answer.frames_per_second
             about = {name: known[name] for name in ("answer", "sentence", "why")} | {"probability": answer.probability}
             about |= {"frames_per_second": np.nan if rate is None else rate, "notes": "\n".join(answer.notes)}
             about |= {"start_time": answer.start_time or "", "end_s": np.nan if answer.end_s is None else answer.end_s}

@@ -94,7 +94,9 @@ class Known:
 
         Raises ValueError if the panel is too large.
         """
-        panel, layout, noise = self.scene.panel, self.scene.panel.modules, self.noise
+        panel = self.scene.panel
+        layout = self.scene.panel.modules
+        noise = self.noise
         if panel.network.crossings > MAX_CELLS:
             raise ValueError(f"loads are recognised on panels and modules of up to {MAX_CELLS} cells")
         common = None if noise is None or layout else lambda measured: noise.columns(measured[None], baseline=False)
@@ -111,7 +113,8 @@ class Known:
     @ONE_BLAS_THREAD
     def answer(self, frames: Frames) -> Detected:
         """Return the answer after all frames."""
-        course, failed = list[tuple[float, float]](), list[str]()
+        course = list[tuple[float, float]]()
+        failed = list[str]()
         try:
             watch = self.watch()
         except (ArithmeticError, ValueError) as error:
@@ -139,7 +142,9 @@ class Known:
         course : array, optional
             As in `Detected`.
         """
-        attachments, response, rate = watch.attachments, self.scene.response, frame_rate(times)
+        attachments = watch.attachments
+        response = self.scene.response
+        rate = frame_rate(times)
         time = times[-1] if times else None
         if watch.doubt and not attachments:
             return replace(Detected.unknown(self.name, watch.doubt), frames_per_second=rate, course=course)
@@ -183,7 +188,9 @@ def detect_results(
 
 def _of_case(task: tuple[CaseResult, float | None, float]) -> Detected:
     case, patch_mm, threshold = task
-    side, spread, notes = np.where(case.valued, case.measured, np.nan), case.sigma, tuple[str, ...]()
+    side = np.where(case.valued, case.measured, np.nan)
+    spread = case.sigma
+    notes = tuple[str, ...]()
     noise = frame_noise_of(case.frame_noise, case.scene)
     if spread is None or case.sigma_baseline is None:
         deviation, notes = _scattered(side)
@@ -227,7 +234,8 @@ def detect_recording(
     if not len(measured):
         raise InputError(f"{path}: no frame is measured (role 1)")
     head = Prepared(stored.part(range(int(measured[-1]) + 1)))
-    watched, doubts = known_of(head, patch_mm), warnings_of(head.recording, recognition_noise(head), head.check)
+    watched = known_of(head, patch_mm)
+    doubts = warnings_of(head.recording, recognition_noise(head), head.check)
     messages = tuple(doubt for doubt in doubts if not doubt.startswith((TOUCHED, UNEVENLY)))
     if isinstance(watched, Detected):
         return replace(watched, warnings=messages, start_time=stored.start_time)
@@ -249,7 +257,8 @@ def detect_recording(
 def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Detected":
     """Return the knowledge from the first frames of a recording, or an answer with the reason why there is none."""
     head = prepared.recording
-    readings, notes = head.readings(), tuple[str, ...]()
+    readings = head.readings()
+    notes = tuple[str, ...]()
     unloaded = np.flatnonzero(head.role == UNLOADED)
     seen = None if readings.sigma is None else recognition_noise(prepared)
     resting = baseline_readings(head, readings if seen is None else seen.readings)
@@ -257,16 +266,22 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
         return Detected.unknown(head.name, "no frame has enough readings for a comparison")
     if touched(head):
         return Detected.unknown(head.name, TOUCHED)
-    noise, error, scene, besides = None, 0.0, head.scene, None
+    noise = None
+    error = 0.0
+    scene = head.scene
+    besides = None
     if seen is None or readings.sigma is None:
         if len(head.time) < 3:
             return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
         sigma, notes = _scattered(readings.plain_values)
     else:
-        noise, error, besides = seen.frame, seen.reading_error, seen.corrected_effects
+        noise = seen.frame
+        error = seen.reading_error
+        besides = seen.corrected_effects
         scene = with_saturated_stage(head).scene
         specified = np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
-        sigma, readings = seen.sigma_factor / seen.model_factor * specified, seen.readings
+        sigma = seen.sigma_factor / seen.model_factor * specified
+        readings = seen.readings
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
     before = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, notes, patch_mm
     return Known(head.name, scene, *before, besides, prepared.check.explains is not False)
@@ -286,7 +301,8 @@ def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -
     watched : Known
     asked : boolean array, shape (frames,)
     """
-    readings, besides = Readings.of(watched.scene, part.recorded, part.sigma), watched.effects
+    readings = Readings.of(watched.scene, part.recorded, part.sigma)
+    besides = watched.effects
     if besides is not None and besides.pair is not None:
         readings = without_effects_of(besides.pair, readings, part.role == UNLOADED)
     for number in np.flatnonzero((part.role == MEASURED) & asked):
@@ -296,7 +312,8 @@ def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -
 def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
     """Return σ (rows, columns) from differences of successive frames, and a note on its origin."""
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # of cells that have no value
-        median, relative = np.nanmedian(value, axis=0), sigma_of_frames(np.log(value))
+        median = np.nanmedian(value, axis=0)
+        relative = sigma_of_frames(np.log(value))
         size = float(np.nan_to_num(np.nanmedian(relative)))
     message = f"the noise is unknown: {100 * size:.2g} % a reading, from differences of neighbouring frames"
     return median * np.fmax(relative, max(size, 1e-6)), (message,)
@@ -321,9 +338,11 @@ def recordings_in(paths: Sequence[Path]) -> list[Path]:
 
 def named_apart(answers: Sequence[Detected]) -> list[Detected]:
     """Return the answers with a number after the names of recordings that another one has, too."""
-    used, named = set[str](), list[Detected]()
+    used = set[str]()
+    named = list[Detected]()
     for answer in answers:
-        name, number = answer.recording, 1
+        name = answer.recording
+        number = 1
         while name in used:
             number += 1
             name = f"{answer.recording}_{number}"

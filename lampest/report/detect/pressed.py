@@ -79,13 +79,17 @@ def _frame(
     if not touched.any():
         return np.full(5, np.nan), np.full(5, np.nan)
     pitch = panel.pitch_mm
-    p, own, common, cell = pressure[touched], own_sd[touched], common_sd[touched], pitch**2
+    p = pressure[touched]
+    own = own_sd[touched]
+    common = common_sd[touched]
+    cell = pitch**2
     first, second, _ = panel.neighbours
     both = touched.flat[first] & touched.flat[second]
     pressed_neighbours = np.bincount(np.concatenate([first[both], second[both]]), minlength=touched.size)
     outline = int(np.sum(touched.ravel() & (pressed_neighbours < SIDES)))
     force = p.sum()
-    values, variances = [], []
+    values = []
+    variances = []
     for at in panel.places_mm[:, touched]:
         # x̄ = Σ p x/Σ p with ∂x̄/∂p_i = (x_i − x̄)/Σ p, and pitch²/12 · Σ (p/Σ p)² for the position within cells
         centre = float(p @ at / force)
@@ -104,7 +108,8 @@ def pressed_table(all_pressed: Sequence[PressedCells]) -> Table:
     """Return a table with the frame of largest force of each estimate."""
     rows = []
     for cells in all_pressed:
-        case, force = cells.case, cells.values[:, -1]
+        case = cells.case
+        force = cells.values[:, -1]
         if np.isfinite(force).any():
             at = int(np.nanargmax(force))
             numbers = [figure(*pair) for pair in zip(cells.values[at], cells.errors[at], strict=True)]

@@ -12,7 +12,8 @@ from lampest.files.whole import write_whole
 from lampest.report.compare import Table, comma_separated
 from lampest.report.detect.answer import ERRORS, LAMPREY, SUCKS, Detected
 
-FILE, PICTURE = "visits.csv", "visits.png"
+FILE = "visits.csv"
+PICTURE = "visits.png"
 DAY_HOURS = (6, 18)  # of the clock: from the first on and before the second it is day
 REVISIT_H = 24.0  # between the end of a visit and one that may be by the same animal
 HOUR_S = 3600.0
@@ -126,7 +127,8 @@ def rows_of(recording: str, loads: Sequence[dict[str, Any]], begin: str | None, 
     """
     visits = list[Visit]()
     for load in loads:
-        since, until = load["since_s"], load["until_s"]
+        since = load["since_s"]
+        until = load["until_s"]
         stop = end if until is None else until
         names = "x_mm", "y_mm", "breathing_hz", "breathing_depth"
         values: Any = {name: (load[name] or (None,))[0] for name in names}
@@ -229,16 +231,19 @@ def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
 
 def _recorded(answer: Detected) -> Iterable[tuple[str, int, float]]:
     """Generate the day, whether it is night, and the seconds of each hour that a recording covers."""
-    end, begin = answer.end_s or 0.0, _clock(answer.start_time, 0.0)
+    end = answer.end_s or 0.0
+    begin = _clock(answer.start_time, 0.0)
     if begin is None:
         yield WITHOUT_CLOCK, 0, end
         return
-    clock, left = datetime.fromisoformat(begin), end
+    clock = datetime.fromisoformat(begin)
+    left = end
     while left > 0:
         turn = (clock + timedelta(hours=1)).replace(minute=0, second=0, microsecond=0)
         part = min((turn - clock).total_seconds(), left)
         yield clock.date().isoformat(), int(_is_night(clock)), part
-        clock, left = turn, left - part
+        clock = turn
+        left = left - part
 
 
 WITHOUT_CLOCK = "without a clock"
@@ -260,7 +265,8 @@ def visits_in(path: Path) -> list[Visit]:
         names = hdf5.children(file, "entry", object)
         for name in sorted(names, key=lambda one: hdf5.read_number(file, f"entry/{one}", "order")):
             group = f"entry/{name}"
-            begin, end = hdf5.read_attribute(file, group, "start_time"), hdf5.read_attribute(file, group, "end_s")
+            begin = hdf5.read_attribute(file, group, "start_time")
+            end = hdf5.read_attribute(file, group, "end_s")
             loads = _stored_loads(file, f"{group}/attachments") if hdf5.has(file, f"{group}/attachments") else []
             visits += rows_of(name, loads, str(begin) or None, None if isnan(float(end)) else float(end))
     return numbered(visits)
@@ -268,7 +274,8 @@ def visits_in(path: Path) -> list[Visit]:
 
 def _stored_loads(file: Any, group: str) -> list[dict[str, Any]]:
     """Return the attachments of a table of `write_detections` as in `Detected.content`."""
-    texts, names = ("answer", "why"), hdf5.children(file, group)
+    texts = ("answer", "why")
+    names = hdf5.children(file, group)
     count = hdf5.length_of(file, f"{group}/answer")
     columns: dict[str, list[Any]] = {name: list(hdf5.read_texts(file, f"{group}/{name}", count)) for name in texts}
     for name in names:

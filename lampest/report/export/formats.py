@@ -166,7 +166,8 @@ def long_tables(cases: Sequence[CaseResult]) -> tuple[list[Table], dict[str, Ser
     in ohm and in volt are two columns. Whole numbers stay whole numbers where some are missing.
     """
     dtypes = {column.label: np.dtype(column.dtype) for column in all_columns() if column.dtype is not str}
-    tables, meanings = list[Table](), dict[str, Series]()
+    tables = list[Table]()
+    meanings = dict[str, Series]()
     for case in cases:
         words = {word: Series(word, FRAMES, None, "1", f"name of the {word}", dtype=str) for word in NAMES}
         table: dict[str, Values] = {
@@ -209,7 +210,8 @@ class MatlabExport(Export):
 
 
 def _struct(case: CaseResult) -> dict[str, Any]:
-    held, places = series_of(case, all_columns()), places_of(case)
+    held = series_of(case, all_columns())
+    places = places_of(case)
     words = {name: zip(*series.flags, strict=True) for name, series in held.items() if series.flags}
     flags = {name: {"values": np.array(numbers), "meanings": _cells(texts)} for name, (numbers, texts) in words.items()}
     values = {name: _cells(series.values) if series.dtype is str else series.stored for name, series in held.items()}

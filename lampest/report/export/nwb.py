@@ -52,7 +52,9 @@ def _session(cases: Sequence[CaseResult]) -> Any:
     from pynwb import NWBFile
     from pynwb.file import Subject
 
-    first, subject, experiment = cases[0], cases[0].scene.subject, cases[0].scene.experiment or Experiment()
+    first = cases[0]
+    subject = cases[0].scene.subject
+    experiment = cases[0].scene.experiment or Experiment()
     start = None
     with suppress(ValueError):
         start = datetime.fromisoformat(first.start_time)

@@ -58,7 +58,8 @@ class Engine:
 
     def __init__(self, name: str, method: str, estimator: Estimator, baseline: int, *, beside: bool = False) -> None:
         self.shown = Newest(View(name, method, "starting"))
-        self._estimator, self._baseline = estimator, baseline
+        self._estimator = estimator
+        self._baseline = baseline
         self._unloaded: list[Scan] = []
         self._frozen: NDArray[np.bool_] = np.zeros((), dtype=bool)
         self._arrivals: Newest[Scan | None] = Newest(None)
@@ -148,10 +149,13 @@ class Engine:
         """Solve the newest frame until no more come; check the circuit before and with the first loaded frames."""
         state = PanelState.begin(self._estimator, unloaded.scene, period, resting, hasty=self._beside is not None)
         self._check(unloaded)
-        seen, looked, loaded = 0, 0.0, tuple[Scan, ...]()
+        seen = 0
+        looked = 0.0
+        loaded = tuple[Scan, ...]()
         while (news := self._arrivals.after(seen)) is not None:
             assert news.item is not None
-            skipped, seen = news.number - seen - 1, news.number
+            skipped = news.number - seen - 1
+            seen = news.number
             state = self._with_findings(state)
             if self._zero_asked.is_set():
                 self._zero_asked.clear()
@@ -159,7 +163,8 @@ class Engine:
             state, picture = solved_scan(state, news.item, len(unloaded.scans) + seen, skipped)
             self.shown.change(partial(with_picture, picture=picture, zeroed=state.zeroed))
             # Requests for error bars alone are rationed, since weights and searches come first.
-            look, now = state.look, time.monotonic()
+            look = state.look
+            now = time.monotonic()
             if look is not None and self._beside is not None and (look.due or now - looked >= BARS_SECONDS):
                 looked = now
                 self._beside.ask(Errand("look", look.findings, look.due))
@@ -211,7 +216,8 @@ def with_picture(view: View, picture: Picture, zeroed: str = "") -> View:
     """Return the view with a new picture and its force in the history; `zeroed` is the reason of a new zero, or ''."""
     point = Point(picture.number, picture.time, picture.force.newton)
     zero = f"taken anew after frame {picture.number}: {zeroed}" if zeroed else view.zero
-    skipped, history = view.skipped + picture.skipped, (*view.history, point)[-HISTORY_FRAMES:]
+    skipped = view.skipped + picture.skipped
+    history = (*view.history, point)[-HISTORY_FRAMES:]
     view = replace(view, picture=picture, skipped=skipped, history=history, zero=zero)
     known = not np.isnan(picture.force.deviation)
     return replace(view, deviation=picture.force.deviation, deviation_of=picture.number) if known else view

@@ -82,8 +82,12 @@ class Beside(Generic[T]):
         on_answer: Callable[[T, Any], None],
         on_gone: Callable[[], None] = lambda: None,
     ) -> None:
-        self._queued, self._on_answer, self._on_gone = queued, on_answer, on_gone
-        self._changed, self._ending, self.gone = Condition(), False, False
+        self._queued = queued
+        self._on_answer = on_answer
+        self._on_gone = on_gone
+        self._changed = Condition()
+        self._ending = False
+        self.gone = False
         self._waiting: list[T] = []
         self._worker = Worker(_open_desk, (desk,))
         self._thread = Thread(target=self._serve, name="lampest-beside", daemon=True)

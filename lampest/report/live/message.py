@@ -200,7 +200,9 @@ class Message:
 
     def row(self) -> Array:
         """Return the frame as a row of numbers in the order of `channels`; unknown ones are NaN."""
-        picture, detected, answer = self.picture, self.view.detected, dict[str, float]()
+        picture = self.picture
+        detected = self.view.detected
+        answer = dict[str, float]()
         head = [float(picture.number), picture.force.newton, float(VERDICTS.index(picture.verdict)), float(self.solved)]
         if detected is not None:
             answer = {"answer": ANSWERS.index(detected.answer), "probability": detected.probability}
@@ -216,7 +218,8 @@ class Message:
     def channels(self) -> list[Channel]:
         """Return the descriptions of the numbers of `row`."""
         head = [Channel("sequence", "1"), Channel("force", "newton"), Channel("verdict", "1"), Channel("solved", "1")]
-        places, present = self.panel.places_mm / 1000, self.panel.present
+        places = self.panel.places_mm / 1000
+        present = self.panel.present
         cells = [
             Channel(f"{name}_{row}_{column}", MAP_UNITS[name], (x, y) if present[row, column] else None)
             for name in self.maps
@@ -226,7 +229,9 @@ class Message:
 
     def content(self, sent_at: float) -> dict[str, Any]:
         """Return the content by docs/reference/stream.schema.json; sent_at : s since 1970-01-01 UTC."""
-        picture, view, maps = self.picture, self.view, self.maps
+        picture = self.picture
+        view = self.view
+        maps = self.maps
         saturated = () if picture.saturated is None else np.flatnonzero(picture.saturated).tolist()
         return {
             "format": FORMAT,
@@ -267,7 +272,8 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
     the view. sent_at : s since 1970-01-01 UTC.
     """
     first = bisect_right(view.history, known, key=lambda point: point.number)
-    message, picture = Message.of(view), None
+    message = Message.of(view)
+    picture = None
     if message and message.picture.number > known:
         elsewhere = ("cells", "pressure", "detection", "alarm")
         picture = {name: value for name, value in message.content(sent_at).items() if name not in elsewhere}

@@ -96,7 +96,8 @@ class LslPublish(Publish):
             except RuntimeError as error:
                 raise InputError(f"--publish: lsl: {' '.join(str(error).split())}") from error
         pylsl.set_config_content("[log]\nlevel = -1\n")  # of liblsl's own: errors alone
-        outlets, sent = list[Any](), [(0, "", "")]
+        outlets = list[Any]()
+        sent = [(0, "", "")]
 
         def stream(name: str, kind: str, channels: int, form: str) -> Any:
             return pylsl.StreamInfo(name, kind, channels, pylsl.IRREGULAR_RATE, form, name)
@@ -165,7 +166,9 @@ class OscPublish(Publish):
         from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
         from pythonosc.osc_message_builder import OscMessageBuilder
 
-        picture, view, bundle = message.picture, message.view, OscBundleBuilder(IMMEDIATELY)
+        picture = message.picture
+        view = message.view
+        bundle = OscBundleBuilder(IMMEDIATELY)
         parts: dict[str, Any] = {"sequence": picture.number, "time": picture.time, "size": message.panel.shape}
         parts |= {name: values.ravel().tolist() for name, values in message.maps.items()}
         parts |= {"force": picture.force.newton, "force_sd": view.deviation, "verdict": picture.verdict}
@@ -205,7 +208,9 @@ class MqttPublish(Publish):
         client.on_socket_open = lambda *event: event[2].setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         client.reconnect_delay_set(1, 10)  # s
         client.username_pw_set(self.user, self.password)
-        waiting, answers = deque[tuple[Any, float]](), list[Any]()  # not confirmed, and when sent
+        # not confirmed, and when sent
+        waiting = deque[tuple[Any, float]]()
+        answers = list[Any]()
 
         def send(message: Message) -> None:
             while waiting and waiting[0][0].is_published():
@@ -260,7 +265,8 @@ class WebsocketPublish(Publish):
         host = ip_named(self.host)
         if host is None:
             raise InputError(f"--publish: websocket: '{self.host}' is no address such as 127.0.0.1 or 0.0.0.0")
-        newest, access = Newest(""), Access.of(self.token, self.port, local=host.is_loopback)
+        newest = Newest("")
+        access = Access.of(self.token, self.port, local=host.is_loopback)
         listeners = dict[Any, float]()  # send time of the oldest message that each has not taken; else infinite
 
         def cut_off(before: float) -> None:
@@ -357,9 +363,12 @@ def publishing(ways: Sequence[Publish], shown: Newest[View], say: Say) -> Iterat
 
 def _forward(shown: Newest[View], send: Send, where: str, say: Say) -> None:
     """Send the newest picture, skipping older ones; report a failure once until sending works again."""
-    seen, failed, sent = 0, False, None
+    seen = 0
+    failed = False
+    sent = None
     while (news := shown.after(seen)) is not None:
-        seen, message = news.number, Message.of(news.item)
+        seen = news.number
+        message = Message.of(news.item)
         if message is None or message.signature == sent:
             continue
         sent = message.signature

@@ -132,7 +132,8 @@ def live(
     if isinstance(source, LiveBoard) and not source.ports:
         source = replace(source, ports=(only_port(),))
     port = ", ".join(source.ports) if isinstance(source, LiveBoard) else ""
-    ways, done = [publish_at(where, outlets.token) for where in outlets.publish], None
+    ways = [publish_at(where, outlets.token) for where in outlets.publish]
+    done = None
     with (
         Engine(port if recording is None else recording.name, name, method, source.baseline, beside=True) as engine,
         publishing(ways, engine.shown, on_trouble) as published,
@@ -183,11 +184,13 @@ def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[tuple[Re
 def chosen(name: str | None, config: Path | None, settings: tuple[str, ...] = ()) -> tuple[str, Estimator]:
     """Return the name and the estimator, the first one by default. Raises InputError for an unknown name."""
     if config is None:
-        known, where = tuple(METHODS), "there are"
+        known = tuple(METHODS)
+        where = "there are"
     else:
         document = read_document(config, settings)
         run: RunFile = validated(document, RunFile)
-        known, where = tuple(run.estimators), f"{config} has"
+        known = tuple(run.estimators)
+        where = f"{config} has"
     name = name or known[0]
     if name not in known:
         close = meant(name, known)
@@ -247,7 +250,9 @@ def from_recording(
 
 def scan_of(recording: Recording, frame: int) -> Scan:
     """Return a frame of a recording as if it arrived now."""
-    sigma, recorded, origin = recording.sigma, recording.recorded, recording.acquisition
+    sigma = recording.sigma
+    recorded = recording.recorded
+    origin = recording.acquisition
     of_frame = None if sigma is None else np.broadcast_to(sigma, recorded.shape)[frame]
     lost = 0 if origin is None else int(origin.lost[frame])
     board = recording.board_log_change

@@ -135,12 +135,14 @@ class PageServer(ThreadingHTTPServer):
     access : Access
     """
 
-    daemon_threads, block_on_close = True, False
+    daemon_threads = True
+    block_on_close = False
     request_queue_size = 64
     allow_reuse_address = os.name == "posix"  # on Windows it would share the port with another server
 
     def __init__(self, host: str, port: int, shown: Newest[View], token: str | None, actions: PageActions) -> None:
-        self.shown, self.actions = shown, actions
+        self.shown = shown
+        self.actions = actions
         self.page = files("lampest.report.live").joinpath("page.html").read_bytes()
         self.seats, self.refused = BoundedSemaphore(MAX_STREAMS), Event()
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -164,8 +166,11 @@ class PageHandler(BaseHTTPRequestHandler):
     """Handler of one request."""
 
     server: PageServer
-    introduced, timeout, disable_nagle_algorithm = False, 10.0, True
-    server_version, sys_version = "lampest", ""
+    introduced = False
+    timeout = 10.0
+    disable_nagle_algorithm = True
+    server_version = "lampest"
+    sys_version = ""
 
     def parse_request(self) -> bool:
         """Refuse other methods, requests of foreign pages, and on the loopback address host names of theirs."""
@@ -177,7 +182,8 @@ class PageHandler(BaseHTTPRequestHandler):
         if len(self.headers.get_all("Host", [])) > 1:
             self.send_error(HTTPStatus.BAD_REQUEST)
             return False
-        access, header = self.server.access, self.headers.get
+        access = self.server.access
+        header = self.headers.get
         self.introduced = access.shown_by(self.path, header("Authorization", ""))
         known = not access.token or self.introduced or access.remembered_by(header("Cookie", ""))
         foreign_name = self.server.local and not is_local_name(header("Host", ""))
@@ -188,7 +194,8 @@ class PageHandler(BaseHTTPRequestHandler):
 
     def _is_of_foreign_page(self) -> bool:
         """Return whether a browser says that another page makes the request; a link to the page itself is none."""
-        origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site", "none")
+        origin = self.headers.get("Origin")
+        site = self.headers.get("Sec-Fetch-Site", "none")
         if origin is not None and urlsplit(origin).netloc != self.headers.get("Host", ""):
             return True
         link = self.command == "GET" and urlsplit(self.path).path == "/"
@@ -217,8 +224,10 @@ class PageHandler(BaseHTTPRequestHandler):
 
         Requires the header REQUEST_HEADER, which pages from elsewhere cannot send.
         """
-        actions, action = self.server.actions, urlsplit(self.path).path.removeprefix("/")
-        record, name = actions.record, dict(_query(self.path)).get("name", "")
+        actions = self.server.actions
+        action = urlsplit(self.path).path.removeprefix("/")
+        record = actions.record
+        name = dict(_query(self.path)).get("name", "")
         callables = {"zero": actions.tare, "acknowledge": actions.acknowledge}
         callables |= {"record": lambda: record(name)} if record else {}
         if action not in callables:
@@ -256,7 +265,10 @@ class PageHandler(BaseHTTPRequestHandler):
 
     def _stream(self) -> None:
         """Send the newest view whenever it changes; slow clients skip views."""
-        seen, known, shown, began = -1, 0, self.server.shown, time.monotonic()
+        seen = -1
+        known = 0
+        shown = self.server.shown
+        began = time.monotonic()
         while not (self.server.refused.is_set() and time.monotonic() - began > TURN_SECONDS):
             news = shown.after(seen, HEARTBEAT_SECONDS)
             if news is not None:

@@ -84,7 +84,9 @@ class SecondLook:
     def findings(self) -> Findings:
         """Solve the frame again."""
         stream, step = self.stream.push(self.readings)
-        cells, lower, force = step.estimate(-1), None, None
+        cells = step.estimate(-1)
+        lower = None
+        force = None
         if cells is not None:
             same_weights = stream.weights == self.stream.weights
             lower = None if same_weights and step.solution.objective > self.objective * (1 - SAME_MINIMUM) else cells
@@ -142,7 +144,8 @@ class PanelState:
 
         The first weights are those of the baseline.
         """
-        stream, baseline = self.stream, self.stream.baseline
+        stream = self.stream
+        baseline = self.stream.baseline
         if stream.weights is None and baseline is not None and len(baseline.weights) == len(stream.estimator.terms):
             stream = replace(stream, weights=baseline.weights if baseline.solution.solved else None)
         track = None if stream.estimator.relative else stream.track
@@ -165,7 +168,8 @@ class PanelState:
 
     def second_look(self, number: int, time: float, readings: Readings, step: Step) -> SecondLook | None:
         """Return the second look at a frame that was solved in haste, or None if nothing is open."""
-        stream, due = self.stream, self.stream.weights_due(readings)
+        stream = self.stream
+        due = self.stream.weights_due(readings)
         if not stream.keeps_weights or not step.solution.solved or not (due or self.track is not None):
             return None
         baseline = None if stream.baseline is None else stream.baseline.bare()
@@ -201,8 +205,10 @@ def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tup
         Frames skipped before this one.
     """
     state, stream, time = replace(state, look=None), state.stream, scan.time
-    scene, before = stream.scene, state.previous
-    unknown, flags = np.full(scene.panel.shape, np.nan), np.zeros(scene.panel.shape, dtype=bool)
+    scene = stream.scene
+    before = state.previous
+    unknown = np.full(scene.panel.shape, np.nan)
+    flags = np.zeros(scene.panel.shape, dtype=bool)
     board = None if scan.board_log_change is None else 100 * np.expm1(scan.board_log_change.astype(float))
     picture = Picture(
         number, time, scan.arrived, unknown, unknown, flags, UNKNOWN, "", 0.0, skipped, board_change=board
@@ -218,9 +224,11 @@ def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tup
         stream, step = stream.push(readings)
     except InputError as error:
         return state, replace(picture, status=str(error))
-    look, solution = state.second_look(number, time, readings, step), step.solution
+    look = state.second_look(number, time, readings, step)
+    solution = step.solution
     state = replace(state, stream=stream, look=look)
-    picture, ratio = replace(picture, status=step.status, seconds=step.seconds), state.ratio(step)
+    picture = replace(picture, status=step.status, seconds=step.seconds)
+    ratio = state.ratio(step)
     if ratio is not None:
         pressed, force = read_load(state.load, ratio, step.bars, time)
         verdict = verdict_of(readings, stream.resting, ratio, np.asarray(solution.open_cell[-1], dtype=bool))
@@ -286,7 +294,9 @@ def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: N
     moved = np.log(readings.shown / resting.shown)
     # ln of readings over unloaded ones without the common change, against σ of that logarithm
     moved -= np.nanmedian(moved)
-    sigma, resting_sigma, least = readings.sigma_of_values, resting.sigma_of_values, np.asarray(NOTICED_PERCENT / 100)
+    sigma = readings.sigma_of_values
+    resting_sigma = resting.sigma_of_values
+    least = np.asarray(NOTICED_PERCENT / 100)
     if sigma is not None and resting_sigma is not None:
         least = OUTLIER_THRESHOLD * np.hypot(sigma / readings.shown, resting_sigma / resting.shown)
     noticed = np.abs(moved) > least
@@ -294,5 +304,6 @@ def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: N
     if not np.any(noticed) or not change.size:
         return NOTHING
     least_pressed = MIN_SHARE * float(np.max(np.abs(change)))
-    pressing, sucking = -float(np.min(change)) > least_pressed, float(np.max(change)) > least_pressed
+    pressing = -float(np.min(change)) > least_pressed
+    sucking = float(np.max(change)) > least_pressed
     return BOTH if pressing and sucking else SUCKING if sucking else PRESSING

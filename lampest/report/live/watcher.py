@@ -130,7 +130,8 @@ class Watched:
         if isinstance(known, Detected):
             return replace(start, why=known.why)
         watch = known.watch()
-        before, end = () if self.watch is None else self.watch.attachments, news.scans[0].time
+        before = () if self.watch is None else self.watch.attachments
+        end = news.scans[0].time
         closed = tuple(replace(attachment, until_s=end) if attachment.present else attachment for attachment in before)
         return replace(start, known=known, watch=replace(watch, attachments=closed))
 

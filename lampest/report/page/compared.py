@@ -181,7 +181,8 @@ def mean_interval(values: Array, parts: int) -> Interval:
 
     Infinite for a single part. Source: Schmeiser, Oper. Res. 30, 1982 (batch means).
     """
-    mean, means = float(np.mean(values)), [part.mean() for part in np.array_split(values, parts)]
+    mean = float(np.mean(values))
+    means = [part.mean() for part in np.array_split(values, parts)]
     reach = float(student_two_sided(parts - 1) * np.std(means, ddof=1) / np.sqrt(parts)) if parts > 1 else np.inf
     return Interval(mean, mean - reach, mean + reach)
 
@@ -331,7 +332,8 @@ def comparison_of(batch: Batch) -> Comparison | None:
     if len(match.estimators) < 2 or not match.recordings or not (known or predictable):
         return None
     criterion = CELL_ERROR if known else PREDICTION
-    single, units = len(match.recordings) == 1, tuple(match.recordings)
+    single = len(match.recordings) == 1
+    units = tuple(match.recordings)
     if single:
         units = tuple(f"frame {number}" for number in cases[0].frame[match.chosen[0]])
     values = _values(match, criterion.per_cell, criterion.average)
@@ -339,9 +341,11 @@ def comparison_of(batch: Batch) -> Comparison | None:
     # geometric mean over the units of the median time per frame
     times = np.exp(_values(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median).mean(axis=0))
     order = np.argsort(values.mean(axis=0), kind="stable")
-    wins, standings = np.sum(values == values.min(axis=1, keepdims=True), axis=0), []
+    wins = np.sum(values == values.min(axis=1, keepdims=True), axis=0)
+    standings = []
     for number in order:  # against the smallest mean
-        chosen_values, best = values[:, number], values[:, order[0]]
+        chosen_values = values[:, number]
+        best = values[:, order[0]]
         intervals = mean_interval(chosen_values, parts), mean_interval(chosen_values - best, parts)
         standings.append(Standing(match.estimators[number], *intervals, int(wins[number]), float(times[number])))
     return Comparison(criterion, match, units, values, tuple(standings))
@@ -413,7 +417,9 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
 
 
 def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing]) -> Iterator[str]:
-    best, criterion, units = comparison.standings[0], comparison.criterion, len(comparison.units)
+    best = comparison.standings[0]
+    criterion = comparison.criterion
+    units = len(comparison.units)
     points = criterion.difference_unit
     basis = f"mean over {counted(units, 'recording')} with {counted(comparison.match.frames, 'frame')}"
     if comparison.over_frames:

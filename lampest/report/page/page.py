@@ -25,7 +25,8 @@ from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
 
-SPREAD, COVERED = "residuals: robust standard deviation [σ]", "truth within its interval [%]"
+SPREAD = "residuals: robust standard deviation [σ]"
+COVERED = "truth within its interval [%]"
 
 
 def write_report(
@@ -87,7 +88,8 @@ def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> 
     name, by_estimator, number, drawn = task
     in_full = number < MAX_SHOWN
     cases = [case for estimator, case in by_estimator.items() if estimator in drawn] or [*by_estimator.values()][:1]
-    place, pairs = strongest_index(cases), disagreements(cases) if in_full else ()
+    place = strongest_index(cases)
+    pairs = disagreements(cases) if in_full else ()
     with verbatim():
         words = f"Maps of relative change of {name}: measured, by every estimator, and true where known"
         shown = wide(ContourPlot(), cases, words)
@@ -183,8 +185,10 @@ def _optima(cases: Sequence[CaseResult]) -> str:
     known = [case.local_optima for case in cases if case.local_optima is not None]
     if not known:
         return NONE
-    optima, frames = sum(solves[0] for solves in known), sum(len(case.time) for case in cases)
-    least, most = min(solves[1] for solves in known), max(solves[2] for solves in known)
+    optima = sum(solves[0] for solves in known)
+    frames = sum(len(case.time) for case in cases)
+    least = min(solves[1] for solves in known)
+    most = max(solves[2] for solves in known)
     starts = counted(most, "start") if least == most else f"{least} to {most} starts"
     return f"{optima:,} of {frames:,} ({starts} each)"
 
@@ -202,7 +206,8 @@ def failures(cases: Sequence[CaseResult]) -> list[str]:
 
 def standing_table(comparison: Comparison) -> Table:
     """Compare every estimator with the best one: criterion, difference, wins, time."""
-    criterion, first = comparison.criterion, comparison.standings[0]
+    criterion = comparison.criterion
+    first = comparison.standings[0]
     headers = (
         "",
         f"{criterion.name}, mean [{criterion.unit}] (95 % interval)",
@@ -214,9 +219,12 @@ def standing_table(comparison: Comparison) -> Table:
     )
     rows = []
     for row in comparison.standings:
-        difference, verdict, ratio = NONE, "smallest", NONE
+        difference = NONE
+        verdict = "smallest"
+        ratio = NONE
         if row is not first:
-            difference, ratio = between(row.difference, sign="+"), digits(first.milliseconds / row.milliseconds, 2)
+            difference = between(row.difference, sign="+")
+            ratio = digits(first.milliseconds / row.milliseconds, 2)
             verdict = "significant" if row.told_apart else "not significant"
         speed = digits(row.milliseconds)
         rows.append((row.estimator, between(row.mean), difference, verdict, str(row.wins), speed, ratio))
@@ -237,7 +245,9 @@ def figures(case: CaseResult) -> dict[str, Any]:
 
     Counts are int; None if unknown.
     """
-    residual, lower, upper = weighted_residual(case), case.cell_resistance_lower, case.cell_resistance_upper
+    residual = weighted_residual(case)
+    lower = case.cell_resistance_lower
+    upper = case.cell_resistance_upper
     known: dict[str, Any] = figures_of(case, np.ones(len(case.time), bool))
     known |= statistics(residual**2, "residuals: {} of ((model − measured)/σ)²", "mean")
     known[SPREAD] = statistics(MAD_TO_SIGMA * np.abs(residual), "{}", "median")["median"]
@@ -261,7 +271,8 @@ def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str
     """
     lines = SPREAD, COVERED
     spreads, coverages = ([by_line[line] for by_line in recordings if by_line.get(line) is not None] for line in lines)
-    spread, coverage = float(np.median(spreads or [1.0])), float(np.mean(coverages or [100.0]))
+    spread = float(np.median(spreads or [1.0]))
+    coverage = float(np.mean(coverages or [100.0]))
     sentences = []
     if spread > 1.5:
         sentences.append(
@@ -284,13 +295,15 @@ def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
     """
     known = []
     for case in cases:
-        lower, upper = case.relative_change_lower, case.relative_change_upper
+        lower = case.relative_change_lower
+        upper = case.relative_change_upper
         if lower is not None and upper is not None:  # distances to the ends of the interval, never negative
             arms = np.maximum(case.relative_change - lower, 0.0), np.maximum(upper - case.relative_change, 0.0)
             known.append((case, arms))
     pairs = []
     for (first, (first_below, first_above)), (second, (second_below, second_above)) in combinations(known, 2):
-        both, difference = first.solved & second.solved, first.relative_change - second.relative_change
+        both = first.solved & second.solved
+        difference = first.relative_change - second.relative_change
         # half width of the interval of the difference towards zero
         reach = np.where(difference > 0, np.hypot(first_below, second_above), np.hypot(first_above, second_below))
         significant = np.where(np.abs(difference) > reach, difference, np.nan)

@@ -102,7 +102,8 @@ def plot_results(
     'one.png'
     """
     plot = None if show is None else _chosen(show, frame)
-    path, target = Path(path), None if out is None else Path(out)
+    path = Path(path)
+    target = None if out is None else Path(out)
     single = target if target is not None and target.suffix in SUFFIXES else None
     kind = "" if target is None or single else guess_type(target)[0] or ""
     if kind.startswith(("image/", "application/postscript")):
@@ -249,7 +250,8 @@ def recording_picture(
         resting = mean_reading(recording.recorded[recording.role == UNLOADED])
         values = percent_change(values, resting)
         scale = banded_scale([values], "change [%]")
-    scale, tile = limited(scale, vmin, vmax), Tile(recording.name, values, note)
+    scale = limited(scale, vmin, vmax)
+    tile = Tile(recording.name, values, note)
     with verbatim():
         if ax is None:
             return sized(maps_figure([tile], recording.scene.panel, scale, width=WIDTH_INCH / 2), figsize)

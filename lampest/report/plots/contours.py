@@ -151,7 +151,8 @@ class ChangePlot(MapsPlot):
 
     def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale, list[maps.Tile]]:
         """Return the maps and their scale."""
-        first, truth = cases[0], None
+        first = cases[0]
+        truth = None
         if first.truth is not None and first.truth_baseline is not None:
             truth = percent_change(first.truth[index], first.truth_baseline)
 
@@ -251,10 +252,14 @@ class ResidualPlot(MapsPlot):
 
     def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale, list[maps.Tile]]:
         """Return the maps and their scale."""
-        unit, label, least = "σ", "(model − measured) / noise σ", 3.0
+        unit = "σ"
+        label = "(model − measured) / noise σ"
+        least = 3.0
         residuals = list(map(weighted_residual, cases))
         if any(case.sigma is None for case in cases):
-            unit, label, least = "%", "(model − measured) / measured [%]", 0.1
+            unit = "%"
+            label = "(model − measured) / measured [%]"
+            least = 0.1
             residuals = [percent_change(case.reading_model, case.measured) for case in cases]
         tiles = []
         for case, residual in zip(cases, residuals, strict=True):
@@ -287,7 +292,8 @@ class CertaintyPlot(MapsPlot):
         deviations = [100 * error / estimate for error, estimate in zip(errors, cells, strict=True)]
         scales = [maps.log_scale(deviations, "standard deviation [%]")]
         scales.append(maps.Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution"))
-        values, truth = [*deviations, *resolutions], cases[0].truth
+        values = [*deviations, *resolutions]
+        truth = cases[0].truth
         if truth is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
                 logs = [100 * np.log(estimate / truth[index]) for estimate in cells]
@@ -315,11 +321,14 @@ class PressurePlot(MapsPlot):
 
     def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[list[maps.Scale], list[maps.Tile]]:
         """Return rows of pressures and half widths of their intervals."""
-        steps, ticks = (0.5, 1, 2, 5, 10, 20, 40), (-40, -10, -2, -0.5, 1, 5, 20)
+        steps = (0.5, 1, 2, 5, 10, 20, 40)
+        ticks = (-40, -10, -2, -0.5, 1, 5, 20)
         signed = maps.stepped_scale(steps, "pressure [kPa]: suction − contact +", ticks, maps.PRESSING)
-        label, decades = "half the 95 % interval [kPa]", (0.1, 1.0, 10.0, 100.0)
+        label = "half the 95 % interval [kPa]"
+        decades = (0.1, 1.0, 10.0, 100.0)
         widths = maps.Scale(LogNorm(0.1, 100), colormaps["YlGnBu"], label, decades)
-        pressures, halves = [], []
+        pressures = []
+        halves = []
         for case in cases[:MAX_ACROSS]:
             pressure, lower, upper, saturated = (case.column(name)[index] for name in self.needs)
             half = np.clip((upper - lower) / 2, 0.05, 200)  # none and infinite: beyond the scale, not missing
@@ -354,7 +363,8 @@ class SweepPlot(Plot):
 
     def draw(self, cases: Sequence[CaseResult]) -> Figure:
         """Draw a column for each swept key and a row for each quantity."""
-        keys, figures = swept_numbers(cases), [figures_of(case, case.solved) for case in cases]
+        keys = swept_numbers(cases)
+        figures = [figures_of(case, case.solved) for case in cases]
         quantities = [name for name in QUANTITIES if any(figure[name] is not None for figure in figures)]
         figure = style.new_figure(0.7 + 2.1 * len(quantities))
         grid = figure.subplots(len(quantities), len(keys), squeeze=False, sharex="col", sharey="row")
@@ -389,7 +399,8 @@ def swept_numbers(cases: Sequence[CaseResult]) -> tuple[str, ...]:
 
 def _draw_lines(axes: Axes, key: str, cases: Sequence[CaseResult], errors: Sequence[float | None]) -> None:
     """Draw the errors of cases over the values of a key; a dashed line for an estimator without swept numbers."""
-    estimators, keys = list(dict.fromkeys(case.unswept_name for case in cases)), swept_numbers(cases)
+    estimators = list(dict.fromkeys(case.unswept_name for case in cases))
+    keys = swept_numbers(cases)
     lines: dict[tuple[str, ...], list[tuple[Any, float]]] = {}
     for case, error in zip(cases, errors, strict=True):
         if error is not None and (key in case.swept or case.swept.keys().isdisjoint(keys)):

@@ -22,8 +22,11 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
 from lampest.report.plots import style
 
-SIGNED, PRESSING = "RdBu_r", "RdBu"  # loads are blue: they lower the resistance and raise the pressure
-ACROSS_LABEL, DOWN_LABEL = "x [mm]", "y [mm]"
+# loads are blue: they lower the resistance and raise the pressure
+SIGNED = "RdBu_r"
+PRESSING = "RdBu"
+ACROSS_LABEL = "x [mm]"
+DOWN_LABEL = "y [mm]"
 NO_NUMBER = "0.88"  # grey
 MAX_TICKS_ACROSS = 7  # of a horizontal colour bar
 MAX_ASPECT = 0.75  # largest height of a figure over its width
@@ -188,7 +191,8 @@ class MapPainter:
             axes.plot(columns.ravel(), rows.ravel(), ".", color="0.35", ms=1, label="cell centre", clip_on=False)
         if tile.outlined is not None and np.any(tile.outlined) and self.panel.cells is None:
             # Ones and zeros on a grid so fine that the outline has the cells' corners.
-            pitch, fine = self.panel.pitch_mm, np.pad(np.kron(tile.outlined, np.ones((16, 16))), 8)
+            pitch = self.panel.pitch_mm
+            fine = np.pad(np.kron(tile.outlined, np.ones((16, 16))), 8)
             lines = self.panel.centres_mm()
             grid = (np.linspace(line[0] - pitch, line[-1] + pitch, 16 * (len(line) + 1)) for line in lines)
             edges = axes.contour(*grid, fine, levels=[0.5], colors="black", linewidths=1.3)
@@ -234,8 +238,11 @@ class MapPainter:
 
     def _patches(self, axes: Axes, values: Array) -> None:
         """Draw squares at the cells; listed cells have a dark outline, and contours between neighbours."""
-        places, values = self.panel.places_mm[:, self.panel.present].T, values[self.panel.present]
-        corners, centres, listed = _squares(self.panel, places), places[:, None], self.panel.cells is not None
+        places = self.panel.places_mm[:, self.panel.present].T
+        values = values[self.panel.present]
+        corners = _squares(self.panel, places)
+        centres = places[:, None]
+        listed = self.panel.cells is not None
         outlines = list(centres + 1.3 * (corners - centres)) if listed else []
         look: dict[str, Any] = {"cmap": self.scale.colours.with_extremes(bad=NO_NUMBER), "norm": self.scale.norm}
         patches = PolyCollection(list(corners), edgecolor="face", lw=0.2, **look)
@@ -278,7 +285,8 @@ def _squares(panel: Panel, places: Array) -> Array:
     way = np.tile([1.0, 0.0], (len(places), 1))
     distance_mm = (np.tile(distance, 2) * panel.pitch_mm)[:, None]
     way[cell[nearest_last]] = ((places[neighbour] - places[cell]) / distance_mm)[nearest_last]
-    across, half = np.stack([-way[:, 1], way[:, 0]], axis=1), panel.pitch_mm / 2
+    across = np.stack([-way[:, 1], way[:, 0]], axis=1)
+    half = panel.pitch_mm / 2
     return np.stack([places + half * (a * way + b * across) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))], axis=1)
 
 
@@ -311,7 +319,8 @@ def maps_figure(
         A remark on the maps, behind the label of x.
     """
     scales = [scale] if isinstance(scale, Scale) else scale
-    own_bars, in_rows = len(scales) == len(tiles) > 1, 1 < len(scales) < len(tiles)
+    own_bars = len(scales) == len(tiles) > 1
+    in_rows = 1 < len(scales) < len(tiles)
     broad, tall = (most - least + panel.pitch_mm for least, most in panel.extents_mm)
     beside, gap = (0.4, 0.9) if own_bars else (1.0, 0.2)  # inches for the colour bars, and between maps
 

@@ -18,8 +18,10 @@ from lampest.files.whole import whole_file
 from lampest.runs.executors import Serial, each_of
 
 WIDTH_INCH = 7.2  # of a page of a journal
-TEXT_POINT, SMALL_POINT = 8, 6.5
-BLUE, ORANGE = "#0072B2", "#D55E00"
+TEXT_POINT = 8
+SMALL_POINT = 6.5
+BLUE = "#0072B2"
+ORANGE = "#D55E00"
 SUFFIXES = (".png", ".svg", ".pdf")
 PICTURES = "pictures are written as .png, .svg or .pdf"
 PLAIN_NUMBER = "{x:g}"  # format of ticks without powers of ten

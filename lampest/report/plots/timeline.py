@@ -18,7 +18,9 @@ from lampest.report.plots.style import PLAIN_NUMBER, SMALL_POINT, TEXT_POINT, dr
 
 # Those of Okabe and Ito, apart for the colour-blind.
 MAX_NUMBERED = 20  # visits whose numbers fit on a map
-LABEL_LINES, LABEL_WIDTH = 5, 0.22  # lines of labels, and the share of the axis that the longest label takes
+# lines of labels, and the share of the axis that the longest label takes
+LABEL_LINES = 5
+LABEL_WIDTH = 0.22
 COLOURS = {LAMPREY: "#D55E00", SUCKS: "#E69F00", CUP: "#56B4E9", PRESSES: "0.6"}
 
 

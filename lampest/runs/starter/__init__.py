@@ -12,8 +12,11 @@ from lampest.recording.simulation import Simulation, simulate
 from lampest.runs.config import json_schema
 
 TEMPLATES = Path(__file__).parent
-RUN, SCENE, SIMULATION = "run.yaml", "scene.yaml", "simulation.yaml"
-RECORDING, SCHEMA = "example.h5", "lampest.schema.json"
+RUN = "run.yaml"
+SCENE = "scene.yaml"
+SIMULATION = "simulation.yaml"
+RECORDING = "example.h5"
+SCHEMA = "lampest.schema.json"
 MAT = "mat"  # a purpose
 FILES = (SCENE, SIMULATION, SCHEMA, RECORDING, RUN)
 # The simulated load: a lamprey's mouth on panels of at least 6 × 6 lines, else a weight.
@@ -78,7 +81,8 @@ def write_starter(
     Raises InputError, before any file is written, where one of them exists, and where the folder cannot be written or
     there is no such circuit or panel.
     """
-    chosen, paths = circuit_called(circuit), {name: folder / name for name in FILES}
+    chosen = circuit_called(circuit)
+    paths = {name: folder / name for name in FILES}
     for path in paths.values():
         if path.exists():
             raise InputError(f"{path}: is there already; name another folder: existing files are never replaced")

@@ -164,7 +164,8 @@ def all_sides(folder: Path, published: Published, jobs: int | None, on_case: OnS
 
     Raises InputError for a missing shipped file, a failed case, and a folder that cannot be written.
     """
-    configs, data = shipped_folder() / "configs", shipped_folder() / "data"
+    configs = shipped_folder() / "configs"
+    data = shipped_folder() / "data"
 
     def made(name: str) -> Path:
         """Return the recording of the paper's panel, simulated once."""
@@ -326,7 +327,8 @@ def published_beside(sides: Sequence[Side], published: Published) -> Iterator[Pu
         return PublishedNumber(place, name, unit, float(number), tuple(map(float, values)))
 
     for extremes in published.ranges:
-        place, changes = f"Fig. 8-{extremes.letter}", [side.change(extremes.method) for side in sides]
+        place = f"Fig. 8-{extremes.letter}"
+        changes = [side.change(extremes.method) for side in sides]
         yield row(place, f"{extremes.method}, smallest change", "%", extremes.low, *map(np.nanmin, changes))
         yield row(place, f"{extremes.method}, largest change", "%", extremes.high, *map(np.nanmax, changes))
     for at, mouth in enumerate(published.mouths):
@@ -348,8 +350,10 @@ def published_beside(sides: Sequence[Side], published: Published) -> Iterator[Pu
         name = f"sensitivity from {part.from_kpa:g} to {part.to_kpa:g} kPa"
         yield row("Fig. 1-e, inset", name, "1/kPa", part.per_kpa, slope)
     for cell in published.bent_cells:
-        film, where = Film(curvature_per_m=cell.curvature_per_m), f"at {cell.curvature_per_m:g} 1/m"
-        unloaded, change = published.bent_cells[0].ohm * film.lowering, (1 + _change(40.0)) ** film.answer - 1
+        film = Film(curvature_per_m=cell.curvature_per_m)
+        where = f"at {cell.curvature_per_m:g} 1/m"
+        unloaded = published.bent_cells[0].ohm * film.lowering
+        change = (1 + _change(40.0)) ** film.answer - 1
         yield row("Fig. 2-a", f"unloaded resistance {where}", "ohm", cell.ohm, unloaded)
         yield row("Fig. 2-d", f"ΔR/R₀ at 40 kPa, {where}", "%", cell.percent, 100 * change)
 
@@ -388,7 +392,8 @@ def response_figure(published: Published) -> Figure:
     """Draw figure 1-e with its inset: the response curve of lampest through the published numbers."""
     figure = style.new_figure(3.2)
     axes = figure.subplots()
-    pressures, fine = np.linspace(-10.0, 235.0, 981), np.linspace(0, 60, 601)
+    pressures = np.linspace(-10.0, 235.0, 981)
+    fine = np.linspace(0, 60, 601)
     _through(axes, pressures, 100 * relative_change_from_pressure(pressures), published.changes)
     style.dressed(axes, "pressure [kPa]", "relative change of resistance ΔR/R₀ [%]")
     axes.legend(fontsize=style.SMALL_POINT, frameon=False, loc="upper left", bbox_to_anchor=(0.12, 1.0))

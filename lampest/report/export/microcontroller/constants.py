@@ -107,7 +107,8 @@ class CircuitLines:
             return values[0] if by_rows else values[:, 0]
 
         drive, release = map(along_driven, equation.drive_terms)
-        load, gain = along_sensed(equation.load_terms[1]), along_sensed(equation.gain)
+        load = along_sensed(equation.load_terms[1])
+        gain = along_sensed(equation.gain)
         if np.any(np.abs(release) > MAX_RELEASE) or np.any(np.abs(load) * along_sensed(equation.load) > MAX_RELEASE):
             raise InputError(
                 "the C library has no lines that are held at ground while idle, and driven or loaded through a "
@@ -175,7 +176,8 @@ class Constants:
         solved = case.solved
         limit = LOADED_DEVIATIONS * float(np.nanmedian(case.sigma_own[solved])) if case.sigma_own is not None else 0.0
         bounds = content.get("bounds", {})
-        lower, upper = bounds.get("lower", "measured"), bounds.get("upper", "resolution")
+        lower = bounds.get("lower", "measured")
+        upper = bounds.get("upper", "resolution")
         native = lines is None and lower == "measured" and upper == "resolution"
         typical = float(np.nanmedian(case.cell_resistance[solved]))
         baseline = np.where(np.isfinite(case.baseline_resistance), case.baseline_resistance, typical)
@@ -281,9 +283,11 @@ def _sigma_volt(case: CaseResult, recorded: Array) -> Array:
     """Return σ at the converter in volt, (rows, columns): the median over the frames."""
     if case.sigma is None:
         raise InputError(f"{case.recording} × {case.estimator}: the noise of the readings is not known")
-    readout, scene = case.scene.circuit, case.scene
+    readout = case.scene.circuit
+    scene = case.scene
     # d(network reading)/d(volt) by central differences of half a code
-    volt, half = readout.volt_from_recorded(recorded), readout.lsb_volt / 2
+    volt = readout.volt_from_recorded(recorded)
+    half = readout.lsb_volt / 2
     with np.errstate(invalid="ignore", divide="ignore"):
         ends = [readout.from_recorded(readout.recorded_from_volt(volt + side * half), scene) for side in (1, -1)]
         sigma = case.sigma / np.abs((ends[0] - ends[1]) / (2 * half))

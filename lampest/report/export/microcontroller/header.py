@@ -29,7 +29,8 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
     about : iterable of str
         Lines of the comment at the top.
     """
-    panel, budget = constants.scene.panel, constants.budget
+    panel = constants.scene.panel
+    budget = constants.budget
     rows, columns = panel.shape
     arrays: list[str] = []
     fields: list[tuple[str, str]] = [("rows", str(rows)), ("columns", str(columns))]
@@ -141,7 +142,9 @@ def _in_order(fields: list[tuple[str, str]]) -> list[tuple[str, str]]:
 
 def _circuit(constants: Constants, fields: list[tuple[str, str]], floats: Callable[[str, Array], None]) -> None:
     """Add the circuit's numbers to the fields."""
-    scene, lines, readout = constants.scene, constants.lines, constants.scene.circuit
+    scene = constants.scene
+    lines = constants.lines
+    readout = constants.scene.circuit
     if lines is not None and isinstance(readout, DrivenCircuit):
         fields += [("driven", "true"), ("rows_driven", str(readout.driven == "rows").lower())]
         fields += [("mirrored", str(readout.mirrored).lower())]
@@ -149,7 +152,8 @@ def _circuit(constants: Constants, fields: list[tuple[str, str]], floats: Callab
             floats(field, getattr(lines, field))
         return
     assert isinstance(readout, TwoPointReadout)
-    across, input_ohm = readout.measured_across == "reference", readout.input_ohm
+    across = readout.measured_across == "reference"
+    input_ohm = readout.input_ohm
     scale = 1 / (1 + readout.reference_ohm / input_ohm) if across and input_ohm else 1.0
     shunt = 1 / input_ohm if input_ohm and not across else 0.0
     fields += [("driven", "false"), ("reference_ohm", number(readout.reference_ohm))]

@@ -123,7 +123,8 @@ class Host:
 
     def _call(self, function: Any, sums: NDArray[np.uint16], *, changes: bool) -> tuple[Array, Array]:
         held = np.ascontiguousarray(sums, np.uint16)
-        change, status = np.zeros(self.shape, np.float32), np.zeros(8, np.float32)
+        change = np.zeros(self.shape, np.float32)
+        status = np.zeros(8, np.float32)
         arrays = (held, change, status) if changes else (held, status)
         function(*(array.ctypes.data_as(ctypes.c_void_p) for array in arrays))
         return change.astype(float), status.astype(float)

@@ -159,7 +159,8 @@ def export_sketch(
     InputError
         For an unknown case, a term, loss or circuit that C does not have, or wishes that no budget meets.
     """
-    source, asked = Path(results), wishes or Wishes()
+    source = Path(results)
+    asked = wishes or Wishes()
     folder = source.with_name("panel_sketch") if out is None else Path(out)
     with sparing((source,)), ExitStack() as files:
         case = _case_of(source, recording, estimator)

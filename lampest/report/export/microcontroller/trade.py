@@ -24,11 +24,17 @@ BUDGETS = (
 )
 MAX_TOUCH = 0.5  # standard deviations after two frames of a touch: half of what shows, as loads move meanwhile
 DEFAULT_WITHIN = 0.05  # standard deviations of a cell's own error, which is not noticeable
-MIN_FRAMES, MAX_FRAMES = 6, 40  # the first ones of a recording: enough for a median
+# the first ones of a recording: enough for a median
+MIN_FRAMES = 6
+MAX_FRAMES = 40
 MAX_OPERATIONS = 2_000_000  # of a product of all frames together: a minute for all budgets at 64 × 64 cells
 # Instructions of a Cortex-M4F, fitted to 60 counts of QEMU from 4 × 4 to 16 × 16 cells, all within 10 %
 # (tests/board/test_estimate.py): of a product for each operation of its matrices and each cell, of a step, of a frame.
-FOR_OPERATION, FOR_CELL, FOR_STEP_CELL, FOR_STEP_LINES, FOR_FRAME_CELL = 3.56, 136.0, 3040.0, 7.4, 271.0
+FOR_OPERATION = 3.56
+FOR_CELL = 136.0
+FOR_STEP_CELL = 3040.0
+FOR_STEP_LINES = 7.4
+FOR_FRAME_CELL = 271.0
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,8 @@ def instructions(constants: Constants, products: Array, steps: Array) -> Array:
     products : conjugate-gradient iterations.
     """
     longer, shorter = sorted(constants.scene.panel.shape, reverse=True)
-    cells, operations = longer * shorter, operations_of(constants)
+    cells = longer * shorter
+    operations = operations_of(constants)
     of_step = FOR_STEP_CELL * cells + FOR_STEP_LINES * longer * cells
     return products * (FOR_OPERATION * operations + FOR_CELL * cells) + steps * of_step + FOR_FRAME_CELL * cells
 
