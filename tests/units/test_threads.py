@@ -178,6 +178,7 @@ def test_ctrl_c_ends_the_main_thread_while_others_go_on() -> None:
         def work(number):
             found[number] = estimate(number, "squares")
         threads = begun(6, work)
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a process in the background begins without it
         threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
         try:
             while True:

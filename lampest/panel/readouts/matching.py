@@ -6,7 +6,7 @@ A step solves J·p = log(y/y(u)) for u = log r, by GMRES with products of J. It 
 from collections.abc import Callable
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, gmres
+import scipy
 
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -44,14 +44,14 @@ def matching_cells(
     current = np.clip(np.log(first), lower, upper)
     solved, reading, misfit = at(current)
     for _ in range(MAX_ITERATIONS):
-        response = LinearOperator(
+        response = scipy.sparse.linalg.LinearOperator(
             (measured.size, measured.size),
             matvec=lambda step, solved=solved, reading=reading: (
                 solved.forward(step.reshape(measured.shape)) / reading
             ).ravel(),
             dtype=float,
         )
-        step, _ = gmres(response, misfit.ravel(), rtol=SOLVED, restart=MAX_PRODUCTS, maxiter=1)
+        step, _ = scipy.sparse.linalg.gmres(response, misfit.ravel(), rtol=SOLVED, restart=MAX_PRODUCTS, maxiter=1)
         step = np.clip(step.reshape(measured.shape), -MAX_STEP, MAX_STEP)
         for length in STEP_LENGTHS:
             trial = np.clip(current + length * step, lower, upper)
