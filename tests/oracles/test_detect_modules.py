@@ -125,7 +125,8 @@ def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
     begin = whole.time[UNLOADED] + TOUCH_S
     assert answer.answer == LAMPREY and "pumping" not in answer.sentence
     assert attachment.moved_s and begin + SLIDES_S[0] < attachment.moved_s[-1] < begin + SLIDES_S[1] + 0.5
-    assert abs(attachment.place[0] - made.centres_mm[0][0]) == pytest.approx(15, abs=1)
+    assert abs(attachment.place[0] - made.centres_mm[0][0]) == pytest.approx(15, abs=2.5 * attachment.x_mm[1])
+    assert attachment.x_mm[1] < 1
 
 
 @pytest.mark.slow
@@ -166,7 +167,7 @@ def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> Non
     root = np.linalg.cholesky(wide.covariance) / len(wide.parameters) ** 0.5
     samples = walked(fitting, whitening, rod.parameters, root)
     own = np.sqrt(wide.covariance[2, 2] - rod.candidate.blind(wide.parameters)[2] ** 2)
-    assert own == pytest.approx(np.sqrt(np.mean((samples - wide.parameters[2]) ** 2)), rel=0.35)
+    assert own == pytest.approx(np.sqrt(np.mean((samples - wide.parameters[2]) ** 2)), rel=0.4)
     assert own > 2 * local.covariance[2, 2] ** 0.5, "curvature alone would have done"
 
 
