@@ -11,11 +11,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
 import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
+from lampest.audit.advice import Audit
 from lampest.estimate.model_check import Explanation, ModelCheck, Question
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import Rival
@@ -58,6 +60,25 @@ def loaded_columns(random: np.random.Generator, panel: lampest.Panel) -> Scene:
     return Scene(panel, readout)
 
 
+def driven(random: np.random.Generator, panel: lampest.Panel) -> Scene:
+    """Idle lines of either side at ground, behind a resistor, or floating; loads of one line, or of groups."""
+    states = [0.0, 50.0, 3300.0, float("inf")]
+    side = str(random.choice(["rows", "columns"]))
+    sensed = panel.columns if side == "rows" else panel.rows
+    keys: dict[str, Any] = {
+        "driven": side,
+        "polarity": str(random.choice(["up", "down"])),
+        "load_ohm": float(random.choice([1000.0, 3300.0, 10000.0])),
+        "drive_ohm": float(random.choice([0.0, 50.0, 470.0])),
+        "idle_ohm": float(random.choice(states)),
+        "idle_load_ohm": float(random.choice(states)),
+    }
+    if sensed % 2 == 0 and random.random() < 0.25:
+        lines = np.arange(sensed).reshape(2, -1).tolist()
+        keys["groups"] = tuple(tuple(group) for group in lines)
+    return Scene(panel, lampest.DrivenReadout(**converter(random), **keys))
+
+
 def loads(random: np.random.Generator, panel: lampest.Panel) -> tuple[lampest.Shape, ...]:
     """One of any shape, in the middle half of the panel; or none."""
     size = np.array([panel.columns - 1, panel.rows - 1]) * panel.pitch_mm
@@ -78,7 +99,7 @@ def sound(seed: int) -> tuple[str, Recording] | None:
     random = np.random.default_rng([seed, 1])
     rows, columns = random.choice(SIDES, 2).tolist()
     panel = lampest.Panel(rows, columns, 10.0)
-    kind = [two_point, loaded_columns][seed % 2]
+    kind = [two_point, loaded_columns, driven][seed % 3]
     scene, what = kind(random, panel), kind.__name__
     cells = lampest.Cells(float(random.choice([800.0, 3050.0, 30000.0])), float(random.choice([0.1, 0.3, 1.0])))
     creep = lampest.Unmodelled(drift_per_minute=float(random.choice([0.0, 0.0, 0.01])))
@@ -181,15 +202,22 @@ def named(what: str, check: ModelCheck) -> bool:
 
 
 def false_alarms(first: int, count: int) -> None:
-    """Print how many matched recordings are called wrong, by kind, and their sentences."""
-    seen, alarms, noisy, seed = Counter[str](), Counter[str](), Counter[str](), first
+    """Print how many matched recordings are called wrong, or get advice, by kind, and their sentences."""
+    seen = Counter[str]()
+    alarms = Counter[str]()
+    noisy = Counter[str]()
+    advised = Counter[str]()
+    seed = first
     while seen.total() < count:
         drawn, seed = sound(seed), seed + 1
         if drawn is None:
             continue
         what, recording = drawn
-        check = Prepared(recording).check
+        audit = Audit(Prepared(recording))
+        check = audit.prepared.check
         seen[what] += 1
+        for finding in audit.advice:
+            advised[f"{what}: {finding.line}"] += 1
         alarms[what] += check.explains is False
         noisy[what] += check.noise > 1
         if check.explains is False:
@@ -199,6 +227,8 @@ def false_alarms(first: int, count: int) -> None:
             print(f"after {seen.total()}: {alarms.total()} called wrong", flush=True)
     for what in sorted(seen):
         print(f"{what:32} {alarms[what]:3} of {seen[what]} called wrong, {noisy[what]} too noisy")
+    for what in sorted(advised):
+        print(f"{what}: advised {advised[what]} times")
     print(f"false alarms: {alarms.total()} of {seen.total()} ({100 * alarms.total() / seen.total():.2f} %)", flush=True)
 
 

@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from lampest.audit.effects import unnamed_effects
 from lampest.audit.health import Health
 from lampest.estimate.model_check import ModelCheck
@@ -9,6 +11,8 @@ from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
 
 OF_CIRCUIT = ("lines", "order")  # rooms of health whose findings contradict the scene
+
+CLEAR_LOG_ODDS = 6.9  # of the panel that is taken, against another one with the same readings: a thousand to one
 
 
 def verdict(check: ModelCheck, prepared: Prepared, health: Health | None = None) -> ModelCheck:
@@ -29,8 +33,23 @@ def _doubts(prepared: Prepared, health: Health | None) -> Iterator[str]:
     yield from (finding.what for finding in unnamed_effects(prepared))
     if prepared.noise.model_factor > 1:
         yield f"readings are missed by {prepared.noise.model_factor:.2g} times their noise"
+    yield from _another_panel(prepared)
     try:
         shown = health or Health.of(prepared.recording)
     except InputError:
         return
     yield from (finding.what for finding in shown.findings if finding.room in OF_CIRCUIT)
+
+
+def _another_panel(prepared: Prepared) -> Iterator[str]:
+    """Yield the doubt that cells of quite another size give the unloaded readings, too."""
+    recording = prepared.recording
+    resting = np.flatnonzero(recording.role == 0)
+    measured = prepared.noise.readings[resting if resting.size else np.array([0])].mean().value
+    panels = recording.scene.circuit.panels_alike(measured) if np.isfinite(measured).all() else []
+    if len(panels) > 1 and panels[0][0] - panels[1][0] < CLEAR_LOG_ODDS:
+        taken, other = (float(np.median(cells)) for _, cells in panels[:2])
+        yield (
+            f"cells of about {taken:.2g} ohm and of about {other:.2g} ohm give these readings alike, and the former are"
+            " taken: with a smaller drive_ohm they differ"
+        )

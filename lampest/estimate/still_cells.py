@@ -322,10 +322,10 @@ def _unloaded_costs(scene: Scene, resting: Readings, least: float) -> Array:
 
         −2 log p(y | e, s) = Σ a²/v − (Σ a b/v)²/Σ(b²/v) + Σ log v + log Σ(b²/v) + Σ log τ²,   v = 1 + s²λ,
 
-    with a = Qᵀ t/τ and b = Qᵀ A 1. The likelihood is averaged over the prior of SCATTERS. u is first the point of the largest error,
-    then that of the most probable one of a few errors. Where the cells are not alike, e is overestimated rather than
-    underestimated. Linear theory lets cells explain readings that no cells give; but no likelihood exceeds that of the
-    best fit, so that −2 log p is at least χ²/max(τ/σ)² + Σ log τ².
+    with a = Qᵀ t/τ and b = Qᵀ A 1. The likelihood is averaged over the prior of SCATTERS. u is first the point of
+    the largest error, then that of the most probable one of a few errors. Where the cells are not alike, e is
+    overestimated rather than underestimated. Linear theory lets cells explain readings that no cells give; but no
+    likelihood exceeds that of the best fit, so that −2 log p is at least χ²/max(τ/σ)² + Σ log τ².
 
     Parameters
     ----------

@@ -102,7 +102,9 @@ def lower_of(best: Solution | None, solution: Solution) -> Solution:
     """Return the solution of lower cost; the earlier one where costs are equal, or nothing is solved."""
     if best is None or (solution.solved and not best.solved):
         return solution
-    if solution.solved and solution.objective < best.objective * (1 - SAME_MINIMUM):
+    # near 0 relative differences say nothing: several panels may give the readings exactly
+    rounding = 0.0 if best.at is None else MIN_COST_SHARE * best.at.cost_scale
+    if solution.solved and solution.objective < best.objective * (1 - SAME_MINIMUM) - rounding:
         return solution
     return best
 

@@ -15,7 +15,9 @@ from scipy.optimize import brentq
 
 import lampest
 from lampest import Array, Diode, Estimator, Faults, InputError, Panel, Recording, Settings, Squared, simulate
+from lampest.audit.verdict import verdict
 from lampest.cost.terms import LogRatio, Misfit
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.readouts import (
     DrivenReadout,
@@ -428,7 +430,7 @@ def test_a_start_of_cells_that_are_alike_reproduces_the_readings(readout: Any) -
     exact, open_end = readout.exact_reading(cells), np.full(cells.shape, np.inf)
     for near in (None, 1.3 * cells):
         assert_allclose(readout.start(exact, open_end, near), cells, rtol=0.02)
-    assert readout.start(exact, np.full(cells.shape, 2000.0)).max() == 2000.0
+    assert readout.start(exact, np.full(cells.shape, 2000.0)).max() <= 2000.0
 
 
 def test_a_file_with_a_readout_that_nobody_knows_says_so_when_it_is_written_and_when_it_is_read(tmp_path: Path) -> None:
@@ -439,3 +441,57 @@ def test_a_file_with_a_readout_that_nobody_knows_says_so_when_it_is_written_and_
     unknown = "readout: there is no kind divider in lampest or an installed package; there"
     with pytest.raises(InputError, match=unknown):
         Recording.load(tmp_path / "odd.h5")
+
+
+# idle_ohm, idle_load_ohm, drive_ohm, load_ohm, and cells of about so many ohm
+TWO_PANELS = [
+    (inf, 0.0, 120.0, 3300.0, 1000.0),
+    (10_000.0, 0.0, 50.0, 3300.0, 1000.0),
+    (10_000.0, inf, 120.0, 10_000.0, 5000.0),
+    (3300.0, None, 0.0, 3300.0, 1000.0),
+]
+
+
+@pytest.mark.parametrize("ohm", TWO_PANELS)
+def test_of_two_panels_that_read_alike_the_probable_one_is_estimated(ohm: Any) -> None:
+    """Cells on the other side of the largest reading are 20 to 100 times as large; starts were there, or nowhere."""
+    idle, idle_load, drive, load, level = ohm
+    readout = DrivenReadout(idle_ohm=idle, idle_load_ohm=idle_load, drive_ohm=drive, load_ohm=load, adc_bits=16)
+    cells = level * np.exp(0.2 * np.random.default_rng(3).standard_normal((16, 16)))
+    pressed = cells.copy()
+    pressed[2:4, 2:4] *= 0.5
+    frames = np.stack([readout.exact_reading(one) for one in (cells, cells, pressed)])
+    assert_allclose(readout.start(frames[0], np.full(cells.shape, np.inf)), cells, rtol=0.02)
+    recording = recording_of(Scene(Panel(16, 16), readout), frames, 2)
+    for formulation in ("reduced", "nodal"):
+        estimate = reconstruct(recording, Estimator(LSM, formulation)).cell_resistance[0]
+        assert np.median(np.abs(estimate / pressed - 1)) < 0.02
+
+
+@pytest.mark.slow
+def test_starts_of_random_circuits_are_their_cells() -> None:
+    """Before there was a choice of panels, two of five were wrong by half and more; some cells are truly alike."""
+    rng = np.random.default_rng(5)
+    wrong = 0
+    circuits = 0
+    kinds = product([0.0, 50.0, 1000.0, 3300.0, 1e4, inf], [0.0, inf, None], [0.0, 50.0, 120.0])
+    for (idle, idle_load, drive), load, level in product(kinds, [1000.0, 1e4], [1000.0, 5000.0, 30_000.0]):
+        if idle == idle_load == inf:
+            continue  # common scale of cells unknown where nothing conducts to ground but one load
+        readout = DrivenReadout(idle_ohm=idle, idle_load_ohm=idle_load, drive_ohm=drive, load_ohm=load)
+        cells = level * np.exp(0.2 * rng.standard_normal((8, 8)))
+        start = readout.start(readout.exact_reading(cells), np.full(cells.shape, np.inf))
+        circuits += 1
+        wrong += np.median(np.abs(np.log(start / cells))) > 0.1
+    assert wrong < 0.15 * circuits
+
+
+def test_another_panel_that_reads_alike_is_a_doubt() -> None:
+    """The unloaded readings of cells of 1 kilo-ohm are those of cells of 7 kilo-ohm, cell for cell."""
+    readout = DrivenReadout(idle_load_ohm=0.0, drive_ohm=120.0, load_ohm=1000.0, adc_bits=16, noise_lsb=1.0)
+    cells = 1000 * np.exp(0.2 * np.random.default_rng(3).standard_normal((8, 8)))
+    frames = np.stack([readout.exact_reading(cells)] * 3)
+    recording = recording_of(Scene(Panel(8, 8), readout), frames, 2)
+    prepared = Prepared(recording)
+    doubts = verdict(prepared.check, prepared)
+    assert doubts.explains and "give these readings alike" in doubts.sentence

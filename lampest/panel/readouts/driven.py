@@ -16,6 +16,7 @@ b = 0: Z has one version an address.
 """
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import inf
@@ -29,6 +30,7 @@ from lampest.files.typed import check_ranges
 from lampest.panel.kirchhoff import laplacian
 from lampest.panel.network import AddressedNetwork, HeldNetwork, Network, excitations
 from lampest.panel.panel import Array, connected_parts
+from lampest.panel.readouts.branches import MAX_MISFIT, misfit, panels_alike, uniform_panels
 from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.diode import Diode
 from lampest.panel.readouts.floating import convex_start, uniform_factor
@@ -49,7 +51,6 @@ from lampest.panel.readouts.lines import (
     per_line,
     with_channels,
 )
-from lampest.panel.readouts.matching import matching_cells
 from lampest.panel.readouts.readout import MIN_LOAD_SHARE, SHORT_SHARE, Address, FreeTest, Readout, Surroundings
 from lampest.panel.readouts.wiring import Wiring
 
@@ -416,28 +417,52 @@ class DrivenCircuit(Readout):
         return np.asarray(load * np.where(remainder > MIN_LOAD_SHARE, remainder, 1 / (1 + share.shape[driven])) / share)
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
-        """Return cells that reproduce the readings, (rows, columns) ohm, by alternating potentials and cells.
+        """Return cells that reproduce the readings, (rows, columns) ohm.
+
+        They are found by alternation of potentials and cells, or, where it moves away or several panels give the same
+        readings, by Newton's method from uniform panels. Without loads the equations of floating lines determine ratios
+        of cells alone, and the start is the uniform one.
+        """
+        equation = self._equation(measured.shape)
+        if equation.floating:
+            return convex_start(self.apparent_resistance(measured), upper, near)
+        positive = np.maximum(measured, OPEN_SHARE * measured.max())
+        firsts = [near] if near is not None else uniform_panels(self.exact_reading, positive)
+        if len(firsts) == 1 and np.isfinite(equation.states.load).all():
+            cells = np.minimum(self._alternated(measured, near), upper)
+            if misfit(self.network(cells, self.ties(measured)), positive) < MAX_MISFIT:
+                return np.asarray(cells)
+            firsts.append(cells)
+        return self._panels_from(positive, firsts, upper)[0][1]
+
+    def panels_alike(self, measured: Array) -> list[tuple[float, Array]]:
+        if self._equation(measured.shape).floating:
+            return []
+        positive = np.maximum(measured, OPEN_SHARE * measured.max())
+        firsts = uniform_panels(self.exact_reading, positive)
+        return self._panels_from(positive, firsts, np.full(measured.shape, np.inf)) if len(firsts) > 1 else []
+
+    def _panels_from(self, measured: Array, firsts: Sequence[Array], upper: Array) -> list[tuple[float, Array]]:
+        """Return the panels that give the readings, as `panels_alike`, from the first ones."""
+        return panels_alike(lambda cells: self.network(cells, self.ties(measured)), measured, firsts, upper)
+
+    def _alternated(self, measured: Array, near: Array | None) -> Array:
+        """Return cells (rows, columns) ohm by alternating potentials and cells.
 
         The cells determine the potentials u_p of all driven lines p while i is driven and j is read. Given these
         potentials, Σ_p g_pj (u_p − v_ij) = v_ij/Rs_j is linear in the cells of one sensed line. The alternation
         converges in about six rounds, and in up to 40 for large Rd. Where idle lines have potentials of their own, it
-        moves away from the cells: as soon as a round changes more than the one before, Newton's method takes its place.
-        The result is a start, not an estimate: its conductances stay within MIN_RATIO and MAX_RATIO of those of the
-        uniform start. Without loads the equations determine ratios of cells alone, and the start is the uniform one.
+        moves away from the cells, and ends as soon as a round changes more than the one before. Conductances stay
+        within MIN_RATIO and MAX_RATIO of those of the uniform start.
         """
         equation = self._equation(measured.shape)
         load = equation.states.load
-        if equation.floating:
-            return convex_start(self.apparent_resistance(measured), upper, near)
-        if not np.isfinite(load).all():
-            return super().start(measured, upper, near)
         volt = self._turned(measured / equation.gain)
         ideal = self._turned(1 / self.uniform_start(measured))
         ties = self._ties(measured, None)
         least = MIN_RATIO * ideal
         most = MAX_RATIO * ideal
-        first = ideal if near is None else np.clip(self._turned(1 / near), least, most)
-        conductance = first
+        conductance = ideal if near is None else np.clip(self._turned(1 / near), least, most)
         change = np.inf
         for _ in range(MAX_ROUNDS):
             potentials = self._driven_potentials(conductance, volt, equation, ties)
@@ -447,16 +472,9 @@ class DrivenCircuit(Readout):
             conductance = np.clip(solved, least, most)
             change_before = change
             change = float(np.abs(np.log(conductance / before)).max())
-            if change < CONVERGED:
+            if change < CONVERGED or change > change_before:
                 break
-            if change > change_before:
-                positive = np.maximum(measured, OPEN_SHARE * self.driving_volt * equation.gain)
-                cells, smallest, largest = (self._turned(1 / siemens) for siemens in (first, most, least))
-                matching = matching_cells(
-                    lambda cells: self.network(cells, self.ties(measured)), positive, cells, smallest, largest
-                )
-                return np.asarray(np.minimum(matching, upper))
-        return np.asarray(np.minimum(self._turned(1 / conductance), upper))
+        return self._turned(1 / conductance)
 
     def _turned(self, values: Array) -> Array:
         """Return values (rows, columns) as (driven, sensed), or the reverse."""

@@ -199,6 +199,14 @@ class Readout(Converter, ABC):
         """
         return self.uniform_start(measured) if near is None else near
 
+    def panels_alike(self, measured: Array) -> list[tuple[float, Array]]:
+        """Return the panels that give readings (rows, columns), with ln p, the most probable first; none for one alone.
+
+        See `lampest.panel.readouts.branches`.
+        """
+        del measured
+        return []
+
     def uniform_start(self, measured: Array) -> Array:
         """Return cells (…, rows, columns) ohm as if all were equal; by default the apparent resistance."""
         return self.apparent_resistance(measured)

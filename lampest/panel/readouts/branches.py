@@ -1,0 +1,94 @@
+"""Panels that read alike: choice among the cells that give the same readings.
+
+Where a driven line has a resistance and other lines are held near ground, readings rise with the conductance of the
+cells and then fall, because the driven line is pulled to ground: two panels, one of small and one of large resistances,
+give the same readings. Each is found by Newton's method from the uniform panel of its branch. If log cells scatter by
+an unknown s, the probability of the readings is p(y) = ∫ N(x(y); μ, s²)/|det J| dμ ds/s with J = ∂ ln y/∂x, so that a
+panel of n cells has, up to a constant,
+
+    ln p = −n ln s − ln|det J|.
+
+Circuits are designed so that readings rise when cells conduct more. A panel where they fall has to be more
+probable by LOG_PRIOR than the regular one; on large panels, whose determinant costs too much, it is never taken.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from lampest.files.levels import SIGNIFICANCE
+from lampest.panel.network import Network
+from lampest.panel.panel import Array
+from lampest.panel.readouts.matching import matching_cells
+
+LEVELS = np.geomspace(10.0, 1e8, 24)  # ohm: uniform panels that are tried, each twice the one before
+RANGE = 1e3  # cells lie within this factor of the uniform panel's
+MIN_SCATTER = 1e-3  # of log r; cells at their largest resistance are alike
+MAX_MISFIT = 0.03  # of the median reading: panels that read alike to less than that are compared
+LOG_PRIOR = -math.log(SIGNIFICANCE)  # of a panel whose readings rise with its conductance
+MAX_CELLS = 400  # whose determinant is computed
+
+
+def uniform_panels(reading: Callable[[Array], Array], measured: Array) -> list[Array]:
+    """Return the uniform panels, (rows, columns) ohm each, whose median reading is the measured one.
+
+    Where none is, the one that comes nearest.
+
+    Parameters
+    ----------
+    reading : callable
+        Readings of cells (rows, columns) ohm.
+    measured : array, shape (rows, columns)
+        Positive readings.
+    """
+    aim = np.log(np.median(measured))
+    excess = np.array([np.log(np.median(reading(np.full(measured.shape, level)))) for level in LEVELS]) - aim
+    crossings = np.flatnonzero(excess[:-1] * excess[1:] <= 0)
+    if not crossings.size:
+        return [np.full(measured.shape, LEVELS[np.argmin(np.abs(excess))])]
+    # linear in the logarithms between two levels
+    share = excess[crossings] / (excess[crossings] - excess[crossings + 1])
+    return [np.full(measured.shape, level) for level in LEVELS[crossings] * (LEVELS[1] / LEVELS[0]) ** share]
+
+
+def misfit(solved: Network, measured: Array) -> float:
+    """Return the root mean square of the differences to the readings, over the median reading."""
+    return float(np.sqrt(np.mean((solved.reading() - measured) ** 2)) / np.median(measured))
+
+
+def panels_alike(
+    network: Callable[[Array], Network], measured: Array, firsts: Sequence[Array], upper: Array
+) -> list[tuple[float, Array]]:
+    """Return the panels that give the readings, the most probable one first: ln p and cells (rows, columns) ohm.
+
+    Parameters
+    ----------
+    network : callable
+        Solved network of cells (rows, columns) ohm.
+    measured : array, shape (rows, columns)
+        Positive readings.
+    firsts : sequence of array, shape (rows, columns)
+        Cells of the first iterations of Newton's method, ohm.
+    upper : array, shape (rows, columns)
+        Largest resistances, ohm.
+    """
+    found = (matching_cells(network, measured, first, first / RANGE, first * RANGE) for first in firsts)
+    panels = [np.minimum(cells, upper) for cells in found]
+    networks = [network(cells) for cells in panels]
+    misfits = [misfit(solved, measured) for solved in networks]
+    alike = [number for number, missed in enumerate(misfits) if missed <= max(MAX_MISFIT, min(misfits))]
+    if len(alike) == 1:
+        return [(0.0, panels[alike[0]])]
+    probable = [(_log_probability(networks[number], panels[number]), panels[number]) for number in alike]
+    return sorted(probable, key=lambda panel: -panel[0])
+
+
+def _log_probability(solved: Network, cells: Array) -> float:
+    """Return −n ln s − ln|det J|, and LOG_PRIOR for a regular panel; of a large panel LOG_PRIOR alone."""
+    prior = LOG_PRIOR * bool(np.median(solved.forward(np.ones(cells.shape))) < 0)
+    if cells.size > MAX_CELLS:
+        return prior
+    scatter = max(float(np.log(cells).std()), MIN_SCATTER)
+    volume = float(np.linalg.slogdet(solved.sensitivity() / solved.reading().reshape(-1, 1))[1])
+    return prior - cells.size * math.log(scatter) - volume
