@@ -147,6 +147,9 @@ def _program() -> Any:
 _build()
 
 
+NO_THREAD = "can't start new thread"  # the words of Python's RuntimeError
+
+
 def main() -> None:
     """Run the command; input errors end with code 2 and one sentence, Ctrl-C and similar signals with 130."""
     os.environ.update({name: value for name, value in ONE_THREAD.items() if name not in os.environ})
@@ -159,6 +162,11 @@ def main() -> None:
     except MemoryError as error:
         message = " ".join(str(error).split()) or "no details"
         warn(f"not enough memory ({message})")
+        sys.exit(WRONG_INPUT)
+    except RuntimeError as error:
+        if str(error) != NO_THREAD:
+            raise
+        warn("cannot start a further thread: this user's processes and threads are at their limit (ulimit -u)")
         sys.exit(WRONG_INPUT)
     except SystemExit as end:
         if end.code == INTERRUPTED:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.kirchhoff import bipartite, injected, laplacian, line_sums
+from lampest.panel.line_blocks import LineBlocks
 from lampest.panel.panel import Array, check_line_memory
 
 Numbers = NDArray[np.intp]
@@ -39,12 +40,14 @@ class NormalByLines:
     ----------
     own : array, shape (rows, columns)
     along : array, shape (k, rows, columns)
-    mixed : array, shape (k·lines, k·lines)
+    mixed : LineBlocks of k values
+    mixed_inverse : LineBlocks of k values
     """
 
     own: Array
     along: Array
-    mixed: Array
+    mixed: LineBlocks
+    mixed_inverse: LineBlocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +166,8 @@ class Network(ABC):
         In the base class it contains the diagonal of J only; kinds of networks may add the parts of lines.
         """
         diagonal: Array = weight * self.own_response() ** 2
-        return NormalByLines(diagonal, np.zeros((0, *diagonal.shape)), np.zeros((0, 0)))
+        none = LineBlocks(np.zeros((0, 0, sum(diagonal.shape))), np.zeros((0, 0, *diagonal.shape)))
+        return NormalByLines(diagonal, np.zeros((0, *diagonal.shape)), none, none)
 
     def potentials(self) -> Array:
         """Return the potential of every line while a unit current enters line `pattern`, (lines, patterns) V/A."""
@@ -315,12 +319,40 @@ def inverse_of(conductance: Array, ties: Array) -> Array:
     """
     rows, columns = conductance.shape[-2:]
     if rows < columns:
-        exchanged = np.concatenate([ties[..., rows:], ties[..., :rows]], axis=-1)
-        return np.roll(inverse_of(conductance.swapaxes(-1, -2), exchanged), (rows, rows), axis=(-2, -1))
+        return np.roll(inverse_of(*_exchanged(conductance, ties)), (rows, rows), axis=(-2, -1))
     check_line_memory(rows, columns)
+    row_sums, shares, schur = _without_rows(conductance, ties)
+    # Z_kk' = S⁻¹, Z_jk = diag(a)⁻¹ G S⁻¹, Z_jj' = diag(a)⁻¹ + diag(a)⁻¹ G S⁻¹ Gᵀ diag(a)⁻¹
+    within: Array = np.linalg.inv(schur)
+    inverse = np.empty((*ties.shape, rows + columns), dtype=within.dtype)
+    between = shares @ within
+    inverse[..., rows:, rows:] = within
+    inverse[..., :rows, rows:], inverse[..., rows:, :rows] = between, between.swapaxes(-1, -2)
+    inverse[..., :rows, :rows] = between @ shares.swapaxes(-1, -2)
+    np.einsum("...ii->...i", inverse)[..., :rows] += 1 / row_sums
+    return inverse
+
+
+def log_determinant(conductance: Array, ties: Array) -> float:
+    """Return ln det(L(g) + diag(t)) of a single network. Raises LinAlgError if a line is not connected."""
+    if conductance.shape[0] < conductance.shape[1]:
+        conductance, ties = _exchanged(conductance, ties)
+    row_sums, _, schur = _without_rows(conductance, ties)
+    return float(np.log(row_sums).sum() + np.linalg.slogdet(schur)[1])
+
+
+def _exchanged(conductance: Array, ties: Array) -> tuple[Array, Array]:
+    """Return the conductances and ties of a network whose rows are columns."""
+    rows = conductance.shape[-2]
+    return conductance.swapaxes(-1, -2), np.concatenate([ties[..., rows:], ties[..., :rows]], axis=-1)
+
+
+def _without_rows(conductance: Array, ties: Array) -> tuple[Array, Array, Array]:
+    """Return a, diag(a)⁻¹ G, and the matrix of the columns' network without rows; see `inverse_of`."""
     total = line_sums(conductance) + ties
     if not total.all():
         raise np.linalg.LinAlgError("a line is not connected")
+    rows = conductance.shape[-2]
     row_sums = total[..., :rows]
     shares = conductance / row_sums[..., None]
     meshed = shares.swapaxes(-1, -2) @ conductance
@@ -328,15 +360,7 @@ def inverse_of(conductance: Array, ties: Array) -> Array:
     tied = ties[..., rows:] + np.einsum("...jk,...j->...k", shares, ties[..., :rows])
     schur = -meshed
     np.einsum("...ii->...i", schur)[...] = meshed.sum(axis=-1) + tied
-    # Z_kk' = S⁻¹, Z_jk = diag(a)⁻¹ G S⁻¹, Z_jj' = diag(a)⁻¹ + diag(a)⁻¹ G S⁻¹ Gᵀ diag(a)⁻¹
-    within: Array = np.linalg.inv(schur)
-    inverse = np.empty((*total.shape, rows + columns), dtype=within.dtype)
-    between = shares @ within
-    inverse[..., rows:, rows:] = within
-    inverse[..., :rows, rows:], inverse[..., rows:, :rows] = between, between.swapaxes(-1, -2)
-    inverse[..., :rows, :rows] = between @ shares.swapaxes(-1, -2)
-    np.einsum("...ii->...i", inverse)[..., :rows] += 1 / row_sums
-    return inverse
+    return row_sums, shares, schur
 
 
 # First and second derivatives of h(p, q, t), p = Z_jj, q = Z_kk, t = Z_jk.

@@ -239,12 +239,14 @@ def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> It
             tell()
 
     thread = threading.Thread(target=watch, daemon=True)
-    thread.start()
+    with suppress(RuntimeError):  # no further thread can be started: the end alone is told
+        thread.start()
     try:
         yield
     finally:
         ended.set()
-        thread.join()
+        if thread.ident is not None:
+            thread.join()
         tell()
 
 

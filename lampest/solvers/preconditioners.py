@@ -9,15 +9,15 @@ Source: Nabben & Vuik, SIAM J. Numer. Anal. 42, 2004 (balancing).
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass
-from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, sparse
+from scipy import sparse
 from scipy.linalg import lapack
 from scipy.sparse.linalg import splu
 
-from lampest.panel.kirchhoff import bipartite_matrix, line_sums
+from lampest.panel.kirchhoff import line_sums
+from lampest.panel.line_blocks import LineBlocks
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, restricted
 from lampest.solvers.hessian import Hessian
@@ -166,11 +166,13 @@ class TwoLevel(Preconditioner):
             )
             parts = hessian.at.networks[0].normal_by_lines(weight)
             level = local(parts.own.ravel())
-            level_parts = (level, parts.along / cells, parts.mixed)
-            lone = hessian.only_data and parts.along.size > 0
-            lines = CoarseLines(*level_parts, np.zeros((0, 0))) if lone else CoarseLines.of(*level_parts)
+            along = parts.along / cells
+            lone = hessian.only_data and along.size > 0
+            nothing = np.zeros((0, 0))
+            lines = CoarseLines(level, along, nothing, nothing) if lone else CoarseLines.of(level, along, parts.mixed)
             if lines is not None and level.nnz <= level.shape[0]:
-                return Woodbury(cells, floored(level.diagonal()).reshape(cells.shape[1:]), lines)
+                diagonal = floored(level.diagonal()).reshape(cells.shape[1:])
+                return Woodbury(cells, diagonal, lines, parts.mixed_inverse)
             if lines is not None:
                 return cls(cells, sparse_inverse(level), lines)
         return cls(cells, sparse_inverse(local(hessian.own)))
@@ -195,20 +197,20 @@ class Woodbury(Preconditioner):
 
     diagonal: Array
     lines: "CoarseLines"
+    mixed_inverse: LineBlocks
 
     def over(self, free: Free, cell_resistance: Array) -> Linear:
         """Return (D + V S Vᵀ)⁻¹ = D⁻¹ − D⁻¹V (S⁻¹ + VᵀD⁻¹V)⁻¹ VᵀD⁻¹ over the free cells."""
         shape = self.diagonal.shape
         inverse = np.where(free.reshape(shape), 1 / self.diagonal, 0.0)
-        inner = np.zeros_like(self.lines.mixed)  # D⁻¹ alone remains if contrasts exceed double precision
-        with catch_warnings(), suppress(np.linalg.LinAlgError):
-            simplefilter("ignore", linalg.LinAlgWarning)
-            inner = linalg.inv(linalg.inv(self.lines.mixed) + self.lines.between(inverse))
+        inner: Linear = np.zeros_like  # D⁻¹ alone remains if contrasts exceed double precision
+        with suppress(np.linalg.LinAlgError):
+            inner = (self.mixed_inverse + self.lines.between(inverse)).inverse()
         chosen = np.flatnonzero(free)
         flat = inverse.ravel()
 
         def solve(values: Array) -> Array:
-            return flat * (values - self.lines.back(inner @ self.lines.sums(flat * values)))
+            return flat * (values - self.lines.back(inner(self.lines.sums(flat * values))))
 
         size = cell_resistance.ravel()[chosen]
         part = restricted(solve, chosen, free.size)
@@ -226,9 +228,9 @@ class CoarseLines:
     along : array, shape (vectors, rows, columns)
         The vectors v.
     mixed : array, shape (vectors · lines, vectors · lines)
-        S.
+        S; empty where it is not needed.
     coarse : array, shape (vectors · lines, vectors · lines)
-        (VᵀAV)⁻¹.
+        (VᵀAV)⁻¹; empty where it is not needed.
     """
 
     local: sparse.csr_array
@@ -237,10 +239,11 @@ class CoarseLines:
     coarse: Array
 
     @classmethod
-    def of(cls, local: sparse.csr_array, along: Array, mixed: Array) -> "CoarseLines | None":
+    def of(cls, local: sparse.csr_array, along: Array, blocks: LineBlocks) -> "CoarseLines | None":
         """Return the coarse space; None if three quarters of the lines add less than T + diag(c) has along them."""
         if not len(along):
             return None
+        mixed = blocks.matrix()
         # V with columns of unit length
         row, column = np.indices(along.shape[1:]).reshape(2, -1)
         number = np.tile(np.arange(len(row)), 2)
@@ -272,10 +275,10 @@ class CoarseLines:
         """Return A·x, flat."""
         return np.asarray(self.local @ values + self.back(self.mixed @ self.sums(values)))
 
-    def between(self, values: Array) -> Array:
+    def between(self, values: Array) -> LineBlocks:
         """Return Vᵀ diag(x) V for x (rows, columns)."""
-        grids = [[first * second * values for second in self.along] for first in self.along]
-        return np.block([[bipartite_matrix(line_sums(grid), grid) for grid in row] for row in grids])
+        grids = self.along[:, None] * self.along * values
+        return LineBlocks(line_sums(grids), grids)
 
     def sums(self, values: Array) -> Array:
         """Return Vᵀ·x, (vectors · lines,)."""

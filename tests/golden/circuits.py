@@ -18,6 +18,7 @@ from lampest.loads.shapes.disc import annulus_mm2, bearing_kpa, contact_of_weigh
 from lampest.loads.shapes.kinds import RoundShape
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel import effects, systematic
+from lampest.panel.network import NormalByLines
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts import AnyReadout, readout, wiring
 from lampest.panel.readouts.floating import Stencil
@@ -97,12 +98,21 @@ def network_row(scene: lp.Scene) -> dict[str, Any]:
     if scene.panel.modules is None:
         row |= {
             "some": network.sensitivity()[np.ix_(few[:2], few)], "some second": second.matrix()[np.ix_(few, few)],
-            "potentials": network.potentials(), "by lines": network.normal_by_lines(weights**2),
+            "potentials": network.potentials(), "by lines": by_lines(network.normal_by_lines(weights**2)),
             "wire": wiring.wire_responses(network, scene.lines or lp.Lines()),
         }  # fmt: skip
     if scene.wiring is not None:
         row["contacts"] = wiring.contact_responses([network])
     return row
+
+
+def by_lines(parts: NormalByLines) -> dict[str, Any]:
+    mixed = parts.mixed.matrix()
+    if len(mixed):
+        alone = parts.mixed.diagonal[0, 1]  # infinite of lines without cells, whose products with others are unknown
+        squared = mixed[len(alone) :, len(alone) :]
+        squared[squared == 0] = (0 * alone[:, None] * alone)[squared == 0]
+    return {"own": parts.own, "along": parts.along, "mixed": mixed}
 
 
 def readout_row(scene: lp.Scene) -> dict[str, Any]:

@@ -13,8 +13,18 @@ import scipy
 from numpy.typing import NDArray
 
 from lampest.files.typed import typed
-from lampest.panel.kirchhoff import bipartite_matrix, line_sums
-from lampest.panel.network import Entries, Loading, Network, NormalByLines, Numbers, across, inverse_of
+from lampest.panel.kirchhoff import line_sums
+from lampest.panel.line_blocks import LineBlocks
+from lampest.panel.network import (
+    Entries,
+    Loading,
+    Network,
+    NormalByLines,
+    Numbers,
+    across,
+    inverse_of,
+    log_determinant,
+)
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, steihaug
 
@@ -108,25 +118,27 @@ class Stencil:
     ----------
     diagonal : array, shape (rows, columns)
         1/d; zero for excluded cells.
-    inner : array, shape (lines, lines)
-        (S⁻¹ + Uᵀ diag(1/d) U)⁻¹, U the incidence of cells and lines, S the diagonal matrix of 1/A² and 1/B².
+    inner : callable
+        Product with (S⁻¹ + Uᵀ diag(1/d) U)⁻¹ over the lines, U the incidence of cells and lines, S the diagonal matrix
+        of 1/A² and 1/B².
     """
 
     diagonal: Array
-    inner: Array
+    inner: Callable[[Array], Array]
 
     @classmethod
     def of(cls, conductance: Array, two_point_resistance: Array, free: NDArray[np.bool_]) -> "Stencil":
         """Return the stencil over the free cells of a network; all (rows, columns), siemens and ohm."""
         cells, lines = _parts(conductance, two_point_resistance)
         diagonal = np.where(free, 1 / cells, 0.0)
-        return cls(diagonal, np.linalg.inv(np.diag(1 / lines) + bipartite_matrix(line_sums(diagonal), diagonal)))
+        of_lines = LineBlocks((1 / lines + line_sums(diagonal))[None, None], diagonal[None, None])
+        return cls(diagonal, of_lines.inverse())
 
     def solve(self, values: Array) -> Array:
         """Return the inverse of the stencil times x, (rows, columns), zero for excluded cells."""
         first = self.diagonal * values
         # (diag(d) + U S Uᵀ)⁻¹ x = x/d − (1/d)·U (S⁻¹ + Uᵀ diag(1/d) U)⁻¹ Uᵀ (x/d)
-        lines = self.inner @ np.concatenate([first.sum(axis=1), first.sum(axis=0)])
+        lines = self.inner(line_sums(first))
         rows = len(first)
         solved: Array = first - self.diagonal * (lines[:rows, None] + lines[None, rows:])
         return solved
@@ -135,7 +147,7 @@ class Stencil:
 def square_by_lines(conductance: Array, two_point_resistance: Array, weight: Array) -> NormalByLines:
     """Return JᵀWJ of two-point readings with the stencil in place of D∘D, J = (diag(d) + U K Uᵀ)·diag(g).
 
-    JᵀWJ = diag(g²d²w) + V M Vᵀ with V = [g·dwU, g·U], M = [[0, K], [K, K UᵀwU K]].
+    JᵀWJ = diag(g²d²w) + V M Vᵀ with V = [g·dwU, g·U], M = [[0, K], [K, K UᵀwU K]], M⁻¹ = [[−UᵀwU, K⁻¹], [K⁻¹, 0]].
 
     Parameters
     ----------
@@ -148,9 +160,16 @@ def square_by_lines(conductance: Array, two_point_resistance: Array, weight: Arr
     """
     cells, lines = _parts(conductance, two_point_resistance)
     heavy = conductance * cells * weight
-    mixed = lines[:, None] * bipartite_matrix(line_sums(weight), weight) * lines
-    inner = np.block([[np.zeros_like(mixed), np.diag(lines)], [np.diag(lines), mixed]])
-    return NormalByLines(heavy * conductance * cells, np.stack([heavy, conductance]), inner)
+    of_lines = line_sums(weight)
+    none = np.zeros_like(lines)
+    zero = np.zeros_like(weight)
+    of_rows, of_columns = np.split(lines, [len(weight)])
+    squared = lines * of_lines * lines, of_rows[:, None] * weight * of_columns
+    mixed = LineBlocks(np.array([[none, lines], [lines, squared[0]]]), np.array([[zero, zero], [zero, squared[1]]]))
+    inverse = LineBlocks(
+        np.array([[-of_lines, 1 / lines], [1 / lines, none]]), np.array([[-weight, zero], [zero, zero]])
+    )
+    return NormalByLines(heavy * conductance * cells, np.stack([heavy, conductance]), mixed, inverse)
 
 
 def _parts(conductance: Array, two_point_resistance: Array) -> tuple[Array, Array]:
@@ -185,7 +204,7 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
 
     def at(conductance: Array) -> tuple[float, FloatingNetwork]:
         network = FloatingNetwork.solve(conductance, tie)
-        return float(np.sum(measured * conductance) + np.linalg.slogdet(network.potentials())[1]), network
+        return float(np.sum(measured * conductance)) - log_determinant(conductance, tie), network
 
     def freely(network: FloatingNetwork) -> tuple[Array, NDArray[np.bool_], float]:
         """Return ∇ = R_m − R, the cells that are free to follow it, and its largest entry relative to R_m."""

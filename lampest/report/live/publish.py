@@ -27,6 +27,9 @@ from lampest.report.live.message import COMPACT, FORMAT, VERDICTS, Message, View
 from lampest.report.live.server import MAX_STREAMS, TURN_SECONDS, Access, ip_named
 
 LATEST_SECONDS = 0.2  # longest confirmation time of a broker before following messages are left out
+MAX_DATAGRAM = 65507  # bytes: what UDP over IPv4 takes, 2¹⁶ − 1 less its headers
+BUNDLE_HEAD = 16  # bytes of a bundle's name and time, before its messages with four bytes each for their length
+NO_PREFIX = set(" #*,?[]{}")  # of OSC's addresses, which receivers would take for patterns
 LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 Send = Callable[[Message], None]
 Say = Callable[[str], None]
@@ -144,31 +147,78 @@ def _describe(element: Any, content: dict[str, Any]) -> None:
 
 @dataclass(frozen=True)
 class OscPublish(Publish):
-    """`osc://HOST:PORT/PREFIX`: a bundle of messages for each frame over UDP, without confirmation."""
+    """`osc://HOST:PORT/PREFIX`: a bundle of messages for each frame over UDP, without confirmation.
+
+    What one datagram does not hold follows in further ones; a message that none holds is left out.
+    """
 
     kind: ClassVar[str] = "osc"
     port: int = 9000
 
     @contextmanager
     def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
-        """Open the stream, as `Publish.opened`."""
+        """Open the stream, as `Publish.opened`. A name is looked up once, here."""
         with extra("streams"):
             from pythonosc.udp_client import UDPClient
+        if NO_PREFIX & set(self.path) or not (self.path.isascii() and self.path.isprintable()):
+            raise InputError(
+                f"--publish: osc: {self.path!r} is no prefix: it has ASCII letters, and none of # * , ? [ ] {{ }} "
+                "and spaces"
+            )
+        if self.port == 0:
+            raise InputError("--publish: osc: there is no port 0: give one from 1 to 65535")
         try:
-            client = UDPClient(self.host, self.port)
+            known = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_DGRAM)
+            client = UDPClient(socket.getnameinfo(known[0][4], socket.NI_NUMERICHOST)[0], self.port)
+        except UnicodeError as error:
+            raise InputError(f"--publish: {self.where}: '{self.host}' is no name of a computer") from error
         except OSError as error:
             raise InputError(f"--publish: {self.where}: {error.strerror or error}") from error
-        with client:
-            yield self.where, lambda message: client.send(self._bundle(message))
+        large = set[str]()
 
-    def _bundle(self, message: Message) -> Any:
-        """Return the bundle: whole numbers i, time d, other numbers f, texts s, solved T or F."""
+        def send(message: Message) -> None:
+            bundles, left_out = self._bundles(message)
+            for name, size in left_out.items():
+                if name not in large:
+                    say(f"{self.where}: {name} is left out: its {size:,} bytes fit no datagram")
+                large.add(name)
+            for bundle in bundles:
+                client.send(bundle)
+
+        with client:
+            yield self.where, send
+
+    def _bundles(self, message: Message) -> tuple[list[Any], dict[str, int]]:
+        """Return bundles that fit a datagram each, and the sizes of messages that fit none by their names."""
         from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
+
+        groups = list[list[Any]]()
+        left_out = dict[str, int]()
+        room = 0
+        for built in self._messages(message):
+            size = 4 + built.size
+            if size > MAX_DATAGRAM - BUNDLE_HEAD:
+                left_out[built.address] = built.size
+                continue
+            if size > room:
+                groups.append([])
+                room = MAX_DATAGRAM - BUNDLE_HEAD
+            groups[-1].append(built)
+            room -= size
+        bundles = []
+        for group in groups:
+            bundle = OscBundleBuilder(IMMEDIATELY)
+            for built in group:
+                bundle.add_content(built)
+            bundles.append(bundle.build())
+        return bundles, left_out
+
+    def _messages(self, message: Message) -> Iterator[Any]:
+        """Yield the messages: whole numbers i, time d, other numbers f, texts s, solved T or F."""
         from pythonosc.osc_message_builder import OscMessageBuilder
 
         picture = message.picture
         view = message.view
-        bundle = OscBundleBuilder(IMMEDIATELY)
         parts: dict[str, Any] = {"sequence": picture.number, "time": picture.time, "size": message.panel.shape}
         parts |= {name: values.ravel().tolist() for name, values in message.maps.items()}
         parts |= {"force": picture.force.newton, "force_sd": view.deviation, "verdict": picture.verdict}
@@ -180,8 +230,7 @@ class OscPublish(Publish):
             built = OscMessageBuilder(f"/{self.path}/{name}")
             for value in values if isinstance(values, list | tuple) else [values]:
                 built.add_arg(value, "d" if name == "time" else None)
-            bundle.add_content(built.build())
-        return bundle.build()
+            yield built.build()
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,21 @@ from lampest.panel.scene import Scene
 from lampest.runs.case import CaseResult
 
 MAX_LINES = 64  # of a side: LAMPEST_MAX_LINES
+MIN_OHM = 1e-3  # of a cell: SMALLEST_OHM
 MAX_OHM = 1e9  # of a cell: LARGEST_OHM
+LIMITS = {  # what `constants_are_sound` takes, of numbers that are not resistances
+    "sigma": (1e-12, 1e6),
+    "supply": (1e-3, 1e3),
+    "corner": (1e-12, 1e12),
+    "weight": (0.0, 1e30),
+    "tie": (0.0, 1e9),
+    "release": (-1e9, 1.0),
+    "load": (-1e9, 1e9),
+    "gain": (1e-12, 1e12),
+    "upper bound": (0.0, 1e15),
+    "reference": (1e-6, MAX_OHM),
+    "plain sigma": (0.0, 1e12),
+}
 MAX_SUM = 65535  # sums are unsigned numbers of 16 bits
 # Kind of a penalty → what it compares, and how; its reference decides between baseline and previous frame.
 PENALTIES = {
@@ -31,6 +45,7 @@ LOSSES = {"squared": "LAMPEST_SQUARED", "huber": "LAMPEST_HUBER", "student": "LA
 MAX_RELEASE = 1e3  # Rd/Rp or Rs/Rq: single precision keeps four digits of 1 + a Z
 COMPARES = ("LAMPEST_CHANGE", "LAMPEST_LOG_OF_PREVIOUS")  # with the previous frame
 MIN_LOADED_LIMIT = 0.2  # ln r: a fifth below the other cells is no drift
+MAX_LOADED_LIMIT = 1e6  # ln r: single precision has it, and no cell exceeds it
 LOADED_DEVIATIONS = 8.0  # standard deviations of a cell
 MAX_ROUNDED = 0.02  # of a code: sums further from whole numbers are averages of other readings
 
@@ -159,7 +174,24 @@ class Constants:
 
     @classmethod
     def of(cls, case: CaseResult) -> "Constants":
-        """Return the constants of a case. Raises InputError for a term or circuit that C does not have."""
+        """Return the constants of a case.
+
+        Raises InputError for a term or circuit that C does not have, a configuration that lampest does not write, and
+        numbers beyond those that the library takes.
+        """
+        try:
+            constants = cls._of(case)
+        except (TypeError, KeyError, ValueError, AttributeError, ZeroDivisionError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"{case.recording} × {case.estimator}: its stored configuration is none that lampest writes"
+            ) from error
+        constants.check()
+        return constants
+
+    @classmethod
+    def _of(cls, case: CaseResult) -> "Constants":
         scene = case.scene
         check_scene(scene)
         readout = scene.circuit
@@ -195,6 +227,46 @@ class Constants:
             np.where(scene.panel.present, baseline, 1000.0),
             max(MIN_LOADED_LIMIT, limit if np.isfinite(limit) else 0.0),
         )
+
+    def check(self) -> None:
+        """Raise InputError for a number that the library does not take: NaN, or one of no panel.
+
+        A compiler would refuse it, or the board.
+        """
+        losses = [(self.data_loss, self.data_corner), *((term.loss, term.corner) for term in self.penalties)]
+        numbers: list[tuple[str, Any, tuple[float, float]]] = [
+            ("cells at rest, ohm,", self.baseline, (MIN_OHM, MAX_OHM)),
+            ("noise, volt,", self.sigma_volt, LIMITS["sigma"]),
+            ("noise of plain misfits", self.plain_sigma, LIMITS["plain sigma"]),
+            ("supplies, volt,", self.scene.circuit.supply_volt, LIMITS["supply"]),
+            ("corners of losses", [corner for loss, corner in losses if loss != "LAMPEST_SQUARED"], LIMITS["corner"]),
+            ("weights", [term.weight for term in self.penalties], LIMITS["weight"]),
+            ("lower bounds, ohm,", self.least_ohm, (0.0, MAX_OHM)),
+            ("upper bounds, ohm,", self.largest_ohm, LIMITS["upper bound"]),
+            ("limits of loaded cells, ln r,", self.loaded_limit, (0.0, MAX_LOADED_LIMIT)),
+            ("series resistances, ohm,", self.scene.series_ohm, (0.0, MAX_OHM)),
+        ]
+        if self.lines is not None:
+            of_lines = (
+                ("ties of lines, siemens,", self.lines.tie, LIMITS["tie"]),
+                ("drive resistances, ohm,", self.lines.drive, (0.0, MAX_OHM)),
+                ("releases of lines", self.lines.release, LIMITS["release"]),
+                ("loads of lines, siemens,", self.lines.load, LIMITS["load"]),
+                ("gains of lines, volt,", self.lines.gain, LIMITS["gain"]),
+            )
+            numbers += of_lines
+        elif isinstance(self.scene.circuit, TwoPointReadout):
+            numbers.append(("references, ohm,", self.scene.circuit.reference_ohm, LIMITS["reference"]))
+        for name, values, (low, high) in numbers:
+            known = np.ravel(np.asarray(values, dtype=float))
+            beyond = known[~((known >= low) & (known <= high))]
+            if beyond.size:
+                raise InputError(f"the C library takes {name} from {low:g} to {high:g}, not {beyond[0]:g}")
+        if self.least_ohm > self.largest_ohm:
+            raise InputError(f"bounds: the lower one, {self.least_ohm:g} ohm, exceeds the upper, {self.largest_ohm:g}")
+        low_sum, high_sum = self.valid_sums
+        if low_sum > high_sum:
+            raise InputError("no sum of codes is a value: all are at an end of the converter's range")
 
     def within(self, budget: Budget) -> "Constants":
         """Return the constants with another budget."""

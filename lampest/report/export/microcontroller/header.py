@@ -10,11 +10,12 @@ from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.report.export.microcontroller.constants import Constants
 
 NUMBERS_A_LINE = 8
+MIN_NUMBER = 1e-37  # smaller ones are zero: about the smallest that single precision has with all its digits
 
 
 def number(value: float) -> str:
     """Return a number as a C literal of single precision, with the nine digits that determine it."""
-    text = f"{value:.9g}"
+    text = f"{value if abs(value) >= MIN_NUMBER else 0.0:.9g}"
     return (text if any(mark in text for mark in ".en") else text + ".0") + "f"
 
 

@@ -142,11 +142,15 @@ def compiled(constants: Constants, *flags: str) -> Iterator[Host]:
         (place / "host.c").write_text(HOST, encoding="ascii")
         files = [str(path) for path in sources() if path.suffix == ".c"]
         build = [command, *FLAGS, *flags, f"-I{library_folder()}", str(place / "host.c"), *files]
-        done = subprocess.run(
-            [*build, "-o", str(place / "host.so"), "-lm"], capture_output=True, text=True, check=False
-        )
+        try:
+            done = subprocess.run(
+                [*build, "-o", str(place / "host.so"), "-lm"], capture_output=True, text=True, check=False
+            )
+        except OSError as error:
+            raise InputError(f"{command} cannot be started ({error.strerror or error})") from error
         if done.returncode:
             raise InputError(f"{command} does not compile the C library: {done.stderr.strip().splitlines()[:1]}")
         library = ctypes.CDLL(str(place / "host.so"))
-        library.host_deviation.restype = ctypes.c_float
-        yield Host(library, constants.scene.panel.shape)
+    # The folder is gone while the library is used, so that nothing remains of a process that is killed then.
+    library.host_deviation.restype = ctypes.c_float
+    yield Host(library, constants.scene.panel.shape)

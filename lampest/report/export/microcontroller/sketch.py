@@ -173,8 +173,11 @@ def export_sketch(
         )
         text = header(constants, "panel", ("Constants of an estimator, written by `lampest export --to c`.", *about))
         readings = f"#define PANEL_READINGS {constants.scene.circuit.readings}\n\nstatic const"
+        # The sketch is the last one that gets its name, and an old one goes before the first does: a folder with a
+        # sketch is whole, also where the command is killed meanwhile.
+        sketch = f"{folder.name}.ino"
         contents = {
-            f"{folder.name}.ino": SKETCH,
+            sketch: SKETCH,
             "panel_constants.h": text.replace("static const", readings, 1),
             "test_vector.h": vector,
         } | {path.name: path.read_text(encoding="utf-8") for path in sources()}
@@ -183,6 +186,7 @@ def export_sketch(
         refuse_inputs(written)
         for path, content in zip(written, contents.values(), strict=True):
             files.enter_context(whole_file(path)).write_text(content, encoding="utf-8")
+        (folder / sketch).unlink(missing_ok=True)
     return Sketch(written, about, table, budget, notes)
 
 

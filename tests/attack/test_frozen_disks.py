@@ -1,0 +1,36 @@
+"""A disk that takes nothing for seconds, as a network disk whose server is busy: all frames come, in their order."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from wild_board import hundred_a_second, wild_board
+
+from lampest import Recording
+from lampest.recording.board.record import Journal, record
+
+FRAMES = 300  # of three seconds
+FROZEN_S = 2.0
+
+
+@pytest.mark.slow
+def test_a_disk_that_is_frozen_for_seconds_costs_no_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They wait in the port meanwhile; `fsfreeze` of a mounted disk for six seconds had the same end."""
+    append: Callable[..., None] = Journal.append
+    calls = list[int]()
+
+    def stalled(journal: Journal, *arguments: Any) -> None:
+        calls.append(0)
+        if len(calls) == 20:
+            time.sleep(FROZEN_S)
+        append(journal, *arguments)
+
+    monkeypatch.setattr(Journal, "append", stalled)
+    with wild_board(hundred_a_second) as board:
+        done = record(board.port, tmp_path / "r.h5", period=0.01, frames=FRAMES)
+    found = Recording.load(tmp_path / "r.h5")
+    assert (done.frames, done.lost) == (FRAMES, 0) and len(calls) > 20
+    assert found.acquisition is not None
+    assert found.acquisition.sequence.tolist() == list(range(FRAMES))

@@ -1,0 +1,185 @@
+"""Limits of processes and threads, and kills: one sentence, and nothing half written."""
+
+import dataclasses
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from attack.attack import HELD, Ended, Outcomes, Rng, attack, called, environment, small_folder
+
+from lampest import LogGradient, Misfit, Panel, Recording, Scene, TwoPointReadout, reconstruct, write_results
+
+LIVE = ("live", "--recording", "small.h5", "--speed", "1000", "--count", "1", "--http", "127.0.0.1:0")
+RUN = ("run", "run.yaml", "--out", "out", "--jobs")
+EXPORT = ("export", "results.h5", "--to", "c", "--estimator")
+STRANGER = 54321  # a user without processes
+SETPRIV = shutil.which("setpriv")
+# The interpreter may stand where strangers cannot read.
+READING = "-all,+dac_read_search,+dac_override"
+LIMITED = """
+import resource
+resource.setrlimit(resource.RLIMIT_NPROC, ({limit}, {limit}))
+from lampest.cli import main
+main()
+"""
+
+
+@pytest.mark.slow
+def test_commands_without_a_further_thread_are_refused_or_do_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*arguments: object) -> int:
+        raise RuntimeError("can't start new thread")
+
+    made = small_folder(tmp_path)
+    monkeypatch.setattr(threading, "_start_new_thread", refused)
+    assert called(*RUN, "1", folder=made).code == 0
+    assert called(*LIVE, folder=made).refused("ulimit -u") == HELD
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.geteuid() != 0 or SETPRIV is None, reason="only root becomes another user")
+@attack(6, 40)
+def test_a_limit_of_processes_of_a_user_is_one_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
+    made = small_folder(folder / "work")
+    folder.chmod(0o755)
+    for path in (made, *made.rglob("*")):
+        os.chown(path, STRANGER, STRANGER)
+    commands = (LIVE, (*RUN, "2"), (*RUN, "1"))
+    for number in range(count):
+        words = commands[number % 3]
+        done = _as_stranger(int(rng.integers(1, 6)), *words, folder=made)
+        sentence = done.code == 0 or (done.code == 2 and done.err.count("\n") == 1)
+        yield HELD if sentence and done.plain and done.seconds < 60 else done.described(words[0])
+
+
+def _as_stranger(limit: int, *words: str, folder: Path) -> Ended:
+    """Run the command as another user, under a limit of that user's processes and threads."""
+    become = [f"--reuid={STRANGER}", f"--regid={STRANGER}", "--clear-groups"]
+    become += [f"--inh-caps={READING}", f"--ambient-caps={READING}"]
+    script = [sys.executable, "-c", LIMITED.format(limit=limit), *words]
+    begin = time.monotonic()
+    done = subprocess.run(
+        [str(SETPRIV), *become, *script],
+        cwd=folder,
+        env=environment(OPENBLAS_NUM_THREADS="1", HOME=str(folder), PYTHONDONTWRITEBYTECODE="1"),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    return Ended(done.returncode, done.stdout, done.stderr, time.monotonic() - begin, 0)
+
+
+# Kills itself once so many files have got their names.
+KILLED = """
+import os, pathlib, signal
+replace, left = pathlib.Path.replace, [{count}]
+def counted(path, target):
+    if not left[0]:
+        os.kill(os.getpid(), signal.SIGKILL)
+    left[0] -= 1
+    return replace(path, target)
+pathlib.Path.replace = counted
+from lampest.cli import main
+main()
+"""
+
+
+def _solved(folder: Path) -> None:
+    """Write results of two estimators, without error bars, of which a sketch is made in two seconds."""
+    scene = Scene(Panel(3, 4), TwoPointReadout(noise_lsb=0.7, readings=20))
+    rng = np.random.default_rng(1)
+    cells = rng.uniform(900, 2000, (5, 3, 4))
+    recorded = scene.circuit.to_recorded(scene.circuit.exact_reading(cells), scene)
+    recording = Recording(scene, recorded, np.arange(5.0), np.array([0, 0, 1, 1, 1], dtype=np.uint8))
+    terms = {"LSM": (), "smooth": (LogGradient(weight=1.0),)}
+    cases = []
+    for name, further in terms.items():
+        found = reconstruct(recording, [Misfit(weighting="noise"), *further], formulation="reduced")
+        cases.append(dataclasses.replace(found.result(name), sigma_own=None))
+    folder.mkdir()
+    write_results(folder / "results.h5", cases)
+
+
+def _content(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix != ".part"}
+
+
+@pytest.mark.slow
+@attack(3, 20)
+def test_a_folder_with_a_sketch_is_whole_whenever_its_export_was_killed(rng: Rng, folder: Path, count: int) -> Outcomes:
+    """The sketch goes first and comes last, so that none is built of files of two estimators."""
+    made = folder / "work"
+    _solved(made)
+    whole = []
+    for name in ("LSM", "smooth"):
+        assert called(*EXPORT, name, "--out", "sketch", folder=made).code == 0
+        whole.append(_content(made / "sketch"))
+    names = len(whole[1])
+    for number in range(count):
+        script = KILLED.format(count=int(rng.integers(0, names)))
+        words = [sys.executable, "-c", script, *EXPORT, ("LSM", "smooth")[number % 2], "--out", "sketch"]
+        done = subprocess.run(words, cwd=made, env=environment(), capture_output=True, timeout=60)
+        left = _content(made / "sketch")
+        mixed = "sketch.ino" in left and left not in whole
+        yield f"{done.returncode}, of two: {sorted(left)}" if mixed or done.returncode != -signal.SIGKILL else HELD
+        again = called(*EXPORT, "smooth", "--out", "sketch", folder=made)
+        kept = sorted(path.name for path in (made / "sketch").iterdir())
+        yield HELD if kept == sorted(whole[1]) and _content(made / "sketch") == whole[1] else again.described("again")
+
+
+VERIFIED = """\
+schema: 1
+recordings: [small.h5]
+formulation: reduced
+verify: {frames: all}
+estimators:
+  LSM: {terms: {misfit: {weighting: noise}}}
+  smooth: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 1.0}}}
+"""
+
+
+@pytest.mark.slow
+@attack(1, 20)
+def test_a_run_that_was_killed_while_it_verified_ends_as_if_it_had_not_been(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
+    made = small_folder(folder / "work")
+    (made / "run.yaml").write_text(VERIFIED)
+    begin = time.monotonic()
+    assert called("run", "run.yaml", "--out", "whole", "--jobs", "1", folder=made).code == 0
+    seconds = time.monotonic() - begin + 2.0
+    expected = _verified(made / "whole" / "results.h5")
+    draw = random.Random(int(rng.integers(2**32)))
+    for number in range(count):
+        out = f"out{number}"
+        words = ("run", "run.yaml", "--out", out, "--jobs", "1")
+        script = [sys.executable, "-c", "from lampest.cli import main; main()", *words]
+        for _ in range(2):
+            with subprocess.Popen(script, cwd=made, env=environment(), stderr=subprocess.PIPE) as process:
+                try:
+                    process.wait(draw.uniform(0.8, 1.0) * seconds)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+            results = made / out / "results.h5"
+            if results.exists():
+                yield HELD if called("check", results).code == 0 else "what a kill left is damaged"
+        ended = called(*words, folder=made)
+        same = ended.code == 0 and _verified(made / out / "results.h5") == expected
+        yield HELD if same else ended.described("the run that was killed has other results")
+        yield HELD if not [*(made / out).rglob("*.part")] else "unfinished files are left"
+
+
+def _verified(results: Path) -> list[bytes]:
+    from lampest.runs.results import read_results
+
+    cases = read_results(results).cases
+    return [array.tobytes() for case in cases for array in (case.cell_resistance, case.verified)]

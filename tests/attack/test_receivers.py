@@ -1,0 +1,122 @@
+"""Receivers of OSC that are absent, slow, refuse or do not exist, prefixes that mean others, and frames too large."""
+
+import dataclasses
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from lampest import InputError, Panel
+from lampest.report.detect.answer import Detected
+from lampest.report.live.handover import Newest
+from lampest.report.live.message import UNKNOWN, Message, Picture, View
+from lampest.report.live.publish import MAX_DATAGRAM, OscPublish, publishing
+
+SMALL = 3, 4
+LARGE = 72, 72  # three maps exceed a datagram
+ENORMOUS = 120, 120  # one map does
+
+
+def frame(shape: tuple[int, int], number: int = 1) -> Message:
+    """A solved frame with as large numbers as there are."""
+    values = np.full(shape, 1e7)
+    is_open = np.zeros(shape, dtype=bool)
+    picture = Picture(
+        number, 0.1, 0.0, values, values, is_open, UNKNOWN, "", 0.1, 0, values, values, verdict="pressing"
+    )
+    message = Message.of(View("", "", "", Panel(*shape), picture=picture))
+    assert message is not None
+    return message
+
+
+@contextmanager
+def receiver() -> Iterator[socket.socket]:
+    """A receiver that need not listen."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as place:
+        place.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2**20)
+        place.bind(("127.0.0.1", 0))
+        place.settimeout(5)
+        yield place
+
+
+def addresses_of(place: socket.socket, count: int) -> list[list[str]]:
+    """The messages' addresses of the datagrams that came."""
+    from pythonosc.osc_bundle import OscBundle
+
+    bundles = [OscBundle(place.recv(MAX_DATAGRAM)) for _ in range(count)]
+    return [[message.address for message in bundle] for bundle in bundles]
+
+
+@pytest.mark.parametrize(
+    "where",
+    ["osc://a..b", f"osc://{'x' * 300}", "osc://127.0.0.1:0", "osc:///a*b", "osc:///ä", "osc:///a b", "osc:///#"],
+)
+def test_a_receiver_that_cannot_be_is_one_sentence(where: str) -> None:
+    osc = OscPublish.at(urlsplit(where.partition(":")[2], allow_fragments=False), None)
+    with pytest.raises(InputError, match=r"^--publish: osc[^\n]*$"), osc.opened(print):
+        pass
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "192.0.2.1"])
+def test_a_receiver_that_is_absent_or_refuses_stops_nothing(host: str) -> None:
+    """Port 9 of this computer answers by ICMP, an address of documentation never."""
+    sentences = list[str]()
+    with OscPublish(host, 9).opened(sentences.append) as (_, send):
+        begin = time.monotonic()
+        for number in range(50):
+            send(frame(SMALL, number))
+        assert time.monotonic() - begin < 5
+    assert not sentences
+
+
+def test_a_receiver_that_reads_nothing_stops_nothing() -> None:
+    sentences = list[str]()
+    shown = Newest(frame(LARGE).view)
+    with receiver() as place, publishing([OscPublish(port=place.getsockname()[1])], shown, sentences.append):
+        for number in range(100):
+            shown.put(frame(LARGE, number).view)
+            time.sleep(0.002)
+    assert not sentences
+
+
+@pytest.mark.parametrize(("shape", "count"), [(SMALL, 1), (LARGE, 2)])
+def test_a_frame_that_one_datagram_does_not_hold_comes_in_several(shape: tuple[int, int], count: int) -> None:
+    sentences = list[str]()
+    with receiver() as place, OscPublish(port=place.getsockname()[1]).opened(sentences.append) as (_, send):
+        send(frame(shape))
+        came = [address for bundle in addresses_of(place, count) for address in bundle]
+    expected = [
+        "sequence",
+        "time",
+        "size",
+        "change",
+        "pressure",
+        "cells",
+        "force",
+        "force_sd",
+        "verdict",
+        "solved",
+        "status",
+        "alarm",
+    ]
+    assert came == [f"/lampest/{name}" for name in expected] and not sentences
+
+
+def test_what_no_datagram_holds_is_left_out_and_named_once() -> None:
+    """Maps of a panel, and the list of all that sucked during a long day: the numbers of a frame come."""
+    sentences = list[str]()
+    detected = Detected("long", "cannot say", 0.5, why="x" * 70_000)
+    view = dataclasses.replace(frame(ENORMOUS).view, detected=detected)
+    message = Message.of(view)
+    assert message is not None
+    with receiver() as place, OscPublish(port=place.getsockname()[1]).opened(sentences.append) as (_, send):
+        for _ in range(2):
+            send(message)
+        for bundle in addresses_of(place, 2):
+            assert "/lampest/force" in bundle and "/lampest/cells" not in bundle
+    named = [sentence.split(" ")[1] for sentence in sentences]
+    assert named == [f"/lampest/{name}" for name in ("change", "pressure", "cells", "sentence", "detection")]
