@@ -141,7 +141,9 @@ def _text_of(path: Path) -> str:
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text in UTF-8") from error
+        data = content.startswith(b"\x89HDF")
+        kind = ", but HDF5; a run file, which lampest run reads, names recordings" if data else ""
+        raise InputError(f"{path}: not a text in UTF-8{kind}") from error
 
 
 def parse_document(text: str, source: str) -> Document:
