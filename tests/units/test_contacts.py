@@ -23,6 +23,22 @@ def test_two_loads_under_one_cover_are_two_contacts() -> None:
     assert not (left | right)[:, 6:8].all()
 
 
+def test_errors_of_the_cells_divide_no_contact() -> None:
+    change = blob(5, 5, 3.0, 3.0)
+    change[:, 5] *= 0.25  # of the cells beside it, by an error of two standard deviations
+    assert len(contacts_of(PANEL, change, SD)) == 2
+    (contact,) = contacts_of(PANEL, change, np.where(np.arange(14) == 5, 0.22, SD))
+    assert contact[5, 5]
+
+
+def test_a_line_of_which_nothing_is_known_divides_no_contact() -> None:
+    change = blob(5, 5, 2.0, 3.0)
+    change[:, 5] = 0.0
+    assert len(contacts_of(PANEL, change, SD)) == 2
+    (contact,) = contacts_of(PANEL, change, np.where(np.arange(14) == 5, 1.0, SD))
+    assert contact[5, 4] and contact[5, 6] and not contact[:, 5].any()
+
+
 def test_heel_and_ball_of_a_foot_are_one_contact() -> None:
     change = blob(5, 2.5, 1.3, 3.2) + blob(5, 9, 1.5, 2.8) + blob(5, 6, 1.2, 1.2)
     (foot,) = contacts_of(PANEL, change, SD)
