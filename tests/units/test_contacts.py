@@ -62,6 +62,14 @@ def test_what_the_readings_hardly_show_is_no_contact() -> None:
     assert len(contacts_of(PANEL, change, SD)) == 2
 
 
+def test_a_faint_pair_of_cells_beside_a_heavy_load_is_no_contact() -> None:
+    change = blob(4, 6, 1.5, 2.0)
+    change[6, 12:14] = -0.22  # as in the rows of two feet, where nothing stood
+    assert len(contacts_of(PANEL, change, SD)) == 1
+    change[5:8, 12:14] = -0.22
+    assert len(contacts_of(PANEL, change, SD)) == 2
+
+
 def test_a_light_load_beside_a_heavy_one_is_a_contact() -> None:
     heavy, light = contacts_of(PANEL, blob(3, 6, 1.2, 3.5) + blob(10, 6, 1.0, 0.5), SD)
     assert heavy[6, 3] and light[6, 10]

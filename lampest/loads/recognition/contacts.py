@@ -16,6 +16,8 @@ from lampest.panel.panel import Array, Panel
 # Of the strongest ln r0/r of a contact: cells with less are its surroundings. Between two feet under a soft cover it is
 # a fifth, under the arch of one foot a half.
 FAINT_SHARE = 0.3
+SMALL_CELLS = 3
+SMALL_SHARE = 0.15  # likewise for contacts of fewer cells: between two feet in a circuit with grounded lines up to 0.12
 GHOST_SHARE = 0.05  # of the strongest ln r0/r of all cells: errors of the circuit beside a heavy load
 
 
@@ -37,7 +39,9 @@ def contacts_of(panel: Panel, change: Array, sd: Array) -> list[NDArray[np.bool_
     joined = _joined(panel, strength, sd, basin)
     clear_of = {peak: touched & (basin == peak) & ~_is_faint(strength, sd, peak) for peak in set(basin[touched])}
     peaks = sorted(set(joined[touched]), key=lambda cell: -strength.flat[cell])
-    return [np.any([clear_of[part] for part in set(basin[joined == peak])], axis=0) for peak in peaks]
+    contacts = [np.any([clear_of[part] for part in set(basin[joined == peak])], axis=0) for peak in peaks]
+    least = SMALL_SHARE * strength[clear].max()
+    return [cells for cells in contacts if cells.sum() >= SMALL_CELLS or strength[cells].max() >= least]
 
 
 def _is_faint(strength: Array, sd: Array, peak: int) -> NDArray[np.bool_]:
