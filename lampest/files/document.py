@@ -141,8 +141,7 @@ def _text_of(path: Path) -> str:
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
-        data = content.startswith(b"\x89HDF")
-        kind = ", but HDF5; a run file, which lampest run reads, names recordings" if data else ""
+        kind = ", but HDF5, a recording or results; lampest info describes it" if content.startswith(b"\x89HDF") else ""
         raise InputError(f"{path}: not a text in UTF-8{kind}") from error
 
 

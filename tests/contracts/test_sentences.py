@@ -181,5 +181,5 @@ def test_a_file_of_another_kind_is_named_with_the_command_that_reads_it(
 
 def test_recordings_and_results_are_not_confused(starter: Path, lampest: Command) -> None:
     assert "a recording, lampest run computes results of it" in lampest("plot", starter / "example.h5").err
-    assert "HDF5; a run file, which lampest run reads" in lampest("run", starter / "example.h5").err
+    assert "HDF5, a recording or results; lampest info describes it" in lampest("run", starter / "example.h5").err
     assert "a folder; name a file in it" in lampest("info", starter).err
