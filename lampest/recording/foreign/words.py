@@ -24,7 +24,8 @@ ROLE_OF_WORD = _by_word(
     row="row rows zeile reihe y i",
     column="column columns col cols spalte x j",
     cell="cell taxel pixel index sensor",
-    value="value values reading resistance ohm kohm volt voltage code adc raw counts mv r v wert widerstand spannung",
+    value="value values reading measured resistance ohm kohm volt voltage code adc raw counts mv r v wert widerstand "
+    "spannung",
     frame="frame frames scan step sample frame_id frame_nr frame_no scan_nr nr messung bild",
     date="date datum day tag",
     time="time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel elapsed clock ts "
