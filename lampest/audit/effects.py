@@ -166,13 +166,15 @@ def _reading_error(evidence: Gathered) -> Iterator[Finding]:
         return
     known = scene.systematic if isinstance(scene.systematic, Systematic) else Systematic()
     asked = replace(scene, systematic=replace(known, reading_error=ESTIMATED))
-    resting = noise.readings[unloaded].mean()
+    # without the error of the model: the same misses would count for it and for errors of the readings
+    readings = replace(noise.readings, sigma=noise.readings.sigma / noise.model_factor)
+    resting = readings[unloaded].mean()
     loaded = None
     if resting.plain[scene.requested].mean() < MIN_SHARE_READ:
         return
     if len(evidence.measured):
-        strongest = strongest_frame(noise.readings.plain_values, resting.value, evidence.measured)
-        loaded = noise.readings[strongest]
+        strongest = strongest_frame(readings.plain_values, resting.value, evidence.measured)
+        loaded = readings[strongest]
     found = shared_errors(asked, resting, loaded, noise.frame)
     if found.no_reading_error < SIGNIFICANCE:
         mean, deviation = found.sizes["reading_error"]

@@ -21,8 +21,9 @@ class Assumptions:
         Distance over which changes in a skirt are correlated, in cells.
     jump : float
         Change between frames under a load, and value of a cell that no reading determines.
-    scatters : tuple of float
-        Scatter of unloaded cells, equally probable values: films of one batch scatter by a tenth, worn ones by 0.4.
+    scatter, scatter_factor : float
+        Scatter s of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4. The prior of ln s has mean
+        ln scatter and standard deviation ln scatter_factor.
     channel_ohm : float
         Resistance of a multiplexer's channel, ohm (CD74HC4067, data sheet: any two differ by 10 ohm).
     """
@@ -33,7 +34,8 @@ class Assumptions:
     skirt: float = 0.3
     skirt_cells: float = 1.5
     jump: float = 1.0
-    scatters: tuple[float, ...] = (0.03, 0.1, 0.2, 0.4)
+    scatter: float = 0.1
+    scatter_factor: float = 2.0
     channel_ohm: float = 3.0
 
 

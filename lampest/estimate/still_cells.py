@@ -43,6 +43,11 @@ from lampest.recording.readings import Readings
 READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))
 PRIOR_ODDS = np.where(READING_ERRORS > 0, 0.5 / np.count_nonzero(READING_ERRORS), 0.5)
 LINEAR_LIMIT = 0.15  # of log r: the second order of a larger error moves cells by more than one per cent
+# Tried scatters s of unloaded cells, and the logarithms of their prior probabilities. Steps are a tenth, because a
+# hundred cells show their scatter to some percent: where crosstalk is small an error e would fill a gap between two of
+# them.
+SCATTERS = np.geomspace(0.01, 1.0, 48)
+LOG_PRIOR = -np.square(np.log(SCATTERS / ASSUMED.scatter) / np.log(ASSUMED.scatter_factor)) / 2
 # Tried sizes of a load's skirt, of log r. Always the largest would hide errors where no load has a skirt.
 SKIRTS = ASSUMED.skirt * np.array([0.0, 0.03, 0.1, 0.3, 1.0])
 LOADED_CHANGE = NOISE_REACH * LINEAR_LIMIT  # of log r: only loads move cells by more, errors within the limit do not
@@ -95,7 +100,11 @@ def shared_errors(scene: Scene, resting: Readings, loaded: Readings | None, nois
     explained = fit is not None and fit.tail >= SIGNIFICANCE
     learns = READING_ERROR.setting in asked
     sizes = dict[str, tuple[float, float]]()
-    unloaded = _unloaded_costs(scene, resting) if learns else np.zeros(len(READING_ERRORS))
+    unloaded = (
+        _unloaded_costs(scene, resting, 0.0 if fit is None else fit.chi_square)
+        if learns
+        else np.zeros(len(READING_ERRORS))
+    )
     moves = None if fit is None or loaded is None or not explained else shared_changes(scene, fit, loaded, prior, noise)
     size = READING_ERROR.size(prior)
     none = 1.0
@@ -305,7 +314,7 @@ def _steadied(scene: Scene, fit: CellsFit, near: Array) -> CellsFit:
     return CellsFit.at(scene, data, replace(fit.readings, value=data.network(0, cells).reading()), cells)
 
 
-def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
+def _unloaded_costs(scene: Scene, resting: Readings, least: float) -> Array:
     """Return −2 ln likelihood of READING_ERRORS, up to a constant, if the unloaded cells are log r ~ N(μ, s²).
 
     The readings are linearised at the most probable log cells u, with t = y − f(u) + J u. Let τ² = σ² + (e y')², where
@@ -313,23 +322,36 @@ def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
 
         −2 log p(y | e, s) = Σ a²/v − (Σ a b/v)²/Σ(b²/v) + Σ log v + log Σ(b²/v) + Σ log τ²,   v = 1 + s²λ,
 
-    with a = Qᵀ t/τ and b = Qᵀ A 1. The likelihood is averaged over the scatters s of `ASSUMED`. u is first the point of
-    the largest error, then that of the most probable one of a few errors. Where the cells are not alike, e is
-    overestimated rather than underestimated. Raises the errors of `BROKEN`.
+    with a = Qᵀ t/τ and b = Qᵀ A 1. The likelihood is averaged over the prior of SCATTERS. u is first the point of the largest error,
+    then that of the most probable one of a few errors. Where the cells are not alike, e is overestimated rather than
+    underestimated. Linear theory lets cells explain readings that no cells give; but no likelihood exceeds that of the
+    best fit, so that −2 log p is at least χ²/max(τ/σ)² + Σ log τ².
+
+    Parameters
+    ----------
+    scene : Scene
+    resting : Readings
+        Mean of the unloaded frames, (rows, columns).
+    least : float
+        χ², the least Σ ((f(r) − y)/σ)² of any cells.
+
+    Raises
+    ------
+    Errors of `BROKEN`.
     """
     data = cells_alone().data(resting.alone(), Background(scene))
     plain = resting.plain.ravel()
     share = np.abs(recorded_share(resting.value, scene))
-    scatters = np.square(ASSUMED.scatters)[:, None]
+    scatters = np.square(SCATTERS)[:, None]
     cells = np.log(data.uniform_start[0])
-    costs = np.zeros((1, len(ASSUMED.scatters)))
+    costs = np.zeros((1, len(SCATTERS)))
     for errors, before in ((READING_ERRORS[1::4], READING_ERRORS[-1:]), (READING_ERRORS, READING_ERRORS[1::4])):
         row, column = np.unravel_index(np.argmin(costs), costs.shape)
         deviation = np.where(resting.plain, np.hypot(resting.known_sigma, before[row] * share), np.inf)
-        cells, jacobian = _most_probable(data, resting.value, deviation, ASSUMED.scatters[column], cells)
+        cells, jacobian = _most_probable(data, resting.value, deviation, float(SCATTERS[column]), cells)
         missed = resting.value - data.network(0, np.exp(cells)).reading()
         target = missed.ravel() + jacobian @ cells.ravel()
-        costs = np.empty((len(errors), len(ASSUMED.scatters)))
+        costs = np.empty((len(errors), len(SCATTERS)))
         for number, error in enumerate(errors):
             tau = np.hypot(resting.known_sigma, error * share).ravel()[plain]
             scaled = jacobian[plain] / tau[:, None]
@@ -340,9 +362,12 @@ def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
             grown = 1 + scatters * np.maximum(values, 0.0)
             mean = (ones**2 / grown).sum(axis=1)
             squares = (projected**2 / grown).sum(axis=1) - (projected * ones / grown).sum(axis=1) ** 2 / mean
-            costs[number] = squares + np.log(grown).sum(axis=1) + np.log(mean) + 2 * np.log(tau).sum()
-    # −2 ln Σ_s p(y | e, s): all scatters are equally probable
-    marginal = -2 * np.logaddexp.reduce(-costs / 2, axis=1)
+            logarithms = 2 * np.log(tau).sum()
+            bound = least / np.max(tau / resting.known_sigma.ravel()[plain]) ** 2 + logarithms
+            linear = squares + np.log(grown).sum(axis=1) + np.log(mean) + logarithms
+            costs[number] = np.maximum(linear, bound)
+    # −2 ln Σ_s p(y | e, s) p(s)
+    marginal = -2 * np.logaddexp.reduce(LOG_PRIOR - costs / 2, axis=1)
     return np.asarray(marginal - marginal.min())
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pytest
 from attack.attack import HELD, Outcomes, Rng, attack, called
 
 import lampest
@@ -89,6 +90,7 @@ def _refused(make: Any, what: str, given: dict[str, Any], must: bool = False) ->
     return f"{what}: is taken" if must else HELD
 
 
+@pytest.mark.slow
 def test_readings_of_extended_precision_are_taken_for_what_they_say(tmp_path: Path) -> None:
     recording = lampest.datasets.load("rod")
     wide = recording.recorded.astype(np.longdouble)

@@ -110,6 +110,7 @@ def emulated(folder, build):
     return np.array([int(frame[0]) for frame in fields]), bits.view(np.float32)
 
 
+@pytest.mark.slow
 def test_a_lamprey_is_estimated_within_a_twentieth_of_its_error_by_one_and_a_half_million_instructions(
     lamprey, tmp_path
 ):
@@ -324,6 +325,7 @@ def sanitized(folder, program):
     return subprocess.run([str(folder / "fuzz")], capture_output=True, text=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("circuit", "cells"), [("two_point", None), ("grounded_one", None), ("loaded_columns", OVAL)])
 def test_random_codes_never_give_nan_overruns_or_more_work_than_budgeted(circuit, cells, tmp_path):
     term = lampest.RelativeChange(weight=0.01) if circuit == "grounded_one" else lampest.LogGradient(weight=1.0)
@@ -413,6 +415,7 @@ def chord_of(rng, shape):
     return [keys[number] for number in rng.permutation(4)[: rng.integers(3, 5)]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("circuit", ["two_point", "grounded_one"])
 @pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.slow)])
 def test_every_press_of_a_chord_is_found_and_no_ghost(circuit, count, tmp_path):
@@ -520,6 +523,7 @@ def test_a_first_touch_is_within_a_standard_deviation_after_two_frames():
     assert max(off) < 1
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 def test_the_sketch_compiles_and_runs_on_the_computer(lamprey, tmp_path):
     folder = tmp_path / "mat"

@@ -94,6 +94,7 @@ def blueness(window: Browser, path: Path, *canvases: str) -> list[Array]:
     return maps
 
 
+@pytest.mark.slow
 def test_a_user_sees_the_ring(tmp_path: Path) -> None:
     """A ring of 27 to 35 mm: 11.5 N under eight cells around four that carry nothing."""
     cells, unloaded = truth_of(RING)

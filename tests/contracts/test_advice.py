@@ -65,6 +65,7 @@ def test_apply_writes_the_lines_into_the_scene(
     assert "model      yes" in told and words not in advised
 
 
+@pytest.mark.slow
 def test_apply_refuses_results_and_leaves_them(tmp_path: Path, lampest: Command) -> None:
     results = tmp_path / "results.h5"
     _reconstructed(written(tmp_path / "clean.h5")).save(results)
@@ -73,6 +74,7 @@ def test_apply_refuses_results_and_leaves_them(tmp_path: Path, lampest: Command)
     assert refused.code == 2 and "name the recording" in refused.err and results.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_python_and_runs_give_the_same_advice(tmp_path: Path, lampest: Command) -> None:
     path = written(tmp_path / "dead.h5", dead_row=5)
     found = _reconstructed(path)

@@ -58,6 +58,7 @@ def recording(tmp_path: Path, lampest: Command) -> Path:
     return tmp_path / "pressed.h5"
 
 
+@pytest.mark.slow
 def test_a_run_reads_the_film_and_says_what_it_took_it_for(recording: Path, lampest: Command) -> None:
     config, out = recording.parent / "run.yaml", recording.parent / "out"
     config.write_text(RUN, encoding="utf-8")

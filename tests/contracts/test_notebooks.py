@@ -120,6 +120,7 @@ def test_a_labelled_array_is_a_recording_in_any_order_of_its_dimensions() -> Non
 # Figures.
 
 
+@pytest.mark.slow
 def test_readings_and_times_of_an_estimate_are_those_of_its_file(found: Reconstruction) -> None:
     case = found.result()
     np.testing.assert_array_equal(found.reading_model, case.reading_model)
@@ -169,6 +170,7 @@ def test_wrong_options_of_a_picture_are_refused(found: Reconstruction, axes: Any
         found.plot("certainty", vmin=-1.0)
 
 
+@pytest.mark.slow
 def test_the_map_of_a_wrong_circuit_says_so(recording: Recording, found: Reconstruction, axes: Any) -> None:
     words = "wrong circuit: it does not explain the readings"
     wrong = Scene(recording.scene.panel, TwoPointReadout(reference_ohm=10_000.0, readings=1, noise_lsb=1.0))
@@ -194,6 +196,7 @@ def test_no_text_of_a_narrow_panels_picture_is_cut_off(kind: str, found: Reconst
         assert drawn.x0 - 1 <= box.x0 and box.x1 <= drawn.x1 + 1 and drawn.y0 - 1 <= box.y0 and box.y1 <= drawn.y1 + 1
 
 
+@pytest.mark.slow
 def test_titles_break_between_words_alone(recording: Recording, tmp_path: Path) -> None:
     name = "LSR-gradient_of_log.weight 0.0001 and more"
     found = reconstruct(recording, [Misfit(weighting="noise")])

@@ -207,6 +207,7 @@ def test_lsl_is_a_described_stream(lampest: Run) -> None:
     assert 0 <= came["age"] < 60
 
 
+@pytest.mark.slow
 def test_a_port_that_is_taken_or_not_there_is_one_sentence_and_live_ends_after_so_many_frames(lampest: Run) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

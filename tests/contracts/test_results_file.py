@@ -66,6 +66,7 @@ def test_a_failed_frame_is_nan_and_a_sentence(written: Path) -> None:
         dataclasses.replace(case, solved=np.ones(4, dtype=bool))
 
 
+@pytest.mark.slow
 def test_the_same_cases_give_the_same_bytes(tmp_path: Path) -> None:
     code = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"

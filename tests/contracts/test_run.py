@@ -177,6 +177,7 @@ def large(disk: SimpleNamespace, frames: int) -> None:
     disk.recording(disk.folder / "small.h5", scene, (frames, 8, 8))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "executor",
     ["serial", *(pytest.param(f"{kind}, workers: 2", marks=pytest.mark.slow) for kind in ("processes", "dask"))],

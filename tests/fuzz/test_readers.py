@@ -76,6 +76,7 @@ def good(folder: Path) -> Corpus:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_good_files_are_taken(good: Corpus, folder: Path, kind: str) -> None:
     for content in good.files[kind]:

@@ -173,6 +173,7 @@ def test_slopes_of_all_addresses_give_the_change_of_each_reading(name: str) -> N
     assert_allclose(network.read_change(tuple(changes)), network.forward(step), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 @pytest.mark.parametrize("groups", [None, 2, 3])
 def test_any_states_of_idle_lines_read_what_the_netlist_says(driven: Any, groups: int | None) -> None:

@@ -103,6 +103,7 @@ def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
     assert check.explains, check.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("circuit", "seed"),
     [
@@ -153,6 +154,7 @@ def test_a_large_panel_is_held_against_cells_alone() -> None:
     assert Prepared(replace(right, scene=swapped)).check.mark == "no"
 
 
+@pytest.mark.slow
 def test_channels_that_differ_are_no_other_resistance_in_series() -> None:
     """A quarter of a mouth on a module."""
     systematic = Systematic(reference_tolerance=0.01, channel_spread_ohm=3)

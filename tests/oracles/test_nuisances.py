@@ -123,6 +123,7 @@ def test_the_edge_of_a_load_on_half_the_panel_is_no_contact() -> None:
     assert Prepared(recording).effects.name == ""
 
 
+@pytest.mark.slow
 def test_channels_that_differ_are_no_contact_under_a_mouth() -> None:
     """Channels of 3 ohm shift the cells of a rim, which are as low as 100 ohm, by several percent."""
     for mouth in ("lamprey_25mm", "lamprey_35mm"):

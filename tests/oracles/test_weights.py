@@ -98,6 +98,7 @@ def test_the_evidence_chooses_its_fixed_point_and_says_how_sure_it_is(
     assert chosen.weight_sigma[1] == pytest.approx(np.sqrt(2 / DenseErrors(model).determined(1)), rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", [0, pytest.param(17, marks=pytest.mark.slow)])
 def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -> None:
     """Open cells differ from their neighbours by megohms, and the estimate must not swing with the weight."""
@@ -111,6 +112,7 @@ def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -
     assert abs(np.log(weights[1] / weights[0])) < 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("static", [0.0, 5.0], ids=["uneven cells", "static errors"])
 def test_a_large_panel_tells_uneven_cells_from_static_errors(static: float) -> None:
     """Cells that differ at random by 30 %, and readings that err by five times their noise in the same way always."""

@@ -98,6 +98,7 @@ def loaded(code: str) -> set[str]:
     return set(told.stdout.split())
 
 
+@pytest.mark.slow
 def test_a_process_imports_what_it_needs_alone() -> None:
     for code, absent in (
         (READ, ("scipy.linalg", "scipy.sparse", "casadi", "matplotlib", "pandas")),

@@ -155,6 +155,7 @@ def test_a_reading_that_is_frozen_in_the_unloaded_frames_stays_missing_and_is_sa
     assert "one value in all frames at row 2, column 3" in view.model
 
 
+@pytest.mark.slow
 def test_a_circuit_that_does_not_explain_the_frames_is_said_and_a_wrong_reading_is_none(lamprey: Recording) -> None:
     """The recording was made with 140 ohm in series; here nobody tells."""
     scene = dataclasses.replace(lamprey.scene, series_resistance_ohm=0.0)

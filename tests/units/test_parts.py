@@ -125,6 +125,7 @@ def test_the_frame_period_of_a_long_recording_is_that_of_its_first_part(tmp_path
     assert parts.stream.period == pytest.approx(0.1) and parts.independent
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("apart", [True, False])
 def test_an_ended_run_goes_on_behind_its_last_part(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, apart: bool

@@ -16,6 +16,7 @@ from lampest.runs.case import COLUMNS
 from lampest.runs.columns import FRAMES, Column
 
 
+@pytest.mark.slow
 def test_every_kind_is_drawn_by_its_word(tmp_path: Path) -> None:
     swept = (replace(invented()[0], estimator=f"a{n}", swept_json=f'{{"weight": {n}.0}}') for n in range(2))
     write_results(tmp_path / "r.h5", [*swept])

@@ -160,6 +160,7 @@ def test_nothing_stood_on_the_panel_where_something_comes(kind: str) -> None:
         assert not any("in its unloaded frames" in note for note in (*found.notes, found.why))
 
 
+@pytest.mark.slow
 def test_few_cells_that_become_even_are_no_load_that_left() -> None:
     """A fin presses on few cells, which happen to be more even under it."""
     found = answered(attached("fin", 4.0, 977000)[0])

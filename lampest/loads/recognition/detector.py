@@ -30,7 +30,7 @@ from lampest.loads.recognition.fit import (
     prior_cost,
     states,
 )
-from lampest.loads.recognition.observation import Observation, Whitening, outliers
+from lampest.loads.recognition.observation import Observation, Whitening, alone, outliers
 from lampest.loads.recognition.suction import Suction, groups_of, may_suck, suctions
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
@@ -146,10 +146,14 @@ class Detector:
         return self._spread(frame, verdict)
 
     def calm(self, frame: Observation) -> Observation | None:
-        """Return the frame without outliers if it shows no load, neither by χ² nor by a template; else None."""
+        """Return the frame without outliers if it shows no load, neither by χ² nor by a template; else None.
+
+        In a circuit without crosstalk a pressed cell changes its own reading alone, as an outlier does; but a contact
+        has neighbouring cells, so that only readings without an outlying neighbour are left out.
+        """
         whitening = Whitening.about(frame)
         residual = frame.residual()
-        undisturbed = frame.without(outliers(whitening, residual))
+        undisturbed = frame.without(alone(frame.panel, outliers(whitening, residual)))
         errors = Whitening.about(undisturbed) @ residual
         if errors @ errors >= MAX_MEAN_SQUARE * errors.size:
             return None

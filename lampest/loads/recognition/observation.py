@@ -481,3 +481,10 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
         pull = pull - column * pull[worst]
         precision = precision - np.outer(column, precision[worst])
     return np.flatnonzero(~left)
+
+
+def alone(panel: Panel, cells: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return those of the numbered cells that have no neighbour among them."""
+    first, second, _ = panel.neighbours
+    both = np.isin(first, cells) & np.isin(second, cells)
+    return np.setdiff1d(cells, np.concatenate([first[both], second[both]]))

@@ -38,7 +38,7 @@ MAX_CELLS = 1024  # patterns of loads take memory for each pair of cells: 134 MB
 SINGLE_FRAME = 2.0  # score of a single unloaded frame, which scatters more, over the threshold of a median of three
 TOUCHED = "something touched the panel while its unloaded frames were taken"
 UNEVENLY = "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
-RELIEVED = "the panel changed, and no cell conducts more than in the unloaded frames"
+RELIEVED = "the panel changed, and no contact is clear: no cells conduct more by five standard deviations"
 # time until the first recognition, and the longest one between two
 FIRST_S = 1.0
 LOOKS_S = 60.0
