@@ -104,6 +104,8 @@ def _instead(path: Path, error: str) -> str:
     if not begin:
         return ": it is empty"
     keys = set(re.findall(r"^([a-z_]+):", text, re.MULTILINE)) if path.suffix.lower() in (".yaml", ".yml") else set()
+    if path.suffix.lower() in (".h5", ".hdf5"):
+        return ": it does not begin as one does; it is damaged, or another kind of file"
     kinds = (kind for key, kind in DOCUMENTS.items() if key in keys)
     return next(kinds, "") or f", but {FOREIGN.get(path.suffix.lower(), 'another kind of file')}"
 

@@ -166,6 +166,7 @@ def test_counts_of_one_are_singular(starter: Path, lampest: Command) -> None:
         ("mine.png", "a picture"),
         ("mine.bin", "another kind of file"),
         ("empty.h5", "it is empty"),
+        ("damaged.h5", "it does not begin as one does"),
         ("cut.h5", "it is cut off, 5000 of "),
     ],
 )
