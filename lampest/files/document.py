@@ -141,7 +141,8 @@ def _text_of(path: Path) -> str:
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text in UTF-8") from error
+        kind = ", but HDF5, a recording or results; lampest info describes it" if content.startswith(b"\x89HDF") else ""
+        raise InputError(f"{path}: not a text in UTF-8{kind}") from error
 
 
 def parse_document(text: str, source: str) -> Document:

@@ -6,6 +6,7 @@ checksums. They are compressed unless they are many and their digits are noise. 
 """
 
 import os
+import re
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -29,6 +30,19 @@ UNPACKED: Mapping[str, Any] = {"fletcher32": True}
 PACKED: Mapping[str, Any] = {**UNPACKED, "compression": "gzip", "shuffle": True}
 CHUNK = 100_000  # values of a chunk, which contains whole frames
 ALL = slice(None)
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+# What a file of YAML is by a key of its, and what others are by their suffix, with the command that reads them.
+DOCUMENTS = {
+    "recordings": ", but a run file; lampest run reads it",
+    "estimators": ", but a run file; lampest run reads it",
+    "scene": ", but a simulation; lampest simulate makes a recording of it",
+    "panel": ", but a scene; lampest import takes it with --scene",
+}
+FOREIGN = dict.fromkeys(
+    (".csv", ".txt", ".log", ".tsv", ".xlsx", ".npy", ".npz", ".mat", ".json", ".jsonl", ".parquet", ".feather"),
+    "a file of another program; lampest import makes a recording of its readings",
+) | dict.fromkeys((".png", ".pdf", ".svg", ".jpg"), "a picture")
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -63,14 +77,37 @@ def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
 @contextmanager
 def existing_file(path: Path) -> Iterator[h5py.File]:
     """Yield a file opened for reading. Raises InputError if it is missing, no HDF5 file, truncated or damaged."""
-    if not os.path.isfile(path):  # noqa: PTH113 # Path.is_file raises for a name that is too long
+    if os.path.isdir(path):  # noqa: PTH112 # Path.is_dir raises for a name that is too long
+        raise InputError(f"{path}: a folder; name a file in it")
+    if not os.path.isfile(path):  # noqa: PTH113 # as above
         raise InputError(f"{path}: no such file")
     note_read(path)
     try:
         with _opened(path) as file:
             yield file
     except (OSError, RuntimeError, KeyError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a readable HDF5 file ({' '.join(str(error).split())})") from error
+        raise InputError(f"{path}: not a readable HDF5 file{_instead(path, str(error))}") from error
+
+
+def _instead(path: Path, error: str) -> str:
+    """Return what a file is that HDF5 cannot open, and the command that reads it."""
+    try:
+        with path.open("rb") as stream:
+            begin = stream.read(100_000)
+    except OSError:
+        begin = SIGNATURE
+    text = begin.decode("utf-8", errors="replace")
+    if begin.startswith(SIGNATURE):
+        sizes = re.search(r"truncated file: eof = (\d+), .*stored_eof = (\d+)", error)
+        cut = f": it is cut off, {sizes[1]} of {sizes[2]} bytes are there" if sizes else ""
+        return cut or f" ({' '.join(error.split())})"
+    if not begin:
+        return ": it is empty"
+    keys = set(re.findall(r"^([a-z_]+):", text, re.MULTILINE)) if path.suffix.lower() in (".yaml", ".yml") else set()
+    if path.suffix.lower() in (".h5", ".hdf5"):
+        return ": it does not begin as one does; it is damaged, or another kind of file"
+    kinds = (kind for key, kind in DOCUMENTS.items() if key in keys)
+    return next(kinds, "") or f", but {FOREIGN.get(path.suffix.lower(), 'another kind of file')}"
 
 
 def format_of(path: Path) -> str:

@@ -317,7 +317,9 @@ def _results_file(path: Path) -> Iterator[h5py.File]:
     with hdf5.existing_file(path) as file:
         form = hdf5.read_attribute(file, "/", "lampest_format")
         if not isinstance(form, str) or form != FORMAT:
-            raise InputError(f"{file.filename}: no results file (lampest_format is {form!r}, not '{FORMAT}')")
+            recording = isinstance(form, str) and form.startswith("recording/")
+            kind = "a recording, lampest run computes results of it" if recording else f"lampest_format is {form!r}"
+            raise InputError(f"{file.filename}: no results file ({kind})")
         yield file
 
 

@@ -4,6 +4,7 @@ import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -11,6 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 import openpyxl
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 from ruamel.yaml import YAML
 from support import invented_case
 
@@ -99,3 +102,51 @@ def test_every_extra_is_documented() -> None:
         name for row in re.findall(r"^\| (`[^|]+) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)
     }
     assert named == extras
+
+
+def installed_megabytes(*extras: str) -> float:
+    """MB on a disk with blocks of 4 kB of lampest's requirements with these extras, and all that they require."""
+    pending: list[tuple[str, frozenset[str]]] = [("lampest", frozenset(extras))]
+    visited: set[tuple[str, frozenset[str]]] = set()
+    sizes: dict[str, int] = {}
+    while pending:
+        name, wanted = pending.pop()
+        if (name, wanted) in visited:
+            continue
+        visited.add((name, wanted))
+        try:
+            package = metadata.distribution(name)
+        except metadata.PackageNotFoundError:
+            continue  # of another platform, or vendored
+        places = (Path(str(file.locate())) for file in package.files or [] if name != "lampest")
+        sizes[name] = sum(-(-place.stat().st_size // 4096) * 4096 for place in places if place.is_file())
+        for text in package.requires or []:
+            needed = Requirement(text)
+            if needed.marker is None or any(needed.marker.evaluate({"extra": extra}) for extra in (*wanted, "")):
+                pending.append((canonicalize_name(needed.name), frozenset(needed.extras)))
+    package_files = [file for file in (ROOT / "lampest").rglob("*") if file.is_file() and file.suffix != ".pyc"]
+    return (sum(sizes.values()) + sum(file.stat().st_size for file in package_files)) / 1e6
+
+
+@pytest.mark.slow
+def test_an_installation_takes_as_much_room_as_the_readme_says() -> None:
+    text = re.search(r"Without `\[plots\]`, (\d+) MB in place of (\d+)", (ROOT / "README.md").read_text())
+    assert text is not None
+    without, with_plots = installed_megabytes(), installed_megabytes("plots")
+    assert without < 600, "with the files that are compiled at the first start"
+    assert without == pytest.approx(float(text[1]), rel=0.08)
+    assert with_plots - without == pytest.approx(float(text[2]) - float(text[1]), rel=0.2)
+
+
+def test_the_help_of_init_lists_the_eight_circuits_of_the_readme(lampest: Command, tmp_path: Path) -> None:
+    assert "`lampest init --help` lists\n   eight circuits" in (ROOT / "README.md").read_text()
+    shown = " ".join(re.findall(r"[\w,]+", lampest("init", "--help").out))
+    listed = re.search(r"Your circuit (.+?) default", shown)
+    assert listed is not None
+    circuits = re.findall(r"\b(?!or\b)(\w+)", listed[1])
+    assert len(circuits) == len(set(circuits)) == 8, circuits
+    kinds = set()
+    for circuit in circuits:
+        assert lampest("init", tmp_path / circuit, "--readout", circuit, "--rows", 3, "--columns", 3).code == 0
+        kinds.add(lp.read_scene(tmp_path / circuit / "scene.yaml").readout)
+    assert len(kinds) == 8

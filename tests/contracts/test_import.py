@@ -152,6 +152,10 @@ for beside in ("Average Pressure (mmHg)", "peak [kPa]"):
     pressures = [f"time,{beside},{names('r{r}c{c}')}", *(f"{n},7,{line}" for n, line in enumerate(lines(WIDE)))]
     refused(f"{beside} beside the cells", pressures, "readings must be ohm, kohm, volt, mV or code")
 refused("a title of pressures", ["Pressure (mmHg)", *lines(WIDE)], "the header says 'mmHg'")
+for stated in ("Peak: 118 mmHg", "Mean pressure (mmHg),12.3", "Peak,118,mmHg", "# all below 200 mmHg"):
+    refused(f"whole pressures with {stated}", [stated, *lines(CODES)], "the header says 'mmHg'", scene=LOADED)
+    refused(f"whole pressures before {stated}", [*lines(CODES), stated], "the header says 'mmHg'", scene=LOADED)
+    codes(f"codes, as specified, with {stated}", [stated, *lines(CODES)], "as specified", unit="code")
 taken(
     "temperatures beside resistances", [f"{names('r{r}c{c} [ohm]')},T [degC]", *(f"{line},21" for line in lines(WIDE))]
 )
@@ -266,6 +270,10 @@ for title in (
     if "0." in title:
         titled = [text.replace(f"0.{250 * n + 100}", f"{0.1 + n / 4:.3f}", 1) for n, text in enumerate(titled)]
     codes(f"blocks below {title}", titled, "before each block", times=0.1 + FOUR / 4)
+for title in ("Measurement Time(sec),0.{ms},,,", "Frame {n} @ {ms} ms", "Measurement Time(sec): 0,{ms}"):
+    sign = ";" if "0,{ms}" in title else ","
+    titled = [title.format(n=n, ms=200 * n + 100) + "\n" + "\n".join(lines(CODES[n], sign)) for n in range(4)]
+    codes(f"blocks below {title}", titled, "before each block", times=0.1 + FOUR / 5)
 CLOCKED = [f"Time: 12:00:0{n}.5\n" + "\n".join(lines(CODES[n])) for n in range(4)]
 codes("blocks below times of day", CLOCKED, "time of day", times=FOUR)
 
@@ -282,8 +290,10 @@ for bad in (b"\xff", b"\x80", b"\0", b"\xc3"):
     codes(f"{bad!r} in a serial log", bytes(content), gap, expected=with_nan(FIVE, (number, 0, 0)))
     comma = content.index(b",", place)
     content[place : place + 1], content[comma : comma + 1] = b"5", bad
-    cut = np.delete(FIVE, number, axis=0)
-    codes(f"{bad!r} in place of a comma", bytes(content), f"left out: line {number + 1}", expected=cut)
+    codes(f"{bad!r} in place of a comma", bytes(content), gap, expected=with_nan(FIVE, (number, 0, [0, 1])))
+MUTED = "Zeit (s);" + ";".join(f"Fühler {n}" for n in range(15))
+WINDOWS = "\n".join([MUTED, *(f"0,{n};" + line for n, line in enumerate(lines(CODES, ";")))]).encode("cp1252")
+codes("words of Windows-1252", WINDOWS, "Windows-1252", "column 'Zeit (s)' in s", times=FOUR / 10)
 
 # Columns that a layout skips.
 
@@ -403,6 +413,22 @@ for header, line, times in (
     del text[1 + 2 * 15 + 7]
     taken(f"{header} without one", text, expected=with_nan(FRAMES, (2, 1, 2)), start=start)
     refused(f"{header} without one", text, "the reading of row 1, column 2 is missing", missing="refuse")
+
+# Single values without a header: a counter or a time before row and column.
+
+for rows, columns in ((3, 4), (4, 3), (3, 5), (4, 4)):
+    single = np.random.default_rng(rows).integers(200, 900, (6, rows, columns))
+    small = replace(LOADED, panel=replace(LOADED.panel, rows=rows, columns=columns))
+    for before, first, times in (("{n}", 0, np.arange(6)), ("{n}", 1, np.arange(6)), ("{s}", 0, np.arange(6) / 50)):
+        text = [
+            f"{before.format(n=f + first, s=f / 50)},{r + first},{c + first},{single[f, r, c]}"
+            for f, r, c in np.ndindex(single.shape)
+        ]
+        taken(
+            f"{before} from {first} before row and column of {rows} × {columns}", text, "row, column, value",
+            expected=(single + 0.5) * 3.3 / 4096, times=times, rows=rows, columns=columns, scene=small,
+        )  # fmt: skip
+taken("one number a line", map(str, CODES.ravel()), "one number", absent="fields separated", expected=CODES, unit="ohm")
 
 # Panels whose lines have as many fields as single values, and tables that fit after a turn.
 

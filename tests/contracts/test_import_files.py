@@ -188,6 +188,11 @@ def folder(write: Callable[[Path, np.ndarray], object], suffix: str) -> Callable
     return write_all
 
 
+def shown(path: Path) -> None:
+    folder(csv_of, ".csv")(path)
+    (path / "Thumbs.db").write_bytes(GARBAGE)
+
+
 def csv_of(path: Path, frame: np.ndarray) -> None:
     path.write_text("\n".join(lines(frame)))
 
@@ -213,6 +218,13 @@ FILES |= {
     "JSON lines: flat frames": records(listed(FRAMES.reshape(4, -1)), "read as (frames", name="m.ndjson"),
     "JSON lines: records": records(TIMED, "array data read as", name="m.jsonl", times=np.arange(4) / 2),
     "JSON lines: a frame's cells": records(NAMED_RECORDS, name="m.jsonl", times=np.arange(4) / 4),
+    "JSON lines under the name of one value": given(
+        "\n".join(map(json.dumps, TIMED)), name="m.json", times=np.arange(4) / 2
+    ),
+    "JSON lines: times by another name": records(
+        [{"ts": 50 * n, "matrix": listed(frame)} for n, frame in enumerate(FRAMES)],
+        "array ts in ms", name="m.jsonl", times=np.arange(4) / 20,
+    ),
     "JSON lines that are cut": given(
         "\n".join(map(json.dumps, listed(FRAMES)))[:-9], name="m.jsonl", expected=FRAMES[:3]
     ),
@@ -224,6 +236,7 @@ FILES |= {
     "Parquet of lists": given(lists_of, "array frame read as", name="m.parquet", times=np.arange(4) / 2),
     "Feather": given(lambda path: table_of(path, write="to_feather"), name="m.feather"),
     "a folder of tables": given(folder(csv_of, ".csv"), "12 frames of 12 files", name="m", expected=THRICE),
+    "a folder that a desktop has shown": given(shown, "12 frames of 12 files", name="m", expected=THRICE),
     "a folder of arrays": given(folder(np.save, ".npy"), "from frame0.npy to frame11.npy", name="m", expected=THRICE),
 }  # fmt: skip
 for axes, values in (("last", LAST), ("first", FRAMES)):
@@ -299,7 +312,10 @@ def pickled(path: Path) -> None:
 
 REFUSED = [
     *(given(pickled, "a pickle runs code when it is opened", name=f"m{end}") for end in (".pkl", ".pickle", ".p")),
-    given(pickled, "no text table (", ".parquet; `layout` names a layout of your own", name="m.dat"),
+    *(given(pickled, "a pickle, which runs code when it is opened", name=name) for name in ("m.dat", "m.csv")),
+    given(b"\x81\x82\x83", "no text table (", ".parquet; `layout` names a layout of your own", name="m.dat"),
+    given(b"\x89HDF\r\n", "no text table, but HDF5; save the array as .npy", name="m.dat"),
+    given('{"t": 0, "R": [1, 2]}\n' * 3, "m.log:1: lines of JSON; save them as .jsonl", name="m.log"),
     given(b"PK", "unpack it first", name="m.zip"),
     records([[1, 2], [3]], "m.json[1]: 1 values, where others have 2"),
     records({"R": [["a", 2], ["b", 3]]}, "m.json: R: its lists differ in length, or hold what is no number"),
@@ -341,7 +357,10 @@ REFUSED = [
     array(FRAMES, "volt values need a scene with a readout", unit="volt"),
     array(FRAMES, "`layout` is for tables", layout="row,column,value"),
     array(FRAMES, "the scene's panel has 3 × 5 cells, not 5 × 3", scene=DIVIDER, rows=5, columns=3, absent="m.npy"),
-    array(FRAMES, "the unit 'V' is unknown; there are ohm, kohm, volt, mV, code", unit="V", absent="m.npy"),
+    array(FRAMES, "the unit 'V' is unknown; there are ohm, kohm, volt, mV, code; write volt", unit="V", absent="m.npy"),
+    array(FRAMES, "code; write kohm", unit="kΩ", absent="m.npy"),
+    array(FRAMES, "code; write code", unit="ADC", absent="m.npy"),
+    array(FRAMES, "; did you mean ohm?", unit="ohn", absent="m.npy"),
     array(FRAMES, "5 baseline frames asked for, but the file holds 4 frames", baseline_frames=5),
     array(FRAMES, "a panel needs at least one row", rows=0, columns=3, absent="m.npy"),
     given(lines(with_value(VOLTS, 5.5, 2, 1, 3)), "m.csv:3:9: ", "lies outside 0 to 5 V", scene=DIVIDER, unit="volt"),

@@ -79,6 +79,15 @@ def test_a_table_is_a_recording_whatever_its_layout() -> None:
     assert Recording.from_dataframe(wide, unit="ohm", scene=scene).scene == scene
 
 
+def test_the_table_of_an_estimate_is_its_recording_again(found: Reconstruction) -> None:
+    table = found.to_dataframe()
+    recording = Recording.from_dataframe(
+        table, unit="ohm", rows=int(table.row.max() + 1), columns=int(table.column.max() + 1)
+    )
+    np.testing.assert_allclose(recording.recorded.ravel(), table.measured)
+    np.testing.assert_allclose(recording.time, table.time.unique())
+
+
 def test_a_table_that_does_not_fit_is_refused_with_its_place() -> None:
     table = long_table()
     with pytest.raises(InputError, match="table: line 10, column 'row': row 2 is beyond the panel's 0 to 1"):

@@ -156,6 +156,38 @@ def test_counts_of_one_are_singular(starter: Path, lampest: Command) -> None:
     assert "10 bits, 1 reading, noise 1 LSB" in lampest("info", starter / "example.h5").out
 
 
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("run.yaml", "a run file; lampest run reads it"),
+        ("scene.yaml", "a scene; lampest import takes it with --scene"),
+        ("simulation.yaml", "a simulation; lampest simulate makes a recording of it"),
+        ("mine.csv", "a file of another program; lampest import makes a recording of its readings"),
+        ("mine.png", "a picture"),
+        ("mine.bin", "another kind of file"),
+        ("empty.h5", "it is empty"),
+        ("damaged.h5", "it does not begin as one does"),
+        ("cut.h5", "it is cut off, 5000 of "),
+    ],
+)
+def test_a_file_of_another_kind_is_named_with_the_command_that_reads_it(
+    starter: Path, lampest: Command, name: str, kind: str
+) -> None:
+    example = (starter / "example.h5").read_bytes()
+    contents = {"empty.h5": b"", "cut.h5": example[:5000]}
+    if not (starter / name).exists():
+        (starter / name).write_bytes(contents.get(name, b"1,2,3\n"))
+    for command in ("info", "plot"):
+        ended = lampest(command, starter / name)
+        assert ended.code == 2 and kind in ended.err and "synchronously" not in ended.err, ended.err
+
+
+def test_recordings_and_results_are_not_confused(starter: Path, lampest: Command) -> None:
+    assert "a recording, lampest run computes results of it" in lampest("plot", starter / "example.h5").err
+    assert "HDF5, a recording or results; lampest info describes it" in lampest("run", starter / "example.h5").err
+    assert "a folder; name a file in it" in lampest("info", starter).err
+
+
 CIRCUITS = ["two_mux", "parallel_mux", "pull_ups", "pull_downs", "grounded", "grounded_one", "amplifiers", "diodes"]
 
 

@@ -23,6 +23,22 @@ def test_two_loads_under_one_cover_are_two_contacts() -> None:
     assert not (left | right)[:, 6:8].all()
 
 
+def test_errors_of_the_cells_divide_no_contact() -> None:
+    change = blob(5, 5, 3.0, 3.0)
+    change[:, 5] *= 0.25  # of the cells beside it, by an error of two standard deviations
+    assert len(contacts_of(PANEL, change, SD)) == 2
+    (contact,) = contacts_of(PANEL, change, np.where(np.arange(14) == 5, 0.22, SD))
+    assert contact[5, 5]
+
+
+def test_a_line_of_which_nothing_is_known_divides_no_contact() -> None:
+    change = blob(5, 5, 2.0, 3.0)
+    change[:, 5] = 0.0
+    assert len(contacts_of(PANEL, change, SD)) == 2
+    (contact,) = contacts_of(PANEL, change, np.where(np.arange(14) == 5, 1.0, SD))
+    assert contact[5, 4] and contact[5, 6] and not contact[:, 5].any()
+
+
 def test_heel_and_ball_of_a_foot_are_one_contact() -> None:
     change = blob(5, 2.5, 1.3, 3.2) + blob(5, 9, 1.5, 2.8) + blob(5, 6, 1.2, 1.2)
     (foot,) = contacts_of(PANEL, change, SD)
@@ -43,6 +59,14 @@ def test_what_the_readings_hardly_show_is_no_contact() -> None:
     unsure = SD.copy()
     unsure[11, 0] = 0.3
     assert len(contacts_of(PANEL, change, unsure)) == 1
+    assert len(contacts_of(PANEL, change, SD)) == 2
+
+
+def test_a_faint_pair_of_cells_beside_a_heavy_load_is_no_contact() -> None:
+    change = blob(4, 6, 1.5, 2.0)
+    change[6, 12:14] = -0.22  # as in the rows of two feet, where nothing stood
+    assert len(contacts_of(PANEL, change, SD)) == 1
+    change[5:8, 12:14] = -0.22
     assert len(contacts_of(PANEL, change, SD)) == 2
 
 

@@ -1,12 +1,12 @@
 """Colour bars and titles of maps: numbers that do not collide, lines that break between words."""
 
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
 
 from lampest import Panel
-from lampest.report.plots.maps import MapPainter, Tile, change_scale, limited, log_scale
+from lampest.report.plots.maps import MapPainter, Tile, change_scale, limited, log_scale, maps_figure
 from lampest.report.plots.style import new_figure, wrapped
 
 
@@ -26,8 +26,26 @@ def test_numbers_of_a_horizontal_bar_do_not_collide(shape: tuple[int, int]) -> N
     assert all(first.x1 < second.x0 for first, second in pairwise(boxes))
 
 
+@pytest.mark.parametrize("count", [3, 11])
+@pytest.mark.parametrize("shape", [(24, 4), (30, 3), (16, 6)])
+def test_titles_and_numbers_of_narrow_panels_do_not_collide(shape: tuple[int, int], count: int) -> None:
+    change = np.random.default_rng(0).uniform(-50, 50, shape)
+    tiles = [Tile(f"few_changes {n}", change, note="error 100 %") for n in range(count)]
+    figure = maps_figure(tiles, Panel(*shape, 10.0), change_scale([change], "change of resistance [%]"))
+    figure.canvas.draw()
+    maps = [axes for axes in figure.axes if axes.get_title()]
+    assert len(maps) == count
+    titles = [axes.title.get_window_extent() for axes in maps]
+    assert all(not first.overlaps(second) for first, second in combinations(titles, 2))
+    for axes in maps:
+        boxes = [label.get_window_extent() for label in axes.get_xticklabels() if label.get_visible()]
+        assert all(first.x1 < second.x0 for first, second in pairwise(box for box in boxes if box.width))
+
+
 def test_texts_break_between_words_or_after_a_sign() -> None:
     assert wrapped("LSR-gCR, gradient.weight 0.001", 12) == "LSR-gCR,\ngradient.\nweight 0.001"
+    assert wrapped("log_gradient.weight=0.001", 11) == "log_\ngradient.\nweight=0.001"
+    assert wrapped("weight=1e-3", 4) == "weight=1e-3"
     assert wrapped("unbreakable", 4) == "unbreakable"
     assert wrapped("", 4) == ""
 

@@ -136,6 +136,8 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
         return order if "value" in order and ({"row", "column"} <= set(order) or "cell" in order) else None
     if table.width == 2 and shape[1] > 2 and _count_cells(table, cells):
         return {"cell": 0, "value": 1}
+    if counter := _counter_before_cells(table, shape):
+        return {counter: 0, "row": 1, "column": 2, "value": 3}
     if table.width not in (3, 4) or table.width in (cells, cells + 1):
         return None
     if table.width in (shape[1], shape[1] + 1):
@@ -144,6 +146,23 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
         if not indices or (len(numbers) > 1 and not np.any(np.ptp(numbers, axis=0) > 0)):
             return None
     return dict(zip(("row", "column", "value", "frame"), range(table.width), strict=False))
+
+
+def _counter_before_cells(table: ReadingsTable, shape: Shape) -> str | None:
+    """Return whether the first of four fields is a 'frame' or a 'time' before row, column and value; None for neither.
+
+    Each of its values must stand before most cells of the panel, and before none of them twice. Readings are not so.
+    """
+    counter, row, column = (table.values[:, field] for field in range(3)) if table.width == 4 else (np.empty(0),) * 3
+    rows, columns = (np.unique(numbers).tolist() for numbers in (row, column))
+    complete = [[*map(list, map(range, shape))], [list(range(1, size + 1)) for size in shape]]
+    if [rows, columns] not in complete or not np.all(np.diff(counter) >= 0):
+        return None
+    frames = np.unique(counter)
+    lines = len(np.unique(np.stack([counter, row, column]), axis=1).T)
+    if lines < len(counter) or 2 * lines < len(frames) * shape[0] * shape[1] or min(shape) == 1:
+        return None
+    return "frame" if np.all(np.diff(frames) == 1) and float(frames[0]).is_integer() else "time"
 
 
 def _count_cells(table: ReadingsTable, cells: int) -> bool:

@@ -104,8 +104,17 @@ def text_of_value(value: Any) -> str:
 
 
 def _of_json(path: Path) -> Any:
-    with reading(path):
-        return json.loads(_text_of(path))
+    text = _text_of(path)
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        if "Extra data" in str(error) and "\n" in text.strip():
+            return _of_json_lines(path)  # one value a line under the name of one value
+        with reading(path):
+            raise
+    except RecursionError:
+        with reading(path):
+            raise
 
 
 def _of_json_lines(path: Path) -> Any:

@@ -27,12 +27,27 @@ from lampest.recording.foreign.words import (
     names_unit,
     number_of,
     parted,
+    pressures_in,
     role_of,
     states_unit,
 )
 
 DAMAGED = "\ufffd"  # in place of a byte that no text holds
 MAX_DAMAGED = 0.01  # share of such bytes; a serial line loses one now and then, and binary files have many more
+# Letters of Western Europe in words, and µ and ° before a unit, in the single bytes that Excel writes on Windows.
+WINDOWS_WORDS = re.compile(
+    rb"(?<=[A-Za-z])[\xc0-\xff]+|(?<![\xc0-\xff])[\xc0-\xff]+(?=[A-Za-z])|(?<!\d)[\xb0\xb5](?=[A-Za-z])"
+)
+# First bytes of files that are no text.
+PICKLE = "a pickle, which runs code when it is opened; save the array as .npy, .json or .csv"
+MARKS = {bytes([0x80, protocol]): PICKLE for protocol in range(2, 6)} | {
+    b"\x93NUMPY": "NumPy's format; name it .npy",
+    b"PK\x03\x04": "a zip archive; name a workbook .xlsx, NumPy's arrays .npz, and unpack others first",
+    b"\x89HDF": "HDF5; save the array as .npy. lampest's own recordings need no import",
+    b"\xd0\xcf\x11\xe0": "an old Excel file; save it as .xlsx",
+    b"\x1f\x8b": "compressed; unpack it first",
+    b"PAR1": "Parquet; name it .parquet",
+}
 READ = "Other kinds: .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet; `layout` names a layout of your own"
 MAX_FIELDS = 10_000_000  # 50 bytes each in memory
 SAMPLED = 50_000  # characters or fields at the beginning of a file that determine its notation
@@ -45,10 +60,10 @@ TIME = r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
 STAMPED = re.compile(rf"\s*\[?({DATE}{TIME})\s*(?:\]|->|>|\|)\s*")
 LABELLED = re.compile(r"\s*([^\W\d]+[ _]?\d+)\s*[=:]\s*(?=[-+.\d])")  # 'ROW0=512,511', 'R0: 512 511'
 LISTED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
-# 'Frame 3, t = 1250 ms', 'Measurement Time(sec): 0.120', 'time: 2025-01-31 12:00:01', 'millis=123'
+# 'Frame 3, t = 1250 ms', 'Frame 3 @ 1250 ms', 'Measurement Time(sec),0.120', 'time: 2025-01-31 12:00:01', 'millis=123'
 TITLE_TIME = re.compile(
-    r"(?:\b(?P<word>t|time|timestamp|elapsed|millis|micros|ms|us|zeit)\s*(?:[\[(]\s*(?P<inner>[^\W\d_]+)\s*[\])])?"
-    r"\s*[:=]\s*)(?P<value>\d[\d.,]*)\s*(?P<unit>[mµu]?s(?:ec)?\b)?(?![\d:/-])"
+    r"(?:\b(?P<word>t|time|timestamp|elapsed|millis|micros|ms|us|zeit)\s*"
+    r"(?:[\[(]\s*(?P<inner>[^\W\d_]+)\s*[\])]\s*[:=]?|[:=])\s*|@\s*(?=[\d.,]+\s*[mµu]?s\b))(?P<value>\d[\d.,]*)\s*(?P<unit>[mµu]?s(?:ec)?\b)?(?![\d:/-])"
     r"|(?P<stamp>\d{4}-\d{2}-\d{2}[T ]\d{1,2}:\d{2}(?::\d{2}(?:\.\d+)?)?(?:Z|[+-]\d{2}:?\d{2})?"
     r"|\b\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)",
     re.IGNORECASE,
@@ -153,11 +168,15 @@ def lines_of_text(path: Path) -> FieldLines:
         if content.strip().strip(" \t;,"):
             read.append(FieldLine(number, [content], stamped[1] if stamped else ""))
     contents = [line.texts[0] for line in read if not COMMENT.match(line.texts[0])]
+    if contents and 2 * sum(content.lstrip().startswith('{"') for content in contents) > len(contents):
+        stamps = ", without the terminal's times" if any(line.stamp for line in read) else ""
+        raise InputError(f"{path}:{read[0].number}: lines of JSON; save them as .jsonl{stamps}")
     delimiter = _delimiter(contents)
     aligned = delimiter == "\t" and _is_aligned(contents)
     if aligned:
         read = [line._replace(texts=[re.sub(r"\t+", "\t", line.texts[0]).strip("\t")]) for line in read]
-    notes.insert(0, f"fields separated by {'one or more tabs' if aligned else DELIMITERS[delimiter]}")
+    if any(delimiter in content.strip() for content in contents):
+        notes.insert(0, f"fields separated by {'one or more tabs' if aligned else DELIMITERS[delimiter]}")
     notes += ["a terminal's time before the lines"] if any(line.stamp for line in read) else []
 
     def at(number: int, field: int | None) -> str:
@@ -175,6 +194,8 @@ def lines_of_text(path: Path) -> FieldLines:
 def _decoded(path: Path) -> tuple[str, list[str]]:
     """Return the text of a file in UTF-8, or in UTF-16 by its mark or its zero bytes, and notes on the encoding."""
     data = path.read_bytes()
+    if kind := next((kind for mark, kind in MARKS.items() if data.startswith(mark)), ""):
+        raise InputError(f"{path}: no text table, but {kind}")
     count = max(data.count(b"\n"), data.count(b"\r"))
     if count > MAX_FIELDS:
         raise InputError(f"{path}: {count} lines, more than {MAX_FIELDS} are not imported")
@@ -183,6 +204,8 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
     data = data[: len(data) // 2 * 2] if encoding else data
     text = data.decode(encoding or "utf-8", errors="replace").removeprefix("\ufeff").replace("\0", DAMAGED)
     damaged = text.count(DAMAGED)
+    if damaged and not encoding and not data.isascii() and WINDOWS_WORDS.sub(b"", data).isascii():
+        return data.decode("cp1252", errors="replace"), ["Windows-1252"]
     if damaged > max(1, MAX_DAMAGED * len(text)):
         line = text.count("\n", 0, text.index(DAMAGED)) + 1
         wrong = f"{damaged} of {len(text)} bytes are no text"
@@ -366,11 +389,19 @@ class ReadingsTable:
         # Where the readings' own names are silent, titles and the quantities beside the cells speak.
         beside = (name for field, name in enumerate(self.names) if field not in fields and names_pressure(name))
         words = names if any(map(names_unit, names)) else (*filter(states_unit, titles), *beside)
+        words = words or tuple(f"values [{unit}]" for unit in self.stated_pressures)
 
         def named(at: int) -> str:
             return self.source.source if at < 0 else self.place(*divmod(at, self.width))
 
         return Frames(self.values.ravel(), number, named, timing, (*self.notes, note), words)
+
+    @property
+    def stated_pressures(self) -> list[str]:
+        """Units of pressure that lines without readings state."""
+        others = np.setdiff1d(np.arange(len(self.source.lines)), self.lines)
+        texts = dict.fromkeys(" ".join(self.source.lines[line].texts) for line in others.tolist())
+        return [unit for text in texts if (unit := pressures_in(text))][:1]
 
     def refuse(self, bad: NDArray[np.bool_], field: int, why: str) -> None:
         """Raise InputError with the place of the first bad line; `why` is a template for the field's text."""
@@ -397,11 +428,23 @@ class ReadingsTable:
         if len(texts) < len(begins) or not matches[0]:
             return None
         name = matches[0]["inner"] or matches[0]["unit"] or matches[0]["word"] or ""
-        return self._timing(texts, name, begins, None, "before each block in ")
+        # Titles may have a decimal comma where readings are whole numbers; '0,120' is no 120.
+        comma = any(text.startswith("0,") or number_of(text, comma=False) is None for text in texts)
+        comma = comma and not any(map(is_stamp, texts))
+        return self._timing(texts, name, begins, None, "before each block in ", comma=comma)
 
-    def _timing(self, texts: Sequence[str], name: str, lines: Sequence[int], field: int | None, origin: str) -> Timing:
+    def _timing(
+        self,
+        texts: Sequence[str],
+        name: str,
+        lines: Sequence[int],
+        field: int | None,
+        origin: str,
+        *,
+        comma: bool = False,
+    ) -> Timing:
         return lambda unit: clock_of(
-            texts, name, lambda at: self.place(lines[at], field), comma=self.comma, unit=unit
+            texts, name, lambda at: self.place(lines[at], field), comma=self.comma or comma, unit=unit
         ).read_from(origin)
 
 
@@ -430,7 +473,15 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     data = _data_lines(source, words)
     often = Counter(counts[data].tolist())
     usual = max(often, key=lambda count: (often[count], count), default=0)
-    data &= ~broken.any(axis=1) | (counts == usual)  # a damaged byte may have been a separator
+    # A damaged byte in a line with one field less was a separator: the fields on both sides of it are missing.
+    joined = data & broken.any(axis=1) & (counts == usual - 1)
+    if np.any(joined):
+        fields, values, words, broken = (part.copy() for part in (fields, values, words, broken))
+        for line in np.flatnonzero(joined).tolist():
+            field = int(np.argmax(broken[line]))
+            for part in (fields, values, words, broken):
+                part[line, field + 1 :] = part[line, field:-1].copy()
+    data &= ~broken.any(axis=1) | (counts == usual) | joined
     width = usual
     while width > 1 and np.all(fields[data & (counts == usual), width - 1] == ""):
         width -= 1
@@ -451,7 +502,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
         usual_line = int(np.argmax(data & ~long))
         mismatch = f"{counts[line]} fields, where {source.called(usual_line)} has {width}"
         raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
-    notes = [", ".join((*source.notes, *(["decimal commas"] if comma else [])))]
+    notes = [note for note in [", ".join((*source.notes, *(["decimal commas"] if comma else [])))] if note]
     names, units = ([""] * width, False) if header is None else _names(fields[:, :width], header)
     if header is not None:
         differs[header - units] = False

@@ -6,10 +6,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, meant
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
+from lampest.recording.foreign.words import UNITS_OF_WORD
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
 
 FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
@@ -23,7 +24,9 @@ MAX_CODE = 65535  # of a 16-bit converter; larger whole numbers are resistances
 def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
     """Raise InputError if a unit is unknown, or the scene cannot convert it to recorded values."""
     if unit is not None and unit not in FACTORS:
-        raise InputError(f"the unit '{unit}' is unknown; there are {', '.join(FACTORS)}")
+        word = "volt" if unit.lower() == "v" else UNITS_OF_WORD.get(unit.lower(), "")
+        write = f"; write {word}" if word in FACTORS else meant(unit, FACTORS)
+        raise InputError(f"the unit '{unit}' is unknown; there are {', '.join(FACTORS)}{write}")
     if unit is not None and unit not in RESISTANCES and (scene is None or scene.readout is None):
         raise InputError(f"{source}: {unit} values need a scene with a readout, which says how they become ohm")
     if unit in RESISTANCES and scene is not None and scene.circuit.unit != "ohm":

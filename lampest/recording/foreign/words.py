@@ -24,10 +24,11 @@ ROLE_OF_WORD = _by_word(
     row="row rows zeile reihe y i",
     column="column columns col cols spalte x j",
     cell="cell taxel pixel index sensor",
-    value="value values reading resistance ohm kohm volt voltage code adc raw counts mv r v wert widerstand spannung",
+    value="value values reading measured resistance ohm kohm volt voltage code adc raw counts mv r v wert widerstand "
+    "spannung",
     frame="frame frames scan step sample frame_id frame_nr frame_no scan_nr nr messung bild",
     date="date datum day tag",
-    time="time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel elapsed clock "
+    time="time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel elapsed clock ts "
     "millis micros ms us µs s sec second seconds unix epoch",
 )
 # Words for the parts of a time of day that stands in columns of their own.
@@ -63,6 +64,10 @@ PRESSURE_UNITS = _by_word(
 LOADS = PRESSURE_UNITS | _by_word(
     load="n newton newtons g gram grams kg lb lbs lbf kgf pressure pressures druck force forces kraft weight gewicht "
     "load last conductance leitwert temperature"
+)
+STATED_PRESSURE = re.compile(
+    rf"(?:\d\s*|[\[(:=]\s*)({'|'.join(sorted(map(re.escape, PRESSURE_UNITS), key=len, reverse=True))})(?![\w/²])",
+    re.IGNORECASE,
 )
 UNITS = {*UNITS_OF_WORD, *TIME_UNIT_OF_WORD, *PRESSURE_UNITS}
 BRACKETED = re.compile(
@@ -192,6 +197,12 @@ def names_unit(name: str) -> bool:
 def names_pressure(name: str) -> bool:
     """Return whether a name ends with a unit of pressure: 'Average Pressure (mmHg)'."""
     return parted(name)[1].lower() in PRESSURE_UNITS
+
+
+def pressures_in(text: str) -> str:
+    """Return the unit of pressure that a line with numbers states, as in 'Max: 200 mmHg' and 'Mean (kPa) 3'; or ''."""
+    match = STATED_PRESSURE.search(text)
+    return match[1] if match else ""
 
 
 def states_unit(title: str) -> bool:

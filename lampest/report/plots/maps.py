@@ -29,6 +29,7 @@ ACROSS_LABEL = "x [mm]"
 DOWN_LABEL = "y [mm]"
 NO_NUMBER = "0.88"  # grey
 MAX_TICKS_ACROSS = 7  # of a horizontal colour bar
+MIN_WIDE_INCH = 0.9  # of a map with its title
 MAX_ASPECT = 0.75  # largest height of a figure over its width
 FACTORS = (1.1, 1.5, 2, 3, 5, 10, 20)  # between bands of large changes
 
@@ -235,6 +236,9 @@ class MapPainter:
         axes.set_ylim(bottom + beyond, top - beyond)
         axes.tick_params(labelsize=style.SMALL_POINT)
         axes.locator_params(nbins=5, steps=[1, 2, 5, 10])
+        broad, tall = right - left + 2 * beyond, bottom - top + 2 * beyond
+        if broad < tall / 2:
+            axes.locator_params(axis="x", nbins=2 if broad < tall / 3 else 3)
 
     def _patches(self, axes: Axes, values: Array) -> None:
         """Draw squares at the cells; listed cells have a dark outline, and contours between neighbours."""
@@ -338,13 +342,15 @@ def maps_figure(
     across = len(tiles) // len(scales) if in_rows else min(range(1, most + 1), key=unfit)
     down = ceil(len(tiles) / across)
     beyond = max(height(across) - MAX_ASPECT * width, 0.0) * broad / tall  # of a tall panel: the maps get narrower
+    beyond = min(beyond, max(0.0, (wide(across) - MIN_WIDE_INCH) * down))
+    narrowed = wide(across) - beyond / down
     figure = style.new_figure(min(height(across), MAX_ASPECT * width), width - beyond * across / down)
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     for axes in grid.flat[len(tiles) :]:
         axes.set_visible(False)
     for axes in grid.flat[max(len(tiles) - across, 0) : len(tiles)]:
         axes.tick_params(labelbottom=True)
-    signs = max(10, int(17 * wide(across)))  # that fit over a map
+    signs = max(10, int(17 * narrowed))  # that fit over a map
     painters = [MapPainter(panel, level, contoured) for level in scales for _ in range(len(tiles) // len(scales))]
     for axes, tile, painter in zip(grid.flat, tiles, painters, strict=False):
         name = tile.title.replace("paper's lambda", "paper's\N{NO-BREAK SPACE}λ")

@@ -137,9 +137,9 @@ def short_title(name: str, longest: int = 22) -> str:
 
 
 def wrapped(text: str, signs: int) -> str:
-    """Break a text into lines of at most `signs` characters, between words or after a sign within them, never else."""
+    """Break a text into lines of at most `signs` characters, between words or after a sign in them, not in numbers."""
     lines = [""]
-    for part in re.findall(r"[^\s._,;:/+-]+[\s._,;:/+-]*|[\s._,;:/+-]+", text):
+    for part in re.findall(r"(?:[^\s._,;:/+-]|(?<=\d)[.,](?=\d)|(?<=\de)[+-](?=\d))+[\s._,;:/+-]*|[\s._,;:/+-]+", text):
         if lines[-1] and len((lines[-1] + part).rstrip()) > signs:
             lines.append("")
         lines[-1] += part
