@@ -30,6 +30,7 @@ from lampest.panel.trust_region import steihaug
 from lampest.posterior import certainty, covariance, interval, spectrum
 from lampest.posterior.chain import Chain
 from lampest.posterior.linear import LinearModel
+from lampest.posterior.memory import DenseMemory, SampledMemory
 from lampest.posterior.reference import references
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
@@ -452,10 +453,10 @@ def model_row(cost: str, circuit: str, sampled: bool) -> dict[str, Any]:
     before = root @ root.T
     columns = rng.standard_normal((3, len(model.noise), 2))
     if sampled:
-        memory: Any = covariance.SampledMemory(0.1 * rng.standard_normal((2, 20, size)))
+        memory: Any = SampledMemory(0.1 * rng.standard_normal((2, 20, size)))
         errors: covariance.DenseErrors = covariance.SampledErrors(model, memory, drawn, samples=20)
     else:
-        memory = covariance.DenseMemory(before.reshape(2, size, 2, size).swapaxes(1, 2))
+        memory = DenseMemory(before.reshape(2, size, 2, size).swapaxes(1, 2))
         errors = covariance.DenseErrors(model, memory, drawn)
     known = rng.standard_normal((2, size, 2))
     later = errors.memory()

@@ -19,7 +19,7 @@ from lampest.files.document import parse_document, to_yaml, validated
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.scene import Scene
-from lampest.posterior.covariance import SampledMemory
+from lampest.posterior.memory import SampledMemory
 from lampest.recording.simulation import Simulation, simulate
 
 SCENE = """
