@@ -37,10 +37,12 @@ class Bench:
     def recorded(self, loads: Sequence[Sequence[Shape]], name: str, scene: Scene | None = None) -> Recording:
         """Each group of loads for some frames, after unloaded ones, with the true pressure."""
         rng = np.random.default_rng([self.seed, len(loads), len(name)])
-        still, spread = np.arange(RESTING + self.frames, dtype=float), Unmodelled(response_spread=self.spread)
+        still = np.arange(RESTING + self.frames, dtype=float)
+        spread = Unmodelled(response_spread=self.spread)
         plain = Simulation(1, self.seed, self.scene, baseline_frames=RESTING, frames=self.frames)
         plain = replace(plain, course=Course(approach_s=0.0), response=self.response, unmodelled=spread)
-        cells, pressure = [], []
+        cells = []
+        pressure = []
         for group in loads:
             simulation = replace(plain, loads=tuple(group))
             under = cells_under(simulation, still)

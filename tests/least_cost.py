@@ -62,17 +62,24 @@ class Circuit:
         """(y (rows, columns), ∂y/∂u (cells, cells)) of cells (rows, columns) ohm."""
         rows, columns = cells.shape
         impedance = self.impedance(1 / cells)
-        row, column = np.repeat(np.arange(rows), columns), rows + np.tile(np.arange(columns), rows)
-        own, other, mutual = impedance[row, row], impedance[column, column], impedance[row, column]
-        one, zero, total = np.ones_like(own), np.zeros_like(own), self.sense + self.load
+        row = np.repeat(np.arange(rows), columns)
+        column = rows + np.tile(np.arange(columns), rows)
+        own = impedance[row, row]
+        other = impedance[column, column]
+        mutual = impedance[row, column]
+        one = np.ones_like(own)
+        zero = np.zeros_like(own)
+        total = self.sense + self.load
         if self.kind == "two_point":
-            value, slopes = own + other - 2 * mutual, (one, one, -2 * one)
+            value = own + other - 2 * mutual
+            slopes = (one, one, -2 * one)
         elif self.kind == "loaded":
             value = self.supply * mutual / (self.drive + own)
             slopes = (-value / (self.drive + own), zero, self.supply / (self.drive + own))
         elif self.kind == "virtual":
             gain = self.supply * self.load / (self.drive * self.sense)
-            value, slopes = gain * mutual, (zero, zero, gain * one)
+            value = gain * mutual
+            slopes = (zero, zero, gain * one)
         else:
             gain = self.supply * self.load / (self.drive * total)
             loaded = 1 + other / total if self.kind == "grounded_one" else one
@@ -146,7 +153,8 @@ class LeastCost:
         cls, data: Any, *terms: Penalty, circuit: Circuit = TWO_POINT, faulty: NDArray[np.bool_] | None = None
     ) -> "LeastCost":
         """The cost of a problem that the package's data pose."""
-        given, shape = data.given, data.measured.shape
+        given = data.given
+        shape = data.measured.shape
         side = np.zeros(shape) if given.side is None else given.side
         seen = np.ones(shape) if given.seen is None else given.seen
         faulty = np.zeros(shape[1:], dtype=bool) if faulty is None else faulty
@@ -156,7 +164,8 @@ class LeastCost:
 
     def blocks(self, position: Array) -> Iterator[tuple[Penalty, Array, Array]]:
         """(term, residuals x, ∂x/∂u) of every term in every frame."""
-        shape, count = self.measured.shape, self.faulty.size
+        shape = self.measured.shape
+        count = self.faulty.size
         places = position.reshape(shape[0], -1)
         for frame, place in enumerate(places):
             cells = np.exp(place)
@@ -173,7 +182,8 @@ class LeastCost:
                     before = places[0] if shape[0] == 2 else np.log(self._reference(term)).ravel()
                     ratio = np.exp(place - before)
                 else:
-                    before, ratio = np.zeros(count), cells
+                    before = np.zeros(count)
+                    ratio = cells
                 log = term.kind in ("log_ratio", "total_variation", "total_variation_of_change", "arrival")
                 value, inner = (place - before, np.ones(count)) if log else (ratio - compares, ratio)
                 factor, operator = self._operator(term)
@@ -228,7 +238,8 @@ class LeastCost:
 
     def as_squares(self, position: Array, smooth: float) -> tuple[Array, Array]:
         """(f, ∂f/∂u) with Σ f² = φ, absolute losses rounded within `smooth`."""
-        residuals, slopes = [], []
+        residuals = []
+        slopes = []
         for term, x, rows in self.blocks(position):
             value, slope = loss(term, x, smooth)
             root = np.sqrt(np.maximum(value, 0))
@@ -262,9 +273,12 @@ class LeastCost:
 
     def _nearer(self, place: Array, smooth: float, most: int) -> Array:
         """One run of it; cells that bounds leave no room stay."""
-        low, high = np.log(self.lower).ravel(), np.log(self.upper).ravel()
-        free, whole = high > low + 1e-12, place.copy()
-        low, high = low[free], high[free]
+        low = np.log(self.lower).ravel()
+        high = np.log(self.upper).ravel()
+        free = high > low + 1e-12
+        whole = place.copy()
+        low = low[free]
+        high = high[free]
         last: list[Any] = []
 
         def both(part: Array) -> tuple[Array, Array]:

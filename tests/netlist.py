@@ -32,7 +32,8 @@ def laplacian(resistors: Iterable[Resistor]) -> tuple[dict[Node, int], Array]:
 def potentials(resistors: Iterable[Resistor], held: dict[Node, float]) -> dict[Node, float]:
     """Node → volt, for nodes that ideal sources hold at a potential."""
     number, matrix = laplacian(resistors)
-    volt, fixed = np.zeros(len(matrix)), [number[node] for node in held if node in number]
+    volt = np.zeros(len(matrix))
+    fixed = [number[node] for node in held if node in number]
     volt[fixed] = [held[node] for node in held if node in number]
     free = np.setdiff1d(np.arange(len(matrix)), fixed)
     volt[free] = np.linalg.solve(matrix[np.ix_(free, free)], -matrix[free] @ volt)
@@ -46,7 +47,8 @@ def resistors(cells: Array, scene: Scene) -> Iterable[Resistor]:
     nodes come last.
     """
     rows, columns = cells.shape
-    lines, faults = scene.lines, scene.faults
+    lines = scene.lines
+    faults = scene.faults
     row_ohm, column_ohm = (0.0, 0.0) if lines is None else (lines.row_ohm_per_cell, lines.column_ohm_per_cell)
     crossing = rows + columns + 2 * np.arange(rows * columns).reshape(cells.shape)
     behind = rows + columns + 2 * rows * columns
@@ -91,7 +93,8 @@ def in_digits(cells: Array, digits: int = 50) -> Array:
     with mpmath.workdps(digits):
         matrix = mpmath.zeros(rows + columns)
         for (row, column), ohm in np.ndenumerate(cells):
-            conductance, line = 1 / mpmath.mpf(float(ohm)), rows + column
+            conductance = 1 / mpmath.mpf(float(ohm))
+            line = rows + column
             for first, second, sign in ((row, row, 1), (line, line, 1), (row, line, -1), (line, row, -1)):
                 matrix[first, second] += sign * conductance
         inverse = mpmath.zeros(rows + columns)
@@ -182,7 +185,8 @@ def network_of_states(matrix: Array, readout: Any, driven: int, sensed: int) -> 
     groups = readout.groups or [range(others)]
     turn = next(list(group).index(sensed) for group in groups if sensed in group)
     read = [group[turn] for group in groups if turn < len(group)]
-    loads, channels = each(readout.load_ohm, others), each(getattr(readout, "sense_ohm", 0.0), others)
+    loads = each(readout.load_ohm, others)
+    channels = each(getattr(readout, "sense_ohm", 0.0), others)
     stays = getattr(readout, "idle_load_ohm", None) is None and readout.groups is None
     for line in range(others):
         if line in read or stays:

@@ -9,7 +9,8 @@ PITCH = 8.0
 
 def foot(rng: np.random.Generator) -> Panel:
     """Half of the crossings of 8 × 6 lines, at random places of a lattice that lies askew."""
-    cells, half = [], PITCH / 2**0.5
+    cells = []
+    half = PITCH / 2**0.5
     for row, column in (divmod(int(cell), 6) for cell in np.sort(rng.permutation(48)[:24])):
         cells.append((row, column, round((row + column) * half, 1), round((row - column) * half, 1)))  # as tables do
     return Panel(8, 6, PITCH, tuple(cells))

@@ -44,12 +44,14 @@ class Plan:
         rng = np.random.default_rng(seed)
         name = kind or str(rng.choice(list(READOUTS)))
         rows, columns = rng.integers(6, 17, size=2).tolist()
-        readout, ohm = READOUTS[name], 3000.0 * float(np.exp(rng.uniform(-0.5, 0.8)))
+        readout = READOUTS[name]
+        ohm = 3000.0 * float(np.exp(rng.uniform(-0.5, 0.8)))
         readout = replace(readout, adc_bits=int(rng.choice([10, 12])), noise_lsb=float(rng.choice([0.5, 1.0, 2.0])))
         spread = float(rng.choice([0.0, 0.05, 0.15, 0.3]))
         scene = Scene(Panel(rows, columns), readout)
         cells = ohm * np.exp(spread * rng.standard_normal((rows, columns)))
-        unloaded, measured = int(rng.integers(3, 9)), int(rng.integers(6, 20))
+        unloaded = int(rng.integers(3, 9))
+        measured = int(rng.integers(6, 20))
         return cls(scene, cells, str(rng.choice(LOADS)), unloaded, measured, seed)
 
     @property
@@ -77,7 +79,8 @@ class Plan:
         frames = []
         for frame in range(self.measured):
             share = frame / max(self.measured - 1, 1)
-            amount, place = 1.0, places[0]
+            amount = 1.0
+            place = places[0]
             if self.load == "none" or (self.load == "arrives" and share < 0.4):
                 amount = 0.0
             elif self.load == "sways":
@@ -93,7 +96,8 @@ class Plan:
 
     def volts(self, scene: Scene | None = None) -> Array:
         """Exact voltages at the converter, (frames, rows, columns); by a scene with other faults, if given."""
-        made, cells = scene or self.scene, self.loaded()
+        made = scene or self.scene
+        cells = self.loaded()
         circuit = made.circuit
         recorded = circuit.to_recorded(circuit.exact_reading(cells, made.wiring), made)
         return np.asarray(self.scene.circuit.volt_from_recorded(recorded))
@@ -104,7 +108,8 @@ class Plan:
 
     def codes(self, volts: Array | None = None) -> NDArray[np.int64]:
         """Codes of the converter, (frames, rows, columns)."""
-        rng, readout = np.random.default_rng([self.seed, 2]), self.scene.readout
+        rng = np.random.default_rng([self.seed, 2])
+        readout = self.scene.readout
         assert readout is not None
         exact = self.volts() if volts is None else volts
         noisy = exact + self.noise_lsb * readout.lsb_volt * rng.standard_normal(exact.shape)

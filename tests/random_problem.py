@@ -44,7 +44,9 @@ LOSSES = {"squared": Squared, "huber": Huber, "absolute": Absolute}
 ABSOLUTE = ("misfit", "cell_resistance", "gradient", "total_variation")
 ROUNDING = 1e-12
 LAST_BITS = 1e-14  # of ln r
-NODAL_CELLS, SEVERAL_CELLS = 64, 100  # beyond, building a nodal program takes seconds, and so does a trust region
+# beyond, building a nodal program takes seconds, and so does a trust region
+NODAL_CELLS = 64
+SEVERAL_CELLS = 100
 REGION_CELLS = 150  # a step of the trust region takes a second beyond
 
 
@@ -157,7 +159,8 @@ class RandomProblem:
     @cached_property
     def oracle(self) -> LeastCost:
         """The same problem in the second statement."""
-        alone, faults = self.asked is None, self.scene.faults
+        alone = self.asked is None
+        faults = self.scene.faults
         terms = (penalty for penalty in self.penalties if not alone or penalty.kind in ABSOLUTE)
         panel = self.scene.panel
         broken = None if faults is None else faults.open_cells(panel) | faults.shorted_cells(panel)
@@ -181,9 +184,12 @@ class RandomProblem:
 
     def _ends(self, estimate: Array) -> Iterator[Array]:
         """Where other solvers end, u within the bounds: from the estimate, truth, equal cells and random starts."""
-        data, random = self.data, np.random.default_rng([self.seed, self.number, 1])
+        data = self.data
+        random = np.random.default_rng([self.seed, self.number, 1])
         truth = self.cells[:2] if len(data.measured) == 2 else self.cells[self.pushed][None]
-        low, high, size = np.log(data.lower).ravel(), np.log(data.upper).ravel(), truth.size
+        low = np.log(data.lower).ravel()
+        high = np.log(data.upper).ravel()
+        size = truth.size
         scattered = [np.log(data.apparent_resistance).ravel() + random.uniform(0, 3, size) for _ in range(2)]
         starts = [np.log(cells).ravel() for cells in (estimate, truth, data.uniform_start)]
         for start in [*starts, *scattered[: 1 if size <= SEVERAL_CELLS else 0]]:
@@ -220,7 +226,8 @@ def _shape(random: np.random.Generator) -> tuple[int, int]:
 
 def _cells(random: np.random.Generator, shape: tuple[int, int]) -> Array:
     """Three frames ohm: scattered cells, and patches that are pressed or sucked more and more, or not at all."""
-    level, spread = 10 ** random.uniform(2.5, 4.5), random.choice([0.05, 0.3, 1.0], p=[0.3, 0.5, 0.2])
+    level = 10 ** random.uniform(2.5, 4.5)
+    spread = random.choice([0.05, 0.3, 1.0], p=[0.3, 0.5, 0.2])
     resting = level * np.exp(spread * random.standard_normal(shape))
     down, along = np.indices(shape)
     change = np.zeros(shape)
@@ -236,7 +243,8 @@ def _faults(random: np.random.Generator, shape: tuple[int, int]) -> Faults | Non
     if min(shape) < 3:
         return None
     which = random.choice(["open", "shorted", "dead", "joined"])
-    first, second = random.choice(shape[0], 2, replace=False), random.choice(shape[1], 2, replace=False)
+    first = random.choice(shape[0], 2, replace=False)
+    second = random.choice(shape[1], 2, replace=False)
     pairs = tuple((int(row), int(column)) for row, column in zip(first, second, strict=True))
     if which == "joined":
         return Faults(joined_rows=(tuple(int(row) for row in sorted(first)),))
@@ -257,7 +265,8 @@ def _with_faults(cells: Array, faults: Faults | None) -> Array:
 def _circuit(
     random: np.random.Generator, kind: str, level: float, faults: Faults | None, rows: int
 ) -> tuple[Circuit, Readout | None]:
-    drive, sense = float(random.uniform(20, 200)), float(random.uniform(20, 200))
+    drive = float(random.uniform(20, 200))
+    sense = float(random.uniform(20, 200))
     load = float(level * 10 ** random.uniform(-1, 0.7))
     joined = () if faults is None else faults.joined_rows
     converter = {"adc_bits": 16, "readings": 20, "noise_lsb": 0.5, "supply_volt": 5.0}
@@ -306,6 +315,7 @@ def _penalties(random: np.random.Generator, known: bool, exact: Array, sigma: Ar
     weight = 10 ** (random.uniform(-9, 9) if random.random() < 0.5 else random.uniform(-5, 2))
     corner = float(10 ** random.uniform(0, 2))
     if kind == "arrival":
-        corner, weight = 1.25, 1.0 if scaled else float(np.median(sigma) ** 2)
+        corner = 1.25
+        weight = 1.0 if scaled else float(np.median(sigma) ** 2)
     against = str(random.choice(["baseline", "previous"])) if kind in own else "previous"
     return data, Penalty(kind, float(weight), loss, corner, against)

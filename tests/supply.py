@@ -80,7 +80,8 @@ def licences() -> int:
 def audit() -> int:
     """0 where every package was looked up and none has a known vulnerability; else 1 and what is wrong."""
     with tempfile.TemporaryDirectory() as folder:
-        wanted, found = Path(folder) / "wanted.txt", Path(folder) / "found.json"
+        wanted = Path(folder) / "wanted.txt"
+        found = Path(folder) / "found.json"
         pins = {**locked(ROOT / "requirements.lock"), **locked(ROOT / "requirements-dev.lock")}
         wanted.write_text("".join(f"{name}=={version}\n" for name, version in sorted(pins.items())))
         command = [sys.executable, "-m", "pip_audit", "--requirement", str(wanted), "--no-deps", "--disable-pip"]

@@ -21,7 +21,8 @@ def unclosed_recording(
 
     With `estimates` the board has one of every second frame, of which every cell is the frame's number.
     """
-    rng, hello = np.random.default_rng(seed), SimpleNamespace(readings=READINGS)
+    rng = np.random.default_rng(seed)
+    hello = SimpleNamespace(readings=READINGS)
     with Journal.create(path.with_name("growing.h5"), scene, READINGS, estimates=estimates) as journal:
         for number in range(frames):
             sums = rng.integers(8000, 8010, scene.panel.shape, dtype=np.uint16)

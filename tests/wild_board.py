@@ -36,7 +36,11 @@ class WildBoard:
 
     def live(self, line: int, script: Script) -> None:
         """Until it is ended: answer commands, and send what the script says when it is due; no message tears one."""
-        commands, answers, current, begun, due = b"", b"", b"", False, 0.0
+        commands = b""
+        answers = b""
+        current = b""
+        begun = False
+        due = 0.0
         while not self._ended.is_set():
             if self._plan is not None and not current:
                 wait, current = next(self._plan, (60.0, b""))
@@ -52,7 +56,8 @@ class WildBoard:
             if writable:
                 taken = os.write(line, outgoing[:512])
                 if begun or not answers:
-                    current, self.sent = current[taken:], self.sent + taken
+                    current = current[taken:]
+                    self.sent = self.sent + taken
                     begun = bool(current)
                 else:
                     answers = answers[taken:]
@@ -63,14 +68,17 @@ class WildBoard:
                     before = self._plan
                     answers += self._obey(piece, script)
                     if self._plan is not before:
-                        current, due = current if begun else b"", time.monotonic()
+                        current = current if begun else b""
+                        due = time.monotonic()
 
     def _obey(self, piece: bytes, script: Script) -> bytes:
         """The answer to a command; the plan is another one after START and STOP."""
         body = unstuffed(piece)
         if self.deaf or body is None or len(body) != 9:
             return b""
-        kind, tag, value = Kind(body[1]), body[2], int.from_bytes(body[3:7], "little")
+        kind = Kind(body[1])
+        tag = body[2]
+        value = int.from_bytes(body[3:7], "little")
         if kind is Kind.IDENTIFY:
             return message(hello_body(self.hello))
         if kind in SETTINGS:

@@ -20,7 +20,10 @@ from scipy.optimize import brentq
 from lampest.panel.panel import Array, Panel, difference_matrix
 from lampest.panel.readouts.floating import FloatingNetwork, grounding
 
-TOLERANCE, EVALUATIONS, ITERATIONS = 1e-6, 100, 400  # MATLAB's defaults; evaluations for each unknown
+# MATLAB's defaults; evaluations for each unknown
+TOLERANCE = 1e-6
+EVALUATIONS = 100
+ITERATIONS = 400
 RADIUS = 10.0  # of the first trust region, in the unknowns' unit; it grows to REACH times the start's length
 REACH = 100.0
 Function = Callable[[Array], Array]
@@ -85,7 +88,8 @@ class Quadratic:
 
     def along(self, direction: Array, origin: Array, low: float, high: float) -> tuple[float, Array]:
         """(least value, its step) of origin + t·direction with t between low and high."""
-        image, shift = self.jacobian @ direction, self.jacobian @ origin
+        image = self.jacobian @ direction
+        shift = self.jacobian @ origin
         curvature = image @ image + direction @ (self.curvature * direction)
         slope = self.gradient @ direction + image @ shift + direction @ (self.curvature * origin)
         ends = [low, high] + ([float(np.clip(-slope / curvature, low, high))] if curvature > 0 else [])
@@ -103,9 +107,15 @@ class Quadratic:
 def lsqnonlin(residual: Function, jacobian: Function, start: Array, lower: Array) -> Stopped:
     """Σ residual² made less within point ≥ lower, from a start above it, until one of MATLAB's limits is met."""
     point = np.maximum(start, lower + 1e-10 * np.maximum(1.0, np.abs(lower)))
-    values, slopes = residual(point), jacobian(point)
-    cost, evaluations, radius = float(values @ values), 1 + len(point), RADIUS
-    largest, length, change, ratio = max(REACH * float(np.linalg.norm(point)), 1.0), np.inf, np.inf, 0.0
+    values = residual(point)
+    slopes = jacobian(point)
+    cost = float(values @ values)
+    evaluations = 1 + len(point)
+    radius = RADIUS
+    largest = max(REACH * float(np.linalg.norm(point)), 1.0)
+    length = np.inf
+    change = np.inf
+    ratio = 0.0
     for number in range(ITERATIONS):
         gradient = slopes.T @ values
         room = np.where(gradient >= 0, point - lower, 1.0)
@@ -119,15 +129,21 @@ def lsqnonlin(residual: Function, jacobian: Function, start: Array, lower: Array
         expected, step = _step(model, point, scale, lower, radius, theta)
         trial = np.maximum(point + scale * step, np.nextafter(lower, np.inf))
         fresh = residual(trial)
-        new, evaluations, length = float(fresh @ fresh), evaluations + 1, float(np.linalg.norm(step))
+        new = float(fresh @ fresh)
+        evaluations = evaluations + 1
+        length = float(np.linalg.norm(step))
         gained = 0.5 * (cost - new) - 0.5 * float(step @ (model.curvature * step))
-        ratio, change = (gained / -expected if expected < 0 else 0.0), abs(cost - new)
+        ratio = gained / -expected if expected < 0 else 0.0
+        change = abs(cost - new)
         if ratio >= 0.75 and length >= 0.9 * radius:
             radius = min(largest, 2 * radius)
         elif ratio <= 0.25:
             radius = min(length / 4, radius / 4)
         if new < cost:
-            point, values, cost, slopes = trial, fresh, new, jacobian(trial)
+            point = trial
+            values = fresh
+            cost = new
+            slopes = jacobian(trial)
             evaluations += len(point)
     return Stopped(point, evaluations, "limit")
 
@@ -150,7 +166,8 @@ def _step(
         return model.at(step), step
     reach = _to_bound(point, scale * step, lower)
     hit = point + reach * scale * step <= lower + 1e-12 * np.abs(lower)
-    cut, reflected = reach * step, np.where(hit, -step, step)
+    cut = reach * step
+    reflected = np.where(hit, -step, step)
     options = [(model.at(theta * cut), theta * cut)]
     on_bound = np.maximum(point + scale * cut, lower)
     far = min(theta * _to_bound(on_bound, scale * reflected, lower), _to_sphere(cut, reflected, radius))
@@ -187,7 +204,8 @@ def _to_bound(point: Array, direction: Array, lower: Array) -> float:
 
 def _to_sphere(origin: Array, direction: Array, radius: float) -> float:
     """The t ≥ 0 at which origin + t·direction leaves a sphere about zero."""
-    square, mixed = float(direction @ direction), float(origin @ direction)
+    square = float(direction @ direction)
+    mixed = float(origin @ direction)
     inside = max(mixed**2 - square * (float(origin @ origin) - radius**2), 0.0)
     return (inside**0.5 - mixed) / square if square > 0 else 0.0
 
@@ -266,15 +284,18 @@ class _Problem:
 
     def joint(self, resting: Array, measured: Array) -> tuple[Array, Stopped]:
         """(15), (21): the baseline, and the first frame with what both needed."""
-        rows, count = self._relative_rows(), self.panel.crossings
+        rows = self._relative_rows()
+        count = self.panel.crossings
         none = np.zeros((count, count))
 
         def residual(both: Array) -> Array:
-            rest, cells = both[:count], both[count:]
+            rest = both[:count]
+            cells = both[count:]
             return np.concatenate([_misfit(rest, resting), _misfit(cells, measured), rows @ (cells / rest - 1)])
 
         def jacobian(both: Array) -> Array:
-            rest, cells = both[:count], both[count:]
+            rest = both[:count]
+            cells = both[count:]
             return np.block(
                 [
                     [_slopes(rest, resting), none],

@@ -31,27 +31,40 @@ from lampest.recording.recording import Recording
 from lampest.report.detect.answer import LAMPREY, Detected
 from lampest.report.detect.detection import Known, known_of, measured_frames
 
-UNLOADED, TOUCH_S, ATTACHED_S, BARE_S = 5, 2.0, 14.0, 4.0
-SWAY, SWAY_S = 0.03, 7200.0  # of the temperature: of all cells, a tenth of it different from cell to cell
+UNLOADED = 5
+TOUCH_S = 2.0
+ATTACHED_S = 14.0
+BARE_S = 4.0
+# of the temperature: of all cells, a tenth of it different from cell to cell
+SWAY = 0.03
+SWAY_S = 7200.0
 CREEP = ((1.0, 0.02), (10.0, 0.02), (100.0, 0.02))  # s, and the part of the answer that comes so late
-KEPT, FADES_S = 0.12, 60.0  # part of its largest answer that a film keeps, and for how long
-SHAKEN, STILL, PUMPING, BUMPED, SLIDING = "shaken cup", "still mouth", "pumping mouth", "bumped cup", "sliding mouth"
-PULLED, CURRENT, CUP_CURRENT, HAND_PUMPED, RING = (
-    "pulled mouth",
-    "mouth in current",
-    "cup in current",
-    "hand-pumped cup",
-    "trembling ring",
-)
+# part of its largest answer that a film keeps, and for how long
+KEPT = 0.12
+FADES_S = 60.0
+SHAKEN = "shaken cup"
+STILL = "still mouth"
+PUMPING = "pumping mouth"
+BUMPED = "bumped cup"
+SLIDING = "sliding mouth"
+PULLED = "pulled mouth"
+CURRENT = "mouth in current"
+CUP_CURRENT = "cup in current"
+HAND_PUMPED = "hand-pumped cup"
+RING = "trembling ring"
 KINDS = (*MAKERS, SHAKEN, STILL, PUMPING, BUMPED, SLIDING, PULLED, CURRENT, CUP_CURRENT, HAND_PUMPED, RING)
 LIVING = (*MOUTHS, PUMPING, SLIDING, PULLED, CURRENT)
 # their shapes
 OF_COURSE = {SHAKEN: "cup", BUMPED: "cup", STILL: "mouth", PUMPING: "uneven mouth", SLIDING: "mouth"}
 OF_COURSE |= {PULLED: "wavy mouth", CURRENT: "wavy mouth", CUP_CURRENT: "cup", HAND_PUMPED: "cup", RING: "ring"}
-SLIDES_MM, SLIDES_S = 15.0, (6.0, 8.0)  # along the rows, and between which times after the touch
+# along the rows, and between which times after the touch
+SLIDES_MM = 15.0
+SLIDES_S = (6.0, 8.0)
 TABLE = (PUMPING, "cup", BUMPED, SHAKEN, "rod", "hand")
 POISSON_95 = (3.0, 4.74, 6.30, 7.75)  # upper limits of a mean of which so many events were seen
-PUMPED_S, DECAY = (20.0, 200.0), (0.1, 0.5)  # between pumps (Shi et al. 2021), and the part that is lost until one
+# between pumps (Shi et al. 2021), and the part that is lost until one
+PUMPED_S = (20.0, 200.0)
+DECAY = (0.1, 0.5)
 
 
 @dataclass(frozen=True)
@@ -93,8 +106,11 @@ def courses(rng: np.random.Generator, kind: str, time: Array, attached_s: float)
     """((frames, 3) factors of contact, of suction and of a body beside, breathing depth, rate)."""
     since = time - TOUCH_S
     on = (since >= 0) & (since < attached_s)
-    press, suck = np.clip(since / 0.4, 0, 1) * on, np.clip((since - 0.3) / 1.2, 0, 1) * on
-    depth, hertz, step = rng.uniform(0.03, 0.15), rng.uniform(0.6, 2.0), np.diff(time, prepend=time[0])
+    press = np.clip(since / 0.4, 0, 1) * on
+    suck = np.clip((since - 0.3) / 1.2, 0, 1) * on
+    depth = rng.uniform(0.03, 0.15)
+    hertz = rng.uniform(0.6, 2.0)
+    step = np.diff(time, prepend=time[0])
     phase = 2 * np.pi * (hertz * time + np.cumsum(0.03 * np.sqrt(step) * rng.standard_normal(len(time))))
     tremble = 1 + 0.015 * _wandering(rng, step)
     (own,) = rng.spawn(1)  # so that scenes without a body are as they were
@@ -109,7 +125,8 @@ def courses(rng: np.random.Generator, kind: str, time: Array, attached_s: float)
         breath = 1 + depth * np.sin(phase)
         suck = suck * (_pumped(rng, since) if kind == PUMPING else 1.0)
         if kind == PULLED:
-            begin, lasts = rng.uniform(3, 9), rng.uniform(2, 4)
+            begin = rng.uniform(3, 9)
+            lasts = rng.uniform(2, 4)
             suck = suck * (
                 1 + rng.uniform(0.5, 2) * np.clip(np.minimum(since - begin, begin + lasts - since) * 2, 0, 1)
             )
@@ -129,20 +146,26 @@ def courses(rng: np.random.Generator, kind: str, time: Array, attached_s: float)
 
 def _pumped(rng: np.random.Generator, since: Array) -> Array:
     """Suction over that after a pump (frames): it decays until the next one, which takes half a second to two."""
-    factor, begin = np.ones_like(since), 1.5
+    factor = np.ones_like(since)
+    begin = 1.5
     while begin < since[-1]:
-        length, lost, takes = np.exp(rng.uniform(*np.log(PUMPED_S))), rng.uniform(*DECAY), rng.uniform(0.5, 2.0)
-        lasted, level = since - begin, rng.uniform(0.9, 1.1)
+        length = np.exp(rng.uniform(*np.log(PUMPED_S)))
+        lost = rng.uniform(*DECAY)
+        takes = rng.uniform(0.5, 2.0)
+        lasted = since - begin
+        level = rng.uniform(0.9, 1.1)
         low = factor[lasted < 0][-1] if np.any(lasted < 0) else 1.0
         falls = level * np.exp(np.log1p(-lost) * lasted / length)
         rises = low + (falls - low) * np.clip(lasted / takes, 0, 1)
-        factor, begin = np.where(lasted < 0, factor, rises), begin + length
+        factor = np.where(lasted < 0, factor, rises)
+        begin = begin + length
     return factor
 
 
 def _wandering(rng: np.random.Generator, step: Array, seconds: float = 0.3) -> Array:
     """Noise of unit variance that is alike within some seconds."""
-    value, found = 0.0, []
+    value = 0.0
+    found = []
     for record in step:
         cached = np.exp(-record / seconds)
         value = cached * value + np.sqrt(1 - cached**2) * rng.standard_normal()
@@ -193,7 +216,9 @@ def cells(
     resting = 3050 * np.exp(layer.spread * rng.standard_normal(panel.shape))
     answer = layer.bent * np.exp(layer.scatter * rng.standard_normal(panel.shape))
     logarithm = answer * np.log(CURVES[curve](pressure))
-    late, most, shown = [np.zeros(panel.shape) for _ in CREEP], np.zeros(panel.shape), []
+    late = [np.zeros(panel.shape) for _ in CREEP]
+    most = np.zeros(panel.shape)
+    shown = []
     for now, step in zip(logarithm, np.diff(time, prepend=time[0]), strict=True):
         late = [old + (now - old) * (1 - np.exp(-step / lag)) for old, (lag, _) in zip(late, CREEP, strict=True)]
         most = np.where(np.abs(now) > np.abs(most), now, now + (most - now) * np.exp(-step / FADES_S))
@@ -225,10 +250,8 @@ def recording(
     """(the recording, what stood there, breathing depth and rate)."""
     rng = np.random.default_rng([seed, side, KINDS.index(kind)])
     panel = Panel(side, side)
-    made, layer = (
-        MAKERS[OF_COURSE.get(kind, kind)](rng, panel),
-        film(rng, rng.choice(["real", "other"])),
-    )
+    made = MAKERS[OF_COURSE.get(kind, kind)](rng, panel)
+    layer = film(rng, rng.choice(["real", "other"]))
     frames = round((TOUCH_S + attached_s + max(BARE_S, 10 / rate)) * rate)
     time = np.concatenate([(np.arange(UNLOADED) - UNLOADED) / rate, np.arange(frames) / rate])
     course, depth, hertz = courses(rng, kind, time, attached_s)
@@ -259,7 +282,9 @@ def seen(
     begin = process_time()
     watched = known_of(Prepared(whole))
     assert isinstance(watched, Known)
-    watch, moments, lamprey = watched.watch(), [], np.nan
+    watch = watched.watch()
+    moments = []
+    lamprey = np.nan
     for value, sigma, time in measured_frames(whole, watched, np.ones(len(whole.time), dtype=bool)):
         watch = watch.push(value, sigma, time)
         moments += [watch] if len(moments) < 2 and time >= touch + (5, 10)[len(moments)] else []
@@ -267,9 +292,11 @@ def seen(
             lamprey = time - touch
     early, later, full = (Detected.of(kind, record.attachments, rate) for record in (*moments, watch))
     cpu = process_time() - begin
-    first, best = full.chosen, later.chosen
+    first = full.chosen
+    best = later.chosen
     sucking = max((record.sucks for record in early.attachments if record.present), default=0.0)
-    suction, x = np.nan, np.zeros(1)
+    suction = np.nan
+    x = np.zeros(1)
     if first and made.centres_mm:
         at = min(made.centres_mm, key=first.distance)
         suction = float(made.suction(x + at[0], x + at[1])[0])
@@ -401,10 +428,8 @@ def table(everything: Sequence[Seen]) -> None:
             for is_one in (True, False)
         )
         minutes = np.array([record.lamprey for record in mouths if np.isfinite(record.lamprey)]) / 60
-        hours, false = (
-            sum(record.watched for record in others) / 3600,
-            sum(np.isfinite(record.lamprey) for record in others),
-        )
+        hours = sum(record.watched for record in others) / 3600
+        false = sum(np.isfinite(record.lamprey) for record in others)
         times = f"{np.median(minutes):.1f}, {minutes.max():.1f}" if len(minutes) else "–"
         bound = 24 * POISSON_95[min(false, 3)] / max(hours, 1e-9)
         stated = f"{false} ({24 * false / max(hours, 1e-9):.0f} a day, below {bound:.0f} with 95 %)"
@@ -418,10 +443,8 @@ def plot(everything: Sequence[Seen], path: Path) -> None:
     fast = [record for record in everything if record.rate > 3.8]
     sucking = np.array([any(word in record.kind for word in ("mouth", "cup")) for record in fast])
     mouths = np.array([record.kind in LIVING for record in fast])
-    early, called = (
-        np.array([record.early for record in fast]),
-        np.array([record.sucks * record.breathes for record in fast]),
-    )
+    early = np.array([record.early for record in fast])
+    called = np.array([record.sucks * record.breathes for record in fast])
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(9, 4), layout="constrained")
     for name, score, true in (("sucks, after 5 s", early, sucking), ("lamprey, after 10 s", called, mouths)):
         levels = np.unique(np.append(score, [-1.0, 2.0]))[::-1]
@@ -437,10 +460,8 @@ def plot(everything: Sequence[Seen], path: Path) -> None:
     for low, high in ((0, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 1.01)):
         of = (called >= low) & (called < high)
         if of.any():
-            share, error = (
-                mouths[of].mean(),
-                np.sqrt((mouths[of].mean() * (1 - mouths[of].mean()) + 0.25 / of.sum()) / of.sum()),
-            )
+            share = mouths[of].mean()
+            error = np.sqrt((mouths[of].mean() * (1 - mouths[of].mean()) + 0.25 / of.sum()) / of.sum())
             right.errorbar(100 * called[of].mean(), 100 * share, 100 * error, fmt="o", color="C1")
             right.annotate(f"{of.sum()}", (100 * called[of].mean(), 100 * share), (6, 6), textcoords="offset points")
     right.plot([0, 100], [0, 100], color="0.7", zorder=0)

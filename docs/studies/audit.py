@@ -31,7 +31,10 @@ from lampest.studies import study
 from lampest.studies.common import StudyMethod
 from lampest.studies.study import column
 
-LEAST, MOST, NEVER_BELOW = 90.0, 98.0, 80.0  # percent of 95 % intervals that shall cover the truth
+# percent of 95 % intervals that shall cover the truth
+LEAST = 90.0
+MOST = 98.0
+NEVER_BELOW = 80.0
 LATE_S = 8.0  # when effects come that come during a recording
 
 
@@ -96,7 +99,8 @@ class AuditTask(NamedTuple):
 
     def recording(self) -> Recording:
         """Simulated anew. Raises ValueError where the effect leaves no readings."""
-        stated, place = self.audit.simulation, random_stream(self.seed, "audit")
+        stated = self.audit.simulation
+        place = random_stream(self.seed, "audit")
         reach = stated.scene.panel.pitch_mm / 2
         loads = []
         for load in stated.loads:

@@ -31,7 +31,8 @@ def table(run: dict[str, dict[str, dict[str, str]]]) -> str:
     lines = [["not specified", *names, *(f"own part, {name}" for name in names), "reported"]]
     lines.append(["---"] * len(lines[0]))
     for effect, own in run.items():
-        first, rows = next(iter(own.values())), [own[name] for name in names]
+        first = next(iter(own.values()))
+        rows = [own[name] for name in names]
         alone = [f"{float(row['alone']):.0f} × {float(row['ratio']):.2f}" for row in rows]
         lines.append([effect, *map(shares, rows), *alone, f"{first['reported']} of {first['recordings']}"])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)

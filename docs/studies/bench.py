@@ -99,8 +99,10 @@ class _Point:
     def jacobian(self, position: Array) -> Array:
         """∂f/∂u = ∂f/∂r·diag(r) + ∂f/∂y·∂y/∂u, dense."""
         at = self._at(position)
-        cells, function = at.cell_resistance, self.solver._functions[1]
-        size, count = cells[0].size, cells.size
+        cells = at.cell_resistance
+        function = self.solver._functions[1]
+        size = cells[0].size
+        count = cells.size
         partial = sparse.csc_array((self.scale * at.call(function), function.pattern), shape=function.structure.shape)
         blocks = [
             partial[:, count + frame * size : count + (frame + 1) * size] @ network.sensitivity()
@@ -127,7 +129,9 @@ class Lbfgsb(Solver):
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`. Never raises for a failed solve."""
-        shape, scale, nothing = data.measured.shape, start.cost_scale, np.zeros(0)
+        shape = data.measured.shape
+        scale = start.cost_scale
+        nothing = np.zeros(0)
 
         def value(position: Array) -> tuple[float, Array]:
             at = Evaluation.at(self.cost, data, np.exp(position).reshape(shape))

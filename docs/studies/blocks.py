@@ -59,22 +59,29 @@ def _recording(side: int, period: float) -> lampest.Recording:
 def _measured(recording: lampest.Recording, terms: tuple[lampest.Term, ...], turns: int) -> tuple[float, ...]:
     """Seconds of a frame alone, in a block of one and of many, and of the whole call; the largest difference."""
     prepared = Prepared(recording)
-    readings, frames = prepared.noise.readings, recording.measured_frames()
+    readings = prepared.noise.readings
+    frames = recording.measured_frames()
     stream = first_stream(recording, readings, lampest.Estimator(terms, "reduced"), prepared.noise)
     stream, _ = stream.push(readings[int(frames[0])])
     times = list[tuple[float, ...]]()
     for _ in range(turns):
-        begin, later, cells = process_time(), stream, []
+        begin = process_time()
+        later = stream
+        cells = []
         for frame in frames[1:]:
             later, step = later.push(readings[int(frame)])
             cells.append(step.cell_resistance)
-        alone, begin = process_time() - begin, process_time()
-        single, inverses = stream, InverseHessians.nothing(1, recording.scene.panel.crossings)
+        alone = process_time() - begin
+        begin = process_time()
+        single = stream
+        inverses = InverseHessians.nothing(1, recording.scene.panel.crossings)
         for frame in frames[1:]:
             ((single, _),) = push_streams([single], readings[frame : frame + 1], inverses)
-        single_time, begin = process_time() - begin, process_time()
+        single_time = process_time() - begin
+        begin = process_time()
         steps = [step for _, step in push_block(stream, readings[frames[1:]])]
-        blocks, begin = process_time() - begin, process_time()
+        blocks = process_time() - begin
+        begin = process_time()
         lampest.reconstruct(recording, terms)
         whole = (process_time() - begin) / FRAMES
         times.append((*(time / (FRAMES - 1) for time in (alone, single_time, blocks)), whole))

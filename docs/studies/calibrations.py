@@ -50,7 +50,8 @@ class Draw:
         series = self.truth if self.told.circuit.unit == "ohm" else [np.zeros(n) for n in self.told.panel.shape]
         volt = self.actual.volt_from_recorded(self.actual.simulated(frames, self.told, *series))
         sums = sums_of_codes(self.actual, volt, Unmodelled(outlier_probability=1e-4), seed)
-        values, time = self.told.circuit.recorded_from_sums(sums, self.actual.readings), np.arange(float(len(sums)))
+        values = self.told.circuit.recorded_from_sums(sums, self.actual.readings)
+        time = np.arange(float(len(sums)))
         return Recording(self.told, values, time, np.ones(len(sums), dtype=np.uint8), name="r")
 
 
@@ -63,7 +64,8 @@ def draw(kind: str, rng: np.random.Generator) -> Draw:
         "readings": int(rng.choice([1, 4, 20])),
         "noise_lsb": float(rng.uniform(0.3, 2)),
     }
-    tolerance, apart = float(rng.choice([0.001, 0.01])), float(rng.choice([0.01, 0.05]))
+    tolerance = float(rng.choice([0.001, 0.01]))
+    apart = float(rng.choice([0.01, 0.05]))
     level = float(rng.uniform(60, 110))
 
     def channels(lines: int) -> Array:
@@ -71,12 +73,14 @@ def draw(kind: str, rng: np.random.Generator) -> Draw:
 
     if kind == "two_point":
         readout: Readout = TwoPointReadout(**converter, measured_across=str(rng.choice(["reference", "sensor"])))
-        truth, actual = (channels(rows), channels(columns)), readout.off_by(tolerance * rng.uniform(-1, 1))
+        truth = (channels(rows), channels(columns))
+        actual = readout.off_by(tolerance * rng.uniform(-1, 1))
         driven = "rows"
     else:
         driven = str(rng.choice(["rows", "columns"]))
         lines, others = (rows, columns) if driven == "rows" else (columns, rows)
-        nominal, extra = float(rng.choice(NOMINAL[kind])), 0.0
+        nominal = float(rng.choice(NOMINAL[kind]))
+        extra = 0.0
         options = {"driven": driven, SECOND[kind]: nominal}
         if kind == "loaded_columns":
             extra = float(rng.choice([0.0, 1000.0]))
@@ -131,12 +135,14 @@ def resistors(kind: str, placed: str, shape: tuple[int, int], driven: str, rng: 
 
 def errors(results: ResistorCalibration, truth: tuple[Array, Array]) -> tuple[list[float], list[float]]:
     """(found − true)/σ of means, and of what single lines add."""
-    means, single = [], []
+    means = []
+    single = []
     sides = iter(truth)
     for record in results.numbers:
         mean = 0.0
         for lines in record.lines:
-            measured, true = np.isfinite(lines.off_ohm), next(sides)
+            measured = np.isfinite(lines.off_ohm)
+            true = next(sides)
             mean += true[measured].mean()
             off = (lines.off_ohm - (true - true[measured].mean()))[measured]
             single += (off / lines.sigma_ohm[measured]).tolist() if measured.sum() > 1 else []
@@ -151,7 +157,8 @@ def foam(record: Draw, rng: np.random.Generator) -> Array:
 
 def pressed(record: Draw, rng: np.random.Generator) -> Array:
     """The same, a third of its cells pressed ever more."""
-    touched, cells = rng.random(record.cells.shape) < 0.3, foam(record, rng)
+    touched = rng.random(record.cells.shape) < 0.3
+    cells = foam(record, rng)
     return cells * np.exp(-0.05 * np.arange(max(record.frames, 6))[:, None, None] * touched)
 
 
@@ -197,7 +204,8 @@ def good(kind: str, draws: int) -> None:
 def bad(kind: str, draws: int) -> None:
     """Rates of calibrations that are none."""
     for name, spoil in BAD.items():
-        count, accepted = 0, []
+        count = 0
+        accepted = []
         for seed in range(5000, 5000 + draws):
             rng = np.random.default_rng([seed, KINDS.index(kind)])
             record = draw(kind, rng)

@@ -16,7 +16,9 @@ import numpy as np
 import lampest
 from lampest.panel.panel import Array
 
-SIDE, FRAMES, UNLOADED = 10, 8, 5
+SIDE = 10
+FRAMES = 8
+UNLOADED = 5
 FACTORS = 10.0 ** np.arange(-3.0, 3.1, 0.5)  # of the geometric mean of the rules' weights
 PENALTIES: dict[str, lampest.Term] = {
     "log_gradient": lampest.LogGradient(),
@@ -60,7 +62,8 @@ CONDITIONS = {
 
 def recording_of(condition: Condition, seed: int) -> tuple[lampest.Recording, Array]:
     """A recording, and its true cells (frames, rows, columns) ohm."""
-    rng, readout = np.random.default_rng(seed), lampest.TwoPointReadout(adc_bits=12, readings=1, noise_lsb=1.0)
+    rng = np.random.default_rng(seed)
+    readout = lampest.TwoPointReadout(adc_bits=12, readings=1, noise_lsb=1.0)
     row, column = np.indices((SIDE, SIDE))
     film = 0.2 * np.sin(row / 2 + seed) * np.cos(column / 3) + 0.03 * rng.standard_normal((SIDE, SIDE))
     cells = np.repeat(3000 * np.exp(film)[None], FRAMES, axis=0)
@@ -82,7 +85,8 @@ def excess(recording: lampest.Recording, cells: Array, penalty: lampest.Term) ->
     """Error with the weight of each of RULES over that with the best weight; NaN where a rule has no estimate."""
 
     def fitted(weight: float | str, rule: str | None = None) -> lampest.Estimates:
-        terms, auto = [lampest.Misfit(weighting="noise"), replace(penalty, weight=weight)], weight == "auto"
+        terms = [lampest.Misfit(weighting="noise"), replace(penalty, weight=weight)]
+        auto = weight == "auto"
         return lampest.reconstruct(recording, terms, auto_weight=lampest.AutoWeight(rule=rule), error_bars=auto)
 
     def error(results: lampest.Estimates) -> float:

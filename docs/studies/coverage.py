@@ -28,7 +28,8 @@ METHODS = {
 
 def mouth_cells(rng: np.random.Generator, side: int) -> Array:
     """The cells (2, side, side) ohm of a panel, unloaded and with an attached mouth."""
-    panel, place = Panel(side, side), rng.uniform(0.2, 0.8, 2) * (side - 1) * 10
+    panel = Panel(side, side)
+    place = rng.uniform(0.2, 0.8, 2) * (side - 1) * 10
     load = OralDisc(
         kind="oral_disc",
         centre_mm=(float(place[0]), float(place[1])),
@@ -43,8 +44,10 @@ def mouth_cells(rng: np.random.Generator, side: int) -> Array:
 
 def mouth(rng: np.random.Generator) -> tuple[Recording, Array]:
     """An unloaded frame and one with an attached mouth, 6 × 6 to 16 × 16; the true cells (2, rows, columns)."""
-    side, noise = int(rng.integers(6, 17)), float(np.exp(rng.uniform(np.log(0.001), np.log(0.03))))
-    panel, cells = Panel(side, side), mouth_cells(rng, side)
+    side = int(rng.integers(6, 17))
+    noise = float(np.exp(rng.uniform(np.log(0.001), np.log(0.03))))
+    panel = Panel(side, side)
+    cells = mouth_cells(rng, side)
     exact = two_point_resistance(cells)
     measured = exact * (1 + noise * rng.standard_normal(exact.shape))
     role = np.array([0, 1], dtype=np.uint8)
@@ -64,12 +67,14 @@ def study(scenes: int, seed: int) -> None:
             if not step.solution.solved or step.bars is None:
                 print(f"{name}: no error bars ({step.solution.status.value})")
                 continue
-            bars, error = step.bars.frame, np.log(results.cell_resistance[0] / cells[1])
+            bars = step.bars.frame
+            error = np.log(results.cell_resistance[0] / cells[1])
             free = ~(step.solution.at_lower[-1] | step.solution.open_cell[-1])
             held[name].append(((error <= bars.below) & (-error <= bars.above))[free].astype(float))
             standard[name].append((error / bars.deviation)[free])
     for name in METHODS:
-        inside, size = np.concatenate(held[name]), np.concatenate(standard[name])
+        inside = np.concatenate(held[name])
+        size = np.concatenate(standard[name])
         print(
             f"{name}: {100 * inside.mean():.1f} % held, error/sd {np.sqrt(np.mean(size**2)):.2f}, {inside.size} cells"
         )

@@ -14,7 +14,10 @@ from lampest import Panel, Recording, Scene, Systematic, TwoPointReadout, two_po
 from lampest.files.levels import MAD_TO_SIGMA, TWO_SIDED
 from lampest.panel.panel import Array
 
-SHAPE, UNLOADED, FRAMES, SERIES_OHM = (10, 10), 5, 6, 140.0
+SHAPE = (10, 10)
+UNLOADED = 5
+FRAMES = 6
+SERIES_OHM = 140.0
 READING_ERROR = {"systematic": Systematic(reading_error="estimated")}
 
 
@@ -64,7 +67,8 @@ def load(kind: str, rng: np.random.Generator) -> Array:
 
 def recording(seed: int, kind: str, row: Row, keys: Mapping[str, Any]) -> Recording:
     """A load on films that scatter by a tenth: means of 20 readings of 10 bits of a divider across 1000 ohm."""
-    rng, lsb = np.random.default_rng(seed), 5 / 1024
+    rng = np.random.default_rng(seed)
+    lsb = 5 / 1024
     cells = np.repeat(3000 * np.exp(0.1 * rng.standard_normal((1, *SHAPE))), UNLOADED + FRAMES, axis=0)
     strength = row.strength * (1 + row.swaying * np.sin(1.3 * np.arange(FRAMES) + 0.5))
     cells[UNLOADED:] *= np.exp(-strength[:, None, None] * load(kind, rng))
@@ -82,11 +86,13 @@ def recording(seed: int, kind: str, row: Row, keys: Mapping[str, Any]) -> Record
 
 def figures(made: Recording) -> tuple[float, ...]:
     """Rms error of ln r; coverage of the own part and its size over the error; coverage of cells and of changes; %."""
-    found, truth = lampest.reconstruct(made), made.truth_cell_resistance
+    found = lampest.reconstruct(made)
+    truth = made.truth_cell_resistance
     assert truth is not None and found.sigma_own is not None
     assert found.cell_resistance_lower is not None and found.cell_resistance_upper is not None
     assert found.relative_change_lower is not None and found.relative_change_upper is not None
-    cells, change = truth[found.frame], 100 * (truth[found.frame] / truth[0] - 1)
+    cells = truth[found.frame]
+    change = 100 * (truth[found.frame] / truth[0] - 1)
     error = np.log(found.cell_resistance / cells)
     own = error - np.median(error, axis=(1, 2), keepdims=True)
     size = MAD_TO_SIGMA * np.median(np.abs(own))

@@ -22,7 +22,8 @@ from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
 
-PERIOD_S, UNLOADED = 0.1, 50
+PERIOD_S = 0.1
+UNLOADED = 50
 RUN = """
 schema: 1
 recordings: [long.h5]
@@ -35,7 +36,9 @@ estimators: {{one: {{terms: {{misfit: {{weighting: noise}}{penalty}}}}}}}
 def parts(frames: int) -> Iterator[Recording]:
     """The shipped lamprey of 35 mm, its frames again and again with noise of their own, by parts."""
     shipped = lampest.datasets.load("lamprey_35mm")
-    scene, truth, rng = shipped.scene, shipped.truth_cell_resistance, np.random.default_rng(5)
+    scene = shipped.scene
+    truth = shipped.truth_cell_resistance
+    rng = np.random.default_rng(5)
     assert scene.readout is not None and truth is not None
     exact = np.asarray(scene.readout.to_recorded(scene.readout.exact_reading(truth), scene))
     step = PART_READINGS // scene.panel.crossings
@@ -49,11 +52,14 @@ def parts(frames: int) -> Iterator[Recording]:
 
 def run(config: Path, out: Path) -> None:
     """Run the file in this process, and say after every part how much memory there is."""
-    write, begin = batch.write_carried, time.process_time()
+    write = batch.write_carried
+    begin = time.process_time()
 
     def told(path: Path, carried: object) -> None:
-        seconds, process = time.process_time() - begin, psutil.Process()
-        size, files = process.memory_info().rss / 1e6, process.num_fds()
+        seconds = time.process_time() - begin
+        process = psutil.Process()
+        size = process.memory_info().rss / 1e6
+        files = process.num_fds()
         print(f"{path.stem}  {seconds:8.1f} s of the processor  {size:8.2f} MB  {files} files open", flush=True)
         write(path, carried)
 
@@ -81,7 +87,8 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("results/endless"))
     parser.add_argument("--run", action="store_true", help="The run alone, in this process.")
     stated = parser.parse_args()
-    config, out = stated.folder / "run.yaml", stated.folder / "out"
+    config = stated.folder / "run.yaml"
+    out = stated.folder / "out"
     if stated.run:
         run(config, out)
         return

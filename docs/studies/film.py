@@ -30,7 +30,8 @@ from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.report.detect.detection import detect_recording
 
 AFTER = 300
-PANEL, READOUT = Panel(10, 10), TwoPointReadout(readings=20, noise_lsb=0.7)
+PANEL = Panel(10, 10)
+READOUT = TwoPointReadout(readings=20, noise_lsb=0.7)
 TOLD = {
     "silent": lambda film: None,
     "all open": lambda film: Film("auto", "auto"),
@@ -47,7 +48,8 @@ def film_of(rng: np.random.Generator, hysteresis: float | None = None, spread: f
 
 def pressed(rng: np.random.Generator, seed: int, film: Film, told: Film | None, kpa: float) -> Recording:
     """A rod put on in 15 s, left for 30 s, taken off in 15 s, and 50 s of rest."""
-    place, across = rng.uniform(35, 55, 2), 45.0
+    place = rng.uniform(35, 55, 2)
+    across = 45.0
     rod = Rod(
         kind="rod",
         centre_mm=(float(place[0]), float(place[1])),
@@ -64,9 +66,12 @@ def pressed(rng: np.random.Generator, seed: int, film: Film, told: Film | None, 
 def pressures(count: int, seed: int) -> None:
     """Print errors in percent of the largest pressure, cells under the rod; and how many intervals hold the truth."""
     for spread, (name, tell) in product((0.05, 0.2), TOLD.items()):
-        rng, errors, held = np.random.default_rng(seed), [], []
+        rng = np.random.default_rng(seed)
+        errors = []
+        held = []
         for number in range(count):
-            film, kpa = film_of(rng, 0.24, spread), float(rng.uniform(10, 24))
+            film = film_of(rng, 0.24, spread)
+            kpa = float(rng.uniform(10, 24))
             made = pressed(rng, seed + number, film, tell(film), kpa)
             results = reconstruct(made, Estimator((Misfit(),), "reduced"))
             assert made.truth_pressure is not None and results.pressure is not None
@@ -112,7 +117,10 @@ def left(rng: np.random.Generator, seed: int, film: Film, told: Film | None) -> 
 
 def memories(count: int, seed: int, name: str) -> None:
     """Print how many mouths are seen, how soon after release they are gone, and what is seen after that."""
-    rng, seen, late, again = np.random.default_rng(seed), 0, [], 0
+    rng = np.random.default_rng(seed)
+    seen = 0
+    late = []
+    again = 0
     with TemporaryDirectory() as folder:
         for number in range(count):
             film = film_of(rng)

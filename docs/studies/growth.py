@@ -38,7 +38,8 @@ def main() -> None:
 def _spent(bench: BenchFile, method: str, side: int, number: int) -> tuple[float, float]:
     """Seconds of the first frame and the median of later ones."""
     recording = bench.recording((side, side), number)
-    readings, times = recording.readings(), []
+    readings = recording.readings()
+    times = []
     stream = first_stream(recording, readings, bench.estimator(method, "reduced", (1, 1)))  # a pair on any panel
     for place, frame in enumerate(recording.measured_frames()[:FRAMES]):
         start = process_time()

@@ -36,7 +36,9 @@ TERMS = [
 
 def excess(made: Recording, estimator: Estimator) -> Array:
     """Rms log error of cells and of changes with the chosen weight over that of the best one, for each."""
-    readings, scene, truth = Prepared(made).noise.readings, made.scene, made.truth_cell_resistance
+    readings = Prepared(made).noise.readings
+    scene = made.scene
+    truth = made.truth_cell_resistance
     resting = baseline_readings(made, readings)
     frame = deciding_frames(made, readings, resting)[0]
     assert truth is not None

@@ -21,11 +21,11 @@ STATIC = (0.0, 5.0)  # static errors of the readings, in standard deviations of 
 
 def scene_of(rng: np.random.Generator, kind: int) -> tuple[lampest.Scene, float]:
     """An array with a readout, and the resistance of its cells in ohm."""
-    panel, ohm = (
-        lampest.Panel(int(rng.integers(20, 40)), int(rng.integers(16, 40)), 5.0),
-        float(10 ** rng.uniform(3, 5)),
-    )
-    bits, noise, readings = int(rng.choice([10, 12, 16])), float(rng.uniform(0.3, 3)), int(rng.choice([1, 4]))
+    panel = lampest.Panel(int(rng.integers(20, 40)), int(rng.integers(16, 40)), 5.0)
+    ohm = float(10 ** rng.uniform(3, 5))
+    bits = int(rng.choice([10, 12, 16]))
+    noise = float(rng.uniform(0.3, 3))
+    readings = int(rng.choice([1, 4]))
     converter = {"supply_volt": 3.3, "adc_bits": bits, "readings": readings, "noise_lsb": noise}
     if kind % 2 == 0:
         return lampest.Scene(panel, lampest.TwoPointReadout(**converter, reference_ohm=ohm / 8)), ohm
@@ -42,7 +42,8 @@ def recording_of(seed: int, static: float) -> tuple[lampest.Recording, Array]:
     scene, ohm = scene_of(rng, seed % 4)
     (rows, columns), readout = scene.panel.shape, scene.readout
     assert readout is not None
-    unloaded, frames = int(rng.choice([0, 3])), int(rng.choice([3, 8]))
+    unloaded = int(rng.choice([0, 3]))
+    frames = int(rng.choice([3, 8]))
     logarithm = np.log(ohm) + float(rng.choice([0.05, 0.3])) * rng.standard_normal((rows, columns))
     logarithm = np.repeat(logarithm[None], unloaded + frames, axis=0)
     row, column = np.indices((rows, columns))
@@ -50,7 +51,8 @@ def recording_of(seed: int, static: float) -> tuple[lampest.Recording, Array]:
         distance = np.hypot(row - rng.uniform(3, rows - 4), column - rng.uniform(3, columns - 4))
         load = rng.uniform(0.3, 3) * np.exp(-((distance / rng.uniform(1.5, 5)) ** 4))
         logarithm[unloaded:] -= load * np.linspace(0.6, 1, frames)[:, None, None]
-    cells, size = np.exp(logarithm), float(readout.noise_lsb) / np.sqrt(readout.readings)
+    cells = np.exp(logarithm)
+    size = float(readout.noise_lsb) / np.sqrt(readout.readings)
     volt = readout.volt_from_recorded(scene.circuit.to_recorded(scene.circuit.exact_reading(cells), scene))
     codes = volt / readout.lsb_volt + size * rng.standard_normal(volt.shape)
     codes = np.round(codes + static * size * rng.standard_normal((rows, columns)))

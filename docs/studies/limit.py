@@ -25,10 +25,17 @@ from lampest.panel.scene import Scene, Systematic
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.measure import Unmodelled, measured
 
-FRAMES, RESTING, PATCH_MM, PITCH_MM = 21, 3, 6.0, 10.0
-CLEAN, REAL = Unmodelled(), Unmodelled(0.0, 3.0, 0.01, 0.01, 1e-4)  # the latter as in the shipped recordings
+FRAMES = 21
+RESTING = 3
+PATCH_MM = 6.0
+PITCH_MM = 10.0
+# the latter as in the shipped recordings
+CLEAN = Unmodelled()
+REAL = Unmodelled(0.0, 3.0, 0.01, 0.01, 1e-4)
 TOLD = Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)
-STEPPED, NORMAL_MEDIAN = 0.05, 0.6745  # of log r; of |x| in standard deviations
+# of log r; of |x| in standard deviations
+STEPPED = 0.05
+NORMAL_MEDIAN = 0.6745
 SMOOTHED = (Misfit(weighting="noise", loss=Student(corner=4.0)),)
 METHODS: dict[str, tuple[tuple[Term, ...], str | SmootherMethod]] = {
     "LSR-dCR": ((Misfit(), RelativeChange(weight="auto")), "reduced"),
@@ -75,7 +82,8 @@ def moving(seed: int, side: int) -> Array:
 
 def rods(seed: int, side: int) -> Array:
     """A rod that stands, one that leaves, one that taps for a single frame: no suction, other places and times."""
-    rng, panel = np.random.default_rng(seed), Panel(side, side, PITCH_MM)
+    rng = np.random.default_rng(seed)
+    panel = Panel(side, side, PITCH_MM)
     pressure = np.zeros((FRAMES, side, side))
     for first, last in ((3, FRAMES), (0, 9), (14, 15)):
         place = rng.uniform(0.15, 0.85, 2) * (side - 1) * PITCH_MM
@@ -109,7 +117,8 @@ class Setting:
 
     def recording(self, seed: int) -> Recording:
         """Three unloaded frames and 21 measured ones, a second apart, with their truth."""
-        rng, panel = np.random.default_rng(seed + 1), Panel(self.side, self.side, PITCH_MM)
+        rng = np.random.default_rng(seed + 1)
+        panel = Panel(self.side, self.side, PITCH_MM)
         two_point = self.readout.unit == "ohm"
         scene = Scene(panel, self.readout, 140.0 if two_point else 0.0)
         if self.unmodelled.channel_spread_ohm:
@@ -146,7 +155,8 @@ SETTINGS = {
 
 def bound(recording: Recording, frames: NDArray[np.intp], cells: Array) -> Array:
     """What |error| of log r has as its median at the Cramér–Rao bound, (frames, rows, columns), no more than 1."""
-    readings, circuit = recording.readings(), recording.scene.circuit
+    readings = recording.readings()
+    circuit = recording.scene.circuit
     assert readings.sigma is not None
     results = []
     for number, truth in zip(frames, cells, strict=True):
@@ -160,18 +170,22 @@ def measure(recording: Recording, terms: tuple[Term, ...], formulation: str | Sm
     """Median error, percent; over the bound; 95th; held, of cells, changed ones, round jumps, changes; ms; solved."""
     begin = process_time()
     results = reconstruct(recording, Estimator(terms, formulation))
-    lower, upper = results.cell_resistance_lower, results.cell_resistance_upper
+    lower = results.cell_resistance_lower
+    upper = results.cell_resistance_upper
     seconds = process_time() - begin
-    truth, solved = recording.truth_cell_resistance, results.solved
+    truth = recording.truth_cell_resistance
+    solved = results.solved
     assert truth is not None and lower is not None and upper is not None
-    cells, resting = truth[results.frame], truth[RESTING - 1]
+    cells = truth[results.frame]
+    resting = truth[RESTING - 1]
     error = 100 * np.abs(results.cell_resistance / cells - 1)
     steps = np.abs(np.diff(np.log(truth), axis=0)).max(axis=(1, 2)) > STEPPED
     around = (steps[results.frame - 1] | np.append(steps, False)[results.frame]) & solved
     changed = (np.abs(np.log(cells / resting)) > STEPPED) & solved[:, None, None]
     held = 100.0 * ((lower <= cells) & (cells <= upper))
     change = 100 * (cells / resting - 1)
-    low, high = results.relative_change_lower, results.relative_change_upper
+    low = results.relative_change_lower
+    high = results.relative_change_upper
     cached = (
         np.full(cells.shape, np.nan) if low is None or high is None else 100.0 * ((low <= change) & (change <= high))
     )

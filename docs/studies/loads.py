@@ -59,13 +59,15 @@ def forces(pressure: Array, loads: Sequence[Shape], panel: Panel) -> Array:
 def measured_forces(bench: Bench, scene: Scene, groups: list[list[Shape]]) -> Array:
     """(touches and figures): |error| of the force, the same against the weight; and the share of pressures held."""
     recording = bench.recorded(groups, "fresh", replace(scene, response=scene.response or PublishedResponse()))
-    results, truth = reconstruct(recording, Estimator((Misfit(),), "reduced")), recording.truth_pressure
+    results = reconstruct(recording, Estimator((Misfit(),), "reduced"))
+    truth = recording.truth_pressure
     assert truth is not None and results.pressure is not None
     assert results.pressure_lower is not None and results.pressure_upper is not None
     rows = []
     for number, group in enumerate(groups):
         first, _ = bench.frames_of(number)
-        at, there = first - RESTING, truth[first]
+        at = first - RESTING
+        there = truth[first]
         felt = there > 0.5
         held = ((results.pressure_lower[at] <= there) & (there <= results.pressure_upper[at]))[felt].mean()
         newton = forces(results.pressure[at], group, bench.panel)

@@ -44,7 +44,8 @@ class Figures:
 
 def recorded() -> Array:
     """Ohm as the divider gives it (frames, rows, columns), with noise."""
-    rng, readout = np.random.default_rng(1), SCENE.readout
+    rng = np.random.default_rng(1)
+    readout = SCENE.readout
     assert readout is not None
     cells = 1000 * np.exp(0.2 * rng.standard_normal((3, 4)) + 0.05 * rng.standard_normal((DISTINCT, 3, 4)))
     exact = np.asarray(readout.to_recorded(readout.exact_reading(cells), SCENE))
@@ -64,7 +65,8 @@ def traced(wanted: bool) -> Iterator[None]:
 
 def stream_figures(marks: Sequence[int], trace: bool = True) -> list[Figures]:
     """Figures of a stream after so many frames."""
-    frames, found = recorded(), []
+    frames = recorded()
+    found = []
     stream = lampest.Stream.begin(METHOD, SCENE, 0.1, lampest.Readings.of(SCENE, frames[:3]).mean())
     with traced(trace):
         for number in range(1, max(marks) + 1):
@@ -76,7 +78,8 @@ def stream_figures(marks: Sequence[int], trace: bool = True) -> list[Figures]:
 
 def live_figures(marks: Sequence[int], trace: bool = True) -> list[Figures]:
     """Figures of the live page's engine after so many frames; it solves as many of them as it can."""
-    frames, found = recorded(), []
+    frames = recorded()
+    found = []
     source = FrameSource(SCENE, 0.1, "receiving")
     with traced(trace), Engine("a fast line", "gradient", METHOD, 3) as engine:
         for number in range(1, max(marks) + 1):

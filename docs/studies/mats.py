@@ -33,9 +33,14 @@ from lampest.solvers.solution import Settings
 from lampest.studies.common import clocked, inverse_time
 from lampest.studies.study import markdown
 
-LEAST_S, MOST_S = 2e-5, 2e-2  # conductances of the published test
+# conductances of the published test
+LEAST_S = 2e-5
+MOST_S = 2e-2
 OURS = ("reduced", "scipy_exact")
-BETA, MOST_STEPS, SMALLEST_S = 0.1, 1000, 1e-18  # the published test's step, iterations, what replaces g < 0, siemens
+# the published test's step, iterations, what replaces g < 0, siemens
+BETA = 0.1
+MOST_STEPS = 1000
+SMALLEST_S = 1e-18
 FINE_S = 1e-12  # the published test's tolerance of the fixed point
 COARSE_S = 6e-6  # what newton_krylov tolerates where it is told nothing
 STEP_TOLERANCE = 1e-8  # the published test's xtol of least squares
@@ -109,14 +114,16 @@ def newton_krylov_fine(measured: Array) -> MatAnswer:
 
 
 def _krylov(measured: Array, tolerance: float) -> MatAnswer:
-    network, steps = CountedNetwork(measured), count()
+    network = CountedNetwork(measured)
+    steps = count()
     try:
         found = newton_krylov(
             network.misfit, network.wanted, f_tol=tolerance, maxiter=MOST_STEPS, callback=lambda *_: next(steps)
         )
         converged = True
     except (NoConvergence, ValueError, np.linalg.LinAlgError) as error:
-        converged, found = False, error.args[0] if isinstance(error, NoConvergence) else network.wanted * np.nan
+        converged = False
+        found = error.args[0] if isinstance(error, NoConvergence) else network.wanted * np.nan
     return MatAnswer(np.reshape(found, measured.shape), next(steps), network.evaluations(), converged)
 
 

@@ -53,10 +53,13 @@ def study(count: int, seed: int) -> None:
                 results = reconstruct(
                     replace(made, recorded=np.where(holes, np.nan, made.recorded)), Estimator(terms, "reduced")
                 )
-                lower, upper = results.cell_resistance_lower, results.cell_resistance_upper
+                lower = results.cell_resistance_lower
+                upper = results.cell_resistance_upper
                 assert made.truth_cell_resistance is not None and lower is not None and upper is not None
-                truth, hole = made.truth_cell_resistance[results.frame], holes[results.frame]
-                error, held = 100 * np.abs(results.cell_resistance / truth - 1), (lower <= truth) & (truth <= upper)
+                truth = made.truth_cell_resistance[results.frame]
+                hole = holes[results.frame]
+                error = 100 * np.abs(results.cell_resistance / truth - 1)
+                held = (lower <= truth) & (truth <= upper)
                 for parts, chosen in ((read, ~hole), (blind, hole)):
                     chosen &= results.solved[:, None, None]
                     parts.append((error[chosen], held[chosen].astype(float)))

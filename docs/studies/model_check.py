@@ -24,7 +24,9 @@ from lampest.estimate.rivals import Rival
 from lampest.files.levels import SIGNIFICANCE
 from lampest.recording.simulation.measure import measured
 
-SHOWN, SHOWN_FROM = ", where the data can show it", 100.0  # evidence; its noise is some ± 2 √evidence
+# evidence; its noise is some ± 2 √evidence
+SHOWN = ", where the data can show it"
+SHOWN_FROM = 100.0
 A_CELL = 12.0  # −2 ln evidence that a moved cell costs where its change is known to 1 %
 SIDES = (4, 6, 8, 10, 12, 16, 18)
 
@@ -100,13 +102,15 @@ def sound(seed: int) -> tuple[str, Recording] | None:
     rows, columns = random.choice(SIDES, 2).tolist()
     panel = lampest.Panel(rows, columns, 10.0)
     kind = [two_point, loaded_columns, driven][seed % 3]
-    scene, what = kind(random, panel), kind.__name__
+    scene = kind(random, panel)
+    what = kind.__name__
     cells = lampest.Cells(float(random.choice([800.0, 3050.0, 30000.0])), float(random.choice([0.1, 0.3, 1.0])))
     creep = lampest.Unmodelled(drift_per_minute=float(random.choice([0.0, 0.0, 0.01])))
     simulation = Simulation(1, seed, scene, cells, frames=3, loads=loads(random, panel), unmodelled=creep)
     recording = lampest.simulate(simulation)
     if random.random() < 0.3:
-        what, recording = what + ", faults", broken(recording, faults(random, panel), seed)
+        what = what + ", faults"
+        recording = broken(recording, faults(random, panel), seed)
     try:
         recording.readings()
     except lampest.InputError:
@@ -117,7 +121,8 @@ def sound(seed: int) -> tuple[str, Recording] | None:
 def broken(recording: Recording, known: lampest.Faults, seed: int) -> Recording:
     """The same panel measured with cells that are broken as its scene will tell."""
     assert recording.truth_cell_resistance is not None
-    cells, panel = recording.truth_cell_resistance.copy(), recording.scene.panel
+    cells = recording.truth_cell_resistance.copy()
+    panel = recording.scene.panel
     cells[:, known.open_cells(panel)] = 1e12
     cells[:, known.shorted_cells(panel)] = 1e-3
     recorded, _ = measured(recording.scene, cells, lampest.Unmodelled(), seed)
@@ -126,7 +131,8 @@ def broken(recording: Recording, known: lampest.Faults, seed: int) -> Recording:
 
 def faults(random: np.random.Generator, panel: lampest.Panel) -> lampest.Faults:
     """An open cell, a short or a dead row."""
-    row, column = int(random.integers(panel.rows)), int(random.integers(panel.columns))
+    row = int(random.integers(panel.rows))
+    column = int(random.integers(panel.columns))
     several = ({"open": ((row, column),)}, {"shorted": ((row, column),)}, {"dead_rows": (row,)})
     return lampest.Faults(**several[int(random.integers(3))])
 
@@ -177,7 +183,8 @@ def evidence(exact: Recording) -> float:
     """
     cells = exact.truth_cell_resistance
     assert cells is not None
-    unloaded, measured = np.flatnonzero(exact.role == 0), np.flatnonzero(exact.role == 1)
+    unloaded = np.flatnonzero(exact.role == 0)
+    measured = np.flatnonzero(exact.role == 1)
     change = np.log(cells[measured[0]] / cells[0])
     moved = np.abs(change - np.median(change)) > 0.01
     named = np.arange(len(exact.role))
@@ -209,7 +216,8 @@ def false_alarms(first: int, count: int) -> None:
     advised = Counter[str]()
     seed = first
     while seen.total() < count:
-        drawn, seed = sound(seed), seed + 1
+        drawn = sound(seed)
+        seed = seed + 1
         if drawn is None:
             continue
         what, recording = drawn
@@ -235,11 +243,14 @@ def false_alarms(first: int, count: int) -> None:
 def detections(first: int, count: int, sides: Sequence[int], bits: Sequence[int]) -> None:
     """Print the share of wrong circuits that are noticed, and named: of all, and of those that the data can show."""
     for side, of_bits in product(sides, bits):
-        noticed, right, tried = Counter[str](), Counter[str](), Counter[str]()
+        noticed = Counter[str]()
+        right = Counter[str]()
+        tried = Counter[str]()
         for seed in range(first, first + count):
             both = zip(wrong(seed, side, of_bits), wrong(seed, side, of_bits, exact=True), strict=True)
             for (what, recording), (_, exact) in both:
-                check, shown = Prepared(recording).check, evidence(exact)
+                check = Prepared(recording).check
+                shown = evidence(exact)
                 for of in (what, what + SHOWN) if shown >= SHOWN_FROM else (what,):
                     tried[of] += 1
                     noticed[of] += check.explains is False

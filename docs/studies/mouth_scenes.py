@@ -65,7 +65,8 @@ def _edge(distance: Array, width: float) -> Array:
 
 def _place(rng: np.random.Generator, panel: Panel, margin: float) -> tuple[float, float]:
     (across, down), pitch = panel.centres_mm(), panel.pitch_mm
-    low, high = -pitch / 2 + margin, pitch / 2 - margin
+    low = -pitch / 2 + margin
+    high = pitch / 2 - margin
     x = rng.uniform(min(low, across[-1] / 2), max(across[-1] + high, across[-1] / 2))
     y = rng.uniform(min(low, down[-1] / 2), max(down[-1] + high, down[-1] / 2))
     return float(x), float(y)
@@ -73,12 +74,18 @@ def _place(rng: np.random.Generator, panel: Panel, margin: float) -> tuple[float
 
 def annulus(rng: np.random.Generator, place: tuple[float, float], outer: float, inner: float, **form: float) -> Scene:
     """A rim that presses with `rim` kPa in the mean and sucks with `inside`; long, uneven, tilted, with soft edges."""
-    long, turn, wave, lobes = form.get("long", 1.0), rng.uniform(0, np.pi), form.get("wave", 0.0), rng.integers(1, 4)
-    phase, tilt, lean = rng.uniform(0, 2 * np.pi), form.get("tilt", 0.0), rng.uniform(0, 2 * np.pi)
+    long = form.get("long", 1.0)
+    turn = rng.uniform(0, np.pi)
+    wave = form.get("wave", 0.0)
+    lobes = rng.integers(1, 4)
+    phase = rng.uniform(0, 2 * np.pi)
+    tilt = form.get("tilt", 0.0)
+    lean = rng.uniform(0, 2 * np.pi)
     soft = form.get("soft", 0.0)
 
     def polar(x: Array, y: Array) -> tuple[Array, Array]:
-        u, v = x - place[0], y - place[1]
+        u = x - place[0]
+        v = y - place[1]
         a = (u * np.cos(turn) + v * np.sin(turn)) / np.sqrt(long)
         b = (v * np.cos(turn) - u * np.sin(turn)) * np.sqrt(long)
         return np.hypot(a, b), np.arctan2(b, a)
@@ -116,8 +123,10 @@ def mouth(
 ) -> Scene:
     """A lamprey's mouth of `least` to 45 mm whose rim bears its suction, or presses with 30 to 80 kPa more."""
     most = min(45.0, 0.7 * panel.pitch_mm * min(panel.shape))
-    outer, width = rng.uniform(min(least, most), most), rng.uniform(4, 7)
-    inner, inside = outer - 2 * width, -float(np.exp(rng.uniform(np.log(4), np.log(20))))
+    outer = rng.uniform(min(least, most), most)
+    width = rng.uniform(4, 7)
+    inner = outer - 2 * width
+    inside = -float(np.exp(rng.uniform(np.log(4), np.log(20))))
     rim = -inside * inner**2 / (outer**2 - inner**2) + (rng.uniform(30, 80) if pressed else 0.0)
     form = {"rim": rim, "inside": inside, "soft": rng.uniform(0, 1.5)}
     if uneven:
@@ -131,18 +140,23 @@ def wavy_mouth(rng: np.random.Generator, panel: Panel) -> Scene:
     Its outer edge is R (1 + Σ a_k cos(kθ − φ_k)) with k of 2 to 5, its load (1 + Σ b_k cos(kθ − ψ_k)) with k of 1 to 6,
     and teeth press inside the rim. The diameter is that of a circle of the same area.
     """
-    outer, width = rng.uniform(25, min(45.0, 0.7 * panel.pitch_mm * min(panel.shape))), rng.uniform(4, 7)
-    inside, soft = -float(np.exp(rng.uniform(np.log(2.5), np.log(20)))), rng.uniform(0.3, 2.0)
+    outer = rng.uniform(25, min(45.0, 0.7 * panel.pitch_mm * min(panel.shape)))
+    width = rng.uniform(4, 7)
+    inside = -float(np.exp(rng.uniform(np.log(2.5), np.log(20))))
+    soft = rng.uniform(0.3, 2.0)
     form = rng.normal(0, 0.03, 4), rng.uniform(0, 2 * np.pi, 4)
     form[0][0] = 0.5 * np.log(rng.uniform(1.0, 1.3))
     load = rng.normal(0, 0.18, 6), rng.uniform(0, 2 * np.pi, 6)
-    taper, teeth, extra = rng.uniform(-0.4, 0.4), rng.uniform(0, 0.25), rng.uniform(0, 15) * (rng.random() < 0.5)
+    taper = rng.uniform(-0.4, 0.4)
+    teeth = rng.uniform(0, 0.25)
+    extra = rng.uniform(0, 15) * (rng.random() < 0.5)
     cx, cy = _place(rng, panel, outer / 2)
     inner = outer - 2 * width
     rim = -inside * inner**2 / (outer**2 - inner**2) + extra
 
     def sides(x: Array, y: Array) -> tuple[Array, Array, Array]:
-        angle, radius = np.arctan2(y - cy, x - cx), np.hypot(x - cx, y - cy)
+        angle = np.arctan2(y - cy, x - cx)
+        radius = np.hypot(x - cx, y - cy)
         curve = 1 + sum(a * np.cos(k * angle - b) for k, a, b in zip(range(2, 6), *form, strict=True))
         return radius, outer / 2 * curve, angle
 
@@ -168,12 +182,10 @@ def wavy_mouth(rng: np.random.Generator, panel: Panel) -> Scene:
 def with_body(rng: np.random.Generator, made: Scene) -> Scene:
     """A load with a body of 60 to 140 mm behind it that lies on the panel, from the edge of the load on."""
     (cx, cy), turn = made.centres_mm[0], rng.uniform(0, 2 * np.pi)
-    begin, length, half, kpa = (
-        made.diameters_mm[0] / 2 + 2,
-        rng.uniform(60, 140),
-        rng.uniform(7, 14),
-        rng.uniform(0.5, 6),
-    )
+    begin = made.diameters_mm[0] / 2 + 2
+    length = rng.uniform(60, 140)
+    half = rng.uniform(7, 14)
+    kpa = rng.uniform(0.5, 6)
 
     def body(x: Array, y: Array) -> Array:
         along = (x - cx) * np.cos(turn) + (y - cy) * np.sin(turn) - begin
@@ -187,8 +199,10 @@ def with_body(rng: np.random.Generator, made: Scene) -> Scene:
 
 def cup(rng: np.random.Generator, panel: Panel) -> Scene:
     """A round suction cup of 25 to 45 mm at −8 to −20 kPa."""
-    outer, width = rng.uniform(25, min(45, 0.7 * panel.pitch_mm * min(panel.shape))), rng.uniform(3.5, 5)
-    inner, inside = outer - 2 * width, -rng.uniform(8, 20)
+    outer = rng.uniform(25, min(45, 0.7 * panel.pitch_mm * min(panel.shape)))
+    width = rng.uniform(3.5, 5)
+    inner = outer - 2 * width
+    inside = -rng.uniform(8, 20)
     rim = -inside * inner**2 / (outer**2 - inner**2)
     form = {"rim": rim, "inside": inside, "tilt": rng.uniform(0, 0.1), "soft": rng.uniform(0, 1)}
     return annulus(rng, _place(rng, panel, outer / 2), outer, inner, **form)
@@ -196,7 +210,8 @@ def cup(rng: np.random.Generator, panel: Panel) -> Scene:
 
 def ring(rng: np.random.Generator, panel: Panel) -> Scene:
     """A weighted ring of 25 to 50 mm."""
-    outer, width = rng.uniform(25, min(50, 0.7 * panel.pitch_mm * min(panel.shape))), rng.uniform(3.5, 7)
+    outer = rng.uniform(25, min(50, 0.7 * panel.pitch_mm * min(panel.shape)))
+    width = rng.uniform(3.5, 7)
     form = {"rim": float(np.exp(rng.uniform(np.log(6), np.log(60)))), "tilt": rng.uniform(0, 0.2)}
     return annulus(rng, _place(rng, panel, outer / 2), outer, outer - 2 * width, soft=rng.uniform(0, 1), **form)
 
@@ -225,7 +240,8 @@ def blobs(
     def pressure(x: Array, y: Array) -> Array:
         total = np.zeros_like(x)
         for cx, cy, a, b, turn, high in parts:
-            u, v = (x - cx) * np.cos(turn) + (y - cy) * np.sin(turn), (y - cy) * np.cos(turn) - (x - cx) * np.sin(turn)
+            u = (x - cx) * np.cos(turn) + (y - cy) * np.sin(turn)
+            v = (y - cy) * np.cos(turn) - (x - cx) * np.sin(turn)
             total += high * np.exp(-2 * ((u / a) ** 2 + (v / b) ** 2))
         return total
 
@@ -256,7 +272,9 @@ def hand(rng: np.random.Generator, panel: Panel) -> Scene:
 def fin(rng: np.random.Generator, panel: Panel) -> Scene:
     """A thin straight or bent line that presses."""
     (cx, cy), turn, bend = _place(rng, panel, 10.0), rng.uniform(0, np.pi), rng.uniform(-0.012, 0.012)
-    half, thick, kpa = rng.uniform(15, 45), rng.uniform(2, 8), np.exp(rng.uniform(np.log(2), np.log(30)))
+    half = rng.uniform(15, 45)
+    thick = rng.uniform(2, 8)
+    kpa = np.exp(rng.uniform(np.log(2), np.log(30)))
 
     def pressure(x: Array, y: Array) -> Array:
         along = (x - cx) * np.cos(turn) + (y - cy) * np.sin(turn)
@@ -269,13 +287,14 @@ def fin(rng: np.random.Generator, panel: Panel) -> Scene:
 def fish(rng: np.random.Generator, panel: Panel) -> Scene:
     """A large soft body, pressing weakly, with a faint wake of suction beside it."""
     (cx, cy), turn = _place(rng, panel, 10.0), rng.uniform(0, np.pi)
-    a, b, kpa, wake = rng.uniform(35, 70), rng.uniform(12, 25), rng.uniform(0.5, 8), -rng.uniform(0, 0.4)
+    a = rng.uniform(35, 70)
+    b = rng.uniform(12, 25)
+    kpa = rng.uniform(0.5, 8)
+    wake = -rng.uniform(0, 0.4)
 
     def body(x: Array, y: Array, shift: float) -> Array:
-        u, v = (
-            (x - cx) * np.cos(turn) + (y - cy) * np.sin(turn),
-            (y - cy) * np.cos(turn) - (x - cx) * np.sin(turn) - shift,
-        )
+        u = (x - cx) * np.cos(turn) + (y - cy) * np.sin(turn)
+        v = (y - cy) * np.cos(turn) - (x - cx) * np.sin(turn) - shift
         return np.asarray(np.maximum(1 - (u / a) ** 2 - (v / b) ** 2, 0))
 
     return Scene("fish", lambda x, y: kpa * body(x, y, 0.0), lambda x, y: wake * body(x, y, 2 * b))
@@ -292,7 +311,8 @@ def bubbles(rng: np.random.Generator, panel: Panel) -> Scene:
 def apart(rng: np.random.Generator, panel: Panel, make: Callable[[], Scene], label: str) -> Scene:
     """Two of a kind that stand clear by 4 mm, drawn until they do. Raises ValueError where a panel has no room."""
     for _ in range(5000):
-        record, two = make(), make()
+        record = make()
+        two = make()
         clear = np.hypot(*np.subtract(record.centres_mm[0], two.centres_mm[0])) - 4
         if clear > (record.diameters_mm[0] + two.diameters_mm[0]) / 2:
             return both(label, record, two)

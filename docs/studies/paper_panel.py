@@ -47,7 +47,8 @@ BOX: Mapping[str, tuple[float, float, bool]] = {
     "breathing": (0.0, 0.4, False),
     "relative": (1e-5, 30.0, True),  # λ on changes in percent; 10 on fractions is 1e-3
 }
-SEEDS, PARENTS = (1, 2, 3), 30
+SEEDS = (1, 2, 3)
+PARENTS = 30
 FITTED = ("measured", "LSM", "LSR-CR", "LSR-dCR")
 PREDICTED = (("LSM", "low"), ("LSM", "high"))
 
@@ -181,7 +182,8 @@ def place_of(numbers: Mapping[str, float]) -> Array:
 
 def distance(place: Array, fitted: Sequence[str], bound: float) -> float:
     """Mean distance over the seeds, in quarters; given up where it is far above `bound`."""
-    numbers, means = numbers_at(place), []
+    numbers = numbers_at(place)
+    means = []
     weights = Weights(relative=numbers["relative"], start=numbers["start"])
     for seed in SEEDS:
         try:
@@ -196,7 +198,8 @@ def distance(place: Array, fitted: Sequence[str], bound: float) -> float:
 
 def search(seconds: float, seed: int, fitted: Sequence[str], first: Sequence[Mapping[str, float]]) -> None:
     """Random places, then differences and small steps of the best ones; prints what is better than all before."""
-    rng, started = np.random.default_rng(seed), time.monotonic()
+    rng = np.random.default_rng(seed)
+    started = time.monotonic()
     pool: list[tuple[float, Array]] = []
     waiting = [place_of(numbers) for numbers in first]
     tried = 0
@@ -251,7 +254,8 @@ def _seeds(told: Simulation, weights: Weights, seeds: int) -> list[dict[tuple[st
 
 def _without(told: Simulation, weights: Weights) -> dict[str, tuple[Simulation, Weights]]:
     """The scene with one thing different."""
-    hidden, mouth = told.unmodelled, mouth_of(told)
+    hidden = told.unmodelled
+    mouth = mouth_of(told)
     changed: dict[str, Unmodelled] = {
         "no static error": dataclasses.replace(hidden, reading_error=0.0),
         "static error twice": dataclasses.replace(hidden, reading_error=2 * (hidden.reading_error or 0.0)),

@@ -65,7 +65,8 @@ def heard(kind: str, where: str, seconds: float) -> None:
     came: list[tuple[int, float, float]] = []
 
     def on_text(text: str | bytes) -> None:
-        now, stated = time.time(), json.loads(text)
+        now = time.time()
+        stated = json.loads(text)
         came.append((stated["sequence"], now - stated["health"]["arrived"], stated["health"]["solve_seconds"]))
 
     until = time.monotonic() + seconds
@@ -97,7 +98,8 @@ def heard(kind: str, where: str, seconds: float) -> None:
         from pythonosc.osc_server import BlockingOSCUDPServer
 
         # A bundle does not carry when its frame arrived; this clock and the recording's differ by a constant.
-        dispatcher, number = Dispatcher(), [0]
+        dispatcher = Dispatcher()
+        number = [0]
         dispatcher.map("/lampest/sequence", lambda _, value: number.__setitem__(0, value))
         dispatcher.map("/lampest/time", lambda _, value: came.append((number[0], time.monotonic() - value, nan)))
         with BlockingOSCUDPServer((host, int(port)), dispatcher) as server:

@@ -59,7 +59,10 @@ def coverage(name: str, draws: int, seed: int) -> None:
     readout, series = CIRCUITS[name]
     for method, terms in METHODS.items():
         rng = np.random.default_rng(seed)
-        held, sizes, errors, failed = [], [], [], 0
+        held = []
+        sizes = []
+        errors = []
+        failed = 0
         for _ in range(draws):
             side = int(rng.integers(6, 17))
             cells = mouth_cells(rng, side)
@@ -70,7 +73,8 @@ def coverage(name: str, draws: int, seed: int) -> None:
             if not step.solution.solved or step.bars is None:
                 failed += 1
                 continue
-            bars, error = step.bars.frame, np.log(results.cell_resistance[0] / cells[1])
+            bars = step.bars.frame
+            error = np.log(results.cell_resistance[0] / cells[1])
             free = ~(step.solution.at_lower[-1] | step.solution.open_cell[-1])
             held.append(((error <= bars.below) & (-error <= bars.above))[free])
             sizes.append((error / bars.deviation)[free])
@@ -86,10 +90,12 @@ def coverage(name: str, draws: int, seed: int) -> None:
 def conditioning(seed: int) -> None:
     """Print √mean diag (JᵀΣ⁻¹J)⁻¹ of log r at three sizes: what the converter alone does to cells of 1 to 10 kohm."""
     for name, (readout, series) in CIRCUITS.items():
-        rng, deviations = np.random.default_rng(seed), []
+        rng = np.random.default_rng(seed)
+        deviations = []
         for side in (10, 16, 32):
             cells = 3162 * np.exp(rng.uniform(-0.5, 0.5, (side, side)) * np.log(10))
-            scene, network = Scene(Panel(side, side), readout, series), readout.network(cells, readout.ties(cells))
+            scene = Scene(Panel(side, side), readout, series)
+            network = readout.network(cells, readout.ties(cells))
             recorded = readout.to_recorded(network.reading(), scene)
             sigma = readout.sigma_of_reading(recorded, readout.sigma(recorded))
             factor = np.linalg.inv(network.sensitivity() / sigma.reshape(-1, 1))

@@ -25,7 +25,8 @@ from lampest.estimate.outliers import impossible_readings
 
 DATA = Path(__file__).parents[2] / "data"
 SHIPPED = (DATA / "insole_walking.h5", DATA / "insole_standing.h5")
-NOISE, PLAIN = lampest.Misfit(weighting="noise"), lampest.Misfit()
+NOISE = lampest.Misfit(weighting="noise")
+PLAIN = lampest.Misfit()
 STUDENT = lampest.Misfit(weighting="noise", loss=lampest.Student(corner=4.0))
 HUBER = lampest.Huber(corner=0.3)
 EVIDENCE = lampest.AutoWeight(rule="evidence")
@@ -45,8 +46,12 @@ ESTIMATORS = {  # name → terms, and how weights are chosen
     "`cell_resistance`": ((NOISE, lampest.CellResistance()), None),
 }
 MIN_WITHHELD = 5  # readings of a frame that is judged
-STEP, MAX_STEPS = 0.1, 1000  # of the fixed point, as published
-GAUSS_NEWTON_STEPS, LONGEST = 8, 1.0  # of the linearised methods; of log r in one step
+# of the fixed point, as published
+STEP = 0.1
+MAX_STEPS = 1000
+# of the linearised methods; of log r in one step
+GAUSS_NEWTON_STEPS = 8
+LONGEST = 1.0
 WEIGHTS = 10.0 ** np.arange(-3, 5.1, 0.5)  # of Tikhonov's penalty on ln r, for readings in units of their noise
 RANKS = (0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9)  # of a truncated inversion, over the number of cells
 Array = NDArray[np.float64]
@@ -74,7 +79,9 @@ class Withheld:
     @classmethod
     def of(cls, recording: lampest.Recording, share: float, seed: int) -> "Withheld":
         """Withhold readings that are values and that some cells allow, in every frame."""
-        rng, readings, scene = np.random.default_rng(seed), recording.readings(), recording.scene
+        rng = np.random.default_rng(seed)
+        readings = recording.readings()
+        scene = recording.scene
         usable = readings.plain & scene.panel.present & ~impossible_readings(scene.circuit, readings)
         held = np.zeros(usable.shape, dtype=bool)
         measured = recording.measured_frames()
@@ -96,7 +103,8 @@ class Withheld:
 
     def errors(self, predicted: Array) -> Array:
         """Rms error of the withheld readings of every judged frame; predicted : of all judged frames, as `shown`."""
-        true, held = self.shown(self.whole.readings().value[self.frames]), self.held[self.frames]
+        true = self.shown(self.whole.readings().value[self.frames])
+        held = self.held[self.frames]
         return np.array([np.sqrt(np.mean((p - t)[h] ** 2)) for p, t, h in zip(predicted, true, held, strict=True)])
 
 
@@ -122,7 +130,8 @@ class Frame:
 
     @classmethod
     def of(cls, study: Withheld, number: int) -> "Frame":
-        scene, readings = study.recording.scene, study.recording.readings()[number]
+        scene = study.recording.scene
+        readings = study.recording.readings()[number]
         estimator = lampest.Estimator((PLAIN,), formulation="reduced")
         return cls(study, number, estimator.data(readings.alone(), Background(scene)), readings.seen > 0)
 
@@ -141,7 +150,8 @@ class Frame:
         stiffness = np.zeros((panel.crossings, panel.crossings))
         stiffness[first, second] = stiffness[second, first] = -1 / distance**2
         stiffness[np.diag_indices(panel.crossings)] = -stiffness.sum(axis=1)
-        given, sought = np.flatnonzero(self.known & self.present), np.flatnonzero(~self.known & self.present)
+        given = np.flatnonzero(self.known & self.present)
+        sought = np.flatnonzero(~self.known & self.present)
         filled = values.ravel().copy()
         towards = stiffness[np.ix_(sought, given)] @ filled[given]
         filled[sought] = -np.linalg.solve(stiffness[np.ix_(sought, sought)], towards)
@@ -196,7 +206,8 @@ def interpolation(frame: Frame) -> Array:
 def fixed_point(frame: Frame) -> Array:
     """g ← max(g − β(G(g) − G_m), 0) from g = G_m; a cell without a reading is the mean of its neighbours."""
     requested = 1 / frame.measured
-    conductance, absent = frame.interpolated(np.where(frame.present, requested, 0.0)), 1 / frame.data.upper[0]
+    conductance = frame.interpolated(np.where(frame.present, requested, 0.0))
+    absent = 1 / frame.data.upper[0]
     for _ in range(MAX_STEPS):
         conductance = np.where(frame.present, np.maximum(conductance, absent), absent)
         misfit = 1 / np.asarray(frame.data.network(0, 1 / conductance).reading()) - requested
@@ -217,7 +228,8 @@ def truncated(frame: Frame) -> Array:
         return change
 
     predictions = [frame.predicted(frame.fitted(step(share))) for share in RANKS]
-    true, held = frame.study.shown(frame.study.whole.readings().value[frame.number]), frame.study.held[frame.number]
+    true = frame.study.shown(frame.study.whole.readings().value[frame.number])
+    held = frame.study.held[frame.number]
     return min(predictions, key=lambda predicted: float(np.sum((predicted - true)[held] ** 2)))
 
 
@@ -232,11 +244,14 @@ def tikhonov(frame: Frame) -> Array:
         return change
 
     fits = [frame.fitted(step(weight)) for weight in WEIGHTS]
-    rows, sigma = frame.known & frame.present, np.asarray(frame.data.deviation[0]) * np.ones(frame.known.shape)
+    rows = frame.known & frame.present
+    sigma = np.asarray(frame.data.deviation[0]) * np.ones(frame.known.shape)
     misfits = [float(np.sum(((frame.model(r)[0] - frame.measured) / sigma)[rows] ** 2)) for r in fits]
     sizes = [float(np.sum((np.log(r) - frame.uniform)[frame.present] ** 2)) for r in fits]
-    across, up = np.log(misfits), np.log(sizes)
-    right, rise = np.gradient(across), np.gradient(up)
+    across = np.log(misfits)
+    up = np.log(sizes)
+    right = np.gradient(across)
+    rise = np.gradient(up)
     curvature = (right * np.gradient(rise) - rise * np.gradient(right)) / np.maximum(np.hypot(right, rise), 0.05) ** 3
     return frame.predicted(fits[1 + int(np.argmax(curvature[1:-1]))])
 
@@ -295,7 +310,8 @@ def _estimated(
     model = np.stack([results.steps[number].solution.reading[-1] for number in judged])
     solved = results.solved[judged]
     errors = np.where(solved, study.errors(study.shown(model)), np.nan)
-    covered, sigma = np.nan, results.reading_sigma
+    covered = np.nan
+    sigma = results.reading_sigma
     if sigma is not None:
         true = study.whole.readings().value[study.frames]
         inside = np.abs(true - model) <= 1.96 * sigma[judged]

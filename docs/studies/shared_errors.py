@@ -23,13 +23,18 @@ from lampest.panel.scene import Scene, Systematic
 from lampest.recording.recording import Recording
 
 KINDS = ("uneven mouth", "two rods", "pressed mouth", "ring", "mouth partly off", "hand", "rock", "cup")
-RESTING, FRAMES, SIDE, EACH = 3, 20, 10, 8  # EACH: frames of one load of several
+# EACH: frames of one load of several
+RESTING = 3
+FRAMES = 20
+SIDE = 10
+EACH = 8
 TOLD = Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)
 
 
 def recording(seed: int, channels: Array, reference: float) -> Recording:
     """Three unloaded frames and twenty measured ones, a second apart, with their truth."""
-    rng, panel = np.random.default_rng(seed), Panel(SIDE, SIDE)
+    rng = np.random.default_rng(seed)
+    panel = Panel(SIDE, SIDE)
     load = mouth_scenes.MAKERS[KINDS[seed % len(KINDS)]](rng, panel)
     film = replace(mouth_scenes.film(rng, "real"), scatter=0.12)
     time = np.arange(RESTING + FRAMES, dtype=float)
@@ -43,12 +48,14 @@ def recording(seed: int, channels: Array, reference: float) -> Recording:
 
 def in_turn(seed: int, channels: Array, reference: float, loads: int) -> Recording:
     """As `recording`, with several loads of different kinds, each there for five of EACH frames."""
-    rng, panel = np.random.default_rng(seed), Panel(SIDE, SIDE)
+    rng = np.random.default_rng(seed)
+    panel = Panel(SIDE, SIDE)
     film = replace(mouth_scenes.film(rng, "real"), scatter=0.12)
     time = np.arange(RESTING + EACH * loads, dtype=float)
     cells = np.ones((len(time), *panel.shape))
     for number in range(loads):
-        load, on = mouth_scenes.MAKERS[KINDS[(seed + number) % len(KINDS)]](rng, panel), RESTING + EACH * number + 2
+        load = mouth_scenes.MAKERS[KINDS[(seed + number) % len(KINDS)]](rng, panel)
+        on = RESTING + EACH * number + 2
         breath = 1 + rng.uniform(0, 0.12) * np.sin(2 * np.pi * (rng.uniform(0.15, 0.45) * time + rng.random()))
         there = breath * ((time >= on) & (time < on + 5))
         courses = np.stack([there, there * np.clip((time - on + 0.2) / 2, 0, 1)], axis=1)
@@ -59,7 +66,8 @@ def in_turn(seed: int, channels: Array, reference: float, loads: int) -> Recordi
 
 def measured(rng: np.random.Generator, cells: Array, channels: Array, reference: float) -> Recording:
     """Cells (frames, rows, columns) ohm that drift, as the board reads them."""
-    time, panel = np.arange(len(cells), dtype=float), Panel(SIDE, SIDE)
+    time = np.arange(len(cells), dtype=float)
+    panel = Panel(SIDE, SIDE)
     cells = cells * np.exp(0.01 / 60 * rng.standard_normal(panel.shape) * time[:, None, None])
     total = two_point_resistance(cells) + 140.0 + channels[:SIDE, None] + channels[SIDE:]
     volt = 1000 * (1 + reference) / (total + 1000 * (1 + reference))
@@ -78,9 +86,11 @@ def measure(made: Recording, method: str) -> Array:
     results = reconstruct(made, Estimator(*METHODS[method]))
     assert made.truth_cell_resistance is not None and results.relative_change_lower is not None
     assert results.cell_resistance_lower is not None and results.cell_resistance_upper is not None
-    cells, resting = made.truth_cell_resistance[results.frame], made.truth_cell_resistance[RESTING - 1]
+    cells = made.truth_cell_resistance[results.frame]
+    resting = made.truth_cell_resistance[RESTING - 1]
     assert results.relative_change_upper is not None
-    solved, change = results.solved, 100 * (cells / resting - 1)
+    solved = results.solved
+    change = 100 * (cells / resting - 1)
     error = np.log(results.cell_resistance / cells)[solved]
     of_change = (np.log(results.cell_resistance / results.baseline_resistance) - np.log(cells / resting))[solved]
     inside = ((results.cell_resistance_lower <= cells) & (cells <= results.cell_resistance_upper))[solved]

@@ -24,7 +24,8 @@ from lampest.posterior.linear import LinearModel
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import evaluated
 
-SIDE, MEAN_OHM = 6, 3000.0
+SIDE = 6
+MEAN_OHM = 3000.0
 SCENE = lampest.Scene(lampest.Panel(SIDE, SIDE))
 MISFIT = lampest.Misfit(weighting="noise")
 PRIORS: dict[str, lampest.Term] = {
@@ -36,7 +37,9 @@ BASELINE_NOISE = 1e-6  # σ/R of the unloaded frame, which is as good as exact
 SETTINGS = {"low noise": (0.002, 0.3), "medium noise": (0.02, 0.15), "high noise": (0.06, 0.06)}  # σ/R; sd of a step
 LEVELS = (0.5, 0.8, 0.95)
 CELLS = (0, SIDE * SIDE // 2 + 2)  # one cell of each draw: cells of the same draw are not independent
-POINTS, BAND_DRAWS = 20, 2000  # of a band
+# of a band
+POINTS = 20
+BAND_DRAWS = 2000
 
 
 def prior_root(penalty: lampest.Term) -> Array:
@@ -88,13 +91,16 @@ def calibration(penalty: lampest.Term, noise: float, step: float, chosen: bool, 
     in_ohm = isinstance(penalty, lampest.Gradient)
     against_baseline = penalty.needs_previous
     weight = 1 / (step * (MEAN_OHM if in_ohm else 100.0 if against_baseline else 1.0)) ** 2
-    root, rng = prior_root(penalty) / np.sqrt(weight), np.random.default_rng(seed)
-    scores, weights = [], []
+    root = prior_root(penalty) / np.sqrt(weight)
+    rng = np.random.default_rng(seed)
+    scores = []
+    weights = []
     for _ in range(draws):
         u = (root @ rng.standard_normal(root.shape[1])).reshape(1, SIDE, SIDE)
         cells = MEAN_OHM * (np.maximum(1 + u, 0.1) if in_ohm else np.exp(u))
         exact = two_point_resistance(cells)
-        readings, sigma = exact * (1 + noise * rng.standard_normal(exact.shape)), noise * exact
+        readings = exact * (1 + noise * rng.standard_normal(exact.shape))
+        sigma = noise * exact
         role = np.ones(1, dtype=np.uint8)
         if against_baseline:
             resting = two_point_resistance(np.full_like(cells, MEAN_OHM))
@@ -118,7 +124,8 @@ def uniform_tail(values: Array) -> float:
 
 def _least_tail(values: Array) -> Array:
     """The least pointwise probability of the empirical distribution (samples, n) over an even grid."""
-    places, count = np.arange(1, POINTS) / POINTS, values.shape[1]
+    places = np.arange(1, POINTS) / POINTS
+    count = values.shape[1]
     below = np.sum(values[:, :, None] <= places, axis=1)
     return np.minimum(binom.cdf(below, count, places), binom.sf(below - 1, count, places)).min(axis=1)
 

@@ -70,9 +70,13 @@ def recording_of(modules: int, frames: int) -> lampest.Recording:
 def took(recording: lampest.Recording, terms: tuple[lampest.Term, ...], bars: bool, alone: bool = False) -> Took:
     """Of one method; alone : every module by the solver for single panels."""
     estimator = lampest.Estimator((lampest.Misfit(), *terms), "reduced", error_bars=bars)
-    readings, begin = recording.readings(), time.process_time()
+    readings = recording.readings()
+    begin = time.process_time()
     stream = first_stream(recording, readings, estimator)
-    layout, before, spent, statuses = recording.scene.panel.modules, time.process_time() - begin, [], []
+    layout = recording.scene.panel.modules
+    before = time.process_time() - begin
+    spent = []
+    statuses = []
     parts = [part for part in stream.modules if isinstance(part, Stream)] if alone else []
     for frame in recording.measured_frames():
         begin = time.process_time()
@@ -90,7 +94,8 @@ def took(recording: lampest.Recording, terms: tuple[lampest.Term, ...], bars: bo
 def with_one_weight(penalty: lampest.Term, seed: int) -> str:
     """How own weights scatter, and the median error of cells with a shared one over theirs: of all, of one module."""
     layout = Modules(3, 4, EachModule(10, 10)) if seed != 2 else Modules(2, 3, EachModule(6, 4))
-    panel, random = lampest.Panel(modules=layout), np.random.default_rng(seed)
+    panel = lampest.Panel(modules=layout)
+    random = np.random.default_rng(seed)
     readout = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
     (_, wide), (_, high) = panel.extents_mm
     rods = tuple(
@@ -101,7 +106,8 @@ def with_one_weight(penalty: lampest.Term, seed: int) -> str:
     scene = lampest.Scene(panel, readout, 140.0)
     made = lampest.Simulation(schema=1, seed=seed, scene=scene, frames=3, loads=rods, unmodelled=channels)
     recording = lampest.simulate(made)
-    readings, truth = recording.readings(), recording.truth_cell_resistance
+    readings = recording.readings()
+    truth = recording.truth_cell_resistance
     estimator = lampest.Estimator((lampest.Misfit(), penalty), "reduced", error_bars=False)
     chosen: list[float] = []
 
@@ -117,7 +123,8 @@ def with_one_weight(penalty: lampest.Term, seed: int) -> str:
     errors = []
     apart = begin_networks(scene, networks, 1.0)
     for stream in (apart, first_stream(recording, readings, estimator)):
-        state, found = stream, []
+        state = stream
+        found = []
         for frame in recording.measured_frames():
             state, step = state.push(readings[frame])
             assert truth is not None

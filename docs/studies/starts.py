@@ -39,15 +39,19 @@ class Tally:
 
 def tally(case: Case, random_starts: int, seed: int) -> Tally:
     """Of the frames of which enough was read to be solved."""
-    excess, minima, ended = [], [], 0
+    excess = []
+    minima = []
+    ended = 0
     for results, others, unit in _objectives(case, random_starts, np.random.default_rng(seed)):
-        least, ended = min([results, *others]), ended + len(others)
+        least = min([results, *others])
+        ended = ended + len(others)
         excess.append((results - least) / (least + unit))
         ordered = np.sort(np.array([results, *others]) / (least + unit))
         ordered = ordered[np.isfinite(ordered)]
         minima.append(int(1 + np.sum(np.diff(ordered) > 1e-6)) if len(ordered) else 0)
     at_best = sum(value <= 1e-6 for value in excess)
-    worst, most = max(excess, default=0.0), max(minima, default=0)
+    worst = max(excess, default=0.0)
+    most = max(minima, default=0)
     return Tally(case.recording, case.name, len(excess), at_best, worst, most, ended, random_starts * len(excess))
 
 

@@ -17,7 +17,9 @@ from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
 
-FRAMES, STRUCK = 4, 2  # one reading in 144 to 1,024 of a recording is wild, in the third of four frames
+# one reading in 144 to 1,024 of a recording is wild, in the third of four frames
+FRAMES = 4
+STRUCK = 2
 LOSSES: dict[str, AnyLoss] = {"squared": Squared()} | {f"huber {c:g} σ": Huber(corner=c) for c in (1.5, 3.0)}
 PENALTIES: dict[str, tuple[Term, ...]] = {
     "LSM": (),
@@ -31,14 +33,17 @@ def recordings(count: int, seed: int) -> list[tuple[Recording, Array]]:
 
     A wild reading is off by a factor of e^±0.2 to e^±2, either way. 6 × 6 to 16 × 16 cells, 0.1 to 3 % noise.
     """
-    rng, made = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    made = []
     for _ in range(count):
         two, cells = mouth(rng)
         assert two.sigma is not None
-        sigma, exact = two.sigma, two_point_resistance(cells)
+        sigma = two.sigma
+        exact = two_point_resistance(cells)
         place = [0] + [1] * FRAMES
         measured = exact[place] + sigma[place] * rng.standard_normal((FRAMES + 1, *exact.shape[1:]))
-        row, column = rng.integers(measured.shape[1]), rng.integers(measured.shape[2])
+        row = rng.integers(measured.shape[1])
+        column = rng.integers(measured.shape[2])
         measured[1 + STRUCK, row, column] *= np.exp(rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 2.0))
         role = np.array(place, dtype=np.uint8)
         whole = replace(two, recorded=measured, time=np.arange(FRAMES + 1.0), role=role, sigma=sigma[place])
@@ -56,7 +61,8 @@ def study(count: int, seed: int) -> None:
             parts: dict[int, list[tuple[Array, Array]]] = {STRUCK - 1: [], STRUCK: [], STRUCK + 1: []}
             for recording, cells in made:
                 results = reconstruct(recording, Estimator(terms, formulation="reduced"))
-                lower, upper = results.cell_resistance_lower, results.cell_resistance_upper
+                lower = results.cell_resistance_lower
+                upper = results.cell_resistance_upper
                 assert lower is not None and upper is not None
                 free = ~(results.open_cell | results.at_lower_bound)
                 error = 100 * np.abs(results.cell_resistance / cells - 1)

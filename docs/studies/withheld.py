@@ -65,7 +65,8 @@ def interpolated(panel: Panel, values: Array, known: NDArray[np.bool_]) -> Array
     stiffness = np.zeros((panel.crossings, panel.crossings))
     stiffness[first, second] = stiffness[second, first] = -1 / distance**2
     stiffness[np.diag_indices(panel.crossings)] = -stiffness.sum(axis=1)
-    given, sought = np.flatnonzero(known), np.flatnonzero(~known & panel.present)
+    given = np.flatnonzero(known)
+    sought = np.flatnonzero(~known & panel.present)
     filled = values.ravel().copy()
     towards = stiffness[np.ix_(sought, given)] @ filled[given]
     filled[sought] = -np.linalg.solve(stiffness[np.ix_(sought, sought)], towards)
@@ -77,26 +78,32 @@ def predictions(recording: Recording, case: Case, share: float, draws: int, seed
 
     Readings that no cells allow are neither predicted nor used.
     """
-    scene, readings, rng = recording.scene, recording.readings(), np.random.default_rng(seed)
+    scene = recording.scene
+    readings = recording.readings()
+    rng = np.random.default_rng(seed)
     estimator = first_stream(recording, Prepared(recording).noise.readings, case.estimator).estimator
     unit = "percent" if scene.readout is None else "LSB"
-    impossible, frames = impossible_readings(scene.circuit, readings), recording.measured_frames()
+    impossible = impossible_readings(scene.circuit, readings)
+    frames = recording.measured_frames()
     frames = frames[readings.enough(scene)[frames]]
     for frame in frames[np.unique(np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int))]:
-        plain, recorded = readings[frame].plain & scene.panel.present & ~impossible[frame], recording.recorded[frame]
+        plain = readings[frame].plain & scene.panel.present & ~impossible[frame]
+        recorded = recording.recorded[frame]
         sigma = None if recording.sigma is None else np.broadcast_to(recording.sigma, recording.recorded.shape)[frame]
         shown = visible(scene, np.where(np.isnan(recorded), 1.0, recorded))
         for _ in range(draws):
             held = np.zeros(plain.shape, dtype=bool)
             held.flat[rng.choice(np.flatnonzero(plain), max(1, round(share * plain.sum())), replace=False)] = True
             rest = Readings.of(scene, np.where(held | impossible[frame], np.nan, recorded), sigma)
-            used, apparent = rest.plain & scene.panel.present, scene.circuit.apparent_resistance(rest.value)
+            used = rest.plain & scene.panel.present
+            apparent = scene.circuit.apparent_resistance(rest.value)
             without = interpolated(scene.panel, shown, (rest.seen > 0) & scene.panel.present)
             for factor, weights, cells in _estimates(estimator, scene, rest):
                 model = scene.circuit.to_recorded(scene.circuit.exact_reading(cells, scene.wiring), scene)
                 missed = ((record - shown)[held] for record in (visible(scene, model), without))
                 error, ignorant = (float(np.sqrt(np.mean(record**2))) for record in missed)
-                solved, hidden = bool(np.isfinite(cells).all()), float(np.median((cells / apparent)[used]))
+                solved = bool(np.isfinite(cells).all())
+                hidden = float(np.median((cells / apparent)[used]))
                 about = (recording.name, case.name, unit, int(frame), factor, weights, solved, int(held.sum()))
                 yield Withheld(*about, error, ignorant, hidden)
 
@@ -105,7 +112,8 @@ def _estimates(
     estimator: Estimator, scene: Scene, readings: Readings
 ) -> Iterator[tuple[float, tuple[float, ...], Array]]:
     """(factor, weights of the penalties, cells (rows, columns) ohm) at every factor; NaN where a solve failed."""
-    data, near = estimator.data(readings.alone(), Background(scene)), None
+    data = estimator.data(readings.alone(), Background(scene))
+    near = None
     for factor in FACTORS:
         weights = [float(term.weight) * (1.0 if term.reads_measurement else factor) for term in estimator.terms]
         cost = estimator.with_weights(weights).cost(scene, 1, partial=data.partial)

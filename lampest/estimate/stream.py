@@ -15,7 +15,7 @@ from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
-from lampest.posterior.covariance import DenseMemory, Memory, SampledMemory
+from lampest.posterior.memory import DenseMemory, Memory, SampledMemory
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings, mean_change
 from lampest.solvers.projected_newton import ProjectedNewton

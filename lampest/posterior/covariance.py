@@ -28,7 +28,7 @@ by conjugate gradients. Its covariance is S but for the prior term ε s⁴. Stan
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -45,65 +45,10 @@ from lampest.panel.trust_region import MAX_DENSE, Linear, steihaug
 from lampest.posterior.certainty import Certainty, common_variance
 from lampest.posterior.interval import LEVEL, one_sided
 from lampest.posterior.linear import IGNORANCE, LinearModel, rank
+from lampest.posterior.memory import DenseMemory, Memory, SampledMemory
 from lampest.solvers.hessian import Hessian, block_diagonal
 from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
-
-
-@dataclass(frozen=True, eq=False)
-class DenseMemory:
-    """Errors of log r of the last estimate and of the baseline, for the error bars of the next frame, as matrices.
-
-    Attributes
-    ----------
-    blocks : array, shape (2, 2, cells, cells)
-        S₀, the joint covariance of the last estimate (0) and the baseline (1).
-    """
-
-    blocks: Array
-
-    def resting(self) -> "DenseMemory":
-        """Return the memory with the last estimate as the baseline."""
-        return DenseMemory(np.broadcast_to(self.blocks[0, 0], self.blocks.shape))
-
-    def shared(self) -> Array:
-        """Return the covariance of the last estimate and the baseline, cell by cell, (cells,)."""
-        return np.asarray(np.diag(self.blocks[0, 1]))
-
-    def variance(self) -> Array:
-        """Return the variance of the last estimate, (cells,)."""
-        return np.asarray(np.diag(self.blocks[0, 0]))
-
-
-@dataclass(frozen=True, eq=False)
-class SampledMemory:
-    """The same as samples.
-
-    Attributes
-    ----------
-    samples : array, shape (2, samples, cells)
-        Errors of the last estimate (0) and of the baseline (1).
-    frames : int
-        Number of frames so far, the seed of the next frame's noise.
-    """
-
-    samples: Array
-    frames: int = 1
-
-    def resting(self) -> "SampledMemory":
-        """Return the memory with the last estimate as the baseline."""
-        return replace(self, samples=self.samples[[0, 0]])
-
-    def shared(self) -> Array:
-        """Return the covariance of the last estimate and the baseline, cell by cell, (cells,)."""
-        return np.asarray(np.mean(self.samples[0] * self.samples[1], axis=0))
-
-    def variance(self) -> Array:
-        """Return the variance of the last estimate, (cells,)."""
-        return np.asarray(np.mean(self.samples[0] ** 2, axis=0))
-
-
-Memory = DenseMemory | SampledMemory
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,9 +19,10 @@ from lampest.files.levels import TWO_SIDED
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared, own_errors
 from lampest.posterior.certainty import Certainty, common_variance
-from lampest.posterior.covariance import DenseErrors, Memory, SampledErrors, active_bounds, errors_of
+from lampest.posterior.covariance import DenseErrors, SampledErrors, active_bounds, errors_of
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import LinearModel
+from lampest.posterior.memory import Memory
 from lampest.recording.readings import Readings, stand_in_spread
 
 MIN_NOISE_SHARE = 1e-4  # least noise relative to the deviation that includes own errors: rounding of the difference

@@ -71,7 +71,8 @@ def portable_bench(
     folder: Path, constants: Path, cells: Array, *options: object, period: float = 1.0, sketch: str = ESTIMATING
 ) -> Iterator[Bench]:
     """A board with a sketch that estimates, by the constants of an exported folder, as a program of this computer."""
-    build, path = constants / "build", FIRMWARE / sketch
+    build = constants / "build"
+    path = FIRMWARE / sketch
     words = ["make", "-s", "-C", FIRMWARE, "portable", f"PANEL={constants}", f"BUILD={build}", f"PORTABLE={path}"]
     subprocess.run([str(word) for word in words], check=True)
     with _running(folder, (build / "portable_board",), cells, options, period) as running:

@@ -74,7 +74,8 @@ def ask(method: str, url: str, body: dict[str, Any]) -> Any:
 @contextmanager
 def browser(folder: Path, width: int = 1280, height: int = 1000) -> Iterator[Browser]:
     """A new, empty browser; where the package is missing the test fails with the sentence that names it."""
-    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    chromium = shutil.which("chromium")
+    driver = shutil.which("chromedriver")
     if not chromium or not driver:
         pytest.fail(
             f"The page of lampest live is tested in Chromium; install it with: apt-get install {PACKAGES}",

@@ -93,7 +93,9 @@ def test_live_and_the_file_agree(tmp_path: Path, wiring: str) -> None:
     """One unloaded frame: without repeats the file's σ is the readout's, as it is for live. One has a dead row."""
     truth = np.repeat(some_cells(np.random.default_rng(8), 1, 8, 7), 4, axis=0)
     truth[1:, 5:7, 2:5] *= np.array([0.3, 0.2, 0.1])[:, None, None]
-    known, estimator, out = WIRINGS[wiring](8, 7), Estimator((Misfit(),), "reduced"), tmp_path / "r.h5"
+    known = WIRINGS[wiring](8, 7)
+    estimator = Estimator((Misfit(),), "reduced")
+    out = tmp_path / "r.h5"
     dead = [3] if wiring == "two_point" else []
     truth[:, dead] = np.inf
     known = replace(known, faults=Faults(dead_rows=(3,)) if dead else None)
@@ -104,7 +106,8 @@ def test_live_and_the_file_agree(tmp_path: Path, wiring: str) -> None:
     assert [picture.status for picture in pictures] == ["optimum verified"] * 3
     ratio = np.array([1 + picture.relative_change / 100 for picture in pictures])
     np.testing.assert_allclose(ratio, cells.cell_resistance / cells.baseline_resistance, rtol=1e-9 if dead else 1e-7)
-    ratio, truth = np.delete(ratio, dead, axis=1), np.delete(truth, dead, axis=1)
+    ratio = np.delete(ratio, dead, axis=1)
+    truth = np.delete(truth, dead, axis=1)
     assert np.median(np.abs(ratio / (truth[1:] / truth[0]) - 1)) < 0.02
 
 
@@ -141,9 +144,11 @@ def test_other_sizes_without_noise_are_exact_to_the_converter(
     """Sums are readings · ⌊1024·V/5⌋: every channel, input (A8 to A15 too), switch and byte is where it belongs."""
     rng = np.random.default_rng(rows)
     cells = some_cells(rng, 3, rows, columns)
-    volts, options = 5 * 1000 / (two_point_resistance(cells) + 140 + 1000), ("--noise-lsb", 0)
+    volts = 5 * 1000 / (two_point_resistance(cells) + 140 + 1000)
+    options = ("--noise-lsb", 0)
     if wiring == "loaded_columns":
-        drive, load = np.round(rng.uniform(40, 160, rows), 1), np.round(rng.uniform(9_000, 11_000, columns), 0)
+        drive = np.round(rng.uniform(40, 160, rows), 1)
+        load = np.round(rng.uniform(9_000, 11_000, columns), 0)
         options += ("--row-ohm", ",".join(map(str, drive)), "--load-ohm", ",".join(map(str, load)))
         volts = np.array([node_voltages(frame, drive, load) for frame in cells])
     with bench(tmp_path, cells, *options, wiring=wiring) as board:

@@ -18,8 +18,10 @@ LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
 def test_from_the_board_to_the_cells(tmp_path: Path, wiring: str) -> None:
     """The shipped lamprey: record → a file in ohm or volt → run → the truth."""
     shipped = Recording.load(LAMPREY)
-    truth, baseline = shipped.truth_cell_resistance, int(np.sum(shipped.role == UNLOADED))
-    out, known = tmp_path / "r.h5", scene() if wiring == "two_point" else loaded_scene()
+    truth = shipped.truth_cell_resistance
+    baseline = int(np.sum(shipped.role == UNLOADED))
+    out = tmp_path / "r.h5"
+    known = scene() if wiring == "two_point" else loaded_scene()
     (tmp_path / "scene.yaml").write_text(to_yaml(known))
     with bench(tmp_path, truth, wiring=wiring) as board:
         words = ("--port", board.port, "--out", out, "--scene", tmp_path / "scene.yaml", "--baseline", baseline)
@@ -44,7 +46,8 @@ def test_from_the_board_to_the_cells(tmp_path: Path, wiring: str) -> None:
 
 @pytest.mark.slow
 def test_shorted_lines_calibrate_the_scene_that_records_next(tmp_path: Path) -> None:
-    shorted, scene = tmp_path / "shorted.h5", tmp_path / "scene.yaml"
+    shorted = tmp_path / "shorted.h5"
+    scene = tmp_path / "scene.yaml"
     with bench(tmp_path, np.full((1, 10, 10), 1e-3)) as board:
         _, complained = lampest("record", "--port", board.port, "--out", shorted, "--seconds", 10)
     assert complained.startswith("lampest: no series resistance is assumed") and complained.count("\n") == 1

@@ -192,7 +192,8 @@ def test_standard_deviations_are_those_of_the_linear_system():
         assert host.deviation(0, 0, 30) < 0  # before the first frame nothing is known
         host.frames(sums[:4], EXACT)
         found = np.array([[host.deviation(row, column, 60) for column in range(5)] for row in range(6)])
-    cells, readout = case.cell_resistance[3], case.scene.circuit
+    cells = case.cell_resistance[3]
+    readout = case.scene.circuit
     network = readout.network(cells, readout.ties(case.measured[3]))
     response = network.sensitivity() / case.sigma[3].ravel()[:, None]
     first, second, _ = case.scene.panel.neighbours
@@ -419,7 +420,8 @@ def chord_of(rng, shape):
 @pytest.mark.parametrize("circuit", ["two_point", "grounded_one"])
 @pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.slow)])
 def test_every_press_of_a_chord_is_found_and_no_ghost(circuit, count, tmp_path):
-    rng, shape = np.random.default_rng(count), (8, 26)
+    rng = np.random.default_rng(count)
+    shape = (8, 26)
     scene = scene_of(circuit, *shape)
     resting = 30_000.0 * np.exp(0.1 * rng.standard_normal(shape))
     terms = [NOISY, lampest.LogRatio(loss=lampest.Squared(), weight=1e-4)]
@@ -430,13 +432,15 @@ def test_every_press_of_a_chord_is_found_and_no_ghost(circuit, count, tmp_path):
     (tmp_path / "keys.c").write_text(KEYS)
     library = built(tmp_path, "host.c", "keys.c", flags=(f"-I{library_folder() / 'examples' / 'keyboard'}",))
     assert library.host_begin(3, 12, ctypes.c_float(0.05)) == FINE
-    change, pressed = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
+    change = np.zeros(shape, np.float32)
+    pressed = np.zeros(shape, np.uint8)
 
     def at(array):
         return array.ctypes.data_as(ctypes.c_void_p)
 
     for trial in range(count):
-        keys, cells = chord_of(rng, shape), resting.copy()
+        keys = chord_of(rng, shape)
+        cells = resting.copy()
         for key in keys:
             cells[key] = rng.uniform(1500, 4000)
         for expected, panel in (({tuple(map(int, key)) for key in keys}, [cells] * 3), (set(), [resting] * 2)):

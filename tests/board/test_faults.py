@@ -25,9 +25,11 @@ def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(tmp_path: P
     with bench(tmp_path, cells, *hurt) as board:
         record(board.port, tmp_path / "r.h5", scene=scene(readings=20), period=0.25, seconds=0.25 * frames)
     found = Recording.load(tmp_path / "r.h5")
-    last, got = found.acquisition.sequence[-1], found.acquisition.sequence.tolist()
+    last = found.acquisition.sequence[-1]
+    got = found.acquisition.sequence.tolist()
     assert not found.acquisition.session.any(), "damage must not look like a restart"
-    log, sent = (tmp_path / "log").read_bytes(), []
+    log = (tmp_path / "log").read_bytes()
+    sent = []
     pairs = np.frombuffer(log[: len(log) // 2 * 2], np.uint8).reshape(-1, 2)
     for begin, end in pairwise(np.flatnonzero(pairs[:, 0] == 0)):
         for item in Receiver().feed(pairs[begin : end + 1, 0].tobytes())[1]:

@@ -22,7 +22,8 @@ flexitac = pytest.importorskip("flexitac")
 
 PAGE = Path(__file__).parents[2] / "docs" / "howto" / "flexitac.md"
 UNLOADED = 30
-OPEN_OHM, PRESSED_OHM = 20_000.0, 900.0
+OPEN_OHM = 20_000.0
+PRESSED_OHM = 900.0
 PRESSED = (slice(3, 7), slice(10, 16))
 
 
@@ -64,7 +65,8 @@ def board(page: Any) -> Iterator[tuple[str, threading.Event]]:
     }
     own, other = os.openpty()
     tty.setraw(other, termios.TCSANOW)
-    press, stop = threading.Event(), threading.Event()
+    press = threading.Event()
+    stop = threading.Event()
 
     def send() -> None:
         number = 0

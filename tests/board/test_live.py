@@ -22,7 +22,8 @@ from lampest import UNLOADED, Array, Panel, Recording
 from tests.small_files import COMMAND
 
 ROOT = Path(__file__).parents[2]
-RING, LAMPREY = ROOT / "data" / "ring.h5", ROOT / "data" / "lamprey_35mm.h5"
+RING = ROOT / "data" / "ring.h5"
+LAMPREY = ROOT / "data" / "lamprey_35mm.h5"
 NUMBER = "return Number(document.getElementById('number').innerText) || 0"
 PLACES = (
     "return arguments[0].map(name => {"
@@ -79,7 +80,8 @@ def blueness(window: Browser, path: Path, *canvases: str) -> list[Array]:
 
     A sentence that appears moves the maps, so the screenshot is one before and after which they are at the same place.
     """
-    boxes, before = window.run(PLACES, canvases), None
+    boxes = window.run(PLACES, canvases)
+    before = None
     while boxes != before:
         window.screenshot(path)
         boxes, before = window.run(PLACES, canvases), boxes
@@ -88,7 +90,8 @@ def blueness(window: Browser, path: Path, *canvases: str) -> list[Array]:
     for left, top, cell, rows, columns in boxes:
         blue = np.empty((rows, columns))
         for row, column in np.ndindex(blue.shape):
-            y, x = int(top + (row + 0.5) * cell), int(left + (column + 0.5) * cell)
+            y = int(top + (row + 0.5) * cell)
+            x = int(left + (column + 0.5) * cell)
             blue[row, column] = 1 - image[y - 3 : y + 4, x - 3 : x + 4, 0].mean()
         maps.append(blue)
     return maps
@@ -107,7 +110,8 @@ def test_a_user_sees_the_ring(tmp_path: Path) -> None:
         assert window.text("lost") == "0"
         label = window.run("return document.getElementById('cells').getAttribute('aria-label')")
     change = cells[-1] / cells[0] - 1
-    ring, rest = change < -0.4, change > -0.1
+    ring = change < -0.4
+    rest = change > -0.1
     assert ring.sum() == 8
     assert np.corrcoef(drawn.ravel(), -change.ravel())[0, 1] > 0.9
     assert drawn[ring].min() > drawn[rest & ~inside(ring)].max(), "the ring stands out"
@@ -235,10 +239,13 @@ def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: 
 def test_from_plugging_in_to_the_alarm(tmp_path: Path) -> None:
     """The board is there before lampest, its mouth comes after TOUCH_S and breathes by 8 % at 1.1 Hz."""
     watched = "return document.getElementById('sentence').innerText"
-    rng, panel, time = np.random.default_rng(5), Panel(10, 10), np.arange(0.0, 60.0, 0.125)
+    rng = np.random.default_rng(5)
+    panel = Panel(10, 10)
+    time = np.arange(0.0, 60.0, 0.125)
     course, _, _ = courses(rng, "still mouth", time, 60.0)
     breath = 1 + 0.08 * np.sin(2 * np.pi * 1.1 * time)
-    made, layer = MAKERS["uneven mouth"](rng, panel), film(rng, "real")
+    made = MAKERS["uneven mouth"](rng, panel)
+    layer = film(rng, "real")
     cells = mouth_cells(rng, panel, made, layer, course * breath[:, None], time, np.zeros(len(time)))
     with live_board(tmp_path, cells, (), "--baseline", 6, period=0.125) as (window, _):
         window.until(watched, lambda text: "something that sucks (lamprey or cup)" in text, seconds=30)
@@ -295,12 +302,14 @@ def test_thirty_frames_a_second_with_the_page_open(tmp_path: Path, seconds: int)
         window.run("window.times = []; setInterval(() => { if (latencies.length) times.push(latencies.at(-1)) }, 200)")
         half = window.until(NUMBER, lambda number: number > 15 * seconds, seconds=seconds + 60)
         latency = window.run("return [median(times), Math.max(...times), times.length]")
-        rate, skipped = window.text("rate"), int(window.text("skipped"))
+        rate = window.text("rate")
+        skipped = int(window.text("skipped"))
         assert process.wait(seconds + 60) == 0
         window.complaints()
         figures = board.stop()
     found = Recording.load(tmp_path / "r.h5")
-    lost, missed = int(found.acquisition.lost.sum()), int(found.acquisition.missed.sum())
+    lost = int(found.acquisition.lost.sum())
+    missed = int(found.acquisition.missed.sum())
     print(
         f"\n{len(found.time)} frames, {found.time[-1]:.1f} s of board time, {lost} lost, {missed} missed; at frame "
         f"{half} {rate} frames a second were shown, {skipped} not reconstructed; last byte to picture: median "

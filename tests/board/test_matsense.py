@@ -16,9 +16,13 @@ import pytest
 import lampest
 
 PAGE = Path(__file__).parents[2] / "docs" / "howto" / "matsense.md"
-RESTING_OHM, PRESSED_OHM, UNLOADED = 12_000.0, 700.0, 10
+RESTING_OHM = 12_000.0
+PRESSED_OHM = 700.0
+UNLOADED = 10
 PRESSED = (slice(3, 7), slice(9, 13))
-CLOSE, RAW = 0, 2  # matsense.cmd.CMD
+# matsense.cmd.CMD
+CLOSE = 0
+RAW = 2
 
 
 def block(language: str) -> str:
@@ -37,7 +41,8 @@ def scene(tmp_path: Path) -> lampest.Scene:
 @pytest.fixture
 def server(tmp_path: Path, scene: lampest.Scene) -> Iterator[tuple[str, threading.Event]]:
     """The address of a server of raw frames, each sent twice, and an event that presses the mat."""
-    address, press = str(tmp_path / "server"), threading.Event()
+    address = str(tmp_path / "server")
+    press = threading.Event()
     resting = np.full(scene.panel.shape, RESTING_OHM)
     pressed = resting.copy()
     pressed[PRESSED] = PRESSED_OHM
@@ -47,7 +52,8 @@ def server(tmp_path: Path, scene: lampest.Scene) -> Iterator[tuple[str, threadin
     listener.bind(address)
 
     def serve() -> None:
-        asked, codes = 0, np.zeros(0)
+        asked = 0
+        codes = np.zeros(0)
         while True:
             command, client = listener.recvfrom(8192)
             if command[0] == CLOSE:

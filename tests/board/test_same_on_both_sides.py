@@ -90,7 +90,8 @@ def sent_by_c(body: bytes) -> bytes:
 
 def answered_by_c(settings: Settings, wire: bytes) -> tuple[protocol.Message, ...]:
     """What the board makes of these bytes: its answers, as the host reads them."""
-    inbox, found = Inbox(), []
+    inbox = Inbox()
+    found = []
     for byte in wire:
         length = c().lampest_receive(ctypes.byref(inbox), ctypes.c_uint8(byte))
         if length:
@@ -198,7 +199,8 @@ def test_boards_that_estimate_take_a_baseline_and_others_do_not_know_the_command
 
 @given(st.integers(1, 16), st.integers(1, 16))
 def test_the_scan_visits_every_cell_once_row_by_row(rows: int, columns: int) -> None:
-    row, column = ctypes.c_uint8(0), ctypes.c_uint8(0)
+    row = ctypes.c_uint8(0)
+    column = ctypes.c_uint8(0)
     visited = []
     while row.value < rows:
         visited.append((row.value, column.value))
@@ -257,7 +259,8 @@ def test_no_order_of_commands_leads_out_of_range(orders: list[tuple[int, int]]) 
 
 def hello() -> Hello:
     """What the board of this wiring says, of its own C."""
-    settings, room = c(WIRING).lampest_start_settings(), ctypes.create_string_buffer(64)
+    settings = c(WIRING).lampest_start_settings()
+    room = ctypes.create_string_buffer(64)
     size = c(WIRING).lampest_hello(ctypes.byref(settings), room)
     (greeting,) = Receiver().feed(message(room.raw[:size]))[1]
     assert isinstance(greeting, Hello) and hello_body(greeting) == room.raw[:size]

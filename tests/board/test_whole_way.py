@@ -22,7 +22,9 @@ from lampest.report.export.microcontroller.sketch import export_sketch
 from lampest.report.live.run import LiveBoard, from_recording, recorded_from_board
 from lampest.report.words import digits
 
-SHAPE, UNLOADED_FRAMES, FRAMES = (6, 5), 4, 12
+SHAPE = (6, 5)
+UNLOADED_FRAMES = 4
+FRAMES = 12
 SCENE = scene(*SHAPE)
 CELLS = pressed_cells(SCENE, FRAMES, UNLOADED_FRAMES, ohm=3000.0)
 CHANGE = np.log(CELLS / CELLS[0])

@@ -10,7 +10,8 @@ import pytest
 
 from lampest import InputError, LoadedColumnsReadout, Panel, Recording, Scene, TwoPointReadout, import_file
 
-ROWS, COLUMNS = 3, 5
+ROWS = 3
+COLUMNS = 5
 FRAMES = np.random.default_rng(7).uniform(250, 600, (4, ROWS, COLUMNS)).round(3)
 CODES = np.random.default_rng(7).integers(200, 900, (4, ROWS, COLUMNS))
 DIVIDER = Scene(Panel(ROWS, COLUMNS), TwoPointReadout(), 140.0)
@@ -41,7 +42,8 @@ def given(
 
 
 def written(folder: Path, file: SimpleNamespace) -> Path:
-    path, content = folder / file.name, file.content
+    path = folder / file.name
+    content = file.content
     if callable(content):
         content(path)
     else:

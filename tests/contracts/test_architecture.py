@@ -255,7 +255,8 @@ def test_every_door_is_used() -> None:
 def test_every_module_is_reached_from_the_command_or_the_public_face() -> None:
     stub = ast.parse((HOUSE / "__init__.pyi").read_text(encoding="utf-8"))
     public = {f"lampest.{node.module}" for node in ast.walk(stub) if isinstance(node, ast.ImportFrom) and node.level}
-    reached, waiting = set(), ["lampest", "lampest.cli", *public]
+    reached = set()
+    waiting = ["lampest", "lampest.cli", *public]
     while waiting:
         module = waiting.pop()
         if module in MODULES and module not in reached:

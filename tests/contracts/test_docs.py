@@ -89,7 +89,8 @@ EXAMPLES = {page.stem: fences(page) for page in ADDING}
 def copy(tmp_path: Path) -> Path:
     """A copy of the house with its tests, and the tools as one would type them."""
     for name in COPIED:
-        source, target = REPOSITORY / name, tmp_path / name
+        source = REPOSITORY / name
+        target = tmp_path / name
         if source.is_dir():
             shutil.copytree(source, target)  # with what is compiled, which stays true of the copy
         else:
@@ -134,7 +135,8 @@ def apply(folder: Path, fence: Fence) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_example_says_what_the_page_says(name: str, copy: Path) -> None:
-    checker, same = doctest.OutputChecker(), doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    checker = doctest.OutputChecker()
+    same = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     for fence in EXAMPLES[name]:
         apply(copy, fence)
         for command, answer in fence.commands():
@@ -251,7 +253,8 @@ def test_glossary_says_truly_where_things_are_defined() -> None:
 
 
 def test_the_readouts_page_has_every_kind_scenes_that_are_read_and_its_drawings(tmp_path: Path) -> None:
-    page, blocks = READOUTS.read_text(encoding="utf-8"), fences(READOUTS)
+    page = READOUTS.read_text(encoding="utf-8")
+    blocks = fences(READOUTS)
     kinds = [getattr(lampest, name).kind for name in dir(lampest) if name.endswith("Readout") and name != "Readout"]
     assert len(blocks) >= len(kinds) >= 4 and all(f"kind: {kind}" in page for kind in kinds)
     for fence in blocks:

@@ -34,7 +34,8 @@ Run = Callable[..., SimpleNamespace]
 def results(tmp_path: Path) -> Path:
     """Two recordings, one with a failed frame and error bars, one of another size without a truth."""
     failing = invented_case("LSM", "mouth", (3, 4, 5), failed=(1,), start_time=START)
-    bars, flags = np.indices((3, 4, 5)).sum(axis=0) / 7, np.zeros((3, 4, 5), dtype=np.uint8)
+    bars = np.indices((3, 4, 5)).sum(axis=0) / 7
+    flags = np.zeros((3, 4, 5), dtype=np.uint8)
     bars[1], flags[0, 1, 2] = np.nan, 1
     maps = dict.fromkeys(("cell_resistance_errors", "cell_resistance_lower", "pressure", "pressure_errors"), bars)
     cases = [
@@ -183,7 +184,9 @@ def test_a_library_that_is_missing_is_named(
 
 def test_an_export_that_fails_leaves_neither_of_its_files(results: Path) -> None:
     class Broken(Export):
-        kind, suffix, beside = "broken", ".txt", ".more"
+        kind = "broken"
+        suffix = ".txt"
+        beside = ".more"
 
         def write(self, cases: Any, name: str, path: Path, beside: Path | None) -> None:
             path.write_text("half")

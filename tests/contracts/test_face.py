@@ -113,7 +113,8 @@ MISTAKES = (
 
 @pytest.mark.slow
 def test_a_strict_type_checker_knows_a_users_script(tmp_path: Path) -> None:
-    script, wrong = tmp_path / "script.py", tmp_path / "wrong.py"
+    script = tmp_path / "script.py"
+    wrong = tmp_path / "wrong.py"
     script.write_text(SCRIPT)
     wrong.write_text("\n".join(["import lampest", "recording = lampest.Recording.load('x.h5')", *dict(MISTAKES)]))
     options = ("--strict", "--no-error-summary", "--hide-error-context", "--follow-imports=silent", "--no-pretty")
@@ -137,7 +138,8 @@ def test_wrong_use_is_one_sentence(lamprey: Recording, given: dict[str, Any], se
 
 
 def test_wrong_frames_weights_and_files_are_one_sentence(lamprey: Recording) -> None:
-    estimator, readings = lampest.Estimator((Misfit(),), "reduced"), lamprey.readings()
+    estimator = lampest.Estimator((Misfit(),), "reduced")
+    readings = lamprey.readings()
     stream = lampest.Stream.begin(estimator, lamprey.scene, 1.0, readings[:3].mean())
     for wrong, sentence in {
         lambda: Gradient(weight=-1): "Gradient: weight must be zero or positive, and finite",
@@ -210,7 +212,8 @@ def test_labelled_arrays_say_what_results_files_say(found: Reconstruction, tmp_p
     with h5py.File(tmp_path / "r.h5") as file:
         group = file["entry/lamprey_35mm/misfit + gradient"]
         for name in ("cell_resistance", "relative_change", "pressure", "status", "solved", "baseline_resistance"):
-            stored, variable = group[name], dataset[name]
+            stored = group[name]
+            variable = dataset[name]
             for attribute in ("units", "long_name"):
                 assert variable.attrs[attribute] == stored.attrs[attribute].decode()
             if name != "status":
@@ -270,7 +273,8 @@ def test_progress_counts_the_frames_of_all(known: dict[str, object]) -> None:
 @pytest.fixture(scope="module")
 def few() -> Recording:
     """The lamprey's unloaded frames and two later ones."""
-    whole, chosen = lampest.datasets.load("lamprey_35mm"), [0, 1, 2, 14, 15]
+    whole = lampest.datasets.load("lamprey_35mm")
+    chosen = [0, 1, 2, 14, 15]
     parts = ("recorded", "time", "role", "truth_cell_resistance", "truth_pressure")
     return replace(whole, raw_sums=None, **{part: getattr(whole, part)[chosen] for part in parts})
 

@@ -60,7 +60,8 @@ def recording(tmp_path: Path, lampest: Command) -> Path:
 
 @pytest.mark.slow
 def test_a_run_reads_the_film_and_says_what_it_took_it_for(recording: Path, lampest: Command) -> None:
-    config, out = recording.parent / "run.yaml", recording.parent / "out"
+    config = recording.parent / "run.yaml"
+    out = recording.parent / "out"
     config.write_text(RUN, encoding="utf-8")
     assert lampest("run", config, "--out", out, "--jobs", "1").code == 0
     (case,) = read_results(out / "results.h5").cases
@@ -83,7 +84,8 @@ def test_tare_changes_the_unloaded_frames_alone_and_doubts_those_with_a_load(rec
     out = recording.parent / "zeroed.h5"
     ended = lampest("tare", recording, "--frames", "55:60", "--out", out)
     assert (ended.code, ended.out, ended.err) == (0, f"unloaded: frames 55 to 59: {out}\n", "")
-    before, after = Recording.load(recording), Recording.load(out)
+    before = Recording.load(recording)
+    after = Recording.load(out)
     np.testing.assert_array_equal(np.flatnonzero(after.role == UNLOADED), np.arange(55, 60))
     for name in ("recorded", "time", "truth_pressure", "raw_sums"):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
@@ -101,7 +103,8 @@ def rods(tmp_path: Path, lampest: Command) -> list[Path]:
 def test_yaml_says_the_same_as_csv_and_without_out_the_scene_is_printed(
     rods: list[Path], tmp_path: Path, lampest: Command
 ) -> None:
-    path, whole = tmp_path / "loads.yaml", rods[4]
+    path = tmp_path / "loads.yaml"
+    whole = rods[4]
     load = "frames: [4, 6], x_mm: 25, y_mm: 25, diameter_mm: 30"
     path.write_text(f"schema: 1\nloads:\n  - {{{load}, force_newton: 3.5316}}\n")
     (tmp_path / "loads.csv").write_text("first,last,x_mm,y_mm,diameter_mm,mass_g\n4,6,25,25,30,360\n\n")
@@ -113,7 +116,8 @@ def test_yaml_says_the_same_as_csv_and_without_out_the_scene_is_printed(
 
 
 def test_loads_that_cannot_be_are_one_sentence(rods: list[Path], tmp_path: Path, lampest: Command) -> None:
-    path, out = tmp_path / "loads.csv", tmp_path / "scene.yaml"
+    path = tmp_path / "loads.csv"
+    out = tmp_path / "scene.yaml"
     for text, words in WRONG.items():
         path.write_text(f"recording,first,last,x_mm,y_mm,diameter_mm,mass_g\n{text}\n")
         ended = lampest("calibrate", rods[0], "--loads", path, "--out", out)

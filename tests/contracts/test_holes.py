@@ -127,7 +127,8 @@ def solved(recording: lampest.Recording, formulation: str, weight: float | None 
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
 def test_a_bound_that_cells_lie_beyond_is_told(formulation: str) -> None:
     """Without noise a millionth counts, above and below; a bound that holds nothing back changes no word."""
-    rest, loaded = cells(), cells()
+    rest = cells()
+    loaded = cells()
     loaded[1, 2], loaded[3, 3] = 9000.0, 300.0
     recording = exactly(PLAIN, rest, loaded, loaded)
     assert all(status.startswith(HELD) for status in solved(recording, formulation, upper=8990.0))
@@ -137,7 +138,8 @@ def test_a_bound_that_cells_lie_beyond_is_told(formulation: str) -> None:
 
 def test_what_noise_explains_is_not_told() -> None:
     """A cell beyond what the converter resolves takes less than σ from its reading; many such cells take more."""
-    rest, open_cell = cells(), cells()
+    rest = cells()
+    open_cell = cells()
     open_cell[2, 3] *= 1e6
     found = lampest.reconstruct(exactly(LOADED, rest, open_cell), [lampest.Misfit()], formulation="reduced")
     assert found.status[0] == VERIFIED and found.result().open_cell.sum() == 1

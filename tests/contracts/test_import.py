@@ -91,7 +91,8 @@ codes("blocks that are cut", BROKEN, *SENTENCES, expected=with_nan(VOLT_OF_CODES
 LONG = blocks(",", "\n\n", np.concatenate([CODES, CODES[:, :1]], axis=1))
 refused("long blocks", LONG, "m.csv:1: a block of 4 lines, where the panel has 3 rows", scene=LOADED)
 
-MEANS, STEPS = CODES + CODES % 20 / 20, "as such they lie on the converter's steps"
+MEANS = CODES + CODES % 20 / 20
+STEPS = "as such they lie on the converter's steps"
 taken("means of codes", lines(MEANS), STEPS, expected=1024e3 / (MEANS + 0.5) - 1000, scene=DIVIDER)
 EIGHT = replace(LOADED, readout=replace(LOADED.readout, readings=8))
 OF_EIGHT = CODES + CODES % 8 / 8 + 2000
@@ -374,7 +375,8 @@ for written, number in (
 for sign, header, stamped in itertools.product((",", ";", "\t", " ", "   "), (False, True), (False, True)):
     head = sign.join([*["time"] * stamped, *names("r{r}c{c}").split(",")])
     rows = np.column_stack([[0, 0.5, 1.25, 2], WIDE]) if stamped else WIDE
-    text, times = [head] * header + lines(rows, sign), [0, 0.5, 1.25, 2] if stamped else FOUR
+    text = [head] * header + lines(rows, sign)
+    times = [0, 0.5, 1.25, 2] if stamped else FOUR
     how = {"times": times, "role": [0, 1, 1, 1], "baseline_frames": 1, "absent": None if header else "header"}
     taken(f"a frame a line: {sign!r}, {header}, {stamped}", text, "row by row", *["header"] * header, **how)
 
@@ -395,7 +397,8 @@ AGAIN = lines(np.delete(long_table(FRAMES)[:, :3], 22, axis=0))
 SENTENCE = "a new frame begins where a cell comes again"
 taken("single values without frames", AGAIN, SENTENCE, expected=with_nan(FRAMES, (1, 1, 2)))
 SPARE = np.column_stack([WIDE[:, :7], np.zeros(4), WIDE[:, 7:]])
-OWN, SENTENCE = lines(long_table(FRAMES)[:, [3, 2, 0, 1]]), "one value a line as frame, value, row, column"
+OWN = lines(long_table(FRAMES)[:, [3, 2, 0, 1]])
+SENTENCE = "one value a line as frame, value, row, column"
 taken("values in a layout of one's own", OWN, SENTENCE, layout="frame, ohm, row, column")
 taken("frames in a layout of one's own", lines(SPARE), layout=",".join([*NAMED[:7], "-", *NAMED[7:]]))
 for header, line, times in (
@@ -487,7 +490,8 @@ NEGATIVE = long_table(FRAMES, 1, swap=True)
 NEGATIVE[7, 2] = -1
 refused("a negative transposed value", lines(NEGATIVE), "m.csv:8:3: -1 must be a positive", transpose=True)
 refused("nothing but gaps", lines(np.full((2, 15), np.nan)), "all readings are missing")
-GAPPY, SENTENCE = lines(with_nan(FRAMES, (slice(None), 0, 0))), "no frame would be left; `missing='mark'` keeps them"
+GAPPY = lines(with_nan(FRAMES, (slice(None), 0, 0)))
+SENTENCE = "no frame would be left; `missing='mark'` keeps them"
 refused("no frame without a gap", GAPPY, SENTENCE, missing="skip-frame")
 SENTENCE = "'drop' is unknown; there are mark, skip-frame, refuse"
 refused("another word for missing", lines(FRAMES), SENTENCE, missing="drop", absent="m.csv")

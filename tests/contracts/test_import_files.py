@@ -36,7 +36,9 @@ from lampest import (
 )
 from tests.small_files import run_command
 
-T0, TEN_SECONDS, TENS = datetime.datetime(2025, 1, 31, 12, 0, 0), datetime.timedelta(seconds=10), 10 * np.arange(4)
+T0 = datetime.datetime(2025, 1, 31, 12, 0, 0)
+TEN_SECONDS = datetime.timedelta(seconds=10)
+TENS = 10 * np.arange(4)
 VOLTS = 5.0 * 1000.0 / (FRAMES + 1000.0)  # across the reference: R = (Vcc − V)/V·Rref
 LAST = FRAMES.transpose(1, 2, 0)
 GARBAGE = np.random.default_rng(3).bytes(4000)
@@ -407,7 +409,8 @@ def test_a_scene_file_describes_the_panel_of_an_import(tmp_path: Path) -> None:
 
 
 def test_entries_of_a_scene_are_set_at_the_import(tmp_path: Path, lampest: Callable[..., Any]) -> None:
-    scene, made = tmp_path / "scene.yaml", tmp_path / "m.h5"
+    scene = tmp_path / "scene.yaml"
+    made = tmp_path / "m.h5"
     scene.write_text("panel: {rows: 3, columns: 5}\nseries_resistance_ohm: 140\n", encoding="utf-8")
     np.save(tmp_path / "m.npy", FRAMES)
     words = ("import", tmp_path / "m.npy", "--unit", "ohm", "--out", made)

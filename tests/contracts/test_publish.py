@@ -132,7 +132,9 @@ def test_mqtt_carries_the_message(lampest: Run, tmp_path: Path) -> None:
 @pytest.mark.slow
 @needs_broker
 def test_a_broker_that_goes_away_is_said_and_called_again(lampest: Run, tmp_path: Path) -> None:
-    port, after, first = free_port(), list[dict[str, Any]](), ExitStack()
+    port = free_port()
+    after = list[dict[str, Any]]()
+    first = ExitStack()
     first.enter_context(broker(tmp_path, port))
 
     def renew() -> None:
@@ -163,7 +165,8 @@ def test_websocket_carries_the_message_to_who_has_the_token(lampest: Run) -> Non
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.client import connect
 
-    port, came = free_port(), []
+    port = free_port()
+    came = []
 
     def listening() -> None:
         until(lambda: listens(port))
@@ -194,9 +197,11 @@ def test_lsl_is_a_described_stream(lampest: Run) -> None:
 
     with beside(listening):
         assert replayed(lampest, "lsl://lampest-test", frames=20, speed=2.0).code == 0
-    info, sample = came["info"], np.array(came["sample"])
+    info = came["info"]
+    sample = np.array(came["sample"])
     assert (info.type(), info.channel_count(), info.channel_format()) == ("Pressure", 315, pylsl.cf_float32)
-    labels, units = info.get_channel_labels(), info.get_channel_units()
+    labels = info.get_channel_labels()
+    units = info.get_channel_units()
     assert (labels[1], labels[4], units[1], units[4]) == ("force", "change_0_0", "newton", "percent")
     cell = info.desc().child("channels").first_child()
     while cell.child_value("label") != "pressure_3_4":

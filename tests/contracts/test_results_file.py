@@ -123,7 +123,8 @@ def test_every_text_is_fixed_ascii_and_every_dataset_has_units(written: Path) ->
 def test_a_full_disk_leaves_nothing_behind_and_an_older_file_as_it_is(
     tmp_path: Path, written: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before, full = written.read_bytes(), mock.Mock(side_effect=OSError(28, "No space left on device"))
+    before = written.read_bytes()
+    full = mock.Mock(side_effect=OSError(28, "No space left on device"))
     for place, name in ((os, "fsync"), (Path, "write_bytes")):
         with monkeypatch.context() as patch, pytest.raises(InputError, match="No space left on device"):
             patch.setattr(place, name, full)
@@ -159,7 +160,8 @@ def test_cases_that_do_not_belong_together(tmp_path: Path) -> None:
 
 
 def test_the_scene_is_kept_whole(tmp_path: Path) -> None:
-    faults, water = Faults(open=((0, 1),), dead_rows=(3,)), Water(70.0)
+    faults = Faults(open=((0, 1),), dead_rows=(3,))
+    water = Water(70.0)
     further = (faults, water, Temperature(-0.003, 20.0, 12.0), Systematic(0.01, 3.0))
     subject = MeasuredSubject("L7", "Petromyzon marinus", 420.0, 150.0)
     people = {"subject": subject, "experiment": Experiment("attachment", water_temperature_celsius=12.5)}

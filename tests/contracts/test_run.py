@@ -49,7 +49,8 @@ def test_run_writes_what_it_found(disk: SimpleNamespace, lampest: Command) -> No
 
 
 def test_second_run_does_nothing_and_fresh_solves_again(disk: SimpleNamespace, lampest: Command) -> None:
-    run, out = disk.folder / "run.yaml", disk.folder / "out"
+    run = disk.folder / "run.yaml"
+    out = disk.folder / "out"
     lampest("run", run, "--out", out, "--jobs", "1")
     before = {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
     assert "0 cases solved, 3 were done before" in lampest("run", run, "--out", out, "--jobs", "1").out
@@ -186,7 +187,8 @@ def test_interrupt_keeps_what_is_finished(executor: str, disk: SimpleNamespace) 
     large(disk, 9)
     weights = [float(f"{weight:.3g}") for weight in np.geomspace(1e-5, 1e-1, 300)]
     sweep = f"sweep: {{estimators.LSR-CR.terms.cell_resistance.weight: {weights}}}\n"
-    out, how = disk.folder / "out", f"formulation: reduced\nexecutor: {{kind: {executor}}}\n"
+    out = disk.folder / "out"
+    how = f"formulation: reduced\nexecutor: {{kind: {executor}}}\n"
     path = disk.run(disk.text + sweep + how)
     assert interrupted(path, out, "[!.]*.h5", 3) == (130, "", "lampest: interrupted; what was finished is kept\n")
     finished = read_results(out / "results.h5").cases

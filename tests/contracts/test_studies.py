@@ -69,7 +69,8 @@ def studied(
     lampest: Command, disk: SimpleNamespace, study: str, text: str, *words: str
 ) -> tuple[SimpleNamespace, Path]:
     """Run a study, or the script of a page, on a file of that text; return how it ended, and its folder."""
-    file, out = disk.run(text, f"{study}.yaml"), disk.folder / "out"
+    file = disk.run(text, f"{study}.yaml")
+    out = disk.folder / "out"
     if study == "audit":
         return started(disk.folder, "-m", "docs.studies.audit", str(file), "--out", "out"), out
     return lampest("study", study, file, "--out", out, *words), out
@@ -103,7 +104,8 @@ def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
             assert (noisy["reported"], noisy["verdict"]) == ("3", "reported") and float(noisy["cells"]) > 80
             assert float(noisy["chi_square"]) > 5 > 2 > float(nothing["chi_square"])
             assert "measured in unloaded frames; the scene specifies" in done.out
-            held, cells = group["cells_covered"][3:].sum(), group["cells"][3:].sum()
+            held = group["cells_covered"][3:].sum()
+            cells = group["cells"][3:].sum()
             assert cells == 3 * 2 * 30 and 100 * held / cells == pytest.approx(float(noisy["cells"]), rel=1e-4)
         assert ("memory_mb" in group) == (study in ("bench", "tradeoff"))
         assert "memory_mb" not in group or np.all(np.abs(group["memory_mb"][()] - 1000) < 990)
@@ -153,7 +155,8 @@ def test_settings_of_the_command_override_the_file_of_a_study(disk: SimpleNamesp
 
 @pytest.mark.slow
 def test_the_papers_page_needs_nothing_else_and_its_scenes_give_most_of_its_numbers(tmp_path: Path) -> None:
-    main, folder = ("-c", "from lampest.cli import main; main()"), tmp_path / "out"
+    main = ("-c", "from lampest.cli import main; main()")
+    folder = tmp_path / "out"
     done = started(tmp_path, *main, "study", "paper", "--out", "out", "--jobs", "1")
     assert done.code == 0, done.err
     assert all((tmp_path / line).is_file() for line in done.out.splitlines())

@@ -35,7 +35,8 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_from_the_wheel_to_a_picture_in_three_commands(dist: Path, tmp_path: Path) -> None:
     (wheel,) = dist.glob("*.whl")
-    site, empty = tmp_path / "site", tmp_path / "empty"
+    site = tmp_path / "site"
+    empty = tmp_path / "empty"
     empty.mkdir()
     pip = (sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--target", str(site), str(wheel))
     subprocess.run(pip, check=True, capture_output=True, timeout=60)

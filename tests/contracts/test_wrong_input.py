@@ -56,7 +56,8 @@ def full(monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
 
 def test_a_full_disk_keeps_what_fits(disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cases that do not fit have failed. If only all of them together do not, they are collected once there is room."""
-    run, out = disk.folder / "run.yaml", disk.folder / "out"
+    run = disk.folder / "run.yaml"
+    out = disk.folder / "out"
     for suffix, codes in ((".h5", (2, 3)), ("results.h5", (2,))):
         with monkeypatch.context() as patch:
             full(patch, suffix)

@@ -72,7 +72,8 @@ def batch(folder: Path, frames: int = 6, weights: tuple[float, ...] = (1e-4, 1e-
 
 def write_recording(path: Path, frames: int, seed: int) -> None:
     """One unloaded frame and measured ones, of 6 × 7 cells."""
-    rng, scene = np.random.default_rng(seed), Scene(Panel(6, 7), TwoPointReadout(), 140.0)
+    rng = np.random.default_rng(seed)
+    scene = Scene(Panel(6, 7), TwoPointReadout(), 140.0)
     cells = 3000 * np.exp(0.3 * rng.standard_normal((frames + 1, 6, 7)))
     volt = 5 * 1000 / (1000 + 140 + two_point_resistance(cells))
     resistance = TwoPointReadout().recorded_from_volt(np.round(volt * 4096) / 4096)
@@ -113,7 +114,8 @@ def same(ours: dict[str, Any], theirs: dict[str, Any], tolerance: float = 0.0) -
     for name, value in ours.items():
         if tolerance and name.endswith(("/iterations", "/starts", "/kkt_residual", "@model_check")):
             continue
-        value, expected = np.asarray(value), np.asarray(theirs[name])
+        value = np.asarray(value)
+        expected = np.asarray(theirs[name])
         assert value.dtype == expected.dtype, name
         if value.dtype.kind == "f":
             np.testing.assert_allclose(value, expected, rtol=tolerance, atol=tolerance, err_msg=name)
@@ -128,15 +130,20 @@ def finished(out: Path) -> int:
 
 def killed_again_and_again(tmp_path: Path, cases: Batch, kills: int) -> None:
     """Kill the command, all its processes or a worker so often, resume each time, and compare every complete folder."""
-    rng, count, folder, begin = np.random.default_rng(kills), 0, 0, time.monotonic()
+    rng = np.random.default_rng(kills)
+    count = 0
+    folder = 0
+    begin = time.monotonic()
     undisturbed = cases.finish(tmp_path / "undisturbed", 2)
     longest = time.monotonic() - begin
     while count < kills:
         out = tmp_path / f"out{folder}"
-        previous, run = finished(out), cases.start(out, int(rng.integers(1, 3)))
+        previous = finished(out)
+        run = cases.start(out, int(rng.integers(1, 3)))
         time.sleep(float(rng.uniform(0.1 * longest, longest)))
         if run.poll() is None:
-            victim, count = VICTIMS[int(rng.integers(len(VICTIMS)))], count + 1
+            victim = VICTIMS[int(rng.integers(len(VICTIMS)))]
+            count = count + 1
             workers = [number for number in session(run.pid) if number != run.pid]
             single = [int(rng.choice(workers))] if victim == "worker" and workers else [run.pid]
             for target in [run.pid, *workers] if victim == "all" else single:

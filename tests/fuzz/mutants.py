@@ -77,7 +77,8 @@ simulation:
 """
 CONTENT: dict[str, Any] = YAML(typ="safe").load(DOCUMENTS)
 CONTENT["simulation"]["scene"] = CONTENT["scene"]
-RUN, SCENE = CONTENT["run"], CONTENT["scene"]
+RUN = CONTENT["run"]
+SCENE = CONTENT["scene"]
 SETTINGS = ("solver.tolerance=1e-6", "estimators.LSM.bounds.lower=none", "recordings=[small.h5]", "bounds={upper: 1e9}")
 
 NASTY_TEXTS = (
@@ -132,8 +133,11 @@ class Corpus(NamedTuple):
 
     def mutant(self, number: int, kind: str) -> Mutant:
         """Input number `number` of a kind, the same one in every process: one to four changes of one style."""
-        rng, seeds = np.random.default_rng([number, list(KINDS).index(kind)]), self.files[kind]
-        style, content, count = str(rng.choice(KINDS[kind][1])), one_of(seeds, rng), int(rng.integers(1, 5))
+        rng = np.random.default_rng([number, list(KINDS).index(kind)])
+        seeds = self.files[kind]
+        style = str(rng.choice(KINDS[kind][1]))
+        content = one_of(seeds, rng)
+        count = int(rng.integers(1, 5))
         if style == "meaning":
             return Mutant(kind, changed_tree(CONTENT[kind], count, rng))
         if style in ("nodes", "parts"):
@@ -167,8 +171,11 @@ def text(content: Any) -> bytes:
 
 def good_recordings(folder: Path) -> tuple[bytes, bytes]:
     """One with everything a recording can hold, and one whose recorder was killed."""
-    rng, count, readout = np.random.default_rng(2), np.arange(3), TwoPointReadout()
-    codes, scene = rng.integers(4000, 8000, (3, 3, 4)), Scene(Panel(3, 4), readout, 140.0)
+    rng = np.random.default_rng(2)
+    count = np.arange(3)
+    readout = TwoPointReadout()
+    codes = rng.integers(4000, 8000, (3, 3, 4))
+    scene = Scene(Panel(3, 4), readout, 140.0)
     Recording(
         scene,
         readout.recorded_from_sums(codes, 20),
@@ -224,15 +231,19 @@ def one_of(things: Any, rng: np.random.Generator) -> Any:
 
 def changed_bytes(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
     """A cut, a hole, other bytes, a piece of another file, a large number where a size may stand, or a turned bit."""
-    at, length, other = int(rng.integers(len(content) + 1)), int(rng.integers(1, 64)), one_of(seeds, rng)
-    start, kind = int(rng.integers(len(other) + 1)), rng.integers(7)
+    at = int(rng.integers(len(content) + 1))
+    length = int(rng.integers(1, 64))
+    other = one_of(seeds, rng)
+    start = int(rng.integers(len(other) + 1))
+    kind = rng.integers(7)
     if kind < 2:
         return content[:at] + content[at + (length if kind else len(content)) :]
     if kind == 2:
         places = rng.integers(0, max(len(content), 1), 8).tolist()
         return bytes(int(rng.integers(256)) if place in places else byte for place, byte in enumerate(content))
     if kind == 3:
-        at, piece = at // 8 * 8, one_of(BYTES, rng)
+        at = at // 8 * 8
+        piece = one_of(BYTES, rng)
     elif kind == 4:
         piece = bytes([byte ^ 1 << int(rng.integers(8)) for byte in content[at : at + 1]])
     else:
@@ -257,7 +268,8 @@ def changed_parts(content: bytes, count: int, rng: np.random.Generator) -> bytes
 
 def changed_text(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
     """A line twice, gone or moved; a word for another; a nasty text somewhere; or a change of bytes."""
-    lines, kind = content.split(b"\n"), rng.integers(7)
+    lines = content.split(b"\n")
+    kind = rng.integers(7)
     words = [match.span() for match in re.finditer(rb"[^\s,:;\[\]{}']+", content)]
     nasty = one_of(NASTY_TEXTS, rng).encode("utf-8", "surrogatepass")
     at, other = (int(place) for place in rng.integers(0, len(lines), 2))
@@ -283,7 +295,8 @@ def changed_tree(tree: Any, count: int, rng: np.random.Generator) -> bytes:
     tree = json.loads(json.dumps(tree))
     for _ in range(count):
         (node, place), (other, there) = _somewhere(tree, rng), _somewhere(tree, rng)
-        value, kind = copy.deepcopy(one_of(NASTY_VALUES, rng)), rng.integers(5)
+        value = copy.deepcopy(one_of(NASTY_VALUES, rng))
+        kind = rng.integers(5)
         if kind == 0:
             node[place] = json.loads(json.dumps(other[there]))
         elif kind == 1 and isinstance(node, dict):
@@ -345,10 +358,12 @@ def _values(file: Any, name: str) -> Any:
 
 def changed_node(file: Any, name: str, rng: np.random.Generator) -> None:
     """Change one group or dataset, or an attribute of it or of a group that holds it."""
-    node, kind = file[name], rng.integers(10)
+    node = file[name]
+    kind = rng.integers(10)
     shape = node.shape if isinstance(node, h5py.Dataset) else (3,)
     if kind == 0:  # the same numbers as another type, or as something that is no number
-        values, types = _values(file, name), ("f2", "f4", "f8", "g", "i1", "u8", ">f8", "S8", "c16", "b1", "V8")
+        values = _values(file, name)
+        types = ("f2", "f4", "f8", "g", "i1", "u8", ">f8", "S8", "c16", "b1", "V8")
         dtype = one_of(types, rng)
         _replaced(file, name, values.astype(dtype) if dtype != "V8" else np.zeros(values.shape, dtype))
     elif kind == 1:  # one axis more, less, longer or empty; a scalar; nothing at all
@@ -393,7 +408,8 @@ def changed_node(file: Any, name: str, rng: np.random.Generator) -> None:
         parts = name.split("/")
         holder = one_of([file, *(file["/".join(parts[: depth + 1])] for depth in range(len(parts)))], rng)
         further = ("readings", "order", "published", "lampest_unfinished", "lampest_format", "joint_start")
-        chosen, value = one_of([*holder.attrs, *further], rng), one_of(ATTRIBUTES, rng)
+        chosen = one_of([*holder.attrs, *further], rng)
+        value = one_of(ATTRIBUTES, rng)
         if value is None:
             del holder.attrs[chosen]
         else:

@@ -16,7 +16,8 @@ from fuzz.mutants import IMPORTED, KINDS, RUN, Mutant, text
 from lampest import InputError, Recording, import_file, read_results, read_run, read_scene, read_simulations
 from lampest.recording.simulation import run as simulate
 
-FINE, REFUSED = "taken", "refused"
+FINE = "taken"
+REFUSED = "refused"
 MOST_SECONDS = 5.0
 MOST_KILOBYTES = 1_200_000
 HUNG_SECONDS = 120
@@ -36,7 +37,8 @@ def receive(mutant: Mutant, folder: Path) -> str:
     """
     path = folder / f"input{KINDS[mutant.kind][0]}"
     path.write_bytes(mutant.content)
-    before, begin = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    begin = time.process_time()
     faulthandler.dump_traceback_later(HUNG_SECONDS, exit=True)
     try:
         with warnings.catch_warnings():
@@ -47,7 +49,8 @@ def receive(mutant: Mutant, folder: Path) -> str:
         left = cleared(folder) - {path.name}
     if left:
         raise ReceptionError(f"left {left}")
-    seconds, grown = time.process_time() - begin, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    seconds = time.process_time() - begin
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     if seconds > MOST_SECONDS:
         raise ReceptionError(f"{seconds:.1f} s")
     if grown > MOST_KILOBYTES:
@@ -90,7 +93,8 @@ def _check_sentence(sentence: str) -> None:
 def _check_command(arguments: list[str], code: int) -> None:
     """The command ends with that code, and says one line on stderr where it refuses."""
     ended = called(*arguments, folder=Path.cwd())
-    lines, refused = ended.err.count("\n"), "lampest: " in ended.err and not ended.out
+    lines = ended.err.count("\n")
+    refused = "lampest: " in ended.err and not ended.out
     if ended.code != code or lines != (code != 0) or (code and not refused):
         raise ReceptionError(ended.described(f"lampest {arguments[0]} must end with {code}"))
 

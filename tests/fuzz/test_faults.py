@@ -16,7 +16,8 @@ def test_a_recording_that_goes_or_changes_during_a_run_costs_its_own_cases_alone
     tmp_path: Path, replaced: bool
 ) -> None:
     """Cases of a deleted recording fail with a sentence each. No result of a replaced one holds the new numbers."""
-    cases, out = batch(tmp_path, 12), tmp_path / "out"
+    cases = batch(tmp_path, 12)
+    out = tmp_path / "out"
     previous = Recording.load(tmp_path / "two.h5").readings().value[1:]
     run = cases.start(out, 1)
     until(lambda: finished(out) >= 2 or run.poll() is not None)
@@ -28,7 +29,8 @@ def test_a_recording_that_goes_or_changes_during_a_run_costs_its_own_cases_alone
         (tmp_path / "two.h5").unlink()
     _, stderr = run.communicate(timeout=120)
     assert "Traceback" not in stderr
-    results, half = read_results(out / "results.h5").cases, cases.count // 2
+    results = read_results(out / "results.h5").cases
+    half = cases.count // 2
     assert [case.recording for case in results][:half] == ["one"] * half
     assert all(np.array_equal(case.measured, previous) for case in results[half:])
     if not replaced:

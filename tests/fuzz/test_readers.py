@@ -160,7 +160,8 @@ def test_recording_that_claims_many_frames(good: Corpus, folder: Path, names: tu
     stream = io.BytesIO(good.files["recording"][0])
     with h5py.File(stream, "a") as file:
         for name in (f"entry/two_point/{name}" for name in names):
-            kind, shape = file[name].dtype, (frames, 3, 4) if file[name].ndim > 1 else (frames,)
+            kind = file[name].dtype
+            shape = (frames, 3, 4) if file[name].ndim > 1 else (frames,)
             del file[name]
             file.create_dataset(name, shape, kind, chunks=(1000, *shape[1:]), compression="gzip", fillvalue=1)
     assert receive(Mutant("recording", stream.getvalue()), folder) == REFUSED

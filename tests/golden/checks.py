@@ -41,7 +41,8 @@ from lampest.report.detect.answer import Detected, alarming, event_table, load_t
 
 WIDE = lp.Panel(7, 8)
 HAND = lp.Block(centre_mm=(33.0, 28.0), length_mm=30.0, width_mm=25.0, mass_g=1500.0)
-TWO, AT_COLUMNS = lp.TwoPointReadout(noise_lsb=0.7), lp.LoadedColumnsReadout(noise_lsb=0.7, drive_ohm=60.0)
+TWO = lp.TwoPointReadout(noise_lsb=0.7)
+AT_COLUMNS = lp.LoadedColumnsReadout(noise_lsb=0.7, drive_ohm=60.0)
 ON_GROUND = lp.GroundedReadout(noise_lsb=0.7)
 
 
@@ -49,7 +50,8 @@ def recorded(readout: Any = TWO, specified: Any = None, series: float = 140.0, *
     """A hand on some cells, with effects that the scene does not name, or with another readout than the scene has."""
     scene = lp.Scene(WIDE, readout, series if readout.unit == "ohm" else 0.0)
     known: dict[str, Any] = {"baseline_frames": 4, "frames": 9 if "load_speed_mm_s" in effects else 5, "loads": (HAND,)}
-    unmodelled, cells = lp.Unmodelled(**effects), lp.Cells(spread=0.15)
+    unmodelled = lp.Unmodelled(**effects)
+    cells = lp.Cells(spread=0.15)
     recording = lp.simulate(
         lp.Simulation(schema=1, seed=3, scene=scene, cells=cells, unmodelled=unmodelled, **known), "x"
     )
@@ -124,7 +126,8 @@ RECORDED: dict[str, Callable[[], lp.Recording]] = {
 
 def prepared_row(recording: lp.Recording) -> dict[str, Any]:
     prepared = Prepared(recording)
-    noise, check = prepared.noise, prepared.check
+    noise = prepared.noise
+    check = prepared.check
     known = detection.known_of(prepared)
     return {
         "warnings": prepared.warnings, "noise": noise.summary, "shared": noise.shared_sizes,
@@ -139,8 +142,10 @@ def prepared_row(recording: lp.Recording) -> dict[str, Any]:
 
 def mistakes_row() -> dict[str, Any]:
     """Warnings of recordings with wrong roles, times or units, with copied frames, or from one unloaded frame on."""
-    fine, rows = simulated(), {}
-    order, first = fine.recorded, np.arange(len(fine.role))
+    fine = simulated()
+    rows = {}
+    order = fine.recorded
+    first = np.arange(len(fine.role))
     variants: dict[str, dict[str, Any]] = {
         **{f"{count} unloaded": {"role": (first >= count).astype(np.uint8)} for count in (0, 1, 11)},
         "swapped": {"role": (first < 4).astype(np.uint8)},
@@ -159,8 +164,10 @@ def mistakes_row() -> dict[str, Any]:
 
 def odd_modules(count: int) -> dict[int, float]:
     """The factors of some modules in a row, of which the second reads four times as much."""
-    layout, scales = Modules(1, count, EachModule(2, 2), 4.0), np.where(np.arange(2 * count) // 2 == 1, 4e3, 1e3)
-    scene, role = lp.Scene(lp.Panel(modules=layout), TWO), np.array([0, 0, 1], dtype=np.uint8)
+    layout = Modules(1, count, EachModule(2, 2), 4.0)
+    scales = np.where(np.arange(2 * count) // 2 == 1, 4e3, 1e3)
+    scene = lp.Scene(lp.Panel(modules=layout), TWO)
+    role = np.array([0, 0, 1], dtype=np.uint8)
     return module_factors(lp.Recording(scene, scales * np.ones((3, 2, 1)), np.arange(3.0), role), layout)
 
 
@@ -174,8 +181,10 @@ def outliers_row() -> dict[str, Any]:
     )  # fmt: skip
     value[3, 1, 2], value[12, 0, 4], value[15, 3, 0] = 1300.0, 600.0, 2000.0
     scale = np.full(value.shape, 9.0)
-    scene, frames = lp.Scene(PANEL, TWO), outliers.FramesBefore()
-    resting, cells = lp.Readings.of(scene, value[:3]).mean(), cells_of(PANEL.shape, spread=0.1)
+    scene = lp.Scene(PANEL, TWO)
+    frames = outliers.FramesBefore()
+    resting = lp.Readings.of(scene, value[:3]).mean()
+    cells = cells_of(PANEL.shape, spread=0.1)
     live = []
     noisy = 1 + 4e-3 * rng.standard_normal((7, 4, 5))
     for frame in lp.two_point_resistance(np.repeat(cells[None], 7, axis=0)) * noisy:
@@ -191,9 +200,11 @@ def outliers_row() -> dict[str, Any]:
     touched[3, 4, 4] = 500.0
     touched = lp.two_point_resistance(touched)
     apart = np.stack([value, 1000 + 5 * (value - 1000)], axis=1)
-    none, rest = np.zeros(apart.shape, dtype=bool), np.arange(16) < 8
+    none = np.zeros(apart.shape, dtype=bool)
+    rest = np.arange(16) < 8
     pair = lp.Readings(apart, np.full(apart.shape, 9.0), np.zeros(apart.shape), np.ones(apart.shape))
-    sizes, each = (pair.sigma, None, 5 * pair.sigma, 0.2 * pair.sigma), partial(outliers.without_outliers, none[:, 0])
+    sizes = (pair.sigma, None, 5 * pair.sigma, 0.2 * pair.sigma)
+    each = partial(outliers.without_outliers, none[:, 0])
     panels = [[each(replace(pair, sigma=size)[:, panel], rest) for panel in (0, 1)] for size in sizes]
     flagged = [np.stack([outlying for outlying, _ in both], axis=1) for both in panels]
     course = value + np.where(rest, 0.0, 3.0)[:, None, None] * (value - np.median(value, axis=0))
@@ -214,7 +225,8 @@ def outliers_row() -> dict[str, Any]:
 
 def scatter_row() -> dict[str, Any]:
     """Variance components of deviations with a gain, ripples and noise; steps within a scan."""
-    rng, loud = np.random.default_rng(4), np.full((10, 8), 3000.0)
+    rng = np.random.default_rng(4)
+    loud = np.full((10, 8), 3000.0)
     plain = rng.standard_normal((9, 10, 8))
     parts = {
         "plain": plain, "gain": plain + 0.003 * 3000 * rng.standard_normal((9, 1, 1)),
@@ -225,7 +237,8 @@ def scatter_row() -> dict[str, Any]:
     few = 500 * np.exp(0.01 * plain[:, :2, :3])
     few[:, 0, 0], few[1:, 0, 1], few[:, 0, 2] = 500.0, np.nan, np.nan
     recording = recorded()
-    measured, readings = recording.measured_frames(), recording.readings()
+    measured = recording.measured_frames()
+    readings = recording.readings()
     resting = baseline_readings(recording, readings)
     lonely, (frame, *beside) = recording.time == 4, deciding_frames(recording, readings, resting)
     return {
@@ -252,7 +265,8 @@ def factors_of_modules(factor: float) -> dict[int, float]:
 def contacts_row() -> dict[str, Any]:
     """Effects in words, modules that differ, and noise of frames with many outliers."""
     effects: Any = SimpleNamespace(effects=(LooseContact((5,), size=40.0), LineLeak((1,), size=1e-4)), shape=(4, 5))
-    rng, recording = np.random.default_rng(5), recorded()
+    rng = np.random.default_rng(5)
+    recording = recorded()
     shared = {}
     for unloaded in (2, 4):
         fewer = replace(recording, role=(np.arange(9) >= unloaded).astype(np.uint8))
@@ -276,7 +290,8 @@ def contacts_row() -> dict[str, Any]:
 
 def ends_row() -> list[Any]:
     """Channels that end together: some by chance, with others a little below, all of them, or those of one row."""
-    steps, rows = np.r_[np.linspace(0, 0.9, 5), np.linspace(3, 9, 6), np.linspace(12, 300, 45)], list[Any]()
+    steps = np.r_[np.linspace(0, 0.9, 5), np.linspace(3, 9, 6), np.linspace(12, 300, 45)]
+    rows = list[Any]()
     row = np.r_[np.linspace(0, 0.5, 8), np.linspace(60, 300, 48)]
     for below in (steps, np.where(steps < 10, 0.1 * steps, steps), steps / 40, row):
         for order in (np.random.default_rng(4).permutation(below), below):
@@ -289,7 +304,8 @@ def ends_row() -> list[Any]:
 
 def values_row() -> dict[str, Any]:
     """What single values and deviations say, with a readout and without: a number, a bound, or nothing."""
-    values, rows = np.full((2, 4, 5), 720.0), {}
+    values = np.full((2, 4, 5), 720.0)
+    rows = {}
     values[0].flat[:9] = np.nan, np.inf, 1e9, 100.0, 0.0, -5.0, -np.inf, 140.0, 200.0
     sigma = np.full((4, 5), 2.0)
     sigma[3, 1:3] = np.nan, np.inf
@@ -308,7 +324,8 @@ def changed_row() -> dict[str, Any]:
     """Cells that moved, found from their changes and a precision."""
     rng = np.random.default_rng(7)
     root = rng.standard_normal((20, 20))
-    precision, change = 30 * (root @ root.T / 20 + np.eye(20)), 0.1 * rng.standard_normal(20)
+    precision = 30 * (root @ root.T / 20 + np.eye(20))
+    change = 0.1 * rng.standard_normal(20)
     change[[3, 4, 9]] -= 1.5
     moved = np.abs(change) > 1
     return {
@@ -420,7 +437,8 @@ def verdict_row(name: str) -> dict[str, Any]:
     verdict, frame = verdict_of(name)
     # others end where rounding decides
     fits = [fit for fit in verdict.fits if fit.evidence > verdict.best.evidence - 100]
-    best, pressures = verdict.best, np.r_[-1e4, np.linspace(-12.0, 60.0, 40), 500.0].reshape(6, 7)
+    best = verdict.best
+    pressures = np.r_[-1e4, np.linspace(-12.0, 60.0, 40), 500.0].reshape(6, 7)
     return {
         "under water": replace(frame, water=np.full((6, 7), 2.0)).change(pressures),
         "fits": [(fit.candidate.label, fit.evidence, fit.chi2, fit.cost, fit.volume) for fit in fits],
@@ -434,8 +452,10 @@ def verdict_row(name: str) -> dict[str, Any]:
 
 def prior_row() -> list[Any]:
     """What loads cost beforehand: further ones, and ones in one place."""
-    nothing, costs = np.zeros(0), []
-    mouth, rod = lp.OralDisc.candidate, lp.Rod.candidate
+    nothing = np.zeros(0)
+    costs = []
+    mouth = lp.OralDisc.candidate
+    rod = lp.Rod.candidate
     disc = SHAPES["oral_disc"].disc()._replace(x_mm=20.0, y_mm=20.0)
     for parts, away in product(((rod,), (mouth,), (rod, rod), (mouth, rod), (mouth, mouth)), (0.0, 20.0, 27.0, 40.0)):
         candidate = parts[0] if len(parts) == 1 else Several.of(parts)
@@ -447,9 +467,11 @@ def prior_row() -> list[Any]:
 
 def breathing_row() -> dict[str, Any]:
     """Readings that swing with suction and rim, and the belief that they make over three windows."""
-    rng, times = np.random.default_rng(1), np.arange(32) / 4
+    rng = np.random.default_rng(1)
+    times = np.arange(32) / 4
     rise = np.repeat([-2.0, 1.0], 12)
-    slopes, moves = np.where(rise < 0, -300.0, 90.0), 8 * rng.standard_normal((1, 24))
+    slopes = np.where(rise < 0, -300.0, 90.0)
+    moves = 8 * rng.standard_normal((1, 24))
     swing = 0.08 * np.outer(np.sin(2 * np.pi * 1.1 * times), slopes * (0.9 + 0.1 * rng.standard_normal(24)))
     patterns = breathing.Patterns.of(
         np.eye(24), rise, slopes[None], 0.2 * np.abs(slopes), moves, rng.standard_normal((24, 1)),
@@ -466,7 +488,8 @@ def breathing_row() -> dict[str, Any]:
     few += [parted.times, parted.part, parted.trend(), breathing.breath(parted, stepped, patterns)]
     pull = (times > 2.9) & (times < 5.1)
     few.append(breathing.breath(interval, settled + 0.5 * pull[:, None] * slopes, patterns))
-    belief, courses = [breathing.Breathing()], list[Any]()
+    belief = [breathing.Breathing()]
+    courses = list[Any]()
     for full in (False, True, True):
         belief.append(belief[-1].after(swing_breath, 8.0, full=full))
     for _ in range(12):
@@ -495,9 +518,11 @@ def breathing_row() -> dict[str, Any]:
 def patterns_row() -> list[Any]:
     """Swings of a mouth beside a rod in air and under water, in readings, and changes that the water explains."""
     (verdict, frame), rng = verdict_of("two"), np.random.default_rng(3)
-    value, sigma = frame.measured.ravel(), frame.sigma.ravel()
+    value = frame.measured.ravel()
+    sigma = frame.sigma.ravel()
     whitening = np.diag(value / sigma) + 5 * rng.standard_normal((42, 42))
-    logarithms, rows = np.log(value) + 1e-3 * rng.standard_t(2, (9, 42)), list[Any]()
+    logarithms = np.log(value) + 1e-3 * rng.standard_t(2, (9, 42))
+    rows = list[Any]()
     for depth in (0.0, 2.0):
         seen = replace(frame, water=depth + np.arange(42).reshape(6, 7) / 40)
         each = breathing.patterns_of(seen, verdict.best, whitening, Detector(6.0))
@@ -520,7 +545,8 @@ def recognised_row() -> list[Any]:
     begun, readings = watch_begun()
     resting = begun.rest.mean
     begun = replace(begun, present=True, level=replace(begun.level, since_s=3.0))
-    loaded, best = np.log(readings.value[3].ravel()), np.eye(len(verdict.fits))[int(np.argmax(verdict.shares))]
+    loaded = np.log(readings.value[3].ravel())
+    best = np.eye(len(verdict.fits))[int(np.argmax(verdict.shares))]
     look = Look(verdict, np.ones(len(begun.test.loud)), 2.5)
     states = [replace(begun, look=seen, known=known) for seen, known in product((None, look), (False, True))]
     for state, nothing, share in product(states, (1.0, 0.05, 0.04), (1.0, 0.0)):
@@ -541,7 +567,8 @@ def steps_row() -> list[Any]:
     """A watch that follows noise, a rod, a harder press that ends, and the end of the rod; and frames against it."""
     (verdict, _), rng, rows = verdict_of("rod"), np.random.default_rng(6), list[Any]()
     begun, readings = watch_begun()
-    watch, states = begun, list[Watch]()
+    watch = begun
+    states = list[Watch]()
     resting = begun.rest.mean
     rod = np.log(readings.value[3].ravel()) - resting
     shares = (0, 0, 0, 0.01, 1, 1, 1, 1, 1.6, 1.6, 1.6, 1, 1, 1, 0, 0, 0, 0, 0.3, 0.3, 0.3)
@@ -582,7 +609,9 @@ def swings_row() -> list[Any]:
     patterns = breathing.patterns_of(frame, verdict.best, begun.test.whitening, begun.panelled.detector)
     pattern = next(filter(None, patterns))
     mouth = Attachment(0.9, 0.0, (44.0, 1.0), (36.0, 1.0), patterns=pattern)
-    gone, faint, rod = (replace(mouth, until_s=4.0), replace(mouth, sucks=0.4), replace(mouth, patterns=None))
+    gone = replace(mouth, until_s=4.0)
+    faint = replace(mouth, sucks=0.4)
+    rod = replace(mouth, patterns=None)
     logarithm = np.log(frame.measured.ravel())
     suction = np.linalg.solve(begun.test.whitening, pattern.own[:, 0])
     look = Look(verdict, np.ones(len(begun.test.loud)), 0.0)
@@ -605,7 +634,8 @@ def swings_row() -> list[Any]:
 def outlying_row() -> list[Any]:
     """Outliers among readings whose errors are like those of their neighbours: one or five, of several sizes."""
     root = np.linalg.cholesky(0.95 ** np.abs(np.subtract.outer(np.arange(120), np.arange(120))))
-    noise, wrong = root @ np.random.default_rng(1).standard_normal(120), np.eye(120)[[7, 8, 50, 90, 92]]
+    noise = root @ np.random.default_rng(1).standard_normal(120)
+    wrong = np.eye(120)[[7, 8, 50, 90, 92]]
     cases = product((1.0, 1.5, 3.0, 60.0), (wrong[0], wrong[:2].sum(axis=0), wrong.T @ [1.0, -1.0, 3.0, 2.0, 2.0]))
     return [observation.outliers(observation.Whitening(root), noise + size * each) for size, each in cases]
 
@@ -652,7 +682,8 @@ def opened_row() -> list[Any]:
     watch = replace(watch, modules=parts)
     begun = watch._begun(whole, sigma)
     numbers = np.arange(36.0)
-    rest, level = replace(begun.rest, mean=numbers), replace(begun.level, mean=numbers + 40)
+    rest = replace(begun.rest, mean=numbers)
+    level = replace(begun.level, mean=numbers + 40)
     left = replace(begun, rest=rest, level=level, recent=(numbers + 80, numbers + 120), history="it left at 6.0 s")
     opened = replace(watch, opened=((whole, left, 20.0), (corner, left, 21.0)))
     rows: list[Any] = [state_of(begun), begun.test.loud, whole.numbers, corner.numbers]
@@ -663,7 +694,8 @@ def image_row() -> list[Any]:
     """A panel of modules, one of them dead: a load over a seam comes, leaves, and another one comes to its place."""
     layout = Modules(1, 4, EachModule(4, 4), seam_mm=4.0)
     resting = np.repeat([3000.0, 2000.0, 1500.0, 2500.0], 4) * np.ones((4, 1))
-    loaded, small = resting.copy(), resting.copy()
+    loaded = resting.copy()
+    small = resting.copy()
     loaded[1:3, 2:6], small[1:3, 5:7] = 700.0, 800.0
     images = [image_of(layout, cells) for cells in (resting, loaded, small)]
     watch, sigma = watch_over(layout, resting, 3)
@@ -680,7 +712,8 @@ def image_row() -> list[Any]:
 
 def windows_row() -> Any:
     """Windows about places of a panel of modules, and loads that two of them see, or that left before."""
-    scene, rng = lp.Scene(lp.Panel(modules=Modules(2, 3, EachModule(6, 7), 4.0)), TWO, 140.0), np.random.default_rng(9)
+    scene = lp.Scene(lp.Panel(modules=Modules(2, 3, EachModule(6, 7), 4.0)), TWO, 140.0)
+    rng = np.random.default_rng(9)
     places = ((69.0, 100.0), (143.0, 100.0), (140.0, 60.0), (-5.0, 400.0), (80.0, 45.0), (27.0, 57.0))
     windows = [Window.about(scene, np.array(place)) for place in places]
 
@@ -698,7 +731,8 @@ def windows_row() -> Any:
 
     cases = [ImageWatch(None, {}, tuple(map(opened, windows[:2])), loads(windows[3], 4)) for _ in range(12)]  # type: ignore[arg-type]
     numbers = [[window.numbers, window.x_mm, window.y_mm, window.middle, str(window.cells)] for window in windows]
-    circuit, cells = windows[2].scene.circuit, cells_of((12, 14))
+    circuit = windows[2].scene.circuit
+    cells = cells_of((12, 14))
     network = circuit.network(cells, circuit.ties(cells), None)
     offsets = observation.ModelErrors().offsets(cells, windows[2].scene)
     return {
@@ -716,7 +750,8 @@ def answers_row() -> dict[str, Any]:
     )  # fmt: skip
     breath = breathing.Breathing(6.0, hertz=(1.1, 0.05), depth=(0.08, 0.01))
     mouth = replace(seen, sucks_s=8.0, moved_s=(12.0,), breath=breath)
-    rod, gone = replace(seen, sucks=0.0, suctions=()), replace(mouth, since_s=5.0, until_s=30.0)
+    rod = replace(seen, sucks=0.0, suctions=())
+    gone = replace(mouth, since_s=5.0, until_s=30.0)
     still = Pumping.begin(np.ones(1), np.zeros(1), 0.0, 0)
     pumping = replace(still, logarithm=still.logarithm + np.array([0, 0, 6.0]).reshape(3, 1, 1, 1, 1))
     contacts = [replace(rod, diameter_mm=None, x_mm=(float(x), 1.0)) for x in range(8)]
@@ -737,7 +772,8 @@ def answers_row() -> dict[str, Any]:
 
 def attachments_row() -> Any:
     """Loads of one recognition after another, which stay, leave, come or fade, alone and many drawn at random."""
-    rng, courses = np.random.default_rng(5), []
+    rng = np.random.default_rng(5)
+    courses = []
     for _ in range(20):
         present: tuple[Attachment, ...] = ()
         for time, again in ((1.0, False), (4.0, False), (4.0, True), (6.0, False)):

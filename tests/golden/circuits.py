@@ -28,9 +28,12 @@ from lampest.recording.readings import Readings
 
 Thunk = Callable[[], Any]
 Rows = dict[str, Thunk]
-PANEL, LISTED = lp.Panel(4, 5), lp.Panel(
-    4, 5, cells=tuple((j, k, 9.0 * k + j, 11.0 * j) for j, k in np.ndindex(4, 5) if j + k),
-)  # fmt: skip
+PANEL = lp.Panel(4, 5)
+LISTED = lp.Panel(
+    4,
+    5,
+    cells=tuple((j, k, 9.0 * k + j, 11.0 * j) for j, k in np.ndindex(4, 5) if j + k),
+)
 PER_LINE = lp.SeriesPerLine(rows=(60.0, 70.0, 80.0, 90.0), columns=65.0)
 CONTACTS = lp.Contacts.of(np.linspace(10, 90, 9), np.linspace(5, 25, 9), 4)
 MODULES = lp.Panel(modules=Modules(1, 2, EachModule(3, 4), seam_mm=4.0))
@@ -87,9 +90,11 @@ def network_of(scene: lp.Scene) -> Any:
 
 
 def network_row(scene: lp.Scene) -> dict[str, Any]:
-    network, rng = network_of(scene), np.random.default_rng(1)
+    network = network_of(scene)
+    rng = np.random.default_rng(1)
     step, weights = rng.standard_normal((2, *scene.panel.shape))
-    second, few = network.second_order(weights), np.array([1, 6, 7])
+    second = network.second_order(weights)
+    few = np.array([1, 6, 7])
     row = {
         "reading": network.reading(), "forward": network.forward(step), "adjoint": network.adjoint(weights),
         "sensitivity": network.sensitivity(), "own": network.own_response(), "condition": network.condition(),
@@ -116,11 +121,14 @@ def by_lines(parts: NormalByLines) -> dict[str, Any]:
 
 
 def readout_row(scene: lp.Scene) -> dict[str, Any]:
-    circuit, network = scene.circuit, network_of(scene)
+    circuit = scene.circuit
+    network = network_of(scene)
     reading = network.reading()
     recorded = circuit.to_recorded(reading, scene)
     readings = Readings.of(scene, recorded)
-    value, sigma, chosen = reading, np.abs(readings.sigma), np.indices(reading.shape).sum(axis=0) % 3 > 0
+    value = reading
+    sigma = np.abs(readings.sigma)
+    chosen = np.indices(reading.shape).sum(axis=0) % 3 > 0
     cells = np.where(np.isfinite(network.cell_resistance), network.cell_resistance, 1e7)
     volt = circuit.volt_from_recorded(recorded)
     rng = np.random.default_rng(2)
@@ -171,10 +179,16 @@ def scene_row(scene: lp.Scene) -> dict[str, Any]:
 def errors_row(scene: lp.Scene) -> dict[str, Any]:
     scene = scene if scene.systematic or scene.readout is None else replace(scene, systematic="typical")
     network = network_of(scene)
-    reading, sizes = network.reading(), systematic.systematic_of(scene)
-    shared, every = systematic.Shared.of(scene), replace(
-        sizes, series_tolerance_ohm=9.0, inl_lsb=0.5, wire_ohm_per_cell=0.2, reading_error=0.02,
-    )  # fmt: skip
+    reading = network.reading()
+    sizes = systematic.systematic_of(scene)
+    shared = systematic.Shared.of(scene)
+    every = replace(
+        sizes,
+        series_tolerance_ohm=9.0,
+        inl_lsb=0.5,
+        wire_ohm_per_cell=0.2,
+        reading_error=0.02,
+    )
     known = [None, *(systematic.Shared(replace(sizes, reading_error=size), scene) for size in (None, 0.01, 0.05))]
     return {
         "usual": sizes,
@@ -200,8 +214,10 @@ def errors_row(scene: lp.Scene) -> dict[str, Any]:
 
 def stencil_row() -> list[lp.Array]:
     """The inverse over some free cells, and over all, of a network's crosstalk by lines."""
-    cells, rng = cells_of(PANEL.shape), np.random.default_rng(2)
-    readings, values = lp.two_point_resistance(cells), rng.standard_normal(PANEL.shape)
+    cells = cells_of(PANEL.shape)
+    rng = np.random.default_rng(2)
+    readings = lp.two_point_resistance(cells)
+    values = rng.standard_normal(PANEL.shape)
     return [Stencil.of(1 / cells, readings, rng.random(PANEL.shape) < share).solve(values) for share in (0.7, 1.1)]
 
 
@@ -272,17 +288,18 @@ def response_row(response: Any) -> dict[str, Any]:
 
 
 def film_row() -> dict[str, Any]:
-    scene, times, zero = LOADED["film"], np.arange(1.0, 7), np.zeros((2, 3))
+    scene = LOADED["film"]
+    times = np.arange(1.0, 7)
+    zero = np.zeros((2, 3))
     pressure = np.array([0.0, 20, 8, -5, 12, 0])[:, None, None] + np.arange(6).reshape(2, 3) / 5
-    states, answers = (
-        [FilmMemory.at_rest(zero + 0.24, zero + 0.05, zero + 0.9, water_pressure(scene.panel, scene.water))],
-        [],
-    )
+    states = [FilmMemory.at_rest(zero + 0.24, zero + 0.05, zero + 0.9, water_pressure(scene.panel, scene.water))]
+    answers = []
     for part in pressure:
         memory, answer = states[-1].answered(part, 30.0)
         states.append(memory)
         answers.append(answer)
-    last, known = states[-1], FilmKnown.specified(lp.Film(creep_per_decade="auto", hysteresis=0.2, deviation=0.1))
+    last = states[-1]
+    known = FilmKnown.specified(lp.Film(creep_per_decade="auto", hysteresis=0.2, deviation=0.1))
     change = np.stack(answers)
     estimated = known.estimated(change, np.full(change.shape, 0.01), 40.0 * times)
     failed = np.where(np.isin(times, (1, 4))[:, None, None], np.nan, change)
@@ -309,7 +326,8 @@ def pressure_row(scene: lp.Scene, tare: lp.Tare | None = None, failed: tuple[int
     ]  # fmt: skip
     ratio = np.exp(-0.1 * kpa + 0.002 * np.random.default_rng(3).standard_normal(kpa.shape))
     ratio[list(failed)] = np.nan
-    time, known = 20.0 * np.arange(frames), None if scene.film is None else FilmKnown.specified(scene.film)
+    time = 20.0 * np.arange(frames)
+    known = None if scene.film is None else FilmKnown.specified(scene.film)
     load = pressure_of(ratio, 0.9 * ratio, 1.2 * ratio, scene, time, known, tare, np.full(ratio.shape, 0.03))
     forces = [
         total_force(
@@ -329,10 +347,12 @@ def pressure_row(scene: lp.Scene, tare: lp.Tare | None = None, failed: tuple[int
 
 def tare_row() -> list[Any]:
     """When zero is taken anew, and by what, for deviations and memories of several sizes that grow; a frame fails."""
-    rng, rows = np.random.default_rng(2), list[Any]()
+    rng = np.random.default_rng(2)
+    rows = list[Any]()
     for size, kept in product((0.0, 0.003, 0.02, 0.07, 0.1), (0.0, 0.1, 0.5)):
         uneven = np.ones((4, 5)) if kept else (-1.0) ** np.indices((4, 5)).sum(axis=0)
-        zero, memory = size * uneven * (1 + 0.4 * rng.standard_normal((4, 5))), kept * rng.uniform(size=(4, 5))
+        zero = size * uneven * (1 + 0.4 * rng.standard_normal((4, 5)))
+        memory = kept * rng.uniform(size=(4, 5))
         watch = TareWatch(lp.Tare(frames=6))
         for number in range(40):
             left = zero * (1 + number / 8) + 0.002 * rng.standard_normal((4, 5)) + 0.2 * (number == 13)
@@ -350,7 +370,8 @@ def shape_row(load: lp.Shape) -> dict[str, Any]:
 
 
 def candidate_row(candidate: Candidate) -> dict[str, Any]:
-    mean, disc = candidate.mean(PANEL), SHAPES["oral_disc"].disc()
+    mean = candidate.mean(PANEL)
+    disc = SHAPES["oral_disc"].disc()
     start = candidate.start(disc)
     start = start if len(start) == len(mean) else mean
     row = {
@@ -368,7 +389,8 @@ def candidate_row(candidate: Candidate) -> dict[str, Any]:
 
 def of_loads() -> Rows:
     search = candidates.DiscSearch.over(PANEL, 6.0, lp.OralDisc.candidate.templates + lp.Rod.candidate.templates)
-    normal, pull = np.diag(np.linspace(50, 90, 20)), np.linspace(-9, 40, 20)
+    normal = np.diag(np.linspace(50, 90, 20))
+    pull = np.linspace(-9, 40, 20)
     faulty = [np.where(np.arange(20) == 7, far, np.tile((0.0, 0.2, -0.2, 0.1), 5)).reshape(4, 5) for far in (-40, 40)]
     assert {kind.kind for kind in shape_types()} == SHAPES.keys()
     return (

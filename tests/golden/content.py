@@ -9,8 +9,13 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-DIGITS, LONG, CHOSEN = 9, 40, 16  # significant digits; numbers of an array that is stored whole, and of a longer one
-RELATIVE, ABSOLUTE = 1e-6, 1e-7  # of a number, and of the largest of its array
+# significant digits; numbers of an array that is stored whole, and of a longer one
+DIGITS = 9
+LONG = 40
+CHOSEN = 16
+# of a number, and of the largest of its array
+RELATIVE = 1e-6
+ABSOLUTE = 1e-7
 MARGIN = 100.0  # factor on the differences between processors, as others differ from these
 
 
@@ -81,7 +86,8 @@ def difference(stored: Any, computed: Any, tolerances: Tolerances, place: str = 
         if shortened(stored) == shortened(computed):
             return ""
         return f"{place}: {stored!r} was stored, {computed!r} is computed"
-    before, now = np.atleast_1d(np.array(stored, dtype=float)), np.atleast_1d(np.array(computed, dtype=float))
+    before = np.atleast_1d(np.array(stored, dtype=float))
+    now = np.atleast_1d(np.array(computed, dtype=float))
     far = ~np.isclose(
         now, before, rtol=RELATIVE, atol=(tolerances.get(anywhere) or ABSOLUTE) * largest(before), equal_nan=True
     )
@@ -115,7 +121,8 @@ def unsteady(stored: Any, computed: Any, place: str = "") -> Iterator[tuple[str,
     if not lists and not is_numbers([stored, computed]):
         yield place, None
         return
-    before, now = np.atleast_1d(np.array(stored, dtype=float)), np.atleast_1d(np.array(computed, dtype=float))
+    before = np.atleast_1d(np.array(stored, dtype=float))
+    now = np.atleast_1d(np.array(computed, dtype=float))
     share = MARGIN * largest(now - before) / max(largest(before), np.finfo(float).tiny)
     same = np.array_equal(np.isfinite(before), np.isfinite(now))
     yield place, 10.0 ** np.ceil(np.log10(share)) if same and share < 0.1 else None

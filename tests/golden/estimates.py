@@ -313,8 +313,10 @@ def on_resistors(
     scene: lp.Scene, printed: lp.Array, more: float = 0.0, spread: float = 9.0, **true: Any
 ) -> lp.Recording:
     """Six frames of known resistors, infinite where there is none, with other channels and these other parts."""
-    made, memory = replace(scene, **true), true.get("converter_memory")
-    rows, columns = np.linspace(-spread, spread, 4) + more, np.linspace(-4, 8, 5) + more
+    made = replace(scene, **true)
+    memory = true.get("converter_memory")
+    rows = np.linspace(-spread, spread, 4) + more
+    columns = np.linspace(-4, 8, 5) + more
     if scene.circuit.unit == "volt" and "readout" not in true:
         made = replace(made, readout=replace(made.circuit, drive_ohm=90.0))
     volt = made.circuit.simulated(np.repeat(np.minimum(printed, OPEN_OHM)[None], 6, axis=0), made, rows, columns)
@@ -344,15 +346,20 @@ def moved_resistors_row() -> dict[str, Any]:
 
 def refused_resistors_row() -> list[str]:
     """Why recordings are no calibration: other resistors, none, equal ones, one, drift, hum; and some that are one."""
-    scene, known, noisy = scenes()["LoadedColumnsReadout"], np.full(PANEL.shape, np.inf), scenes()["noisy"]
+    scene = scenes()["LoadedColumnsReadout"]
+    known = np.full(PANEL.shape, np.inf)
+    noisy = scenes()["noisy"]
     known[0, :3] = 1000.0, 3300.0, 9000.0
-    single, equal = np.where(known == 1000, known, np.inf), np.where(known < 9e9, 2e3, known)
-    recording, foam = on_resistors(scene, known), on_resistors(scene, 3000 + 9 * np.arange(20.0).reshape(4, 5))
+    single = np.where(known == 1000, known, np.inf)
+    equal = np.where(known < 9e9, 2e3, known)
+    recording = on_resistors(scene, known)
+    foam = on_resistors(scene, 3000 + 9 * np.arange(20.0).reshape(4, 5))
     volt = np.repeat(recording.recorded, 3, axis=0) * np.linspace(1, 1.1, 18)[:, None, None]
     drift = lp.Recording(scene, volt, np.arange(18.0), np.zeros(18, dtype=np.uint8))
     spikes, wild = (drift.recorded[:1] * np.ones((18, 1, 1)) for _ in range(2))
     spikes[3, 0, 1], spikes[9, 0, 2], wild[::2, 0, 1] = 0.1, 4.9, 0.3
-    expected, wired = replace(noisy, series_resistance_ohm=800.0), replace(noisy, lines=lp.Lines())
+    expected = replace(noisy, series_resistance_ohm=800.0)
+    wired = replace(noisy, lines=lp.Lines())
     larger = on_resistors(noisy, known, 400.0)
     cases = [
         (recording, known[:, ::-1]), (recording, np.full(PANEL.shape, np.nan)),
@@ -386,11 +393,9 @@ def repeats_row() -> list[Any]:
 
 def stored_noise_row() -> list[Any]:
     """Noise that readings share, from what a results file holds of it; or why not."""
-    scene, held, rows = (
-        lp.Scene(PANEL, lp.TwoPointReadout(noise_lsb=0.7)),
-        {"gain": np.array(0.01), "unloaded": np.array(4), "apart": np.ones((5, 2))},
-        list[Any](),
-    )
+    scene = lp.Scene(PANEL, lp.TwoPointReadout(noise_lsb=0.7))
+    held = {"gain": np.array(0.01), "unloaded": np.array(4), "apart": np.ones((5, 2))}
+    rows = list[Any]()
     changes: list[dict[str, Any]] = [
         {},
         {"gain": -1.0},
@@ -410,10 +415,12 @@ def stored_noise_row() -> list[Any]:
 
 def frame_noise_row() -> list[Any]:
     """What frames share by chance, of readings near the ends of the converter's range too."""
-    rng, rows = np.random.default_rng(2), list[Any]()
+    rng = np.random.default_rng(2)
+    rows = list[Any]()
     volt = np.r_[0.002, 0.03, np.linspace(0.2, 4.8, 16), 4.97, 4.998].reshape(4, 5)
     for scene, channels in ((scenes()["noisy"], 5), (scenes()["floating"], 4)):
-        ripple, errors = 0.02 * rng.standard_normal((2, channels, 2)), 0.01 * rng.standard_normal((2, 3, 4, 5))
+        ripple = 0.02 * rng.standard_normal((2, channels, 2))
+        errors = 0.01 * rng.standard_normal((2, 3, 4, 5))
         measured = scene.circuit.from_recorded(scene.circuit.recorded_from_volt(np.stack([volt, volt[::-1]])), scene)
         for held, baseline in product((None, errors), (True, False)):
             columns = FrameNoise(scene, 4, 0.01, *ripple, held).columns(measured, baseline=baseline)
@@ -423,7 +430,9 @@ def frame_noise_row() -> list[Any]:
 
 def joint_row() -> list[Any]:
     """All frames as one problem, with errors that all share and some that each has, at three points."""
-    made, rng, rows = simulated("gain_spread", SHARED_ERRORS), np.random.default_rng(2), list[Any]()
+    made = simulated("gain_spread", SHARED_ERRORS)
+    rng = np.random.default_rng(2)
+    rows = list[Any]()
     robust = (lp.Misfit(weighting="noise", loss=lp.Student(corner=4.0)),)
     estimator = Estimator(robust, "reduced", bounds=lp.Bounds(lower=2500.0))
     data = [estimator.data(made.readings()[frame].alone(), Background(made.scene)) for frame in range(3, 7)]
@@ -446,9 +455,13 @@ def joint_row() -> list[Any]:
 
 def batches_row() -> dict[str, Any]:
     """Which frames of streams are solved together, by estimator and by readings that are missing, and their cells."""
-    misfit, penalty, made, rows = lp.Misfit(weighting="noise"), lp.LogGradient(weight=3.0), simulated(), {}
+    misfit = lp.Misfit(weighting="noise")
+    penalty = lp.LogGradient(weight=3.0)
+    made = simulated()
+    rows = {}
     bare = partial(Estimator, (misfit, penalty), "reduced", error_bars=False)
-    frame, change = lp.AutoWeight(per="frame"), (misfit, lp.LogRatio(weight=0.3))
+    frame = lp.AutoWeight(per="frame")
+    change = (misfit, lp.LogRatio(weight=0.3))
     cases = {
         "bars": Estimator((misfit, penalty), "auto"), "bare": bare(),
         "limited": bare(solver=Settings(time_limit_s=60.0)),
@@ -461,7 +474,8 @@ def batches_row() -> dict[str, Any]:
     }  # fmt: skip
     for name, estimator in cases.items():
         stream = Stream.begin(estimator, made.scene, 1.0, made.readings()[:4].mean())
-        recorded, inverses = made.recorded[4:7].copy(), InverseHessians.nothing(3, 20)
+        recorded = made.recorded[4:7].copy()
+        inverses = InverseHessians.nothing(3, 20)
         recorded[0, 1, 2] = np.nan if name in ("bars", "bare") else recorded[0, 1, 2]
         pairs = push_streams([stream, None, stream], lp.Readings.of(made.scene, recorded), inverses)
         steps = [step and step.cell_resistance for _, step in pairs]
@@ -471,7 +485,8 @@ def batches_row() -> dict[str, Any]:
 
 def modules_row() -> list[Any]:
     """Weights that modules choose together while a load comes; one has another converter, and one is dead."""
-    layout, rng = Modules(1, 5, EachModule(3, 4), seam_mm=4.0), np.random.default_rng(3)
+    layout = Modules(1, 5, EachModule(3, 4), seam_mm=4.0)
+    rng = np.random.default_rng(3)
     own = (OwnOfModule((0, 1), readout=lp.TwoPointReadout(noise_lsb=0.7, adc_bits=14)),)
     scene = lp.Scene(
         lp.Panel(modules=layout), lp.TwoPointReadout(noise_lsb=0.7), 140.0, modules=own,
@@ -480,7 +495,8 @@ def modules_row() -> list[Any]:
     cells = 3000 * np.exp(0.1 * rng.standard_normal((5, *layout.shape)))
     cells[2:, 1, 1:9] *= np.array([0.9, 0.4, 0.2])[:, None]
     exact = np.stack([layout.joined(lp.two_point_resistance(layout.split(frame))) for frame in cells])
-    readings, rows = lp.Readings.of(scene, exact + 140 + rng.standard_normal(exact.shape)), list[Any]()
+    readings = lp.Readings.of(scene, exact + 140 + rng.standard_normal(exact.shape))
+    rows = list[Any]()
     for terms in ((lp.Misfit(), AUTO), (lp.Misfit(weighting="noise"), lp.LogRatio(weight="auto"))):
         estimator = Estimator(terms, "reduced", error_bars=False)
         stream = begin_stream(estimator, scene, 0.1, readings[:2].mean())
@@ -488,7 +504,8 @@ def modules_row() -> list[Any]:
             stream, step = stream.push(readings[number])
             parts = [part and (part.weights, part.weight_sigma, part.weighed_at) for part in stream.modules]
             rows.append([step.cell_resistance, parts])
-        fresh, kept = begin_stream(estimator, scene, 0.1, readings[:2].mean()), CarriedOver.of(stream)
+        fresh = begin_stream(estimator, scene, 0.1, readings[:2].mean())
+        kept = CarriedOver.of(stream)
         rows += [kept.arrays, *(each.push(readings[3])[1].cell_resistance for each in (kept.onto(fresh), stream))]
         rows.append(stream.tared(readings[4]).push(readings[3])[1].cell_resistance)
     return rows

@@ -156,7 +156,8 @@ def brief(result: Any) -> Any:
 
 def units_row() -> dict[str, Any]:
     """Codes of a converter in every unit, with few digits and with many, and what an import takes them for."""
-    known, rows = SEVERAL.reshape(-1, 2, 3), {}
+    known = SEVERAL.reshape(-1, 2, 3)
+    rows = {}
     for name, readout in {
         "ohm": lp.TwoPointReadout(readings=2), "sensor": lp.TwoPointReadout(measured_across="sensor", readings=1),
         "volt": lp.LoadedColumnsReadout(readings=1), "fine": lp.TwoPointReadout(adc_bits=12, readings=64),
@@ -181,7 +182,9 @@ def units_row() -> dict[str, Any]:
 
 def arrays_row() -> dict[str, Any]:
     """Arrays of NumPy and MATLAB in every order of axes, and sheets."""
-    flat, stacked, times = VALUES.reshape(4, 6), VALUES.transpose(1, 2, 0), np.arange(4) / 4
+    flat = VALUES.reshape(4, 6)
+    stacked = VALUES.transpose(1, 2, 0)
+    times = np.arange(4) / 4
     holds: dict[str, dict[str, Any]] = {
         "frames": {"R": VALUES}, "flat": {"R": flat}, "stacked": {"R": stacked}, "one": {"R": VALUES[0]},
         "times": {"R": VALUES, "t": times, "n": np.arange(3)}, "two": {"a": VALUES, "b": VALUES}, "none": {
@@ -276,7 +279,8 @@ def ranges_row(owner: Any) -> dict[str, Any]:
     rows = {}
     for field in fields(owner):
         if field.init:
-            signs, reasons = "", list[str]()
+            signs = ""
+            reasons = list[str]()
             for value in PROBES:
                 number = int(value) if np.isfinite(value) and value == round(value) else value
                 given = getattr(owner, field.name)

@@ -66,7 +66,8 @@ def constants() -> dict[str, dict[str, list[str]]]:
     """
     table: dict[str, dict[str, list[str]]] = {}
     for entry in pkgutil.walk_packages(lampest.__path__, "lampest."):
-        module, room = importlib.import_module(entry.name), table.setdefault(entry.name.split(".")[1], {})
+        module = importlib.import_module(entry.name)
+        room = table.setdefault(entry.name.split(".")[1], {})
         own = [value for value in vars(module).values() if getattr(value, "__module__", "") == entry.name]
         named = {name: value for name, value in vars(module).items() if name.isupper() and name != "TYPE_CHECKING"}
         for kind in (value for value in own if isinstance(value, type)):

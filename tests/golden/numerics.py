@@ -30,6 +30,7 @@ from lampest.panel.trust_region import steihaug
 from lampest.posterior import certainty, covariance, interval, spectrum
 from lampest.posterior.chain import Chain
 from lampest.posterior.linear import LinearModel
+from lampest.posterior.memory import DenseMemory, SampledMemory
 from lampest.posterior.reference import references
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
@@ -57,7 +58,8 @@ def example(frames: int) -> tuple[problem.Data, lp.Array]:
     truth = cells_of((frames, *PANEL.shape))
     measured = lp.two_point_resistance(truth) * np.exp(0.05 * rng.standard_normal(truth.shape))
     sigma = 10.0 * np.exp(0.3 * rng.standard_normal(truth.shape))
-    side, seen = np.zeros(truth.shape), np.ones(truth.shape)
+    side = np.zeros(truth.shape)
+    seen = np.ones(truth.shape)
     side[:, 0, 0], side[:, 3, 4], seen[:, 1, 2] = 1.0, -1.0, 0.0
     known = {name: cells_of(PANEL.shape, seed) for name, seed in (("previous", 3), ("baseline", 4))}
     known["previous_deviation"] = 0.1 * np.exp(0.3 * rng.standard_normal(PANEL.shape))
@@ -76,7 +78,8 @@ def term_row(term: type[lp.Term], words: dict[str, str], loss: lp.Loss) -> list[
         at = problem.Evaluation.at(cost, data, cells)
         dual = np.tanh(at.nonsmooth / 50)
         smoothing = Smoothing(50.0, dual)
-        hessian, step = Hessian(at, smoothing), np.random.default_rng(5).standard_normal(cells.size)
+        hessian = Hessian(at, smoothing)
+        step = np.random.default_rng(5).standard_normal(cells.size)
         rows.append(
             {
                 "costs": at.costs, "scale": at.cost_scale, "gradient": at.log_gradient(dual),
@@ -149,7 +152,8 @@ def own_terms_row() -> dict[str, Any]:
 
 def formulation_row(name: str) -> list[Any]:
     """Unknown voltages of a solved network by name, without and with wire."""
-    form, rows = EXCITATIONS[name], list[Any]()
+    form = EXCITATIONS[name]
+    rows = list[Any]()
     for readout in (lp.TwoPointReadout(), lp.GroundedReadout(), lp.LoadedColumnsReadout(driven="columns")):
         for shape in ((4, 5), (5, 3), (1, 4)):
             cells = cells_of((5, 5))[: shape[0], : shape[1]]
@@ -210,13 +214,16 @@ TINY = {
 @cache
 def point(cost: str, circuit: str = "whole", frames: int = 1, decades: float = 0.0) -> problem.Evaluation:
     """The cost near the cells that made noisy readings, some of them bounds."""
-    scene, terms, rng = TINY[circuit], COSTS[cost], np.random.default_rng(11)
+    scene = TINY[circuit]
+    terms = COSTS[cost]
+    rng = np.random.default_rng(11)
     cells = cells_of((frames, *PANEL.shape)) * 10 ** (decades * rng.uniform(-0.5, 0.5, PANEL.shape))
     recorded = scene.circuit.to_recorded(scene.circuit.exact_reading(cells), scene)
     recorded = recorded * (1 + 0.004 * rng.standard_normal(cells.shape))
     if cost == "penalty":
         recorded[:, 1, 3] = np.nan
-    readings, estimator = Readings.of(scene, recorded), Estimator(terms, "reduced")
+    readings = Readings.of(scene, recorded)
+    estimator = Estimator(terms, "reduced")
     before = {"previous": cells_of(PANEL.shape, 3), "baseline": cells_of(PANEL.shape, 4)} if frames == 1 else {}
     data = estimator.data(readings, Background(scene, **before))
     return multistart.evaluated(
@@ -240,7 +247,10 @@ def solver_row(cost: str, circuit: str, solver: str) -> dict[str, Any]:
 
 def begun_row(cost: str, circuit: str, form: str) -> list[Any]:
     """What IPOPT is given, and what becomes of some results of it."""
-    at, scene, given, rng = point(cost, circuit), TINY[circuit], dict[str, Any](), np.random.default_rng(4)
+    at = point(cost, circuit)
+    scene = TINY[circuit]
+    given = dict[str, Any]()
+    rng = np.random.default_rng(4)
 
     def minimise(interface: Interface, instance: Any, warm: Any = None) -> ProgramResult:
         given.update(
@@ -261,8 +271,10 @@ def begun_row(cost: str, circuit: str, form: str) -> list[Any]:
 
 def limits_row() -> list[lp.Array]:
     """Cells that multipliers of bounds move: on a bound, near it, within, and between equal bounds."""
-    low, high = np.array([1.0, 1, 1, 1, 2, 2, 0, 1]), np.array([5.0, 5, 5, 5, 8, 8, 50, 1])
-    at, pull = np.array([1.0, 1 + 1e-8, 5, 4.9, 3, 7.5, 1e-3, 1]), np.array([-2.0, 3, 4, -5, 6, -7, 8, 9])
+    low = np.array([1.0, 1, 1, 1, 2, 2, 0, 1])
+    high = np.array([5.0, 5, 5, 5, 8, 8, 50, 1])
+    at = np.array([1.0, 1 + 1e-8, 5, 4.9, 3, 7.5, 1e-3, 1])
+    pull = np.array([-2.0, 3, 4, -5, 6, -7, 8, 9])
     return [on_bounds(at, size * pull, low, high) for size in (-1, 1, 40)]
 
 
@@ -311,7 +323,9 @@ def steps_row() -> dict[str, Any]:
 
 def batch_row() -> dict[str, Any]:
     """Panels that are solved together, some of them at bounds, after few steps and at the end."""
-    rows, numbers, scene = dict[str, Any](), np.array([0, 1, 3, 4, 6]), TINY["whole"]
+    rows = dict[str, Any]()
+    numbers = np.array([0, 1, 3, 4, 6])
+    scene = TINY["whole"]
     cells = cells_of((5, *PANEL.shape), 5, 0.3)
     for cost, steps in (("plain", 6), ("penalty", 2), ("penalty", 99), ("student", 6), ("student", 99)):
         rng = np.random.default_rng(6)
@@ -336,8 +350,10 @@ def batch_row() -> dict[str, Any]:
 
 def minima_row() -> dict[str, Any]:
     """The lowest of several minima and its starts, with an estimate of an earlier frame and without."""
-    begin, rows = point("student", decades=2.0), dict[str, Any]()
-    readings, steps = lp.Misfit(loss=lp.Student(corner=1.0)), lp.LogGradient(weight=3e4, loss=lp.Student(corner=0.05))
+    begin = point("student", decades=2.0)
+    rows = dict[str, Any]()
+    readings = lp.Misfit(loss=lp.Student(corner=1.0))
+    steps = lp.LogGradient(weight=3e4, loss=lp.Student(corner=0.05))
     for name, terms in {"readings": (readings, lp.LogGradient(weight=2.0)), "steps": (lp.Misfit(), steps)}.items():
         for number, previous in product((None, 3), (None, begin.cell_resistance)):
             solver = ProjectedNewton(Cost(PANEL, terms), Settings(starts=number))
@@ -350,7 +366,8 @@ def minima_row() -> dict[str, Any]:
 
 def verdicts_row() -> dict[str, Any]:
     """What a check makes of outcomes of every status, at the start, an optimum, worse points and no numbers."""
-    plain, blind = point("plain"), point("penalty")
+    plain = point("plain")
+    blind = point("penalty")
     heavy = Cost(PANEL, (lp.Misfit(), lp.Gradient(weight=1e12)))
     starts = {
         "plain": plain, "absolute": point("absolute"),
@@ -369,7 +386,8 @@ def verdicts_row() -> dict[str, Any]:
 
 def search_row() -> dict[str, Any]:
     """Steps within a radius, and the loop of Levenberg and Marquardt."""
-    matrix, slope = np.diag(np.r_[-1.0, np.linspace(0.5, 9, 7)]), np.linspace(1, 2, 8)
+    matrix = np.diag(np.r_[-1.0, np.linspace(0.5, 9, 7)])
+    slope = np.linspace(1, 2, 8)
     solved = [steihaug(lambda p: matrix @ p, lambda p: p / 2, slope, 1e-3, radius) for radius in (0.5, 30.0, np.inf)]
     times = np.linspace(0, 2, 9)
 
@@ -387,7 +405,9 @@ def search_row() -> dict[str, Any]:
 
     loop = least_squares.LevenbergMarquardt(60, 1e-16, longest=0.5)
     position, squares = loop.minimum(decay, np.array([1.0, 0.5]), (0.0, 1.4))
-    few, far, tried = replace(loop, evaluations=7, longest=np.array([0.1, 0.4, 1.0])), np.array([-1.2, 1, 7.0]), []
+    few = replace(loop, evaluations=7, longest=np.array([0.1, 0.4, 1.0]))
+    far = np.array([-1.2, 1, 7.0])
+    tried = []
     few.minimum(valley, far)
     ends = [each.minimum(valley, far)[0] for each in (loop, replace(loop, damping=0.0), replace(loop, longest=9.0))]
     _, ended = loop.minimum(valley, far, ended=lambda at, count: at.cost < 1 or count > 30)
@@ -423,18 +443,20 @@ def of_solvers() -> Rows:
 
 def model_row(cost: str, circuit: str, sampled: bool) -> dict[str, Any]:
     """Errors of an estimate with all their parts: those of frames before, and of readings that a frame shares."""
-    at, rng = point(cost, circuit), np.random.default_rng(3)
-    size, terms = at.cell_resistance.size, at.cost.terms
+    at = point(cost, circuit)
+    rng = np.random.default_rng(3)
+    size = at.cell_resistance.size
+    terms = at.cost.terms
     model = LinearModel(at, np.tanh(at.nonsmooth), own_error=2.0, weight_sigma=(np.nan, *[0.7] * (len(terms) - 1)))
-    root, drawn = 0.3 * rng.standard_normal((2 * size, 2 * size)), np.asarray(
-        model.through @ rng.standard_normal((size, 2))
-    )  # fmt: skip
-    before, columns = root @ root.T, rng.standard_normal((3, len(model.noise), 2))
+    root = 0.3 * rng.standard_normal((2 * size, 2 * size))
+    drawn = np.asarray(model.through @ rng.standard_normal((size, 2)))
+    before = root @ root.T
+    columns = rng.standard_normal((3, len(model.noise), 2))
     if sampled:
-        memory: Any = covariance.SampledMemory(0.1 * rng.standard_normal((2, 20, size)))
+        memory: Any = SampledMemory(0.1 * rng.standard_normal((2, 20, size)))
         errors: covariance.DenseErrors = covariance.SampledErrors(model, memory, drawn, samples=20)
     else:
-        memory = covariance.DenseMemory(before.reshape(2, size, 2, size).swapaxes(1, 2))
+        memory = DenseMemory(before.reshape(2, size, 2, size).swapaxes(1, 2))
         errors = covariance.DenseErrors(model, memory, drawn)
     known = rng.standard_normal((2, size, 2))
     later = errors.memory()
@@ -453,7 +475,8 @@ def model_row(cost: str, circuit: str, sampled: bool) -> dict[str, Any]:
 
 def weights_row(cost: str) -> dict[str, Any]:
     at = point(cost)
-    terms, data = range(1, len(at.cost.terms)), [at.data, point(cost).data]
+    terms = range(1, len(at.cost.terms))
+    data = [at.data, point(cost).data]
     scale, fits = references(data, at.cost)
     model = LinearModel(at, np.tanh(at.nonsmooth), deviation=fits[0].deviation)
     spectra = [spectrum.Spectrum.of(model, number, fits[0].covariance) for number in terms]
@@ -478,7 +501,8 @@ def pair_row() -> Any:
 
 def certainty_row() -> Any:
     """Intervals that further errors and bounds extend."""
-    wide, apart = certainty.Certainty(*np.full((6, 1, 2, 3), 0.3)), np.array([[0.4, 0.3], [0.4, -0.3], [0.1, 0.2]] * 2)
+    wide = certainty.Certainty(*np.full((6, 1, 2, 3), 0.3))
+    apart = np.array([[0.4, 0.3], [0.4, -0.3], [0.1, 0.2]] * 2)
     reaching = wide.reaching(np.array([1, 5]), np.array([0.5, 0.05]), np.array([0.02, 0.4]))
     return reaching, wide.widened(apart), wide.less(reaching, np.full(6, 0.01).reshape(1, 2, 3)), wide.by_conductance()
 
@@ -492,11 +516,9 @@ def bounded_row() -> Any:
 def chain_row() -> dict[str, Any]:
     rng = np.random.default_rng(6)
     root = rng.standard_normal((3, 4, 6))
-    own, border, corner = (
-        np.einsum("tij,tkj->tik", root, root) + 6 * np.eye(4),
-        rng.standard_normal((3, 4, 2)),
-        30 * np.eye(2),
-    )
+    own = np.einsum("tij,tkj->tik", root, root) + 6 * np.eye(4)
+    border = rng.standard_normal((3, 4, 2))
+    corner = 30 * np.eye(2)
     chain = Chain(own, np.abs(rng.standard_normal((2, 4))), border, corner)
     doubting = chain.doubting(0.4, np.ones(2)).with_border(np.diag([2.0, 5.0]))
     return {
@@ -509,7 +531,8 @@ def chain_row() -> dict[str, Any]:
 def profile_row(known: bool, cost: str = "penalty") -> Any:
     """Cells without a reading, with a penalty or without; or solved again by a readout's start."""
     at = point(cost)
-    model, missing = LinearModel(at, np.zeros(len(at.nonsmooth))), np.zeros(PANEL.shape, dtype=bool)
+    model = LinearModel(at, np.zeros(len(at.nonsmooth)))
+    missing = np.zeros(PANEL.shape, dtype=bool)
     missing[1, 3], missing[0, 0] = True, cost != "penalty"
     readings = Readings(at.data.measured[0], at.data.sigma[0], np.zeros(PANEL.shape), (~missing).astype(float))
     return beyond_tangents(
@@ -518,7 +541,8 @@ def profile_row(known: bool, cost: str = "penalty") -> Any:
 
 
 def of_posterior() -> Rows:
-    slopes, wide = np.array([0.0, 0.3, 5.0, 49.0, 51.0, 1e4]), np.array([1.3, 0.2, 5.0, 1.0, 1.0, 3.0])
+    slopes = np.array([0.0, 0.3, 5.0, 49.0, 51.0, 1e4])
+    wide = np.array([1.3, 0.2, 5.0, 1.0, 1.0, 3.0])
     cases = [(cost, "whole", sampled) for cost in list(COSTS)[1:] for sampled in (False, True)]
     return (
         {

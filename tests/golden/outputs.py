@@ -80,10 +80,12 @@ def invented() -> tuple[lp.CaseResult, ...]:
             "mouth", "second",
         ) for name in METHODS
     ]  # fmt: skip
-    rng, scene = np.random.default_rng(9), replace(cases[0].scene, response=lp.PublishedResponse())
+    rng = np.random.default_rng(9)
+    scene = replace(cases[0].scene, response=lp.PublishedResponse())
     filled = []
     for case in cases:
-        errors, own = 0.05 * case.cell_resistance, np.abs(rng.normal(0.05, 0.01, case.cell_resistance.shape))
+        errors = 0.05 * case.cell_resistance
+        own = np.abs(rng.normal(0.05, 0.01, case.cell_resistance.shape))
         kpa = np.where(case.relative_change < 0, -0.2 * case.relative_change, 0.0)
         known = {
             "sigma": 0.01 * case.measured, "sigma_baseline": 0.01 * case.measured_baseline,
@@ -121,7 +123,8 @@ def swept_cases() -> tuple[lp.CaseResult, ...]:
 
 
 def table_row() -> dict[str, Any]:
-    each, later = lp.StepFigures(0.2, 0.1, 3.0, 1.0), lp.StepFigures(0.4, 0.3, 5.0, 2.0)
+    each = lp.StepFigures(0.2, 0.1, 3.0, 1.0)
+    later = lp.StepFigures(0.4, 0.3, 5.0, 2.0)
     figures = {"all": each}, {"initial": each}, {"following": each}, {"all": each, "following": later}
     published = {"LSM": lp.PublishedFigures(all=each)}
     rows = compare.compare(lp.Results(invented(), published), "a.h5") + compare.compare(
@@ -129,7 +132,8 @@ def table_row() -> dict[str, Any]:
     )  # fmt: skip
     blocks = compare.screen_blocks(rows, published=True)
     many = [row | {"recording": f"{row['recording']}{number}"} for number in range(4) for row in rows]
-    fast, failed = np.full(3, 1e-7), invented_case("LSR-CR", shape=(3, 2, 3), failed=(0, 1, 2))
+    fast = np.full(3, 1e-7)
+    failed = invented_case("LSR-CR", shape=(3, 2, 3), failed=(0, 1, 2))
     bare = compare.compare(lp.Results((invented_case(shape=(3, 2, 3), truth=False, solve_time=fast), failed)))
     with tempfile.TemporaryDirectory() as folder:
         written = pressed.write_pressed(Path(folder, "p.csv"), pressed.pressed(lp.Results(invented()[:1]))).read_text()
@@ -185,7 +189,8 @@ def page_row() -> dict[str, Any]:
     uneven = [*cases, invented_case("A", "fourth", (2, 2, 2)), replace(cases[3], recording="copy")]
     half = np.where(np.arange(2)[:, None, None] < 1, cases[3].measured, 1.0)
     uneven += [replace(case, recording="half", measured=half) for case in cases[3:5]]
-    pairs, tiles = [page.Disagreement(f"pair {n}", np.ones((4, 4, 5)), n + 0.123) for n in range(15)], list[Any]()
+    pairs = [page.Disagreement(f"pair {n}", np.ones((4, 4, 5)), n + 0.123) for n in range(15)]
+    tiles = list[Any]()
 
     def noted(shown: Sequence[maps.Tile], *_: Any, **look: Any) -> None:
         tiles.append([[(tile.title, tile.note) for tile in shown], look])
@@ -195,7 +200,8 @@ def page_row() -> dict[str, Any]:
     alone = [invented_case("A", "r1", (2, 2, 2)), invented_case("B", "r2", (2, 2, 2))]
     batches = [cases[:3], uneven, alone]
     for faster in (0.002, 0.0075):  # errors that hardly differ, and times
-        errors, alike = {"best": (0.02, 0.008), "near": (0.0203, faster), "far": (0.0307, 0.001)}, list[lp.CaseResult]()
+        errors = {"best": (0.02, 0.008), "near": (0.0203, faster), "far": (0.0307, 0.001)}
+        alike = list[lp.CaseResult]()
         for (name, (error, time)), number in product(errors.items(), range(5)):
             case = invented_case(name, f"r{number}", (2, 2, 2), solve_time=np.full(2, time))
             alike.append(replace(case, cell_resistance=case.truth * np.exp(error + 0.001 * number)))
@@ -306,8 +312,10 @@ def scales_row() -> dict[str, Any]:
 
 def shown_views() -> tuple[View, View, View]:
     """A picture, the same with an answer, and the next picture with it."""
-    rng, panel = np.random.default_rng(2), lp.Panel(2, 3)
-    change, kpa = rng.normal(0, 30, (2, 3)), np.array([[0, 10, 30], [-5, 2, 0]]) / 1.0
+    rng = np.random.default_rng(2)
+    panel = lp.Panel(2, 3)
+    change = rng.normal(0, 30, (2, 3))
+    kpa = np.array([[0, 10, 30], [-5, 2, 0]]) / 1.0
     picture = Picture(
         7, 7.5, 50.0, change, change / 2, change > 20, Force(1.25, 0.1, 1), "fine", 0.02, 2, 1000 + change, kpa,
         (kpa > 20).astype(np.uint8), "pressing", 1,
@@ -325,7 +333,8 @@ def shown_views() -> tuple[View, View, View]:
 
 def message_row() -> dict[str, Any]:
     view = shown_views()[1]
-    message, blank = Message.of(view), View("here", "LSM", "waiting", view.panel, recording=("closing r.h5", False))
+    message = Message.of(view)
+    blank = View("here", "LSM", "waiting", view.panel, recording=("closing r.h5", False))
     return {
         "blank": json.loads(view_text(blank, 9.0)),
         "errors": [pressed.figure(1.234, sd) for sd in (0.0, 0.1, 12.0, np.nan)],
@@ -358,19 +367,25 @@ class Element:
 
 def published_row() -> dict[str, Any]:
     """Messages as each protocol sends them, and sentences on those that do not get through."""
-    views, outlets, tried, said = shown_views(), list[Any](), list[Any](), list[str]()
+    views = shown_views()
+    outlets = list[Any]()
+    tried = list[Any]()
+    said = list[str]()
     messages = [Message.of(views[number]) for number in (0, 1, 1, 2, 2, 2)]
     lsl = SimpleNamespace(
         set_config_content=str, IRREGULAR_RATE=0.0, StreamInfo=Element, local_clock=lambda: 5.0,
         StreamOutlet=lambda info: outlets.append(Element(info)) or outlets[-1],
     )  # fmt: skip
     clock = SimpleNamespace(time=lambda: 60.0, monotonic=iter((0.0, 0.1, 0.35, 0.4, 0.5, 0.7)).__next__)
-    client, answer = MagicMock(connect_timeout=1.0), SimpleNamespace(is_failure=False)
+    client = MagicMock(connect_timeout=1.0)
+    answer = SimpleNamespace(is_failure=False)
     ends = [SimpleNamespace(rc=rc, is_published=lambda done=done: done) for rc, done in ((0, 1), (1, 0), *[(0, 0)] * 3)]
-    client.publish.side_effect, client.socket.return_value = ends, None
+    client.publish.side_effect = ends
+    client.socket.return_value = None
     client.loop_start.side_effect = lambda: client.on_connect(None, None, None, answer)
     packets = patch("pythonosc.udp_client.UDPClient.send", lambda _, bundle: outlets.append(bundle.dgram))
-    broker, waited = patch("paho.mqtt.client.Client", lambda _: client), list[Any]()
+    broker = patch("paho.mqtt.client.Client", lambda _: client)
+    waited = list[Any]()
     waits = patch.object(publish, "waited", lambda done, most: waited.append([done(), most]) or waited[-1][0])
     with patch.dict(sys.modules, pylsl=lsl), packets, patch.object(publish, "time", clock), broker, waits:
         for where in ("lsl://panel", "osc://127.0.0.1:9", "mqtt://me:no@h/t"):
@@ -380,7 +395,8 @@ def published_row() -> dict[str, Any]:
                 for event in (client.on_disconnect, client.on_connect):
                     event(None, None, None, "lost")
 
-    connected, attempts = MagicMock(), list[str]()
+    connected = MagicMock()
+    attempts = list[str]()
     client.on_socket_open(None, None, connected)
 
     def send_sometimes(message: Message) -> None:
@@ -408,7 +424,8 @@ def live_row(estimator: str) -> dict[str, Any]:
     recording = simulated("outlier_probability")
     readings = recording.readings()
     state = PanelState.begin(ESTIMATORS[estimator], recording.scene, 1.0, readings[[0, 1, 2, 3]].mean(), hasty=True)
-    pictures, looks = [], []
+    pictures = []
+    looks = []
     few = 3 if estimator == "smoother" else None
     for number, frame in enumerate(recording.measured_frames()[:few], 1):
         state = replace(state, missing=2) if number == 3 and estimator == "tared" else state  # a zero is asked for
@@ -461,7 +478,8 @@ CUP = replace(LAMPREY, breath=breathing.Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
 
 def watched_row() -> list[Any]:
     """Answers while nothing touches a panel, of a broken frame, with loads that left, and about a new zero."""
-    recording, said = simulated(frames=6, baseline_frames=3), []
+    recording = simulated(frames=6, baseline_frames=3)
+    said = []
     scans = [scan_of(recording, frame) for frame in range(9)]
     left = [replace(LAMPREY, since_s=since, until_s=8.0) for since in (1.0, 2.0)]
     mat = replace(recording.scene, panel=lp.Panel(33, 32))
@@ -473,7 +491,8 @@ def watched_row() -> list[Any]:
         for each in news:
             loads = isinstance(each, tuple)
             watched = replace(watched, watch=replace(watched.watch, attachments=each)) if loads else watched.after(each)
-            answer, begun = watched.detected, watched.watch and watched.watch.rest.until_s
+            answer = watched.detected
+            begun = watched.watch and watched.watch.rest.until_s
             times = [(load.since_s, load.until_s) for load in answer.attachments]
             said.append([answer.answer, answer.why, answer.frames_per_second, watched.missing, begun, times])
     return said
@@ -481,16 +500,21 @@ def watched_row() -> list[Any]:
 
 def live_words_row() -> dict[str, Any]:
     """Verdicts on changes, alarms of answers, what waits, the history, panels and addresses."""
-    cells, verdicts = cells_of((4, 5), spread=0.3), []
+    cells = cells_of((4, 5), spread=0.3)
+    verdicts = []
     for change, readout, broken in product(VERDICTS_ON, (lp.TwoPointReadout(), None), (False, True)):
-        scene, ratio, open_cell = lp.Scene(lp.Panel(4, 5), readout), np.ones((4, 5)), np.zeros((4, 5), dtype=bool)
+        scene = lp.Scene(lp.Panel(4, 5), readout)
+        ratio = np.ones((4, 5))
+        open_cell = np.zeros((4, 5), dtype=bool)
         for cell, factor in change.items():
             ratio[cell] = factor
         resting, now = (lp.Readings.of(scene, lp.two_point_resistance(each)) for each in (cells, cells * ratio))
         ratio[3, 4], open_cell[3, 4] = (1e6, True) if broken else (1.0, False)
         verdicts.append(verdict_of(now, resting, ratio, open_cell))
-    gone, later = replace(LAMPREY, until_s=9.0), replace(LAMPREY, since_s=20.0)
-    view, alarms = View("here", "LSM", "receiving", lp.Panel(2, 3)), []
+    gone = replace(LAMPREY, until_s=9.0)
+    later = replace(LAMPREY, since_s=20.0)
+    view = View("here", "LSM", "receiving", lp.Panel(2, 3))
+    alarms = []
     for loads, seen in (((CUP,), 0), ((LAMPREY,), 0), ((gone,), 0), ((), 1), ((gone,), 0), ((LAMPREY, later), 0)):
         view = with_detected(view, Detected.of("here", loads, 4.0))
         alarms.append((view.alarm, sorted(view.acknowledged)))
@@ -503,7 +527,8 @@ def live_words_row() -> dict[str, Any]:
     with patch.object(watcher, "MAX_WAITING", 4):
         waiting = [[scans.index(each) for each in in_one_batch(scans[n:], [scans[:n]])[0]] for n in (2, 3)]
         waiting += [[scans.index(each) for each in in_one_batch(scans[1:n], [])[0]] for n in (5, 6, 7)]
-    scene, still = lp.Scene(lp.Panel(3, 4), lp.TwoPointReadout(), 140.0), np.full((3, 4), 1000.0)
+    scene = lp.Scene(lp.Panel(3, 4), lp.TwoPointReadout(), 140.0)
+    still = np.full((3, 4), 1000.0)
     resting, nothing = (lp.Readings.of(scene, factor * still) for factor in (1.0, np.nan))
     methods = product(("smooth", "relative_change"), (True, False))
     states = [PanelState.begin(LIVE[name], scene, 1.0, resting, hasty=hasty) for name, hasty in methods]
@@ -514,7 +539,8 @@ def live_words_row() -> dict[str, Any]:
     for coupled in (True, False):
         scene = lp.Scene(lp.Panel(modules=Modules(1, 2, EachModule(3, 2), coupled=coupled)))
         states.append(PanelState.begin(LIVE["smooth"], scene, 1.0, lp.Readings.of(scene, still), hasty=True))
-    engine, engines = Engine("here", "LSM", ESTIMATORS["auto"], 2), list[Any]()
+    engine = Engine("here", "LSM", ESTIMATORS["auto"], 2)
+    engines = list[Any]()
     for each, engine._beside in product(states, (None, SimpleNamespace(gone=False), SimpleNamespace(gone=True))):
         after = engine._with_findings(each)
         engines.append((after.stream.keeps_weights, after.track is None, after.stream.track is None))
@@ -707,7 +733,8 @@ def timeline_row() -> dict[str, Any]:
 
 def strongest_of_files() -> list[Any]:
     """Pictures of the strongest frame of a recording, of results, and of a recording without unloaded frames."""
-    values, told = np.full((4, 2, 3), 500.0), list[Any]()
+    values = np.full((4, 2, 3), 500.0)
+    told = list[Any]()
     values[1, 0, 0], values[3, 1, 2] = 490.0, 400.0
     recording = lp.Recording(lp.Scene(lp.Panel(2, 3)), values, 0.5 * np.arange(4.0), np.array([0, 1, 1, 1], np.uint8))
     recording.save("r.h5")
@@ -727,7 +754,8 @@ def detected_results_row() -> list[Any]:
     """Answers to results with noise that frames share, without noise, and of one frame; and what the file says."""
     scene = replace(WATCHED, faults=lp.Faults(shorted=((0, 1),), dead_rows=(5,)))
     made = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=3, loads=ON_FILM["rod"][0]))
-    readings, cases = replace(made, scene=scene).readings(), list[lp.CaseResult]()
+    readings = replace(made, scene=scene).readings()
+    cases = list[lp.CaseResult]()
     resting = readings[:3].mean()
     for name, frames in (("noisy", slice(3, 5)), ("silent", slice(0, 3)), ("one", slice(5, 6))):
         sigma = (readings.sigma_of_values[frames], resting.sigma_of_values) if name == "noisy" else (None, None)
@@ -754,7 +782,8 @@ def variants_row() -> list[Any]:
         replace(case.scene, readout=pull_ups, series_resistance_ohm=0.0),
     )
     volts = replace(case, measured=np.full_like(case.measured, 1.5), cell_resistance=1e-6 * case.cell_resistance)
-    square, single = invented_case(shape=(1, 2, 2)), replace(invented()[0], recording="single")
+    square = invented_case(shape=(1, 2, 2))
+    single = replace(invented()[0], recording="single")
     ones = np.ones((2, 2))
     tiles = [maps.Tile(f"a long name of an estimator, the number {n} of them", n * ones) for n in range(7)]
     apart = [lp.Panel(2, 2, cells=tuple((j, k, x * far, y * far) for j, k, x, y in SQUARE)) for far in (1, 5)]
@@ -783,7 +812,8 @@ def nwb_row() -> list[Any]:
         {"subject": lp.MeasuredSubject(), "experiment": lp.Experiment(institution="a lake", note="early")}, {},
     )  # fmt: skip
     library = SimpleNamespace(NWBFile=dict, TimeSeries=dict, Subject=dict, DynamicTable=dict, VectorData=dict)
-    known, sessions = replace(invented()[0], start_time="2026-05-04T09:30:00+02:00"), list[Any]()
+    known = replace(invented()[0], start_time="2026-05-04T09:30:00+02:00")
+    sessions = list[Any]()
     with patch.dict(sys.modules, dict.fromkeys(("pynwb", "pynwb.file", "hdmf.common"), library)):
         for named in people:
             session = nwb._session([replace(known, scene=replace(known.scene, **named))])

@@ -102,7 +102,8 @@ FAULTS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
 READERS: dict[str, Callable[[Path], Any]] = {"run": lp.read_run, "simulate": lambda path: simulation.run(path, None)}
 
 
-NUMBERS, LAMPREY = "--rows 3 --columns 4", str(Path(lp.__file__).parents[1] / "data" / "lamprey_25mm.h5")
+NUMBERS = "--rows 3 --columns 4"
+LAMPREY = str(Path(lp.__file__).parents[1] / "data" / "lamprey_25mm.h5")
 # What no command takes, in a folder with files of every kind.
 COMMANDS = (
     "run .", "run latin.yaml", "run empty.yaml", "run twice.yaml --out out", "run none.yaml",
@@ -190,7 +191,8 @@ RECORDINGS: tuple[dict[str, Any], ...] = (
     {"sigma": np.zeros((3, 4))}, {"sigma": np.ones((2, 3, 4))}, {"time": np.array([0, 2, 1.0])}, {"": (SCENE, "")},
     {"": ("pitch_mm", "pich_mm")}, {"": ("panel", "panels")}, {"": ("rows: 3", "rows: 0")},
 )  # fmt: skip
-MAPS, LARGE = np.zeros((4, 5, 7)), (10**6, 5, 7)
+MAPS = np.zeros((4, 5, 7))
+LARGE = (10**6, 5, 7)
 # Paths in results, with other values or nothing, and attributes: path@name.
 RESULTS: tuple[tuple[str, Any], ...] = (
     ("/@lampest_format", b"recording/1"), ("entry", None), ("/entry/a/recording/scene", None), ("/entry/a/LSM", None),
@@ -260,7 +262,8 @@ RUNS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 def runs_row() -> dict[str, Any]:
     """Return the cases of run files; equal cases have the number of the first of them."""
-    rows, numbers = {}, dict[str, int]()
+    rows = {}
+    numbers = dict[str, int]()
     with tempfile.TemporaryDirectory() as folder:
         disk = on_disk(Path(folder))
         (disk.folder / "second").mkdir()
@@ -286,7 +289,9 @@ def runs_row() -> dict[str, Any]:
 
 def executors_row() -> dict[str, Any]:
     """Executors of this machine, files of a cluster, and results of tasks of which one fails."""
-    names, tasks, steps = ("ca.pem", "me.pem", "me.key"), ["1 + 1", "1 / 0", "2 + 2"], list[tuple[int, int]]()
+    names = ("ca.pem", "me.pem", "me.key")
+    tasks = ["1 + 1", "1 / 0", "2 + 2"]
+    steps = list[tuple[int, int]]()
     tls = Tls(*names)
     clusters = (
         Dask(address="tls://a:1"), Dask(address="tcp://a:1", tls=tls), Dask(tls=tls), Dask(address="tls://a:1", tls=tls)

@@ -123,7 +123,8 @@ METHODS = {
 
 def study_files_row(name: str) -> dict[str, Any]:
     """Every file of a study of given measurements, and the words of its command."""
-    study, measured = MEASURED[name][0], MEASURED[name][1]()
+    study = MEASURED[name][0]
+    measured = MEASURED[name][1]()
     known = replace(study, read=lambda *_: None, measure=lambda *_: measured, figures=lambda _: {})
     module = {"bench": bench, "tradeoff": tradeoff, "extremes": extremes, "weights": weights}[name]
     with tempfile.TemporaryDirectory() as folder, chdir(folder), patch.object(module, "STUDY", known):
@@ -135,7 +136,9 @@ def study_files_row(name: str) -> dict[str, Any]:
 
 
 def bench_row() -> dict[str, Any]:
-    frames, settings, part = timed_bench().frames, timed_bench().settings, BenchPart(0, (64, 64), "LSM")
+    frames = timed_bench().frames
+    settings = timed_bench().settings
+    part = BenchPart(0, (64, 64), "LSM")
     return {
         "rows": [vars(row) for row in bench.bench_rows(frames)], "solvers": settings.solvers((16, 16)),
         "wired": replace(settings, lines=lp.Lines(1.0)).solvers((16, 16)),
@@ -148,8 +151,10 @@ def bench_row() -> dict[str, Any]:
 
 
 def tradeoff_row() -> dict[str, Any]:
-    frames, recording = timed_tradeoff(), simulated()
-    measured, factors = recording.measured_frames(), 1 + np.arange(20.0).reshape(4, 5) / 100
+    frames = timed_tradeoff()
+    recording = simulated()
+    measured = recording.measured_frames()
+    factors = 1 + np.arange(20.0).reshape(4, 5) / 100
     cells = factors * recording.truth_cell_resistance[measured]
     untared = replace(recording, role=np.ones_like(recording.role))
     known = [
@@ -168,7 +173,8 @@ def runs_row() -> dict[str, Any]:
     settings = {"LSM": METHODS["LSM"]}
     file = BenchFile(schema=1, sizes=(3,), frames=2, repeats=1, estimators=settings)
     steps: list[tuple[int, int]] = []
-    alone, told = bench.BenchLimits(nodal=0), list[tuple[int, int, str]]()
+    alone = bench.BenchLimits(nodal=0)
+    told = list[tuple[int, int, str]]()
     hasty = replace(file, sizes=(3, 40), recordings=2, frames=3, budget_s=1e-3, limits=alone, memory=(3,))
     late = run_bench(hasty, lambda *about: told.append(about))
     few = replace(file, sizes=(3, (3, 4)), frames=4, memory=(3,), limits=bench.BenchLimits(nodal=3))
@@ -197,15 +203,20 @@ def runs_row() -> dict[str, Any]:
 
 def budgeted_row() -> list[Any]:
     """Benchmarks within three budgets, on a clock that solves advance; their seconds are in their cost, some fail."""
-    file, told = BenchFile(1, (3, (3, 4)), METHODS, 2, 2, 3, limits=bench.BenchLimits(nodal=3, joint=3)), []
+    file = BenchFile(1, (3, (3, 4)), METHODS, 2, 2, 3, limits=bench.BenchLimits(nodal=3, joint=3))
+    told = []
     names = ("shape", "method", "solver", "recording", "frame", "kind", "seconds", "gap", "memory_mb", "status")
     for budget in (1.5, 9.0, 60.0):
-        clock, steps, times = [0.0], list[Any](), cycle((0.7, 0.2, 0.4, 0.3, 0.1, 0.6))
+        clock = [0.0]
+        steps = list[Any]()
+        times = cycle((0.7, 0.2, 0.4, 0.3, 0.1, 0.6))
 
         def solve(stream: Any, readings: lp.Readings, clock: list[float] = clock, times: Any = times) -> Any:
-            turn, seconds = common.pushed(stream, readings), next(times)
+            turn = common.pushed(stream, readings)
+            seconds = next(times)
             clock[0] += seconds
-            cost, status = turn.step.solution.objective + seconds, turn.step.solution.status
+            cost = turn.step.solution.objective + seconds
+            status = turn.step.solution.status
             status = Status.ITERATIONS if seconds == 0.1 else status
             solution = replace(turn.step.solution, objective=cost, status=status)
             return turn._replace(seconds=seconds, step=replace(turn.step, solution=solution))
@@ -314,7 +325,8 @@ def digits_row() -> dict[str, Any]:
 
 
 def weights_study_row() -> dict[str, Any]:
-    subject, curves = weight_subject(), tuned_curves()
+    subject = weight_subject()
+    curves = tuned_curves()
     points = [solve_at(subject, 10.0**n, None) for n in np.linspace(-4, 5, 10)]
     known = [replace(point, error=abs(n - 2.0)) for n, point in enumerate(points[2:8])]
     parts = (tuple(points[2:6]), tuple(known), tuple(known[2:]), (replace(known[0], error=np.nan),))
@@ -341,7 +353,8 @@ def paper_row() -> dict[str, Any]:
     """The paper beside one side: two mouths of a rod's frames, with estimates that no solver made."""
     published = paper.read_published(paper.FILE)
     mouths = [replace(simulated(), name=name) for name in ("large", "small")]
-    shape, methods = mouths[0].recorded[4:].shape, {row.method for row in published.ranges} - {paper.MEASURED}
+    shape = mouths[0].recorded[4:].shape
+    methods = {row.method for row in published.ranges} - {paper.MEASURED}
     cases = [
         invented_case(method, mouth.name, shape, joint_start="d" in method)
         for method in sorted(methods) for mouth in mouths

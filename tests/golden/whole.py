@@ -84,11 +84,13 @@ def as_large(row: Callable[..., Any], *known: Any) -> Any:
 
 def exact_row() -> Any:
     """The certificate where every reading is met exactly, and readings that bounds keep from being met."""
-    known, partly = point("plain"), point("penalty")
+    known = point("plain")
+    partly = point("penalty")
     near = known.elsewhere(known.cell_resistance)
     met = replace(near, data=replace(near.data, given=replace(near.data.given, measured=near.reading)))
     proof = certificate(Hessian(met.elsewhere(near.cell_resistance), Smoothing(1.0, near.nonsmooth)))
-    held, slope = [], np.full(partly.cell_resistance.shape, 1e9)
+    held = []
+    slope = np.full(partly.cell_resistance.shape, 1e9)
     for place, share in product(((1, 3), (0, 0), (2, 1)), (0.8, 1.2)):
         lower = np.ones(slope.shape)
         lower[0][place] = partly.cell_resistance[0][place]
@@ -100,7 +102,8 @@ def exact_row() -> Any:
 
 def noisy_start(seed: int) -> problem.Evaluation:
     """The readings' own start where their noise is three times their size, so that most cells stand at a bound."""
-    scene, rng = TINY["whole"], np.random.default_rng(seed)
+    scene = TINY["whole"]
+    rng = np.random.default_rng(seed)
     exact = scene.circuit.exact_reading(cells_of(PANEL.shape))
     value = np.maximum(exact * (1 + 3 * rng.standard_normal(PANEL.shape)), 10.0)[None]
     estimator = Estimator((lp.Misfit(),), "reduced")
@@ -120,7 +123,8 @@ def barrier_row() -> Any:
         barrier = interior_point.Barrier.of(start)
         ahead = [barrier := barrier.advanced() or barrier for _ in range(3)]
         end, steps = interior_point.central_path(start)
-        noisy, way = interior_point.Barrier.of(noisy_start(6)), []
+        noisy = interior_point.Barrier.of(noisy_start(6))
+        way = []
         while len(way) < 21:
             noisy = noisy.advanced() or noisy
             way.append((noisy.mean, noisy.length, noisy.added))
@@ -388,7 +392,8 @@ def files_row() -> dict[str, Any]:
 def chunks_row() -> dict[str, Any]:
     """How values are packed: few and many, smooth and noisy ones, by their first 16 frames and 512 values of each."""
     rng = np.random.default_rng(1)
-    noise, halves = rng.standard_normal((9, 4, 8)), np.round(rng.standard_normal((9, 4, 8)), 1)
+    noise = rng.standard_normal((9, 4, 8))
+    halves = np.round(rng.standard_normal((9, 4, 8)), 1)
     halves[:, ::2] = 0.0
     values = {
         "few": np.zeros(64), "none": np.float64(3.0), "long": np.zeros(65), "frames": noise[:, :, :5], "noise": noise,

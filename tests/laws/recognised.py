@@ -12,7 +12,8 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.report.detect.answer import Detected
 from lampest.report.detect.detection import known_of, measured_frames
 
-PANEL, PATCH_MM = Panel(10, 10), 6.0
+PANEL = Panel(10, 10)
+PATCH_MM = 6.0
 
 
 def frame_under(load: Shape, panel: Panel) -> Observation:

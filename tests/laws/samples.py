@@ -127,7 +127,8 @@ def attempted(make: Callable[[], Any], fits: Callable[[Any], bool]) -> Any:
 
 def value(hint: Any, rng: np.random.Generator) -> Any:
     """Some value of a type."""
-    origin, inner = get_origin(hint), get_args(hint)
+    origin = get_origin(hint)
+    inner = get_args(hint)
     if hint is NoneType:
         return None
     if hint in NUMBERS:

@@ -169,7 +169,8 @@ def scene(**keys: Any) -> Scene:
     return Scene(Panel(6, 7), **keys)
 
 
-NOISY, SERIES = Misfit(weighting="noise"), r"belongs to readout\.kind: two_point.*drive_ohm or sense_ohm"
+NOISY = Misfit(weighting="noise")
+SERIES = r"belongs to readout\.kind: two_point.*drive_ohm or sense_ohm"
 SMOOTHER = r"smoother has one term, misfit: \{weighting: noise, loss"
 IMPOSSIBLE: list[tuple[Callable[[], object], str]] = [
     (lambda: scene(faults=Faults(open=((6, 0),))), "there is no cell"),

@@ -41,7 +41,8 @@ def recording(scene: Scene, holes: list[tuple[int, int]] = HOLES, seed: int = 1)
 
 def test_the_optimum_beside_a_penalty_is_that_of_the_readings_that_are_there() -> None:
     """Against scipy's least squares over those readings alone, with a network of its own."""
-    made, weight = recording(TWO_POINT), 1e-4
+    made = recording(TWO_POINT)
+    weight = 1e-4
     estimate = reconstruct(made, Estimator((Misfit(), CellResistance(weight=weight)), "reduced"))
     measured = estimate.measured[0].ravel()
     seen = np.isfinite(measured)
@@ -74,7 +75,9 @@ def test_single_holes_leave_every_frame_an_estimate(readout: object, formulation
 @pytest.mark.slow
 def test_plain_least_squares_says_how_little_it_knows_of_a_cell_that_nobody_read() -> None:
     """The others stay as good as their own readings make them; that cell's interval is wide and holds the truth."""
-    other, held, width = [], [], []
+    other = []
+    held = []
+    width = []
     for seed in range(20):
         made = recording(TWO_POINT, seed=seed)
         estimate = reconstruct(made, Estimator((Misfit(),), "reduced"))

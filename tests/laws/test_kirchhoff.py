@@ -33,7 +33,8 @@ def random_panel(shape: tuple[int, int], seed: int = 0, decades: float = 1.0) ->
 def test_a_panel_of_rank_one_has_its_closed_form(rows: int, columns: int, seed: int) -> None:
     """g = a_j·b_k: R = 1/(a_j B) + 1/(b_k A) − 1/(A B)."""
     rng = np.random.default_rng(seed)
-    a, b = 10 ** rng.uniform(-1, 1, rows), 10 ** rng.uniform(-1, 1, columns)
+    a = 10 ** rng.uniform(-1, 1, rows)
+    b = 10 ** rng.uniform(-1, 1, columns)
     expected = 1 / (a[:, None] * b.sum()) + 1 / (b[None, :] * a.sum()) - 1 / (a.sum() * b.sum())
     assert_allclose(two_point_resistance(1 / np.outer(a, b)), expected, rtol=1e-11)
 
@@ -90,7 +91,8 @@ def test_a_network_costs_the_inverse_of_its_shorter_side(
     conductance = 10.0 ** np.random.default_rng(4).uniform(-5, -2, shape)
     ties = 10.0 ** np.random.default_rng(5).uniform(-5, -2, (*shape[:-2], shape[-2] + shape[-1]))
     whole = np.linalg.inv(laplacian(conductance) + np.eye(ties.shape[-1]) * ties[..., None, :])
-    invert, sizes = np.linalg.inv, []
+    invert = np.linalg.inv
+    sizes = []
     monkeypatch.setattr(np.linalg, "inv", lambda matrix: sizes.append(matrix.shape[-1]) or invert(matrix))
     assert_allclose(inverse_of(conductance, ties), whole, rtol=1e-10)
     assert sizes == [min(shape[-2:])]
@@ -106,7 +108,8 @@ def test_the_convex_start_of_large_panels_converges_as_newtons_method(
     near = cells * 10 ** rng.uniform(-0.1, 0.1, shape)
     near[: shape[0] // 2 + 1, : shape[1] // 2] *= 3
     measured = two_point_resistance(cells) * (1 + 1e-3 * rng.standard_normal(shape))
-    solve, solved = FloatingNetwork.solve, []
+    solve = FloatingNetwork.solve
+    solved = []
     monkeypatch.setattr(FloatingNetwork, "solve", lambda *network: solved.append(0) or solve(*network))
     start = convex_start(measured, np.full(shape, 1e7), near)
     assert_allclose(two_point_resistance(start), measured, rtol=1e-9)

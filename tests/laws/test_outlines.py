@@ -121,7 +121,8 @@ def test_results_and_pictures_of_an_outline(outline: str, tmp_path: Path) -> Non
 def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path) -> None:
     """On a finger of the hand: simulated, found and pressed there, not where lines cross on a full rectangle."""
     panel = OUTLINES["hand"](np.random.default_rng(1))
-    rod, cells = lampest.Rod(centre_mm=(20.0, 46.0), diameter_mm=16, mass_g=200), Cells(3000, 0.1, 6)
+    rod = lampest.Rod(centre_mm=(20.0, 46.0), diameter_mm=16, mass_g=200)
+    cells = Cells(3000, 0.1, 6)
     scene = Scene(panel, lampest.TwoPointReadout(adc_bits=12, readings=20, noise_lsb=0.5), response=PUBLISHED)
     times = {"baseline_frames": 4, "frames": 6, "frame_period_s": 0.3}
     recording = lampest.simulate(Simulation(1, 2, scene, cells=cells, loads=(rod,), **times))
@@ -143,7 +144,8 @@ def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path)
 
 def test_a_reading_that_no_cells_allow_is_left_out() -> None:
     """One contact fails in every frame: the reading goes, the circuit is not blamed, and the cells stay right."""
-    panel, cells = Panel(6, 6), 500 * np.exp(0.3 * np.random.default_rng(3).standard_normal((6, 6)))
+    panel = Panel(6, 6)
+    cells = 500 * np.exp(0.3 * np.random.default_rng(3).standard_normal((6, 6)))
     exact = np.stack([exact_two_point_resistance(cells)] * 4)
     spoilt = exact.copy()
     spoilt[:, 2, 3] *= 4

@@ -31,7 +31,8 @@ class SquareCandidate(Candidate):
         return centre_priors(panel) | {"edge": Prior(log(30), 0.35, step=0.2), "contact": Prior(log(8), 1.0)}
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
-        edge, contact = exp(parameters[2]), exp(parameters[3])
+        edge = exp(parameters[2])
+        contact = exp(parameters[3])
         (along, by_x, x_edge), (down, by_y, y_edge) = (
             covered(centres - centre, edge / 2, patch_mm)
             for centres, centre in zip(panel.centres_mm(), parameters[:2], strict=True)
@@ -44,16 +45,19 @@ class SquareCandidate(Candidate):
         return np.array([disc.x_mm, disc.y_mm, log(disc.diameter_mm * sqrt(np.pi) / 2), log(max(disc.rim_kpa, 0.1))])
 
     def report(self, parameters: Array) -> dict[str, tuple[float, Array]]:
-        edge, unit = exp(parameters[2]), np.eye(4)
+        edge = exp(parameters[2])
+        unit = np.eye(4)
         places = {name: (float(parameters[axis]), unit[axis]) for axis, name in enumerate(("x_mm", "y_mm"))}
         return places | {"edge_mm": (edge, edge * unit[2])}
 
 
 def covered(centres: Array, half: float, patch_mm: float) -> tuple[Array, Array, Array]:
     """Share of patches about `centres` within −half and half, its slope by the square's centre and by `half`."""
-    low, high = centres - patch_mm / 2, centres + patch_mm / 2
+    low = centres - patch_mm / 2
+    high = centres + patch_mm / 2
     length = np.minimum(half, high) - np.maximum(-half, low)
-    upper, lower = (half < high) & (length > 0), (-half > low) & (length > 0)
+    upper = (half < high) & (length > 0)
+    lower = (-half > low) & (length > 0)
     return np.maximum(length, 0) / patch_mm, (upper * 1.0 - lower) / patch_mm, (upper * 1.0 + lower) / patch_mm
 
 

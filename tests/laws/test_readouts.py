@@ -74,7 +74,8 @@ def cells_of(scene: Scene) -> Array:
 
 
 def network_of(scene: Scene, logarithm: Array, ties: Array | None = None) -> Network:
-    cells, readout = np.exp(logarithm), scene.circuit
+    cells = np.exp(logarithm)
+    readout = scene.circuit
     return readout.network(cells, readout.ties(cells) if ties is None else ties, scene.wiring)
 
 
@@ -90,20 +91,24 @@ def test_a_scene_with_it_comes_back_from_yaml(scene: Scene) -> None:
 @every_scene
 def test_the_adjoint_is_the_transpose(scene: Scene) -> None:
     """⟨w, J·p⟩ = ⟨Jᵀ·w, p⟩."""
-    network, rng = network_of(scene, cells_of(scene)), np.random.default_rng(1)
+    network = network_of(scene, cells_of(scene))
+    rng = np.random.default_rng(1)
     step, weights = rng.normal(size=(2, *scene.panel.shape))
-    there, back = np.sum(weights * network.forward(step)), np.sum(network.adjoint(weights) * step)
+    there = np.sum(weights * network.forward(step))
+    back = np.sum(network.adjoint(weights) * step)
     assert there == pytest.approx(back, rel=1e-9, abs=1e-12 * size(network.reading()))
 
 
 @every_scene
 def test_the_forward_product_is_the_derivative(scene: Scene) -> None:
     """y(u + h·p) − y(u) − h·J·p falls as h²: a hundredfold where h falls tenfold."""
-    readout, logarithm = scene.circuit, cells_of(scene)
+    readout = scene.circuit
+    logarithm = cells_of(scene)
     ties = readout.ties(np.exp(logarithm))
     step = np.random.default_rng(2).normal(size=scene.panel.shape)
     network = network_of(scene, logarithm, ties)
-    first, slope = network.reading(), network.forward(step)
+    first = network.reading()
+    slope = network.forward(step)
 
     def remainder(length: float) -> float:
         return size(network_of(scene, logarithm + length * step, ties).reading() - first - length * slope)
@@ -116,7 +121,8 @@ def test_the_forward_product_is_the_derivative(scene: Scene) -> None:
 @every_scene
 def test_the_second_order_is_the_derivative_of_the_adjoint(scene: Scene) -> None:
     """d(Jᵀw) along p = H·p − Jᵀw∘p, by central differences."""
-    readout, logarithm = scene.circuit, cells_of(scene)
+    readout = scene.circuit
+    logarithm = cells_of(scene)
     ties = readout.ties(np.exp(logarithm))
     step, weights = np.random.default_rng(3).normal(size=(2, *scene.panel.shape))
     network = network_of(scene, logarithm, ties)
@@ -143,8 +149,11 @@ def test_the_sensitivity_is_the_matrix_of_the_forward_product(scene: Scene) -> N
 @pytest.mark.parametrize("scene", [made for made in scenes() if made.values[0].contacts is not None])
 def test_the_response_to_contacts_is_the_derivative(scene: Scene) -> None:
     """∂y/∂c by central differences of a tenth of an ohm, of every line alone."""
-    readout, logarithm, shape = scene.circuit, cells_of(scene), scene.panel.shape
-    ties, ohm = readout.ties(np.exp(logarithm)), scene.contacts.mean(shape)
+    readout = scene.circuit
+    logarithm = cells_of(scene)
+    shape = scene.panel.shape
+    ties = readout.ties(np.exp(logarithm))
+    ohm = scene.contacts.mean(shape)
     response = contact_responses([network_of(scene, logarithm, ties)]).reshape(*shape, -1)
     for line in range(sum(shape)):
         step = 0.1 * np.eye(sum(shape))[line]
@@ -156,11 +165,13 @@ def test_the_response_to_contacts_is_the_derivative(scene: Scene) -> None:
 @every_scene
 def test_the_symbolic_equation_gives_the_reading_of_the_network(scene: Scene) -> None:
     """The symbolic form of the reading, at the impedances of a netlist that is solved here."""
-    readout, cells = scene.circuit, np.exp(cells_of(scene))
+    readout = scene.circuit
+    cells = np.exp(cells_of(scene))
     rows, columns = scene.panel.shape
     impedance = impedance_of(cells, scene, readout.ties(cells))
     diagonal = np.diag(impedance)
-    own_row, own_column = np.tile(diagonal[:rows, None], columns), np.tile(diagonal[None, rows:], (rows, 1))
+    own_row = np.tile(diagonal[:rows, None], columns)
+    own_column = np.tile(diagonal[None, rows:], (rows, 1))
     entries = (own_row, own_column, impedance[:rows, rows:])
     symbols = [casadi.SX.sym(name, rows, columns) for name in ("row", "column", "mutual")]
     equation = casadi.Function("equation", symbols, [readout.reading(*symbols)])
@@ -184,7 +195,8 @@ def test_recorded_readings_and_volts_lead_back_to_the_reading(scene: Scene) -> N
     """network ↔ recorded ↔ volt; readings are positive; recorded values move as `direction` says, σ by the slope of
     `from_recorded`; bounds hold the cells.
     """
-    readout, cells = scene.circuit, np.exp(cells_of(scene))
+    readout = scene.circuit
+    cells = np.exp(cells_of(scene))
     reading = readout.exact_reading(cells, scene.wiring)
     recorded = readout.to_recorded(reading, scene)
     near = 1e-9 * size(recorded)
@@ -223,6 +235,7 @@ def test_a_voltage_that_noise_makes_negative_is_an_upper_bound() -> None:
 @every_scene
 def test_readings_grow_with_all_cells_where_the_kind_is_homogeneous(scene: Scene) -> None:
     """Readings grow with all cells by one factor exactly where the kind says so."""
-    readout, logarithm = scene.circuit, cells_of(scene)
+    readout = scene.circuit
+    logarithm = cells_of(scene)
     once, thrice = (readout.exact_reading(factor * np.exp(logarithm)) for factor in (1, 3))
     assert (size(thrice - 3 * once) < 1e-9 * size(thrice)) == readout.homogeneous

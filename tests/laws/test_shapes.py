@@ -90,10 +90,13 @@ def test_tilt_moves_the_force_and_keeps_it(kind: type[Shape]) -> None:
 @pytest.mark.parametrize("candidate", LOADS, ids=lambda candidate: candidate.label)
 def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> None:
     """Tilts and lobes beyond one turn a strong rim into suction of many atmospheres: no network has such cells."""
-    panel, rng = Panel(6, 6), np.random.default_rng(4)
+    panel = Panel(6, 6)
+    rng = np.random.default_rng(4)
     frame = frame_under(load_of(Rod), panel)
-    fitting, whitening = Fitting(candidate, frame, PATCH_MM), Whitening.about(frame)
-    mean, sd = candidate.mean(panel), candidate.sd(panel)
+    fitting = Fitting(candidate, frame, PATCH_MM)
+    whitening = Whitening.about(frame)
+    mean = candidate.mean(panel)
+    sd = candidate.sd(panel)
     for _ in range(60):
         parameters = mean + SIGNIFICANT * sd * rng.choice([-1, 0, 1], len(mean))
         here = fitting.at(parameters, fitting.about(parameters, whitening))
@@ -105,7 +108,8 @@ def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> N
 def test_what_recognition_fits_is_what_simulation_makes(kind: type[Shape]) -> None:
     load = dataclasses.replace(load_of(kind), centre_mm=(43.0, 47.5), tilt=0.3, tilt_direction_deg=70.0)
     disc = load.disc()
-    sampled, smooth = np.sum(load.mean_pressure(PANEL, 6.0), axis=0), pressure_at_places(PANEL.places_mm, 6.0, disc)[0]
+    sampled = np.sum(load.mean_pressure(PANEL, 6.0), axis=0)
+    smooth = pressure_at_places(PANEL.places_mm, 6.0, disc)[0]
     assert np.abs(sampled - smooth).max() < max(disc.rim_kpa, -disc.suction_kpa) / (2 * POINTS)
     fitted, _ = kind.candidate.pressure(PANEL, 6.0, kind.candidate.start(disc))
     assert np.abs(fitted - smooth).max() < 0.05 * max(disc.rim_kpa, -disc.suction_kpa)
@@ -140,7 +144,8 @@ def sampled(disc: Disc, form: Unevenness, patch_mm: float) -> Array:
         x, y = np.meshgrid(across[column] + offset - disc.x_mm, down[row] + offset - disc.y_mm)
         stretch = np.array([[1 - form.along, -form.across], [-form.across, 1 + form.along]])
         u, v = np.tensordot(stretch, np.stack([x, y]), 1)
-        radius, angle = np.hypot(u, v), np.arctan2(v, u)
+        radius = np.hypot(u, v)
+        angle = np.arctan2(v, u)
         level = 1 + 2 * (disc.tilt_x * u + disc.tilt_y * v) / disc.diameter_mm
         level = level + form.lobe_along * np.cos(2 * angle) + form.lobe_across * np.sin(2 * angle)
         inside = radius < disc.inner_mm / 2

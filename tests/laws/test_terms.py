@@ -126,7 +126,8 @@ def test_the_gradient_is_the_derivative_of_the_cost(
     subgradient = np.sign(here.nonsmooth)
     gradient = here.log_gradient(subgradient)
     assert here.kkt_residual(-subgradient) == here.kkt_residual(-3 * subgradient)  # no dual variable exceeds 1
-    rng, step = np.random.default_rng(1), 1e-5
+    rng = np.random.default_rng(1)
+    step = 1e-5
     for _ in range(4):
         direction = rng.standard_normal(cells.shape)
         far, near = (
@@ -157,7 +158,8 @@ def test_the_hessian_is_the_derivative_of_the_gradient(
         [Circuit.of(PANEL.shape, None)],
         EXCITATIONS[formulation],
     )
-    nlp, multiplier = program.nlp, casadi.SX.sym("multiplier", program.nlp["g"].shape[0])
+    nlp = program.nlp
+    multiplier = casadi.SX.sym("multiplier", program.nlp["g"].shape[0])
     lagrangian = 1.3 * nlp["f"] + casadi.dot(multiplier, nlp["g"])
     gradient = casadi.Function("gradient", [nlp["x"], nlp["p"], multiplier], [casadi.gradient(lagrangian, nlp["x"])])
     rng = np.random.default_rng(2)
@@ -187,7 +189,10 @@ def test_the_reduced_hessian_is_the_derivative_of_the_reduced_gradient(
     """∇²φ in log r, as a matrix and as a product, against central differences of ∇φ; absolute losses are smoothed."""
     cost = Cost(PANEL, (Misfit(), term(weight=0.7, loss=loss, **words)), frames)
     data, cells = example(frames)
-    rng, width, step = np.random.default_rng(4), 50.0, 2e-6  # 0.006 ohm: a loss curves within CORNER of them
+    # 0.006 ohm: a loss curves within CORNER of them
+    rng = np.random.default_rng(4)
+    width = 50.0
+    step = 2e-6
 
     def curvature(where: Array) -> Hessian:
         at = Evaluation.at(cost, data, where)
@@ -255,7 +260,9 @@ def test_losses_are_what_they_say() -> None:
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
 def test_the_least_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
     """The least of the lowered objective over p, q ≥ 0 is weight·loss; the start lies inside; duals are slopes."""
-    weight, unit, x = 0.7, 25.0, np.array([-3.0, -1.0, -0.4, 0.2, 1.7]) * CORNER
+    weight = 0.7
+    unit = 25.0
+    x = np.array([-3.0, -1.0, -0.4, 0.2, 1.7]) * CORNER
     lowered = loss.lowered(casadi.SX(x), casadi.SX(np.full(5 if loss.enters == "dual" else 1, weight)), casadi.SX(unit))
     cost = weight * float(loss.cost(casadi.DM(x)))
     if loss.enters == "whole":
@@ -277,7 +284,8 @@ def test_the_least_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
 @pytest.mark.parametrize("loss", [loss for loss in LOSSES if loss.enters != "dual"], ids=lambda loss: loss.kind)
 def test_what_follows_from_the_formula_is_what_the_losses_say(loss: Loss) -> None:
     """ω, the pull beyond it and η, from derivatives of the cost and from the closed forms."""
-    plain, grid = OnlyCost(loss), GRID + 0.1
+    plain = OnlyCost(loss)
+    grid = GRID + 0.1
     assert_allclose(plain.curvature(grid), loss.curvature(grid), atol=1e-12)
     assert_allclose(plain.steady_pull(grid), loss.steady_pull(grid), atol=1e-6 * CORNER)
     inside = grid[np.abs(grid) < CORNER]
@@ -288,8 +296,11 @@ def test_what_follows_from_the_formula_is_what_the_losses_say(loss: Loss) -> Non
 
 def test_slope_is_explained_by_curvature_and_pull() -> None:
     """(ω x)² + H² = (½ρ')² wherever the loss is convex, ω = ½ρ'' against differences."""
-    step, loss, grid = 1e-3 * CORNER, GemanMcClure(CORNER), GRID + 0.1
+    step = 1e-3 * CORNER
+    loss = GemanMcClure(CORNER)
+    grid = GRID + 0.1
     low, here, high = (values(loss, grid + move) for move in (-step, 0.0, step))
-    slope, curvature = (high - low) / (4 * step), (high - 2 * here + low) / (2 * step**2)
+    slope = (high - low) / (4 * step)
+    curvature = (high - 2 * here + low) / (2 * step**2)
     assert_allclose(loss.curvature(grid), np.maximum(curvature, 0), atol=1e-5)
     assert_allclose((loss.curvature(grid) * grid) ** 2 + loss.steady_pull(grid) ** 2, slope**2, rtol=1e-4)

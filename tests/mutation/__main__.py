@@ -95,7 +95,9 @@ def guards_of(mutant: Mutant, tests: Tests) -> tuple[list[str], list[str]]:
     The shortest row comes first, then defaults and constants, the shortest test of every file and the second of every
     file, up to `LONGEST` seconds.
     """
-    path, rows, by_file = mutant.path.removeprefix("lampest/"), list[str](), dict[str, list[str]]()
+    path = mutant.path.removeprefix("lampest/")
+    rows = list[str]()
+    by_file = dict[str, list[str]]()
     tried = [f"{path}:{mutant.function}\n", f":{mutant.function}\n"] if mutant.function else []
     for part in (*tried, f"{path}:"):  # a function that was renamed or moved since is known by its name or its module
         names = [name for name, test in tests.items() if any(part in f"{call}\n" for call in test["functions"])]
@@ -117,7 +119,8 @@ def guards_of(mutant: Mutant, tests: Tests) -> tuple[list[str], list[str]]:
 def noticed(mutant: Mutant, copy: Path, tests: Tests) -> bool:
     """Whether a guard fails while the copy has the mutant."""
     rows, others = guards_of(mutant, tests)
-    module, chosen = copy / mutant.path, copy / "guards.txt"
+    module = copy / mutant.path
+    chosen = copy / "guards.txt"
     source = module.read_bytes()
     chosen.write_text("\n".join(others))
     module.write_bytes(mutant.apply_to(source))
@@ -204,7 +207,8 @@ def main() -> int:
             begin = time.perf_counter()
             answer = noticed(mutant, copy, tests)
             answers[answer] += 1
-            word, seconds = "noticed" if answer else "SURVIVED", time.perf_counter() - begin
+            word = "noticed" if answer else "SURVIVED"
+            seconds = time.perf_counter() - begin
             place = f"{mutant.path}:{mutant.line}"
             print(f"{word:8} {place} {mutant.operator}: {mutant.before} → {mutant.after} ({seconds:.0f} s)", flush=True)
     print(f"{answers[False]} of {sum(answers.values())} survived")

@@ -33,7 +33,9 @@ from tests.netlist import divider, volts
 
 NOMINAL = {"two_point": 1000.0, "loaded_columns": 10_000.0, "grounded": 1000.0, "virtual_ground": 400.0}
 KINDS = tuple(NOMINAL)
-SIDE, LOADS, SPREAD = 4, 8, 5.0
+SIDE = 4
+LOADS = 8
+SPREAD = 5.0
 TOLD = Systematic(reference_tolerance=0.01, channel_spread_ohm=SPREAD)
 OTHER = PowerResponse(exponent=0.8, scale_kpa=2.0)
 
@@ -51,7 +53,8 @@ class Board:
         rows, columns = (tuple(map(float, line)) for line in (self.rows, self.columns))
         if self.kind != "two_point":
             return volts(cells, readout_of(self.kind, columns, drive_ohm=rows))
-        readout, places = readout_of("two_point", NOMINAL["two_point"]), np.ndindex(cells.shape)
+        readout = readout_of("two_point", NOMINAL["two_point"])
+        places = np.ndindex(cells.shape)
         return np.reshape([divider(cells, readout, j, k, rows[j], columns[k]) for j, k in places], cells.shape)
 
 
@@ -74,7 +77,8 @@ def told(kind: str, shape: tuple[int, int], **converter: object) -> Scene:
 
 def recording(scene: Scene, board: Board, cells: Array, rng: np.random.Generator, frames: int = 10) -> Recording:
     """Averaged codes of a noisy converter; cells (rows, columns) ohm."""
-    readout, volt = scene.circuit, board.volt(cells)
+    readout = scene.circuit
+    volt = board.volt(cells)
     noise = np.reshape(np.broadcast_to(np.array(readout.noise_lsb), volt.shape[:1]), (-1, 1))
     draws = volt / readout.lsb_volt + noise * rng.standard_normal((readout.readings, frames, *volt.shape))
     codes = np.clip(np.floor(draws), 0, 2**readout.adc_bits - 1).astype(int)
@@ -107,8 +111,10 @@ def pulls(calibration: ResistorCalibration, board: Board) -> list[float]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_resistors_of_several_values_tell_every_number_of_every_line(kind: str) -> None:
     """Resistors and reference of 0.1 %: each line is found to what its σ says, and the scene says so."""
-    rng, shape = np.random.default_rng(KINDS.index(kind)), (4, 5)
-    board, scene = some_board(kind, shape, rng), told(kind, shape)
+    rng = np.random.default_rng(KINDS.index(kind))
+    shape = (4, 5)
+    board = some_board(kind, shape, rng)
+    scene = told(kind, shape)
     printed, _ = some_resistors(shape, rng)
     true = printed * rng.uniform(0.999, 1.001, shape)
     calibration = calibrate_resistors([recording(scene, board, true, rng)], [printed], tolerance=1e-3)
@@ -131,8 +137,10 @@ def test_good_calibrations_are_never_refused_and_as_good_as_they_say(kind: str) 
     for seed in range(50):
         rng = np.random.default_rng([seed, KINDS.index(kind)])
         shape = (int(rng.integers(3, 6)), int(rng.integers(3, 6)))
-        readings, noise = int(rng.choice([1, 4, 20])), float(rng.uniform(0.3, 2))
-        board, scene = some_board(kind, shape, rng), told(kind, shape, readings=readings, noise_lsb=noise)
+        readings = int(rng.choice([1, 4, 20]))
+        noise = float(rng.uniform(0.3, 2))
+        board = some_board(kind, shape, rng)
+        scene = told(kind, shape, readings=readings, noise_lsb=noise)
         printed, true = some_resistors(shape, rng)
         frames = int(rng.integers(3, 12))
         scores += pulls(calibrate_resistors([recording(scene, board, true, rng, frames)], [printed]), board)
@@ -146,7 +154,8 @@ def channel_recording(seed: int, channels: Array, reference: float = 0.0, loads:
 
     Two unloaded frames, then loads of 2 × 2 cells, three frames each, or three frames without any.
     """
-    rng, scene = np.random.default_rng(seed), Scene(Panel(SIDE, SIDE), TwoPointReadout(adc_bits=12), 140.0)
+    rng = np.random.default_rng(seed)
+    scene = Scene(Panel(SIDE, SIDE), TwoPointReadout(adc_bits=12), 140.0)
     cells = np.tile(3000 * np.exp(0.2 * rng.standard_normal((SIDE, SIDE))), (2 + 3 * max(loads, 1), 1, 1))
     for load in range(loads):
         row, column = rng.integers(0, SIDE - 1, 2)
@@ -169,7 +178,8 @@ def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> No
     assert rms(centred) < 0.5 * np.std(channels)
     read = validated(parse_document(calibration.text(), "scene.yaml"), Scene)
     assert read == calibration.scene and read.systematic != TOLD
-    fresh, errors = channel_recording(3, channels, 0.005), []
+    fresh = channel_recording(3, channels, 0.005)
+    errors = []
     for scene in (fresh.scene, read):
         cells = reconstruct(replace(fresh, scene=scene), Estimator((Misfit(),), "reduced")).cell_resistance
         errors.append(np.median(np.abs(np.log(cells / fresh.truth_cell_resistance[2:]))))
@@ -179,7 +189,8 @@ def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> No
 def test_without_loads_the_command_says_that_nothing_is_known(
     tmp_path: Path, lampest: Callable[..., SimpleNamespace]
 ) -> None:
-    made, scene = channel_recording(1, np.zeros(2 * SIDE), loads=0), tmp_path / "scene.yaml"
+    made = channel_recording(1, np.zeros(2 * SIDE), loads=0)
+    scene = tmp_path / "scene.yaml"
     made.save(tmp_path / "one.h5")
     replace(made, scene=replace(made.scene, subject=MeasuredSubject(id="another"))).save(tmp_path / "two.h5")
     ended = lampest("calibrate", "--from-recording", tmp_path / "one.h5", tmp_path / "two.h5", "--out", scene)
@@ -201,7 +212,9 @@ def test_recordings_that_tell_nothing_of_a_circuit_are_refused() -> None:
 
 def test_bars_of_gains_and_curve_hold_the_truth() -> None:
     """The fit alone, with data that are as it supposes: 40 films of 60 cells under 4 pressures each."""
-    rng, gains, curves = np.random.default_rng(3), [], []
+    rng = np.random.default_rng(3)
+    gains = []
+    curves = []
     pressure = np.repeat([[1.0], [4.0], [12.0], [30.0]], 60, axis=1)
     for _ in range(40):
         own = np.exp(0.2 * rng.standard_normal(60))
@@ -221,7 +234,9 @@ def test_bars_of_gains_and_curve_hold_the_truth() -> None:
 
 def test_one_pressure_leaves_larger_pressures_of_another_film_open() -> None:
     """Feet of 5 kPa with their edges calibrate; pressures of 1 to 16 kPa are covered, 10 films."""
-    rng, inside, kpa = np.random.default_rng(4), [], np.array([1.5, 3.0, 8.0, 12.0, 16.0])
+    rng = np.random.default_rng(4)
+    inside = []
+    kpa = np.array([1.5, 3.0, 8.0, 12.0, 16.0])
     pressure = np.tile([5.0, 5.0, 4.0, 3.0, 2.0, 1.0, 5.0, 5.0], (16, 2))
     for number in range(10):
         film = PowerResponse(exponent=0.5 + 0.06 * number, scale_kpa=float(np.exp(rng.uniform(-1, 1))))

@@ -53,7 +53,8 @@ def sensitivity(cells: Array) -> Array:
     """∂R/∂log r by central differences."""
     columns = []
     for cell in np.ndindex(cells.shape):
-        up, down = cells.copy(), cells.copy()
+        up = cells.copy()
+        down = cells.copy()
         up[cell] *= np.exp(1e-5)
         down[cell] *= np.exp(-1e-5)
         columns.append((two_point_resistance(up) - two_point_resistance(down)).ravel() / 2e-5)
@@ -81,10 +82,12 @@ def test_covariance_is_that_of_laplace(weight: float) -> None:
 def test_a_cell_at_a_bound_is_released_alone() -> None:
     """Each cell that a penalty holds at its lower bound has the variance of a panel on which it is free, too."""
     measured = two_point_resistance(panel_cells())
-    sigma, weight = 0.003 * measured, 0.1
+    sigma = 0.003 * measured
+    weight = 0.1
     estimate = solved((Misfit(weighting="noise"), CellResistance(weight=weight)), measured, sigma)
     errors = DenseErrors(model_of(estimate))
-    free, held = errors.model.free, np.flatnonzero(errors.model.at_lower)
+    free = errors.model.free
+    held = np.flatnonzero(errors.model.at_lower)
     assert min(len(free), len(held)) > 3
     jacobian = sensitivity(estimate.cell_resistance[0]) / sigma.reshape(-1, 1)
     precision = jacobian.T @ jacobian + weight * np.diag(estimate.cell_resistance.ravel() ** 2)
@@ -95,7 +98,8 @@ def test_a_cell_at_a_bound_is_released_alone() -> None:
 
 def drawn(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[Array, Certainty, Array]]:
     """(error of log r, certainty, which cells are free) of estimates from noise drawn anew."""
-    cells, rng = panel_cells(), np.random.default_rng(7)
+    cells = panel_cells()
+    rng = np.random.default_rng(7)
     exact = two_point_resistance(cells)
     for _ in range(draws):
         measured = exact * (1 + noise * rng.standard_normal(exact.shape))
@@ -110,7 +114,8 @@ def drawn(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[A
 @pytest.mark.slow
 @pytest.mark.parametrize("weighting", ["plain", "noise"])
 def test_intervals_hold_the_truth_as_often_as_they_say(weighting: str) -> None:
-    inside, standard = [], []
+    inside = []
+    standard = []
     for error, certainty, free in drawn((Misfit(weighting=weighting),), 0.002, 200):
         held = (error >= -certainty.above[0]) & (error <= certainty.below[0])
         inside.append(held[free])
@@ -120,7 +125,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say(weighting: str) -> None:
 
 
 def test_a_penalty_that_does_not_suit_leaves_wider_bars() -> None:
-    honest, blind = [], []
+    honest = []
+    blind = []
     for error, certainty, free in drawn((Misfit(), Gradient(weight=1e-4)), 0.002, 30):
         honest.append((np.abs(error) <= np.where(error < 0, certainty.above[0], certainty.below[0]))[free])
         blind.append(certainty.resolution[0][free])
@@ -145,7 +151,9 @@ def test_what_cells_share_of_a_change_cancels_as_far_as_both_frames_have_it() ->
 def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
     """Pressed cells beyond the amplifiers' rail, a penalty that pulls them up against it: intervals still hold them."""
     readout = VirtualGroundReadout(drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=1200.0, adc_bits=12, noise_lsb=1.0)
-    scene, held, unsolved = Scene(Panel(5, 6), readout), [], 0
+    scene = Scene(Panel(5, 6), readout)
+    held = []
+    unsolved = 0
     for seed in range(12):
         rng = np.random.default_rng(seed)
         resting = 3000 * np.exp(0.2 * rng.standard_normal(scene.panel.shape))
@@ -178,7 +186,9 @@ def test_an_interval_ends_at_the_bounds_but_for_the_noise_of_the_reading() -> No
     model.gradient = np.full(6, 1e5)  # so steep that the density is exponential, with the slope 1e5
     shares = np.full(4, 0.7), np.full(4, 0.91)
     found = Certainty.of(model, (np.full(4, 0.01), np.full(4, 0.0036)), shares, lambda cells: np.ones(len(cells)))
-    reach, noise, tail = 0.1959964, 1.959964 * 0.005, -np.log(0.05) / 1e5
+    reach = 0.1959964
+    noise = 1.959964 * 0.005
+    tail = -np.log(0.05) / 1e5
     assert_allclose(found.deviation, [[[*[0.1] * 4, 1e-5, np.inf]]])
     assert_allclose(found.own[..., :4], 0.08)
     assert_allclose(found.below, [[[reach, np.log(100 / 99) + noise, reach, noise, noise, tail]]], rtol=1e-6)

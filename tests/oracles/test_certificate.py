@@ -203,7 +203,8 @@ def test_a_stationary_point_that_is_no_minimum_is_named() -> None:
 
 def test_cells_that_nothing_speaks_of_are_a_plateau() -> None:
     """One row of cells, each its own circuit, of which one is not seen."""
-    scene, cells = Scene(Panel(1, 3)), np.array([[1000.0, 2000.0, 3000.0]])
+    scene = Scene(Panel(1, 3))
+    cells = np.array([[1000.0, 2000.0, 3000.0]])
     readings = Readings(cells, None, np.zeros((1, 3)), np.array([[1.0, 0.0, 1.0]]))
     data = Data(Given.of(readings.alone(), Background(scene)), cells[None] * 1e-6, cells[None] * 1e6)
     solution = verified(Evaluation.at(Cost(scene.panel, (Misfit(),), 1, partial=True), data, cells[None]))
@@ -225,7 +226,8 @@ def test_cells_without_change_are_an_optimum_where_the_penalty_outweighs_the_gra
 ) -> None:
     """All cells are as before but for rounding; the readings of two loaded cells are missed by 60 percent."""
     unloaded = USUAL * (1 + 1e-14 * np.random.default_rng(5).standard_normal(USUAL.shape))
-    measured, zeros = in_digits(changed(([2, 3], [3, 3]), 0.3)), np.zeros(USUAL.size)
+    measured = in_digits(changed(([2, 3], [3, 3]), 0.3))
+    zeros = np.zeros(USUAL.size)
 
     def point(weight: float) -> Evaluation:
         terms = (Misfit(weighting="noise"), LogRatio(weight=weight))

@@ -61,7 +61,8 @@ def recorded(*loads: Any, panel: Panel = PANEL, seed: int = 3, frames: int = 2, 
 
 
 def frames_of(recording: Recording, measured: Any = None, errors: ModelErrors | None = None) -> list[Observation]:
-    readings, panel = recording.readings(), recording.scene.panel
+    readings = recording.readings()
+    panel = recording.scene.panel
     resting = readings[[0, 1, 2]].mean()
     baseline = Baseline.of(resting.value, resting.sigma, recording.scene, errors or ModelErrors())
     values = readings.value if measured is None else measured
@@ -201,7 +202,8 @@ def test_what_is_no_shape_is_unlike_any_and_a_thin_line_is_no_lamprey() -> None:
 
 def test_the_field_has_the_evidence_of_its_gaussian() -> None:
     """Where readings are straight in ln r, it is that of a Gaussian with the prior's covariance through them."""
-    frame, cells = frames_of(recorded(frames=1))[0], PANEL.rows * PANEL.columns
+    frame = frames_of(recorded(frames=1))[0]
+    cells = PANEL.rows * PANEL.columns
     fit, _ = field_fit(frame)
     slope = frame.slope(fit.change)
     spread = frame.covariance(slope) + slope @ prior(frame, np.full(cells, SD[0])) @ slope.T
@@ -215,7 +217,8 @@ def test_the_field_has_the_evidence_of_its_gaussian() -> None:
 @pytest.mark.parametrize("ohm", [20.0, 160.0])
 def test_an_outlier_does_not_move_the_mouth(ohm: float, place: tuple[int, int]) -> None:
     """Nor do last bits, where it lies under the mouth."""
-    recording, diameters = recorded(MOUTH, frames=1), []
+    recording = recorded(MOUTH, frames=1)
+    diameters = []
     for last_bits in (0.0, 1e-12):
         measured = recording.readings().value * (1 + last_bits * np.random.default_rng(1).standard_normal(PANEL.shape))
         measured[3, *place] += ohm
@@ -255,7 +258,8 @@ def watched(recordings: list[Recording], minutes: float = 0.0, drift: float = 0.
     resting = readings[[0, 1, 2]].mean()
     panelled = Panelled(SQUARE, Detector(6.0), np.zeros(SQUARE.panel.shape), ModelErrors())
     watch = Watch.begin(panelled, resting.value, readings.sigma[0], readings.value[:3], 0.0)
-    rng, time = np.random.default_rng(3), 0.0
+    rng = np.random.default_rng(3)
+    time = 0.0
     wander = drift * (1 + 0.1 * rng.standard_normal(SQUARE.panel.shape))
 
     def pushed(watch: Watch, value: Array, sigma: Array, time: float) -> Watch:

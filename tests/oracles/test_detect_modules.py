@@ -22,7 +22,8 @@ from lampest.report.detect.detection import detect_recording
 READOUT = TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
 SCENE = Scene(Panel(modules=Modules(2, 3, EachModule(6, 7), 4.0)), READOUT, 140.0)
 SMALL = Panel(6, 6)
-STEPS, SCALES = 40000, (0.1, 0.4, 1.0)
+STEPS = 40000
+SCALES = (0.1, 0.4, 1.0)
 
 
 @pytest.mark.slow
@@ -140,25 +141,31 @@ def test_bars_of_suction_and_breath_contain_films_that_no_one_measured(curve: st
 
 def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) -> Array:
     """ln d along a random walk through e^−cost, (samples)."""
-    rng, samples, mean, sd = np.random.default_rng(5), [], fitting.candidate.mean(SMALL), fitting.candidate.sd(SMALL)
+    rng = np.random.default_rng(5)
+    samples = []
+    mean = fitting.candidate.mean(SMALL)
+    sd = fitting.candidate.sd(SMALL)
 
     def cost_at(parameters: Array) -> float:
         error = whitening @ fitting.about(parameters, whitening).residual
         return float(error @ error + np.sum(((parameters - mean) / sd) ** 2)) / 2
 
-    here, cost = start, cost_at(start)
+    here = start
+    cost = cost_at(start)
     for _ in range(STEPS):
         step = here + root @ rng.standard_normal(len(here)) * rng.choice(SCALES)
         there = cost_at(step)
         if np.log(rng.random()) < cost - there:
-            here, cost = step, there
+            here = step
+            cost = there
         samples.append(here[2])
     return np.array(samples[STEPS // 5 :])
 
 
 @pytest.mark.slow
 def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> None:
-    frame, detector = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60), SMALL), Detector(6.0)
+    frame = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60), SMALL)
+    detector = Detector(6.0)
     rod = next(fit for fit in detector.verdict(frame).loads if fit.candidate is Rod.candidate)
     fitting = Fitting(rod.candidate, frame, PATCH_MM)
     whitening = fitting.errors(rod, rod.scatter)

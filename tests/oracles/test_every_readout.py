@@ -33,8 +33,10 @@ from lampest.runs.results import read_results
 from tests.estimates import recording_of
 from tests.netlist import divider, network_of, potentials, resistors, volts
 
-ROWS, COLUMNS = 5, 6
-DRIVES, SENSES = tuple(40.0 + 9 * line for line in range(ROWS)), tuple(60.0 + 11 * line for line in range(COLUMNS))
+ROWS = 5
+COLUMNS = 6
+DRIVES = tuple(40.0 + 9 * line for line in range(ROWS))
+SENSES = tuple(60.0 + 11 * line for line in range(COLUMNS))
 TWO_POINT = TwoPointReadout(adc_bits=12, noise_lsb=1)
 LOADED = LoadedColumnsReadout(supply_volt=3.3, load_ohm=10_000, drive_ohm=1080, adc_bits=12, readings=20, noise_lsb=1)
 LOADED_LISTS = replace(LOADED, load_ohm=tuple(8000.0 + 300 * line for line in range(COLUMNS)), drive_ohm=DRIVES)
@@ -97,7 +99,8 @@ every_readout = pytest.mark.parametrize("readout", READOUTS.values(), ids=READOU
 LSM = (Misfit(weighting="noise"),)
 SMOOTH = (*LSM, LogRatio(weight=10.0, loss=Squared()))
 SHAPE = (4, 5)
-ROW_OHM, COLUMN_OHM = (70.0, 75.0, 81.0, 66.0), (60.0, 68.0, 72.0, 64.0, 77.0)
+ROW_OHM = (70.0, 75.0, 81.0, 66.0)
+COLUMN_OHM = (60.0, 68.0, 72.0, 64.0, 77.0)
 FINE = Settings(tolerance=1e-10)  # a cell of 25 kohm beside such of 0.4 is hardly seen, and the cost is flat along it
 LED = Diode(drop_volt=1.8, at_ampere=2e-3, slope_volt=0.09)
 UNLIKE = LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=120.0, adc_bits=12)
@@ -166,7 +169,8 @@ def test_nodal_and_reduced_reach_one_optimum(readout: Any, terms: Any) -> None:
 def test_slopes_of_all_addresses_give_the_change_of_each_reading(name: str) -> None:
     readout = SEVERAL[name]
     rng = np.random.default_rng(4)
-    cells, step = 3000 * np.exp(rng.normal(size=(ROWS, COLUMNS))), rng.normal(size=(ROWS, COLUMNS))
+    cells = 3000 * np.exp(rng.normal(size=(ROWS, COLUMNS)))
+    step = rng.normal(size=(ROWS, COLUMNS))
     network = readout.network(cells, readout.ties(cells))
     changes = [
         network.response_of(lambda each, entry=entry: np.broadcast_to(each.changes(step)[entry], cells.shape))
@@ -180,7 +184,8 @@ def test_slopes_of_all_addresses_give_the_change_of_each_reading(name: str) -> N
 @pytest.mark.parametrize("groups", [None, 2, 3])
 def test_any_states_of_idle_lines_read_what_the_netlist_says(driven: Any, groups: int | None) -> None:
     """Idle lines that float, are held, pulled by less and by more than Rd, on both sides; with outlines and wire."""
-    rng, shape = np.random.default_rng(3), (4, 6) if driven == "rows" else (6, 4)
+    rng = np.random.default_rng(3)
+    shape = (4, 6) if driven == "rows" else (6, 4)
     cells = 3000 * np.exp(rng.normal(size=shape))
     cells[1, 2] = cells[3, 0] = inf  # an outline
     of_groups = None if groups is None else tuple(tuple(range(first, 6, groups)) for first in range(groups))
@@ -331,7 +336,8 @@ def cells_of(seed: int = 3, shape: tuple[int, int] = SHAPE) -> Array:
 @pytest.mark.parametrize("across", ["reference", "sensor"])
 def test_two_point_takes_off_what_each_line_has_in_series(across: Any, input_ohm: float | None) -> None:
     readout = TwoPointReadout(measured_across=across, input_ohm=input_ohm, adc_bits=16, noise_lsb=1)
-    cells, scene = cells_of(), Scene(Panel(*SHAPE), readout, SeriesPerLine(ROW_OHM, COLUMN_OHM))
+    cells = cells_of()
+    scene = Scene(Panel(*SHAPE), readout, SeriesPerLine(ROW_OHM, COLUMN_OHM))
     ohm = [(row, column, ROW_OHM[row], COLUMN_OHM[column]) for row, column in np.ndindex(SHAPE)]
     volt = np.reshape([divider(cells, readout, *reading) for reading in ohm], SHAPE)
     ratio = (5 - volt) / volt if across == "reference" else volt / (5 - volt)
@@ -407,7 +413,9 @@ def test_noise_is_that_of_the_driven_line(readout: Any, driven: str) -> None:
 @pytest.mark.parametrize("readout", KINDS, ids=lambda one: one.kind)
 def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
     """All channels and the reference drawn anew for every panel: errors in units of the error bars."""
-    cells, rng, scores = cells_of(), np.random.default_rng(8), []
+    cells = cells_of()
+    rng = np.random.default_rng(8)
+    scores = []
     quiet = replace(readout, adc_bits=16, noise_lsb=0.5)
     told = Scene(Panel(*SHAPE), quiet, systematic=Systematic(0.02, 4.0))
     if isinstance(readout, TwoPointReadout):
@@ -427,7 +435,8 @@ def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
 def test_a_start_of_cells_that_are_alike_reproduces_the_readings(readout: Any) -> None:
     """Within the change of log g at which its rounds end; from cells nearby it ends there, too."""
     cells = cells_of(shape=(ROWS, COLUMNS)) ** 0.5 * 50.0
-    exact, open_end = readout.exact_reading(cells), np.full(cells.shape, np.inf)
+    exact = readout.exact_reading(cells)
+    open_end = np.full(cells.shape, np.inf)
     for near in (None, 1.3 * cells):
         assert_allclose(readout.start(exact, open_end, near), cells, rtol=0.02)
     assert readout.start(exact, np.full(cells.shape, 2000.0)).max() <= 2000.0

@@ -29,7 +29,8 @@ def cells() -> Array:
 
 def recording(truth: Array, readout: TwoPointReadout | None = None) -> Recording:
     """Exact readings with a small σ, one unloaded frame."""
-    scene, sigma = Scene(Panel(*SHAPE), readout), np.full(truth.shape, SIGMA)
+    scene = Scene(Panel(*SHAPE), readout)
+    sigma = np.full(truth.shape, SIGMA)
     return recording_of(scene, two_point_resistance(truth), 1, sigma=sigma)
 
 
@@ -66,7 +67,8 @@ def with_holes(seed: int, missing: int) -> lampest.Recording:
 def test_cells_beside_one_that_was_not_read_are_held(terms: list[object]) -> None:
     """A missing reading moves all cells together, along a curve: tangents held 87 % of them over 28 such panels."""
     misfit = lampest.Misfit(weighting="noise" if terms else "plain")
-    held, widths = [], []
+    held = []
+    widths = []
     for seed in range(12):
         estimate = lampest.reconstruct(with_holes(seed, 1 + seed % 2), [misfit, *terms], formulation="reduced")
         read = np.isfinite(estimate.recording.recorded[2:])
@@ -106,7 +108,8 @@ def test_the_valley_is_followed_to_where_a_held_cell_leads(side: int) -> None:
     cell = int(np.flatnonzero(readings.seen[2].ravel() == 0)[0])
     errors = DenseErrors(model)
     gone = profile_end(errors, cell, side)
-    lower, upper = data.lower.copy(), data.upper.copy()
+    lower = data.lower.copy()
+    upper = data.upper.copy()
     lower.flat[cell] = upper.flat[cell] = np.exp(model.at.position.flat[cell] + gone[cell])
     start = np.exp(model.at.position + gone.reshape(1, *SHAPE))
     there = stream.estimator.method.solve(stream, replace(data, lower=lower, upper=upper), start)

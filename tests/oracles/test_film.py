@@ -27,13 +27,16 @@ OPEN_FILM = Film(creep_per_decade="auto")
 LAMPREY = OralDisc(centre_mm=(25, 27), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-8, rim_kpa=50)
 WEAK = replace(LAMPREY, pressure_kpa=-0.6, rim_kpa=2.0)
 CUP = SuctionCup(kind="suction_cup", centre_mm=(25, 25), inner_diameter_mm=24, outer_diameter_mm=32, pressure_kpa=-1.5)
-ARRIVES, LEAVES = 30, 70
+ARRIVES = 30
+LEAVES = 70
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.1, 0.24, 0.5])
 @pytest.mark.parametrize("peak", [30.0, -8.0])
 def test_cycle_loads_along_the_line_and_unloads_along_the_hyperbola(gap: float, peak: float) -> None:
-    share, plays, effective = np.linspace(0, 1, 101), Plays.at_rest(np.array(gap)), np.zeros(202)
+    share = np.linspace(0, 1, 101)
+    plays = Plays.at_rest(np.array(gap))
+    effective = np.zeros(202)
     for number, pressure in enumerate(peak * np.concatenate([share, share[::-1]])):
         effective[number] = plays.effective(np.array(pressure)) / peak
         plays = plays.after(np.array(pressure))
@@ -59,7 +62,8 @@ def test_creep_is_logarithmic_and_fades_by_superposition() -> None:
 
 
 def test_memory_is_undone_exactly_under_water_too() -> None:
-    generator, water = np.random.default_rng(3), np.array([0.0, 0.7])
+    generator = np.random.default_rng(3)
+    water = np.array([0.0, 0.7])
     there = here = FilmMemory.at_rest(np.full(2, 0.24), np.full(2, 0.08), np.full(2, 0.7), water)
     for pressure in generator.uniform(-6, 25, (200, 1)) * np.ones(2):
         there, change = there.answered(pressure, 1.3)
@@ -101,7 +105,8 @@ def pressed_film(truth: Film, told: Film | None, seed: int = 3, course: Course =
 
 def of_truth(recording: Recording, end: int | None = None) -> tuple[Pressure, Array]:
     """Pressures that the true cells tell, and the true ones; up to a frame."""
-    cells, pressure = recording.truth_cell_resistance[:end], recording.truth_pressure[3:end]
+    cells = recording.truth_cell_resistance[:end]
+    pressure = recording.truth_pressure[3:end]
     ratio = (cells / cells[0])[3:]
     return pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:end]), pressure
 
@@ -152,7 +157,9 @@ def test_open_creep_stays_open_where_nothing_was_released() -> None:
 def test_what_stays_and_does_not_fade_is_no_creep(creep: float, residue: float) -> None:
     """A minute under loads and a minute after them, in ln(r/r0)."""
     rng = np.random.default_rng(1)
-    load, film, frames = rng.uniform(0.5, 2, (4, 4)), Creep.at_rest(np.full((4, 4), creep)), []
+    load = rng.uniform(0.5, 2, (4, 4))
+    film = Creep.at_rest(np.full((4, 4), creep))
+    frames = []
     for frame in range(120):
         now = load * (frame < 60)
         frames.append(film.answer(now, 1.0) + residue * load * (frame >= 60) + 0.01 * rng.standard_normal((4, 4)))
@@ -207,7 +214,8 @@ def test_nothing_attached_is_never_taken_for_zero(load: Shape, approach: float, 
     scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
     plain = Simulation(1, seed, scene, frames=130, loads=(load,), course=course, film=film)
     recording = simulate(replace(plain, unmodelled=Unmodelled(drift_per_minute=0.01)))
-    cells, truth = recording.truth_cell_resistance, recording.truth_pressure
+    cells = recording.truth_cell_resistance
+    truth = recording.truth_pressure
     noise = np.exp(0.007 * np.random.default_rng(seed).standard_normal(cells.shape))
     ratio = (cells * noise / cells[0])[3:]
     tared = pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:], tare=Tare(10)).tared

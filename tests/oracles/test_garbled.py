@@ -37,8 +37,10 @@ def garble(codes: NDArray[np.int64], frame: int, kind: str, top: int, rng: np.ra
 def test_garbled_lines_of_a_frame_are_found(kind: str, share: float) -> None:
     found = []
     for seed in PLANS:
-        plan, rng = Plan.drawn(seed), np.random.default_rng([seed, 9])
-        codes, frame = plan.codes(), int(rng.integers(1, plan.unloaded + plan.measured - 1))
+        plan = Plan.drawn(seed)
+        rng = np.random.default_rng([seed, 9])
+        codes = plan.codes()
+        frame = int(rng.integers(1, plan.unloaded + plan.measured - 1))
         garble(codes, frame, kind, 2**plan.scene.circuit.adc_bits, rng)
         lines = garbled_lines(recorded(plan.scene, codes, plan.unloaded))
         found.append([line.frame for line in lines] == [frame])
@@ -49,7 +51,8 @@ def test_a_lost_code_displaces_the_remaining_ones() -> None:
     found = []
     for seed in range(2 * len(PLANS)):
         plan = Plan.drawn(seed)
-        codes, frame = plan.codes(), plan.unloaded + plan.measured // 2
+        codes = plan.codes()
+        frame = plan.unloaded + plan.measured // 2
         steps = np.median(np.abs(np.diff(codes[0], axis=1))) / plan.noise_lsb
         if steps > MIN_STEPS and plan.load in ("none", "stands"):
             garble(codes, frame, "a lost code", 0, np.random.default_rng(seed))
@@ -66,10 +69,12 @@ def test_no_frame_of_clean_recordings_is_garbled() -> None:
 
 def test_a_garbled_frame_condemns_no_circuit_and_is_not_the_strongest() -> None:
     plan = Plan.drawn(4, "two_point")
-    codes, frame = plan.codes(), plan.unloaded + 4
+    codes = plan.codes()
+    frame = plan.unloaded + 4
     garble(codes, frame, "two rows", 2**plan.scene.circuit.adc_bits, np.random.default_rng(3))
     recording = recorded(plan.scene, codes, plan.unloaded)
-    prepared, strongest = Prepared(recording), strongest_readings(recording)
+    prepared = Prepared(recording)
+    strongest = strongest_readings(recording)
     assert prepared.check.explains
     assert f"of frame {frame}" in " ".join(prepared.warnings)
     assert strongest is not None and strongest[0] != frame

@@ -85,8 +85,10 @@ def test_a_noisy_row_and_a_noisy_cell_are_named() -> None:
     for plan in map(Plan.drawn, PLANS):
         if plan.unloaded < 6:
             continue
-        rng, codes = np.random.default_rng(plan.seed), plan.codes()
-        row, cell = codes.copy(), codes.copy()
+        rng = np.random.default_rng(plan.seed)
+        codes = plan.codes()
+        row = codes.copy()
+        cell = codes.copy()
         row[:, 3] += np.rint(6 * plan.noise_lsb * rng.standard_normal(row[:, 3].shape)).astype(int)
         cell[:, 4, 1] += np.rint(15 * plan.noise_lsb * rng.standard_normal(len(cell))).astype(int)
         assert any("row 3" in text and "noisy" in text for text in faulty(health(plan, np.maximum(row, 0))))
@@ -106,7 +108,8 @@ def test_a_repeated_frame_and_a_gap_in_time_are_named() -> None:
 
 
 def test_rows_of_the_wrong_length_and_lines_in_another_order_are_noticed() -> None:
-    cut, odd = list[bool](), list[bool]()
+    cut = list[bool]()
+    odd = list[bool]()
     for plan in map(Plan.drawn, PLANS):
         codes = plan.codes()
         frames, rows, columns = codes.shape

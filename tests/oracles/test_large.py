@@ -96,7 +96,8 @@ def by_products(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def crowded(noise: float, seed: int, shape: tuple[int, int] = (6, 7)) -> Evaluation:
     """The readings' own start with so much relative noise that a third of its cells, or most, stand at a bound."""
-    generator, scene = np.random.default_rng(seed), Scene(Panel(*shape), TwoPointReadout())
+    generator = np.random.default_rng(seed)
+    scene = Scene(Panel(*shape), TwoPointReadout())
     exact = two_point_resistance(3000 * np.exp(0.2 * generator.standard_normal(shape)))
     value = np.maximum(exact * (1 + noise * generator.standard_normal(shape)), 10)[None]
     estimator = Estimator((Misfit(),), formulation="reduced")
@@ -173,7 +174,8 @@ def test_negative_curvature_under_a_large_mouth_is_left_behind() -> None:
     """
     truth = 3000 * np.exp(0.2 * np.random.default_rng(4).standard_normal((18, 20)))
     truth[4:12, 5:13] *= 0.01
-    scene, readings = Scene(Panel(18, 20), TwoPointReadout()), two_point_resistance(truth)[None]
+    scene = Scene(Panel(18, 20), TwoPointReadout())
+    readings = two_point_resistance(truth)[None]
     estimator = Estimator((Misfit(), Gradient(weight=1e-3)), formulation="reduced")
     data = estimator.data(Readings.of(scene, readings), Background(scene))
     start = Evaluation.at(estimator.cost(scene, 1, partial=False), data, data.uniform_start)

@@ -79,7 +79,8 @@ def test_one_step_sees_a_single_cell_on_a_panel_that_is_not_factored() -> None:
 )
 def test_where_it_converges_it_is_the_verified_optimum(method: str, term: CellResistance) -> None:
     """Three frames of a panel whose middle is pressed harder and harder, exact to a tenth of a percent."""
-    rng, panel = np.random.default_rng(4), Panel(4, 5)
+    rng = np.random.default_rng(4)
+    panel = Panel(4, 5)
     cells = np.stack([2000 * np.exp(0.2 * rng.standard_normal(panel.shape))] * 3)
     cells[1:, 1:3, 1:4] *= np.array([0.6, 0.4])[:, None, None]
     readings = TwoPointReadout().exact_reading(cells) * np.exp(1e-3 * rng.standard_normal(cells.shape))

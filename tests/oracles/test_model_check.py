@@ -114,11 +114,14 @@ def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
 )
 def test_the_skirts_of_soft_loads_are_not_mistaken_for(circuit: Readout, seed: int) -> None:
     """Half of the cells change by a few percent, which a wrong circuit or an effect would bring about as well."""
-    rng, scene = np.random.default_rng(seed), Scene(Panel(12, 9), circuit)
+    rng = np.random.default_rng(seed)
+    scene = Scene(Panel(12, 9), circuit)
     row, column = np.indices((12, 9))
     cells = np.repeat(3000 * np.exp(0.1 * rng.standard_normal((1, 12, 9))), 4, axis=0)
     for _ in range(2):
-        depth, down, across = rng.uniform(0.5, 1.5), rng.uniform(0, 11), rng.uniform(0, 8)
+        depth = rng.uniform(0.5, 1.5)
+        down = rng.uniform(0, 11)
+        across = rng.uniform(0, 8)
         cells[3:] *= np.exp(-depth * np.exp(-((row - down) ** 2 + (column - across) ** 2) / 8))
     exact = np.stack([circuit.to_recorded(circuit.exact_reading(frame), scene) for frame in cells])
     prepared = Prepared(recording_of(scene, exact + circuit.sigma(exact) * rng.standard_normal(exact.shape), 3))

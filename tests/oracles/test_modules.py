@@ -19,7 +19,7 @@ from lampest.files.document import parse_document, to_yaml, validated
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.scene import Scene
-from lampest.posterior.covariance import SampledMemory
+from lampest.posterior.memory import SampledMemory
 from lampest.recording.simulation import Simulation, simulate
 
 SCENE = """
@@ -120,13 +120,15 @@ def test_a_sequence_goes_on_from_the_arrays_that_are_kept_of_it(panel: str) -> N
     """Also through samples; a dead module has none."""
     dead = "faults: {dead_modules: [[0, 1]]}\n" if "modules" in panel else ""
     recording = simulated(scene_of(f"panel: {{{panel}}}\n{SCENE[SCENE.index('readout') :]}{dead}"))
-    estimator, readings = Estimator((Misfit(), RelativeChange(weight=1e-3)), "reduced"), recording.readings()
+    estimator = Estimator((Misfit(), RelativeChange(weight=1e-3)), "reduced")
+    readings = recording.readings()
     begun = stream = begin_stream(estimator, recording.scene, 0.1, readings[recording.role == 0].mean())
     first, second, third = recording.measured_frames()
     for frame in (first, second):
         stream, _ = stream.push(readings[frame])
     kept = CarriedOver.of(stream)
-    one, other = stream.restarted(begun), kept.onto(begun)
+    one = stream.restarted(begun)
+    other = kept.onto(begun)
     shapes = [{name: values.shape for name, values in of.arrays.items()} for of in (kept, CarriedOver.of(other))]
     assert not other.first and shapes[0] == shapes[1]
     assert all(part is None or part.prepared is None for part in (one.modules or (one,)))
@@ -164,7 +166,8 @@ def apart(recording: Recording, *terms: lampest.Term) -> lampest.Estimates:
 
 def cost(recording: Recording, cells: NDArray[np.float64], frame: int, weight: float) -> float:
     """Σ (R − R_m)² + λ Σ (ln r_b/r_a)²/d², written down anew."""
-    layout, panel = COUPLED, recording.scene.panel
+    layout = COUPLED
+    panel = recording.scene.panel
     measured = layout.split(recording.recorded[frame] - 140.0)
     misfit = sum(np.sum((two_point_resistance(c) - m) ** 2) for c, m in zip(layout.split(cells), measured, strict=True))
     x, y = (line / panel.pitch_mm for line in panel.centres_mm())
@@ -176,14 +179,16 @@ def cost(recording: Recording, cells: NDArray[np.float64], frame: int, weight: f
 def test_what_couples_no_cells_is_as_without_coupling() -> None:
     recording = taken()
     penalty = lampest.CellResistance(weight=1e-7)
-    one, other = coupled(recording, penalty), apart(recording, penalty)
+    one = coupled(recording, penalty)
+    other = apart(recording, penalty)
     assert all(status == "optimum verified" for status in one.status)
     np.testing.assert_allclose(one.cell_resistance, other.cell_resistance, rtol=1e-5)
     np.testing.assert_allclose(one.baseline_resistance, other.baseline_resistance, rtol=1e-5)
 
 
 def test_differences_over_seams_count_by_their_distance() -> None:
-    recording, weight = taken(), 3e4
+    recording = taken()
+    weight = 3e4
     estimate, uncoupled = (one(recording, lampest.LogGradient(weight=weight)) for one in (coupled, apart))
     assert estimate.solved.all()
     random = np.random.default_rng(1)
@@ -217,7 +222,8 @@ def test_frames_that_are_solved_in_blocks_are_those_that_are_solved_one_by_one(
     recorded[measured[3], 2, 3] = np.nan  # such a frame is solved alone, among the others
     recorded[measured[5]] = np.nan
     prepared = Prepared(replace(recording, recorded=recorded, raw_sums=None))
-    pushed, push = list[Stream](), Stream.push
+    pushed = list[Stream]()
+    push = Stream.push
     monkeypatch.setattr(Stream, "push", lambda stream, readings: pushed.append(stream) or push(stream, readings))
     estimate = reconstruct(prepared, Estimator(terms, "reduced"))
     assert len(pushed) == 3  # the first frame, and those that are not read whole

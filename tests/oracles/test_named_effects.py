@@ -13,7 +13,10 @@ from lampest.estimate import memory, prepared, resolve
 from lampest.estimate.prepared import Prepared
 from tests.estimates import recording_of
 
-ROWS, COLUMNS, UNLOADED, FRAMES = 12, 8, 5, 6
+ROWS = 12
+COLUMNS = 8
+UNLOADED = 5
+FRAMES = 6
 STATIC = Systematic(reading_error="estimated")
 WEIGHTED = Misfit(weighting="noise")
 

@@ -26,7 +26,8 @@ from lampest.report.detect.detection import detect_recording
 from lampest.studies.study import read_settings
 from tests.estimates import in_intervals, log_errors, recording_of
 
-LINES, CHANNELS = 10, 10
+LINES = 10
+CHANNELS = 10
 LSM = Estimator((Misfit(),), "reduced", error_bars=True)
 
 
@@ -77,7 +78,8 @@ def test_loads_and_wrong_noise_make_no_outliers() -> None:
     """Cells under a mouth overshoot in the first frame: by 50 σ, after a step of 1,450. Readings over their own σ vary
     five times less than they scatter. Under a foot predictions miss by as much in most frames."""
     audit = read_settings(AuditFile)(Path(__file__).parents[2] / "configs" / "audit.yaml")
-    mouth, foot = AuditTask(audit, "as specified", 702).recording(), lampest.datasets.load("insole_standing")
+    mouth = AuditTask(audit, "as specified", 702).recording()
+    foot = lampest.datasets.load("insole_standing")
     for recording in (mouth, foot, *(recorded(seed, scene_of(0.7, None), 3.0) for seed in range(8))):
         assert not Prepared(recording).cleaned.outliers.any()
 
@@ -86,7 +88,8 @@ def test_loads_and_wrong_noise_make_no_outliers() -> None:
 def test_a_frozen_reading_is_left_out_and_named_and_costs_no_more_than_a_missing_one(factor: float) -> None:
     """Under the load it would move the cells of its row and column by a tenth and more, whatever its value is."""
     whole = Recording.load(Path(__file__).parents[2] / "data" / "lamprey_35mm.h5", slice(9))
-    frozen, missing = whole.recorded.copy(), whole.recorded.copy()
+    frozen = whole.recorded.copy()
+    missing = whole.recorded.copy()
     frozen[:, 4, 5], missing[:, 4, 5] = factor * whole.recorded[0, 4, 5], np.nan
     froze, missed = (Prepared(replace(whole, recorded=values, raw_sums=None)) for values in (frozen, missing))
     plain = replace(LSM, error_bars=False)
@@ -98,7 +101,8 @@ def test_a_frozen_reading_is_left_out_and_named_and_costs_no_more_than_a_missing
 @pytest.mark.parametrize("noise", [0.05, 0.2, 0.4, 0.6, 1.0, 3.0])
 def test_readings_that_a_converter_repeats_are_not_frozen(noise: float) -> None:
     """`noise` is in steps of the converter; a load moves half of the rows and none of the others."""
-    rng, flagged = np.random.default_rng(int(100 * noise)), 0
+    rng = np.random.default_rng(int(100 * noise))
+    flagged = 0
     for frames in (4, 8, 20, 100):
         for _ in range(10):
             codes = rng.uniform(100, 900, (6, 6)) + noise * rng.standard_normal((frames, 6, 6))
@@ -109,7 +113,11 @@ def test_readings_that_a_converter_repeats_are_not_frozen(noise: float) -> None:
 
 def test_leaps_are_seen_while_a_load_breathes() -> None:
     """Readings go by ten to forty σ from frame to frame, and lags of their median hid leaps of five times as much."""
-    rng, detected, missed, false, off = np.random.default_rng(3), 0, 0, 0, []
+    rng = np.random.default_rng(3)
+    detected = 0
+    missed = 0
+    false = 0
+    off = []
     place = np.hypot(*(np.indices((9, 9)) - 4.0))
     for _ in range(6):
         breath = 1 + 0.15 * np.sin(2 * np.pi * (0.08 * np.arange(8) + rng.uniform()))
@@ -119,7 +127,8 @@ def test_leaps_are_seen_while_a_load_breathes() -> None:
         hit = rng.random(exact.shape) < 5e-3
         noisy = exact + sigma * rng.standard_normal(exact.shape) + hit * 0.15 * exact
         outlying, instead, spread = detect_outliers(noisy, sigma)
-        detected, missed = detected + np.sum(outlying & hit), missed + np.sum(hit & ~outlying)
+        detected = detected + np.sum(outlying & hit)
+        missed = missed + np.sum(hit & ~outlying)
         false += np.sum(outlying & ~hit)
         off += list((np.abs(instead - exact) / np.hypot(sigma, spread))[outlying & hit])
     assert detected >= 4 * missed and false == 0
@@ -142,7 +151,8 @@ def recorded(
 
     gain : of each frame. static : of each reading, the same in all frames. series : ohm beside the scene's.
     """
-    rng, lsb = np.random.default_rng(seed), 5 / 2**12
+    rng = np.random.default_rng(seed)
+    lsb = 5 / 2**12
     cells = np.repeat(3000 * np.exp(0.2 * rng.standard_normal((1, *scene.panel.shape))), frames, axis=0)
     cells[unloaded:, 2:5, 3:6] *= 0.3
     exact = two_point_resistance(cells) + 140
@@ -159,7 +169,8 @@ def scene_of(noise: float | str | None, systematic: Systematic | str | None = No
 
 def held(recording: Recording) -> tuple[float, float]:
     """Shares of the true cells and true changes within their 95 % intervals."""
-    estimate, cells = reconstruct(recording, LSM), recording.truth_cell_resistance
+    estimate = reconstruct(recording, LSM)
+    cells = recording.truth_cell_resistance
     change = 100 * (cells[estimate.frame] / cells[0] - 1)
     changed = (estimate.relative_change_lower <= change) & (change <= estimate.relative_change_upper)
     return float(in_intervals(estimate).mean()), float(changed.mean())
@@ -182,7 +193,8 @@ def test_noise_that_is_specified_twelve_times_too_large_or_too_small_is_measured
     true: float, specified: float, unloaded: int
 ) -> None:
     wrong, right = (recorded(2, scene_of(noise), true, unloaded=unloaded) for noise in (specified, true))
-    noise, expected = Prepared(wrong).noise, Prepared(right).noise
+    noise = Prepared(wrong).noise
+    expected = Prepared(right).noise
     assert np.median(noise.readings.sigma / expected.readings.sigma) == pytest.approx(1, abs=0.12)
     size = np.sqrt((true**2 + 1 / 12) / (specified**2 + 1 / 12))
     assert unloaded == 0 or abs(noise.factor - size) < 4 * noise.factor_error < 0.6 * size
@@ -220,7 +232,8 @@ def pressed(seed: int, systematic: Systematic | None = None, **effects: float) -
     x_mm, y_mm = (45 + np.random.default_rng(seed).uniform(-5, 5, 2)).tolist()
     disc = lampest.OralDisc(centre_mm=(x_mm, y_mm), diameter_mm=35, rim_width_mm=6, pressure_kpa=-12, rim_kpa=90)
     course = lampest.Course(start_s=-0.8, approach_s=0.6, attachment_s=2, breathing_hz=1.15, breathing_depth=0.1)
-    scene, unmodelled = Scene(Panel(10, 10), readout, 140.0, systematic=systematic), Unmodelled(**effects)
+    scene = Scene(Panel(10, 10), readout, 140.0, systematic=systematic)
+    unmodelled = Unmodelled(**effects)
     plain = Simulation(1, seed, scene, baseline_frames=5, frames=6, loads=(disc,), course=course)
     return simulate(replace(plain, unmodelled=unmodelled))
 
@@ -389,7 +402,8 @@ def test_a_load_in_the_last_unloaded_frames_is_named(loaded: int, tmp_path: Path
 def test_a_gain_that_varies_is_no_load_in_the_unloaded_frames() -> None:
     """The supply moves all readings of a frame; without MAX_GAIN one in fifteen such recordings passed for touched."""
     recording = lampest.datasets.load("lamprey_35mm")
-    circuit, rng = recording.scene.circuit, np.random.default_rng(5)
+    circuit = recording.scene.circuit
+    rng = np.random.default_rng(5)
     volt = circuit.volt_from_recorded(recording.recorded[[0, 1, 2, 0, 1, 2]])
     for _ in range(30):
         swayed = circuit.recorded_from_volt(volt * (1 + 0.03 * rng.standard_normal((6, 1, 1))))

@@ -16,7 +16,10 @@ from lampest.studies.study import read_settings
 from tests.estimates import recording_of
 from tests.netlist import two_point_resistances
 
-ROWS, COLUMNS, UNLOADED, FRAMES = 9, 10, 5, 6
+ROWS = 9
+COLUMNS = 10
+UNLOADED = 5
+FRAMES = 6
 ASKED = {"leaks": "estimated", "contacts": "estimated"}
 
 
@@ -77,7 +80,8 @@ def test_an_outlier_while_a_load_comes_is_no_contact(seed: int) -> None:
 )
 def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effect: dict) -> None:
     """The same noise is in both recordings; what the sizes leave open is a fraction of it."""
-    dirty, clean = Prepared(panel(1, **effect, **ASKED)).noise, panel(1).readings()
+    dirty = Prepared(panel(1, **effect, **ASKED)).noise
+    clean = panel(1).readings()
     assert dirty.estimated and all(size > deviation for size, deviation in dirty.estimated.values())
     unnamed = Prepared(panel(1, **effect))
     assert unnamed.noise.corrected_effects is None

@@ -70,7 +70,8 @@ def test_a_loss_with_a_corner_is_searched_from_where_squares_end(seed: int) -> N
     estimate = reconstruct(readings, chosen)
     assert max(step.solution.iterations for step in estimate.steps) <= 25  # from afar it takes 40 to 140
     data = chosen.data(readings.readings()[2].alone(), Background(readings.scene))
-    cost, rng = chosen.cost(readings.scene, 1), np.random.default_rng(seed)
+    cost = chosen.cost(readings.scene, 1)
+    rng = np.random.default_rng(seed)
     starts = data.apparent_resistance * np.exp(rng.uniform(0, 3, (4, *data.measured.shape)))
     ends = [solved_from(ProjectedNewton(cost, chosen.solver), evaluated(cost, data, start)) for start in starts]
     least = min(end.objective for end in ends if end.solved)
@@ -107,7 +108,8 @@ def test_single_row_has_a_closed_form(lower: Any) -> None:
 @pytest.mark.parametrize("formulation", ["nodal", "reduced"])
 def test_optimum_is_verified_from_a_start_without_any_change(formulation: str, weight: float) -> None:
     """The baseline is the first start, at which every residual of the absolute loss is zero."""
-    rng, time = np.random.default_rng(0), np.arange(8.0)
+    rng = np.random.default_rng(0)
+    time = np.arange(8.0)
     scene = Scene(Panel(3, 3), readout=GroundedReadout(load_ohm=1000.0, adc_bits=12, noise_lsb=2.5))
     cells = np.repeat(5000 * np.exp(0.2 * rng.standard_normal((1, 3, 3))), 8, axis=0)
     cells[6:, 1, 1] /= 2

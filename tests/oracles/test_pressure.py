@@ -45,7 +45,8 @@ def test_simulation_puts_in_what_the_scene_tells() -> None:
     cup = SuctionCup(centre_mm=(35, 35), inner_diameter_mm=27, outer_diameter_mm=35, pressure_kpa=-8)
     simulation = Simulation(schema=1, seed=3, scene=scene, cells=Cells(), baseline_frames=1, frames=3, loads=(cup,))
     recording = simulate(simulation)
-    cells, pressure = recording.truth_cell_resistance, recording.truth_pressure
+    cells = recording.truth_cell_resistance
+    pressure = recording.truth_pressure
     ratio = cells[1:] / cells[0]
     pressed = pressure_of(ratio, ratio, ratio, scene)
     np.testing.assert_allclose(pressed.pressure, pressure[1:] - water_pressure(scene.panel, scene.water), atol=1e-9)
@@ -60,7 +61,8 @@ def test_simulation_puts_in_what_the_scene_tells() -> None:
 def test_interval_covers_the_truth(name: str, sd: float) -> None:
     """4,000 draws of estimate, response and temperature coefficient, each with the error that it is said to have."""
     generator = np.random.default_rng([7, round(1000 * sd)])
-    scene, draws = SCENES[name], 4000
+    scene = SCENES[name]
+    draws = 4000
     pressure = generator.uniform(-6, 20, (draws, 4, 3))
     warm = scene.temperature
     shift = warm.logarithm if warm else 0.0
@@ -93,7 +95,8 @@ def test_pressures_are_flagged_where_the_curve_ends() -> None:
 def test_open_and_unseen_cells_and_failed_frames() -> None:
     ratio = np.full((1, 4, 3), 50.0)
     ratio[0, 0] = 1.0
-    lower, upper = 0.5 * ratio, np.full_like(ratio, np.inf)
+    lower = 0.5 * ratio
+    upper = np.full_like(ratio, np.inf)
     lower[0, 1] = 0.0
     for scene in (AIR, SCENES["water"]):
         pressed = pressure_of(ratio, lower, upper, scene)

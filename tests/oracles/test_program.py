@@ -131,7 +131,8 @@ def test_optima_of_every_circuit_are_those_of_the_solver_without_voltages(
 
 @pytest.mark.parametrize("joint", [True, False])
 def test_a_pair_of_frames_has_the_optimum_of_the_solver_without_voltages(joint: bool) -> None:
-    recording, costs = recording_of(READOUTS["two_point"]), []
+    recording = recording_of(READOUTS["two_point"])
+    costs = []
     for kind in ("reduced", "nodal"):
         method = lampest.OptimalMethod(kind=kind, joint=joint)
         found = lampest.reconstruct(recording, METHODS["LSR-dCR"], formulation=method, error_bars=False)
@@ -235,7 +236,8 @@ def test_a_program_without_own_parts_has_the_estimate_and_its_own_hessian_the_er
 def test_two_equal_cells_are_one_and_more_certain() -> None:
     program, _ = own_program()
     cells = program.cells()
-    free, tied = program.solve(), program.subject_to("equal", cells[0, 0] - cells[3, 4]).solve()
+    free = program.solve()
+    tied = program.subject_to("equal", cells[0, 0] - cells[3, 4]).solve()
     assert tied.status == "optimum verified"
     assert tied.cell_resistance[0, 0, 0] == pytest.approx(tied.cell_resistance[0, 3, 4], rel=1e-9)
     assert tied.cell_resistance_errors[0, 0, 0] < free.cell_resistance_errors[0, [0, 3], [0, 4]].max()
@@ -245,7 +247,9 @@ def test_the_total_conductance_can_be_given_or_limited() -> None:
     program, _ = own_program()
     total = 1000 * casadi.sum1(casadi.vec(1 / program.cells()))
     usual = (1000 / program.solve().cell_resistance).sum()
-    given, limited, loose = (1.02 * usual,), (0.0, 0.97 * usual), (0.0, 100.0)
+    given = (1.02 * usual,)
+    limited = (0.0, 0.97 * usual)
+    loose = (0.0, 100.0)
     for limits, expected in ((given, 1.02 * usual), (limited, 0.97 * usual), (loose, usual)):
         solved = program.subject_to("total", total, *limits).solve()
         assert solved.status == "optimum verified"

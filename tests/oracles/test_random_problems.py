@@ -51,7 +51,8 @@ CIRCUITS = {
 def test_the_cost_and_its_gradient_are_those_of_the_second_statement(joint: bool) -> None:
     """At points that are no optima; the statement's own derivatives by differences."""
     for number in STATED:
-        problem, random = replace(RandomProblem.drawn(11, number), joint=joint), np.random.default_rng(number)
+        problem = replace(RandomProblem.drawn(11, number), joint=joint)
+        random = np.random.default_rng(number)
         place = np.log(problem.data.uniform_start).ravel() + 0.1 * random.standard_normal(problem.data.measured.size)
         value, slope = problem.oracle.as_squares(place, 0.0)
         stated = problem.oracle.value(place)
@@ -167,7 +168,8 @@ def test_absolute_losses_end_within_a_hundred_millionth_of_the_least_cost(
 def test_absolute_losses_of_a_large_panel_take_no_more_steps(side: int, loss: Squared | Absolute) -> None:
     """Once 300 and more, by conjugate gradients along smoothed corners."""
     estimator = Estimator((Misfit(weighting="noise", loss=loss), TotalVariation(weight=1.0)), formulation="reduced")
-    scene, random = Scene(Panel(side, side)), np.random.default_rng(5)
+    scene = Scene(Panel(side, side))
+    random = np.random.default_rng(5)
     cells = 3000 * np.exp(0.2 * random.standard_normal((side, side)))
     cells[side // 3 : side // 2 + 1, side // 3 :] *= 0.3
     exact = scene.circuit.exact_reading(cells)[None]
@@ -187,7 +189,8 @@ def test_more_starts_find_the_lower_of_two_minima() -> None:
     plain = Simulation(1, 77, scene, Cells(resistance_ohm=3050, spread=0.2, patch_mm=6), 3, 21, loads=(disc,))
     recording = simulate(replace(plain, course=course, unmodelled=Unmodelled(series_resistance_ohm=20)))
     estimator = Estimator((Misfit(), Gradient(weight=1e-3)), "reduced", Settings(starts=9), error_bars=False)
-    readings, random = recording.readings(), np.random.default_rng(0)
+    readings = recording.readings()
+    random = np.random.default_rng(0)
     stream = first_stream(recording, readings, estimator)
     for frame in recording.measured_frames():
         data, _ = stream.given(readings[frame])
@@ -201,7 +204,9 @@ def test_more_starts_find_the_lower_of_two_minima() -> None:
 
 def solution_of_a_skin(kind: str, *terms: Term) -> Solution:
     """A foam skin, nearly open where nothing presses, with contacts, memory and joined rows that its scene omits."""
-    random, side, readout = np.random.default_rng(3), 16, CIRCUITS[kind]
+    random = np.random.default_rng(3)
+    side = 16
+    readout = CIRCUITS[kind]
     row, column = np.indices((side, side))
     load = np.exp(-((row - 6) ** 2 + (column - 9) ** 2) / 8)
     cells = 3e6 * np.exp(0.8 * random.standard_normal((side, side))) / (1 + 1500 * load)

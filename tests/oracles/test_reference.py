@@ -43,13 +43,15 @@ def loaded(side: int = 8, factor: float = 0.15) -> Array:
 
 def with_errors(cells: Array, seed: int, static: float = 0.0) -> tuple[Array, Array]:
     """Readings (frames, rows, columns) and σ of their noise; static : error of each reading in all frames."""
-    rng, exact = np.random.default_rng(seed), two_point_resistance(cells)
+    rng = np.random.default_rng(seed)
+    exact = two_point_resistance(cells)
     wrong = exact * (1 + static * rng.standard_normal(exact.shape[-2:]))
     return wrong + NOISE * exact * rng.standard_normal(exact.shape), NOISE * exact
 
 
 def judged(cells: Array, seed: int, static: float = 0.0) -> tuple[Data, Cost]:
-    estimator, scene = Estimator((WEIGHTED, LogGradient(weight=1.0)), "reduced"), Scene(Panel(*cells.shape))
+    estimator = Estimator((WEIGHTED, LogGradient(weight=1.0)), "reduced")
+    scene = Scene(Panel(*cells.shape))
     readings, sigma = with_errors(cells, seed, static)
     data = estimator.data(Readings.of(scene, readings[None], sigma[None]), Background(scene))
     return data, estimator.cost(scene, 1, partial=data.partial)
@@ -111,7 +113,8 @@ def test_the_models_error_is_in_the_bars_and_in_one_sentence(seed: int) -> None:
     assert sum(SAID in line for line in estimate.checks) == 1
     assert 10 < estimate.noise.model_factor < 60
     assert in_intervals(estimate).mean() > 0.9
-    sigma, noise = estimate.reading_sigma, recording.sigma
+    sigma = estimate.reading_sigma
+    noise = recording.sigma
     assert sigma is not None and noise is not None and np.median(sigma / noise) > 10
 
 
@@ -131,12 +134,14 @@ def test_clean_readings_show_no_error_of_the_model(seed: int, unloaded: int) -> 
 def test_withheld_readings_of_a_real_sensor_lie_within_their_intervals(name: str, loss: Loss, least: float) -> None:
     """A tenth of the usable readings is withheld."""
     whole = Recording.load(Path(__file__).parents[2] / "data" / f"{name}.h5")
-    readings, rng = whole.readings(), np.random.default_rng(3)
+    readings = whole.readings()
+    rng = np.random.default_rng(3)
     usable = readings.plain & whole.scene.panel.present & ~impossible_readings(whole.scene.circuit, readings)
     withheld = usable & (rng.random(usable.shape) < 0.1)
     recording = replace(whole, recorded=np.where(withheld, np.nan, whole.recorded))
     estimate = lampest.reconstruct(recording, [Misfit(weighting="noise", loss=loss), LogGradient()])
-    sigma, model = estimate.reading_sigma, np.stack([step.solution.reading[-1] for step in estimate.steps])
+    sigma = estimate.reading_sigma
+    model = np.stack([step.solution.reading[-1] for step in estimate.steps])
     assert np.all(sigma[estimate.solved] > 0) and np.all(np.isfinite(sigma[estimate.solved]))  # of missing ones, too
     judged = withheld & estimate.solved[:, None, None]
     inside = np.abs(whole.readings().value - model)[judged] < 1.96 * sigma[judged]
@@ -148,8 +153,10 @@ def test_a_missing_reading_has_a_wider_interval_that_holds_it() -> None:
     recorded = recording.recorded.copy()
     recorded[:, 5, 5] = recorded[:, 1, 6] = np.nan
     estimate = lampest.reconstruct(replace(recording, recorded=recorded), [WEIGHTED, LogGradient()])
-    sigma, model = estimate.reading_sigma, np.stack([step.solution.reading[-1] for step in estimate.steps])
-    missing, exact = np.isnan(recorded), two_point_resistance(recording.truth_cell_resistance)
+    sigma = estimate.reading_sigma
+    model = np.stack([step.solution.reading[-1] for step in estimate.steps])
+    missing = np.isnan(recorded)
+    exact = two_point_resistance(recording.truth_cell_resistance)
     assert np.all(np.isfinite(sigma))
     assert np.median((sigma / exact)[missing]) > 2 * np.median((sigma / exact)[~missing])
     assert np.mean(np.abs(recording.recorded - model)[missing] < 1.96 * sigma[missing]) >= 0.8
@@ -159,7 +166,8 @@ def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
     """The bars of the same weight, given as a number, are smaller; most where the weight matters most."""
     recording = frames_under_load(0.07, 2)
     chosen = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
-    weight, sigma = chosen.steps[0].weights[1], chosen.steps[0].weight_sigma[1]
+    weight = chosen.steps[0].weights[1]
+    sigma = chosen.steps[0].weight_sigma[1]
     given = lampest.reconstruct(recording, [WEIGHTED, LogGradient(weight=weight)])
     assert_allclose(given.cell_resistance, chosen.cell_resistance, rtol=1e-5)
     one, other = (found.sigma_own for found in (chosen, given))
@@ -179,7 +187,8 @@ def test_weights_of_any_penalties_beat_the_hundredth_and_the_hundredfold(
     every = (WEIGHTED, *penalties)
     estimate = lampest.reconstruct(recording, every, auto_weight=AutoWeight(per=per), error_bars=False)
     assert estimate.solved.all()
-    chosen, sigma = np.array(estimate.steps[-1].weights), np.array(estimate.steps[-1].weight_sigma)
+    chosen = np.array(estimate.steps[-1].weights)
+    sigma = np.array(estimate.steps[-1].weight_sigma)
     assert np.isnan(sigma[0]) and np.all(np.isfinite(sigma[1:]) | (chosen[1:] > 0))
     error = rms(log_errors(estimate)[-1])
     for factor in (0.01, 100.0):

@@ -22,7 +22,8 @@ def test_a_cup_is_shown_while_it_sucks(name: str, panel: str) -> None:
         ((_, simulation),) = read_simulations(ROOT / "configs" / f"real_cup_{name}.yaml")
         recording = simulate(simulation)
     readings = Readings.of(recording.scene, recording.recorded)
-    measured, loaded = readings.value[recording.role == MEASURED], recording.truth_pressure[recording.role == MEASURED]
+    measured = readings.value[recording.role == MEASURED]
+    loaded = recording.truth_pressure[recording.role == MEASURED]
     resting = readings[recording.role == UNLOADED].mean().value
     case = invented_case(shape=measured.shape, measured=measured, measured_baseline=resting)
     shown = strongest_index([case])
@@ -35,13 +36,15 @@ def test_a_cup_is_shown_while_it_sucks(name: str, panel: str) -> None:
 @pytest.mark.parametrize("shape", [(5, 8), (8, 5), (1, 6), (6, 1), (2, 2)])
 def test_small_changes_of_a_uniform_panel_come_back(shape: tuple[int, int]) -> None:
     """Exact to first order, against the network's own readings."""
-    panel, readout = Panel(*shape), TwoPointReadout()
+    panel = Panel(*shape)
+    readout = TwoPointReadout()
     change = 1e-6 * np.random.default_rng(sum(shape)).standard_normal((3, *shape))
     cells = 2000.0 * np.exp(np.concatenate([np.zeros((1, *shape)), change]))
     readings = readout.exact_reading(cells)
     assert panel.shape == readings.shape[1:]
     assert likely_change(readings[1:], readings[0]) == pytest.approx(change, abs=1e-10)
-    value, resting = np.full((1, 4, 4), 300.0), np.full((4, 4), 600.0)
+    value = np.full((1, 4, 4), 300.0)
+    resting = np.full((4, 4), 600.0)
     value[0, 1], value[0, 2, 2] = np.nan, np.nan
     likely = likely_change(value, resting)[0]  # what says nothing leaves the rest
     assert np.isnan(likely[1]).all() and np.isnan(likely[2, 2]) and np.isfinite(likely).sum() == 11

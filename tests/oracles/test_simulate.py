@@ -43,7 +43,8 @@ def change(values: Array) -> Array:
 def test_shipped_file_is_what_its_configuration_makes(name: str) -> None:
     ((output, simulation),) = read_simulations(ROOT / "configs" / f"{name}.yaml")
     assert (ROOT / "configs" / output).resolve() == ROOT / "data" / f"{name}.h5"
-    made, kept = simulate(simulation), shipped(name)
+    made = simulate(simulation)
+    kept = shipped(name)
     assert made.simulation == kept.simulation
     assert made.scene == kept.scene
     assert list(kept.role) == [0] * 3 + [1] * 21
@@ -92,7 +93,8 @@ def test_suction_decays_is_pumped_up_and_is_pulled_off() -> None:
 def test_lamprey_looks_like_the_papers(name: str, covered: tuple[int, int], centre: tuple[int, int]) -> None:
     """Paper, figure 8-a: −82.6 % to −1.8 %; figure 9: a mouth of 35 mm covers 4 × 4 cells, one of 25 mm 3 × 3."""
     recording = shipped(name)
-    measured, cells = change(recording.readings().value), change(recording.truth_cell_resistance)
+    measured = change(recording.readings().value)
+    cells = change(recording.truth_cell_resistance)
     assert -86 < measured.min() < -76
     assert -5 < np.median(measured[0, :3]) < 1
     assert np.sum(measured > 2) <= 2, "outliers only"
@@ -129,7 +131,8 @@ def test_effects_are_as_large_as_they_are_told() -> None:
     ratio = with_effects(reference_tolerance=0.01).recorded / clean.recorded
     np.testing.assert_allclose(ratio, ratio[0, 0, 0], rtol=2e-6)
     assert 0 < abs(ratio[0, 0, 0] - 1) < 0.0102
-    scene, wired = Scene(Panel(10, 10), EXACT, lines=Lines(0.5, 0.5)), with_effects(wire_ohm_per_cell=0.5)
+    scene = Scene(Panel(10, 10), EXACT, lines=Lines(0.5, 0.5))
+    wired = with_effects(wire_ohm_per_cell=0.5)
     told = simulate(Simulation(1, 5, scene, baseline_frames=6, frames=6, loads=(ROD,)))
     assert np.allclose(wired.recorded, told.recorded, rtol=1e-9) and wired.scene.lines is None
     assert np.array_equal(clean.recorded, with_effects(supply_ripple_hz=50.0).recorded), "an absent effect"
@@ -147,7 +150,8 @@ def test_effects_are_as_large_as_they_are_told() -> None:
 
 
 def test_a_leak_joins_lines_and_a_contact_adds_to_one_row_from_their_time_on() -> None:
-    plain, wet = with_effects(), with_effects(leak_ohm=5e3, begins_s=8.0)
+    plain = with_effects()
+    wet = with_effects(leak_ohm=5e3, begins_s=8.0)
     assert np.array_equal(wet.recorded[:8], plain.recorded[:8])
     np.testing.assert_allclose(wet.recorded[9], two_point_resistances(wet.truth_cell_resistance[9], 5e3), rtol=1e-4)
     more = with_effects(contact_ohm=200.0, begins_s=8.0).recorded - plain.recorded

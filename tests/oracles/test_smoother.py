@@ -34,7 +34,8 @@ from tests.netlist import two_point_resistances
 
 CORNER = 4.0
 ROBUST = (Misfit(weighting="noise", loss=Student(corner=CORNER)),)
-RESTING, FRAMES = 3, 12
+RESTING = 3
+FRAMES = 12
 
 
 def panel(
@@ -75,8 +76,10 @@ def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(cha
 
     Three frames of squares, with errors that one frame shares, off the end of Φ and far from its anchor.
     """
-    made, rng = panel(3, 2, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)), np.random.default_rng(2)
-    estimator, readings = Estimator((Misfit(weighting="noise"),), "reduced"), made.readings()
+    made = panel(3, 2, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
+    rng = np.random.default_rng(2)
+    estimator = Estimator((Misfit(weighting="noise"),), "reduced")
+    readings = made.readings()
     data = [estimator.data(readings[frame].alone(), Background(made.scene)) for frame in range(3)]
     cells = np.log(made.truth_cell_resistance[:3]).reshape(3, -1)
     anchor = cells + 1e4 * rng.standard_normal(cells.shape)
@@ -87,11 +90,13 @@ def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(cha
     stiffness = rng.uniform(10, 1e4, (2, 4))
     joint = replace(begun, anchor=anchor, drawn=drawn, position=position, stiffness=stiffness).sharing()
     joint = replace(joint, shift=0.1 * rng.standard_normal(len(joint.shift)))
-    size, sharing = joint.position.size, joint.shared.shape[2]
+    size = joint.position.size
+    sharing = joint.shared.shape[2]
 
     def residuals(point: Array) -> Array:
         there = replace(joint, position=point[:size].reshape(joint.position.shape), shift=point[size:])
-        strayed, common = there.log_cells - joint.anchor, there.shift[sharing:]
+        strayed = there.log_cells - joint.anchor
+        common = there.shift[sharing:]
         steps = np.diff(there.log_cells, axis=0) - common[:, None]
         misfit = [(at.reading - at.data.measured).ravel() / at.data.sigma.ravel() for at in there.at]
         parts = *misfit, there.chance, there.shift[:sharing], common / 0.1, 1e-2 * strayed, joint.stiffness**0.5 * steps
@@ -118,16 +123,21 @@ def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(cha
 def test_the_end_is_the_least_of_the_stated_cost() -> None:
     """Φ of six frames written out once more, from Kirchhoff's laws, minimised by BFGS from the end and beside it."""
     made = panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
-    estimator, readings = Estimator(ROBUST, "smoother"), made.readings()
+    estimator = Estimator(ROBUST, "smoother")
+    readings = made.readings()
     data = [estimator.data(readings[frame].alone(), Background(made.scene)) for frame in range(2, 8)]
     start = np.log(made.truth_cell_resistance[2:8]).reshape(len(data), -1)
     begun = Joint.of([estimator.cost(made.scene, 1)] * len(data), data, Shared.of(made.scene), start)
     joint, _ = smoothed(begun, Walk(0.2, 3.0), Settings(tolerance=1e-10))
-    shared, shift, free = joint.shared, joint.shift, start.size
+    shared = joint.shared
+    shift = joint.shift
+    free = start.size
     sharing = shared.shape[2]
 
     def stated(point: Array) -> float:
-        log_cells, offsets, common = point[:free], point[free : free + sharing], point[free + sharing :]
+        log_cells = point[:free]
+        offsets = point[free : free + sharing]
+        common = point[free + sharing :]
         model = np.stack([two_point_resistances(cells).ravel() for cells in np.exp(log_cells).reshape(len(data), 3, 3)])
         measured, sigma = (
             np.stack([getattr(one.given, name).ravel() for one in data]) for name in ("measured", "sigma")
@@ -149,7 +159,10 @@ def test_the_end_is_the_least_of_the_stated_cost() -> None:
 @pytest.mark.slow
 def test_it_halves_the_error_and_its_bars_hold() -> None:
     """Standing cells, a jump, and a tap that lasts one frame."""
-    alone, together, held, tapped = [], [], [], []
+    alone = []
+    together = []
+    held = []
+    tapped = []
     for seed in range(6):
         made = panel(seed, systematic="none")
         estimate = found_of(made)
@@ -173,7 +186,8 @@ def test_cells_near_a_soft_load_that_breathes_do_not_decide_on_channels() -> Non
     course = np.append(np.zeros(5), 1 + 0.1 * np.sin(2 * np.arange(9)))
     cells = 3000 * np.exp(0.2 * rng.standard_normal((8, 8)) - course[:, None, None] * load)
     sizes = Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)
-    scene, channels = Scene(Panel(8, 8), TwoPointReadout(), systematic=sizes), 3 * rng.standard_normal((2, 8))
+    scene = Scene(Panel(8, 8), TwoPointReadout(), systematic=sizes)
+    channels = 3 * rng.standard_normal((2, 8))
     exact = two_point_resistance(cells) + channels[0][:, None] + channels[1]
     recorded = exact + scene.circuit.sigma(exact) * rng.standard_normal(exact.shape)
     estimate = found_of(recording_of(scene, recorded, RESTING, truth_cell_resistance=cells))
@@ -188,7 +202,8 @@ def test_what_all_readings_share_widens_the_bars_of_cells() -> None:
 
 def test_what_each_line_of_a_scan_has_anew_is_averaged_over_frames() -> None:
     """An offset of each row of 0.4 LSB rms. A misfit that does not know of it leaves 0.7 of the change's error."""
-    made, rng = panel(5, systematic="none", resting=5), np.random.default_rng(5)
+    made = panel(5, systematic="none", resting=5)
+    rng = np.random.default_rng(5)
     readout = TwoPointReadout()
     ripple = 0.4 * readout.lsb_volt * rng.standard_normal((len(made.recorded), 6, 1))
     volt = readout.volt_from_recorded(made.recorded) + ripple

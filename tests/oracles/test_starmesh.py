@@ -25,7 +25,9 @@ def structured(shape: tuple[int, int], rng: np.random.Generator, decades: float)
     """Panels around 3 kilohm with two levels that lie `decades` apart, each with its name."""
     rows, columns = shape
     large = 10.0**decades
-    row, column, diagonal = rng.integers(rows), rng.integers(columns), np.arange(min(shape))
+    row = rng.integers(rows)
+    column = rng.integers(columns)
+    diagonal = np.arange(min(shape))
     usual = 3000 * np.exp(0.3 * rng.standard_normal(shape))
 
     def panel(where: object, factor: float) -> Array:
@@ -98,12 +100,14 @@ def test_open_cells_leave_the_network() -> None:
 def test_lines_that_nothing_connects_are_infinitely_apart(scale: float) -> None:
     """Two clusters and a row without cells, lines in mixed order; within the clusters all is as in their own panel."""
     rng = np.random.default_rng(8)
-    first, second = rng.uniform(1e3, 1e4, (3, 4)), rng.uniform(1e3, 1e4, (2, 3)) * scale
+    first = rng.uniform(1e3, 1e4, (3, 4))
+    second = rng.uniform(1e3, 1e4, (2, 3)) * scale
     cells = np.full((6, 7), np.inf)
     cells[:3, :4], cells[3:5, 4:] = first, second
     expected = np.full((6, 7), np.inf)
     expected[:3, :4], expected[3:5, 4:] = in_digits(first), in_digits(second)
-    rows, columns = rng.permutation(6), rng.permutation(7)
+    rows = rng.permutation(6)
+    columns = rng.permutation(7)
     for forward in (exact_two_point_resistance, two_point_resistance):
         assert_allclose(forward(cells[rows][:, columns]), expected[rows][:, columns], rtol=1e-13)
     assert_array_equal(two_point_resistance(np.full((3, 2), np.inf)), np.full((3, 2), np.inf))

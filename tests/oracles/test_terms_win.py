@@ -22,8 +22,9 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Scene
-from lampest.posterior.covariance import DenseErrors, DenseMemory, SampledErrors, SampledMemory
+from lampest.posterior.covariance import DenseErrors, SampledErrors
 from lampest.posterior.linear import LinearModel
+from lampest.posterior.memory import DenseMemory, SampledMemory
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
 from tests.estimates import log_errors, recording_of, rms
@@ -40,7 +41,9 @@ NEW = [
     LogRatio(weight=1.0),
     TotalVariationOfChange(weight=0.05),
 ]
-WIDE, NOISY, WEIGHTS = Panel(10, 10), 0.01, 10.0 ** np.arange(-2.5, -0.9, 0.5)
+WIDE = Panel(10, 10)
+NOISY = 0.01
+WEIGHTS = 10.0 ** np.arange(-2.5, -0.9, 0.5)
 WIDE_ROD = Rod(kind="rod", centre_mm=(48, 43), diameter_mm=35, mass_g=500)
 DISC = OralDisc(kind="oral_disc", centre_mm=(48, 43), diameter_mm=40, rim_width_mm=7, pressure_kpa=-5)
 
@@ -125,7 +128,8 @@ def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
     """From starts some factor of four apart. The relative change has up to three minima there and must be searched."""
     rng = np.random.default_rng(9)
     recorded = scene(CUP, 1, 0.0, 10)
-    resting, measured = recorded.truth_cell_resistance[0], recorded.resistance[-1:]
+    resting = recorded.truth_cell_resistance[0]
+    measured = recorded.resistance[-1:]
     solver = ProjectedNewton(Cost(PANEL, (Misfit(weighting="noise"), term)), Settings())
     given = Given(measured=measured, sigma=recorded.sigma[-1:], previous=resting, baseline=resting)
     data = Data(given, measured, 100 * measured)
@@ -140,7 +144,8 @@ def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
 def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
     """What errors of the baseline and of the previous frame add, against estimates from displaced ones."""
     rng = np.random.default_rng(8)
-    shape, cells = (3, 4), 12
+    shape = (3, 4)
+    cells = 12
     known = 3000 * np.exp(0.2 * rng.standard_normal(shape) + 0.02 * rng.standard_normal((2, *shape)))
     measured = two_point_resistance(known[:1]) * np.exp(1e-3 * rng.standard_normal((1, *shape)))
     terms: tuple[Term, ...] = (Misfit(weighting="noise"), LogRatio(weight=0.05, loss=Squared()))
@@ -176,7 +181,8 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
 
 def recorded(cells: Array, seed: int, noise: float = NOISY) -> Recording:
     """Ten frames a second of such cells, the first two of them unloaded."""
-    rng, exact = np.random.default_rng(seed), two_point_resistance(cells)
+    rng = np.random.default_rng(seed)
+    exact = two_point_resistance(cells)
     measured = exact * np.exp(noise * rng.standard_normal(exact.shape))
     scene = Scene(Panel(*cells.shape[1:]))
     recording = recording_of(scene, measured, 2, sigma=noise * exact, truth_cell_resistance=cells)
@@ -186,7 +192,8 @@ def recorded(cells: Array, seed: int, noise: float = NOISY) -> Recording:
 @cache
 def arriving(kind: str, seed: int, frames: int = 18) -> Recording:
     """The whole panel pressed in rhythm; a disc that breathes; a rod that stands; a disc that attaches at frame 5."""
-    rng, count = np.random.default_rng(seed), np.arange(frames + 2) - 2
+    rng = np.random.default_rng(seed)
+    count = np.arange(frames + 2) - 2
     breathing = 1 + 0.3 * np.sin(2 * np.pi * 0.1 * count)
     if kind == "panel":
         pattern = 2 + np.sin(np.add.outer(0.2 * np.arange(10), 0.15 * np.arange(10)) + rng.uniform(0, 6))
@@ -201,7 +208,8 @@ def arriving(kind: str, seed: int, frames: int = 18) -> Recording:
 @pytest.mark.parametrize(("kind", "margin"), [("panel", 0.9), ("disc", 0.9), ("rod", 0.95), ("attachment", 0.85)])
 def test_beats_the_best_single_weight(kind: str, margin: float) -> None:
     """Nothing chosen, against the logarithmic change from the previous frame with its best weight in hindsight."""
-    ours, theirs = [], []
+    ours = []
+    theirs = []
     for seed in range(2):
         recording = arriving(kind, seed)
         ours.append(error(recording, Arrival(), bars=True))
@@ -212,7 +220,8 @@ def test_beats_the_best_single_weight(kind: str, margin: float) -> None:
 
 def walk(seed: int, percent: float, frames: int = 12) -> Recording:
     """Cells that walk at random."""
-    rng, panel = np.random.default_rng(seed), (6, 6)
+    rng = np.random.default_rng(seed)
+    panel = (6, 6)
     steps = percent / 100 * rng.standard_normal((frames, *panel))
     logarithm = 0.3 * rng.standard_normal(panel) + np.concatenate([np.zeros((2, *panel)), np.cumsum(steps, axis=0)])
     return recorded(3050 * np.exp(logarithm), seed + 1000)
@@ -225,7 +234,8 @@ def test_error_bars_say_what_errors_are(
     percent: float, ratio: tuple[float, float], coverage: tuple[float, float]
 ) -> None:
     """Where cells walk as the term says; where they rest, bars allow for a walk that is not there."""
-    spread, inside = [], []
+    spread = []
+    inside = []
     for seed in range(20):
         estimate = estimated(walk(seed, percent), Arrival())
         away = log_errors(estimate) / np.stack([step.bars.frame.deviation for step in estimate.steps])

@@ -66,8 +66,10 @@ def test_risk_is_the_mean_squared_error_where_the_point_is_the_truth(number: int
     solution = best_solution(estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0), data, None)
     model = LinearModel(solution.at, solution.dual)
     weights = np.where(np.arange(3) == number, factor, 1.0) * model.at.weights
-    jacobian, rows = DenseErrors(model).jacobian, model.penalty_jacobian.toarray()[:, model.free]
-    size, pull = weights[model.penalty_term], rows.T @ (weights[model.penalty_term] * model.penalty)
+    jacobian = DenseErrors(model).jacobian
+    rows = model.penalty_jacobian.toarray()[:, model.free]
+    size = weights[model.penalty_term]
+    pull = rows.T @ (weights[model.penalty_term] * model.penalty)
     inverse = np.linalg.inv(jacobian.T @ jacobian + (rows.T * size) @ rows + 1e-4 * model.scale * np.eye(len(pull)))
     variance = np.sum((inverse @ jacobian.T * model.noise) ** 2)
     exact = Spectrum.of(model, number).risk(weights[number])
@@ -85,7 +87,8 @@ def test_the_evidence_chooses_its_fixed_point_and_says_how_sure_it_is(
 ) -> None:
     monkeypatch.setattr("lampest.estimate.weights.MAX_CELLS", most_cells)
     auto = AutoWeight(rule="evidence" if most_cells > 56 else None)
-    estimator, scene = Estimator((Misfit(), Gradient(weight=AUTO)), "reduced", auto_weight=auto), Scene(Panel(*SHAPE))
+    estimator = Estimator((Misfit(), Gradient(weight=AUTO)), "reduced", auto_weight=auto)
+    scene = Scene(Panel(*SHAPE))
     data = measured_data(estimator, np.linspace(2800, 3300, 56).reshape(SHAPE), 0.01, 2, specified=0.007)
     chosen = with_chosen_weights(estimator, scene, data, None)
     solution = best_solution(chosen.problem(scene, 1, 1.0), data, None)
@@ -102,7 +105,8 @@ def test_the_evidence_chooses_its_fixed_point_and_says_how_sure_it_is(
 @pytest.mark.parametrize("frame", [0, pytest.param(17, marks=pytest.mark.slow)])
 def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -> None:
     """Open cells differ from their neighbours by megohms, and the estimate must not swing with the weight."""
-    recording, weights = Recording.load("data/insole_standing.h5", slice(frame, frame + 3)), []
+    recording = Recording.load("data/insole_standing.h5", slice(frame, frame + 3))
+    weights = []
     for rule in ("risk", "evidence"):
         auto = AutoWeight(rule=rule)
         estimator = Estimator((Misfit(weighting="noise"), Gradient(weight=AUTO)), auto_weight=auto, error_bars=False)
@@ -116,7 +120,8 @@ def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -
 @pytest.mark.parametrize("static", [0.0, 5.0], ids=["uneven cells", "static errors"])
 def test_a_large_panel_tells_uneven_cells_from_static_errors(static: float) -> None:
     """Cells that differ at random by 30 %, and readings that err by five times their noise in the same way always."""
-    rng, shape = np.random.default_rng(3), (24, 20)
+    rng = np.random.default_rng(3)
+    shape = (24, 20)
     readout = TwoPointReadout(adc_bits=10, noise_lsb=2.0, readings=1, reference_ohm=300.0)
     cells = 3000 * np.exp(0.3 * rng.standard_normal(shape))
     cells[6:12, 5:11] *= 0.3
@@ -188,7 +193,8 @@ def test_intervals_hold_draws_of_the_prior_as_often_as_they_say(name: str, level
 
 def going_over(folder: Path) -> lampest.Recording:
     """Smooth loads that go over a panel."""
-    panel, rng = Panel(7, 7, 8.0), np.random.default_rng(4)
+    panel = Panel(7, 7, 8.0)
+    rng = np.random.default_rng(4)
     x, y = panel.places_mm
     at = np.linspace(10, 40, 6)
     cells = np.stack([2000 * np.exp(-2.5 * np.exp(-((x - here) ** 2 + (y - 24) ** 2) / 400)) for here in at])
@@ -256,7 +262,8 @@ def test_evidence_is_laplaces_at_each_estimate() -> None:
         volume = np.linalg.slogdet(curvature)[1] - (jacobian.shape[1] - 1) * np.log(weight / scale)
         return point.evidence, residuals @ residuals / scale + volume
 
-    first, second = laplace(1e-6), laplace(1e-4)
+    first = laplace(1e-6)
+    second = laplace(1e-4)
     assert abs(first[1] - second[1]) > 1
     assert_allclose(first[0] - second[0], first[1] - second[1], atol=1e-4)
 
@@ -280,7 +287,8 @@ def test_what_a_held_cell_leaves_is_the_integral_of_its_density() -> None:
 
     expected = 0.0
     for cell in bound:
-        above, below = residuals(int(cell), step), residuals(int(cell), -step)
+        above = residuals(int(cell), step)
+        below = residuals(int(cell), -step)
         curvature = float(np.sum(((above - below) / (2 * step)) ** 2)) / model.scale
         slope = abs(float(np.sum(above**2) - np.sum(below**2)) / (2 * step)) / model.scale
         reach = 60 / max(slope, np.sqrt(curvature))

@@ -61,7 +61,8 @@ def solved(recording: Recording, formulation: Any = "reduced", terms: Any = LSM)
 @each_readout
 def test_told_of_wire_the_cells_are_found(readout: Readout) -> None:
     recording = simulated(Scene(Panel(9, 7), readout, lines=THREAD, systematic="none"))
-    told, ignored = solved(recording), solved(forgetting(recording, "lines"))
+    told = solved(recording)
+    ignored = solved(forgetting(recording, "lines"))
     assert np.median(np.abs(log_errors(told))) < 0.004
     assert np.median(np.abs(log_errors(ignored))) > 5 * np.median(np.abs(log_errors(told)))
     assert 0.7 < rms(scores(told)) < 1.3
@@ -113,9 +114,11 @@ def test_little_wire_does_little(readout: Readout) -> None:
 @each_readout
 @pytest.mark.parametrize("lines", [None, Lines(1.0, 2.0, "right", "top")])
 def test_responses_to_wire_are_the_derivatives_of_readings(readout: Readout, lines: Lines | None) -> None:
-    cells, step = np.random.default_rng(2).uniform(300, 9000, size=(5, 3)), 1e-4
+    cells = np.random.default_rng(2).uniform(300, 9000, size=(5, 3))
+    step = 1e-4
     network = readout.network(cells, readout.ties(cells), None if lines is None else Wiring(lines))
-    known, names = lines or Lines(), ("row_ohm_per_cell", "column_ohm_per_cell")
+    known = lines or Lines()
+    names = ("row_ohm_per_cell", "column_ohm_per_cell")
     for response, name in zip(wire_responses(network, known), names, strict=True):
         more: dict[str, Any] = {name: getattr(known, name) + step}
         longer = readout.exact_reading(cells, Wiring(replace(known, **more)))
@@ -126,7 +129,8 @@ def test_a_reading_bounds_the_cell_with_its_wire() -> None:
     """Of a small cell at the far end the wire is most of the reading: r ≥ R_m would forbid the truth."""
     cells = np.full((5, 6), 3000.0)
     cells[0, 0] = 5.0
-    wiring, readout = Wiring(Lines(10.0, 10.0, "right", "bottom")), TwoPointReadout()
+    wiring = Wiring(Lines(10.0, 10.0, "right", "bottom"))
+    readout = TwoPointReadout()
     reading = readout.exact_reading(cells, wiring)
     assert reading[0, 0] > 15 * cells[0, 0]
     bounds = Bounds(upper="none")
@@ -141,7 +145,8 @@ def test_joined_lines_leave_the_rest_exact(readout: Readout, lines: Lines | None
     recording = simulated(Scene(Panel(7, 8), readout, faults=TOUCHING, lines=lines, systematic="none"))
     done = solved(recording)
     assert all(step.solution.solved for step in done.steps)
-    rows, columns = ([0, 2, 4, 5, 6], [1, 2, 3, 6, 7])
+    rows = [0, 2, 4, 5, 6]
+    columns = [1, 2, 3, 6, 7]
     sound = np.ix_([0, 1], rows, columns)
     assert np.median(np.abs(log_errors(done)[sound])) < 0.01
     # With wire what touches is seen a little, and what nobody knows of it is in the bars of all others.
@@ -202,12 +207,15 @@ def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
     """The whole cost of a baseline, with everything unknown at once, in the hands of a quasi-Newton method."""
     recording = contacted(readout, 2, spread=0.02, shape=(4, 5))
     terms = (*LSM, Gradient(weight=1e-3))
-    done, scene = solved(recording, terms=terms), recording.scene
+    done = solved(recording, terms=terms)
+    scene = recording.scene
     readings = recording.readings()[recording.role == 0].mean()
-    mean, deviation = PRIOR.mean((4, 5)), PRIOR.deviation((4, 5))
+    mean = PRIOR.mean((4, 5))
+    deviation = PRIOR.deviation((4, 5))
 
     def cost(place: Array) -> float:
-        cells, ohm = np.exp(place[:20]).reshape(4, 5), np.maximum(place[20:] * deviation + mean, 0.0)
+        cells = np.exp(place[:20]).reshape(4, 5)
+        ohm = np.maximum(place[20:] * deviation + mean, 0.0)
         wiring = replace(scene, contacts=Contacts.of(ohm, deviation, 4)).wiring
         read = readout.network(cells, readout.ties(readings.value), wiring).reading()
         steps = np.gradient(cells)
@@ -228,7 +236,8 @@ def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
 @each_readout
 def test_estimates_of_contacts_are_as_far_off_as_they_say(readout: Readout) -> None:
     """Cells of equal resistance and a penalty that knows it."""
-    far, narrower = [], []
+    far = []
+    narrower = []
     for seed in range(15):
         recording = contacted(readout, seed, spread=0.0)
         done = solved(recording, terms=(*LSM, Gradient(weight=1e-2)))
@@ -266,7 +275,8 @@ def volts(readout: Readout, shape: tuple[int, ...]) -> Array:
 def test_remembers_channel_by_channel(readout: Readout) -> None:
     """A capacitor holds a part of each channel of a frame that is scanned over and over, one after the other."""
     volt = volts(readout, (5, 4))
-    expected, kept = np.empty_like(volt), 0.0
+    expected = np.empty_like(volt)
+    kept = 0.0
     by_columns = getattr(readout, "driven", "rows") == "columns"
     for _ in range(3):
         for place, value in np.ndenumerate(volt.T if by_columns else volt):
@@ -282,7 +292,8 @@ def test_is_taken_off_exactly_and_its_noise_is_told(readout: Readout) -> None:
     recorded = readout.recorded_from_volt(with_memory(readout, FRACTION, volt))
     freed, sigma = without_memory(readout, FRACTION, recorded, readout.sigma(recorded))
     assert_allclose(freed, readout.recorded_from_volt(volt), rtol=1e-11)
-    rng, size = np.random.default_rng(8), readout.sigma_code() * readout.lsb_volt
+    rng = np.random.default_rng(8)
+    size = readout.sigma_code() * readout.lsb_volt
     draws = []
     for _ in range(400):
         noisy = readout.recorded_from_volt(with_memory(readout, FRACTION, volt) + size * rng.normal(size=volt.shape))
@@ -318,7 +329,8 @@ def test_a_rail_stays_a_bound() -> None:
 def test_told_of_it_the_cells_are_found(readout: Readout) -> None:
     scene = Scene(Panel(8, 6), readout, systematic="none", converter_memory=FRACTION)
     recording = simulate(Simulation(1, 5, scene, frames=3))
-    told, ignored = solved(recording), solved(forgetting(recording, "converter_memory"))
+    told = solved(recording)
+    ignored = solved(forgetting(recording, "converter_memory"))
     assert np.median(np.abs(log_errors(ignored))) > 3 * np.median(np.abs(log_errors(told)))
     assert 0.75 < rms(scores(told)) < 1.3
 
@@ -352,7 +364,8 @@ def badcrossbar_of(cells: Array, row_ohm: float, column_ohm: float) -> Any:
 @pytest.mark.parametrize("ohm", [(1.0, 1.0), (0.3, 20.0), (50.0, 0.02), (0.0, 3.0), (3.0, 0.0)])
 def test_currents_and_voltages_are_badcrossbars(shape: tuple[int, int], ohm: tuple[float, float]) -> None:
     rows, columns = shape
-    cells, theirs = log_normal_cells(rows, columns), badcrossbar_of(log_normal_cells(rows, columns), *ohm)
+    cells = log_normal_cells(rows, columns)
+    theirs = badcrossbar_of(log_normal_cells(rows, columns), *ohm)
     ties = np.full(rows + columns, 1e-3)
     network = network_of(cells, Lines(*ohm), ties)
     # The impedances know of grounded terminals as well: Z⁻¹ − diag(t) are the currents into them.

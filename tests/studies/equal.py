@@ -22,7 +22,8 @@ Row = dict[str, float]  # dataset → max |a − b| / max(|a|, |b|) of both file
 
 def relative_difference(ours: Any, theirs: Any) -> float:
     """max |a − b| / max(|a|, |b|) over all values; equal values, NaN with NaN too, differ by 0, a lone NaN by ∞."""
-    a, b = np.asarray(ours, float), np.asarray(theirs, float)
+    a = np.asarray(ours, float)
+    b = np.asarray(theirs, float)
     if a.shape != b.shape:
         return float("inf")
     same = (a == b) | (np.isnan(a) & np.isnan(b))
@@ -83,7 +84,8 @@ def weights_and_rest(differences: Row) -> tuple[float, tuple[float, str]]:
 
 def show(rows: dict[str, Row], lone: list[str], cells: float) -> None:
     """Print the table, and below it the groups of one file only; readings appear where they differ."""
-    width, largest = max(map(len, rows), default=9), 0.0
+    width = max(map(len, rows), default=9)
+    largest = 0.0
     print(f"{'':{width}}  {'cells':>9}  {'baseline':>9}  {'bars':>9}  {'weights':>9}  flags")
     for name, differences in rows.items():
         weight, (most, where) = weights_and_rest(differences)

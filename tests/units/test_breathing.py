@@ -32,7 +32,8 @@ def window(
     """
     rng = np.random.default_rng(seed)
     rise = np.repeat([-2.0, 1.0], READINGS // 2)
-    slopes, moves = strong * np.where(rise < 0, -300.0, 90.0), 8 * rng.standard_normal((1, READINGS))
+    slopes = strong * np.where(rise < 0, -300.0, 90.0)
+    moves = 8 * rng.standard_normal((1, READINGS))
     film = 0.9 + uneven * rng.standard_normal(READINGS)  # it has a hysteresis of a tenth
     swinging = [np.sin(2 * np.pi * 1.1 * TIMES / by) for by in (1.0, slower)]
     swings = film * slopes * (own + rim * (rise < 0)), film * place * moves[0]
@@ -104,7 +105,8 @@ def pulled_window(swings: Array, level: Array, *steps: float) -> Breath:
     """8 s with these steps, s, in which suction and its rim change by these shares."""
     rng = np.random.default_rng(2)
     rise = np.repeat([-2.0, 1.0], READINGS // 2)
-    slopes, moves = np.where(rise < 0, -300.0, 90.0), 8 * rng.standard_normal((1, READINGS))
+    slopes = np.where(rise < 0, -300.0, 90.0)
+    moves = 8 * rng.standard_normal((1, READINGS))
     changes = np.outer(level + swings, slopes) + rng.standard_normal((len(TIMES), READINGS))
     known = Patterns.of(np.eye(READINGS), rise, slopes[None], 0.2 * np.abs(slopes), moves, np.ones((READINGS, 1)))
     interval, still = SteadyFrames.of(TIMES, changes).parted(steps)
@@ -128,7 +130,8 @@ def test_a_part_of_a_window_shows_a_breath_alone() -> None:
 def followed(suction: Array, noise: float = 0.02, seed: int = 0) -> Array:
     """ln odds after each sample of a relative change of suction, from a panel of one reading."""
     rng = np.random.default_rng([seed, 7])
-    track, odds = Pumping.begin(np.ones(1), np.zeros(1), -BLOCK_S, 0), list[float]()
+    track = Pumping.begin(np.ones(1), np.zeros(1), -BLOCK_S, 0)
+    odds = list[float]()
     for time, value in zip(BLOCKS, suction + noise * rng.standard_normal(len(suction)), strict=True):
         track = track.after(np.full((3, 1), value), float(time))
         odds.append(track.odds)
@@ -174,7 +177,8 @@ def test_rare_and_frequent_bumps_of_either_sign_are_none() -> None:
     for seed in range(10):
         rng = np.random.default_rng(seed)
         for count in (10, 30):
-            at, size = rng.uniform(0, BLOCKS[-1], count), rng.normal(0, 0.2, count)
+            at = rng.uniform(0, BLOCKS[-1], count)
+            size = rng.normal(0, 0.2, count)
             passed.append(followed(size @ (at[:, None] <= BLOCKS), seed=seed)[-1] > np.log(9))
     assert np.mean(passed) <= 0.1
 

@@ -16,7 +16,8 @@ LEAST = Column("least_resistance", FRAMES, "ohm", "smallest cell", lambda done: 
 
 
 def test_values_that_do_not_fit_their_column(tmp_path: Path) -> None:
-    path, case = tmp_path / "r.h5", invented_case()
+    path = tmp_path / "r.h5"
+    case = invented_case()
     for values, message in (
         (np.ones(2), "/entry/mouth/LSM/least_resistance is 2; the frames ask for 3"),
         (np.zeros(3), "/entry/mouth/LSM/least_resistance must be positive"),

@@ -142,7 +142,8 @@ def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
 def test_words_of_the_release_before_answer_and_say_the_new_ones(lampest: Command) -> None:
     assert {name for name, command in TOP.items() if command.hidden} == set(OLD) | set(GROUPS)
     for old, new in (("terms", "show terms"), ("schema", "show schema")):
-        ended, again = lampest(old), lampest(*new.split())
+        ended = lampest(old)
+        again = lampest(*new.split())
         assert (ended.code, ended.out) == (0, again.out) and again.err == ""
         assert ended.err == f"lampest: {old} is now: lampest {new}; the old name works for one more release\n"
     for old, new in (("tune", "study weights"), ("bench", "study bench"), ("repair", "check --repair")):
@@ -207,7 +208,8 @@ def test_a_simulation_is_overridden_and_asks_for_its_room_beforehand(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert lampest("init", tmp_path).code == 0
-    bars, simulation = list[Any](), tmp_path / "simulation.yaml"
+    bars = list[Any]()
+    simulation = tmp_path / "simulation.yaml"
 
     def shown(label: str, *, counted: bool = False) -> Any:
         bars.append((label, counted))
@@ -250,7 +252,8 @@ def test_results_of_other_cases_are_kept_aside_and_none_takes_the_place_of_a_rec
 
 
 def test_pictures_of_a_frame_and_an_estimator(tmp_path: Path, lampest: Command) -> None:
-    results, new = tmp_path / "results.h5", tmp_path / "new"
+    results = tmp_path / "results.h5"
+    new = tmp_path / "new"
     write_results(results, [invented_case(name, "small", (2, 3, 4)) for name in ("LSM", "LSR-CR")])
     for words, place, begin in (
         (("--out", new), new / "contours_small_frame5.png", b"\x89PNG"),
@@ -269,7 +272,8 @@ def test_pictures_of_a_frame_and_an_estimator(tmp_path: Path, lampest: Command) 
 @pytest.mark.slow
 def test_every_command_prints_the_same_warnings(disk: SimpleNamespace, lampest: Command) -> None:
     """One frame of the recording is unloaded, and the live page replays it."""
-    out, warning = disk.folder / "out", "only one frame is unloaded, so that nothing shows the noise"
+    out = disk.folder / "out"
+    warning = "only one frame is unloaded, so that nothing shows the noise"
     for command in (
         ("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1"),
         ("compare", out / "results.h5"),

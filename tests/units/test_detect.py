@@ -72,10 +72,8 @@ def test_noise_that_frames_share_is_what_it_was(readout: Any) -> None:
 @pytest.mark.slow
 def test_a_mat_speaks_of_contacts_alone_two_of_them_with_place_and_area() -> None:
     """An L and a disc; then a mouth."""
-    cells, disc = (
-        Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6),
-        Rod(centre_mm=(90, 90), diameter_mm=30, mass_g=600),
-    )
+    cells = Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6)
+    disc = Rod(centre_mm=(90, 90), diameter_mm=30, mass_g=600)
     two, mouth = (
         answered(recorded(scene=MAT, cells=cells, frame_period_s=0.25, loads=loads))
         for loads in ((*ELL, disc), (MOUTH,))
@@ -92,12 +90,14 @@ def test_a_mat_speaks_of_contacts_alone_two_of_them_with_place_and_area() -> Non
 @pytest.mark.slow
 def test_a_press_of_a_third_of_a_second_is_a_contact_of_a_mat_and_is_named_elsewhere() -> None:
     scene = replace(MAT, panel=Panel(7, 7, 10.0))
-    cells, course = Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6), Course(start_s=0.4, release_at_s=0.7)
+    cells = Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6)
+    course = Course(start_s=0.4, release_at_s=0.7)
     known: dict[str, Any] = {"cells": cells, "course": course, "frame_period_s": 0.05, "frames": 24}
     known |= {"loads": (Rod(centre_mm=(30, 30), diameter_mm=25, mass_g=500),)}
     mat, other = (answered(recorded(scene=replace(scene, purpose=purpose), **known)) for purpose in ("mat", None))
     (press,) = mat.attachments
-    touched_s, released_s = 3 * 0.05 + course.start_s, 3 * 0.05 + 0.7
+    touched_s = 3 * 0.05 + course.start_s
+    released_s = 3 * 0.05 + 0.7
     assert (press.since_s, press.until_s) == pytest.approx((touched_s, released_s), abs=0.11)
     assert press.place == pytest.approx((30, 30), abs=4)
     assert not other.attachments and "something touched the panel from 0.6 s to 0.9 s" in other.sentence
@@ -108,7 +108,8 @@ def test_cells_that_conduct_less_are_no_contact_and_get_no_cause() -> None:
     known: dict[str, Any] = {"cells": Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6), "frame_period_s": 0.25}
     loaded = recorded(scene=scene, loads=(Rod(centre_mm=(30, 30), diameter_mm=25, mass_g=30),), **known)
     order = np.r_[3:9, 3, 0:3, 0:3]  # the load first, as if it were the unloaded panel
-    recorded_again, time = loaded.recorded[order], 0.25 * np.arange(len(order))
+    recorded_again = loaded.recorded[order]
+    time = 0.25 * np.arange(len(order))
     turned = Recording(scene, recorded_again, time, (np.arange(len(order)) >= 7).astype(np.uint8))
     answer = answered(turned)
     assert not answer.attachments
@@ -119,7 +120,8 @@ def test_one_frame_shows_no_change(tmp_path: Path) -> None:
     recorded(frames=1).save(tmp_path / "one.h5")
     answer = detect_recording(tmp_path / "one.h5")
     assert answer.answer == CANNOT_SAY and "one frame" in answer.why
-    scene, values = Scene(PANEL), np.full((3, 8, 10), 500.0)
+    scene = Scene(PANEL)
+    values = np.full((3, 8, 10), 500.0)
     for frames, known in ((2, False), (3, True)):
         few = Recording(scene, values[:frames], np.arange(float(frames)), (np.arange(frames) > 0).astype(np.uint8))
         found = known_of(Prepared(few))

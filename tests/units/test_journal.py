@@ -48,7 +48,8 @@ def test_a_damaged_frame_is_named_and_repair_drops_it(killed: Path, place: str, 
     ended = lampest("check", "--repair", killed)
     assert (ended.code, ended.err) == (0, "")
     assert ended.out == f"11 frames: {killed}; 1 damaged frame is dropped and counts as lost\n"
-    found, left = Recording.load(killed), np.delete(np.arange(FRAMES), 5)
+    found = Recording.load(killed)
+    left = np.delete(np.arange(FRAMES), 5)
     np.testing.assert_array_equal(found.recorded, meant.recorded[left])
     np.testing.assert_array_equal(found.raw_sums, np.asarray(meant.raw_sums)[left])
     np.testing.assert_array_equal(found.time, meant.time[left])
@@ -67,7 +68,8 @@ def test_a_boards_estimates_are_kept_and_checked_as_sums_are(tmp_path: Path) -> 
     with pytest.raises(InputError, match=r"killed.h5: 1 of 12 frames .* frame 5"):
         Recording.load(killed)
     assert repair(killed) == (FRAMES - 1, 1)
-    found, left = Recording.load(killed), np.delete(np.arange(FRAMES), 5)
+    found = Recording.load(killed)
+    left = np.delete(np.arange(FRAMES), 5)
     np.testing.assert_array_equal(found.board_log_change, expected[left])
     assert joined((found,), left > 7).board_log_change.shape == (4, 3, 4)
     with pytest.raises(InputError, match="/entry/board/log_change has another shape than the frames"):
@@ -143,7 +145,9 @@ def test_a_file_that_its_writer_left_open_stays_unless_it_ends_too_early(killed:
 
 def test_damage_in_it_is_a_sentence_that_names_it(killed: Path) -> None:
     """HDF5 alone waits for the right checksum without end."""
-    whole, expected, refused = killed.read_bytes(), Recording.load(killed).recorded, 0
+    whole = killed.read_bytes()
+    expected = Recording.load(killed).recorded
+    refused = 0
     with h5py.File(killed.with_name("growing.h5")) as file:
         header = h5py.h5o.get_info(file["entry/two_point/resistance"].id).addr
     for place in (9, 12, header + 6, *np.random.default_rng(1).integers(0, header + 200, 60)):

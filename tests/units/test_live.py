@@ -48,7 +48,8 @@ LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 LSM = Estimator((Misfit(),), "reduced")
 ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
 # A leak of one float a frame would be 8 bytes; interpreters keep some pools of their own.
-FRAMES, LEAK_BYTES_PER_FRAME = 1000, 60.0
+FRAMES = 1000
+LEAK_BYTES_PER_FRAME = 60.0
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +168,8 @@ def test_a_circuit_that_does_not_explain_the_frames_is_said_and_a_wrong_reading_
     assert json.loads(view_text(View("a", "b", "c", model=said), 0.0))["model"] == said
     # The first loaded frames of the shipped mouth: one reading is wrong, and its rim presses cells to 100 ohm.
     mouth = Recording.load(LAMPREY.with_name("lamprey_35mm.h5"))
-    frames, role = np.append(np.flatnonzero(mouth.role == UNLOADED), [4, 5, 6]), np.repeat([UNLOADED, MEASURED], 3)
+    frames = np.append(np.flatnonzero(mouth.role == UNLOADED), [4, 5, 6])
+    role = np.repeat([UNLOADED, MEASURED], 3)
     first = Recording(mouth.scene, mouth.recorded[frames], np.arange(6.0), role.astype(np.uint8))
     assert Prepared(first).check.mark == "yes"
 
@@ -175,7 +177,10 @@ def test_a_circuit_that_does_not_explain_the_frames_is_said_and_a_wrong_reading_
 def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over(
     lamprey: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun, go, shown, truly = threading.Semaphore(0), threading.Semaphore(0), [], engine_module.solved_scan
+    begun = threading.Semaphore(0)
+    go = threading.Semaphore(0)
+    shown = []
+    truly = engine_module.solved_scan
 
     def slowly(*arguments: Any) -> Any:
         begun.release()
@@ -206,7 +211,8 @@ def test_a_frame_that_fails_shows_no_number_and_the_next_one_goes_on(lamprey: Re
     resistance = lamprey.resistance.copy()
     resistance[4, 1:] = np.nan
     found = pictures(LSM, dataclasses.replace(lamprey, recorded=resistance))
-    failed, after = found[1], found[2]
+    failed = found[1]
+    after = found[2]
     assert failed.status == "too few of the frame's readings are values: the others are missing, or bounds"
     assert np.isnan(failed.measured_change[1:]).all() and np.isfinite(failed.measured_change[0]).all()
     assert np.isnan(failed.relative_change).all() and np.isnan(failed.force.newton) and not failed.open_cell.any()
@@ -251,7 +257,8 @@ def test_methods_and_those_of_a_file(disk: SimpleNamespace) -> None:
 @pytest.mark.slow
 def test_live_pressure_forgets_what_the_film_remembers() -> None:
     """30 frames of nothing, 20 of a rod, 50 of nothing."""
-    film, course = Film(0.2, 0.08), Course(start_s=30, release_at_s=50)
+    film = Film(0.2, 0.08)
+    course = Course(start_s=30, release_at_s=50)
     rod = Rod(kind="rod", centre_mm=(25, 25), diameter_mm=40, mass_g=1500)
     scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
     told = simulate(Simulation(1, 3, scene, frames=100, loads=(rod,), course=course, film=film))

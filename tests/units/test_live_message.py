@@ -33,7 +33,9 @@ CUP = dataclasses.replace(LAMPREY, breath=Breathing(-6.0, -6.0, hertz=(1.0, 0.1)
 
 
 def test_an_urgent_errand_waits_for_urgent_ones_alone() -> None:
-    look, urgent, other = Errand("look", int), Errand("look", int, urgent=True), Errand("check", int)
+    look = Errand("look", int)
+    urgent = Errand("look", int, urgent=True)
+    other = Errand("check", int)
     assert look.queued([other]) == [other, look]
     assert Errand("look", float).queued([look, other]) == [Errand("look", float), other]
     assert look.queued([urgent]) == [urgent] and urgent.queued([look]) == [urgent] == urgent.queued([urgent])

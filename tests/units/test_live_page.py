@@ -79,7 +79,8 @@ def first_view(answer: http.client.HTTPResponse) -> Any:
 
 def test_the_newest_is_never_missed() -> None:
     """A reader that is slower than the writer skips, but sees numbers grow, and the last thing."""
-    newest, seen = Newest(0), []
+    newest = Newest(0)
+    seen = []
 
     def read() -> None:
         number = 0

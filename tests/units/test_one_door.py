@@ -103,7 +103,8 @@ def test_every_way_in_gives_the_same_cells(name: str) -> None:
 
     # A recording's frames are solved in blocks, others one by one: both to the solver's tolerance.
     # A user's program has bare arrays and a scene.
-    scene, cells = recording.scene, []
+    scene = recording.scene
+    cells = []
     unloaded = Readings.of(scene, recording.resistance[recording.role == UNLOADED])
     stream = Stream.begin(case.estimator, scene, 1.0, unloaded.mean())
     for resistance in recording.resistance[recording.role != UNLOADED]:

@@ -55,7 +55,9 @@ print(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
 
 def frames(count: int, scene: lampest.Scene = SCENE) -> Array:
     """Ohm as the divider gives it, of a load that comes and goes."""
-    rng, readout, shape = np.random.default_rng(3), scene.readout, scene.panel.shape
+    rng = np.random.default_rng(3)
+    readout = scene.readout
+    shape = scene.panel.shape
     cells = 2000 * np.exp(0.2 * rng.standard_normal(shape)) * np.ones((count, *shape))
     pressed = 0.5 * (1 - np.cos(np.linspace(0, 2 * np.pi, count - UNLOADED)))[:, None, None]
     cells[UNLOADED:, 1:3, 2:4] *= np.exp(-pressed)
@@ -149,7 +151,8 @@ def test_an_ended_run_goes_on_behind_its_last_part(
     run = read_run(tmp_path / "run.yaml")
     assert run_batch(run, tmp_path / "whole", Backwards(), on_frames=lambda *frames: told.append(frames)).done == 1
     assert told[-1] == (48, 48) and told == sorted(told)
-    write, written = batch.write_carried, list[str]()
+    write = batch.write_carried
+    written = list[str]()
 
     def counted(path: Path, carried: Any) -> None:
         if len(written) == 2:
@@ -180,7 +183,8 @@ def test_a_folder_of_parts_that_is_a_link_out_is_left_alone(tmp_path: Path, smal
     save(tmp_path, frames(40))
     (tmp_path / "run.yaml").write_text(RUN.split("  relative:")[0])
     run = read_run(tmp_path / "run.yaml")
-    cases, elsewhere = tmp_path / "out" / "cases", tmp_path / "elsewhere"
+    cases = tmp_path / "out" / "cases"
+    elsewhere = tmp_path / "elsewhere"
     for folder in (cases, elsewhere):
         folder.mkdir(parents=True)
     (elsewhere / "000000.h5").write_text("mine")

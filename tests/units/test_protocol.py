@@ -47,7 +47,8 @@ COBS = (
 @st.composite
 def frames(draw: st.DrawFn) -> Frame:
     """Any frame that a board may send."""
-    rows, columns = draw(st.integers(1, 16)), draw(st.integers(1, 16))
+    rows = draw(st.integers(1, 16))
+    columns = draw(st.integers(1, 16))
     readings = draw(st.integers(1, 64))
     seed = draw(st.integers(0, 2**32 - 1))
     most = readings * protocol.MAX_CODE if draw(st.booleans()) else 3
@@ -87,7 +88,8 @@ def test_cuts_and_garbage_around_do_not_matter(
 ) -> None:
     """However the line is cut into pieces, all frames arrive; the garbage before has no zero in it or it may be cut."""
     wire = before + b"".join(message(frame_body(frame)) for frame in sent) + b"\0" + after
-    receiver, found = Receiver(), list[Frame]()
+    receiver = Receiver()
+    found = list[Frame]()
     while wire:
         cut = data.draw(st.sampled_from([1, 2, 17, 300, len(wire)]))
         receiver, items = receiver.feed(wire[:cut])
@@ -178,12 +180,15 @@ class ObedientPort:
         return len(self.data)
 
     def read(self, count: int) -> bytes:
-        data, self.data = self.data[:count], self.data[count:]
+        data = self.data[:count]
+        self.data = self.data[count:]
         return data
 
     def write(self, wire: bytes) -> None:
         body = protocol.unstuffed(wire.strip(b"\0")) or b""
-        kind, tag, value = Kind(body[1]), body[2], int.from_bytes(body[3:7], "little")
+        kind = Kind(body[1])
+        tag = body[2]
+        value = int.from_bytes(body[3:7], "little")
         self.commands.append((kind.name, value))
         self.data += self.answers(kind, tag, value)
 

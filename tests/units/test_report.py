@@ -25,7 +25,9 @@ def batch(*cases: CaseResult) -> Batch:
 
 def certain(case: CaseResult) -> CaseResult:
     """With noise, error bars of 8 %, resolution and weights."""
-    cells, change, half = case.cell_resistance, case.relative_change, 0.16 * np.abs(100 + case.relative_change)
+    cells = case.cell_resistance
+    change = case.relative_change
+    half = 0.16 * np.abs(100 + case.relative_change)
     fields: dict[str, Any] = {
         "sigma": 0.01 * case.measured,
         "cell_resistance_errors": 0.08 * cells,
@@ -84,7 +86,8 @@ def test_a_page_needs_nothing_else_and_recommends_nothing_without_truth_and_nois
     assert all(name in page.text for name in names[:4]) and "</pre><b>&" in page.text and "1337" not in page.text
     assert page.values("src") and all(uri.startswith("data:image/") for uri in page.values("src"))
     assert all(given.get("alt") for tag, given in page.tags if tag == "img")
-    anchors, links = page.values("id"), page.values("href")
+    anchors = page.values("id")
+    links = page.values("href")
     assert all(link.startswith(("#", "data:,")) for link in links) and len(anchors) == len(set(anchors))
     assert {link[1:] for link in links if link[0] == "#"} <= {*anchors}
     assert "which fewer than two of them have" in page.text and "cannot rank the estimators" in page.text
@@ -104,7 +107,8 @@ def test_a_report_of_every_shape_is_written_whatever_failed(shape: tuple[int, in
 
 @pytest.mark.slow
 def test_same_bytes_twice_and_wrong_input_in_a_sentence(tmp_path: Path) -> None:
-    source, out = tmp_path / "results.h5", tmp_path / "report.html"
+    source = tmp_path / "results.h5"
+    out = tmp_path / "report.html"
     write_results(source, [certain(invented_case(method, shape=(3, 4, 4))) for method in METHODS[:2]])
     write_report([source], out)
     first = out.read_bytes()
@@ -127,7 +131,8 @@ def pressing(estimator: str = "LSM", **maps: np.ndarray) -> CaseResult:
 
 def maps() -> tuple[np.ndarray, np.ndarray]:
     """kPa: nothing, then a block of 2 × 3 cells at rows 4 and 5, columns 6 to 8, then one cell in the corner."""
-    pressure, errors = np.full(SHAPE, 0.1), np.full(SHAPE, 0.2)
+    pressure = np.full(SHAPE, 0.1)
+    errors = np.full(SHAPE, 0.2)
     pressure[1, 4:6, 6:9] = 10.0, 12.0, 10.0
     pressure[2, 0, 0] = 8.0
     return pressure, errors
@@ -135,7 +140,8 @@ def maps() -> tuple[np.ndarray, np.ndarray]:
 
 def test_forces_of_noisy_maps_scatter_as_they_say() -> None:
     pressure, errors = maps()
-    rng, forces = np.random.default_rng(4), list[float]()
+    rng = np.random.default_rng(4)
+    forces = list[float]()
     for _ in range(200):
         noisy = pressure + errors * rng.standard_normal(SHAPE) * (pressure > 1)
         one = pressed_of(pressing(pressure=noisy, pressure_own=errors))

@@ -43,13 +43,15 @@ METHODS: dict[str, tuple[Term, ...]] = {
 def decayed(unknowns: Array) -> SumOfSquares:
     """Residuals of a decay of which the amplitude is 2, the rate 1.5 and the offset 0.3."""
     amplitude, rate, offset = unknowns
-    falling, measured = np.exp(-rate * TIMES), 2 * np.exp(-1.5 * TIMES) + 0.3 + 0.01 * np.sin(TIMES)
+    falling = np.exp(-rate * TIMES)
+    measured = 2 * np.exp(-1.5 * TIMES) + 0.3 + 0.01 * np.sin(TIMES)
     slopes = np.column_stack([falling, -amplitude * TIMES * falling, np.ones(len(TIMES))])
     return SumOfSquares(amplitude * falling + offset - measured, slopes)
 
 
 def test_the_minimum_is_that_of_scipy_within_bounds_or_without() -> None:
-    free, box = (-np.inf, np.inf), (np.array([0.0, 0.0, 0.5]), np.array([5.0, 1.2, 5.0]))
+    free = (-np.inf, np.inf)
+    box = (np.array([0.0, 0.0, 0.5]), np.array([5.0, 1.2, 5.0]))
     for damping, bounds in ((0.0, free), (10.0, free), (LOOP.damping, free), (LOOP.damping, box)):
         start = np.array([1.0, 0.5, 1.0])
         position, squares = replace(LOOP, damping=damping).minimum(decayed, start, bounds)
@@ -64,9 +66,11 @@ def test_the_minimum_is_that_of_scipy_within_bounds_or_without() -> None:
 @pytest.mark.parametrize("number", [0, 1])
 def test_second_derivatives_are_factored_once_and_serve(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     """Of the third frame of a recording: evaluations of the cost, products with ∇²φ, and its factors."""
-    bench, counts = BenchFile(schema=1, sizes=(8,)), dict[str, int]()
+    bench = BenchFile(schema=1, sizes=(8,))
+    counts = dict[str, int]()
     recording = bench.recording((8, 8), number)
-    readings, estimator = recording.readings(), bench.estimator("LSR-gdCR", "reduced", (8, 8))
+    readings = recording.readings()
+    estimator = bench.estimator("LSR-gdCR", "reduced", (8, 8))
     stream = first_stream(recording, readings, estimator)
     *frames, third = recording.measured_frames()[:3]
     for frame in frames:
@@ -115,7 +119,8 @@ def test_ipopt_reaches_the_optimum_from_near_and_far(kind: str, readout: Readout
     solver = Ipopt(cost, Settings(), readout, None, EXCITATIONS[kind])
     optimum = ProjectedNewton(cost, Settings(1e-12)).solve(data, evaluated(cost, data, cells)).cell_resistance
     near = cells * np.exp(0.01 * np.random.default_rng(2).standard_normal(cells.shape))
-    iterations, carried = [], None
+    iterations = []
+    carried = None
     for place in (data.uniform_start, near, near):
         start = evaluated(cost, data, place)
         solution = check(start, solver.continued(carried).solve(data, start))

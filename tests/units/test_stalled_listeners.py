@@ -35,8 +35,10 @@ pytestmark = pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning
 def message(number: int, side: int = 64) -> Message:
     """A frame of side × side cells."""
     panel = Panel(side, side)
-    cells, no = np.full(panel.shape, 1000.123 + number), np.zeros(panel.shape, dtype=bool)
-    status, saturated = "optimum verified", np.zeros(panel.shape, dtype=np.uint8)
+    cells = np.full(panel.shape, 1000.123 + number)
+    no = np.zeros(panel.shape, dtype=bool)
+    status = "optimum verified"
+    saturated = np.zeros(panel.shape, dtype=np.uint8)
     picture = Picture(
         number, 0.0, 0.0, cells, cells, no, Force(1.0, 0.1), status, 0.0, 0, cells, cells, saturated, "pressing"
     )

@@ -57,10 +57,13 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Plan:
 
 def test_a_time_is_the_least_of_all_turns(tiny: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each frame of turn n takes 5 − n s: of a block of frames each has its share."""
-    solve, turns, solved = tradeoff.reconstruct, count(), list[str]()
+    solve = tradeoff.reconstruct
+    turns = count()
+    solved = list[str]()
 
     def timed(recording: Recording, estimator: Any, *on_frame: Any) -> Any:
-        estimates, turn = solve(recording, estimator, *on_frame), next(turns) // 2
+        estimates = solve(recording, estimator, *on_frame)
+        turn = next(turns) // 2
         solved.append(estimator.method.kind)
         steps = tuple(replace(step, seconds=5.0 - turn) for step in estimates.steps)
         return replace(estimates, steps=steps, baseline=replace(estimates.baseline, seconds=7.0 - turn))
@@ -71,7 +74,8 @@ def test_a_time_is_the_least_of_all_turns(tiny: Plan, monkeypatch: pytest.Monkey
     assert [frame.seconds for frame in frames] == [3] * 4 and {frame.baseline_s for frame in frames} == {5}
     run_tradeoff(tiny._replace(settings=replace(tiny.settings, patience_s=0.0)))
     assert solved[6:] == ["naive", "reduced"], "no turn begins after the patience"
-    tasks, steps = list[tuple[str, int]](), list[tuple[int, int]]()
+    tasks = list[tuple[str, int]]()
+    steps = list[tuple[int, int]]()
 
     def peak(recording: Recording, estimator: Any) -> float:
         tasks.append((estimator.method.kind, len(recording.time)))

@@ -201,8 +201,11 @@ def test_a_stream_and_an_estimate_from_python_use_one_thread_of_blas(
     panel: lampest.Panel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = lampest.Scene(panel, lampest.TwoPointReadout(), series_resistance_ohm=140.0)
-    recorded, role = np.full((3, *panel.shape), 640.0), np.array([0, 0, 1], dtype=np.uint8)
-    readings, during, networks = lampest.Readings.of(scene, recorded[0]), list[set[int]](), Data.networks
+    recorded = np.full((3, *panel.shape), 640.0)
+    role = np.array([0, 0, 1], dtype=np.uint8)
+    readings = lampest.Readings.of(scene, recorded[0])
+    during = list[set[int]]()
+    networks = Data.networks
     monkeypatch.setattr(Data, "networks", lambda *given: (during.append(blas_threads()), networks(*given))[1])
     estimator = lampest.Estimator((lampest.Misfit(),), "reduced")
     with threadpool_limits(2, "blas"):
@@ -214,7 +217,9 @@ def test_a_stream_and_an_estimate_from_python_use_one_thread_of_blas(
 
 
 def test_the_last_thread_that_leaves_restores_the_threads_of_blas() -> None:
-    entered, left, during = Barrier(2), Barrier(2), list[set[int]]()
+    entered = Barrier(2)
+    left = Barrier(2)
+    during = list[set[int]]()
 
     def first() -> None:
         with ONE_BLAS_THREAD:

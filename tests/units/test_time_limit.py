@@ -44,7 +44,8 @@ FORMULATIONS: dict[Any, tuple[Any, ...]] = {
 def test_cases_that_fail_stop_no_other_and_are_solved_by_the_next_run(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    solve, out = batch.reconstruct, disk.folder / "out"
+    solve = batch.reconstruct
+    out = disk.folder / "out"
 
     def run(failing: Callable[[Estimator], bool]) -> SimpleNamespace:
         def sometimes(recording: Any, estimator: Any, on_frame: Any) -> Any:

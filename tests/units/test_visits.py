@@ -22,7 +22,9 @@ from lampest.report.detect.answer import LAMPREY, PRESSES, SUCKS, Detected, answ
 from lampest.report.detect.detection import Known, known_of, measured_frames
 from lampest.report.detect.visits import COLUMNS, count_table, visits_of
 
-MOUTH, RING = 1.0, 0.0  # P(sucks)
+# P(sucks)
+MOUTH = 1.0
+RING = 0.0
 
 
 def load(since_s: float, until_s: float | None, diameter_mm: float = 35.0, sucks: float = MOUTH) -> Attachment:
@@ -60,7 +62,8 @@ def test_a_mouth_of_the_same_size_may_have_come_back() -> None:
 
 
 def test_visits_of_several_recordings_are_in_the_order_of_time() -> None:
-    late, early = detected(load(10.0, 20.0)), detected(load(10.0, 20.0), start="2026-05-03T10:00:00+00:00")
+    late = detected(load(10.0, 20.0))
+    early = detected(load(10.0, 20.0), start="2026-05-03T10:00:00+00:00")
     assert [visit.begin[:10] for visit in visits_of([late, early]) if visit.begin] == ["2026-05-03", "2026-05-04"]
 
 
@@ -87,7 +90,8 @@ def test_a_reason_is_of_its_time() -> None:
 def test_a_folder_of_recordings_is_one_table(tmp_path: Path, lampest: Callable[..., Any]) -> None:
     """Two recordings of one name, with clocks and in folders of their own; their visits are exported from the file."""
     whole, *_ = attached("ring", 1.0, 5, 6, 6.0)
-    season, out = tmp_path / "season", tmp_path / "out"
+    season = tmp_path / "season"
+    out = tmp_path / "out"
     for day in (1, 2):
         (season / str(day)).mkdir(parents=True)
         replace(whole, start_time=f"2026-05-0{day}T12:00:00+00:00").save(season / str(day) / "pond.h5")
@@ -115,7 +119,8 @@ def test_a_look_that_fails_is_one_look(monkeypatch: pytest.MonkeyPatch) -> None:
     whole, *_ = attached("rod", 4.0, 3, 6, 8.0)
     known = known_of(Prepared(whole))
     assert isinstance(known, Known)
-    looks, verdict = list[bool](), Detector.verdict
+    looks = list[bool]()
+    verdict = Detector.verdict
 
     def failing(*frame: object) -> object:
         looks.append(True)
@@ -135,7 +140,8 @@ def test_a_ring_that_trembles_is_no_lamprey_in_any_frame(number: int) -> None:
     whole, *_ = attached("trembling ring", 4.0, 8100 + number)
     known = known_of(Prepared(whole))
     assert isinstance(known, Known)
-    watch, sucking = known.watch(), 0.0
+    watch = known.watch()
+    sucking = 0.0
     for frame in measured_frames(whole, known, np.ones(len(whole.time), dtype=bool)):
         watch = watch.push(*frame)
         sucking = max([sucking, *(one.sucks for one in watch.attachments)])
@@ -170,8 +176,10 @@ def test_few_cells_that_become_even_are_no_load_that_left() -> None:
 def test_a_wave_at_half_the_frame_rate_has_a_depth_of_a_breath() -> None:
     """Its sine is hardly sampled: amplitudes come from the prior, and not from a division by nothing."""
     times = np.arange(0, 8, 0.25)
-    rise, slopes = np.repeat([-2.0, 1.0], 20), np.repeat([-300.0, 90.0], 20)
-    moves, supply = np.ones((1, 40)), np.ones((40, 1))
+    rise = np.repeat([-2.0, 1.0], 20)
+    slopes = np.repeat([-300.0, 90.0], 20)
+    moves = np.ones((1, 40))
+    supply = np.ones((40, 1))
     patterns = Patterns.of(np.eye(40), rise, slopes[None], 0.2 * np.abs(slopes), moves, supply)
     noise = np.random.default_rng(4).standard_normal((len(times), 40))
     changes = np.outer(0.08 * np.sin(2 * np.pi * 2.0 * times + 0.3), slopes) + noise

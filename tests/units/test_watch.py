@@ -20,7 +20,8 @@ from lampest.report.live.watcher import Unloaded, Watched
 TWO_POINT = TwoPointReadout(noise_lsb=0.7)
 ROD = Rod(centre_mm=(26, 24), diameter_mm=30, mass_g=500)
 MOUTH = OralDisc(centre_mm=(26, 24), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10)
-UNLOADED, KEPT = 5, 0.12
+UNLOADED = 5
+KEPT = 0.12
 Course = tuple[Shape, int, int]  # a load, the first frame with it and the first without it
 
 
@@ -50,7 +51,8 @@ def test_unloaded_frames_that_something_touched_are_none(first: int) -> None:
 
 def test_what_changes_as_little_as_a_film_settles_is_no_touch() -> None:
     """A fiftieth of what a rod does."""
-    recording, touched = taken((ROD, 8, 20)), taken((ROD, 2, 20))
+    recording = taken((ROD, 8, 20))
+    touched = taken((ROD, 2, 20))
     recording.recorded[2:5] *= (touched.recorded[3] / recording.recorded[0]) ** 0.02
     assert answered(recording).answer == PRESSES
 
@@ -141,7 +143,8 @@ def test_visits_of_hours_are_seen_once_each_in_flat_memory() -> None:
     first = {name: getattr(recording, name)[:105] for name in ("recorded", "time", "role")}
     known = known_of(Prepared(dataclasses.replace(recording, **first)))
     assert isinstance(known, Known)
-    watch, sizes = known.watch(), list[int]()
+    watch = known.watch()
+    sizes = list[int]()
     for value, sigma, time in measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)):
         watch = watch.push(value, sigma, time)
         sizes += [len(pickle.dumps(watch.window))] if time % 500 == 0 else []

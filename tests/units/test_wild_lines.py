@@ -39,7 +39,8 @@ SCENE = Scene(Panel(modules=LAYOUT), TwoPointReadout(readings=2))
 AT = replace(IDLE, period_us=round(1e6 * PERIOD))
 # Messages that arrive, how the board answers when it is asked (None: not at all), when the end is requested, and how
 # many samples come in each batch; and how many answers came since the last of them.
-RUNNING, FIT = replace(IDLE, running=True, period_us=0), Frame(2, 9, 50, 0, np.ones((3, 4), np.uint16))
+RUNNING = replace(IDLE, running=True, period_us=0)
+FIT = Frame(2, 9, 50, 0, np.ones((3, 4), np.uint16))
 ENDED_RUNS: tuple[tuple[list[Any], list[Hello | None], list[bool], list[int], int], ...] = (
     ([(FIT,), (IDLE,)], [RUNNING], [False, False], [1, 0], 2),
     ([(FIT,)], [RUNNING], [False, True], [1, 1], 0),
@@ -136,7 +137,8 @@ def frame(number: int, device_ms: int) -> Frame:
 
 def run_of(*frames: tuple[int, int]) -> tuple[Scanning, list[Sample]]:
     """A run of 10 ms between frames, and the samples that frames (number, ms) make of it."""
-    run, found = Scanning(replace(IDLE, period_us=10_000), OWN, 0, None), list[Sample]()
+    run = Scanning(replace(IDLE, period_us=10_000), OWN, 0, None)
+    found = list[Sample]()
     for number, device_ms in frames:
         found += run.take(frame(number, device_ms))
     return run, found
@@ -244,7 +246,9 @@ def test_a_clock_that_stands_still_costs_no_frame_and_is_named_once() -> None:
 
 def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None:
     random = np.random.default_rng(4343)
-    sent, ahead, came = [], 100_000, []
+    sent = []
+    ahead = 100_000
+    came = []
     for number in range(3000):
         if random.random() < 0.05:
             ahead += int(random.integers(-10_000, 10_000))
@@ -375,7 +379,8 @@ def shown(here: Alignment, now: float) -> list[tuple[int | None, ...]]:
 
 def images(arrivals: Iterable[tuple[int, int, float, float]]) -> list[tuple[int | None, ...]]:
     """Images of two boards' frames (board, number, time, arrival), looked at on each arrival; board −1 sends none."""
-    image, seen = Alignment(2), list[tuple[int | None, ...]]()
+    image = Alignment(2)
+    seen = list[tuple[int | None, ...]]()
     for board, number, at, arrival in arrivals:
         if board >= 0:
             image.take(board, sent(number, at, arrival))
@@ -398,11 +403,13 @@ def test_the_next_board_leads_while_the_first_is_gone_and_nobody_waits_twice() -
 
 def test_a_board_is_waited_for_until_it_is_late() -> None:
     """A part that began 0.4 periods before belongs to the frame; the second board leads once the first is late."""
-    here, late = Alignment(2), 1.5 * PERIOD + LATE_SECONDS
+    here = Alignment(2)
+    late = 1.5 * PERIOD + LATE_SECONDS
     for board, at in enumerate((0.0, -0.4 * PERIOD)):
         here.take(board, sent(0, at))
     assert shown(here, 0.0) == [(0, 0)] and here.moment == 0.0 and LATE_SECONDS == 0.3
-    alone, other = copy.deepcopy(here), here
+    alone = copy.deepcopy(here)
+    other = here
     alone.take(0, sent(1, PERIOD))
     assert alone.frame(PERIOD + late - 1e-3) is None
     assert shown(alone, PERIOD + late + 1e-3) == [(1, None)] and alone.missing == (1,)
@@ -443,7 +450,9 @@ def test_a_boards_clock_is_set_by_the_quickest_of_fifty_frames() -> None:
 
 def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> tuple[list[Sample], list[str]]:
     """The image of four boards that send these samples and then fall silent, and what is said meanwhile."""
-    states, silent, waiting = list[str](), set[str](), {port: iter(samples) for port, samples in boards.items()}
+    states = list[str]()
+    silent = set[str]()
+    waiting = {port: iter(samples) for port, samples in boards.items()}
 
     def samples(port: str, *rest: Any) -> Samples:
         for sample in waiting[port]:
@@ -573,7 +582,8 @@ def batches_of(*sizes: int) -> Samples:
 
 
 def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
-    line, idle = stream._Line("url", None, None, lambda: False), replace(IDLE, running=True)
+    line = stream._Line("url", None, None, lambda: False)
+    idle = replace(IDLE, running=True)
     fit, other = (Frame(2, 9, 50, 0, np.ones(shape, np.uint16)) for shape in ((3, 4), (3, 5)))
     unfit = (Garbage(3), other, other, Garbage(1), Garbage(2), idle, idle, idle, idle)
     for messages, over in ((unfit, False), ((*unfit, IDLE, fit), True)):
@@ -594,7 +604,8 @@ def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
 
 def test_a_frame_has_the_estimate_that_came_before_it_and_no_other() -> None:
     """A lost, garbled, late or failed estimate costs nothing but itself, and is no reason to give a line up."""
-    line, run = stream._Line("url", None, None, lambda: False), Scanning(replace(IDLE, running=True), OWN, 0, None)
+    line = stream._Line("url", None, None, lambda: False)
+    run = Scanning(replace(IDLE, running=True), OWN, 0, None)
     change = np.arange(12, dtype=np.float32).reshape(3, 4)
     frames = [Frame(2, number, 50 + 1000 * number, 0, np.ones((3, 4), np.uint16)) for number in range(7)]
     messages = (
@@ -618,7 +629,9 @@ def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch
     """A silent board is identified anew; one that scans on is believed, one that does not has restarted."""
     monkeypatch.setattr(stream, "SILENCE_SECONDS", -1.0)
     for arrived, answers, ending, sizes, since in ENDED_RUNS:
-        messages, asked, ended = iter(arrived), iter(answers), iter(ending)
+        messages = iter(arrived)
+        asked = iter(answers)
+        ended = iter(ending)
 
         def identify(asked: Iterator[Hello | None] = asked) -> Hello:
             if (answer := next(asked)) is None:
@@ -636,7 +649,9 @@ def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch
             next(batches)
         assert line._unfit["answers"] == since
     line.last = replace(sent(3, 0.0), session=4)
-    board.messages, board.identify, line._ending = [(FIT,)].pop, lambda: IDLE, lambda: False
+    board.messages = [(FIT,)].pop
+    board.identify = lambda: IDLE
+    line._ending = lambda: False
     assert [sample.session for batch in line._run(board, RUNNING, OWN) for sample in batch] == [5]
 
 
@@ -647,7 +662,9 @@ def test_a_recording_ends_after_its_frames_or_seconds() -> None:
 
 def test_noise_comes_from_pairs_of_unloaded_codes_that_follow_each_other() -> None:
     """Pairs over a restart, of loaded frames and at the ends of the converter count as nothing."""
-    rng, readings, frames = np.random.default_rng(3), 4, 60
+    rng = np.random.default_rng(3)
+    readings = 4
+    frames = 60
     readout = TwoPointReadout(readings=readings)
     sums = np.round(readings * (500 + 3 * rng.standard_normal((frames, 2, 3)))).astype(np.uint16)
     sums[30:] += 800
@@ -656,7 +673,8 @@ def test_noise_comes_from_pairs_of_unloaded_codes_that_follow_each_other() -> No
     codes = sums[:50].reshape(50, 6)[:, 2:] / readings
     differences = np.concatenate([np.diff(codes[:30], axis=0), np.diff(codes[30:], axis=0)])
     numbers = np.arange(frames)
-    session, nothing = (numbers >= 30).astype(np.uint16), np.zeros(frames, np.uint16)
+    session = (numbers >= 30).astype(np.uint16)
+    nothing = np.zeros(frames, np.uint16)
     counters = numbers * 1.0, numbers, numbers, nothing, nothing, session
 
     def first(count: int) -> Recording:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.watch import NEAR_PITCHES, Level, Panelled, Watch
+from lampest.loads.recognition.step_test import NEAR_PITCHES
+from lampest.loads.recognition.watch import Level, Panelled, Watch
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.response import Response
 from lampest.panel.scene import Scene

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import AddressedNetwork, Network
+from lampest.panel.addressed import AddressedNetwork
+from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.divider import Divider
 from lampest.panel.readouts.driven import DrivenReadout

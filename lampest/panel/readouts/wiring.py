@@ -14,7 +14,8 @@ import numpy as np
 
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration
-from lampest.panel.network import AddressedNetwork, DifferenceNetwork, Network, ReadCircuit, excitations
+from lampest.panel.addressed import AddressedNetwork
+from lampest.panel.network import DifferenceNetwork, Network, ReadCircuit, excitations
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, check_lines, per_line
 
