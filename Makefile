@@ -26,7 +26,7 @@ OUT = results/table1
 QUICK = --variants 4 tests/laws tests/golden tests/contracts/test_import.py tests/contracts/test_wrong_input.py \
         tests/oracles/test_pressure.py
 PYTEST = $(BIN)/python -m pytest -q
-SPREAD = --numprocesses auto --maxprocesses 4 --dist loadfile
+SPREAD = --numprocesses auto --maxprocesses 4 --dist worksteal
 
 # What Python compiles is kept, whatever the environment says: each command then starts a second sooner.
 unexport PYTHONDONTWRITEBYTECODE
@@ -45,7 +45,7 @@ test-all: test
 	@$(PYTEST) $(SPREAD) -m slow
 
 quick: $(VENV)/.installed-dev
-	@$(PYTEST) $(SPREAD:loadfile=worksteal) -m 'not slow and not long' $(QUICK)
+	@$(PYTEST) $(SPREAD) -m 'not slow and not long' $(QUICK)
 
 mutants: $(VENV)/.installed-dev
 	@$(BIN)/python -m tests.mutation

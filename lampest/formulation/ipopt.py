@@ -124,7 +124,8 @@ class Interface(CasadiOwner):
         Raises
         ------
         KeyboardInterrupt
-            Ctrl-C came during the solve: CasADi catches it and ends IPOPT with a status of its own.
+            Ctrl-C came during the solve: CasADi catches it, and ends IPOPT with a status of its own or an error that
+            quotes it.
         """
         solver = self._cold if multipliers is None else self._warm
         warm = {}
@@ -132,7 +133,12 @@ class Interface(CasadiOwner):
             warm = {"lam_x0": multipliers.of_bounds, "lam_g0": multipliers.of_equations}
         limits = {"lbx": instance.lower, "ubx": instance.upper}
         limits |= {"lbg": instance.equations[0], "ubg": instance.equations[1]}
-        result = solver(x0=instance.start, p=instance.parameter, **limits, **warm)
+        try:
+            result = solver(x0=instance.start, p=instance.parameter, **limits, **warm)
+        except RuntimeError as error:
+            if KeyboardInterrupt.__name__ in str(error):
+                raise KeyboardInterrupt from None
+            raise
         stats = solver.stats()
         if stats["return_status"] == INTERRUPTED:
             raise KeyboardInterrupt

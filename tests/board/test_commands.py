@@ -14,7 +14,8 @@ from lampest.files.document import read_document, to_yaml, validated
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
 
 
-@pytest.mark.parametrize("wiring", ["two_point", pytest.param("loaded_columns", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("wiring", ["two_point", "loaded_columns"])
 def test_from_the_board_to_the_cells(tmp_path: Path, wiring: str) -> None:
     """The shipped lamprey: record → a file in ohm or volt → run → the truth."""
     shipped = Recording.load(LAMPREY)

@@ -227,7 +227,9 @@ def test_a_converter_that_remembers_is_named_with_its_number(scene: Scene, memor
     assert float(check.better.split()[-1]) == pytest.approx(memory, rel=0.15)
 
 
-@pytest.mark.parametrize("scene", [TWO, HOBBY], ids=["two_point", "loaded_columns"])
+@pytest.mark.parametrize(
+    "scene", [TWO, pytest.param(HOBBY, marks=pytest.mark.slow)], ids=["two_point", "loaded_columns"]
+)
 def test_readings_listed_column_by_column_are_named(scene: Scene) -> None:
     tall, wide = (replace(scene, panel=Panel(*shape)) for shape in ((12, 8), (8, 12)))
     recording = wrongly_told(tall, wide, 2)

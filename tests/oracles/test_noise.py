@@ -282,8 +282,8 @@ STATIC_LINE = "systematic: {reading_error: estimated}"
 @pytest.mark.parametrize(
     ("size", "seeds"),
     [
-        (0.01, range(8)),
-        pytest.param(0.03, range(20, 23), marks=pytest.mark.slow),
+        pytest.param(0.01, range(8), marks=pytest.mark.slow),
+        (0.03, range(20, 23)),
         pytest.param(0.1, range(20, 26), marks=pytest.mark.slow),
     ],
 )
