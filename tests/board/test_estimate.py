@@ -250,6 +250,7 @@ def test_missing_readings_and_bounds_have_the_optimum_of_lampest():
     assert deviations(case, found.log_change).max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "field", ["reference_ohm", "sigma_volt[1]", "weight", "baseline[30]", "largest_ohm", "supply_volt"]
 )

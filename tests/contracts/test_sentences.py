@@ -131,6 +131,7 @@ def test_the_starter_recording_has_no_line_that_seems_to_touch(
     assert ("the strongest change against the unloaded ones" in said.out) is unloaded
 
 
+@pytest.mark.slow
 def test_changes_without_unloaded_frames_are_not_against_the_unloaded_panel(tmp_path: Path, lampest: Command) -> None:
     from lampest import LogGradient, Misfit, Panel, Recording, Scene, TwoPointReadout, reconstruct
 

@@ -107,6 +107,7 @@ def test_breath_is_judged_in_windows_that_nothing_begins_anew() -> None:
     assert np.isnan(seen("shaken cup", 4.0, 812005).lamprey)
 
 
+@pytest.mark.slow
 def test_a_cup_in_waves_does_not_breathe(monkeypatch: pytest.MonkeyPatch) -> None:
     """Waves of 0.2 kPa at 0.7 Hz change all cells: under a load by other parts than those that readings share."""
 
@@ -118,6 +119,7 @@ def test_a_cup_in_waves_does_not_breathe(monkeypatch: pytest.MonkeyPatch) -> Non
     assert answered(recording("cup", 4.0, 777000)[0]).answer == CUP
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1, 4))
 def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
     whole, made, _, _ = recording(SLIDING, 4.0, seed, attached_s=20.0)

@@ -128,6 +128,7 @@ def test_a_missing_reading_does_not_choose_the_weight(term: object) -> None:
     assert abs(np.log10(weights[1] / weights[0])) < 1.2  # it was 1e-15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "readout",
     [

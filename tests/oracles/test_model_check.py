@@ -213,6 +213,7 @@ def test_multiplexers_in_parallel_are_named(seed: int) -> None:
     assert check.better == f"readout.groups: {[list(block) for block in BLOCKS]} (read in parallel)"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", [TWO, HOBBY, ONE_LOAD], ids=["two_point", "loaded_columns", "grounded"])
 def test_right_groups_and_none_are_right(scene: Scene) -> None:
     for actual in (scene, grouped(scene)):

@@ -73,6 +73,7 @@ def test_what_modules_cannot_have_is_one_sentence(more: str, said: str) -> None:
     assert said in str(error.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("penalty", [None, lampest.Gradient(weight=1e-7), lampest.RelativeChange(weight=1e-3)])
 def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | None) -> None:
     recording = simulated(scene_of(SCENE + FAULTS))

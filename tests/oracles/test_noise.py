@@ -310,6 +310,7 @@ def test_static_errors_that_are_asked_for_and_absent_hardly_widen_bars(noise_lsb
     assert 0.85 < np.median([own_part(recording)[1] for recording in recordings]) < 1.25
 
 
+@pytest.mark.slow
 def test_a_static_error_by_number_holds_and_none_is_imagined() -> None:
     told = recorded(0, scene_of(0.7, Systematic(reading_error=0.02)), static=0.005)
     assert Prepared(told).noise.reading_error == 0.02

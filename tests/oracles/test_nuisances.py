@@ -69,6 +69,7 @@ def test_an_outlier_while_a_load_comes_is_no_contact(seed: int) -> None:
     assert Prepared(replace(recording, recorded=recorded, **alone)).effects.name == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effect",
     [
@@ -95,6 +96,7 @@ def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effec
     assert bool(np.any(dirty.frame.effect_errors[0])) == ("leak_from" not in effect and "contact" not in effect)
 
 
+@pytest.mark.slow
 def test_detect_looks_at_frames_without_the_leak() -> None:
     recording = panel(1, leak_ohm=10e3, leak_from=UNLOADED + 3, **ASKED)
     known = known_of(Prepared(recording))

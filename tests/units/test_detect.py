@@ -116,6 +116,7 @@ def test_cells_that_conduct_less_are_no_contact_and_get_no_cause() -> None:
     assert answer.answer == CANNOT_SAY
 
 
+@pytest.mark.slow
 def test_one_frame_shows_no_change(tmp_path: Path) -> None:
     recorded(frames=1).save(tmp_path / "one.h5")
     answer = detect_recording(tmp_path / "one.h5")

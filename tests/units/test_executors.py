@@ -248,6 +248,7 @@ def test_an_executor_changes_no_case(disk: SimpleNamespace) -> None:
     assert len(ids) == 1 and "executor" in json_schema()["properties"]
 
 
+@pytest.mark.slow
 def test_frames_are_counted_while_cases_are_solved(disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batch, "EVERY_SECONDS", 1e-4)
     told: list[tuple[int, int]] = []

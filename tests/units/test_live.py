@@ -122,6 +122,7 @@ def replay(engine: Engine, recording: Recording, on_frame: Callable[[], object])
         return engine.shown.item
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", [of_every_frame("smooth"), of_every_frame("relative_change"), ARRIVAL], ids=["gCR", "dCR", "arrival"]
 )
@@ -235,6 +236,7 @@ def test_what_stops_the_solver_stops_live(lamprey: Recording, frames: int | None
         engine.finish()
 
 
+@pytest.mark.slow
 def test_a_replay_takes_its_time(lamprey: Recording) -> None:
     waits: list[float] = []
     with Engine("test", "test", LSM, 3) as engine:

@@ -140,6 +140,7 @@ def test_what_does_not_fit_is_named() -> None:
         Recording(WHOLE, good, np.arange(2.0), role, np.full(SHAPE, -1.0), name="mine")
 
 
+@pytest.mark.slow
 def test_estimates_detection_and_warnings_share_one_preparation(monkeypatch: pytest.MonkeyPatch) -> None:
     taken = list[str]()
     for name in STEPS:
