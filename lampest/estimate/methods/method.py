@@ -127,10 +127,9 @@ class Method(Configuration):
                 step = data.readout.common_step(data.measured[0], data.network(0, known).reading(), data.plain[0])
                 behind = replace(behind, previous=known * step)
         data = replace(objective.data(readings.alone(), behind), first=state.first)
-        circuit = state.scene.circuit
-        if previous is None and not circuit.unique:
+        if previous is None and (panels := state.scene.circuit.panels_alike(state.resting.value)):
             # Of several panels that give the same readings the one nearest to the unloaded panel is meant.
-            previous = circuit.start(state.resting.value, data.upper[0])
+            previous = np.minimum(panels[0][1], data.upper[0])
         return data, None if previous is None else previous[None]
 
     def solve(self, state: SequenceState, data: Data, previous: Array | None) -> Step:
