@@ -1,5 +1,6 @@
 """The verdict on a scene: whether its circuit explains a recording, with all that speaks against it."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -9,10 +10,11 @@ from lampest.audit.health import Health
 from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
+from lampest.recording.recording import UNLOADED
 
 OF_CIRCUIT = ("lines", "order")  # rooms of health whose findings contradict the scene
 
-CLEAR_LOG_ODDS = 6.9  # of the panel that is taken, against another one with the same readings: a thousand to one
+CLEAR_LOG_ODDS = math.log(1000)  # of the panel that is taken, against another one with the same readings
 
 
 def verdict(check: ModelCheck, prepared: Prepared, health: Health | None = None) -> ModelCheck:
@@ -44,7 +46,7 @@ def _doubts(prepared: Prepared, health: Health | None) -> Iterator[str]:
 def _another_panel(prepared: Prepared) -> Iterator[str]:
     """Yield the doubt that cells of quite another size give the unloaded readings, too."""
     recording = prepared.recording
-    resting = np.flatnonzero(recording.role == 0)
+    resting = np.flatnonzero(recording.role == UNLOADED)
     measured = prepared.noise.readings[resting if resting.size else np.array([0])].mean().value
     panels = recording.scene.circuit.panels_alike(measured) if np.isfinite(measured).all() else []
     if len(panels) > 1 and panels[0][0] - panels[1][0] < CLEAR_LOG_ODDS:

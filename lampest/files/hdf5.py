@@ -32,7 +32,7 @@ CHUNK = 100_000  # values of a chunk, which contains whole frames
 ALL = slice(None)
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-# What a file of YAML is by a key of its, and what others are by their suffix, with the command that reads them.
+# Keys that only one kind of YAML file has, and suffixes of other files: the kind, with the command that reads it.
 DOCUMENTS = {
     "recordings": ", but a run file; lampest run reads it",
     "estimators": ", but a run file; lampest run reads it",
@@ -90,7 +90,7 @@ def existing_file(path: Path) -> Iterator[h5py.File]:
 
 
 def _instead(path: Path, error: str) -> str:
-    """Return what a file is that HDF5 cannot open, and the command that reads it."""
+    """Return the kind of a file that HDF5 cannot open, and the command that reads it."""
     try:
         with path.open("rb") as stream:
             begin = stream.read(100_000)

@@ -239,7 +239,7 @@ def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> It
             tell()
 
     thread = threading.Thread(target=watch, daemon=True)
-    with suppress(RuntimeError):  # no further thread can be started: the end alone is told
+    with suppress(RuntimeError):  # no further thread can be started: only the end is reported
         thread.start()
     try:
         yield

@@ -18,7 +18,6 @@ b = 0: Z has one version an address.
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from math import inf
 from typing import Any, ClassVar, Literal, Self
 
@@ -34,13 +33,13 @@ from lampest.panel.panel import Array, connected_parts
 from lampest.panel.readouts.branches import MAX_MISFIT, misfit, panels_alike, uniform_panels
 from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.diode import Diode
+from lampest.panel.readouts.equation import Equation, LineStates, equation_of
 from lampest.panel.readouts.floating import convex_start, uniform_factor
 from lampest.panel.readouts.lines import (
     Groups,
     LineNumber,
     PerLine,
     Side,
-    along,
     as_tuple,
     check_apart,
     check_groups,
@@ -62,132 +61,6 @@ MAX_ROUNDS = 40
 CONVERGED = 1e-3
 MIN_RATIO = 0.02
 MAX_RATIO = 1e3
-
-
-@dataclass(frozen=True, eq=False)
-class LineStates:
-    """Resistances of the lines to ground or to the source, ohm, in both of their states.
-
-    Attributes
-    ----------
-    drive, idle : array, shape (driven,)
-        Rd and Rp; Rp infinite: the line floats, 0: it is held at ground.
-    load, idle_load : array, shape (sensed,)
-        Rs and Rq.
-    gain : array, shape (sensed,)
-        c, the share of a sensed line's voltage at the converter.
-    """
-
-    drive: Array
-    idle: Array
-    load: Array
-    idle_load: Array
-    gain: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Equation:
-    """Numbers of the equation of the readings on a panel; arrays without another shape are (rows, columns).
-
-    Attributes
-    ----------
-    states : LineStates
-        Resistances of the lines.
-    drive, load, gain : array
-        Rd, Rs and c of every reading.
-    drive_terms : tuple of two arrays
-        A and A'.
-    load_terms : tuple of two arrays
-        B and B'; B' is 0 where the loads of an address are a part of Z.
-    current_terms : tuple of two arrays
-        The current through Rd is the excitation of line i times the first one plus its potential times the second one.
-    floating : bool
-        Whether no line is tied while all are idle. Then readings follow from R = Z_ii + Z_jj − 2 Z_ij.
-    grounded : bool
-        Whether idle driven lines are at ground through no more than Rd.
-    ties : array, shape (addresses, lines)
-        Ties of the lines at every address, siemens; infinite where a line is held at ground.
-    read_at : array, shape (addresses, rows, columns)
-        1 for the readings of each address, else 0.
-    together : array, shape (sensed, sensed), or None
-        1 for sensed lines that have their loads at the same time; None: all have.
-    """
-
-    states: LineStates
-    drive: Array
-    load: Array
-    gain: Array
-    drive_terms: tuple[Array, Array]
-    load_terms: tuple[Array, Array]
-    current_terms: tuple[Array, Array]
-    floating: bool
-    grounded: bool
-    ties: Array
-    read_at: Array
-    together: Array | None
-
-
-@lru_cache(maxsize=256)
-def equation_of(circuit: "DrivenCircuit", rows: int, columns: int) -> Equation:
-    """Return the numbers of a circuit's equation on a panel."""
-    driven, sensed = of_side(circuit.driven, rows, columns)
-    states = circuit.states(driven, sensed)
-    drive = states.drive
-    idle = states.idle
-    load = states.load
-    idle_load = states.idle_load
-    unchanged = np.array_equal(load, idle_load)
-    addresses = [] if unchanged or circuit.groups is None else _addresses(circuit.groups)
-    several = len(circuit.groups or ()) > 1 and bool(addresses)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        idle_ties = 1 / idle
-        load_ties = 1 / load
-        idle_load_ties = 1 / idle_load
-        # Lines that 0 ohm hold at ground while they are idle have an equation of their own.
-        held = idle == 0
-        drive_terms = np.where(held, (np.ones(driven), -drive), (drive, np.where(drive == idle, 0.0, 1 - drive / idle)))
-        current_terms = np.where(held, [[0.0], [-1.0]], (np.ones(driven), -idle_ties))
-        if unchanged or several:
-            load_terms = np.stack([np.ones(sensed), np.zeros(sensed)])
-        else:
-            held = idle_load == 0
-            load_terms = np.where(held, (load_ties, -np.ones(sensed)), (np.ones(sensed), load_ties - idle_load_ties))
-    # Ties at every address: of idle lines, and of the loads of the lines that are read together.
-    ties = []
-    read = []
-    for lines in addresses if several else [np.arange(sensed)]:
-        chosen = np.isin(np.arange(sensed), lines)
-        of_sensed = np.where(chosen, load_ties, idle_load_ties) if several else idle_load_ties
-        ties.append(np.concatenate(of_side(circuit.driven, idle_ties, of_sensed)))
-        read.append(chosen.astype(float))
-    together = None if unchanged else np.transpose(read) @ np.array(read) if several else np.eye(sensed)
-
-    def of_driven(values: Array) -> Array:
-        return np.broadcast_to(along(circuit.driven, values), (rows, columns)).copy()
-
-    def of_sensed_lines(values: Array) -> Array:
-        return np.broadcast_to(along(opposite(circuit.driven), values), (rows, columns)).copy()
-
-    return Equation(
-        states=states,
-        drive=of_driven(drive),
-        load=of_sensed_lines(load),
-        gain=of_sensed_lines(states.gain),
-        drive_terms=(of_driven(drive_terms[0]), of_driven(drive_terms[1])),
-        load_terms=(of_sensed_lines(load_terms[0]), of_sensed_lines(load_terms[1])),
-        current_terms=(of_driven(current_terms[0]), of_driven(current_terms[1])),
-        floating=not np.any(ties),
-        grounded=bool(np.all(idle <= drive)),
-        ties=np.stack(ties),
-        read_at=np.stack([of_sensed_lines(chosen) for chosen in read]),
-        together=together,
-    )
-
-
-def _addresses(groups: Groups) -> list[NDArray[np.intp]]:
-    """Return the sensed lines of each address: the k-th one of every group that has so many."""
-    count = max(map(len, groups))
-    return [np.array([group[k] for group in groups if k < len(group)], dtype=np.intp) for k in range(count)]
 
 
 class DrivenCircuit(Readout):

@@ -9,7 +9,8 @@ import numpy as np
 from lampest.files.typed import check_ranges
 from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.diode import Diode
-from lampest.panel.readouts.driven import DrivenCircuit, LineStates
+from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.readouts.equation import LineStates
 from lampest.panel.readouts.lines import MIN_OHM, Groups, PerLine, Side, lines_text, opposite, parallel, per_line
 
 

@@ -200,9 +200,10 @@ class Readout(Converter, ABC):
         return self.uniform_start(measured) if near is None else near
 
     def panels_alike(self, measured: Array) -> list[tuple[float, Array]]:
-        """Return the panels that give readings (rows, columns), with ln p, the most probable first; none for one alone.
+        """Return the panels that give readings, the most probable one first: ln p and cells (rows, columns) ohm.
 
-        See `lampest.panel.readouts.branches`.
+        Empty where uniform panels give the median reading with one resistance alone; see
+        `lampest.panel.readouts.branches`.
         """
         del measured
         return []

@@ -27,7 +27,7 @@ from lampest.report.live.message import COMPACT, FORMAT, VERDICTS, Message, View
 from lampest.report.live.server import MAX_STREAMS, TURN_SECONDS, Access, ip_named
 
 LATEST_SECONDS = 0.2  # longest confirmation time of a broker before following messages are left out
-MAX_DATAGRAM = 65507  # bytes: what UDP over IPv4 takes, 2¹⁶ − 1 less its headers
+MAX_DATAGRAM = 65507  # bytes: the largest payload of UDP over IPv4, 2¹⁶ − 1 less its headers
 BUNDLE_HEAD = 16  # bytes of a bundle's name and time, before its messages with four bytes each for their length
 NO_PREFIX = set(" #*,?[]{}")  # of OSC's addresses, which receivers would take for patterns
 LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")

@@ -11,14 +11,15 @@ from lampest.files.document import parse_document
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.driven import DrivenCircuit, equation_of
+from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.readouts.equation import equation_of
 from lampest.panel.scene import Scene
 from lampest.runs.case import CaseResult
 
 MAX_LINES = 64  # of a side: LAMPEST_MAX_LINES
 MIN_OHM = 1e-3  # of a cell: SMALLEST_OHM
 MAX_OHM = 1e9  # of a cell: LARGEST_OHM
-LIMITS = {  # what `constants_are_sound` takes, of numbers that are not resistances
+LIMITS = {  # ranges that `constants_are_sound` allows, of numbers that are not resistances
     "sigma": (1e-12, 1e6),
     "supply": (1e-3, 1e3),
     "corner": (1e-12, 1e12),
