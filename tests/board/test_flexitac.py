@@ -97,7 +97,7 @@ def test_the_lines_of_the_page_find_the_pressed_cells(page: Any, board: tuple[st
         resting = list(islice(frames, 3))[-1]
         assert np.median(resting) == pytest.approx(OPEN_OHM, rel=0.5)
         press.set()
-        loaded = list(islice(frames, 25))[-1]
+        loaded = np.median(list(islice(frames, 25))[-8:], axis=0)  # all noise of the board, whichever comes first
     error = np.abs(loaded[PRESSED] / PRESSED_OHM - 1)
     assert np.median(error) < 0.2
     raw = codes(
