@@ -84,9 +84,7 @@ class Data:
     def some(self, panels: Panels) -> "Data":
         """Return the data of the chosen panels, or of a single one by its number."""
         given = replace(self.given, **{name: value[panels] for name, value in self.given.named()})
-        chosen = replace(self, given=given, lower=self.lower[panels], upper=self.upper[panels])
-        chosen.__dict__["ties"] = self.ties[panels]
-        return chosen
+        return replace(self, given=given, lower=self.lower[panels], upper=self.upper[panels])
 
     @cached_property
     def flat(self) -> dict[str, Array]:
@@ -188,6 +186,8 @@ class Evaluation:
         Solved networks of the frames.
     own_weights : array, shape (…, terms), or None
         Weights of the terms for each panel; None for those of the cost.
+    computed : array, or None
+        Values of `first` where an evaluation of more panels has them.
     """
 
     cost: Cost
@@ -196,6 +196,7 @@ class Evaluation:
     reading: Array
     networks: tuple[Network, ...]
     own_weights: Array | None = None
+    computed: Array | None = None
 
     @classmethod
     def at(cls, cost: Cost, data: Data, cell_resistance: Array, own_weights: Array | None = None) -> "Evaluation":
@@ -212,13 +213,17 @@ class Evaluation:
         return Evaluation.at(self.cost, self.data, cell_resistance, self.own_weights)
 
     def some(self, panels: Panels) -> "Evaluation":
-        """Return the evaluation of the chosen panels, or of one by its number, with the costs already computed."""
+        """Return the evaluation of the chosen panels, or of one by its number, with their costs."""
         networks = tuple(cast(FloatingNetwork, network).some(panels) for network in self.networks)
-        known = self.cell_resistance[panels], self.reading[panels]
-        chosen = Evaluation(self.cost, self.data.some(panels), *known, networks, self.weights[panels])
-        if "first" in self.__dict__:
-            chosen.__dict__["first"] = self.first[panels]
-        return chosen
+        return Evaluation(
+            self.cost,
+            self.data.some(panels),
+            self.cell_resistance[panels],
+            self.reading[panels],
+            networks,
+            self.weights[panels],
+            self.first[panels],
+        )
 
     @property
     def weights(self) -> Array:
@@ -244,7 +249,7 @@ class Evaluation:
 
         Costs of the terms at this point, their costs at y = 0, and the gradient by (r; y).
         """
-        return self.call(self.cost.functions.first)
+        return self.call(self.cost.functions.first) if self.computed is None else self.computed
 
     @property
     def costs(self) -> Array:

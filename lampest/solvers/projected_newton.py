@@ -140,11 +140,21 @@ class ProjectedNewton(Solver):
             trial = None
             # At an optimum of the smoothed cost: end where the certificate holds.
             if reached and sharp:
+                iterate = iterate.certified()
                 if iterate.settled or unsettled == STEPS.max_tries:
                     return iterate.outcome(Status.OPTIMUM, iteration)
                 unsettled += 1
             if sharp or not reached:
-                trial = (iterate.below_saddle if stationary else None) or descent_step(iterate)
+                if stationary:
+                    iterate = iterate.certified()
+                    trial = iterate.below_saddle
+                if trial is None:
+                    # Near convergence the certificate's factor preconditions the step as well.
+                    iterate = iterate.certified() if iterate.converges else iterate
+                    trial = descent_step(iterate)
+                if trial is None:
+                    iterate = iterate.certified()
+                    trial = iterate.below_saddle
             # Without a step the solve ends unless absolute losses can still be smoothed less.
             if trial is None and sharp:
                 return iterate.outcome(Status.OPTIMUM if stationary else Status.BREAKDOWN, iteration)
@@ -196,6 +206,8 @@ class Iterate:
         Length of the next step of log r, extrapolated from the decrease of the residual.
     nearby : Certificate or None
         Certificate of an earlier point.
+    certificate : Certificate or None
+        Certificate of this point, once `certified` has computed it.
     """
 
     hessian: Hessian
@@ -206,6 +218,7 @@ class Iterate:
     damping: float = STEPS.min_damping
     expected: float = inf
     nearby: Certificate | None = None
+    certificate: Certificate | None = None
 
     @classmethod
     def of(
@@ -241,32 +254,38 @@ class Iterate:
         smoothing = self.hessian.smoothing
         return Iterate.of(self.at, replace(smoothing, width=smoothing.width / 10), convex=self.convex)
 
-    @cached_property
-    def certificate(self) -> Certificate:
-        """Certificate of this point, reusing a previous factor while the Hessian has hardly changed."""
+    def certified(self) -> "Iterate":
+        """Return this point with its certificate, which reuses a factor while the Hessian has hardly changed."""
+        if self.certificate is not None:
+            return self
         previous = self.nearby
         hessian = self.hessian
         if previous and previous.factor and previous.definiteness is Definiteness.POSITIVE:
             near = previous.factor.distance(self.at.cell_resistance) <= STEPS.refactor_distance**2
             if near and np.array_equal(np.flatnonzero(hessian.free), previous.factor.cells):
-                return previous.after(hessian)
-        return certificate(hessian, self.preconditioner)
+                return replace(self, certificate=previous.after(hessian))
+        return replace(self, certificate=certificate(hessian, self.preconditioner))
+
+    @property
+    def converges(self) -> bool:
+        """Whether the next step is expected to be so short that a certificate of this point holds after it."""
+        return self.expected <= STEPS.refactor_distance**2 and not len(self.at.nonsmooth)
 
     @property
     def known(self) -> Certificate | None:
         """The newest certificate: of this point if it is computed, otherwise of an earlier one."""
-        own: Certificate | None = self.__dict__.get("certificate")
-        return own or self.nearby
+        return self.certificate or self.nearby
 
     @property
     def settled(self) -> bool:
         """Whether this is a certified strict minimum, or a plateau without any gradient or direction of descent."""
-        return self.certificate.settled or (not self.residual and self.certificate.lower is None)
+        verdict = self.certificate
+        return verdict is not None and (verdict.settled or (not self.residual and verdict.lower is None))
 
     @property
     def below_saddle(self) -> "Iterate | None":
-        """The certificate's point of lower cost next to a saddle; None if the certificate found none."""
-        lower = self.certificate.lower
+        """The certificate's point of lower cost next to a saddle; None without a certificate or such a point."""
+        lower = None if self.certificate is None else self.certificate.lower
         return None if lower is None else Iterate.of(lower, self.hessian.smoothing.moved(self.at, lower), convex=False)
 
     @property
@@ -280,7 +299,7 @@ class Iterate:
         The certificate's Newton step is taken first if it comes from a factor, is long enough to improve the estimate,
         and short enough for the certificate to remain valid.
         """
-        final: Certificate | None = self.__dict__.get("certificate")
+        final = self.certificate
         cells = self.at.cell_resistance
         dual = self.hessian.smoothing.slope(self.at.nonsmooth)
         exact = final is not None and final.factor is not None and final.settled and not len(dual)
@@ -305,7 +324,7 @@ def descent_step(point: Iterate) -> Iterate | None:
     if trial is not None and trial.gauss_newton:
         return trial
     trials = [candidate for candidate in (trial, levenberg_step(point)) if candidate is not None]
-    return min(trials, key=lambda candidate: candidate.objective, default=None) or point.below_saddle
+    return min(trials, key=lambda candidate: candidate.objective, default=None)
 
 
 def trust_region_step(point: Iterate) -> Iterate | None:
@@ -315,9 +334,6 @@ def trust_region_step(point: Iterate) -> Iterate | None:
     radius of one iteration need not suit the next.
     """
     hessian = point.hessian
-    # Near convergence: compute the certificate now, so that its factor preconditions this step as well.
-    if point.expected <= STEPS.refactor_distance**2 and not len(point.at.nonsmooth):
-        _ = point.certificate
     cached = point.newest
     # Preconditioner: the cached one unless the point has moved too far from it.
     if cached is None or cached.distance(point.at.cell_resistance) > STEPS.max_reuse_distance:
