@@ -14,7 +14,7 @@ from lampest.recording.recording import UNLOADED
 
 OF_CIRCUIT = ("lines", "order")  # rooms of health whose findings contradict the scene
 
-CLEAR_LOG_ODDS = math.log(1000)  # of the panel that is taken, against another one with the same readings
+CLEAR_LOG_ODDS = math.log(1000)  # by the readings alone, of the panel that is taken, against one that reads alike
 
 
 def verdict(check: ModelCheck, prepared: Prepared, health: Health | None = None) -> ModelCheck:

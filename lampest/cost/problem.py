@@ -19,6 +19,7 @@ from lampest.panel.compiled import Compiled, guarded, with_entries
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.branches import branch
 from lampest.panel.readouts.floating import FloatingNetwork
 from lampest.panel.readouts.wiring import Wiring
 
@@ -250,6 +251,11 @@ class Evaluation:
         Costs of the terms at this point, their costs at y = 0, and the gradient by (r; y).
         """
         return self.call(self.cost.functions.first) if self.computed is None else self.computed
+
+    @property
+    def branch(self) -> Array:
+        """Branch of every frame's panel, (…, frames), see `lampest.panel.readouts.branches.branch`."""
+        return np.stack([branch(network) for network in self.networks], axis=-1)
 
     @property
     def costs(self) -> Array:

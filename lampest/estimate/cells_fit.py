@@ -209,7 +209,8 @@ def fitted(
         estimator = cells_alone() if patient else replace(cells_alone(), solver=BRIEF)
         solver = estimator.problem(scene, 1, float("inf"), partial=data.partial)
         begun = None if patient else evaluated(solver.cost, data, fit.cells[None])
-        solution = best_solution(solver, data, None) if begun is None else solved_from(solver, begun)
+        previous = None if near is None else near[None]
+        solution = best_solution(solver, data, previous) if begun is None else solved_from(solver, begun)
         if solution.solved:
             return CellsFit.at(scene, data, readings, solution.cell_resistance[0])
     return None

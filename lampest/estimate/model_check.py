@@ -34,6 +34,7 @@ from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.observation import patch_of
 from lampest.panel.effects import EFFECTS, Effect
 from lampest.panel.panel import Array, Modules
+from lampest.panel.readouts.branches import branch
 from lampest.posterior.interval import largest_of
 from lampest.recording.readings import Readings, mean_change, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -389,7 +390,11 @@ class Explanation:
         fits: list[CellsFit] = []
         with suppress(InputError, *BROKEN):
             for number, readings in enumerate(question.readings(rival)):
-                fit = fitted(rival.scene, readings, None if near is None else near.fits[number].cells, patient=patient)
+                start = None if near is None else near.fits[number].cells
+                fit = fitted(rival.scene, readings, start, patient=patient)
+                # of two panels that read alike the one that continues the unloaded panel is meant
+                if fit is not None and fits and branch(fit.network) != branch(fits[0].network):
+                    fit = fitted(rival.scene, readings, fits[0].cells, patient=patient)
                 if fit is None or (not patient and fit.tail < SIGNIFICANCE):
                     return None
                 fits.append(fit)

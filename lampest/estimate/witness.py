@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
-from lampest.cost.problem import Data
+from lampest.cost.problem import Data, Evaluation
 from lampest.files.levels import Witness
 from lampest.files.typed import Configuration
 from lampest.formulation.patterns import Nodal
@@ -99,13 +99,21 @@ def testimony(cost: Cost, data: Data, previous: Array | None, settings: Settings
     """
     solver = Ipopt(cost, settings, data.readout, data.wiring, Nodal())
     with np.errstate(all="ignore"):
-        start = evaluated(cost, data, another_start(data, previous))
+        start = another_start(cost, data, previous)
         return replace(solved_from(solver, start), solver=solver.name)
 
 
-def another_start(data: Data, previous: Array | None) -> Array:
-    """Return a start that the first solve did not have: equal cells, or scattered ones after a start at equal cells."""
-    return next(scattered(data)) if previous is None else data.uniform_start
+def another_start(cost: Cost, data: Data, previous: Array | None) -> Evaluation:
+    """Return a start that the first solve did not have: equal cells, or scattered ones after a start at equal cells.
+
+    Where two panels read alike, the equal cells lie on the branch of the first start.
+    """
+    if previous is None:
+        return evaluated(cost, data, next(scattered(data)))
+    equal = evaluated(cost, data, data.uniform_start)
+    if np.array_equal(equal.branch, evaluated(cost, data, previous).branch):
+        return equal
+    return evaluated(cost, data, np.broadcast_to(np.median(previous, axis=(-2, -1), keepdims=True), previous.shape))
 
 
 def compared(solution: Solution, witness: Solution) -> Verification:

@@ -67,7 +67,7 @@ class Effort:
 
 
 def best_solution(solver: Solver, data: Data, previous: Array | None, carried: Any = None) -> Solution:
-    """Return the lowest minimum that a solver reaches from the starts of a frame.
+    """Return the lowest minimum that a solver reaches from the starts of a frame, on the branch of the first start.
 
     A start with a numerical breakdown is skipped. If all starts break down, the status states it.
 
@@ -84,6 +84,7 @@ def best_solution(solver: Solver, data: Data, previous: Array | None, carried: A
     effort = Effort.of(solver, data)
     further = scattered(data) if effort.requested else ()
     best = None
+    branch = None
     tried = 0
     iterations = 0
     with np.errstate(all="ignore"), delayed_interrupt():
@@ -91,7 +92,8 @@ def best_solution(solver: Solver, data: Data, previous: Array | None, carried: A
             solution = solved_from(solver if tried == 0 else solver.cold(), start)
             tried += 1
             iterations += solution.iterations
-            best = lower_of(best, solution)
+            branch = start.branch if branch is None else branch
+            best = preferred(best, solution, branch)
             if data.overdue or effort.is_spent(best, tried, iterations):
                 break
     best = _broken(solver.cost, data) if best is None else best
@@ -107,6 +109,20 @@ def lower_of(best: Solution | None, solution: Solution) -> Solution:
     if solution.solved and solution.objective < best.objective * (1 - SAME_MINIMUM) - rounding:
         return solution
     return best
+
+
+def preferred(best: Solution | None, solution: Solution, branch: Array) -> Solution:
+    """Return the solution on a branch; of two on it, or off it, that of lower cost.
+
+    Where two panels read alike, costs do not say which of them is meant (`lampest.panel.readouts.branches`). The first
+    start does, which continues the frame before.
+    """
+    if best is None or not best.solved or not solution.solved:
+        return lower_of(best, solution)
+    on_branch = [at is None or np.array_equal(at.branch, branch) for at in (best.at, solution.at)]
+    if on_branch[0] == on_branch[1]:
+        return lower_of(best, solution)
+    return best if on_branch[0] else solution
 
 
 def settles(second: Solution, first: Solution) -> bool:

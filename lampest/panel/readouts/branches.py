@@ -2,7 +2,7 @@
 
 Where a driven line has a resistance and other lines are held near ground, readings rise with the conductance of the
 cells and then fall, because the driven line is pulled to ground: two panels, one of small and one of large resistances,
-give the same readings. Each is found by Newton's method from the uniform panel of its branch. If log cells scatter by
+give the same readings. Each is searched for from the uniform panel of its branch. If log cells scatter by
 an unknown s, the probability of the readings is p(y) = ∫ N(x(y); μ, s²)/|det J| dμ ds/s with J = ∂ ln y/∂x, so that a
 panel of n cells has, up to a constant,
 
@@ -28,6 +28,7 @@ MIN_SCATTER = 1e-3  # of log r; cells at their largest resistance are alike
 MAX_MISFIT = 0.03  # of the median reading: panels that read alike to less than that are compared
 LOG_PRIOR = -math.log(SIGNIFICANCE)  # of a panel whose readings rise with its conductance
 MAX_CELLS = 400  # whose determinant is computed
+SAME = 1e-2  # of log r: panels that differ by less are one
 
 
 def uniform_panels(reading: Callable[[Array], Array], measured: Array) -> list[Array]:
@@ -62,6 +63,8 @@ def panels_alike(
 ) -> list[tuple[float, Array]]:
     """Return the panels that give the readings, the most probable one first: ln p and cells (rows, columns) ohm.
 
+    The order counts LOG_PRIOR, ln p does not.
+
     Parameters
     ----------
     network : callable
@@ -69,26 +72,45 @@ def panels_alike(
     measured : array, shape (rows, columns)
         Positive readings.
     firsts : sequence of array, shape (rows, columns)
-        Cells of the first iterations of Newton's method, ohm.
+        Cells at which the searches begin, ohm.
     upper : array, shape (rows, columns)
         Largest resistances, ohm.
     """
     found = (matching_cells(network, measured, first, first / RANGE, first * RANGE) for first in firsts)
-    panels = [np.minimum(cells, upper) for cells in found]
+    panels = _distinct([np.minimum(cells, upper) for cells in found])
     networks = [network(cells) for cells in panels]
     misfits = [misfit(solved, measured) for solved in networks]
     alike = [number for number, missed in enumerate(misfits) if missed <= max(MAX_MISFIT, min(misfits))]
     if len(alike) == 1:
         return [(0.0, panels[alike[0]])]
-    probable = [(_log_probability(networks[number], panels[number]), panels[number]) for number in alike]
-    return sorted(probable, key=lambda panel: -panel[0])
+    evidence = {number: _log_evidence(networks[number], panels[number]) for number in alike}
+    prior = {number: LOG_PRIOR * bool(branch(networks[number]) < 0) for number in alike}
+    order = sorted(alike, key=lambda number: -(evidence[number] + prior[number]))
+    return [(evidence[number], panels[number]) for number in order]
 
 
-def _log_probability(solved: Network, cells: Array) -> float:
-    """Return −n ln s − ln|det J|, and LOG_PRIOR for a regular panel; of a large panel LOG_PRIOR alone."""
-    prior = LOG_PRIOR * bool(np.median(solved.forward(np.ones(cells.shape))) < 0)
+def _distinct(panels: Sequence[Array]) -> list[Array]:
+    """Return the panels without those that are an earlier one once more."""
+    distinct: list[Array] = []
+    for cells in panels:
+        if not any(np.allclose(np.log(cells), np.log(known), atol=SAME) for known in distinct):
+            distinct.append(cells)
+    return distinct
+
+
+def branch(solved: Network) -> Array:
+    """Return the sign of the median change of the readings where all cells grow by one factor, (…).
+
+    Panels that give the same readings and differ in sign lie on two sides of a fold.
+    """
+    grown = solved.forward(np.ones(solved.cell_resistance.shape))
+    return np.asarray(np.sign(np.median(grown, axis=(-2, -1))))
+
+
+def _log_evidence(solved: Network, cells: Array) -> float:
+    """Return ln p = −n ln s − ln|det J|; 0 for a large panel."""
     if cells.size > MAX_CELLS:
-        return prior
+        return 0.0
     scatter = max(float(np.log(cells).std()), MIN_SCATTER)
     volume = float(np.linalg.slogdet(solved.sensitivity() / solved.reading().reshape(-1, 1))[1])
-    return prior - cells.size * math.log(scatter) - volume
+    return -cells.size * math.log(scatter) - volume

@@ -1,6 +1,8 @@
-"""Cells whose exact readings are the measured ones, by Newton's method on the logarithms of both.
+"""Cells whose exact readings are the measured ones, on the logarithms of both.
 
-A step solves J·p = log(y/y(u)) for u = log r, by GMRES with products of J. It is shortened until the misfit falls.
+The Levenberg–Marquardt method minimises ½ |log(y(u)/y)|² over u = log r on panels of up to MAX_DENSE cells. Near a fold
+of the readings J is nearly singular, where undamped steps lead nowhere. On larger panels a step of Newton's method
+solves J·p = log(y/y(u)) by GMRES with products of J. It is shortened until the misfit falls.
 """
 
 from collections.abc import Callable
@@ -8,9 +10,12 @@ from collections.abc import Callable
 import numpy as np
 import scipy
 
+from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 
+MAX_DENSE = 400  # cells whose Jacobian is factored
+DAMPED = LevenbergMarquardt(evaluations=100, settled=1e-12, damping=0.1)
 MAX_ITERATIONS = 20
 MAX_PRODUCTS = 30
 CONVERGED = 1e-3  # change of log r
@@ -35,13 +40,34 @@ def matching_cells(
     """
     lower = np.log(least)
     upper = np.log(most)
+    start = np.clip(np.log(first), lower, upper)
+    by = _by_matrix if measured.size <= MAX_DENSE else _by_products
+    return np.asarray(np.exp(by(network, measured, start, lower, upper)))
+
+
+def _by_matrix(network: Callable[[Array], Network], measured: Array, start: Array, lower: Array, upper: Array) -> Array:
+    """Return log cells by the Levenberg–Marquardt method."""
+
+    def model(position: Array) -> SumOfSquares:
+        solved = network(np.exp(position.reshape(measured.shape)))
+        reading = np.maximum(solved.reading(), np.finfo(float).tiny)
+        return SumOfSquares(np.log(reading / measured).ravel(), solved.sensitivity() / reading.reshape(-1, 1))
+
+    position, _ = DAMPED.minimum(model, start.ravel(), (lower.ravel(), upper.ravel()))
+    return position.reshape(measured.shape)
+
+
+def _by_products(
+    network: Callable[[Array], Network], measured: Array, start: Array, lower: Array, upper: Array
+) -> Array:
+    """Return log cells by Newton's method with products of J."""
 
     def at(logarithm: Array) -> tuple[Network, Array, Array]:
         solved = network(np.exp(logarithm))
         reading = solved.reading()
         return solved, reading, np.log(measured / np.maximum(reading, np.finfo(float).tiny))
 
-    current = np.clip(np.log(first), lower, upper)
+    current = start
     solved, reading, misfit = at(current)
     for _ in range(MAX_ITERATIONS):
         response = scipy.sparse.linalg.LinearOperator(
@@ -64,4 +90,4 @@ def matching_cells(
         current, (solved, reading, misfit) = trial, state
         if change < CONVERGED:
             break
-    return np.asarray(np.exp(current))
+    return current
