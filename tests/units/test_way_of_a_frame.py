@@ -1,0 +1,49 @@
+"""The way of a frame, as the page of the architecture has it, is what a trace of a run shows."""
+
+import re
+import sys
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from lampest.runs.batch import run_batch
+from lampest.runs.config import read_run
+from lampest.runs.executors import Serial
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "reference" / "architecture.md"
+# Words of the page for objects whose class has another name, and what follows the objects.
+CLASSES = {"estimates": "Estimates", "columns": "Series"}
+NO_OBJECT = "file, page, stream"
+
+
+def traced_classes(action: Any) -> list[str]:
+    """Return the names of the package's classes in the order in which `action` first makes an object of them."""
+    classes: list[str] = []
+
+    def notice(frame: FrameType, event: str, _: Any) -> None:
+        if event == "call" and frame.f_code.co_name == "__init__" and "self" in frame.f_locals:
+            made = type(frame.f_locals["self"])
+            if made.__module__.startswith("lampest.") and made.__name__ not in classes:
+                classes.append(made.__name__)
+
+    sys.setprofile(notice)
+    try:
+        action()
+    finally:
+        sys.setprofile(None)
+    return classes
+
+
+def test_a_run_makes_the_objects_of_the_page_in_its_order(tmp_path: Path) -> None:
+    """A recording is prepared, a stream takes its frames in steps, and estimates become columns."""
+    (way,) = re.findall(r"^    (Recording → .*)$", PAGE.read_text(), re.M)
+    *objects, last = way.split(" → ")
+    assert last == NO_OBJECT
+    document = tmp_path / "run.yaml"
+    estimators = "{smooth: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 0.5}}}}"
+    recording = ROOT / "data" / "rod.h5"
+    document.write_text(f"schema: 1\nrecordings: [{recording}]\nestimators: {estimators}\nformulation: reduced\n")
+    expected = [CLASSES.get(word, word) for word in objects]
+    made = traced_classes(lambda: run_batch(read_run(document), tmp_path / "out", Serial()))
+    assert [name for name in made if name in expected] == expected
