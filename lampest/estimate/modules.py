@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from lampest.estimate.batch import push_streams, solve_baselines
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise import MAX_NAMED, NoiseEstimate, named_modules
+from lampest.estimate.module_noise import MAX_NAMED, named_modules
+from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError

@@ -22,6 +22,8 @@ from lampest.estimate.nuisances import CircuitEffects
 from lampest.estimate.nuisances import candidates as possible_effects
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import saturated
+from lampest.estimate.scan_motion import steps_within_scan
+from lampest.estimate.variance_components import noted_excess, repeated_scatter, scatter
 from lampest.loads.recognition import breathing, observation
 from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.candidates import Several
@@ -242,12 +244,12 @@ def scatter_row() -> dict[str, Any]:
     resting = baseline_readings(recording, readings)
     lonely, (frame, *beside) = recording.time == 4, deciding_frames(recording, readings, resting)
     return {
-        "scatter": [noise.scatter(part - part.mean(axis=0), loud, 8) for part in parts.values()],
-        "few frames": [noise.scatter(part[:4] - part[:4].mean(axis=0), loud, 3) for part in parts.values()],
-        "single": [noise.scatter(part - part.mean(axis=0), np.full(part[0].shape, 3e3), 5) for part in single],
-        "steps": noise.steps_within_scan(recording.scene, readings, measured),
-        "repeated": noise.repeated_scatter(readings[measured]),
-        "excess": [noise.noted_excess(*pair) for pair in ((500.0, 300.0), (310.0, 300.0), (0.0, 0.0))],
+        "scatter": [scatter(part - part.mean(axis=0), loud, 8) for part in parts.values()],
+        "few frames": [scatter(part[:4] - part[:4].mean(axis=0), loud, 3) for part in parts.values()],
+        "single": [scatter(part - part.mean(axis=0), np.full(part[0].shape, 3e3), 5) for part in single],
+        "steps": steps_within_scan(recording.scene, readings, measured),
+        "repeated": repeated_scatter(readings[measured]),
+        "excess": [noted_excess(*pair) for pair in ((500.0, 300.0), (310.0, 300.0), (0.0, 0.0))],
         "shown": [noise.shown_noise(recording.scene.circuit, factor) for factor in (0.0, 0.5, 3.0)], "frame": frame,
         "unknown": noise_factor(replace(readings, sigma=None)), "factor": noise_factor(readings[:4]),
         "lonely": deciding_frames(replace(recording, role=lonely.astype(np.uint8)), readings, resting)[1:],
