@@ -25,7 +25,8 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import logged_reason
 from lampest.files.whole import inner_folder, opened_for_locking, output_folder, own, remove_own, sparing
-from lampest.recording.recording import Recording, StoredRecording, opened
+from lampest.recording.recording import Recording
+from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import CaseResult, StoredCase
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor, LostError, Pairs

@@ -16,7 +16,7 @@ from lampest.files.errors import InputError, brief, extra
 from lampest.files.typed import installed
 from lampest.panel.panel import Array
 from lampest.panel.scene import scene_text
-from lampest.recording.recording import coordinates
+from lampest.recording.file import coordinates
 from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, Content, Series
 
 if TYPE_CHECKING:

@@ -31,7 +31,9 @@ from lampest.recording.acquisition import EVENTS, FORMAT, SALT, Rows, blocks, gr
 from lampest.recording.board.protocol import MAX_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples
-from lampest.recording.recording import MEASURED, UNLOADED, Recording, StoredRecording, recording_file, save_parts
+from lampest.recording.file import recording_file
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.stored import StoredRecording, save_parts
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot or separator: a visible file within the folder
 

@@ -27,7 +27,8 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings, stand_in
-from lampest.recording.recording import MEASURED, UNLOADED, Recording, StoredRecording
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.stored import StoredRecording
 from lampest.report.detect.answer import MIN_PROBABILITY, Detected
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of

@@ -16,7 +16,8 @@ from matplotlib.figure import Figure
 from lampest.files import hdf5
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import installed, of_kind, typed
-from lampest.recording.recording import UNLOADED, Recording, StoredRecording, opened, too_long
+from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.stored import StoredRecording, opened, too_long
 from lampest.report.plots.contours import (
     CertaintyPlot,
     ChangePlot,
