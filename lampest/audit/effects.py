@@ -24,7 +24,8 @@ from lampest.estimate.variance_components import unloaded_scatter
 from lampest.files.errors import BROKEN
 from lampest.files.levels import SIGNIFICANCE
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.panel.scene import ESTIMATED, Scene, Systematic
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.recording.readings import strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 

@@ -21,7 +21,8 @@ from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
 from lampest.estimate.variance_components import MIN_EXCESS
 from lampest.files.levels import TWO_SIDED
-from lampest.panel.scene import ESTIMATED, Scene, Systematic
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.posterior.interval import LEVEL, student_two_sided
 from lampest.posterior.reference import MAX_CELLS, MODEL, ErrorScale, references
 from lampest.recording.readings import Readings

@@ -19,10 +19,11 @@ from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.panel.faults import Faults
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.two_point import ModulesReadout
-from lampest.panel.scene import Faults, Scene
+from lampest.panel.scene import Scene
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings

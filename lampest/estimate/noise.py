@@ -26,7 +26,8 @@ from lampest.files.levels import SIGNIFICANCE
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import ENDLESS
-from lampest.panel.scene import ESTIMATED, Scene, Systematic, plain_size
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import ESTIMATED, Systematic, plain_size
 from lampest.panel.systematic import READING_ERROR, SHARED_ERRORS, Possible
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import chi_square_tail

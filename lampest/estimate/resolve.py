@@ -21,7 +21,8 @@ from lampest.estimate.scan_motion import share_of_motion
 from lampest.estimate.still_cells import shared_errors
 from lampest.files.errors import BROKEN
 from lampest.panel.effects import Effect, LineLeak, LooseContact
-from lampest.panel.scene import ESTIMATED, Scene, Systematic
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.panel.systematic import (
     READING_ERROR,
     SHARED_ERRORS,

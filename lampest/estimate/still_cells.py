@@ -23,7 +23,8 @@ from lampest.estimate.changed_cells import MIN_STILL_SHARE, Changes, Chosen, awa
 from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, UNUSUAL
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
-from lampest.panel.scene import Scene, Systematic
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.panel.systematic import (
     READING_ERROR,
     REFERENCE,

@@ -14,7 +14,8 @@ from lampest.files.errors import InputError, extra
 from lampest.files.typed import Validated, typed
 from lampest.panel.panel import Array, Panel, as_panels_have
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene, read_scene, scene_text
+from lampest.panel.scene import Scene
+from lampest.panel.scene_file import read_scene, scene_text
 from lampest.recording.acquisition import FORMAT, Acquisition, group_of, stored_fields
 from lampest.recording.file import create_frames_group, read_frames, recording_file
 from lampest.recording.foreign.labelled import frames_of_table, labelled_array, named_units, panel_of

@@ -19,7 +19,8 @@ from lampest.estimate.variance_components import Scatter, posterior_size, scatte
 from lampest.estimate.warnings import touched
 from lampest.files.levels import SIGNIFICANCE
 from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene, Systematic
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.detect.detection import detect_recording

@@ -29,8 +29,9 @@ from lampest.estimate.sequence import first_stream
 from lampest.files.errors import BROKEN, InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenCircuit
-from lampest.panel.readouts.lines import of_side
-from lampest.panel.scene import Scene, SeriesPerLine, Systematic
+from lampest.panel.readouts.lines import SeriesPerLine, of_side
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.panel.systematic import USUAL, systematic_of
 from lampest.posterior.covariance import positive_inverse
 from lampest.recording.recording import Recording
