@@ -19,7 +19,7 @@ from lampest.files.errors import InputError
 from lampest.files.hdf5 import format_of
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
 from lampest.loads.pressure import sigma_of_frames
-from lampest.loads.recognition.breathing import too_slow
+from lampest.loads.recognition.breath import too_slow
 from lampest.loads.recognition.image import ImageWatch
 from lampest.loads.recognition.observation import ModelErrors
 from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Panelled, Watch
