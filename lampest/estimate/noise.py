@@ -200,35 +200,48 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
         reason = "record five or more unloaded frames"
         return unscaled.undetermined("readout.noise_lsb", reason) if asked else unscaled
     ratio = parts.own
+    precision = np.sqrt(2 * parts.own_freedom)  # of a standard deviation, over its error
+    factor = 1.0
     message = ""
-    used = 1.0
-    squares = ratio**2 * parts.own_freedom
-    error = ratio / np.sqrt(2 * parts.own_freedom)
     specified = readout is None or recording.sigma is not None or readout.noise_specified
     if specified and not excludes_model_error(scene):
-        used = noted_excess(squares, parts.own_freedom)
-        smaller = ratio <= 1 / MIN_EXCESS and 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
-        where = "unloaded frames" if unloaded > 1 else "readings at rest from frame to frame"
-        if readout is None:
-            message = f"noise {ratio:.2g} times the recording's sigma, measured in {where}"
-        else:
-            noise_lsb, factor = shown_noise(readout, ratio)
-            # Only of a converter it is known how small the noise may be: its step.
-            used = factor if smaller and recording.sigma is None else used
-            assumed = float(np.mean(readout.assumed_noise))
-            measured_text = f"{noise_lsb:.2g} LSB"
-            specified_text = f"{assumed:.2g} LSB"
-            if measured_text != specified_text:
-                message = f"noise {measured_text}, measured in {where}; the scene specifies {specified_text}"
+        factor = _contradicting_factor(recording, parts)
+        message = "" if factor == 1 else _contradiction_in_words(readout, ratio, unloaded)
     elif readout is not None and not specified and unloaded >= (MIN_UNLOADED_FRAMES if not asked else 2):
-        used = shown_noise(readout, ratio)[1]
-    scaled = replace(cleaned, sigma=used * cleaned.sigma)
-    noise = replace(unscaled, readings=scaled, factor=ratio, factor_error=error, sigma_factor=used)
-    noise = noise.with_warnings(message if used != 1 else "")
+        factor = shown_noise(readout, ratio)[1]
+    scaled = replace(cleaned, sigma=factor * cleaned.sigma)
+    noise = replace(unscaled, readings=scaled, factor=ratio, factor_error=ratio / precision, sigma_factor=factor)
+    noise = noise.with_warnings(message)
     if readout is not None and asked:
         size = shown_noise(readout, ratio)[0]
-        noise = noise.determined("readout.noise_lsb", (size, size / np.sqrt(2 * parts.own_freedom)), "LSB")
+        noise = noise.determined("readout.noise_lsb", (size, size / precision), "LSB")
     return _with_estimated_frame_noise(noise, recording, parts)
+
+
+def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
+    """Return the factor on specified noise by which the frames contradict it; 1 where they do not.
+
+    Smaller noise than specified is a contradiction of a converter alone, whose least noise is known: its step.
+    """
+    readout = recording.scene.readout
+    squares = parts.own**2 * parts.own_freedom
+    smaller = parts.own <= 1 / MIN_EXCESS and 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
+    if smaller and readout is not None and recording.sigma is None:
+        return shown_noise(readout, parts.own)[1]
+    return noted_excess(squares, parts.own_freedom)
+
+
+def _contradiction_in_words(readout: Readout | None, ratio: float, unloaded: int) -> str:
+    """Return the sentence on noise of `ratio` times the specified one; '' where both are equal in two digits.
+
+    `unloaded` is the number of unloaded frames.
+    """
+    where = "unloaded frames" if unloaded > 1 else "readings at rest from frame to frame"
+    if readout is None:
+        return f"noise {ratio:.2g} times the recording's sigma, measured in {where}"
+    measured = f"{shown_noise(readout, ratio)[0]:.2g} LSB"
+    specified = f"{float(np.mean(readout.assumed_noise)):.2g} LSB"
+    return "" if measured == specified else f"noise {measured}, measured in {where}; the scene specifies {specified}"
 
 
 def _with_specified_frame_noise(noise: NoiseEstimate, scene: Scene, unloaded: int) -> NoiseEstimate:
@@ -242,7 +255,7 @@ def _with_specified_frame_noise(noise: NoiseEstimate, scene: Scene, unloaded: in
     return replace(noise, frame=FrameNoise(scene, unloaded, gain, common, np.zeros((channels, 0))))
 
 
-def _with_estimated_frame_noise(noise: NoiseEstimate, recording: Recording, parts: "Scatter") -> NoiseEstimate:
+def _with_estimated_frame_noise(noise: NoiseEstimate, recording: Recording, parts: Scatter) -> NoiseEstimate:
     """Return the noise with the gain and the ripple that the scene calls `estimated`, from the unloaded frames."""
     scene = recording.scene
     unloaded = int((recording.role == UNLOADED).sum())
@@ -290,7 +303,7 @@ def _outlier_messages(outliers: NDArray[np.bool_], cleaned: Readings, resting: N
     return tuple(messages)
 
 
-def _scatter_of(recording: Recording, cleaned: Readings) -> "Scatter | None":
+def _scatter_of(recording: Recording, cleaned: Readings) -> Scatter | None:
     """Return the scatter of the unloaded frames, or of readings at rest without these; None where neither shows it.
 
     A scatter at rest below MIN_MEDIAN_NOISE of a converter is not used.
