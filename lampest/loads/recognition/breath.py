@@ -83,40 +83,39 @@ def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath
     return None if best is None else replace(best, odds=best.odds - log(len(known)))
 
 
-def _steady_breath(interval: SteadyFrames, changes: Array, patterns: Patterns, suction: Array) -> Breath | None:
-    """Return the breath of a window in which it is steady, with the relative `suction`, (frames,)."""
+def _steady_breath(interval: SteadyFrames, recorded: Array, patterns: Patterns, suction: Array) -> Breath | None:
+    """Return the breath of a window in which it is steady; None where it is too short or frames are too few.
+
+    Parameters
+    ----------
+    interval : SteadyFrames
+    recorded : array, shape (frames, readings)
+        Whitened changes of ln y.
+    patterns : Patterns
+    suction : array, shape (frames,)
+        Suction over that of the recognised frame.
+    """
     times = interval.times
     rate = 1 / interval.period
     if len(times) < MIN_FRAMES or rate < MIN_RATE_HZ:
         return None
     lasted = float(times[-1] - times[0])
-    # Remove the trend, and the changes of `others`.
-    at = (times - times[0]) / lasted
+    within = (times - times[0]) / lasted
     trend = interval.trend()
-    all_patterns = patterns
-    all_changes = changes
-    patterns, changes = patterns.beside_others(changes - trend @ (trend.T @ changes))
-    # Sine and cosine at every rate without their trend, as orthonormal axes (rates, 2, frames) with their gains.
+    own_patterns, changes = patterns.beside_others(_without(trend, recorded))
+    # Sine and cosine at every rate, without their trend as orthonormal axes (rates, 2, frames) with their gains.
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], MAX_RATE_SHARE * rate), 0.25 / lasted)
-    waves = np.exp(2j * np.pi * hertz[:, None] * times)
-    waves = np.stack([waves.real, waves.imag], axis=2)
-    even_waves = waves
-    waves = suction[:, None] * waves
-    axes, sizes, _ = np.linalg.svd(waves - trend @ (trend.T @ waves), full_matrices=False)
+    even_waves = _waves(hertz, times)
+    waves = suction[:, None] * even_waves
+    axes, sizes, _ = np.linalg.svd(_without(trend, waves), full_matrices=False)
     axes = np.swapaxes(axes, 1, 2)
     gain = sizes**2
     swings = axes @ changes  # (rates, 2, readings)
-    # Movements at all rates, and noise, by tapered waves at rates that the strongest one does not leak into.
     strongest = hertz[np.argmax((swings**2).sum(axis=(1, 2)))]
-    far = even_waves[np.abs(hertz - strongest) > LEAKS / lasted] * (np.sin(np.pi * at) ** 2)[:, None]
-    far = np.swapaxes(far / np.linalg.norm(far, axis=1, keepdims=True), 1, 2)
-    others = far @ changes
-    noise = max(1.0, float(np.quantile((others**2).mean(axis=(1, 2)), 0.25))) if len(others) else 1.0
-    loud = max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25)))  # with what the wave leaks into others
-    others = others.reshape(-1, swings.shape[2])
-    root = cholesky(noise * np.eye(swings.shape[2]) + others.T @ others / max(len(others), 1), lower=True)
-    whitening = solve_triangular(root, np.eye(len(root)), lower=True)
-    steadied = patterns.seen_by(whitening)
+    far = even_waves[np.abs(hertz - strongest) > LEAKS / lasted]
+    whitening = _whitening(_tapered(far, within) @ changes)
+    loud = _background(swings)  # with what the wave leaks into other rates
+    steadied = own_patterns.seen_by(whitening)
     swings = swings @ whitening.T
     # Amplitudes a, b of s_t at every rate, and the odds of A = BREATHING_SD against A = TREMBLE_SD.
     series = changes @ whitening.T @ steadied.weights(TREMBLE_SD, 1 / gain.mean())
@@ -124,19 +123,54 @@ def _steady_breath(interval: SteadyFrames, changes: Array, patterns: Patterns, s
     total = float(series @ series)
     power = (amplitude**2).sum(axis=1)
     if pulled := interval.pulled(series, float(power.max())):
-        interval, left = interval.parted(pulled)
-        return breath(interval, all_changes[left], all_patterns)
+        parts, left = interval.parted(pulled)
+        return breath(parts, recorded[left], patterns)
     freedom = len(times) - trend.shape[1]
     best = int(np.argmax(power))
     breathing, steady = (logsumexp(_evidence(total, amplitude, gain, sd, freedom)) for sd in (BREATHING_SD, TREMBLE_SD))
-    left = max(total - power[best], 1e-12) / (freedom - 2)
-    spread = np.sqrt(3 * left / max(power[best], 1e-12)) / (np.pi * lasted)  # Rife, Boorstyn, IEEE Trans. IT-20, 1974
+    remaining = max(total - power[best], 1e-12) / (freedom - 2)
+    # Rife, Boorstyn, IEEE Trans. IT-20, 1974
+    spread = np.sqrt(3 * remaining / max(power[best], 1e-12)) / (np.pi * lasted)
+    mean_gain = float(gain.mean())
     return Breath(
         float(breathing - steady),
-        _suction(steadied, swings, 1.0, float(gain.mean())),
+        _suction(steadied, swings, 1.0, mean_gain),
         (float(hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
-        _depth(patterns, changes, waves[best] - trend @ (trend.T @ waves[best]), at, loud / float(gain.mean())),
+        _depth(own_patterns, changes, _without(trend, waves[best]), within, loud / mean_gain),
     )
+
+
+def _without(trend: Array, series: Array) -> Array:
+    """Return series (…, frames, n) without their projection on a trend, an orthonormal basis (frames, k)."""
+    return np.asarray(series - trend @ (trend.T @ series))
+
+
+def _waves(hertz: Array, times: Array) -> Array:
+    """Return cosine and sine at every rate, (rates, frames, 2)."""
+    waves = np.exp(2j * np.pi * hertz[:, None] * times)
+    return np.stack([waves.real, waves.imag], axis=2)
+
+
+def _tapered(waves: Array, within: Array) -> Array:
+    """Return waves (rates, frames, 2) that fade towards the ends of the window, as unit vectors (rates, 2, frames)."""
+    faded = waves * (np.sin(np.pi * within) ** 2)[:, None]
+    return np.swapaxes(faded / np.linalg.norm(faded, axis=1, keepdims=True), 1, 2)
+
+
+def _background(swings: Array) -> float:
+    """Return the variance of swings (rates, 2, readings) at most rates: the lower quartile, and at least the noise."""
+    return max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25))) if len(swings) else 1.0
+
+
+def _whitening(others: Array) -> Array:
+    """Return the whitening of movements at all rates, and of noise, (readings, readings).
+
+    `others` (rates, 2, readings) are the readings' swings at rates that the strongest one does not leak into.
+    """
+    samples = others.reshape(-1, others.shape[2])
+    noise = _background(others) * np.eye(samples.shape[1])
+    root = cholesky(noise + samples.T @ samples / max(len(samples), 1), lower=True)
+    return np.asarray(solve_triangular(root, np.eye(len(root)), lower=True))
 
 
 def _relative_suction(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Array:
