@@ -49,6 +49,11 @@ from .loads.shapes import Ring as Ring
 from .loads.shapes import Rod as Rod
 from .loads.shapes import Shape as Shape
 from .loads.shapes import SuctionCup as SuctionCup
+from .panel.conditions import Experiment as Experiment
+from .panel.conditions import MeasuredSubject as MeasuredSubject
+from .panel.conditions import Temperature as Temperature
+from .panel.conditions import Water as Water
+from .panel.faults import Faults as Faults
 from .panel.panel import Array as Array
 from .panel.panel import Panel as Panel
 from .panel.readouts import DrivenReadout as DrivenReadout
@@ -59,6 +64,7 @@ from .panel.readouts import TwoPointReadout as TwoPointReadout
 from .panel.readouts import VirtualGroundReadout as VirtualGroundReadout
 from .panel.readouts.diode import Diode as Diode
 from .panel.readouts.floating import two_point_resistance as two_point_resistance
+from .panel.readouts.lines import SeriesPerLine as SeriesPerLine
 from .panel.readouts.wiring import ContactPrior as ContactPrior
 from .panel.readouts.wiring import Contacts as Contacts
 from .panel.readouts.wiring import Lines as Lines
@@ -66,15 +72,9 @@ from .panel.response import Film as Film
 from .panel.response import PowerResponse as PowerResponse
 from .panel.response import PublishedResponse as PublishedResponse
 from .panel.response import TableResponse as TableResponse
-from .panel.scene import Experiment as Experiment
-from .panel.scene import Faults as Faults
-from .panel.scene import MeasuredSubject as MeasuredSubject
 from .panel.scene import Scene as Scene
-from .panel.scene import SeriesPerLine as SeriesPerLine
-from .panel.scene import Systematic as Systematic
-from .panel.scene import Temperature as Temperature
-from .panel.scene import Water as Water
-from .panel.scene import read_scene as read_scene
+from .panel.scene_file import read_scene as read_scene
+from .panel.sizes import Systematic as Systematic
 from .recording import datasets as datasets
 from .recording.foreign.arrays import Layout as Layout
 from .recording.foreign.importing import import_file as import_file

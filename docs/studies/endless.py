@@ -16,7 +16,8 @@ import numpy as np
 import psutil
 
 import lampest
-from lampest.recording.recording import PART_READINGS, Recording, save_parts
+from lampest.recording.recording import Recording
+from lampest.recording.stored import PART_READINGS, save_parts
 from lampest.runs import batch
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run

@@ -20,10 +20,12 @@ from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.loads.shapes import OralDisc, Rod
+from lampest.panel.conditions import Water
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import Film, PublishedResponse
-from lampest.panel.scene import Scene, Systematic, Water
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Course, Simulation, simulate

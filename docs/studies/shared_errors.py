@@ -19,7 +19,8 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene, Systematic
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.recording.recording import Recording
 
 KINDS = ("uneven mouth", "two rods", "pressed mouth", "ring", "mouth partly off", "hand", "rock", "cup")

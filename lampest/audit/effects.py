@@ -13,16 +13,19 @@ from numpy.typing import NDArray
 from lampest.audit.finding import Finding
 from lampest.estimate.memory import estimated_memory, memory_gain
 from lampest.estimate.model_check import ModelCheck
-from lampest.estimate.noise import NoiseEstimate, share_of_motion, unloaded_scatter
+from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN, CircuitEffects
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.resolve import specified
 from lampest.estimate.saturation import saturated
+from lampest.estimate.scan_motion import share_of_motion
 from lampest.estimate.still_cells import shared_errors
+from lampest.estimate.variance_components import unloaded_scatter
 from lampest.files.errors import BROKEN
 from lampest.files.levels import SIGNIFICANCE
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.panel.scene import ESTIMATED, Scene, Systematic
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.recording.readings import strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 

@@ -16,8 +16,9 @@ from lampest.audit.order import order_findings
 from lampest.estimate.outliers import frozen_readings
 from lampest.files.errors import BROKEN, InputError, first_and_more
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
+from lampest.panel.faults import Faults
 from lampest.panel.panel import Array
-from lampest.panel.scene import Faults, Scene
+from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.garbled import garbled_lines, middle, readings_of
 from lampest.recording.readings import Readings, median, touching_columns, touching_rows

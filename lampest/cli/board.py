@@ -99,7 +99,6 @@ def calibrate(
         Scene file to write. Default: print it.
     """
     from lampest.files.whole import write_whole
-    from lampest.recording.recording import Recording
 
     if not 0 <= tolerance <= 0.5:
         raise InputError("--tolerance must lie between 0 and 0.5")
@@ -108,25 +107,7 @@ def calibrate(
     words = known or ["0"]
     if len(words) not in (1, len(files)):
         raise InputError(f"--known: give one for each of the {len(files)} files, or one for all")
-    recordings = [Recording.load(file) for file in files]
-    calibration: Calibration
-    with screen.progress("calibrating"):
-        if loads is not None:
-            from lampest.estimate.calibration.known_loads import read_known_loads
-            from lampest.estimate.calibration.loads import calibrate_loads
-
-            calibration = calibrate_loads(recordings, read_known_loads(loads), tolerance)
-        elif from_recording:
-            from lampest.estimate.calibration.channels import calibrate_channels
-
-            calibration = calibrate_channels(recordings)
-        else:
-            from lampest.estimate.calibration.resistors import calibrate_resistors
-            from lampest.estimate.calibration.trials import known_resistors
-
-            named = zip(recordings, words * (len(recordings) // len(words)), strict=True)
-            tables = [known_resistors(word, recording.scene.panel) for recording, word in named]
-            calibration = calibrate_resistors(recordings, tables, tolerance)
+    calibration = _calibrated(files, words, loads, from_recording, tolerance)
     if out is None:
         screen.say_text(calibration.text().removesuffix("\n"))
     else:
@@ -134,6 +115,31 @@ def calibrate(
         screen.say(f"{calibration.summary}: {out}")
     for warning in calibration.warnings:
         screen.warn(warning)
+
+
+def _calibrated(
+    files: list[Path], words: list[str], loads: Path | None, from_recording: bool, tolerance: float
+) -> "Calibration":
+    """Return the calibration with known loads, with ordinary recordings, or with the resistors that words name."""
+    from lampest.recording.recording import Recording
+
+    recordings = [Recording.load(file) for file in files]
+    with screen.progress("calibrating"):
+        if loads is not None:
+            from lampest.estimate.calibration.known_loads import read_known_loads
+            from lampest.estimate.calibration.loads import calibrate_loads
+
+            return calibrate_loads(recordings, read_known_loads(loads), tolerance)
+        if from_recording:
+            from lampest.estimate.calibration.channels import calibrate_channels
+
+            return calibrate_channels(recordings)
+        from lampest.estimate.calibration.resistors import calibrate_resistors
+        from lampest.estimate.calibration.trials import known_resistors
+
+        named = zip(recordings, words * (len(recordings) // len(words)), strict=True)
+        tables = [known_resistors(word, recording.scene.panel) for recording, word in named]
+        return calibrate_resistors(recordings, tables, tolerance)
 
 
 def live(

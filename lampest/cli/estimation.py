@@ -115,7 +115,7 @@ def run(
 def refuse_large(cases: "Sequence[Case]") -> None:
     """Raise InputError where a case's first frame takes more than two minutes, or more memory than there is."""
     from lampest.files.process import in_bytes, memory_limit
-    from lampest.recording.recording import recording_file
+    from lampest.recording.file import recording_file
 
     panels: dict[Path, Panel] = {}
     for path in {case.path for case in cases}:
@@ -236,7 +236,8 @@ def tare(file: Path, frames: Annotated[str, screen.option()], out: screen.NewFil
     out
         New recording file.
     """
-    from lampest.recording.recording import MIN_CHANGE, Recording, frames_named, tared
+    from lampest.recording.recording import MIN_CHANGE, Recording
+    from lampest.recording.tare import frames_named, tared
 
     recording = Recording.load(file)
     named = frames_named(frames, len(recording.role))

@@ -23,7 +23,7 @@ FramesNamed = Annotated[str | None, screen.option("Range of frames: 40:50 is 40 
 
 def _frames(text: str | None) -> range | None:
     """Return the frames that an screen.option names, or None for all. Raises InputError unless it names some."""
-    from lampest.recording.recording import frames_named
+    from lampest.recording.tare import frames_named
 
     return None if text is None else frames_named(text)
 

@@ -11,7 +11,7 @@ import numpy as np
 from lampest.estimate.changed_cells import PARAMETER_COST
 from lampest.estimate.model_check import Explanation, Question
 from lampest.panel.panel import Array
-from lampest.panel.scene import ESTIMATED
+from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from lampest.estimate.cells_fit import CellsFit, fitted
 from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
 from lampest.estimate.deciding import MAX_NEIGHBOURS, baseline_readings
-from lampest.estimate.noise import noted_excess
 from lampest.estimate.nuisances import (
     MAX_CANDIDATES,
     MIN_EVIDENCE_GAIN,
@@ -28,6 +27,7 @@ from lampest.estimate.nuisances import (
     find_effects,
 )
 from lampest.estimate.rivals import Rival, changes_beyond_noise, rivals_of, standing_frames
+from lampest.estimate.variance_components import noted_excess
 from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, SIGNIFICANT
 from lampest.loads.recognition.detector import Detector

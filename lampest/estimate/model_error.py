@@ -17,10 +17,12 @@ from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
 from lampest.estimate.cells_fit import CellsFit, fitted
 from lampest.estimate.deciding import baseline_readings, deciding_frames
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise import MIN_EXCESS, NoiseEstimate
+from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
+from lampest.estimate.variance_components import MIN_EXCESS
 from lampest.files.levels import TWO_SIDED
-from lampest.panel.scene import ESTIMATED, Scene, Systematic
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.posterior.interval import LEVEL, student_two_sided
 from lampest.posterior.reference import MAX_CELLS, MODEL, ErrorScale, references
 from lampest.recording.readings import Readings

@@ -13,15 +13,17 @@ from numpy.typing import NDArray
 
 from lampest.estimate.batch import push_streams, solve_baselines
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise import MAX_NAMED, NoiseEstimate, named_modules
+from lampest.estimate.module_noise import MAX_NAMED, named_modules
+from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.panel.faults import Faults
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.two_point import ModulesReadout
-from lampest.panel.scene import Faults, Scene
+from lampest.panel.scene import Scene
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings

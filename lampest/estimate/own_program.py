@@ -296,14 +296,11 @@ def program(
     prepared = Prepared.of(recording)
     scene = prepared.recording.scene
     readings = prepared.noise.readings
-    chosen = [int(prepared.recording.measured_frames()[0])] if frames is None else list(frames)
-    for frame in chosen:
-        if not 0 <= frame < len(readings.value):
-            raise InputError(f"the recording has frames 0 to {len(readings.value) - 1}, not {frame}")
-    resting = readings[prepared.recording.role == UNLOADED]
+    chosen = _chosen_frames(prepared.recording, frames)
     background = Background(scene)
     if estimator.relative:
-        unloaded = scene.circuit.uniform_start(resting.mean().value)
+        resting = readings[prepared.recording.role == UNLOADED].mean()
+        unloaded = scene.circuit.uniform_start(resting.value)
         background = Background(scene, previous=unloaded, baseline=unloaded)
     evaluations = []
     for frame in chosen:
@@ -313,3 +310,13 @@ def program(
     circuits = Circuit.of_readout(scene.circuit, scene.panel.shape, scene.wiring)
     symbols = Program.build(cost, scene.circuit, circuits, EXCITATIONS[formulation], blocks=len(chosen))
     return OwnProgram(symbols, tuple(evaluations), circuits, estimator.solver, formulation)
+
+
+def _chosen_frames(recording: Recording, frames: Sequence[int] | None) -> list[int]:
+    """Return the frames of a program, by default the first measured one. Raises InputError if one does not exist."""
+    if frames is None:
+        return [int(recording.measured_frames()[0])]
+    for frame in frames:
+        if not 0 <= frame < len(recording.role):
+            raise InputError(f"the recording has frames 0 to {len(recording.role) - 1}, not {frame}")
+    return list(frames)

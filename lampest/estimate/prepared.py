@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from lampest.estimate.memory import with_estimated_memory
 from lampest.estimate.model_check import ModelCheck, Question, check_of_modules
-from lampest.estimate.noise import NoiseEstimate, estimate_noise, noise_of_modules
+from lampest.estimate.module_noise import noise_of_modules
+from lampest.estimate.noise import NoiseEstimate, estimate_noise
 from lampest.estimate.nuisances import CircuitEffects
 from lampest.estimate.outliers import frozen_readings, impossible_readings, without_outliers, without_readings
 from lampest.estimate.resolve import resolved, resolved_scene, with_resolved_electronics

@@ -15,12 +15,14 @@ from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.cells_fit import fitted
 from lampest.estimate.changed_cells import mostly_still
 from lampest.estimate.model_error import scaled, with_model_error
-from lampest.estimate.noise import NoiseEstimate, share_of_motion, without_effects
+from lampest.estimate.noise import NoiseEstimate, without_effects
 from lampest.estimate.nuisances import CircuitEffects, FittedPair
+from lampest.estimate.scan_motion import share_of_motion
 from lampest.estimate.still_cells import shared_errors
 from lampest.files.errors import BROKEN
 from lampest.panel.effects import Effect, LineLeak, LooseContact
-from lampest.panel.scene import ESTIMATED, Scene, Systematic
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.panel.systematic import (
     READING_ERROR,
     SHARED_ERRORS,

@@ -25,15 +25,8 @@ from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, mean_change
-from lampest.recording.recording import (
-    MEASURED,
-    UNLOADED,
-    Recording,
-    StoredRecording,
-    first_unloaded,
-    joined,
-    measured_part,
-)
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.stored import StoredRecording, first_unloaded, joined, measured_part
 from lampest.solvers.solution import Status
 
 # Unloaded frames, and measured ones around the strongest, that represent a long recording; at most those of a part.

@@ -23,7 +23,8 @@ from lampest.estimate.changed_cells import MIN_STILL_SHARE, Changes, Chosen, awa
 from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, UNUSUAL
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
-from lampest.panel.scene import Scene, Systematic
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.panel.systematic import (
     READING_ERROR,
     REFERENCE,
@@ -91,6 +92,7 @@ def shared_errors(scene: Scene, resting: Readings, loaded: Readings | None, nois
     """
     prior = systematic_of(scene) or Systematic()
     asked = estimated_errors(scene)
+    others_asked = bool(set(asked) - {READING_ERROR.setting})
     possible = Possible(prior, in_sigma=READING_ERROR.size(prior))
     if resting.sigma is None:
         return SharedErrors(possible, {}, "the noise of the readings is unknown: name the readout's noise_lsb")
@@ -118,29 +120,20 @@ def shared_errors(scene: Scene, resting: Readings, loaded: Readings | None, nois
         possible = Possible(replace(prior, reading_error=size), in_sigma=_median(odds))
     if moves is None:
         reason = "no frame is loaded" if loaded is None else "no cells explain the unloaded frames or the loaded ones"
-        return SharedErrors(possible, sizes, reason if set(asked) - {READING_ERROR.setting} else "", none)
+        return SharedErrors(possible, sizes, reason if others_asked else "", none)
     changes = moves.changes(size)
     still = away_from_changed(_still(changes)[1], resting.value.shape)
-    if size * moves.reach > LINEAR_LIMIT or still.mean() < MIN_STILL_SHARE:
-        reason = (
-            "errors of the readings are too large" if still.mean() >= MIN_STILL_SHARE else "a load covers the panel"
-        )
-        return SharedErrors(possible, sizes, reason if set(asked) - {READING_ERROR.setting} else "", none)
+    covered = still.mean() < MIN_STILL_SHARE
+    if covered or size * moves.reach > LINEAR_LIMIT:
+        reason = "a load covers the panel" if covered else "errors of the readings are too large"
+        return SharedErrors(possible, sizes, reason if others_asked else "", none)
     # Neighbours of moved cells are left out, because a load has a skirt.
     mean, covariance = changes.posterior(still)
     second = covariance + np.outer(mean, mean)
-    values, vectors = np.linalg.eigh((second + second.T) / 2)
-    # Lower triangular root of E[z zᵀ]: the columns behind those of common errors are the readings' own errors.
-    root = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T
-    first = 0
-    for error in moves.errors:
-        last = first + moves.counts[error.setting]
-        left = np.sqrt(np.trace(second[first:last, first:last]) / (last - first))
-        spread = np.sqrt(np.trace(covariance[first:last, first:last]) / (last - first))
-        sizes[error.setting] = error.size(prior) * float(left), error.size(prior) * float(spread)
-        first = last
+    sizes |= _posterior_sizes(moves, second, covariance, prior)
+    # The columns of the root behind those of common errors are the readings' own errors.
     settings = tuple(error.setting for error in moves.errors) + (READING_ERROR.setting,) * bool(size)
-    possible = Possible(possible.sizes, settings, root, possible.in_sigma)
+    possible = Possible(possible.sizes, settings, _lower_root(second), possible.in_sigma)
     return SharedErrors(possible, sizes, no_reading_error=none)
 
 
@@ -223,6 +216,36 @@ def shared_changes(
     hidden = np.hstack([np.zeros((size, 0)), *of_estimated])
     change = np.log(fit.cells / resting.cells).ravel()
     return SharedChanges(change, covariance + of_known @ of_known.T, hidden, own, reach, estimated, counts)
+
+
+def _posterior_sizes(
+    moves: SharedChanges, second: Array, covariance: Array, prior: Systematic
+) -> dict[str, tuple[float, float]]:
+    """Return the size of each estimated error and its standard deviation, by the field of `Systematic`.
+
+    Parameters
+    ----------
+    moves : SharedChanges
+    second, covariance : array, shape (columns, columns)
+        E[z zᵀ] and the covariance of z, the columns of all errors one after the other.
+    prior : Systematic
+        Standard deviations of the errors, in which z is measured.
+    """
+    sizes = dict[str, tuple[float, float]]()
+    first = 0
+    for error in moves.errors:
+        last = first + moves.counts[error.setting]
+        left = np.sqrt(np.trace(second[first:last, first:last]) / (last - first))
+        spread = np.sqrt(np.trace(covariance[first:last, first:last]) / (last - first))
+        sizes[error.setting] = error.size(prior) * float(left), error.size(prior) * float(spread)
+        first = last
+    return sizes
+
+
+def _lower_root(square: Array) -> Array:
+    """Return a lower triangular root of a symmetric matrix, whose negative eigenvalues count as zero."""
+    values, vectors = np.linalg.eigh((square + square.T) / 2)
+    return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T)
 
 
 def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen]:

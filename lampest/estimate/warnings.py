@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.model_check import ModelCheck, module_factors, noise_factor
-from lampest.estimate.noise import NO_RIPPLE, NoiseEstimate, named_modules
+from lampest.estimate.module_noise import named_modules
+from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.rivals import changes_beyond_noise, choices
+from lampest.estimate.variance_components import NO_RIPPLE
 from lampest.files.errors import first_and_more
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.loads.recognition.observation import ModelErrors

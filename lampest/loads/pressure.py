@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from lampest.files.levels import MAD_TO_SIGMA, MAX_MEAN_SQUARE, NOISE_REACH, OUTLIER_THRESHOLD, TWO_SIDED
 from lampest.files.typed import Configuration, check_range
 from lampest.loads.film import ERRORS, MIN_PERIOD, FilmKnown, FilmMemory
+from lampest.panel.conditions import Water
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA, Film
-from lampest.panel.scene import Scene, Systematic, Water
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.panel.systematic import systematic_of
 
 # ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3 kPa. The weakest

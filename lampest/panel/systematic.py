@@ -14,7 +14,8 @@ from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import of_side
 from lampest.panel.readouts.wiring import Wiring, contact_responses, wire_responses
-from lampest.panel.scene import ESTIMATED, Scene, Systematic
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import ESTIMATED, Systematic
 
 TYPICAL_CHANNEL_OHM = 3.0  # CD74HC4067, data sheet: any two channels differ by 10 ohm
 SINES = 4  # sines of which a converter's curve consists; the mean square of their sum is the specified one

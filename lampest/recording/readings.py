@@ -144,12 +144,7 @@ class Readings:
         # Rails and infinite values are bounds; memory of the converter is removed from the values.
         within, side = _within_rails(scene, recorded)
         if scene.known_memory is not None:
-            if scene.readout is None:
-                raise InputError("converter_memory needs a readout in the scene, of whose voltages it is a fraction")
-            known = scene.readout.sigma(within) if sigma is None else np.broadcast_to(sigma, within.shape)
-            freed, sigma = without_memory(scene.readout, scene.known_memory, within, known)
-            within, beyond = _within_rails(scene, freed)
-            side = np.where(side == VALUE, beyond, side)
+            within, side, sigma = _without_channel_before(scene, scene.known_memory, within, side, sigma)
         # From recorded values to readings of the network; missing and blind readings have no weight.
         noise = _noise(scene, within, sigma)
         network = scene.circuit.from_recorded(within, scene)
@@ -160,12 +155,7 @@ class Readings:
         seen[..., scene.blind] = 0.0
         # Resistances within their noise of zero, and voltages below zero, are upper bounds.
         reach = np.zeros_like(network) if noise is None else NOISE_REACH * noise
-        least = reach if scene.circuit.unit == "ohm" else np.zeros_like(network)
-        if scene.circuit.unit == "ohm" and scene.readout is not None:
-            # Noise of a reading that consists of the series resistance alone
-            series = scene.readout.sigma(np.broadcast_to(scene.series_ohm, scene.panel.shape))
-            least = np.minimum(reach, NOISE_REACH * series)
-        small = (network <= least) & (side != AT_LEAST)
+        small = (network <= _least_value(scene, reach)) & (side != AT_LEAST)
         side = np.where(small, AT_MOST, side)
         network = np.where(small, np.maximum(network, 0) + reach, network)
         # Finite numbers for bounds, and substitutes for missing readings.
@@ -337,6 +327,29 @@ def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
     if scene.readout is None:
         return None
     return scene.readout.sigma_of_reading(recorded, scene.readout.sigma(recorded))
+
+
+def _without_channel_before(
+    scene: Scene, memory: float, recorded: Array, side: Array, sigma: Array | None
+) -> tuple[Array, Array, Array]:
+    """Return recorded values within the rails, their sides and σ, without the converter's memory of other channels."""
+    if scene.readout is None:
+        raise InputError("converter_memory needs a readout in the scene, of whose voltages it is a fraction")
+    known = scene.readout.sigma(recorded) if sigma is None else np.broadcast_to(sigma, recorded.shape)
+    freed, sigma = without_memory(scene.readout, memory, recorded, known)
+    within, beyond = _within_rails(scene, freed)
+    return within, np.where(side == VALUE, beyond, side), sigma
+
+
+def _least_value(scene: Scene, reach: Array) -> Array:
+    """Return the network's reading up to which a value is an upper bound, for `reach` of NOISE_REACH σ."""
+    if scene.circuit.unit != "ohm":
+        return np.zeros_like(reach)
+    if scene.readout is None:
+        return reach
+    # Noise of a reading that consists of the series resistance alone
+    series = scene.readout.sigma(np.broadcast_to(scene.series_ohm, scene.panel.shape))
+    return np.asarray(np.minimum(reach, NOISE_REACH * series))
 
 
 def _within_rails(scene: Scene, recorded: Array) -> tuple[Array, Array]:

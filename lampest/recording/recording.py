@@ -1,13 +1,7 @@
-"""Recordings: frames of readings with their scene and, if simulated, their truth; in memory, or read in parts."""
+"""Recordings: frames of readings with their scene and, if simulated, their truth, in memory."""
 
-import re
-import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from itertools import pairwise
-from math import prod
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,28 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files import hdf5
-from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError, extra
-from lampest.files.parts import join_parts
-from lampest.files.process import check_memory
 from lampest.files.typed import Validated, typed
-from lampest.files.whole import folder_beside
 from lampest.panel.panel import Array, Panel, as_panels_have
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene, read_scene, scene_text
-from lampest.panel.systematic import SERIES
-from lampest.recording.acquisition import FORMAT, Acquisition, group_of, stored_fields, undamaged_frames
+from lampest.panel.scene import Scene
+from lampest.panel.scene_file import read_scene, scene_text
+from lampest.recording.acquisition import FORMAT, Acquisition, group_of, stored_fields
+from lampest.recording.file import create_frames_group, read_frames, recording_file
 from lampest.recording.foreign.labelled import frames_of_table, labelled_array, named_units, panel_of
 from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
 from lampest.recording.readings import Readings, check_sigma
 
 UNLOADED, MEASURED = ROLES = 0, 1
-FORMER_SERIES = "series_ohm"  # key of `systematic: {series_tolerance_ohm}` in recordings of version 0.1
 UNREFERENCED = "no frame is unloaded (role 0), so changes and pressures are against the first measured frame"
 MIN_CHANGE = 0.01  # least relative change of readings or cells by a load or a common error, far above drift
-MAX_READINGS = 2_000_000  # readings of a recording in memory at once: 2 GB, because error bars take 1 kB for each
-PART_READINGS = 500_000  # readings of a part of a longer recording
-FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # suffixes of `import_file`
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -177,31 +164,9 @@ class Recording(Validated):
         """
         path = Path(path)
         with recording_file(path) as (file, scene, _, _):
-            places = {field: f"/entry/{path}" for field, (path, *_) in stored_fields(scene.circuit).items()}
-            places = {field: place for field, place in places.items() if hdf5.has(file, place)}
-            chosen = part
-            if part == hdf5.ALL:
-                chosen = undamaged_frames(file, scene)
-                _check_held(file, places)
-            held = dict[str, Any]()
-            dimensions: dict[str, int | tuple[int, int]] = {"time": 1, "role": 1, "sigma": (2, 3)}
-            for field, place in places.items():
-                flat = field == "sigma" and len(hdf5.shape_of(file, place)) == 2
-                kind = np.uint16 if field == "raw_sums" else None
-                rows = hdf5.ALL if flat else chosen
-                held[field] = hdf5.read_array(file, place, dimensions.get(field, 3), part=rows, kind=kind)
-            for field, name in (("start_time", "start_time"), ("simulation", "truth/simulation")):
-                held[field] = hdf5.read_text(file, f"/entry/{name}") if hdf5.has(file, f"/entry/{name}") else None
-            if "raw_sums" in held:
-                held["raw_readings"] = int(hdf5.read_number(file, "/entry/raw", "readings", 0))
-            frames = len(held["recorded"])
-            acquisition = Acquisition.read(file, chosen)
-            if acquisition is not None and held["start_time"] is None and frames and "time" in held:
-                held["start_time"] = acquisition.start(float(held["time"][0]))
-            number = (chosen.start or 0) + np.arange(frames)
-            held = {"time": number.astype(float), "role": np.full(frames, MEASURED, dtype=np.uint8)} | held
-            numbers = None if part == hdf5.ALL else number
-            return cls(scene, name=path.stem, acquisition=acquisition, number=numbers, **held)
+            fields = read_frames(file, scene, part)
+            fields.setdefault("role", np.full(len(fields["recorded"]), MEASURED, dtype=np.uint8))
+            return cls(scene, name=path.stem, **fields)
 
     @classmethod
     @typed
@@ -379,7 +344,9 @@ class Recording(Validated):
             values = None if field == "raw_sums" and self.raw_readings is None else getattr(self, field)
             if values is None or field == "time":  # each group has a time of its own
                 continue
-            group = entry[name] if name in entry else self._frames_group(entry, name, signal)
+            group = entry.get(name)
+            if group is None:
+                group = create_frames_group(entry, name, signal, self.scene.panel, self.time)
             meanings: dict[str, Any] = flags if field == "role" else {}
             hdf5.write_dataset(group, signal, values.astype(kind), units, long_name, axes[values.ndim], **meanings)
         if "raw" in entry:
@@ -388,17 +355,6 @@ class Recording(Validated):
             hdf5.write_text(entry["truth"], "simulation", self.simulation)
         if self.acquisition is not None:
             self.acquisition.write(entry, self.time)
-
-    def _frames_group(self, entry: h5py.Group, name: str, signal: str) -> h5py.Group:
-        group = entry.create_group(name)
-        hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=["time", "row", "column"])
-        hdf5.write_scale(group, "time", self.time, "s", "time of the frame")
-        for name, (axes, values, units, long_name) in coordinates(self.scene.panel).items():
-            if (name,) == axes:
-                hdf5.write_scale(group, name, values, units, long_name)
-            else:
-                hdf5.write_dataset(group, name, values, units, long_name, axes)
-        return group
 
     @cached_property
     def modules(self) -> tuple["Recording", ...]:
@@ -424,229 +380,3 @@ class Recording(Validated):
         if len(frames) == 0:
             raise InputError(f"{self.name}: {self._group}/role has no measured frame (role 1)")
         return frames
-
-
-@contextmanager
-def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
-    """Yield an open recording file, its scene, the group of its frames and their signal.
-
-    Raises InputError if the file is no recording, or has no valid scene.
-    """
-    if path.suffix.lower() in FOREIGN:
-        raise InputError(f"{path}: is no recording; lampest.import_file (lampest import) makes one of it")
-    with hdf5.existing_file(path) as file:
-        if str(hdf5.read_attribute(file, "/", "lampest_format")).startswith("results/"):
-            raise InputError(f"{path}: holds results; lampest.read_results reads them")
-        scene = _scene_of(hdf5.read_text(file, "/entry/scene"), f"{path}:/entry/scene")
-        group = f"/entry/{group_of(scene.circuit)}"
-        signal = scene.circuit.signal
-        if len(hdf5.shape_of(file, f"{group}/{signal}")) != 3:
-            raise InputError(f"{path}: {group}/{signal} must be frames × rows × columns")
-        yield file, scene, group, signal
-
-
-@lru_cache(maxsize=8)  # a recording that is too long for memory is opened again for every part
-def _scene_of(text: str, where: str) -> Scene:
-    document = parse_document(text, where)
-    errors = document.content.get("systematic") if isinstance(document.content, dict) else None
-    if isinstance(errors, dict) and FORMER_SERIES in errors:
-        renamed = {SERIES.setting if key == FORMER_SERIES else key: value for key, value in errors.items()}
-        document = document.with_value(("systematic",), renamed)
-    scene: Scene = validated(document, Scene)
-    return scene
-
-
-def _check_held(file: h5py.File, places: Mapping[str, str]) -> None:
-    """Raise InputError if memory does not suffice for a recording and the working copies of its readings."""
-    shape = hdf5.shape_of(file, places["recorded"])
-    besides = set(places) - {"recorded", "time", "role", "raw_sums"}
-    held = sum(prod(hdf5.shape_of(file, places[field])) for field in besides)
-    label = f"{file.filename}: {shape[0]} frames of {prod(shape[1:])} cells at once"
-    check_memory(8.0 * (6 * prod(shape) + held), label)  # 49 bytes a reading were counted at 100,000,000 readings
-
-
-def coordinates(panel: Panel) -> dict[str, tuple[tuple[str, ...], NDArray[Any], str, str]]:
-    """Return (axes, values, unit, long name) of the coordinates row, column, y and x, by name.
-
-    y depends on the row and x on the column. For listed cells both depend on the cell, with NaN without a cell.
-    """
-    lines = zip(("row", "column"), map(np.arange, panel.shape), strict=True)
-    axes = {line: ((line,), number, "1", f"{line} line") for line, number in lines}
-    if panel.cells is not None:
-        places = zip("xy", panel.places_mm, strict=True)
-        return axes | {name: (("row", "column"), at, "mm", "position of the cell") for name, at in places}
-    x, y = panel.centres_mm()
-    centres = (("y", "row", y), ("x", "column", x))
-    return axes | {name: ((line,), at, "mm", f"position of the {line}") for name, line, at in centres}
-
-
-def frames_named(text: str, frames: int | None = None) -> range:
-    """Return the range of frames for a text such as '40:50', frames 40 to 49; either side may be omitted.
-
-    `frames` is the number of frames of the recording, if it is known. Raises InputError for an invalid or empty range.
-    """
-    match = re.fullmatch(r"\s*(\d{0,9})\s*:\s*(\d{0,9})\s*", text)
-    if match is None:
-        raise InputError(f"--frames must be FIRST:END such as 40:50, which is 40 to 49, not {text!r}")
-    named = range(int(match[1] or 0), int(match[2] or frames or sys.maxsize))
-    if frames is not None and not named.start < named.stop <= frames:
-        raise InputError(f"--frames {text}: the recording has frames 0 to {frames - 1}, and some must be named")
-    return named
-
-
-def tared(recording: Recording, frames: range) -> tuple[Recording, float]:
-    """Return the recording with given frames as the only unloaded ones, and the change of readings within them.
-
-    The change is the largest relative change of a reading from the first half of the frames to the second half; 0 for a
-    single frame. Raises InputError if no measured frame would remain.
-    """
-    if len(frames) == len(recording.role):
-        raise InputError(f"{recording.name}: where all frames are unloaded, none is left to measure")
-    role = np.full(len(recording.role), MEASURED, dtype=np.uint8)
-    role[frames.start : frames.stop] = UNLOADED
-    shown = recording.readings()[frames.start : frames.stop].shown
-    half = len(shown) // 2
-    change = 0.0
-    if half:
-        known = np.isfinite(shown).all(axis=0)
-        before = shown[:half, known].mean(axis=0)
-        after = shown[half:, known].mean(axis=0)
-        change = float(np.abs(after / before - 1).max(initial=0.0))
-    return replace(recording, role=role), change
-
-
-@dataclass(frozen=True, eq=False)
-class StoredRecording:
-    """Recording file that is read in parts.
-
-    Attributes
-    ----------
-    path : Path
-    scene : Scene
-    frames : int
-        Number of frames.
-    start_time : str or None
-        See `Recording`.
-    """
-
-    path: Path
-    scene: Scene
-    frames: int
-    start_time: str | None
-
-    @classmethod
-    def of(cls, path: Path) -> "StoredRecording":
-        """Return the stored recording of a file. Raises InputError if it is no recording, or its datasets disagree."""
-        with recording_file(path) as (file, scene, group, signal):
-            shape = hdf5.shape_of(file, f"{group}/{signal}")
-            if not shape[0]:
-                raise InputError(f"{path}: {group}/{signal} holds no frame")
-            end = undamaged_frames(file, scene).stop
-            for axis in (f"{group}/time", f"{group}/role") if end is None else ():
-                if hdf5.has(file, axis) and hdf5.shape_of(file, axis) != shape[:1]:
-                    raise InputError(f"{path}: {axis} does not have one value for each of the {shape[0]} frames")
-        return cls(path, scene, shape[0] if end is None else end, Recording.load(path, slice(0, 1)).start_time)
-
-    @property
-    def name(self) -> str:
-        """Name of the recording in results."""
-        return self.path.stem
-
-    @property
-    def length(self) -> int:
-        """Number of frames of a part."""
-        return max(16, PART_READINGS // self.scene.panel.crossings)
-
-    @cached_property
-    def role(self) -> NDArray[Any]:
-        """Roles of the frames; measured where the file has none."""
-        with hdf5.existing_file(self.path) as file:
-            path = f"/entry/{group_of(self.scene.circuit)}/role"
-            known = hdf5.has(file, path)
-            return hdf5.read_array(file, path, 1, part=slice(0, self.frames)) if known else np.ones(self.frames)
-
-    @cached_property
-    def blocks(self) -> tuple[range, ...]:
-        """Ranges of frames that are estimated and written part by part.
-
-        If possible, a part ends with a chunk of the measured frames in results.
-        """
-        chunk = max(1, hdf5.CHUNK // self.scene.panel.crossings)
-        ends = [0]
-        measured = self.role == MEASURED
-        full = measured & (np.cumsum(measured) % chunk == 0)
-        while ends[-1] < self.frames:
-            end = min(ends[-1] + self.length, self.frames)
-            last = np.flatnonzero(full[ends[-1] : end])
-            ends.append(ends[-1] + int(last[-1]) + 1 if len(last) and end < self.frames else end)
-        return tuple(range(first, end) for first, end in pairwise(ends))
-
-    @property
-    def measured_blocks(self) -> tuple[int, ...]:
-        """Numbers of the blocks with measured frames."""
-        return tuple(n for n, part in enumerate(self.blocks) if np.any(self.role[part.start : part.stop] == MEASURED))
-
-    def part(self, frames: range, beside: int = 0) -> Recording:
-        """Return a range of frames with up to `beside` further ones on either side. Raises as `Recording.load`."""
-        within = slice(max(frames.start - beside, 0), min(frames.stop + beside, self.frames))
-        return replace(Recording.load(self.path, within), start_time=self.start_time)
-
-
-def joined(parts: Sequence[Recording], chosen: NDArray[Any] | None = None) -> Recording:
-    """Return the frames of concatenated parts, without acquisition data and raw sums.
-
-    `chosen` are their indices or a mask; None: each numbered frame of overlapping parts once.
-    """
-    first = parts[0]
-    names = ["recorded", "time", "role", "number", "board_log_change", "truth_cell_resistance", "truth_pressure"]
-    names += ["sigma"] if first.sigma is not None and first.sigma.ndim == 3 else []
-    present = [name for name in names if getattr(first, name) is not None]
-    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in present}
-    frames = np.unique(columns["number"], return_index=True)[1] if chosen is None else chosen
-    chosen_of_each = {name: values[frames] for name, values in columns.items()}
-    return replace(first, **chosen_of_each, raw_sums=None, raw_readings=None, acquisition=None)
-
-
-def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
-    """Return at most `most` unloaded frames from the beginning of a recording; None if there is none."""
-    numbers = np.flatnonzero(stored.role == UNLOADED)[:most]
-    parts = (stored.part(frames) for frames in stored.blocks if np.isin(numbers, frames).any())
-    chosen = [joined((part,), np.isin(part.number, numbers)) for part in parts if part.number is not None]
-    return joined(chosen) if chosen else None
-
-
-def measured_part(stored: StoredRecording, frames: range, beside: int) -> Recording | None:
-    """Return the measured frames of a range, and of `beside` frames on either side; None if the range has none."""
-    part = stored.part(frames, beside)
-    assert part.number is not None
-    measured = part.role == MEASURED
-    inside = (part.number >= frames.start) & (part.number < frames.stop)
-    return joined((part,), measured) if np.any(measured & inside) else None
-
-
-def save_parts(path: Path, parts: Iterable[Recording]) -> None:
-    """Write a recording from its parts, completely or not at all.
-
-    Until all parts exist they are files in a temporary folder next to it. Raises InputError if it cannot be written.
-    """
-    files: list[Path] = []
-    with folder_beside(path) as folder:
-        for number, part in enumerate(parts):
-            files.append(folder / f"{number}.h5")
-            part.save(files[-1])
-        with hdf5.new_large_file(path, sum(file.stat().st_size for file in files)) as file:
-            join_parts(files, file.create_group("entry"), "/entry")
-            with hdf5.existing_file(files[0]) as first:
-                file.attrs.update(first.attrs)
-
-
-def too_long(frames: int, cells: int) -> bool:
-    """Return whether a recording of this many frames and cells is too large for memory."""
-    return frames * cells > MAX_READINGS
-
-
-def opened(path: Path) -> Recording | StoredRecording:
-    """Return the recording of a file, as parts if it is too long for memory. Raises InputError as `Recording.load`."""
-    with recording_file(path) as (file, _, group, signal):
-        readings = prod(hdf5.shape_of(file, f"{group}/{signal}"))
-    return StoredRecording.of(path) if readings > MAX_READINGS else Recording.load(path)

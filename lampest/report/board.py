@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-from lampest.recording.recording import MEASURED, UNLOADED, Recording, joined
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.stored import joined
 from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 

@@ -18,17 +18,8 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FORMAT as RECORDING
 from lampest.recording.processed import processing_of
-from lampest.recording.recording import (
-    MAX_READINGS,
-    MEASURED,
-    PART_READINGS,
-    UNLOADED,
-    UNREFERENCED,
-    Recording,
-    StoredRecording,
-    opened,
-    too_long,
-)
+from lampest.recording.recording import MEASURED, UNLOADED, UNREFERENCED, Recording
+from lampest.recording.stored import MAX_READINGS, PART_READINGS, StoredRecording, opened, too_long
 from lampest.report.board import board_sentence
 from lampest.report.strongest import as_recorded, mean_reading, strongest_index, strongest_readings
 from lampest.report.words import spanned

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import count
 from pathlib import Path
+from typing import Literal
 
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
@@ -25,7 +26,8 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import logged_reason
 from lampest.files.whole import inner_folder, opened_for_locking, output_folder, own, remove_own, sparing
-from lampest.recording.recording import Recording, StoredRecording, opened
+from lampest.recording.recording import Recording
+from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import CaseResult, StoredCase
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor, LostError, Pairs
@@ -189,8 +191,7 @@ def run_batch(
             with _counted(waiting, on_frames), closing(_outcomes(executor, waiting)) as outcomes:
                 for task, outcome in outcomes:
                     if isinstance(outcome, BaseException):
-                        name = f"{task.case.recording} × {task.case.name}"
-                        failed.append((name, logged_reason(outcome, name)))
+                        failed.append(_failure(task, outcome))
                     else:
                         finished[task.file] = outcome
         except LostError as error:
@@ -206,20 +207,27 @@ def run_batch(
         skipped = len(tasks) - len(waiting)
         not_run = len(tasks) - len(finished) - len(failed) if lost else 0
         solved = len(waiting) - len(failed) - not_run
-        warnings, advice = (
-            tuple(
-                dict.fromkeys(
-                    f"{case.recording}: {line}"
-                    for case in held
-                    if isinstance(case, CaseResult)
-                    for line in getattr(case, name).split("\n")
-                    if line
-                )
-            )
-            for name in ("warnings", "advice")
-        )
+        warnings, advice = (_different_lines(held, name) for name in ("warnings", "advice"))
         results = folder / RESULTS if held else None
         return Report(results, solved, skipped, tuple(failed), aside, not_run, lost, warnings, advice)
+
+
+def _failure(task: Task, error: BaseException) -> tuple[str, str]:
+    """Return the name of a case that failed, and the reason."""
+    name = f"{task.case.recording} × {task.case.name}"
+    return name, logged_reason(error, name)
+
+
+def _different_lines(held: Sequence[CaseResult | StoredCase], name: Literal["warnings", "advice"]) -> tuple[str, ...]:
+    """Return the different lines of results' warnings or advice, with the names of their recordings."""
+    lines = (
+        f"{case.recording}: {line}"
+        for case in held
+        if isinstance(case, CaseResult)
+        for line in getattr(case, name).split("\n")
+        if line
+    )
+    return tuple(dict.fromkeys(lines))
 
 
 @contextmanager

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError, brief, extra
 from lampest.files.typed import installed
 from lampest.panel.panel import Array
-from lampest.panel.scene import scene_text
-from lampest.recording.recording import coordinates
+from lampest.panel.scene_file import scene_text
+from lampest.recording.file import coordinates
 from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, Content, Series
 
 if TYPE_CHECKING:

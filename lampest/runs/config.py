@@ -23,7 +23,7 @@ from lampest.files.whole import note_read
 from lampest.loads.pressure import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.recording.recording import StoredRecording, opened
+from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import check_name
 from lampest.runs.executors import AnyExecutor, Dask, Executor
 from lampest.runs.results import PublishedFigures

@@ -17,7 +17,8 @@ from lampest.files.errors import InputError, brief, meant
 from lampest.files.parts import join_parts
 from lampest.files.typed import Configuration, check_not_negative, typed
 from lampest.panel.panel import Array
-from lampest.panel.scene import Scene, scene_text
+from lampest.panel.scene import Scene
+from lampest.panel.scene_file import scene_text
 from lampest.runs.case import (
     ATTRIBUTES,
     FIGURES,

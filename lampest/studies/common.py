@@ -27,8 +27,9 @@ from lampest.panel.readouts.wiring import Lines
 from lampest.panel.scene import Scene
 from lampest.recording.datasets import folder as shipped_folder
 from lampest.recording.readings import Readings
-from lampest.recording.recording import UNLOADED, Recording, joined
+from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.simulation import Simulation, read_simulations
+from lampest.recording.stored import joined
 from lampest.runs.config import Terms, terms_of
 from lampest.runs.executors import Processes
 from lampest.solvers.solution import STRICT, Settings

@@ -18,10 +18,11 @@ from lampest.estimate.sequence import first_stream, frame_period
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.files.typed import Configuration, check_range
+from lampest.panel.faults import Faults
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.floating import exact_two_point_resistance, two_point_resistance
-from lampest.panel.scene import Faults, Scene
+from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.report.compare import Columns, grouped
 from lampest.runs.executors import AnyExecutor, Processes, each_of

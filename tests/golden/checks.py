@@ -22,14 +22,20 @@ from lampest.estimate.nuisances import CircuitEffects
 from lampest.estimate.nuisances import candidates as possible_effects
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import saturated
-from lampest.loads.recognition import breathing, observation
+from lampest.estimate.scan_motion import steps_within_scan
+from lampest.estimate.variance_components import noted_excess, repeated_scatter, scatter
+from lampest.loads.recognition import observation
 from lampest.loads.recognition.attachment import Attachment, continued_by
+from lampest.loads.recognition.breath import Breath, breath, too_slow
+from lampest.loads.recognition.breathing import Breathing
 from lampest.loads.recognition.candidates import Several
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fit, Verdict, prior_cost
 from lampest.loads.recognition.image import ImageWatch, Window
 from lampest.loads.recognition.pumping import Pumping
+from lampest.loads.recognition.steady_frames import SteadyFrames, changes_without_water, settled
 from lampest.loads.recognition.suction import may_suck, suctions
+from lampest.loads.recognition.swings import Patterns, patterns_of
 from lampest.loads.recognition.watch import Look, Panelled, Watch
 from lampest.panel.effects import LineLeak, LooseContact
 from lampest.panel.panel import EachModule, Modules
@@ -242,12 +248,12 @@ def scatter_row() -> dict[str, Any]:
     resting = baseline_readings(recording, readings)
     lonely, (frame, *beside) = recording.time == 4, deciding_frames(recording, readings, resting)
     return {
-        "scatter": [noise.scatter(part - part.mean(axis=0), loud, 8) for part in parts.values()],
-        "few frames": [noise.scatter(part[:4] - part[:4].mean(axis=0), loud, 3) for part in parts.values()],
-        "single": [noise.scatter(part - part.mean(axis=0), np.full(part[0].shape, 3e3), 5) for part in single],
-        "steps": noise.steps_within_scan(recording.scene, readings, measured),
-        "repeated": noise.repeated_scatter(readings[measured]),
-        "excess": [noise.noted_excess(*pair) for pair in ((500.0, 300.0), (310.0, 300.0), (0.0, 0.0))],
+        "scatter": [scatter(part - part.mean(axis=0), loud, 8) for part in parts.values()],
+        "few frames": [scatter(part[:4] - part[:4].mean(axis=0), loud, 3) for part in parts.values()],
+        "single": [scatter(part - part.mean(axis=0), np.full(part[0].shape, 3e3), 5) for part in single],
+        "steps": steps_within_scan(recording.scene, readings, measured),
+        "repeated": repeated_scatter(readings[measured]),
+        "excess": [noted_excess(*pair) for pair in ((500.0, 300.0), (310.0, 300.0), (0.0, 0.0))],
         "shown": [noise.shown_noise(recording.scene.circuit, factor) for factor in (0.0, 0.5, 3.0)], "frame": frame,
         "unknown": noise_factor(replace(readings, sigma=None)), "factor": noise_factor(readings[:4]),
         "lonely": deciding_frames(replace(recording, role=lonely.astype(np.uint8)), readings, resting)[1:],
@@ -473,32 +479,30 @@ def breathing_row() -> dict[str, Any]:
     slopes = np.where(rise < 0, -300.0, 90.0)
     moves = 8 * rng.standard_normal((1, 24))
     swing = 0.08 * np.outer(np.sin(2 * np.pi * 1.1 * times), slopes * (0.9 + 0.1 * rng.standard_normal(24)))
-    patterns = breathing.Patterns.of(
+    patterns = Patterns.of(
         np.eye(24), rise, slopes[None], 0.2 * np.abs(slopes), moves, rng.standard_normal((24, 1)),
     )  # fmt: skip
-    settled = breathing.settled(swing + rng.standard_normal(swing.shape))
-    interval = breathing.SteadyFrames.of(times, settled)
-    swing_breath = breathing.breath(interval, settled, patterns)
+    changes = settled(swing + rng.standard_normal(swing.shape))
+    interval = SteadyFrames.of(times, changes)
+    swing_breath = breath(interval, changes, patterns)
     few = [
-        breathing.breath(breathing.SteadyFrames.of(times[part], settled[part]), settled[part], patterns)
+        breath(SteadyFrames.of(times[part], changes[part]), changes[part], patterns)
         for part in (slice(10), slice(None, None, 2))
     ]
     parted, left = interval.parted((3.0, 5.5))
-    stepped = settled[left] + 40.0 * (parted.part == 1)[:, None] * slopes / 300.0
-    few += [parted.times, parted.part, parted.trend(), breathing.breath(parted, stepped, patterns)]
+    stepped = changes[left] + 40.0 * (parted.part == 1)[:, None] * slopes / 300.0
+    few += [parted.times, parted.part, parted.trend(), breath(parted, stepped, patterns)]
     pull = (times > 2.9) & (times < 5.1)
-    few.append(breathing.breath(interval, settled + 0.5 * pull[:, None] * slopes, patterns))
-    belief = [breathing.Breathing()]
+    few.append(breath(interval, changes + 0.5 * pull[:, None] * slopes, patterns))
+    belief = [Breathing()]
     courses = list[Any]()
     for full in (False, True, True):
         belief.append(belief[-1].after(swing_breath, 8.0, full=full))
     for _ in range(12):
-        each = breathing.Breathing()
+        each = Breathing()
         for window in range(6):
             suction = float(rng.choice([0.02, 0.4, 0.7, 0.96]))
-            seen = breathing.Breath(
-                float(rng.choice([-4.0, -0.3, 0.4, 3.0])), suction, (1.0, 0.1 * window), (0.1, 0.02)
-            )
+            seen = Breath(float(rng.choice([-4.0, -0.3, 0.4, 3.0])), suction, (1.0, 0.1 * window), (0.1, 0.02))
             each = each.after(seen if rng.random() < 0.9 else None, 8.0, full=bool(rng.random() < 0.6))
             courses.append(
                 [each.odds, each.previous_odds, each.suction, each.last, each.causes, (each.hertz or (0, 0))[1]]
@@ -509,7 +513,7 @@ def breathing_row() -> dict[str, Any]:
     moved = Pumping.begin(np.ones(4), np.ones(4), 15.0, 4, pumping).after(np.array([4 * [1.0], 4 * [1.2]]), 17.0)
     return {
         "breath": swing_breath, "belief": belief, "probability": [each.probability for each in belief],
-        "slow": breathing.too_slow(1.5), "too few": few, "pumping": [pumping.odds, np.sort(pumping.logarithm, axis=-1)],
+        "slow": too_slow(1.5), "too few": few, "pumping": [pumping.odds, np.sort(pumping.logarithm, axis=-1)],
         "pumps": [pumping.pumps, pumping.interval_s, pumping.observed_s],
         "courses": courses, "moved": [moved.odds, np.sort(moved.logarithm, axis=-1)],
     }  # fmt: skip
@@ -525,10 +529,10 @@ def patterns_row() -> list[Any]:
     rows = list[Any]()
     for depth in (0.0, 2.0):
         seen = replace(frame, water=depth + np.arange(42).reshape(6, 7) / 40)
-        each = breathing.patterns_of(seen, verdict.best, whitening, Detector(6.0))
+        each = patterns_of(seen, verdict.best, whitening, Detector(6.0))
         rows += [each, [pattern and pattern.suction_weights(whitening) for pattern in each]]
-        interval = breathing.SteadyFrames.of(np.arange(9) / 4, logarithms)
-        rows.append(breathing.changes_without_water(interval, seen, verdict.best))
+        interval = SteadyFrames.of(np.arange(9) / 4, logarithms)
+        rows.append(changes_without_water(interval, seen, verdict.best))
     return rows
 
 
@@ -606,7 +610,7 @@ def swings_row() -> list[Any]:
     """Windows of a mouth beside a rod that are too short, partial and full, and samples of its suction."""
     (verdict, frame), rng, rows = verdict_of("two"), np.random.default_rng(3), list[Any]()
     begun, _ = watch_begun()
-    patterns = breathing.patterns_of(frame, verdict.best, begun.test.whitening, begun.panelled.detector)
+    patterns = patterns_of(frame, verdict.best, begun.test.whitening, begun.panelled.detector)
     pattern = next(filter(None, patterns))
     mouth = Attachment(0.9, 0.0, (44.0, 1.0), (36.0, 1.0), patterns=pattern)
     gone = replace(mouth, until_s=4.0)
@@ -619,7 +623,7 @@ def swings_row() -> list[Any]:
         at = 1.0 + np.arange(0.0, lasts, 0.25)
         swings = logarithm + 0.06 * np.outer(np.sin(2 * np.pi * at), suction)
         window = tuple(zip(at.tolist(), swings + 1e-3 * rng.standard_normal(swings.shape), strict=True))
-        breath = breathing.Breathing(full_s=full_s)
+        breath = Breathing(full_s=full_s)
         loads = tuple(replace(load, breath=breath) for load in (mouth, gone, faint, rod))
         watch = replace(begun, present=True, known=True, look=look, window=window, attachments=loads)
         heard = watch._heard(at[-1])
@@ -748,7 +752,7 @@ def answers_row() -> dict[str, Any]:
     seen = Attachment(
         0.99, 6.0, (44.1, 0.6), (46.0, 0.6), (35.0, 1.6), ((-11.0, 1.9),), cells=12, area_mm2=(1200.0, 100.0),
     )  # fmt: skip
-    breath = breathing.Breathing(6.0, hertz=(1.1, 0.05), depth=(0.08, 0.01))
+    breath = Breathing(6.0, hertz=(1.1, 0.05), depth=(0.08, 0.01))
     mouth = replace(seen, sucks_s=8.0, moved_s=(12.0,), breath=breath)
     rod = replace(seen, sucks=0.0, suctions=())
     gone = replace(mouth, since_s=5.0, until_s=30.0)

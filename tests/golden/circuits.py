@@ -23,7 +23,8 @@ from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts import AnyReadout, readout, wiring
 from lampest.panel.readouts.floating import Stencil
 from lampest.panel.response import BentSuction, ratio_from_pressure
-from lampest.panel.scene import OwnOfModule, scene_text
+from lampest.panel.scene import OwnOfModule
+from lampest.panel.scene_file import scene_text
 from lampest.recording.readings import Readings
 
 Thunk = Callable[[], Any]

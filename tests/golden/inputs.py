@@ -18,7 +18,7 @@ from scipy.io import savemat
 
 import lampest as lp
 from lampest.files.errors import InputError
-from lampest.recording.foreign import table
+from lampest.recording.foreign import lines as foreign_lines
 from lampest.report.info import understood_lines
 from lampest.runs import executors
 from lampest.studies import bench, extremes, tradeoff
@@ -217,7 +217,7 @@ def arrays_row() -> dict[str, Any]:
             np.savetxt(Path(folder) / "l.csv", flat[:, :4], delimiter=",")
             rows[f"listed {cells}"] = read_anew(Path(folder) / "l.csv", scene=lp.Scene(lp.Panel(2, 3, cells=listed)))
     text = frames_text()
-    with patch.object(table, "MAX_FIELDS", 5):
+    with patch.object(foreign_lines, "MAX_FIELDS", 5):
         rows |= {f"many lines by {end!r}": imported("m.csv", text.replace("\n", end)) for end in ("\n", "\r", "\r\n")}
     for name, content in {"utf-16": text.encode("utf-16"), "latin": "300,é".encode("latin1"), "zero": b"1,\0"}.items():
         rows[name] = imported("m.csv", content)

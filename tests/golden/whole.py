@@ -36,8 +36,8 @@ from lampest.estimate.prepared import Prepared
 from lampest.files import hdf5
 from lampest.files.checksums import lookup3
 from lampest.files.errors import InputError
-from lampest.recording.recording import save_parts
 from lampest.recording.simulation import simulation
+from lampest.recording.stored import save_parts
 from lampest.report.info import checked_sentence, describe
 from lampest.report.page import compared, page
 from lampest.runs import batch

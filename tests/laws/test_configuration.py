@@ -17,10 +17,12 @@ from lampest.estimate.methods import AnyMethod, MethodName, named_method
 from lampest.files import typed
 from lampest.files.document import Document, parse_document, plain_content, to_yaml, validated
 from lampest.loads.pressure import pressure_of
+from lampest.panel.faults import Faults
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
+from lampest.panel.readouts.lines import SeriesPerLine
 from lampest.panel.readouts.wiring import ContactPrior, Contacts
 from lampest.panel.response import Film, PowerResponse, TableResponse
-from lampest.panel.scene import Faults, Scene, SeriesPerLine
+from lampest.panel.scene import Scene
 from lampest.runs.config import Terms
 
 KINDS = {f"{kind.__module__.removeprefix('lampest.')}.{kind.__name__}": kind for kind in configurations()}

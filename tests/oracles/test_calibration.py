@@ -24,10 +24,11 @@ from lampest.estimate.calibration.resistors import ResistorCalibration, calibrat
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import parse_document, validated
 from lampest.loads.pressure import pressure_of
+from lampest.panel.conditions import MeasuredSubject
 from lampest.panel.readouts import AnyReadout, GroundedReadout, LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.response import PUBLISHED, PowerResponse
-from lampest.panel.scene import MeasuredSubject, Systematic
+from lampest.panel.sizes import Systematic
 from tests.estimates import recording_of, rms
 from tests.netlist import divider, volts
 

@@ -20,7 +20,7 @@ from lampest.cost.terms import CellResistance, Gradient, Misfit, Term
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
-from lampest.panel.scene import Systematic
+from lampest.panel.sizes import Systematic
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel

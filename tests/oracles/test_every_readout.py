@@ -28,7 +28,9 @@ from lampest.panel.readouts import (
     TwoPointReadout,
     VirtualGroundReadout,
 )
-from lampest.panel.scene import Scene, SeriesPerLine, Systematic
+from lampest.panel.readouts.lines import SeriesPerLine
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.recording.simulation.simulation import Simulation
 from lampest.runs.results import read_results
 from tests.estimates import recording_of

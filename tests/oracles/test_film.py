@@ -16,7 +16,8 @@ from lampest.loads.pressure import Pressure, Tare, pressure_of
 from lampest.loads.shapes import OralDisc, Rod, Shape, SuctionCup
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import Film, PublishedResponse
-from lampest.panel.scene import Scene, Systematic
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.recording.simulation import Simulation, Unmodelled, simulate
 
 ROD = Rod(centre_mm=(35, 35), diameter_mm=40, mass_g=2000)

@@ -12,14 +12,15 @@ from docs.studies.audit import AuditFile, AuditTask
 from lampest import Estimator, Misfit, TwoPointReadout, Unmodelled, two_point_resistance
 from lampest.audit.effects import unnamed_effects
 from lampest.estimate.model_check import noise_factor
-from lampest.estimate.noise import posterior_size, scatter
 from lampest.estimate.outliers import detect_outliers, frozen_readings
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
+from lampest.estimate.variance_components import Scatter, posterior_size, scatter
 from lampest.estimate.warnings import touched
 from lampest.files.levels import SIGNIFICANCE
 from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene, Systematic
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.detect.detection import detect_recording
@@ -42,7 +43,7 @@ def drawn(rng: np.random.Generator, frames: int, gain: float = 0.0, offset: floa
     return np.asarray(noise - noise.mean(axis=0))
 
 
-def parts(rng: np.random.Generator, frames: int, **sizes: float) -> lampest.estimate.noise.Scatter:
+def parts(rng: np.random.Generator, frames: int, **sizes: float) -> Scatter:
     return scatter(drawn(rng, frames, **sizes), np.full((LINES, CHANNELS), 3000.0), frames - 1)
 
 

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
-from lampest.loads.recognition.breathing import Breath, Breathing, Patterns, SteadyFrames, breath, settled
+from lampest.loads.recognition.breath import Breath, breath
+from lampest.loads.recognition.breathing import Breathing
 from lampest.loads.recognition.pumping import BLOCK_S, MIN_LOG_ODDS, Pumping
+from lampest.loads.recognition.steady_frames import SteadyFrames, settled
+from lampest.loads.recognition.swings import Patterns
 from lampest.panel.panel import Array
 
 TIMES = np.arange(0, 8, 0.25)

@@ -15,7 +15,7 @@ from lampest import InputError, Panel, Recording, Scene, TwoPointReadout
 from lampest.files.checksums import is_left_open
 from lampest.recording.acquisition import EVENTS, Rows
 from lampest.recording.board.record import repair
-from lampest.recording.recording import StoredRecording, joined
+from lampest.recording.stored import StoredRecording, joined
 
 SCENE = Scene(Panel(3, 4), TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
 FRAMES = 12

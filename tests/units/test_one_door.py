@@ -22,7 +22,10 @@ from lampest.cost.terms import Arrival, LogGradient, Misfit, RelativeChange
 from lampest.estimate import prepared as preparation
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.scene import Faults, Scene, Systematic, Water
+from lampest.panel.conditions import Water
+from lampest.panel.faults import Faults
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.recording.board.protocol import Frame, Hello
 from lampest.recording.board.stream import Sample
 from lampest.recording.readings import Readings

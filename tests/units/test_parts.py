@@ -19,7 +19,7 @@ import lampest
 from lampest import Array, InputError, Recording, read_results, read_run
 from lampest.estimate.sequence import Parts, asked_frames
 from lampest.files import hdf5
-from lampest.recording import recording as stored
+from lampest.recording import stored
 from lampest.recording.board.record import repair
 from lampest.report.info import checked_sentence
 from lampest.runs import batch
@@ -43,7 +43,7 @@ estimators:
 SCRIPT = """
 import re, sys
 from pathlib import Path
-from lampest.recording import recording as stored
+from lampest.recording import stored
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
@@ -278,7 +278,7 @@ def test_what_holds_all_of_a_recording_asks_for_its_memory(
 ) -> None:
     save(tmp_path, frames(2000))
     (tmp_path / "run.yaml").write_text(RUN)
-    monkeypatch.setattr("lampest.recording.recording.MAX_READINGS", 600)
+    monkeypatch.setattr("lampest.recording.stored.MAX_READINGS", 600)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LAMPEST_MEMORY", "1000000")
     refusal = "2000 frames of 20 cells at once: 1.83 MiB of memory are needed, and there are 977 KiB"

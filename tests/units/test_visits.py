@@ -15,9 +15,12 @@ from docs.studies.attachments import recording as attached
 from docs.studies.attachments import seen
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.breathing import Breathing, Patterns, SteadyFrames, breath
+from lampest.loads.recognition.breath import breath
+from lampest.loads.recognition.breathing import Breathing
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.pumping import Pumping
+from lampest.loads.recognition.steady_frames import SteadyFrames
+from lampest.loads.recognition.swings import Patterns
 from lampest.report.detect.answer import LAMPREY, PRESSES, SUCKS, Detected, answer_of
 from lampest.report.detect.detection import Known, known_of, measured_frames
 from lampest.report.detect.visits import COLUMNS, count_table, visits_of

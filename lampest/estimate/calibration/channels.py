@@ -29,8 +29,9 @@ from lampest.estimate.sequence import first_stream
 from lampest.files.errors import BROKEN, InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenCircuit
-from lampest.panel.readouts.lines import of_side
-from lampest.panel.scene import Scene, SeriesPerLine, Systematic
+from lampest.panel.readouts.lines import SeriesPerLine, of_side
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.panel.systematic import USUAL, systematic_of
 from lampest.posterior.covariance import positive_inverse
 from lampest.recording.recording import Recording
@@ -72,19 +73,12 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     scenes differ, or where no frame can be estimated.
     """
     common_scene(recordings, _circuit)
-    scene = recordings[0].scene
     name = recordings[0].name
-    if scene.readout is None:
-        raise InputError(f"{name}: its scene names no readout, whose numbers a calibration could find")
-    if not scene.circuit.line_numbers():
-        raise InputError(f"{name}: recordings tell nothing of this readout ({scene.circuit.description()})")
-    if scene.panel.modules is not None:
-        raise InputError(f"{name}: calibrate a panel of modules by recordings of each")
-    # prior sizes of all errors, channels included
-    prior = systematic_of(scene) or replace(USUAL, series_tolerance_ohm=None, inl_lsb=None, wire_ohm_per_cell=None)
-    prior = replace(prior, channel_spread_ohm=prior.channel_spread_ohm or ASSUMED.channel_ohm, reading_error=None)
+    _check_determined(name, recordings[0].scene)
+    prior = _prior_sizes(recordings[0].scene)
     channel_prior = float(prior.channel_spread_ohm)
-    scene, (rows, columns) = replace(scene, systematic=prior), scene.panel.shape
+    scene = replace(recordings[0].scene, systematic=prior)
+    rows, columns = scene.panel.shape
     parts = [part for recording in recordings for part in _likelihoods(replace(recording, scene=scene))]
     if not parts:
         raise InputError(f"{name}: no calibration: no frame could be estimated")
@@ -95,19 +89,12 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     covariance = units @ inverse @ units.T
     frames = sum(count for *_, count in parts)
     deviation = np.sqrt(np.diag(covariance))
-    lines = covariance[1:, 1:]
-    mean = np.zeros((rows + columns, 2))
-    mean[:rows, 0], mean[rows:, 1] = 1 / rows, 1 / columns
-    of_means = mean.T @ lines @ mean
-    # mean variance of a channel against the mean of its side: (Σ var e − Σ_sides n var ē)/(lines − 2)
-    spread = float(np.sqrt((np.trace(lines) - np.diag(of_means) @ (rows, columns)) / (rows + columns - 2)))
-    # variance of the sum of both sides' means, less the part of independent channels
-    common = float(of_means.sum()) - spread**2 * (1 / rows + 1 / columns)
+    spread, common = _channel_deviations(covariance[1:, 1:], rows, columns)
     sizes = replace(
         prior,
         channel_spread_ohm=round(spread, DIGITS),
         reference_tolerance=round(float(np.sqrt(3) * deviation[0]), FRACTION_DIGITS),
-        series_tolerance_ohm=round(float(np.sqrt(max(common, 0.0))), DIGITS) or None,
+        series_tolerance_ohm=round(common, DIGITS) or None,
     )
     summary = (
         f"reference {100 * errors[0]:+.2f} +- {100 * deviation[0]:.2f} %, channels off by "
@@ -128,6 +115,42 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
         apart_before=channel_prior,
         frames=frames,
     )
+
+
+def _check_determined(name: str, scene: Scene) -> None:
+    """Raise InputError unless recordings of a scene determine its channels; `name` is that of a recording."""
+    if scene.readout is None:
+        raise InputError(f"{name}: its scene names no readout, whose numbers a calibration could find")
+    if not scene.circuit.line_numbers():
+        raise InputError(f"{name}: recordings tell nothing of this readout ({scene.circuit.description()})")
+    if scene.panel.modules is not None:
+        raise InputError(f"{name}: calibrate a panel of modules by recordings of each")
+
+
+def _prior_sizes(scene: Scene) -> Systematic:
+    """Return the prior sizes of all errors, channels included."""
+    prior = systematic_of(scene) or replace(USUAL, series_tolerance_ohm=None, inl_lsb=None, wire_ohm_per_cell=None)
+    return replace(prior, channel_spread_ohm=prior.channel_spread_ohm or ASSUMED.channel_ohm, reading_error=None)
+
+
+def _channel_deviations(covariance: Array, rows: int, columns: int) -> tuple[float, float]:
+    """Return standard deviations of channels from their covariance (lines, lines), ohm.
+
+    Returns
+    -------
+    float
+        rms deviation of a channel from the mean of its side.
+    float
+        That of the sum of both sides' means, less the part of independent channels; 0 if negative.
+    """
+    mean = np.zeros((rows + columns, 2))
+    mean[:rows, 0] = 1 / rows
+    mean[rows:, 1] = 1 / columns
+    of_means = mean.T @ covariance @ mean
+    # (Σ var e − Σ_sides n var ē)/(lines − 2)
+    spread = float(np.sqrt((np.trace(covariance) - np.diag(of_means) @ (rows, columns)) / (rows + columns - 2)))
+    common = float(of_means.sum()) - spread**2 * (1 / rows + 1 / columns)
+    return spread, float(np.sqrt(max(common, 0.0)))
 
 
 def _corrected(scene: Scene, errors: Array) -> Scene:

@@ -315,33 +315,16 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     scene = common_scene(recordings)
     loads = known.loads
     place = _places([recording.name for recording in recordings], loads)
-    (change, sd), within = np.empty((2, len(loads), *scene.panel.shape)), np.empty(len(loads))
-    for index in np.unique(place):
-        own_loads = np.flatnonzero(place == index)
-        change[own_loads], sd[own_loads], within[own_loads] = _responses(
-            recordings[index], [loads[number] for number in own_loads]
-        )
+    change, sd, within = _all_responses(recordings, loads, place)
     pressure, pressure_sd = known.pressures(scene.panel)
     felt = pressure != 0
     simultaneous = _together(loads, place)
-    for number in np.flatnonzero(~felt.any(axis=(1, 2))):
-        raise InputError(f"load {number + 1}: its foot misses the film of every cell")
-    common = np.any(felt[:, None] & felt, axis=(2, 3))
-    for first, second in 1 + np.argwhere(np.triu(simultaneous & common, 1)):
-        raise InputError(f"loads {first} and {second} lie on the same cells in the same frames: give one line")
-    # The fit, and doubts about its loads.
+    _check_feet(felt, simultaneous)
     base = scene.response or PUBLISHED
     water = water_pressure(scene.panel, scene.water)
     flat = [values.reshape(len(loads), -1) for values in (change, sd, pressure, pressure_sd)]
     loaded = Loaded(flat[0], flat[1], flat[2], flat[3], water.ravel(), base)
-    fitted = fit_loads(loaded)
-    if not fitted.touched.any():
-        raise InputError("no cell under a load has an estimate with error bars: is the readout's noise in the scene?")
-    if fitted.scatter > MAX_SCATTER:
-        raise InputError(
-            f"the loads do not explain the cells: answers scatter by {100 * fitted.scatter:.0f} % about any common "
-            "curve; are frames, places (x along columns, y along rows) and weights right?"
-        )
+    fitted = _explaining_fit(loaded)
     try:
         with np.errstate(over="ignore"):
             response = response_of(fitted, base, scene.panel.shape, tolerance)
@@ -355,10 +338,7 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
         ),
     }
     doubts = [_unlike_first_guess(fitted, pressure, base)]
-    for sentence, odd in concerned.items():
-        if odd.any():
-            numbers = (np.flatnonzero(odd) + 1).tolist()
-            doubts.append(sentence.format(f"load{'s' if len(numbers) > 1 else ''} {first_and_more(numbers)}"))
+    doubts += [_doubt(sentence, odd) for sentence, odd in concerned.items()]
     summary, *remarks = _result_in_words(fitted, len(loads))
     return LoadCalibration(
         scene=replace(scene, response=response),
@@ -367,6 +347,55 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
         warnings=tuple(filter(None, doubts)),
         fitted=fitted,
     )
+
+
+def _all_responses(
+    recordings: Sequence[Recording], loads: Sequence[KnownLoad], place: NDArray[np.intp]
+) -> tuple[Array, Array, Array]:
+    """Return the responses to all loads, as `_responses` does; `place` is the recording of each load, (loads,)."""
+    change, sd = np.empty((2, len(loads), *recordings[0].scene.panel.shape))
+    within = np.empty(len(loads))
+    for index in np.unique(place):
+        own = np.flatnonzero(place == index)
+        change[own], sd[own], within[own] = _responses(recordings[index], [loads[number] for number in own.tolist()])
+    return change, sd, within
+
+
+def _check_feet(felt: NDArray[np.bool_], simultaneous: NDArray[np.bool_]) -> None:
+    """Raise InputError unless every load lies on a cell, and no two on the same cell at the same time.
+
+    Parameters
+    ----------
+    felt : boolean array, shape (loads, rows, columns)
+        Whether a load lies on a cell.
+    simultaneous : boolean array, shape (loads, loads)
+    """
+    for number in np.flatnonzero(~felt.any(axis=(1, 2))):
+        raise InputError(f"load {number + 1}: its foot misses the film of every cell")
+    common = np.any(felt[:, None] & felt, axis=(2, 3))
+    for first, second in 1 + np.argwhere(np.triu(simultaneous & common, 1)):
+        raise InputError(f"loads {first} and {second} lie on the same cells in the same frames: give one line")
+
+
+def _explaining_fit(loaded: Loaded) -> FittedResponse:
+    """Return the fit of curve and gains. Raises InputError if the loads do not explain the cells."""
+    fitted = fit_loads(loaded)
+    if not fitted.touched.any():
+        raise InputError("no cell under a load has an estimate with error bars: is the readout's noise in the scene?")
+    if fitted.scatter > MAX_SCATTER:
+        raise InputError(
+            f"the loads do not explain the cells: answers scatter by {100 * fitted.scatter:.0f} % about any common "
+            "curve; are frames, places (x along columns, y along rows) and weights right?"
+        )
+    return fitted
+
+
+def _doubt(sentence: str, odd: NDArray[np.bool_]) -> str:
+    """Return the sentence on the loads that are odd, (loads,); '' without any."""
+    if not odd.any():
+        return ""
+    numbers = (np.flatnonzero(odd) + 1).tolist()
+    return sentence.format(f"load{'s' if len(numbers) > 1 else ''} {first_and_more(numbers)}")
 
 
 def _together(loads: Sequence[KnownLoad], place: NDArray[np.intp]) -> NDArray[np.bool_]:

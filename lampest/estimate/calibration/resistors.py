@@ -25,9 +25,9 @@ from lampest.files.levels import SIGNIFICANT
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.readouts.converter import MIN_REPEATS
-from lampest.panel.readouts.lines import MAX_OHM, LineNumber, Side
+from lampest.panel.readouts.lines import MAX_OHM, LineNumber, SeriesPerLine, Side
 from lampest.panel.readouts.readout import with_memory
-from lampest.panel.scene import Scene, SeriesPerLine
+from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import SHORT_OHM
 

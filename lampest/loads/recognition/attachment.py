@@ -11,21 +11,15 @@ from numpy.typing import NDArray
 from scipy.special import logit
 
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
-from lampest.loads.recognition.breathing import (
-    MAX_LOG_ODDS,
-    MIN_WINDOW_S,
-    WINDOW_S,
-    Breathing,
-    Patterns,
-    SteadyFrames,
-    breath,
-    changes_without_water,
-)
+from lampest.loads.recognition.breath import breath
+from lampest.loads.recognition.breathing import MAX_LOG_ODDS, MIN_WINDOW_S, WINDOW_S, Breathing
 from lampest.loads.recognition.candidates import UNIFORM, under
 from lampest.loads.recognition.contacts import contacts_of
 from lampest.loads.recognition.fit import RARE_LOG_ODDS, Verdict
 from lampest.loads.recognition.observation import Observation
 from lampest.loads.recognition.pumping import BLOCK_S, Pumping
+from lampest.loads.recognition.steady_frames import SteadyFrames, changes_without_water
+from lampest.loads.recognition.swings import Patterns
 from lampest.panel.panel import Array, Panel
 
 Pair = tuple[float, float]

@@ -20,7 +20,8 @@ from lampest.files.levels import SIGNIFICANT
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, Response
-from lampest.panel.scene import Scene, Systematic
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.panel.systematic import systematic_of
 
 PATCH_SHARE = 0.6  # edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm

@@ -17,12 +17,13 @@ from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
 from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.attachment import Attachment, attachments_of, continued_by
-from lampest.loads.recognition.breathing import WINDOW_S, patterns_of
+from lampest.loads.recognition.breathing import WINDOW_S
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import RARE_LOG_ODDS, Verdict
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, counting, patch_of
 from lampest.loads.recognition.step_test import StepTest
 from lampest.loads.recognition.suction import MIN_RISE
+from lampest.loads.recognition.swings import patterns_of
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 

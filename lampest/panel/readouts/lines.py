@@ -1,11 +1,12 @@
-"""Numbers of lines: one for all lines of a side of the panel, or one for each."""
+"""Numbers of lines: one for all lines of a side of the panel, or one for each; resistance in series with every line."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
-from lampest.panel.panel import Array
+from lampest.files.typed import Configuration
+from lampest.panel.panel import Array, Panel
 
 PerLine = float | tuple[float, ...]
 Groups = tuple[tuple[int, ...], ...]  # lines behind one multiplexer each, in the order of its addresses
@@ -120,3 +121,35 @@ def check_groups(groups: Groups | None, side: Side, count: int) -> None:
         raise ValueError(f"readout.groups: there is no {name} {beyond[0]}; {side} are numbered from 0 to {count - 1}")
     if missing := sorted(set(range(count)) - lines):
         raise ValueError(f"readout.groups: {name} {missing[0]} is left out; every one is behind a multiplexer")
+
+
+@dataclass(frozen=True)
+class SeriesPerLine(Configuration):
+    """Resistance in series with every line: rows[j] + columns[k] for the reading of row j and column k.
+
+    Attributes
+    ----------
+    rows, columns : PerLine
+        Resistances in ohm, one for each line, or one for all lines of a side.
+
+    Raises ValueError if one is negative.
+
+    >>> lampest.SeriesPerLine(rows=(70.0, 72.0), columns=(69.0, 71.0)).ohm(lampest.Panel(2, 2))
+    array([[139., 141.],
+           [141., 143.]])
+    """
+
+    rows: PerLine
+    columns: PerLine
+
+    def __post_init__(self) -> None:
+        check_resistors("rows", self.rows, open_end=False)
+        check_resistors("columns", self.columns, open_end=False)
+
+    def ohm(self, panel: Panel) -> Array:
+        """Return the resistance in series with every reading, (rows, columns) ohm.
+
+        Raises ValueError if a list has another length.
+        """
+        row = per_line("series_resistance_ohm.rows", self.rows, panel.rows)
+        return np.asarray(row[:, None] + per_line("series_resistance_ohm.columns", self.columns, panel.columns))

@@ -31,7 +31,9 @@ from lampest.recording.acquisition import EVENTS, FORMAT, SALT, Rows, blocks, gr
 from lampest.recording.board.protocol import MAX_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples
-from lampest.recording.recording import MEASURED, UNLOADED, Recording, StoredRecording, recording_file, save_parts
+from lampest.recording.file import recording_file
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.stored import StoredRecording, save_parts
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot or separator: a visible file within the folder
 
@@ -203,6 +205,13 @@ def _journal_for(sample: Sample, path: Path) -> contextlib.AbstractContextManage
     return Journal.create(path, sample.scene, sample.hello.readings, estimates=sample.hello.estimates)
 
 
+def _counts(sample: Sample, *, behind: bool) -> Counter[str]:
+    """Return the counts of a frame: itself, frames lost before it, missing readings of a module, and its events."""
+    count = Counter[str](frames=1, lost=sample.lost, parted=sample.missing > 0, behind=behind)
+    count.update(sample.events)
+    return count
+
+
 def record(  # noqa: PLR0913 # the options of a command
     ports: str | Sequence[str] | None,
     out: Path,
@@ -266,8 +275,7 @@ def record(  # noqa: PLR0913 # the options of a command
                         journal = journal or stack.enter_context(_journal_for(batch[0], out))
                         journal.append(batch, baseline - count["frames"], keys)
                     for last in batch:
-                        count.update(frames=1, lost=last.lost, parted=last.missing > 0, behind=bool(ended_by()))
-                        count.update(last.events)
+                        count.update(_counts(last, behind=bool(ended_by())))
                         unestimated.update(filter(None, [last.frame.unestimated]))
                         on_progress(Progress(last, count["frames"], count["lost"], ""))
                     if not batch and states[-1]:
@@ -282,8 +290,8 @@ def record(  # noqa: PLR0913 # the options of a command
             made = finished(out) if last else None
         if made is None or last is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
-        short = seconds is not None and not ended_by() and count["frames"] != frames
-        silent = max((seconds or 0.0) - last.time - last.hello.period, 0.0) if short else 0.0
+        complete = bool(ended_by()) or count["frames"] == frames
+        silent = 0.0 if seconds is None or complete else max(seconds - last.time - last.hello.period, 0.0)
         scene, _, noise = made
         return Recorded(
             path=out,

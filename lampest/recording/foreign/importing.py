@@ -28,14 +28,10 @@ from lampest.recording.foreign.arrays import (
 )
 from lampest.recording.foreign.labelled import named_units, panel_of
 from lampest.recording.foreign.layouts import frames_of
+from lampest.recording.foreign.lines import FieldLines, lines_of_sheets, lines_of_text
 from lampest.recording.foreign.records import READERS as RECORDS
 from lampest.recording.foreign.records import records_of
-from lampest.recording.foreign.table import (
-    FieldLines,
-    lines_of_sheets,
-    lines_of_text,
-    readings_table,
-)
+from lampest.recording.foreign.table import readings_table
 from lampest.recording.foreign.unit import RESISTANCES, check_unit, recorded_values, understood_unit
 from lampest.recording.foreign.words import Clock
 from lampest.recording.processed import AS_CONVERTED, normalised, processing_of, restored

@@ -9,8 +9,9 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.foreign.arrays import Frames, Shape
 from lampest.recording.foreign.layouts import frames_of
+from lampest.recording.foreign.lines import FieldLine, field_lines
 from lampest.recording.foreign.records import text_of_value
-from lampest.recording.foreign.table import FieldLine, field_lines, readings_table
+from lampest.recording.foreign.table import readings_table
 from lampest.recording.foreign.words import role_of, units_of
 
 

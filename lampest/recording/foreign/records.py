@@ -11,7 +11,7 @@ import numpy as np
 
 from lampest.files.errors import InputError, extra
 from lampest.recording.foreign.arrays import Arrays, check_count, reading
-from lampest.recording.foreign.table import FieldLine, FieldLines, field_lines
+from lampest.recording.foreign.lines import FieldLine, FieldLines, field_lines
 from lampest.recording.foreign.words import role_of
 
 MAX_TEXT = 100_000_000  # bytes of JSON: its values take ten times as much memory

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_ranges
 from lampest.panel.effects import LineLeak, effect_on_readings, neighbours
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import of_side
 from lampest.panel.readouts.readout import in_panel_order, with_memory
@@ -142,19 +142,11 @@ def measured(
     on_frame : callable
         Called after each frame is converted.
     """
-    if (layout := scene.panel.modules) is not None:  # every module has its own random numbers
-        modules = []
-        for number, module_scene in enumerate(scene.of_modules):
-            inside = (..., *layout.cells(number))
-            drawn = int(random_stream(seed, f"module {number}").integers(2**63))
-            travelling = [part[inside] for part in scanned]
-            modules.append(measured(module_scene, cells[inside], unmodelled, drawn, period_s, travelling))
+    if scene.panel.modules is not None:
+        joined = _measured_modules(scene, scene.panel.modules, cells, unmodelled, seed, period_s, scanned)
         for _ in cells:
             on_frame()
-        recorded = np.stack([values for values, _ in modules], axis=-3)
-        recorded[..., list(scene.dead_modules), :, :] = np.nan
-        codes = [sums for _, sums in modules if sums is not None]
-        return layout.joined(recorded), layout.joined(np.stack(codes, axis=-3)) if codes else None
+        return joined
     actual, scene = _true_circuit(scene, unmodelled, seed)
     # Exact readings, line by line for moving loads, with an error of each reading.
     total, *passes = [_read(actual, scene, part, unmodelled, seed, period_s) for part in scanned or [cells]]
@@ -175,6 +167,28 @@ def measured(
     volt = _disturbed(actual, volt, unmodelled, seed, period_s)
     sums = sums_of_codes(actual, volt, unmodelled, seed, on_frame)
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
+
+
+def _measured_modules(
+    scene: Scene,
+    layout: Modules,
+    cells: Array,
+    unmodelled: Unmodelled,
+    seed: int,
+    period_s: float,
+    scanned: Sequence[Array],
+) -> tuple[Array, NDArray[np.int64] | None]:
+    """Return what `measured` does for a panel of modules, each with its own random numbers; dead ones have NaN."""
+    modules = []
+    for number, module_scene in enumerate(scene.of_modules):
+        inside = (..., *layout.cells(number))
+        drawn = int(random_stream(seed, f"module {number}").integers(2**63))
+        travelling = [part[inside] for part in scanned]
+        modules.append(measured(module_scene, cells[inside], unmodelled, drawn, period_s, travelling))
+    recorded = np.stack([values for values, _ in modules], axis=-3)
+    recorded[..., list(scene.dead_modules), :, :] = np.nan
+    codes = [sums for _, sums in modules if sums is not None]
+    return layout.joined(recorded), layout.joined(np.stack(codes, axis=-3)) if codes else None
 
 
 def _true_circuit(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Readout, Scene]:

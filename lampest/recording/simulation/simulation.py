@@ -24,9 +24,10 @@ from lampest.files.whole import check_room
 from lampest.loads.film import FilmMemory
 from lampest.loads.pressure import water_pressure
 from lampest.loads.shapes import AnyShape
+from lampest.panel.conditions import Water
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, AnyResponse, Film, ratio_from_pressure
-from lampest.panel.scene import Scene, Water
+from lampest.panel.scene import Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM, Unmodelled, measured, random_stream, raw_sums
 

@@ -10,7 +10,8 @@ import numpy as np
 from lampest.files import hdf5
 from lampest.files.errors import counted
 from lampest.loads.recognition.attachment import Attachment, Pair
-from lampest.loads.recognition.breathing import MIN_WINDOW_S, too_slow
+from lampest.loads.recognition.breath import too_slow
+from lampest.loads.recognition.breathing import MIN_WINDOW_S
 from lampest.panel.panel import Array, Panel
 from lampest.report.compare import MAX_SHOWN, Table
 

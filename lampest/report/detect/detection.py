@@ -19,7 +19,7 @@ from lampest.files.errors import InputError
 from lampest.files.hdf5 import format_of
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
 from lampest.loads.pressure import sigma_of_frames
-from lampest.loads.recognition.breathing import too_slow
+from lampest.loads.recognition.breath import too_slow
 from lampest.loads.recognition.image import ImageWatch
 from lampest.loads.recognition.observation import ModelErrors
 from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Panelled, Watch
@@ -27,7 +27,8 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings, stand_in
-from lampest.recording.recording import MEASURED, UNLOADED, Recording, StoredRecording
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.stored import StoredRecording
 from lampest.report.detect.answer import MIN_PROBABILITY, Detected
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lampest.files.errors import InputError, extra
-from lampest.panel.scene import Experiment, MeasuredSubject
+from lampest.panel.conditions import Experiment, MeasuredSubject
 from lampest.report.export.formats import Export
 from lampest.runs.case import TIME, CaseResult, about, all_columns, series_of
 from lampest.runs.columns import CELLS

@@ -133,7 +133,6 @@ def live(
         source = replace(source, ports=(only_port(),))
     port = ", ".join(source.ports) if isinstance(source, LiveBoard) else ""
     ways = [publish_at(where, outlets.token) for where in outlets.publish]
-    done = None
     with (
         Engine(port if recording is None else recording.name, name, method, source.baseline, beside=True) as engine,
         publishing(ways, engine.shown, on_trouble) as published,
@@ -143,13 +142,7 @@ def live(
         for where in (server.url, *published):
             on_url(where)
         try:
-            if isinstance(source, Replay):
-                assert recording is not None
-                from_recording(engine, recording, source.speed, frames)
-            elif recorder is not None:
-                from_board(engine, source, frames, recorder.take)
-            else:
-                done = recorded_from_board(engine, source, frames)
+            done = _pass_frames(engine, source, recording, recorder, frames)
             engine.finish()
         except InputError as error:
             engine.say(f"stopped: {error}")
@@ -159,6 +152,24 @@ def live(
             Event().wait()
         engine.say("lampest has ended")
         return done
+
+
+def _pass_frames(
+    engine: Engine,
+    source: LiveBoard | Replay,
+    recording: Recording | None,
+    recorder: Recorder | None,
+    frames: int | None,
+) -> Recorded | None:
+    """Pass `frames` frames, or all, of a replayed recording or of a board; return the recording if one was written."""
+    if isinstance(source, Replay):
+        assert recording is not None
+        from_recording(engine, recording, source.speed, frames)
+    elif recorder is not None:
+        from_board(engine, source, frames, recorder.take)
+    else:
+        return recorded_from_board(engine, source, frames)
+    return None
 
 
 @contextmanager

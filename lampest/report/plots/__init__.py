@@ -16,7 +16,8 @@ from matplotlib.figure import Figure
 from lampest.files import hdf5
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import installed, of_kind, typed
-from lampest.recording.recording import UNLOADED, Recording, StoredRecording, opened, too_long
+from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.stored import StoredRecording, opened, too_long
 from lampest.report.plots.contours import (
     CertaintyPlot,
     ChangePlot,
@@ -104,13 +105,8 @@ def plot_results(
     plot = None if show is None else _chosen(show, frame)
     path = Path(path)
     target = None if out is None else Path(out)
-    single = target if target is not None and target.suffix in SUFFIXES else None
-    kind = "" if target is None or single else guess_type(target)[0] or ""
-    if kind.startswith(("image/", "application/postscript")):
-        raise InputError(f"{target}: {PICTURES}")
-    if frames is None and frame is not None and any(too_long(case.frames, case.cells) for case in stored_cases(path)):
-        frames = range(frame, frame + 1)
-    results = read_results(path, columns, frames)
+    single = None if target is None else _picture_file(target)
+    results = read_results(path, columns, _frames_to_read(path, frame, frames))
     try:
         results = results.named("recording", recordings).named("estimator", estimators)
     except InputError as error:
@@ -132,6 +128,23 @@ def plot_results(
         for cases in pictures.values()
     ]
     return write_all(drawn, files, on_picture, in_process=isinstance(show, Plot))
+
+
+def _picture_file(target: Path) -> Path | None:
+    """Return the file of a single picture; None for a folder. Raises InputError for a picture of another format."""
+    if target.suffix in SUFFIXES:
+        return target
+    kind = guess_type(target)[0] or ""
+    if kind.startswith(("image/", "application/postscript")):
+        raise InputError(f"{target}: {PICTURES}")
+    return None
+
+
+def _frames_to_read(path: Path, frame: int | None, frames: range | None) -> range | None:
+    """Return the frames of results that are read: of recordings too long for memory the drawn one alone."""
+    if frames is None and frame is not None and any(too_long(case.frames, case.cells) for case in stored_cases(path)):
+        return range(frame, frame + 1)
+    return frames
 
 
 def plot_file(path: Path, picture: Path) -> Path:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from matplotlib import colormaps
@@ -303,6 +303,63 @@ def _refined(panel: Panel, values: Array) -> tuple[Array, Array, Array]:
     return fine[0], fine[1], np.array([np.interp(fine[1], y, column) for column in across.T]).T
 
 
+class Arrangement(NamedTuple):
+    """Arrangement of equal maps in a figure.
+
+    Attributes
+    ----------
+    across, down : int
+        Columns and rows of maps.
+    map_width : float
+        Width of a map, inches.
+    width, height : float
+        Size of the figure, inches.
+    """
+
+    across: int
+    down: int
+    map_width: float
+    width: float
+    height: float
+
+    @classmethod
+    def of(cls, count: int, panel: Panel, width: float, *, rows: int | None, own_bars: bool) -> "Arrangement":
+        """Return the arrangement with about the proportions 3 : 2 and few gaps.
+
+        Parameters
+        ----------
+        count : int
+            Number of maps.
+        panel : Panel
+        width : float
+            Largest width of the figure, inches.
+        rows : int or None
+            Rows of maps, if their number is given.
+        own_bars : bool
+            Whether every map has a colour bar.
+        """
+        broad, tall = (most - least + panel.pitch_mm for least, most in panel.extents_mm)
+        beside, gap = (0.4, 0.9) if own_bars else (1.0, 0.2)  # inches for the colour bars, and between maps
+
+        def map_width(across: int) -> float:
+            return (width - beside) / across - gap
+
+        def height(across: int) -> float:
+            return ceil(count / across) * (map_width(across) * tall / broad + 0.4) + 0.8
+
+        def unfit(across: int) -> float:
+            # deviation from 3 : 2, with a cost for empty places
+            return abs(height(across) - width / 1.5) + 0.3 * (-count % across)
+
+        most = min(count, int((width - 1.0) / 0.88))
+        across = min(range(1, most + 1), key=unfit) if rows is None else count // rows
+        down = ceil(count / across)
+        beyond = max(height(across) - MAX_ASPECT * width, 0.0) * broad / tall  # of a tall panel: the maps get narrower
+        beyond = min(beyond, max(0.0, (map_width(across) - MIN_WIDE_INCH) * down))
+        narrowed = map_width(across) - beyond / down
+        return cls(across, down, narrowed, width - beyond * across / down, min(height(across), MAX_ASPECT * width))
+
+
 def maps_figure(
     tiles: Sequence[Tile],
     panel: Panel,
@@ -325,32 +382,14 @@ def maps_figure(
     scales = [scale] if isinstance(scale, Scale) else scale
     own_bars = len(scales) == len(tiles) > 1
     in_rows = 1 < len(scales) < len(tiles)
-    broad, tall = (most - least + panel.pitch_mm for least, most in panel.extents_mm)
-    beside, gap = (0.4, 0.9) if own_bars else (1.0, 0.2)  # inches for the colour bars, and between maps
-
-    def wide(across: int) -> float:
-        return (width - beside) / across - gap
-
-    def height(across: int) -> float:
-        return ceil(len(tiles) / across) * (wide(across) * tall / broad + 0.4) + 0.8
-
-    def unfit(across: int) -> float:
-        # deviation from 3 : 2, with a cost for empty places
-        return abs(height(across) - width / 1.5) + 0.3 * (-len(tiles) % across)
-
-    most = min(len(tiles), int((width - 1.0) / 0.88))
-    across = len(tiles) // len(scales) if in_rows else min(range(1, most + 1), key=unfit)
-    down = ceil(len(tiles) / across)
-    beyond = max(height(across) - MAX_ASPECT * width, 0.0) * broad / tall  # of a tall panel: the maps get narrower
-    beyond = min(beyond, max(0.0, (wide(across) - MIN_WIDE_INCH) * down))
-    narrowed = wide(across) - beyond / down
-    figure = style.new_figure(min(height(across), MAX_ASPECT * width), width - beyond * across / down)
-    grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    arrangement = Arrangement.of(len(tiles), panel, width, rows=len(scales) if in_rows else None, own_bars=own_bars)
+    figure = style.new_figure(arrangement.height, arrangement.width)
+    grid = figure.subplots(arrangement.down, arrangement.across, squeeze=False, sharex=True, sharey=True)
     for axes in grid.flat[len(tiles) :]:
         axes.set_visible(False)
-    for axes in grid.flat[max(len(tiles) - across, 0) : len(tiles)]:
+    for axes in grid.flat[max(len(tiles) - arrangement.across, 0) : len(tiles)]:
         axes.tick_params(labelbottom=True)
-    signs = max(10, int(17 * narrowed))  # that fit over a map
+    signs = max(10, int(17 * arrangement.map_width))  # that fit over a map
     painters = [MapPainter(panel, level, contoured) for level in scales for _ in range(len(tiles) // len(scales))]
     for axes, tile, painter in zip(grid.flat, tiles, painters, strict=False):
         name = tile.title.replace("paper's lambda", "paper's\N{NO-BREAK SPACE}λ")

@@ -1,12 +1,14 @@
 """The constants of an estimator as a C header."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.scene import Scene
 from lampest.report.export.microcontroller.constants import Constants
 
 NUMBERS_A_LINE = 8
@@ -17,6 +19,36 @@ def number(value: float) -> str:
     """Return a number as a C literal of single precision, with the nine digits that determine it."""
     text = f"{value if abs(value) >= MIN_NUMBER else 0.0:.9g}"
     return (text if any(mark in text for mark in ".en") else text + ".0") + "f"
+
+
+class CArray(NamedTuple):
+    """Array of C.
+
+    Attributes
+    ----------
+    kind : str
+        Type of its entries.
+    texts : tuple of str
+        Its entries as literals.
+    """
+
+    kind: str
+    texts: tuple[str, ...]
+
+    @classmethod
+    def of_floats(cls, values: Array) -> "CArray":
+        """Return an array of floats."""
+        return cls("float", tuple(number(float(value)) for value in np.ravel(values)))
+
+    def declaration(self, name: str) -> str:
+        """Return the declaration under a name."""
+        count = len(self.texts)
+        lines = [", ".join(self.texts[at : at + NUMBERS_A_LINE]) for at in range(0, count, NUMBERS_A_LINE)]
+        body = ",\n    ".join(lines)
+        return f"static const {self.kind} {name}[{count}] = {{\n    {body}}};\n"
+
+
+Entries = dict[str, str | CArray]  # field of lampest_constants → literal, or array
 
 
 def header(constants: Constants, name: str, about: Iterable[str]) -> str:
@@ -30,58 +62,14 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
     about : iterable of str
         Lines of the comment at the top.
     """
-    panel = constants.scene.panel
-    budget = constants.budget
-    rows, columns = panel.shape
-    arrays: list[str] = []
-    fields: list[tuple[str, str]] = [("rows", str(rows)), ("columns", str(columns))]
-
-    def array(field: str, kind: str, values: Iterable[str]) -> None:
-        """Declare an array, and name it in the struct."""
-        texts = list(values)
-        lines = [", ".join(texts[at : at + NUMBERS_A_LINE]) for at in range(0, len(texts), NUMBERS_A_LINE)]
-        body = ",\n    ".join(lines)
-        arrays.append(f"static const {kind} {name}_{field}[{len(texts)}] = {{\n    {body}}};\n")
-        fields.append((field, f"{name}_{field}"))
-
-    def floats(field: str, values: Array) -> None:
-        """Declare an array of floats."""
-        array(field, "float", (number(float(value)) for value in np.ravel(values)))
-
-    if panel.cells is not None:
-        array("present", "uint8_t", (str(int(cell)) for cell in panel.present.ravel()))
-    if (pairs := constants.pairs) is not None:
-        texts = (f"{{{a}, {b}, {number(d)}}}" for a, b, d in zip(*pairs, strict=True))
-        array("pairs", "lampest_pair", texts)
-        fields.append(("pair_count", str(len(pairs[0]))))
-    _circuit(constants, fields, floats)
-    low, high = constants.valid_sums
-    readout = constants.scene.circuit
-    per_sum = readout.lsb_volt / readout.readings
-    fields += [("top_sum", str(constants.top_sum)), ("low_sum", str(low)), ("high_sum", str(high))]
-    fields += [("volt_per_sum", number(per_sum)), ("volt_at_zero", number(0.5 * readout.lsb_volt))]
-    fields += [("supply_volt", number(readout.supply_volt))]
-    alike = bool(np.all(constants.sigma_volt == constants.sigma_volt.flat[0]))
-    floats("sigma_volt", constants.sigma_volt.ravel()[: 1 if alike else None])
-    fields += [("sigma_count", str(1 if alike else constants.sigma_volt.size))]
-    fields += [("plain_sigma", number(constants.plain_sigma))]
-    fields += [("data_loss", constants.data_loss), ("data_corner", number(constants.data_corner))]
-    if constants.penalties:
-        terms = (
-            f"{{{p.quantity}, {p.difference}, {p.loss}, {number(p.corner)}, {number(p.weight)}}}"
-            for p in constants.penalties
-        )
-        array("terms", "lampest_term", terms)
-        fields.append(("term_count", str(len(constants.penalties))))
-    fields += [("least_ohm", number(constants.least_ohm)), ("largest_ohm", number(constants.largest_ohm))]
-    fields += [("native_bounds", str(constants.native_bounds).lower())]
-    floats("baseline", constants.baseline)
-    fields += [("loaded_limit", number(constants.loaded_limit))]
-    fields += [("steps", str(budget.steps)), ("products", str(budget.products)), ("within", number(budget.within))]
+    rows, columns = constants.scene.panel.shape
+    entries = _panel(constants) | _circuit(constants) | _converter(constants) | _cost(constants) | _work(constants)
+    arrays = [entry.declaration(f"{name}_{field}") for field, entry in entries.items() if isinstance(entry, CArray)]
+    values = {field: f"{name}_{field}" if isinstance(entry, CArray) else entry for field, entry in entries.items()}
+    body = "\n".join(f"    .{field} = {values.get(field, '0')}," for field in ORDER)
     guard = f"{name.upper()}_CONSTANTS_H"
     comment = "\n".join(f" * {line}".rstrip() for line in about)
     memory = f"LAMPEST_MEMORY({rows}, {columns}, {int(constants.lines is not None)}, {int(constants.relative)})"
-    body = "\n".join(f"    .{field} = {value}," for field, value in _in_order(fields))
     return (
         f'/*\n{comment}\n */\n#ifndef {guard}\n#define {guard}\n\n#include "lampest_estimate.h"\n\n'
         f"#define {name.upper()}_ROWS {rows}\n#define {name.upper()}_COLUMNS {columns}\n"
@@ -91,7 +79,8 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
     )
 
 
-# The fields of lampest_constants in the order of their declaration, which C++ demands of designated initialisers.
+# The fields of lampest_constants in the order of their declaration, as C++ demands of designated initialisers; absent
+# ones are 0.
 ORDER = (
     "rows",
     "columns",
@@ -135,34 +124,99 @@ ORDER = (
 )
 
 
-def _in_order(fields: list[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Return all fields in the order of their declaration, as compilers of C++ want them; 0 where there is none."""
-    known = dict(fields)
-    return [(field, known.get(field, "0")) for field in ORDER]
+def _panel(constants: Constants) -> Entries:
+    """Return the panel's size, its cells where some are missing, and the pairs of neighbours."""
+    panel = constants.scene.panel
+    rows, columns = panel.shape
+    entries: Entries = {"rows": str(rows), "columns": str(columns)}
+    if panel.cells is not None:
+        entries["present"] = CArray("uint8_t", tuple(str(int(cell)) for cell in panel.present.ravel()))
+    if (pairs := constants.pairs) is not None:
+        texts = tuple(f"{{{a}, {b}, {number(d)}}}" for a, b, d in zip(*pairs, strict=True))
+        entries["pairs"] = CArray("lampest_pair", texts)
+        entries["pair_count"] = str(len(pairs[0]))
+    return entries
 
 
-def _circuit(constants: Constants, fields: list[tuple[str, str]], floats: Callable[[str, Array], None]) -> None:
-    """Add the circuit's numbers to the fields."""
-    scene = constants.scene
-    lines = constants.lines
+def _circuit(constants: Constants) -> Entries:
+    """Return the numbers of the circuit of a readout that drives its lines, or of two-point readings."""
     readout = constants.scene.circuit
-    if lines is not None and isinstance(readout, DrivenCircuit):
-        fields += [("driven", "true"), ("rows_driven", str(readout.driven == "rows").lower())]
-        fields += [("mirrored", str(readout.mirrored).lower())]
-        for field in ("tie", "drive", "release", "load", "gain"):
-            floats(field, getattr(lines, field))
-        return
+    if constants.lines is not None and isinstance(readout, DrivenCircuit):
+        lines = {
+            field: CArray.of_floats(getattr(constants.lines, field))
+            for field in ("tie", "drive", "release", "load", "gain")
+        }
+        sides = {"rows_driven": _literal(readout.driven == "rows"), "mirrored": _literal(readout.mirrored)}
+        return {"driven": "true"} | sides | lines
     assert isinstance(readout, TwoPointReadout)
+    return _two_point(constants.scene, readout)
+
+
+def _two_point(scene: Scene, readout: TwoPointReadout) -> Entries:
+    """Return the divider's numbers, and the series resistance of each line."""
     across = readout.measured_across == "reference"
     input_ohm = readout.input_ohm
     scale = 1 / (1 + readout.reference_ohm / input_ohm) if across and input_ohm else 1.0
     shunt = 1 / input_ohm if input_ohm and not across else 0.0
-    fields += [("driven", "false"), ("reference_ohm", number(readout.reference_ohm))]
-    fields += [("across_reference", str(across).lower()), ("ohm_scale", number(scale))]
-    fields += [("shunt_siemens", number(shunt))]
+    entries: Entries = {
+        "driven": "false",
+        "reference_ohm": number(readout.reference_ohm),
+        "across_reference": _literal(across),
+        "ohm_scale": number(scale),
+        "shunt_siemens": number(shunt),
+    }
     if np.any(scene.series_ohm):
         series = np.broadcast_to(scene.series_ohm, scene.panel.shape)
         # Rows bear what they differ by, columns the rest: the sum is all that a reading shows.
         rows = series[:, 0] - series[:, 0].min()
         columns = series[0] - rows[0]
-        floats("series", np.concatenate([rows, columns]))
+        entries["series"] = CArray.of_floats(np.concatenate([rows, columns]))
+    return entries
+
+
+def _converter(constants: Constants) -> Entries:
+    """Return the range of valid sums, volts of a sum, and σ of each reading, or of all where they are alike."""
+    readout = constants.scene.circuit
+    low, high = constants.valid_sums
+    alike = bool(np.all(constants.sigma_volt == constants.sigma_volt.flat[0]))
+    return {
+        "top_sum": str(constants.top_sum),
+        "low_sum": str(low),
+        "high_sum": str(high),
+        "volt_per_sum": number(readout.lsb_volt / readout.readings),
+        "volt_at_zero": number(0.5 * readout.lsb_volt),
+        "supply_volt": number(readout.supply_volt),
+        "sigma_volt": CArray.of_floats(constants.sigma_volt.ravel()[: 1 if alike else None]),
+        "sigma_count": str(1 if alike else constants.sigma_volt.size),
+        "plain_sigma": number(constants.plain_sigma),
+    }
+
+
+def _cost(constants: Constants) -> Entries:
+    """Return the loss of the misfit, the penalties, the bounds of cells, and the baseline."""
+    entries: Entries = {"data_loss": constants.data_loss, "data_corner": number(constants.data_corner)}
+    if constants.penalties:
+        terms = tuple(
+            f"{{{p.quantity}, {p.difference}, {p.loss}, {number(p.corner)}, {number(p.weight)}}}"
+            for p in constants.penalties
+        )
+        entries["terms"] = CArray("lampest_term", terms)
+        entries["term_count"] = str(len(constants.penalties))
+    return entries | {
+        "least_ohm": number(constants.least_ohm),
+        "largest_ohm": number(constants.largest_ohm),
+        "native_bounds": _literal(constants.native_bounds),
+        "baseline": CArray.of_floats(constants.baseline),
+        "loaded_limit": number(constants.loaded_limit),
+    }
+
+
+def _work(constants: Constants) -> Entries:
+    """Return the budget of a frame."""
+    budget = constants.budget
+    return {"steps": str(budget.steps), "products": str(budget.products), "within": number(budget.within)}
+
+
+def _literal(value: object) -> str:
+    """Return a truth value as a literal of C."""
+    return str(value).lower()

@@ -1,0 +1,253 @@
+"""Variance components of repeated frames: each reading's own noise, the gain of a frame, and ripple.
+
+The deviation of a reading from its mean over frames is, in units of the specified σ,
+
+    deviation = gain of the frame · voltage + ripple common to all lines + ripple of the line + own noise.
+
+The size of a gain and of a ripple has a posterior, whose mean square is the variance of the component. Only where χ² of
+a ripple's deviations against the noise has a tail probability below SIGNIFICANCE its covariance between channels is
+estimated: that of its deviations less the noise's, times ν/(ν − 2), the variance of Student's t with ν degrees.
+
+Where no frame is unloaded, second differences of successive frames show the noise of readings at rest.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lampest.estimate.outliers import QUIET_SHARE
+from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
+from lampest.panel.panel import Array
+from lampest.posterior.interval import chi_square_tail
+from lampest.recording.readings import Readings
+from lampest.recording.recording import Recording
+
+# Factor on σ: a smaller excess changes no verdict, and creeping films cause it too. The ratio of first to second
+# differences of noise alone is 1.00 ± 0.06 with 100 readings.
+MIN_EXCESS = 1.25
+MAX_SIZES = 100.0  # root mean squares of a size's samples, beyond which its posterior is nothing from two samples on
+MIN_NOISE_SHARE = 1e-3  # of an effect's size: less noise beside it, and sizes below this share of noise, change nothing
+SIZES = 3000  # of a posterior: their steps are smaller than its width up to ten thousand samples
+EDGE_WIDTHS = 3.0  # widths of the Tracy-Widom law beyond the edge: noise alone exceeds it once in thousands
+# Samples for each channel, below which the smallest eigenvalues of noise come near zero, and rounding takes them below
+# (tests/oracles/test_every_readout.py).
+MIN_SAMPLES_PER_CHANNEL = 1.5
+MEDIAN_EFFICIENCY = 0.37  # of the median size as an estimate of σ, as a share of the readings (Hampel, 1974)
+PAIR_MEDIAN = 0.7960  # of the root mean square of two differences that share a frame, over √2 σ (by simulation)
+NO_RIPPLE = np.zeros((1, 0))  # root of the covariance, for any number of channels
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """Variance components in units of the specified σ.
+
+    Attributes
+    ----------
+    own : float
+        Standard deviation of each reading's own noise.
+    own_freedom : int
+        Degrees of freedom of that estimate.
+    gain : float
+        Standard deviation of a frame's gain, as a fraction.
+    common_ripple, line_ripple : array, shape (channels of a line, n)
+        Roots of the covariances of the ripple that all lines of a frame share, in step with the scan, and of the
+        ripple that each line has independently.
+    gain_sd, ripple_sd : float
+        Standard deviations of the gain, and of the ripple that all lines share, in units of σ.
+    gain_tail, ripple_tail : float
+        Probabilities of gains, and of a common ripple, as large in noise alone.
+    """
+
+    own: float
+    own_freedom: int
+    gain: float
+    common_ripple: Array
+    line_ripple: Array
+    gain_sd: float = 0.0
+    ripple_sd: float = 0.0
+    gain_tail: float = 1.0
+    ripple_tail: float = 1.0
+
+
+def noted_excess(chi_square: float, degrees: float) -> float:
+    """Return √(χ²/degrees), the factor of the noise over the specified one; 1 where it is insignificant or small."""
+    factor = float(np.sqrt(chi_square / degrees)) if degrees else 1.0
+    return factor if factor >= MIN_EXCESS and chi_square_tail(chi_square, degrees) < SIGNIFICANCE else 1.0
+
+
+def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
+    """Return the variance components of the unloaded frames; None where no reading is a value in two of them.
+
+    Without a readout in the scene the voltages are unknown, and the gain multiplies the readings themselves.
+    """
+    circuit = recording.scene.circuit
+    scene = recording.scene
+    value = resting.plain_values
+    count = np.sum(~np.isnan(value), axis=0)
+    if not (count > 1).any():
+        return None
+    value = np.where(count > 1, value, np.nan)
+    middle = np.where(count > 1, np.nansum(value, axis=0) / np.maximum(count, 1), resting.value[0])
+    deviation = (value - middle) / resting.known_sigma
+    if scene.readout is None:
+        loudness = middle / np.exp(np.log(resting.known_sigma).mean(axis=0))
+    else:
+        volt = circuit.volt_from_recorded(circuit.to_recorded(middle, scene))
+        loudness = np.asarray(volt / np.broadcast_to(scene.readout.sigma_volt(), volt.shape))
+    if circuit.by_columns:
+        deviation = deviation.swapaxes(1, 2)
+        loudness = loudness.T
+    return scatter(deviation, loudness, len(value) - 1, gain=scene.gain is not None, ripple=scene.ripple is not None)
+
+
+def repeated_scatter(measured: Readings) -> Scatter | None:
+    """Return the noise from second differences of successive frames; None without three frames or without rest.
+
+    Of three successive frames the second difference (y₀ − 2 y₁ + y₂)/(√6 σ) has unit variance, also during uniform
+    motion. Its median over the readings is that of the readings at rest, and only the quietest quarter of the triples
+    counts. Where first differences, divided by √2 σ, are larger by MIN_EXCESS, motion remains and the scatter is only
+    an upper bound: it is then not taken for noise above the specified one.
+    """
+    value = measured.plain_values
+    sigma = measured.known_sigma[1:-1]
+    if len(value) < 3:
+        return None
+    second = np.abs(value[2:] - 2 * value[1:-1] + value[:-2]) / (np.sqrt(6) * sigma)
+    first = np.sqrt(((value[2:] - value[1:-1]) ** 2 + (value[1:-1] - value[:-2]) ** 2) / 4) / sigma
+    usable = np.isfinite(second).sum(axis=(1, 2)) > 1
+    if not usable.any():
+        return None
+    of_second, of_first = (np.nanmedian(size[usable], axis=(1, 2)) for size in (second, first))
+    calmest = np.argsort(of_second)[: max(1, round(QUIET_SHARE * len(of_second)))]
+    quiet = float(of_second[calmest].mean()) * MAD_TO_SIGMA
+    moving = float(of_first[calmest].mean()) / PAIR_MEDIAN
+    if quiet > 1 and moving > MIN_EXCESS * quiet:
+        return None
+    count = int(np.isfinite(second[usable]).sum() / usable.sum() * MEDIAN_EFFICIENCY)
+    return Scatter(quiet, max(count, 1), 0.0, NO_RIPPLE, NO_RIPPLE)
+
+
+def scatter(deviation: Array, loudness: Array, repeats: int, *, gain: bool = True, ripple: bool = True) -> Scatter:
+    """Return the variance components of deviations from the mean over frames; all is noise without `gain`, `ripple`.
+
+    Parameters
+    ----------
+    deviation : array, shape (frames, lines, channels)
+        In units of σ; NaN for missing readings.
+    loudness : array, shape (lines, channels)
+        Response to a gain of 1, in units of σ.
+    repeats : int
+        Degrees of freedom of each channel, frames − 1.
+    """
+    known = ~np.isnan(deviation)
+    lines, channels = deviation.shape[1:]
+    # Of a single line, gain and common ripple are not distinguished from its own ripple, and count as that.
+    several = lines > 1
+    free = max(lines - 1, 1)
+    loud = np.maximum((known * loudness**2).sum(axis=(1, 2)), 1e-300)
+    # Gain of each frame by least squares, Σ deviation · loudness / Σ loudness², (frames,); then the mean over lines,
+    # (frames, channels).
+    slope = gain * several * (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / loud
+    remaining = np.where(known, deviation - slope[:, None, None] * loudness, 0.0)
+    common = ripple * several * remaining.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    # Missing readings reduce the degrees of freedom in proportion to their share.
+    share = float(known.mean())
+    inner = np.where(known, remaining - common[:, None, :], 0.0).reshape(-1, channels)
+    # Without gain and ripple the mean over frames alone is taken off.
+    samples = repeats * (free if gain or ripple else lines) * share
+    noise, line_ripple = _patterns(inner, max(samples, 1.0), separated=ripple)
+    # Variance of one reading by own noise and line ripple, and of the mean over lines if no common ripple existed.
+    line = noise + float((line_ripple**2).sum()) / channels
+    shared = np.zeros((channels, 0))
+    variance = line / (lines * share)
+    ripple_sd = 0.0
+    ripple_tail = 1.0
+    if ripple and several:
+        squares = float((common**2).sum())
+        ripple_tail = float(chi_square_tail(squares / max(variance, 1e-300), repeats * channels))
+        size, ripple_sd = posterior_size(squares, repeats * channels, variance)
+        shared = np.hypot(size, ripple_sd) * np.eye(channels)  # E[s²] is the variance by an uncertain size
+    if ripple_tail < SIGNIFICANCE:
+        sizes, direction = np.linalg.eigh(common.T @ common / repeats)
+        sizes, freedom = _shrunk(np.maximum(sizes, 0.0), repeats)
+        strong = sizes > variance
+        shared = np.asarray(direction[:, strong] * np.sqrt((sizes[strong] - variance) * freedom / (freedom - 2)))
+    swing = gain_sd = 0.0
+    gain_tail = 1.0
+    if gain and several:
+        # variance of the estimated gain without a true one: (noise + ripples)/Σ loudness²
+        variances = (line + float((shared**2).sum()) / channels * lines) / loud
+        gain_tail = float(chi_square_tail((slope**2 / np.maximum(variances, 1e-300)).sum(), repeats))
+        swing, gain_sd = posterior_size(float((slope**2).sum()), repeats, float(variances.mean()))
+    degrees = samples * (channels - line_ripple.shape[1])
+    own = float(np.sqrt(max(noise, 0.0)))
+    tails = gain_tail, ripple_tail
+    return Scatter(own, max(int(degrees), 1), swing, shared, line_ripple, gain_sd, ripple_sd, *tails)
+
+
+def posterior_size(squares: float, freedom: float, variance: float) -> tuple[float, float]:
+    """Return the posterior mean and standard deviation of the size s of an effect beside noise.
+
+    Σ x² of n samples x ~ N(0, s² + v) is `squares`; n is `freedom`, v `variance`. The prior is p(s) ~ 1/(s² + v), so
+    that the mean is unbiased for every n where an effect exceeds the noise of its samples: for v → 0
+
+        E[s | x] = √(Σ x²/2) Γ(n/2)/Γ((n + 1)/2),   E[√(Σ x²)] = √2 s Γ((n + 1)/2)/Γ(n/2).
+    """
+    rms = np.sqrt(max(squares / freedom, variance, 1e-300))
+    noise = max(variance, (rms * MIN_NOISE_SHARE) ** 2)
+    sizes = np.geomspace(MIN_NOISE_SHARE * np.sqrt(noise), MAX_SIZES * rms, SIZES)
+    total = sizes**2 + noise
+    # −2 ln p(s) = (n + 2) ln(s² + v) + Σ x²/(s² + v), and ds = s d ln s
+    costs = (freedom + 2) * np.log(total) + squares / total - 2 * np.log(sizes)
+    odds = np.exp(-(costs - costs.min()) / 2)
+    odds /= odds.sum()
+    mean = float(odds @ sizes)
+    return mean, float(np.sqrt(odds @ (sizes - mean) ** 2))
+
+
+def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
+    """Return the eigenvalues (channels,) of a sample covariance shrunk to their mean, and its degrees of freedom.
+
+    Oracle-approximating shrinkage, (1 − ρ) S + ρ (tr S/p) 1, so that directions without a sample have a variance, too.
+    Source: Chen, Wiesel, Eldar and Hero, IEEE Trans. Signal Processing 58(10), 2010.
+    """
+    channels = len(sizes)
+    total = float(sizes.sum())
+    squares = float((sizes**2).sum())
+    # ρ = ((1 − 2/p) tr S² + tr² S) / ((n + 1 − 2/p) (tr S² − tr² S/p)), at most 1
+    within = (repeats + 1 - 2 / channels) * (squares - total**2 / channels)
+    share = min(((1 - 2 / channels) * squares + total**2) / max(within, 1e-300), 1.0)
+    return (1 - share) * sizes + share * total / channels, max(repeats * (1 - share + share * channels), 3.0)
+
+
+def _patterns(rows: Array, freedom: float, *, separated: bool) -> tuple[float, Array]:
+    """Return the noise variance of samples, and a root (channels, k) of the covariance that exceeds it.
+
+    The root has no columns unless it is `separated` from the noise.
+
+    Eigenvalues are removed in descending order while they exceed the largest one that noise allows, given the mean of
+    the remaining eigenvalues: its edge (√n + √p)²/n and EDGE_WIDTHS times its width.
+    Source: Johnstone, Annals of Statistics 29(2), 2001.
+
+    Parameters
+    ----------
+    rows : array, shape (samples, channels)
+    freedom : float
+        Degrees of freedom n of the samples.
+    """
+    channels = rows.shape[1]
+    size, direction = np.linalg.eigh(rows.T @ rows / freedom)
+    first = np.sqrt(freedom)
+    second = np.sqrt(channels)
+    # largest eigenvalue of a white Wishart matrix: n · edge = (√n + √p)² with the width (√n + √p)(1/√n + 1/√p)^⅓;
+    # `unsure` allows for the error of the mean of the others
+    width = (first + second) * (1 / first + 1 / second) ** (1 / 3)
+    unsure = 1 + TWO_SIDED * np.sqrt(2 / (freedom * max(channels - 1, 1)))
+    edge = unsure * ((first + second) ** 2 + EDGE_WIDTHS * width) / freedom
+    # Each eigenvalue against the mean of the smaller ones, from the largest down.
+    above = size[1:] > edge * np.cumsum(size)[:-1] / np.arange(1, channels)
+    enough = separated and freedom >= MIN_SAMPLES_PER_CHANNEL * channels
+    strong = int(np.argmin([*above[::-1], False])) if enough else 0
+    weak = channels - strong
+    noise = float(size[:weak].mean())
+    return noise, np.asarray(direction[:, weak:] * np.sqrt(np.maximum(size[weak:] - noise, 0.0)))
