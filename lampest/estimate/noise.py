@@ -112,6 +112,11 @@ class NoiseEstimate:
         return 0.0 if self.possible_errors is None else READING_ERROR.size(self.possible_errors.sizes)
 
     @property
+    def error_in_sigma(self) -> float:
+        """The part of `reading_error` that σ of the readings includes, as a fraction of the reading."""
+        return 0.0 if self.possible_errors is None else self.possible_errors.in_sigma
+
+    @property
     def shared_sizes(self) -> tuple[float, float, float]:
         """Standard deviations of a frame's gain, %, of the ripple common to all lines and of each line's own, LSB."""
         if self.frame is None:

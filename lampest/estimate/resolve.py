@@ -142,7 +142,7 @@ def _with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEsti
     frames includes √n times the error.
     """
     sigma = noise.readings.sigma
-    size = 0.0 if noise.possible_errors is None else noise.possible_errors.in_sigma
+    size = noise.error_in_sigma
     if sigma is None or not size:
         return noise
     unloaded = recording.role == UNLOADED
