@@ -141,8 +141,8 @@ class NoiseEstimate:
         )
         return "; ".join(filter(None, messages))
 
-    def determined(self, key: str, size: tuple[float, float], unit: str = "") -> "NoiseEstimate":
-        """Return the noise with a number of the scene that the recording determined, and its sentence.
+    def determined(self, key: str, size: tuple[float, float]) -> "NoiseEstimate":
+        """Return the noise with a number of the scene that the recording determined.
 
         Parameters
         ----------
@@ -150,11 +150,8 @@ class NoiseEstimate:
             Key of the scene.
         size : (float, float)
             Number and standard deviation.
-        unit : str
         """
-        number, deviation = (float(f"{part:.2g}") for part in size)
-        sentence = f"{key}: {number:g} +- {deviation:g}{f' {unit}' if unit else ''}, estimated from this recording"
-        return replace(self, estimated={**self.estimated, key: size}).with_warnings(sentence)
+        return replace(self, estimated={**self.estimated, key: size})
 
     def undetermined(self, key: str, reason: str) -> "NoiseEstimate":
         """Return the noise with a sentence on a number that the recording cannot determine: why, and what to record."""
@@ -246,7 +243,7 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
     noise = noise.with_warnings(message if used != 1 else "")
     if readout is not None and asked:
         size = shown_noise(readout, ratio)[0]
-        noise = noise.determined("readout.noise_lsb", (size, size / np.sqrt(2 * parts.own_freedom)), "LSB")
+        noise = noise.determined("readout.noise_lsb", (size, size / np.sqrt(2 * parts.own_freedom)))
     return _with_estimated_frame_noise(noise, recording, parts)
 
 
@@ -283,7 +280,7 @@ def _with_estimated_frame_noise(noise: NoiseEstimate, recording: Recording, part
         noise = replace(noise, frame=known)
         size = float(np.hypot(*noise.shared_sizes[1:]))
         deviation = float(np.hypot(parts.ripple_sd * volt / scene.circuit.lsb_volt, noise.shared_sizes[2] * relative))
-        noise = noise.determined("ripple", (size, deviation), "LSB")
+        noise = noise.determined("ripple", (size, deviation))
     return replace(noise, frame=known)
 
 
@@ -335,7 +332,13 @@ def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[Nois
     ]
     more = f"and {len(messages) - MAX_NAMED} modules more" if len(messages) > MAX_NAMED else ""
     joined = Readings.of_parts(layout, readings)
-    image = NoiseEstimate(layout.joined(outliers), (), joined, of_modules=tuple(every))
+    estimated = {
+        f"{key} of module {list(layout.place(n))}": size
+        for n, noise in enumerate(every)
+        if noise
+        for key, size in noise.estimated.items()
+    }
+    image = NoiseEstimate(layout.joined(outliers), (), joined, of_modules=tuple(every), estimated=estimated)
     return image.with_warnings(*messages[:MAX_NAMED], more)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import lampest
+from lampest import Panel, Scene, Simulation, TwoPointReadout, simulate
 
 Command = Callable[..., SimpleNamespace]
 
@@ -106,6 +107,22 @@ def test_a_setting_of_an_unknown_estimator_is_refused_by_its_name(starter: Path,
     assert "there is no estimator 'smoth'; did you mean smooth?" in ended.err
     unlike = lampest("run", starter / "run.yaml", "--set", "estimators.x.error_bars=false")
     assert "there is no estimator 'x'; there are no_penalty, smooth, few_changes" in unlike.err
+
+
+def test_numbers_that_a_recording_determines_are_information_and_no_warning(tmp_path: Path, lampest: Command) -> None:
+    scene = Scene(Panel(3, 4), TwoPointReadout(noise_lsb=0.7), 140.0, gain="estimated", ripple="estimated")
+    simulate(Simulation(1, 1, scene, baseline_frames=5, frames=2)).save(tmp_path / "mine.h5")
+    (tmp_path / "run.yaml").write_text(
+        "schema: 1\nrecordings: [mine.h5]\nestimators: {LSM: {terms: {misfit: {}}, error_bars: false}}\n"
+    )
+    number = r"[\d.e-]+ ± [\d.e-]+"
+    ran = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", 1)
+    assert re.search(rf"^estimated: mine: gain: {number} \(relative\)$", ran.out, re.MULTILINE)
+    assert re.search(rf"^estimated: mine: ripple: {number} LSB$", ran.out, re.MULTILINE)
+    for file in (tmp_path / "mine.h5", tmp_path / "out" / "results.h5"):
+        info = lampest("info", file).out
+        assert re.search(rf"^estimated +gain: {number} \(relative\)$", info, re.MULTILINE)
+        assert not re.search(r"^warning.*(gain|ripple)", ran.out + info, re.MULTILINE)
 
 
 @pytest.mark.parametrize(
