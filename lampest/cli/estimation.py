@@ -101,6 +101,7 @@ def run(
     screen.say(f"{counts}: {report.results or 'no results'}")
     if report.aside:
         screen.warn(f"existing results of other cases were renamed: {report.aside}")
+    screen.print_notes(f"estimated: {line}" for line in report.estimated)
     screen.print_notes(f"warning: {line}" for line in report.warnings)
     screen.print_notes(f"advice: {line}" for line in report.advice)
     for name, sentence in report.failed:

@@ -66,7 +66,7 @@ def with_model_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimat
     noise = scaled(noise, recording, factor).with_warnings(message)
     if specified != ESTIMATED:
         return noise
-    return noise.determined(KEY, (size, size / np.sqrt(2 * scene.requested.sum())), "times the noise")
+    return noise.determined(KEY, (size, size / np.sqrt(2 * scene.requested.sum())))
 
 
 def broken_laws(readings: Readings, recording: Recording) -> float:

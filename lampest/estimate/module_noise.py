@@ -23,7 +23,13 @@ def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[Nois
     ]
     more = f"and {len(messages) - MAX_NAMED} modules more" if len(messages) > MAX_NAMED else ""
     joined = Readings.of_parts(layout, readings)
-    image = NoiseEstimate(layout.joined(outliers), (), joined, of_modules=tuple(every))
+    estimated = {
+        f"{key} of module {list(layout.place(n))}": size
+        for n, noise in enumerate(every)
+        if noise
+        for key, size in noise.estimated.items()
+    }
+    image = NoiseEstimate(layout.joined(outliers), (), joined, of_modules=tuple(every), estimated=estimated)
     return image.with_warnings(*messages[:MAX_NAMED], more)
 
 

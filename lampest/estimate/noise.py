@@ -98,6 +98,11 @@ class NoiseEstimate:
         return 0.0 if self.possible_errors is None else READING_ERROR.size(self.possible_errors.sizes)
 
     @property
+    def error_in_sigma(self) -> float:
+        """The part of `reading_error` that σ of the readings includes, as a fraction of the reading."""
+        return 0.0 if self.possible_errors is None else self.possible_errors.in_sigma
+
+    @property
     def shared_sizes(self) -> tuple[float, float, float]:
         """Standard deviations of a frame's gain, %, of the ripple common to all lines and of each line's own, LSB."""
         if self.frame is None:
@@ -122,8 +127,8 @@ class NoiseEstimate:
         )
         return "; ".join(filter(None, messages))
 
-    def determined(self, key: str, size: tuple[float, float], unit: str = "") -> "NoiseEstimate":
-        """Return the noise with a number of the scene that the recording determined, and its sentence.
+    def determined(self, key: str, size: tuple[float, float]) -> "NoiseEstimate":
+        """Return the noise with a number of the scene that the recording determined.
 
         Parameters
         ----------
@@ -131,11 +136,8 @@ class NoiseEstimate:
             Key of the scene.
         size : (float, float)
             Number and standard deviation.
-        unit : str
         """
-        number, deviation = (float(f"{part:.2g}") for part in size)
-        sentence = f"{key}: {number:g} +- {deviation:g}{f' {unit}' if unit else ''}, estimated from this recording"
-        return replace(self, estimated={**self.estimated, key: size}).with_warnings(sentence)
+        return replace(self, estimated={**self.estimated, key: size})
 
     def undetermined(self, key: str, reason: str) -> "NoiseEstimate":
         """Return the noise with a sentence on a number that the recording cannot determine: why, and what to record."""
@@ -214,7 +216,7 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
     noise = noise.with_warnings(message)
     if readout is not None and asked:
         size = shown_noise(readout, ratio)[0]
-        noise = noise.determined("readout.noise_lsb", (size, size / precision), "LSB")
+        noise = noise.determined("readout.noise_lsb", (size, size / precision))
     return _with_estimated_frame_noise(noise, recording, parts)
 
 
@@ -277,7 +279,7 @@ def _with_estimated_frame_noise(noise: NoiseEstimate, recording: Recording, part
         noise = replace(noise, frame=known)
         size = float(np.hypot(*noise.shared_sizes[1:]))
         deviation = float(np.hypot(parts.ripple_sd * volt / scene.circuit.lsb_volt, noise.shared_sizes[2] * relative))
-        noise = noise.determined("ripple", (size, deviation), "LSB")
+        noise = noise.determined("ripple", (size, deviation))
     return replace(noise, frame=known)
 
 

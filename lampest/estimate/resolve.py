@@ -1,8 +1,8 @@
 """Resolution of a scene: the numbers that it calls `estimated`, determined once from the recording.
 
 Each effect is an entry of one table: its keys, and how the recording determines them. What an entry returns holds the
-numbers with their standard deviations, a sentence for each, and readings with the corresponding σ. Where the recording
-cannot determine a number, the sentence says why and what to record, and the prior stays.
+numbers with their standard deviations, and readings with the corresponding σ. Where the recording cannot determine a
+number, a warning says why and what to record, and the prior stays.
 """
 
 from collections.abc import Callable
@@ -104,7 +104,7 @@ def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
     size = share_of_motion(scene, readings[unloaded].mean(), readings, measured) if unloaded.any() else None
     if size is None:
         return noise.undetermined("motion", "cells explain each frame within its noise, so none shows motion")
-    return noise.with_motion(scene, measured, size[0]).determined("motion", size, "of the time between frames")
+    return noise.with_motion(scene, measured, size[0]).determined("motion", size)
 
 
 def _shared(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
@@ -130,7 +130,7 @@ def _shared(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
     noise = _with_reading_error(replace(noise, possible_errors=found.possible), recording)
     for name in asked:
         if name in found.sizes:
-            noise = noise.determined(f"systematic.{name}", found.sizes[name], UNITS[name])
+            noise = noise.determined(f"systematic.{name}", found.sizes[name])
         else:
             reason = found.undetermined or "no frame shows it; `lampest calibrate` measures it"
             noise = noise.undetermined(f"systematic.{name}", reason)
@@ -144,7 +144,7 @@ def _with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEsti
     frames includes √n times the error.
     """
     sigma = noise.readings.sigma
-    size = 0.0 if noise.possible_errors is None else noise.possible_errors.in_sigma
+    size = noise.error_in_sigma
     if sigma is None or not size:
         return noise
     unloaded = recording.role == UNLOADED
@@ -183,7 +183,6 @@ def _model(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Nois
     return with_model_error(noise, recording)
 
 
-UNITS = {error.setting: error.unit for error in SHARED_ERRORS}
 # In the order in which they are resolved: each sees the readings without the effects before it.
 ENTRIES = (
     Entry(("leaks", "contacts"), _besides),
@@ -214,8 +213,7 @@ def with_resolved_electronics(
         if passes is None:
             noise = noise.undetermined(PASSES, "channels of its frames end at no common voltage: load more cells")
         else:
-            sentence = f"{PASSES}: [{passes[0]:.3g}, {passes[1]:.3g}] V, estimated from this recording"
-            noise = replace(noise, estimated={**noise.estimated, PASSES: passes}).with_warnings(sentence)
+            noise = noise.determined(PASSES, passes)
     if isinstance(memory, str):
         return noise.undetermined("converter_memory", memory)
     return noise if memory is None else noise.determined("converter_memory", memory)

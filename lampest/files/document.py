@@ -210,12 +210,11 @@ def validated(document: Document, kind: Any) -> Any:
         return adapter(kind).validate_json(json.dumps(document.content), strict=True)
     except ValidationError as error:
         faults = error.errors(include_url=False)
-        location, message = _worst(faults, document.content)
-        message = _plain_words(message, document.content, location)
+        location, message, alternatives = _worst(faults, document.content)
         if message == UNKNOWN:
-            known = _known_keys(kind, document.content, location)
-            listed = f"; there are {', '.join(sorted(known))}" if 0 < len(known) <= 12 else ""
-            message += meant(str(location[-1]), known) or listed
+            message += _possible_keys(kind, document.content, location)
+        else:
+            message = _plain_words(message, document.content, location) + _meant_choice(alternatives)
         raise document.error(location, message) from error
 
 
@@ -292,14 +291,13 @@ def conformed(validator: TypeAdapter[Any], value: Any) -> Any:
         faults = error.errors(include_url=False)
         repeating = ("union_tag_not_found", "model_attributes_type")  # further faults of the same union
         message = _sentence_of([fault for fault in faults if fault["type"] not in repeating] or faults)
-        close = meant(value, re.findall(r"'(\w+)'", message)) if isinstance(value, str) else ""
-        raise InputError(f"{message}, not {in_words(value)}{close}") from error
+        raise InputError(f"{message}, not {in_words(value)}{_meant_choice(faults)}") from error
     except (TypeError, ValueError, ArithmeticError, AttributeError) as error:
         raise InputError(f"{in_words(value)} does not fit ({' '.join(str(error).split())})") from error
 
 
-def _known_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> set[str]:
-    """Return the keys that may replace an unknown key: those of the objects that may stand at its place."""
+def _possible_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> str:
+    """Return the key that is similar to an unknown one, or else those that its place may also have; '' for many."""
     schema = adapter(kind).json_schema()
     nodes = _alternatives(schema, schema)
     for part in location[:-1]:
@@ -312,7 +310,11 @@ def _known_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> set[str]:
     objects = [node["properties"] for node in nodes if "properties" in node]
     # Objects of another kind have another constant for a shared key.
     fitting = [known for known in objects if all(_fits(known.get(key, {}), value) for key, value in content.items())]
-    return {key for known in fitting for key in known} - {*content}
+    keys = {key for known in fitting for key in known}
+    unused = sorted(keys - {*content})
+    listed = f"; there are {', '.join(unused)}" if 0 < len(unused) <= 12 else ""
+    # A setting on the command line may misspell a key that the file has.
+    return meant(str(location[-1]), keys) or listed
 
 
 def _alternatives(node: Any, schema: Any) -> list[Any]:
@@ -328,15 +330,15 @@ def _fits(node: Any, value: Any) -> bool:
     return value in node.get("enum", [node.get("const", value)])
 
 
-def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
-    """Return the location of the most informative fault, and its sentence.
+def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str, list[Any]]:
+    """Return the location of the most informative fault, its sentence, and the faults that the sentence names.
 
     A misspelt key also leaves its field missing; the key is the part that the user can see. For a value of one of
     several types, the deepest fault belongs to the intended type.
     """
     for fault in faults:
         if fault["type"] == "unexpected_keyword_argument":
-            return _location(fault, content), UNKNOWN
+            return _location(fault, content), UNKNOWN, []
     within = _location(faults[0], content)
     inside = [(_location(fault, content), fault) for fault in faults]
     inside = [(place, fault) for place, fault in inside if place[: len(within)] == within]
@@ -344,8 +346,9 @@ def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
     if worst["type"] == "value_error":
         message = worst["msg"].removeprefix("Value error, ")
         named = _named_first(message, content, place)
-        return (*place, *named), message.removeprefix(".".join(named) + ": ")
-    return place, _sentence_of([fault for where, fault in inside if where == place])
+        return (*place, *named), message.removeprefix(".".join(named) + ": "), []
+    alternatives = [fault for where, fault in inside if where == place]
+    return place, _sentence_of(alternatives), alternatives
 
 
 def _named_first(message: str, content: Any, place: tuple[Any, ...]) -> tuple[str, ...]:
@@ -374,6 +377,18 @@ def _sentence_of(faults: Sequence[Any]) -> str:
         sentences.append(sentence)
     first, *alternatives = dict.fromkeys(sentences)
     return " or ".join([first, *(sentence.removeprefix("Input should be ") for sentence in alternatives)])
+
+
+def _meant_choice(faults: Sequence[Any]) -> str:
+    """Return '; did you mean reduced?' if the value of these faults is similar to a word of a closed list, else ''."""
+    choices: list[str] = []
+    words: list[str] = []
+    for fault in faults:
+        context = fault.get("ctx", {})
+        word = context.get("tag", fault["input"])
+        words += [word] if isinstance(word, str) else []
+        choices += re.findall(r"'([^']+)'", str(context.get("expected_tags", context.get("expected", ""))))
+    return next(filter(None, (meant(word, choices) for word in words)), "")
 
 
 def _location(fault: Any, content: Any) -> tuple[Any, ...]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from lampest.files.document import UNKNOWN, Document, place_in
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, meant
 
 Kind = TypeVar("Kind")
 
@@ -89,7 +89,9 @@ def combinations(
             raise _blamed(document, assignments, validate, error) from error
         for path in assignments:
             if not _is_place(document.content, value, path.split(".")):
-                raise document.error(("sweep", path), "no such place in this document")
+                first, *inner = path.split(".")
+                close = meant(inner[0], names) if first == apart and inner else ""
+                raise document.error(("sweep", path), f"no such place in this document{close}")
         combined.append(Combination(entry, assignments, varied, value))
     return combined
 

@@ -14,6 +14,7 @@ from lampest.files import hdf5
 from lampest.files.document import plain_content
 from lampest.files.errors import InputError, first_and_more
 from lampest.files.whole import own
+from lampest.panel.estimated import estimated_lines
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FORMAT as RECORDING
@@ -123,6 +124,7 @@ def _audit(recording: Recording) -> Iterator[Sentence]:
         if (reason := _processing(recording)) and recording.scene.baseline is None:
             yield "warning", f"these are no readings as the converter gives them: {reason}"
         yield from (("warning", warning) for warning in audit.prepared.warnings if warning not in told)
+        yield from (("estimated", line) for line in estimated_lines(audit.prepared.noise.estimated))
         yield from (("advice", finding.text) for finding in audit.advice)
 
 
@@ -220,6 +222,7 @@ def _results_lines(results: Results) -> list[str]:
                 ("", holes_sentence(missing, bounds)),
                 ("model", shown and f"{first.model_mark}: {first.model_sentence}"),
                 *(("warning", line) for line in first.warnings.split("\n")),
+                *(("estimated", line) for line in estimated_lines(first.scene.estimated)),
                 *(("advice", line) for line in first.advice.split("\n")),
                 ("film", first.film_sentence),
                 ("noise", first.noise_learned),

@@ -16,6 +16,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import extra
+from lampest.panel.estimated import estimated_lines
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
 from lampest.report.compare import data_error
@@ -119,6 +120,7 @@ class Reconstruction(Estimates):
             f"Cells in frame {self.frame[place]} at {self.time[place]:g} s": [
                 f"{n:18} = {text}" for n, text in cells.items()
             ],
+            "Estimated": list(estimated_lines(self.noise.estimated)),
             "Warnings": list(self.checks),
         }
         blocks = ((f"[[{title}]]", *(f"    {line}" for line in lines)) for title, lines in sections.items() if lines)

@@ -26,6 +26,7 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import logged_reason
 from lampest.files.whole import inner_folder, opened_for_locking, output_folder, own, remove_own, sparing
+from lampest.panel.estimated import about_recordings
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import CaseResult, StoredCase
@@ -57,8 +58,9 @@ class Report:
         New name of a file with results of other cases.
     not_run : int
         Number of cases that no executor ran, for the reason `lost`.
-    warnings, advice : tuple of str
-        Warnings about the results, and advice on the scenes, each behind the recording's name.
+    warnings, advice, estimated : tuple of str
+        Warnings about the results, advice on the scenes, and the numbers that recordings determined, each behind the
+        recording's name.
     """
 
     results: Path | None
@@ -70,6 +72,7 @@ class Report:
     lost: str = ""
     warnings: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
+    estimated: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -208,8 +211,11 @@ def run_batch(
         not_run = len(tasks) - len(finished) - len(failed) if lost else 0
         solved = len(waiting) - len(failed) - not_run
         warnings, advice = (_different_lines(held, name) for name in ("warnings", "advice"))
+        estimated = about_recordings(
+            (case.recording, case.scene.estimated) for case in held if isinstance(case, CaseResult)
+        )
         results = folder / RESULTS if held else None
-        return Report(results, solved, skipped, tuple(failed), aside, not_run, lost, warnings, advice)
+        return Report(results, solved, skipped, tuple(failed), aside, not_run, lost, warnings, advice, estimated)
 
 
 def _failure(task: Task, error: BaseException) -> tuple[str, str]:

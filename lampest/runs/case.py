@@ -77,6 +77,12 @@ class CaseResult(Content):
         What the recording suggests beyond its scene, one line each.
     reading_error : float
         Standard deviation of ln of a constant factor on each reading, estimated from still cells; 0: none.
+    error_in_sigma : float
+        The part of `reading_error` that `sigma` includes.
+    model_factor : float
+        Factor by which the model's error widens `sigma`; 1: none.
+    unloaded_frames : int
+        Number of frames of which the baseline is the mean; 0: unknown, or none is unloaded.
     frame_noise : mapping
         Noise that the readings of a frame share; empty: none.
     start_time : str

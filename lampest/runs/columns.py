@@ -285,6 +285,11 @@ def _frame_numbers(done: Estimates) -> NDArray[np.intp]:
     return done.frame if done.recording.number is None else done.recording.number[done.frame]
 
 
+def _unloaded_frames(done: Estimates) -> int:
+    """Return the number of frames of which the baseline is the mean; 0 where none is unloaded."""
+    return int(np.sum(done.recording.role == UNLOADED))
+
+
 def _truth(done: Estimates) -> Array | None:
     """Return true cells, (frames, rows, columns) ohm, NaN where the scene has no intact cell, or None."""
     cells = done.recording.truth_cell_resistance
@@ -422,6 +427,9 @@ class Content(Validated):
     film_sentence: str = _attribute("film", value=lambda done: "" if done.film is None else done.film.sentence)
     warnings: str = _attribute("warnings", value=lambda done: "\n".join(done.checks))
     reading_error: float = _attribute("reading_error", "noise.reading_error", 0.0)
+    error_in_sigma: float = _attribute("reading_error_in_sigma", "noise.error_in_sigma", 0.0)
+    model_factor: float = _attribute("model_factor", "noise.model_factor", 1.0)
+    unloaded_frames: int = _attribute("unloaded_frames", default=0, value=_unloaded_frames)
     frame_noise: dict[str, Array] = field(default_factory=dict)
     start_time: str = ""
     # The measurement that all estimates of a recording share: frames, readings with their noise, and the truth.

@@ -228,7 +228,12 @@ FILES |= {
         "array ts in ms", name="m.jsonl", times=np.arange(4) / 20,
     ),
     "JSON lines that are cut": given(
-        "\n".join(map(json.dumps, listed(FRAMES)))[:-9], name="m.jsonl", expected=FRAMES[:3]
+        "\n".join(map(json.dumps, listed(FRAMES)))[:-9], "left out: line 4, the last one, which is cut off",
+        name="m.jsonl", expected=FRAMES[:3],
+    ),
+    "JSON lines of a table that are cut": given(
+        "\n".join(map(json.dumps, NAMED_RECORDS))[:-9], "left out: line 4, the last one, which is cut off",
+        name="m.json", expected=FRAMES[:3], times=np.arange(3) / 4,
     ),
     "Parquet": given(table_of, "cells by their names", name="m.parquet"),
     "Parquet with dates": given(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import lampest
+from lampest import Panel, Scene, Simulation, TwoPointReadout, simulate
 
 Command = Callable[..., SimpleNamespace]
 
@@ -52,7 +53,12 @@ def starter(tmp_path: Path, lampest: Command) -> Path:
         ("readout.load_ohm=1M", "not '1M': write 1000000"),
         ("readout.adc_bits=ten", "readout.adc_bits: must be a whole number, not 'ten'"),
         ("readout.adc_bits=10.5", "must be a whole number, not 10.5"),
-        ("readout.driven=row", "must be 'rows' or 'columns', not 'row'"),
+        ("readout.driven=row", "must be 'rows' or 'columns', not 'row'; did you mean rows?"),
+        ("readout.kind=loaded_column", "virtual_ground; did you mean loaded_columns?"),
+        ("readout.lod_ohm=3300", "readout.lod_ohm: no such key; did you mean load_ohm?"),
+        ("readout.noise_lsb=estimatd", "'estimated', not 'estimatd'; did you mean estimated?"),
+        ("purpose=matt", "purpose: must be 'mat', not 'matt'; did you mean mat?"),
+        ("systematic=typcal", "not 'typcal'; did you mean typical?"),
         ("series_resistance_ohm=140 ohm", "must be a number or a mapping, not '140 ohm': write 140"),
         ("readout=5", "readout: must be a mapping with a 'kind', not 5"),
     ],
@@ -62,6 +68,14 @@ def test_a_wrong_value_is_named_with_what_to_write(
 ) -> None:
     ended = lampest("import", codes, "--scene", scene, "--set", assigned, "--out", codes.with_suffix(".h5"))
     assert ended.code == 2 and sentence in ended.err and "Input should" not in ended.err
+
+
+@pytest.mark.parametrize("assigned", ["readout.driven=diagonals", "readout.kind=bridge", "purpose=insole"])
+def test_a_word_that_resembles_no_known_one_has_no_suggestion(
+    assigned: str, codes: Path, scene: Path, lampest: Command
+) -> None:
+    ended = lampest("import", codes, "--scene", scene, "--set", assigned, "--out", codes.with_suffix(".h5"))
+    assert ended.code == 2 and "did you mean" not in ended.err
 
 
 def test_a_file_in_place_of_which_another_appears_is_named(codes: Path, scene: Path, lampest: Command) -> None:
@@ -93,6 +107,42 @@ def test_a_setting_of_an_unknown_estimator_is_refused_by_its_name(starter: Path,
     assert "there is no estimator 'smoth'; did you mean smooth?" in ended.err
     unlike = lampest("run", starter / "run.yaml", "--set", "estimators.x.error_bars=false")
     assert "there is no estimator 'x'; there are no_penalty, smooth, few_changes" in unlike.err
+
+
+def test_numbers_that_a_recording_determines_are_information_and_no_warning(tmp_path: Path, lampest: Command) -> None:
+    scene = Scene(Panel(3, 4), TwoPointReadout(noise_lsb=0.7), 140.0, gain="estimated", ripple="estimated")
+    simulate(Simulation(1, 1, scene, baseline_frames=5, frames=2)).save(tmp_path / "mine.h5")
+    (tmp_path / "run.yaml").write_text(
+        "schema: 1\nrecordings: [mine.h5]\nestimators: {LSM: {terms: {misfit: {}}, error_bars: false}}\n"
+    )
+    number = r"[\d.e-]+ ± [\d.e-]+"
+    ran = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", 1)
+    assert re.search(rf"^estimated: mine: gain: {number} \(relative\)$", ran.out, re.MULTILINE)
+    assert re.search(rf"^estimated: mine: ripple: {number} LSB$", ran.out, re.MULTILINE)
+    for file in (tmp_path / "mine.h5", tmp_path / "out" / "results.h5"):
+        info = lampest("info", file).out
+        assert re.search(rf"^estimated +gain: {number} \(relative\)$", info, re.MULTILINE)
+        assert not re.search(r"^warning.*(gain|ripple)", ran.out + info, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("added", "sentence"),
+    [
+        ("formulation: nodall", "'smoother' or a mapping, not 'nodall'; did you mean nodal?"),
+        (
+            "sweep: {estimators.smoth.terms.log_gradient.weight: [1]}",
+            "no such place in this document; did you mean smooth?",
+        ),
+        ("sweep: {estimators.smooth.terms.log_gradint.weight: [1]}", "no such key; did you mean log_gradient?"),
+    ],
+)
+def test_a_misspelt_word_of_a_run_file_is_answered_with_the_word_to_write(
+    added: str, sentence: str, starter: Path, lampest: Command
+) -> None:
+    run = starter / "run.yaml"
+    run.write_text(f"{run.read_text()}\n{added}\n")
+    ended = lampest("run", run)
+    assert ended.code == 2 and sentence in ended.err
 
 
 def test_a_pattern_without_quotation_marks_is_explained_and_the_starter_file_shows_them(

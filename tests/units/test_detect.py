@@ -9,19 +9,42 @@ import numpy as np
 import pytest
 from laws.recognised import answered
 
-from lampest import Block, InputError, OralDisc, Panel, Recording, Rod, Scene
+from lampest import (
+    Block,
+    InputError,
+    LogRatio,
+    Misfit,
+    OralDisc,
+    Panel,
+    Recording,
+    Results,
+    Rod,
+    Scene,
+    Systematic,
+    read_results,
+    reconstruct,
+    write_results,
+)
 from lampest.estimate.prepared import Prepared
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
+from lampest.recording.simulation.simulation import Cells, Course, Simulation, Unmodelled, simulate
 from lampest.report.detect.answer import (
     CANNOT_SAY,
     LAMPREY,
     PRESSES,
     SUCKS,
 )
-from lampest.report.detect.detection import Known, detect_recording, known_of
+from lampest.report.detect.detection import (
+    Known,
+    detect_recording,
+    detect_results,
+    known_of,
+    known_of_case,
+    measured_frames,
+)
 from lampest.runs.filling import _arrays_of, frame_noise_of
+from lampest.runs.starter import write_starter
 
 PANEL = Panel(8, 10, 10.0)
 MOUTH = OralDisc(centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
@@ -114,6 +137,40 @@ def test_cells_that_conduct_less_are_no_contact_and_get_no_cause() -> None:
     answer = answered(turned)
     assert not answer.attachments
     assert answer.answer == CANNOT_SAY
+
+
+def test_a_recording_and_its_results_give_detection_the_same(tmp_path: Path) -> None:
+    """Results hold the mean of the unloaded frames, and σ with errors of the readings. The scene's noise is wrong."""
+    scene = Scene(Panel(4, 5, 10.0), TwoPointReadout(noise_lsb=0.7), 140.0)
+    load = Rod(centre_mm=(20, 15), diameter_mm=20, mass_g=500)
+    recording = recorded(scene=scene, loads=(load,), unmodelled=Unmodelled(reading_error=0.1))
+    readout = replace(scene.readout, noise_lsb=0.3)
+    named = replace(scene, readout=readout, gain="estimated", systematic=Systematic(reading_error="estimated"))
+    recording = replace(recording, scene=named)
+    found = reconstruct(recording, [Misfit(weighting="noise"), LogRatio(weight=1.0)], error_bars=False)
+    assert found.noise.error_in_sigma and found.noise.sigma_factor > 1
+    write_results(tmp_path / "results.h5", [found.result("changes")])
+    known = known_of(found.prepared)
+    again, frames = known_of_case(read_results(tmp_path / "results.h5").cases[0])
+    assert isinstance(known, Known)
+    assert (known.explained, known.begin) == (again.explained, again.begin)
+    assert known.unloaded.shape == again.unloaded.shape
+    np.testing.assert_allclose(known.resting, again.resting)
+    np.testing.assert_allclose(known.sigma, again.sigma)
+    all_frames = np.ones(len(recording.time), dtype=bool)
+    for expected, of_results in zip(measured_frames(recording, known, all_frames), frames, strict=True):
+        for part, part_again in zip(expected, of_results, strict=True):
+            np.testing.assert_allclose(part, part_again)
+
+
+@pytest.mark.slow
+def test_a_mouth_on_a_panel_with_pull_ups_sucks_in_the_recording_and_in_its_results(tmp_path: Path) -> None:
+    write_starter(tmp_path / "mine", "pull_ups", 10, 10)
+    recording = Recording.load(tmp_path / "mine" / "example.h5")
+    found = reconstruct(recording, [Misfit(weighting="noise"), LogRatio(weight=1.0)], error_bars=False)
+    (of_results,) = detect_results(Results((found.result("changes"),)))
+    assert of_results.answer == SUCKS
+    assert of_results.sentence == detect_recording(tmp_path / "mine" / "example.h5").sentence
 
 
 @pytest.mark.slow

@@ -47,6 +47,10 @@ def test_texts_break_between_words_or_after_a_sign() -> None:
     assert wrapped("log_gradient.weight=0.001", 11) == "log_\ngradient.\nweight=0.001"
     assert wrapped("weight=1e-3", 4) == "weight=1e-3"
     assert wrapped("unbreakable", 4) == "unbreakable"
+    assert wrapped("LSR-CR, paper's λ", 16) == "LSR-CR,\npaper's λ"
+    assert wrapped("a mat of 10 × 10 cells", 13) == "a mat of\n10 × 10 cells"
+    assert wrapped("gradient λ = 0.001, at 1.5 s", 12) == "gradient\nλ = 0.001,\nat 1.5 s"
+    assert wrapped("change 3 ± 2 %", 12) == "change\n3 ± 2 %"
     assert wrapped("", 4) == ""
 
 

@@ -11,6 +11,7 @@ from support import METHODS, invented_case
 
 from lampest import CaseResult, InputError, write_results
 from lampest.cli.screen import print_table
+from lampest.panel.estimated import estimated_lines
 from lampest.report.compare import Table
 from lampest.report.detect.pressed import pressed_of
 from lampest.report.page.compared import Batch
@@ -167,3 +168,23 @@ def test_a_wide_table_folds_its_texts_and_keeps_its_figures(sources: int, capsys
     assert lines == ["", "figure", "─" * 17, "x          1 ± 2", "two words  3", ""]
     print_table(Table(("", *map(str, range(30))), (("x", *["1.25 ± 0.25"] * 30),)))
     assert capsys.readouterr().out.count("1.25 ± 0.25") == 30, "whole where no terminal is wide enough, too"
+
+
+def test_lines_of_estimated_numbers_have_their_units_and_are_few() -> None:
+    held = {
+        "readout.passes_volt": (0.1, 4.25),
+        "systematic.inl_lsb": (0.5, 0.123),
+        "systematic.wire_ohm_per_cell": (0.2, 0.1),
+        "leaks of row 3": (1e-4, 1e-5),
+        "converter_memory": (0.04, 0.001),
+    }
+    assert estimated_lines(held) == (
+        "readout.passes_volt: 0.1 to 4.25 V",
+        "systematic.inl_lsb: 0.5 ± 0.12 LSB",
+        "systematic.wire_ohm_per_cell: 0.2 ± 0.1 ohm a cell",
+        "leaks of row 3: 0.0001 ± 1e-05 siemens",
+        "converter_memory: 0.04 ± 0.001 (relative)",
+    )
+    of_modules = estimated_lines({f"gain of module [0, {number}]": (0.1, 0.1) for number in range(20)})
+    assert len(of_modules) == 13 and of_modules[-1] == "8 more numbers, which the scene of the results holds"
+    assert estimated_lines(None) == ()

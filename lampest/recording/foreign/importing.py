@@ -272,10 +272,12 @@ def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | L
         if kind in READERS:
             return frames_of_arrays(path, arrays_of(path), shape, variable)
         if kind in RECORDS:
-            records = records_of(path)
+            records, notes = records_of(path)
             if isinstance(records, FieldLines):
-                return frames_of(readings_table(records, layout), shape)
-            return frames_of_arrays(path, records, shape, variable)
+                frames = frames_of(readings_table(records, layout), shape)
+            else:
+                frames = frames_of_arrays(path, records, shape, variable)
+            return replace(frames, notes=(*frames.notes, *notes))
         if kind in SHEETS:
             return _of_sheets(path, shape, variable, layout)
         return frames_of(readings_table(lines_of_text(path), layout), shape)

@@ -17,20 +17,22 @@ from lampest.recording.foreign.words import role_of
 MAX_TEXT = 100_000_000  # bytes of JSON: its values take ten times as much memory
 INDEX = "__index_level_0__"  # pandas' name of a row's number in Parquet
 
+Content = tuple[Any, tuple[str, ...]]  # a file's content, and notes on it
 
-def records_of(path: Path) -> Arrays | FieldLines:
-    """Return the arrays of a file of records by name; records of single values are the lines of a table.
+
+def records_of(path: Path) -> tuple[Arrays | FieldLines, tuple[str, ...]]:
+    """Return the arrays of a file of records by name, and notes; records of single values are the lines of a table.
 
     Raises InputError if the file is damaged or too large, or if its lists have different lengths.
     """
-    content = READERS[path.suffix.lower()](path)
+    content, notes = READERS[path.suffix.lower()](path)
     held = _largest_records(content)
     if held is None:
-        return _arrays(path, content if isinstance(content, dict) else {"": content})
+        return _arrays(path, content if isinstance(content, dict) else {"": content}), notes
     if all(_is_value(value) for record in held for value in record.values()):
-        return _table(path, held)
+        return _table(path, held), notes
     names = dict.fromkeys(name for record in held for name in record)
-    return _arrays(path, {name: [record.get(name) for record in held] for name in names})
+    return _arrays(path, {name: [record.get(name) for record in held] for name in names}), notes
 
 
 def _largest_records(content: Any) -> list[dict[str, Any]] | None:
@@ -103,10 +105,10 @@ def text_of_value(value: Any) -> str:
     return repr(float(value)).removesuffix(".0") if isinstance(value, int | float | np.number) else str(value)
 
 
-def _of_json(path: Path) -> Any:
+def _of_json(path: Path) -> Content:
     text = _text_of(path)
     try:
-        return json.loads(text)
+        return json.loads(text), ()
     except ValueError as error:
         if "Extra data" in str(error) and "\n" in text.strip():
             return _of_json_lines(path)  # one value a line under the name of one value
@@ -117,18 +119,19 @@ def _of_json(path: Path) -> Any:
             raise
 
 
-def _of_json_lines(path: Path) -> Any:
-    """Return one value for each line; a last line that is cut is left out."""
+def _of_json_lines(path: Path) -> Content:
+    """Return one value for each line; a last line that is cut is left out, and named in a note."""
     lines = [(number, line) for number, line in enumerate(_text_of(path).splitlines(), 1) if line.strip()]
     values = []
+    notes: tuple[str, ...] = ()
     for number, line in lines:
         try:
             values.append(json.loads(line))
         except (ValueError, RecursionError) as error:
-            if number == lines[-1][0] and values:
-                break
-            raise InputError(f"{path}:{number}: no JSON ({' '.join(str(error).split())})") from error
-    return values
+            if number != lines[-1][0] or not values:
+                raise InputError(f"{path}:{number}: no JSON ({' '.join(str(error).split())})") from error
+            notes = (f"left out: line {number}, the last one, which is cut off",)
+    return values, notes
 
 
 def _text_of(path: Path) -> str:
@@ -139,23 +142,23 @@ def _text_of(path: Path) -> str:
         return path.read_text(encoding="utf-8-sig")
 
 
-def _of_parquet(path: Path) -> Any:
+def _of_parquet(path: Path) -> Content:
     with extra("export"):
         from pyarrow import parquet
     with reading(path):
         known = parquet.read_metadata(path)
         check_count(path, known.num_rows * known.num_columns)
-        return parquet.read_table(path).to_pylist()
+        return parquet.read_table(path).to_pylist(), ()
 
 
-def _of_feather(path: Path) -> Any:
+def _of_feather(path: Path) -> Content:
     with extra("export"):
         from pyarrow import feather
     with reading(path):
-        return feather.read_table(path).to_pylist()
+        return feather.read_table(path).to_pylist(), ()
 
 
-READERS: dict[str, Callable[[Path], Any]] = {
+READERS: dict[str, Callable[[Path], Content]] = {
     ".json": _of_json,
     ".jsonl": _of_json_lines,
     ".ndjson": _of_json_lines,

@@ -25,6 +25,7 @@ from lampest.loads.recognition.observation import ModelErrors
 from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Panelled, Watch
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.panel.systematic import own_errors
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings, stand_in
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -38,6 +39,7 @@ from lampest.runs.results import Results
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
 NO_RESPONSE = "no pressures and forces, since the scene names no response; shapes are fitted with the published one"
 HEAD_FRAMES = 100  # measured frames from which, with the unloaded ones, the noise is estimated
+MIN_FRAME_SHARE = 1e-6  # of σ: the noise of a frame is no less, whatever rounding leaves
 Frames = Iterator[tuple[Array, Array, float]]
 
 
@@ -72,6 +74,8 @@ class Known:
         Probability from which an attachment is called a lamprey, or a suction cup.
     start_time : str or None
         Date and time at 0 s.
+    sigma_factor : float
+        Measured noise of a frame's readings over the one that the scene specifies.
     """
 
     name: str
@@ -88,6 +92,7 @@ class Known:
     explained: bool = True
     threshold: float = MIN_PROBABILITY
     start_time: str | None = None
+    sigma_factor: float = 1.0
 
     @ONE_BLAS_THREAD
     def watch(self) -> Watch | ImageWatch:
@@ -167,7 +172,8 @@ class Known:
     def values(self, readings: Readings) -> tuple[Array, Array]:
         """Return the values and σ of one frame, (rows, columns); σ is infinite where a reading is no value."""
         sigma = readings.sigma_of_values
-        return readings.value, np.where(readings.plain, self.sigma if sigma is None else sigma, np.inf)
+        known = self.sigma if sigma is None else self.sigma_factor * sigma
+        return readings.value, np.where(readings.plain, known, np.inf)
 
 
 def frame_rate(times: Sequence[float]) -> float:
@@ -189,23 +195,55 @@ def detect_results(
 
 def _of_case(task: tuple[CaseResult, float | None, float]) -> Detected:
     case, patch_mm, threshold = task
+    known, frames = known_of_case(case, patch_mm)
+    messages = tuple(filter(None, case.warnings.split("\n")))
+    return replace(replace(known, threshold=threshold).answer(frames), warnings=messages)
+
+
+def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Known, Frames]:
+    """Return the knowledge of a recording from its results, and its measured frames, as of the recording itself."""
     side = np.where(case.valued, case.measured, np.nan)
     spread = case.sigma
     notes = tuple[str, ...]()
     noise = frame_noise_of(case.frame_noise, case.scene)
+    # Results of earlier versions have the number of unloaded frames beside the noise that frames share.
+    count = case.unloaded_frames or (1 if noise is None else noise.unloaded)
     if spread is None or case.sigma_baseline is None:
         deviation, notes = _scattered(side)
         spread = np.broadcast_to(deviation, side.shape)
     else:
-        deviation = case.sigma_baseline * np.sqrt(1 if noise is None else noise.unloaded)
+        spread = _frame_sigma(case, side, spread, 1)
+        deviation = _frame_sigma(case, case.measured_baseline, case.sigma_baseline, count)
+        deviation = np.minimum(deviation, spread[:HEAD_FRAMES].min(axis=0))
     baseline = case.measured_baseline
     baseline = np.where(np.isfinite(baseline), baseline, stand_in(baseline, np.isfinite(baseline)))
     begin = float(case.time[0] - (np.median(np.diff(case.time)) if len(case.time) > 1 else 0.0))
-    before = baseline, deviation, baseline[None], begin, case.reading_error, noise, notes, patch_mm
-    values = zip(side, np.where(case.valued, spread, np.inf), map(float, case.time), strict=True)
-    messages = tuple(filter(None, case.warnings.split("\n")))
-    known = Known(case.recording, case.scene, *before, threshold=threshold, start_time=case.start_time)
-    return replace(known.answer(values), warnings=messages)
+    known = Known(
+        case.recording,
+        case.scene,
+        baseline,
+        deviation,
+        np.repeat(baseline[None], count, axis=0),  # results hold the mean of the unloaded frames alone
+        begin,
+        case.reading_error,
+        noise,
+        notes,
+        patch_mm,
+        explained=case.model_mark != "no",
+        start_time=case.start_time,
+    )
+    return known, zip(side, np.where(case.valued, spread, np.inf), map(float, case.time), strict=True)
+
+
+def _frame_sigma(case: CaseResult, value: Array, sigma: Array, count: int) -> Array:
+    """Return σ of one frame's readings by the σ of the mean of `count` frames, without errors that all frames share.
+
+    Averaging reduces neither the error of the model nor the one of each reading, see `scaled` and
+    `_with_reading_error` of `lampest.estimate`.
+    """
+    shared = own_errors(value, case.scene, case.error_in_sigma)
+    square = count * sigma**2 / (1 + count * (case.model_factor**2 - 1)) - count * shared**2
+    return np.asarray(np.sqrt(np.fmax(square, (MIN_FRAME_SHARE * sigma) ** 2)))
 
 
 def detect_recording(
@@ -271,6 +309,7 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
     error = 0.0
     scene = head.scene
     besides = None
+    factor = 1.0
     if seen is None or readings.sigma is None:
         if len(head.time) < 3:
             return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
@@ -281,11 +320,13 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
         besides = seen.corrected_effects
         scene = with_saturated_stage(head).scene
         specified = np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
-        sigma = seen.sigma_factor / seen.model_factor * specified
+        factor = seen.sigma_factor / seen.model_factor
+        sigma = factor * specified
         readings = seen.readings
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
     before = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, notes, patch_mm
-    return Known(head.name, scene, *before, besides, prepared.check.explains is not False)
+    explained = prepared.check.explains is not False
+    return Known(head.name, scene, *before, besides, explained, sigma_factor=factor)
 
 
 def recognition_noise(prepared: Prepared) -> NoiseEstimate:

@@ -392,7 +392,7 @@ def maps_figure(
     signs = max(10, int(17 * arrangement.map_width))  # that fit over a map
     painters = [MapPainter(panel, level, contoured) for level in scales for _ in range(len(tiles) // len(scales))]
     for axes, tile, painter in zip(grid.flat, tiles, painters, strict=False):
-        name = tile.title.replace("paper's lambda", "paper's\N{NO-BREAK SPACE}λ")
+        name = tile.title.replace("paper's lambda", "paper's λ")
         painter.draw(axes, replace(tile, title=style.wrapped(style.short_title(name, 60), signs)))
     spans = grid.flat if own_bars else grid if in_rows else [grid]
     for painter, axes in zip(painters[:: len(tiles) // len(scales)], spans, strict=False):

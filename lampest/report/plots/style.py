@@ -25,6 +25,11 @@ ORANGE = "#D55E00"
 SUFFIXES = (".png", ".svg", ".pdf")
 PICTURES = "pictures are written as .png, .svg or .pdf"
 PLAIN_NUMBER = "{x:g}"  # format of ticks without powers of ten
+# Spaces at which a text is not broken: about a sign between two words, before λ, and between a number and its unit.
+JOINED = re.compile(
+    r" (?=[×±=≥≤<>] )|(?<=[×±=≥≤<>]) |(?<=paper's) (?=λ)|(?<=\d) (?=(?:%|k?ohm|m?V|kPa|m?m|m?s|Hz|LSB|°C)(?!\w))"
+)
+HARD_SPACE = "\N{NO-BREAK SPACE}"
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -137,13 +142,17 @@ def short_title(name: str, longest: int = 22) -> str:
 
 
 def wrapped(text: str, signs: int) -> str:
-    """Break a text into lines of at most `signs` characters, between words or after a sign in them, not in numbers."""
+    """Break a text into lines of at most `signs` characters, between words or after a sign in them.
+
+    Numbers are not broken, and neither are words of JOINED.
+    """
     lines = [""]
-    for part in re.findall(r"(?:[^\s._,;:/+-]|(?<=\d)[.,](?=\d)|(?<=\de)[+-](?=\d))+[\s._,;:/+-]*|[\s._,;:/+-]+", text):
+    text = JOINED.sub(HARD_SPACE, text)
+    for part in re.findall(r"(?:[^ ._,;:/+-]|(?<=\d)[.,](?=\d)|(?<=\de)[+-](?=\d))+[ ._,;:/+-]*|[ ._,;:/+-]+", text):
         if lines[-1] and len((lines[-1] + part).rstrip()) > signs:
             lines.append("")
         lines[-1] += part
-    return "\n".join(line.strip() for line in lines)
+    return "\n".join(line.strip() for line in lines).replace(HARD_SPACE, " ")
 
 
 def change_text(value: float, integer_from: float) -> str:

@@ -1,0 +1,40 @@
+"""Sentences on the numbers of a scene that its recording determined."""
+
+from collections.abc import Iterable, Mapping
+
+# Key of a scene, or the end of it → unit; other numbers are relative.
+UNITS = {
+    "_lsb": "LSB",
+    "ripple": "LSB",
+    "_ohm": "ohm",
+    "_ohm_per_cell": "ohm a cell",
+    "motion": "of the time between frames",
+    "model_error": "times the noise",
+    "leaks": "siemens",
+    "contacts": "ohm",
+}
+RANGES = ("readout.passes_volt",)  # keys of which the pair is a range in volt
+MAX_LINES = 12  # a panel of many modules has numbers of each
+
+
+def estimated_lines(estimated: Mapping[str, tuple[float, float]] | None) -> tuple[str, ...]:
+    """Return a line for each number, such as 'ripple: 0.096 ± 0.057 LSB', and one for those beyond MAX_LINES.
+
+    estimated : key of the scene → number and standard deviation, as in `Scene.estimated`; None without any.
+    """
+    lines = [_line(key, *pair) for key, pair in (estimated or {}).items()]
+    more = len(lines) - MAX_LINES
+    return (*lines[:MAX_LINES], f"{more} more numbers, which the scene of the results holds") if more > 0 else (*lines,)
+
+
+def about_recordings(scenes: Iterable[tuple[str, Mapping[str, tuple[float, float]] | None]]) -> tuple[str, ...]:
+    """Return the lines of several recordings, each behind the recording's name, and each once."""
+    return tuple(dict.fromkeys(f"{name}: {line}" for name, held in scenes for line in estimated_lines(held)))
+
+
+def _line(key: str, number: float, deviation: float) -> str:
+    if key in RANGES:
+        return f"{key}: {number:.3g} to {deviation:.3g} V"
+    name = key.partition(" of ")[0]  # without the place: leaks of row 3
+    unit = next((unit for end, unit in UNITS.items() if name.endswith(end)), "(relative)")
+    return f"{key}: {number:.2g} ± {deviation:.2g} {unit}"
