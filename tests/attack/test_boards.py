@@ -92,11 +92,15 @@ def test_a_recorder_killed_at_any_moment_leaves_every_counted_frame(rng: Rng, fo
         killed = Recording.load(out)
         frames = len(killed.time)
         repaired = [repair(out), repair(out)] == [(frames, 0)] * 2
-        found = Recording.load(out)
-        same = found.recorded.tobytes() == killed.recorded.tobytes() and np.all(np.diff(found.time) > 0)
-        closed = found.role[:4].tolist() == [0, 0, 0, 1][:frames] and (frames < 4 or found.sigma is not None)
-        right = frames >= counted and repaired and same and closed
-        yield HELD if right else f"{counted} counted, {frames} read, repaired {repaired}, same {same}, closed {closed}"
+        recording = Recording.load(out)
+        unchanged = recording.recorded.tobytes() == killed.recorded.tobytes() and np.all(np.diff(recording.time) > 0)
+        closed = recording.role[:4].tolist() == [0, 0, 0, 1][:frames] and (frames < 4 or recording.sigma is not None)
+        right = frames >= counted and repaired and unchanged and closed
+        yield (
+            HELD
+            if right
+            else f"{counted} counted, {frames} read, repaired {repaired}, same {unchanged}, closed {closed}"
+        )
 
 
 @attack(1, 10)

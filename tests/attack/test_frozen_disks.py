@@ -29,8 +29,8 @@ def test_a_disk_that_is_frozen_for_seconds_costs_no_frame(tmp_path: Path, monkey
 
     monkeypatch.setattr(Journal, "append", stalled)
     with wild_board(hundred_a_second) as board:
-        done = record(board.port, tmp_path / "r.h5", period=0.01, frames=FRAMES)
-    found = Recording.load(tmp_path / "r.h5")
-    assert (done.frames, done.lost) == (FRAMES, 0) and len(calls) > 20
-    assert found.acquisition is not None
-    assert found.acquisition.sequence.tolist() == list(range(FRAMES))
+        summary = record(board.port, tmp_path / "r.h5", period=0.01, frames=FRAMES)
+    recording = Recording.load(tmp_path / "r.h5")
+    assert (summary.frames, summary.lost) == (FRAMES, 0) and len(calls) > 20
+    assert recording.acquisition is not None
+    assert recording.acquisition.sequence.tolist() == list(range(FRAMES))

@@ -104,13 +104,13 @@ def _bounded(ended: Ended, *words: str) -> str:
 @attack(2, 40)
 def test_a_tight_limit_of_addresses_is_one_sentence_and_never_a_wait(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Libraries that cannot map a segment raise KeyError, wait, or end the process; so that they are not loaded."""
-    made = small_folder(folder / "work")
+    work_folder = small_folder(folder / "work")
     commands = (("info", "small.h5"), JOBS, ("plot", "results.h5"))
     for number in range(count):
         limit = int(rng.integers(100, 900)) * 2**20
-        ended = _within_addresses(limit, *commands[number % 3], folder=made)
-        enough = limit >= process.ADDRESS_SPACE
-        yield ended.survived() if enough else ended.refused(*TOO_FEW_ADDRESSES)
+        completed = _within_addresses(limit, *commands[number % 3], folder=work_folder)
+        sufficient = limit >= process.ADDRESS_SPACE
+        yield completed.survived() if sufficient else completed.refused(*TOO_FEW_ADDRESSES)
 
 
 @attack(len(ULIMITS), len(ULIMITS))

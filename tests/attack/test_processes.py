@@ -103,8 +103,8 @@ def _solved(folder: Path) -> None:
     terms = {"LSM": (), "smooth": (LogGradient(weight=1.0),)}
     cases = []
     for name, further in terms.items():
-        found = reconstruct(recording, [Misfit(weighting="noise"), *further], formulation="reduced")
-        cases.append(dataclasses.replace(found.result(name), sigma_own=None))
+        estimate = reconstruct(recording, [Misfit(weighting="noise"), *further], formulation="reduced")
+        cases.append(dataclasses.replace(estimate.result(name), sigma_own=None))
     folder.mkdir()
     write_results(folder / "results.h5", cases)
 
@@ -117,23 +117,31 @@ def _content(folder: Path) -> dict[str, bytes]:
 @attack(3, 20)
 def test_a_folder_with_a_sketch_is_whole_whenever_its_export_was_killed(rng: Rng, folder: Path, count: int) -> Outcomes:
     """The sketch goes first and comes last, so that none is built of files of two estimators."""
-    made = folder / "work"
-    _solved(made)
-    whole = []
+    work_folder = folder / "work"
+    _solved(work_folder)
+    sketches = []
     for name in ("LSM", "smooth"):
-        assert called(*EXPORT, name, "--out", "sketch", folder=made).code == 0
-        whole.append(_content(made / "sketch"))
-    names = len(whole[1])
+        assert called(*EXPORT, name, "--out", "sketch", folder=work_folder).code == 0
+        sketches.append(_content(work_folder / "sketch"))
+    names = len(sketches[1])
     for number in range(count):
         script = KILLED.format(count=int(rng.integers(0, names)))
         words = [sys.executable, "-c", script, *EXPORT, ("LSM", "smooth")[number % 2], "--out", "sketch"]
-        done = subprocess.run(words, cwd=made, env=environment(), capture_output=True, timeout=60)
-        left = _content(made / "sketch")
-        mixed = "sketch.ino" in left and left not in whole
-        yield f"{done.returncode}, of two: {sorted(left)}" if mixed or done.returncode != -signal.SIGKILL else HELD
-        again = called(*EXPORT, "smooth", "--out", "sketch", folder=made)
-        kept = sorted(path.name for path in (made / "sketch").iterdir())
-        yield HELD if kept == sorted(whole[1]) and _content(made / "sketch") == whole[1] else again.described("again")
+        completed = subprocess.run(words, cwd=work_folder, env=environment(), capture_output=True, timeout=60)
+        content = _content(work_folder / "sketch")
+        mixed = "sketch.ino" in content and content not in sketches
+        yield (
+            f"{completed.returncode}, of two: {sorted(content)}"
+            if mixed or completed.returncode != -signal.SIGKILL
+            else HELD
+        )
+        repeated = called(*EXPORT, "smooth", "--out", "sketch", folder=work_folder)
+        remaining = sorted(path.name for path in (work_folder / "sketch").iterdir())
+        yield (
+            HELD
+            if remaining == sorted(sketches[1]) and _content(work_folder / "sketch") == sketches[1]
+            else repeated.described("again")
+        )
 
 
 VERIFIED = """\
@@ -152,30 +160,30 @@ estimators:
 def test_a_run_that_was_killed_while_it_verified_ends_as_if_it_had_not_been(
     rng: Rng, folder: Path, count: int
 ) -> Outcomes:
-    made = small_folder(folder / "work")
-    (made / "run.yaml").write_text(VERIFIED)
+    work_folder = small_folder(folder / "work")
+    (work_folder / "run.yaml").write_text(VERIFIED)
     begin = time.monotonic()
-    assert called("run", "run.yaml", "--out", "whole", "--jobs", "1", folder=made).code == 0
+    assert called("run", "run.yaml", "--out", "whole", "--jobs", "1", folder=work_folder).code == 0
     seconds = time.monotonic() - begin + 2.0
-    expected = _verified(made / "whole" / "results.h5")
+    expected = _verified(work_folder / "whole" / "results.h5")
     draw = random.Random(int(rng.integers(2**32)))
     for number in range(count):
         out = f"out{number}"
         words = ("run", "run.yaml", "--out", out, "--jobs", "1")
         script = [sys.executable, "-c", "from lampest.cli import main; main()", *words]
         for _ in range(2):
-            with subprocess.Popen(script, cwd=made, env=environment(), stderr=subprocess.PIPE) as process:
+            with subprocess.Popen(script, cwd=work_folder, env=environment(), stderr=subprocess.PIPE) as process:
                 try:
                     process.wait(draw.uniform(0.8, 1.0) * seconds)
                 except subprocess.TimeoutExpired:
                     process.kill()
-            results = made / out / "results.h5"
+            results = work_folder / out / "results.h5"
             if results.exists():
                 yield HELD if called("check", results).code == 0 else "what a kill left is damaged"
-        ended = called(*words, folder=made)
-        same = ended.code == 0 and _verified(made / out / "results.h5") == expected
-        yield HELD if same else ended.described("the run that was killed has other results")
-        yield HELD if not [*(made / out).rglob("*.part")] else "unfinished files are left"
+        completed = called(*words, folder=work_folder)
+        equal = completed.code == 0 and _verified(work_folder / out / "results.h5") == expected
+        yield HELD if equal else completed.described("the run that was killed has other results")
+        yield HELD if not [*(work_folder / out).rglob("*.part")] else "unfinished files are left"
 
 
 def _verified(results: Path) -> list[bytes]:

@@ -52,11 +52,11 @@ def addresses_of(place: socket.socket, count: int) -> list[list[str]]:
 
 
 @pytest.mark.parametrize(
-    "where",
+    "place",
     ["osc://a..b", f"osc://{'x' * 300}", "osc://127.0.0.1:0", "osc:///a*b", "osc:///ä", "osc:///a b", "osc:///#"],
 )
-def test_a_receiver_that_cannot_be_is_one_sentence(where: str) -> None:
-    osc = OscPublish.at(urlsplit(where.partition(":")[2], allow_fragments=False), None)
+def test_a_receiver_that_cannot_be_is_one_sentence(place: str) -> None:
+    osc = OscPublish.at(urlsplit(place.partition(":")[2], allow_fragments=False), None)
     with pytest.raises(InputError, match=r"^--publish: osc[^\n]*$"), osc.opened(print):
         pass
 
@@ -88,7 +88,7 @@ def test_a_frame_that_one_datagram_does_not_hold_comes_in_several(shape: tuple[i
     sentences = list[str]()
     with receiver() as place, OscPublish(port=place.getsockname()[1]).opened(sentences.append) as (_, send):
         send(frame(shape))
-        came = [address for bundle in addresses_of(place, count) for address in bundle]
+        addresses = [address for bundle in addresses_of(place, count) for address in bundle]
     expected = [
         "sequence",
         "time",
@@ -103,7 +103,7 @@ def test_a_frame_that_one_datagram_does_not_hold_comes_in_several(shape: tuple[i
         "status",
         "alarm",
     ]
-    assert came == [f"/lampest/{name}" for name in expected] and not sentences
+    assert addresses == [f"/lampest/{name}" for name in expected] and not sentences
 
 
 def test_what_no_datagram_holds_is_left_out_and_named_once() -> None:

@@ -52,8 +52,8 @@ def test_public_functions_refuse_wrong_values(rng: Rng, folder: Path, count: int
         function = getattr(lampest, name)
         if not inspect.isfunction(function) or not inspect.signature(function).parameters:
             continue
-        _, *others = inspect.signature(function).parameters.values()
-        given = {each.name: None for each in others if each.default is each.empty}
+        _, *parameters = inspect.signature(function).parameters.values()
+        given = {parameter.name: None for parameter in parameters if parameter.default is parameter.empty}
         for index in rng.permutation(len(WRONG))[:count]:
             if not isinstance(WRONG[index], str | Path | np.ndarray):
                 yield _refused(partial(function, WRONG[index]), name, given)
@@ -80,27 +80,27 @@ def test_inconsistent_values_are_refused_together(rng: Rng, folder: Path, count:
     yield _refused(lampest.Gradient, "weight", {"weight": 1e300}, must=True)
 
 
-def _refused(make: Any, what: str, given: dict[str, Any], must: bool = False) -> str:
+def _refused(make: Any, call: str, given: dict[str, Any], must: bool = False) -> str:
     try:
         make(**given)
     except ValueError as error:
-        return HELD if "\n" not in str(error) and len(str(error)) < 800 else f"{what}: {error}"
+        return HELD if "\n" not in str(error) and len(str(error)) < 800 else f"{call}: {error}"
     except Exception as error:
-        return f"{what}: {type(error).__name__}: {error}"
-    return f"{what}: is taken" if must else HELD
+        return f"{call}: {type(error).__name__}: {error}"
+    return f"{call}: is taken" if must else HELD
 
 
 @pytest.mark.slow
 def test_readings_of_extended_precision_are_taken_for_what_they_say(tmp_path: Path) -> None:
     recording = lampest.datasets.load("rod")
     wide = recording.recorded.astype(np.longdouble)
-    made = lampest.Recording(recording.scene, wide, recording.time.astype(np.longdouble), recording.role)
+    extended = lampest.Recording(recording.scene, wide, recording.time.astype(np.longdouble), recording.role)
     recording.save(path := tmp_path / "wide.h5")
     with h5py.File(path, "r+") as file:
         group = file["entry/two_point"]
         del group["resistance"]
         group["resistance"] = wide
-    for found in (made, lampest.Recording.load(path)):
-        assert found.recorded.dtype == float and np.array_equal(found.recorded, recording.recorded)
-    told = called("info", path)
-    assert told.code == 0 and "strongest change" in told.out
+    for variant in (extended, lampest.Recording.load(path)):
+        assert variant.recorded.dtype == float and np.array_equal(variant.recorded, recording.recorded)
+    completed = called("info", path)
+    assert completed.code == 0 and "strongest change" in completed.out

@@ -51,13 +51,13 @@ RUNS: Commands = (("run", "run.yaml", "--jobs", "1", "--out", "out"), ("detect",
 LOOKS: Commands = (("info", "small.h5"), ("calibrate", "small.h5", "--known", "1000"))
 
 
-def _tried(what: str, place: Path, commands: Commands) -> Iterator[str]:
+def _tried(description: str, place: Path, commands: Commands) -> Iterator[str]:
     """Each of the commands; results are looked at where there are some."""
     (place / "run.yaml").write_text(RUN)
     for arguments in commands:
         if arguments[0] != "detect" or (place / arguments[1]).is_file():
             fault = sensible(called(*arguments, folder=place))
-            yield f"{what}: {' '.join(arguments)}: {fault}" if fault else HELD
+            yield f"{description}: {' '.join(arguments)}: {fault}" if fault else HELD
 
 
 @attack(4, 60)
@@ -70,9 +70,9 @@ def test_scenes_with_impossible_numbers_end_in_a_sentence(rng: Rng, folder: Path
         text = SIMULATION.replace(old, new.replace("VALUE", written))
         (place / "small.yaml").write_text(text)
         simulate = (("simulate", "small.yaml", "--out", "small.h5"),)
-        what = f"{new.splitlines()[-1]} of {value}"
-        yield from _tried(what, place, simulate)
-        yield from _tried(what, place, RUNS + LOOKS if (place / "small.h5").is_file() else ())
+        description = f"{new.splitlines()[-1]} of {value}"
+        yield from _tried(description, place, simulate)
+        yield from _tried(description, place, RUNS + LOOKS if (place / "small.h5").is_file() else ())
 
 
 @attack(1, 6)

@@ -110,27 +110,27 @@ def test_links_and_pipes_in_place_of_outputs_are_refused_and_files_of_others_kep
             "contours_small.png": (("plot", "results.h5"),),
         }.items()
     ):
-        made = _beside_precious(folder, f"work{number}")
-        (made / "out").mkdir()
-        (made / place).symlink_to(folder / "precious")
+        work_folder = _beside_precious(folder, f"work{number}")
+        (work_folder / "out").mkdir()
+        (work_folder / place).symlink_to(folder / "precious")
         for words in commands:
-            yield called(*words, folder=made).refused(Path(place).name) or _precious(folder)
-    made, foreign = small_folder(folder / "work"), folder / "foreign"
+            yield called(*words, folder=work_folder).refused(Path(place).name) or _precious(folder)
+    work_folder, foreign = small_folder(folder / "work"), folder / "foreign"
     foreign.mkdir()
-    for place in (made / "out", foreign):
+    for place in (work_folder / "out", foreign):
         place.mkdir(exist_ok=True)
         (place / ".theirs.h5.17.part").write_text("precious")
-    (made / "out" / "cases").symlink_to(foreign)
+    (work_folder / "out" / "cases").symlink_to(foreign)
     for fresh in ((), ("--fresh",)):
-        yield _untouched(made, (*run, *fresh))
-    (made / "out" / "cases").unlink()
-    ended = called(*run, folder=made)
-    yield HELD if ended.code == 0 else ended.described("the run failed")
-    kept = [path for path in folder.rglob(".theirs.h5.17.part") if path.read_text() == "precious"]
-    yield HELD if len(kept) == 2 else "an unfinished file of another is gone"
-    (made / "out" / ".lock").unlink(missing_ok=True)
-    os.mkfifo(made / "out" / ".lock")
-    yield _untouched(made, run)
+        yield _untouched(work_folder, (*run, *fresh))
+    (work_folder / "out" / "cases").unlink()
+    completed = called(*run, folder=work_folder)
+    yield HELD if completed.code == 0 else completed.described("the run failed")
+    untouched = [path for path in folder.rglob(".theirs.h5.17.part") if path.read_text() == "precious"]
+    yield HELD if len(untouched) == 2 else "an unfinished file of another is gone"
+    (work_folder / "out" / ".lock").unlink(missing_ok=True)
+    os.mkfifo(work_folder / "out" / ".lock")
+    yield _untouched(work_folder, run)
 
 
 def _beside_precious(folder: Path, name: str) -> Path:
@@ -144,11 +144,11 @@ def _precious(folder: Path) -> str:
 
 def _untouched(folder: Path, arguments: tuple[str, ...], *words: str) -> str:
     """Return HELD where the command refuses in one sentence and leaves the folder as it is."""
-    before = everything(folder)
-    ended = called(*arguments, folder=folder)
-    after = everything(folder)
-    changed = [name for name in before | after if before.get(name) != after.get(name)]
-    fault = ended.refused(*words) or (f"{changed} changed" if changed else "")
+    original = everything(folder)
+    completed = called(*arguments, folder=folder)
+    current = everything(folder)
+    changed = [name for name in original | current if original.get(name) != current.get(name)]
+    fault = completed.refused(*words) or (f"{changed} changed" if changed else "")
     return f"{' '.join(arguments)}: {fault}" if fault else HELD
 
 

@@ -20,13 +20,13 @@ from tests.netlist import impedance_of
 def test_readings_scatter_around_the_truth_as_their_sigma_says(tmp_path: Path) -> None:
     cells = np.repeat(some_cells(np.random.default_rng(5), 1), 20, axis=0)
     with bench(tmp_path, cells) as board:
-        done = record(board.port, tmp_path / "r.h5", frames=20, scene=scene(), baseline=12)
-    found = Recording.load(done.path)
-    deviation = (found.resistance - two_point_resistance(cells) - 140) / found.sigma
+        summary = record(board.port, tmp_path / "r.h5", frames=20, scene=scene(), baseline=12)
+    recording = Recording.load(summary.path)
+    deviation = (recording.resistance - two_point_resistance(cells) - 140) / recording.sigma
     assert abs(deviation.mean()) < 0.1
     assert deviation.std() == pytest.approx(1, abs=0.06)
-    assert done.noise_lsb == pytest.approx(0.7, abs=0.04)
-    assert found.role.tolist() == [UNLOADED] * 12 + [MEASURED] * 8
+    assert summary.noise_lsb == pytest.approx(0.7, abs=0.04)
+    assert recording.role.tolist() == [UNLOADED] * 12 + [MEASURED] * 8
 
 
 def test_a_line_that_settles_slowly_carries_the_cell_before_into_the_reading(tmp_path: Path) -> None:
@@ -48,14 +48,14 @@ def test_a_file_names_clocks_numbers_and_events_of_its_frames(tmp_path: Path) ->
     presses = iter(["", "", "x", "", "ab"])
     with bench(tmp_path, cells) as board:
         record(board.port, tmp_path / "r.h5", frames=5, scene=scene(4, 3), period=0.5, keys=lambda: next(presses))
-    found = Recording.load(tmp_path / "r.h5")
-    np.testing.assert_allclose(found.time, [0, 0.5, 1, 1.5, 2], atol=2e-3)
-    assert found.acquisition.sequence.tolist() == [0, 1, 2, 3, 4]
-    assert np.all(np.diff(found.acquisition.device_ms.astype(int)) >= 499)
-    assert np.all(np.diff(found.acquisition.host_time) >= 0) and found.acquisition.host_time[0] > 1.7e9
-    assert not found.acquisition.lost.any() and not found.acquisition.missed.any()
-    assert found.acquisition.event_label == ("x", "a", "b")
-    np.testing.assert_allclose(found.acquisition.event_time, found.time[[2, 4, 4]])
+    recording = Recording.load(tmp_path / "r.h5")
+    np.testing.assert_allclose(recording.time, [0, 0.5, 1, 1.5, 2], atol=2e-3)
+    assert recording.acquisition.sequence.tolist() == [0, 1, 2, 3, 4]
+    assert np.all(np.diff(recording.acquisition.device_ms.astype(int)) >= 499)
+    assert np.all(np.diff(recording.acquisition.host_time) >= 0) and recording.acquisition.host_time[0] > 1.7e9
+    assert not recording.acquisition.lost.any() and not recording.acquisition.missed.any()
+    assert recording.acquisition.event_label == ("x", "a", "b")
+    np.testing.assert_allclose(recording.acquisition.event_time, recording.time[[2, 4, 4]])
     with h5py.File(tmp_path / "r.h5") as file:
         assert "lampest_unfinished" not in file.attrs
         assert file["entry/acquisition/lost"].attrs["units"] == b"1"
@@ -78,9 +78,9 @@ def test_lines_of_the_example_are_the_panel(tmp_path: Path) -> None:
 def test_the_library_says_what_it_includes() -> None:
     folder = Path(__file__).parents[2] / "firmware" / "lampest_board"
     lines = (folder / "library.properties").read_text(encoding="utf-8").splitlines()
-    said = dict(line.split("=", 1) for line in lines)
-    assert {"name", "version", "author", "maintainer", "sentence", "paragraph", "category", "url"} <= set(said)
-    assert all((folder / header).is_file() for header in said["includes"].split(","))
+    properties = dict(line.split("=", 1) for line in lines)
+    assert {"name", "version", "author", "maintainer", "sentence", "paragraph", "category", "url"} <= set(properties)
+    assert all((folder / header).is_file() for header in properties["includes"].split(","))
 
 
 # Both wirings.
@@ -114,10 +114,10 @@ def test_live_and_the_file_agree(tmp_path: Path, wiring: str) -> None:
 @pytest.mark.parametrize("wiring", WIRINGS)
 def test_without_a_scene_the_board_is_believed(tmp_path: Path, wiring: str) -> None:
     with bench(tmp_path, some_cells(np.random.default_rng(2), 1), wiring=wiring) as board:
-        done = record(board.port, tmp_path / "r.h5", seconds=2)
+        summary = record(board.port, tmp_path / "r.h5", seconds=2)
     recording = Recording.load(tmp_path / "r.h5")
     known = scene(series_resistance_ohm=0) if wiring == "two_point" else loaded_scene()
-    assert done.scene == recording.scene == replace(known, readout=replace(known.readout, noise_lsb=None))
+    assert summary.scene == recording.scene == replace(known, readout=replace(known.readout, noise_lsb=None))
     assert recording.recorded.shape == (2, 10, 10)
 
 

@@ -29,9 +29,9 @@ PRESSED = (slice(3, 7), slice(10, 16))
 
 def block(language: str) -> str:
     """Return the page's code of a language."""
-    found = re.search(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    assert found is not None
-    return found[1]
+    match = re.search(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert match is not None
+    return match[1]
 
 
 @pytest.fixture
@@ -63,18 +63,18 @@ def board(page: Any) -> Iterator[tuple[str, threading.Event]]:
     frames = {
         state: [codes(scene, cells, seed) for seed in range(8)] for state, cells in ((False, resting), (True, loaded))
     }
-    own, other = os.openpty()
-    tty.setraw(other, termios.TCSANOW)
+    master, slave = os.openpty()
+    tty.setraw(slave, termios.TCSANOW)
     press = threading.Event()
     stop = threading.Event()
 
     def send() -> None:
         number = 0
-        os.write(own, b"\x17\xaa\x02")  # the reader joins in the middle of a frame
+        os.write(master, b"\x17\xaa\x02")  # the reader joins in the middle of a frame
         while not stop.is_set():
             frame = frames[press.is_set()][number % 8]
             try:
-                os.write(own, b"\xaa\x55" + frame.tobytes())
+                os.write(master, b"\xaa\x55" + frame.tobytes())
             except OSError:
                 return
             number += 1
@@ -82,11 +82,11 @@ def board(page: Any) -> Iterator[tuple[str, threading.Event]]:
 
     thread = threading.Thread(target=send, daemon=True)
     thread.start()
-    yield os.ttyname(other), press
+    yield os.ttyname(slave), press
     stop.set()
-    os.set_blocking(own, False)
+    os.set_blocking(master, False)
     thread.join(timeout=5)
-    for end in (own, other):
+    for end in (master, slave):
         os.close(end)
 
 

@@ -77,8 +77,8 @@ def c(wiring: str = "two_point") -> ctypes.CDLL:
 def constants() -> dict[str, int]:
     """Every whole number that the two headers define under the name LAMPEST_..."""
     text = "".join((FIRMWARE / "lampest_board" / name).read_text() for name in ("protocol.h", "pins.h"))
-    found = re.findall(r"^#define LAMPEST_(\w+) (\d+)(?:UL)?\b", text, re.MULTILINE)
-    return {name: int(value) for name, value in found}
+    definitions = re.findall(r"^#define LAMPEST_(\w+) (\d+)(?:UL)?\b", text, re.MULTILINE)
+    return {name: int(value) for name, value in definitions}
 
 
 def sent_by_c(body: bytes) -> bytes:
@@ -91,14 +91,14 @@ def sent_by_c(body: bytes) -> bytes:
 def answered_by_c(settings: Settings, wire: bytes) -> tuple[protocol.Message, ...]:
     """What the board makes of these bytes: its answers, as the host reads them."""
     inbox = Inbox()
-    found = []
+    messages = []
     for byte in wire:
         length = c().lampest_receive(ctypes.byref(inbox), ctypes.c_uint8(byte))
         if length:
             room = ctypes.create_string_buffer(40)
             size = c().lampest_command(ctypes.byref(settings), inbox.bytes, ctypes.c_uint8(length), room)
-            found += Receiver().feed(sent_by_c(room.raw[:size]))[1]
-    return tuple(found)
+            messages += Receiver().feed(sent_by_c(room.raw[:size]))[1]
+    return tuple(messages)
 
 
 def test_the_numbers_are_the_same() -> None:
@@ -189,9 +189,9 @@ def test_boards_that_estimate_take_a_baseline_and_others_do_not_know_the_command
     assert answer == Answer(Kind.SET_BASELINE, 1, Result.REFUSED_UNKNOWN, 0)
     plain = c().lampest_shortest_period_us(ctypes.byref(settings))
     settings.estimates = 1
-    for value, result, now in ((5, Result.DONE, 5), (256, Result.REFUSED_RANGE, 5), (255, Result.DONE, 255)):
+    for value, result, stored in ((5, Result.DONE, 5), (256, Result.REFUSED_RANGE, 5), (255, Result.DONE, 255)):
         assert answered_by_c(settings, command(Kind.SET_BASELINE, 1, value)) == (
-            Answer(Kind.SET_BASELINE, 1, result, now),
+            Answer(Kind.SET_BASELINE, 1, result, stored),
         )
     # It scans, and then sends both messages.
     assert c().lampest_shortest_period_us(ctypes.byref(settings)) > plain + 4 * 100 * 20
@@ -217,9 +217,9 @@ def test_a_period_is_made_of_equal_slices_that_the_timer_can_count(period_us: in
 
 
 def test_a_board_answers_or_refuses_every_command_and_while_it_runs_all_but_stop_and_identify() -> None:
-    for kind, value, result, now in COMMANDS:
+    for kind, value, result, stored in COMMANDS:
         answers = answered_by_c(c().lampest_start_settings(), command(kind, 9, value))
-        assert answers == (Answer(kind, 9, result, now),)
+        assert answers == (Answer(kind, 9, result, stored),)
     settings = c().lampest_start_settings()
     for body, result in (
         ([1, 99, 7, 0, 0, 0, 0], Result.REFUSED_UNKNOWN),
@@ -239,10 +239,10 @@ def test_a_board_answers_or_refuses_every_command_and_while_it_runs_all_but_stop
 @given(st.binary(max_size=200))
 def test_garbage_never_changes_the_board_and_never_hides_the_next_command(noise: bytes) -> None:
     settings = c().lampest_start_settings()
-    before = bytes(settings)
-    found = answered_by_c(settings, noise + b"\0" + command(Kind.IDENTIFY))
-    assert bytes(settings) == before
-    assert isinstance(found[-1], Hello)
+    original = bytes(settings)
+    answers = answered_by_c(settings, noise + b"\0" + command(Kind.IDENTIFY))
+    assert bytes(settings) == original
+    assert isinstance(answers[-1], Hello)
 
 
 @given(st.lists(st.tuples(st.integers(0, 30), st.integers(0, 2**32 - 1) | st.integers(0, 70)), max_size=30))
@@ -286,12 +286,12 @@ def test_what_scene_and_board_say_differently_is_named() -> None:
 
 def test_the_wiring_is_part_of_what_the_board_says() -> None:
     """Earlier firmware, whose HELLO has 29 bytes, has two multiplexers; a wiring never heard of is no board."""
-    found = hello()
-    assert (found.wiring, found.reference_milliohm, found.drive_milliohm) == (WIRING, 10_000_000, 70_000)
-    assert declared_readout(found) == loaded_scene(noise_lsb=None).readout
-    old = replace(found, wiring="two_point", drive_milliohm=0)
+    greeting = hello()
+    assert (greeting.wiring, greeting.reference_milliohm, greeting.drive_milliohm) == (WIRING, 10_000_000, 70_000)
+    assert declared_readout(greeting) == loaded_scene(noise_lsb=None).readout
+    old = replace(greeting, wiring="two_point", drive_milliohm=0)
     assert len(hello_body(old)) == 29 and Receiver().feed(message(hello_body(old)))[1] == (old,)
-    unknown = hello_body(found)[:29] + bytes([9, 0, 0, 0, 0])
+    unknown = hello_body(greeting)[:29] + bytes([9, 0, 0, 0, 0])
     assert not any(isinstance(item, Hello) for item in Receiver().feed(message(unknown))[1])
 
 
