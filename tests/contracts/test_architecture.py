@@ -121,17 +121,17 @@ def floors(module: str, tree: ast.Module) -> Iterator[str]:
 
 def privates(module: str, tree: ast.Module) -> Iterator[str]:
     """What a module keeps to itself is not imported, nor reached through a name that was imported."""
-    theirs = set()
+    foreign_names = set()
     for node in nodes(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lampest"):
-            theirs |= {alias.asname or alias.name for alias in node.names}
+            foreign_names |= {alias.asname or alias.name for alias in node.names}
     for name, imported in imports(tree):
         if name.startswith("lampest") and any(map(is_private, (*name.split("."), imported))):
             yield f"imports {imported or name}"
     for node in nodes(tree):
         if isinstance(node, ast.Attribute) and is_private(node.attr):
             owner = ast.unparse(node.value)
-            if owner in theirs or owner.startswith("lampest."):
+            if owner in foreign_names or owner.startswith("lampest."):
                 yield f"reaches for {owner}.{node.attr}"
 
 

@@ -136,12 +136,12 @@ def apply(folder: Path, fence: Fence) -> None:
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_example_says_what_the_page_says(name: str, copy: Path) -> None:
     checker = doctest.OutputChecker()
-    same = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    options = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     for fence in EXAMPLES[name]:
         apply(copy, fence)
         for command, answer in fence.commands():
             output = run(copy, command)
-            assert checker.check_output(answer, output, same), f"$ {command}\n{output}"
+            assert checker.check_output(answer, output, options), f"$ {command}\n{output}"
 
 
 @pytest.mark.slow
@@ -215,13 +215,15 @@ def test_links_lead_somewhere_and_paths_that_are_named_exist(page: Path) -> None
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     """Every link inside it leads somewhere, everything that its pages show has run, and nothing was fetched."""
     command = (sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-d", str(tmp_path / "read"))
-    ended = subprocess.run(
+    completed = subprocess.run(
         (*command, str(DOCS), str(tmp_path / "html")), capture_output=True, text=True, timeout=300, cwd=REPOSITORY
     )
-    assert ended.returncode == 0, ended.stderr
+    assert completed.returncode == 0, completed.stderr
     pages = [path.read_text(encoding="utf-8") for path in (tmp_path / "html").rglob("*.html")]
     assert len(pages) > 15
-    assert not [found for page in pages for found in re.findall(r"<(?:script|link|img)[^>]+https?://[^>]+>", page)]
+    assert not [
+        reference for page in pages for reference in re.findall(r"<(?:script|link|img)[^>]+https?://[^>]+>", page)
+    ]
 
 
 def anchors(page: Path) -> set[str]:
@@ -234,12 +236,12 @@ def test_architecture_names_every_module_once_in_its_room() -> None:
     text = (DOCS / "reference" / "architecture.md").read_text(encoding="utf-8")
     house = REPOSITORY / "lampest"
     for room in sorted(path.parent for path in house.glob("*/__init__.py")):
-        _, found, chapter = text.partition(f"\n### {room.name}\n")
-        assert found, f"the room {room.name}"
+        _, heading, chapter = text.partition(f"\n### {room.name}\n")
+        assert heading, f"the room {room.name}"
         rows = re.findall(r"^\| `([^`]+)` \|", chapter.split("\n##")[0], flags=re.MULTILINE)
         parts = [f"{path.name}/" if path.is_dir() else path.name for path in room.iterdir()]
-        there = {part for part in parts if not part.startswith("__")}
-        assert sorted(rows) == sorted(there), room.name
+        modules = {part for part in parts if not part.startswith("__")}
+        assert sorted(rows) == sorted(modules), room.name
 
 
 def test_glossary_says_truly_where_things_are_defined() -> None:
@@ -338,8 +340,8 @@ def test_the_page_of_mats_links_pages_of_mats_and_names_columns_that_exist() -> 
     named = re.findall(r"^\| (`[^|]+) \|", table, re.MULTILINE)
     names = {name for cells in named for name in re.findall(r"`(\w+)`", cells)}
     recording = lampest.Recording.from_array(np.full((3, 2, 2), 500.0), baseline=1)
-    found = lampest.reconstruct(replace(recording, sigma=np.ones((2, 2))), [lampest.Misfit(weighting="noise")])
-    assert names - {"reading_model"} <= set(found.to_dataframe().columns)
+    estimate = lampest.reconstruct(replace(recording, sigma=np.ones((2, 2))), [lampest.Misfit(weighting="noise")])
+    assert names - {"reading_model"} <= set(estimate.to_dataframe().columns)
 
 
 def test_the_code_beside_ros_makes_an_image_of_a_message(tmp_path: Path) -> None:

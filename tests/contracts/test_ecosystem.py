@@ -24,9 +24,9 @@ Command = Callable[..., SimpleNamespace]
 
 
 def constraint(name: str) -> str:
-    found = re.search(rf"^{name}==(.+)$", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
-    assert found is not None
-    return found[1]
+    match = re.search(rf"^{name}==(.+)$", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
+    assert match is not None
+    return match[1]
 
 
 def test_hooks_have_the_versions_of_the_constraints() -> None:
@@ -110,10 +110,10 @@ def installed_megabytes(*extras: str) -> float:
     visited: set[tuple[str, frozenset[str]]] = set()
     sizes: dict[str, int] = {}
     while pending:
-        name, wanted = pending.pop()
-        if (name, wanted) in visited:
+        name, requested = pending.pop()
+        if (name, requested) in visited:
             continue
-        visited.add((name, wanted))
+        visited.add((name, requested))
         try:
             package = metadata.distribution(name)
         except metadata.PackageNotFoundError:
@@ -122,7 +122,7 @@ def installed_megabytes(*extras: str) -> float:
         sizes[name] = sum(-(-place.stat().st_size // 4096) * 4096 for place in places if place.is_file())
         for text in package.requires or []:
             needed = Requirement(text)
-            if needed.marker is None or any(needed.marker.evaluate({"extra": extra}) for extra in (*wanted, "")):
+            if needed.marker is None or any(needed.marker.evaluate({"extra": extra}) for extra in (*requested, "")):
                 pending.append((canonicalize_name(needed.name), frozenset(needed.extras)))
     package_files = [file for file in (ROOT / "lampest").rglob("*") if file.is_file() and file.suffix != ".pyc"]
     return (sum(sizes.values()) + sum(file.stat().st_size for file in package_files)) / 1e6

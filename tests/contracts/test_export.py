@@ -134,22 +134,22 @@ def test_mat_is_what_scipy_reads(lampest: Run, results: Path) -> None:
     path = exported(lampest, results, "mat")
     assert path == results.with_suffix(".mat")
     held = loadmat(path, simplify_cells=True)["cases"]
-    for ours, case in zip(held, read_results(results).cases, strict=True):
-        assert (ours["recording"], ours["estimator"]) == (case.recording, case.estimator)
-        assert_array_equal(ours["cell_resistance"], case.cell_resistance)
-        assert_array_equal(ours["open_cell"], shown(case, "open_cell"))
-        assert_array_equal(ours["two_point_model"], case.reading_model)
-        assert_array_equal(ours["cost_misfit"], case.costs["misfit"])
-        assert tuple(ours["status"]) == case.status
-        assert_array_equal(ours["x"], 10 * np.arange(case.measured.shape[2]))
+    for saved, case in zip(held, read_results(results).cases, strict=True):
+        assert (saved["recording"], saved["estimator"]) == (case.recording, case.estimator)
+        assert_array_equal(saved["cell_resistance"], case.cell_resistance)
+        assert_array_equal(saved["open_cell"], shown(case, "open_cell"))
+        assert_array_equal(saved["two_point_model"], case.reading_model)
+        assert_array_equal(saved["cost_misfit"], case.costs["misfit"])
+        assert tuple(saved["status"]) == case.status
+        assert_array_equal(saved["x"], 10 * np.arange(case.measured.shape[2]))
         rows, columns = case.measured.shape[1:]
-        assert_array_equal(ours["row"], np.arange(rows))
-        assert_array_equal(ours["column"], np.arange(columns))
-        assert ("pressure" in ours) == (case.pressure is not None)
-        assert (ours["units"]["cell_resistance"], ours["units"]["x"]) == ("ohm", "mm")
-        assert ours["long_name"]["cell_resistance"] == "estimated cell resistance"
-        assert list(ours["flags"]["solved"]["meanings"]) == ["failed", "solved"]
-        assert all(name.isidentifier() and len(name) < 64 for name in ours), "Octave and MATLAB take no other names"
+        assert_array_equal(saved["row"], np.arange(rows))
+        assert_array_equal(saved["column"], np.arange(columns))
+        assert ("pressure" in saved) == (case.pressure is not None)
+        assert (saved["units"]["cell_resistance"], saved["units"]["x"]) == ("ohm", "mm")
+        assert saved["long_name"]["cell_resistance"] == "estimated cell resistance"
+        assert list(saved["flags"]["solved"]["meanings"]) == ["failed", "solved"]
+        assert all(name.isidentifier() and len(name) < 64 for name in saved), "Octave and MATLAB take no other names"
     assert held[0]["start_time"] == START
 
 
@@ -162,12 +162,12 @@ def test_zarr_is_what_xarray_reads(lampest: Run, results: Path) -> None:
     with ZipStore(path, mode="r") as store, xarray.open_datatree(store, engine="zarr") as tree:
         for case in read_results(results).cases:
             xarray.testing.assert_identical(tree[f"{case.recording}/{case.estimator}"].to_dataset(), case.to_xarray())
-        found = tree["mouth/LSM"]
-        assert found["cell_resistance"].attrs["units"] == "ohm" and found["x"].attrs["units"] == "mm"
-        assert found["open_cell"].attrs["flag_meanings"] == "conducts cannot_be_told_from_open"
-        assert found["saturated"].isnull().any(["row", "column"]).values.tolist() == [False, True, False]
-        assert "two_point_model" in found and "reading_model" not in found
-        assert found.attrs["start_time"] == START
+        group = tree["mouth/LSM"]
+        assert group["cell_resistance"].attrs["units"] == "ohm" and group["x"].attrs["units"] == "mm"
+        assert group["open_cell"].attrs["flag_meanings"] == "conducts cannot_be_told_from_open"
+        assert group["saturated"].isnull().any(["row", "column"]).values.tolist() == [False, True, False]
+        assert "two_point_model" in group and "reading_model" not in group
+        assert group.attrs["start_time"] == START
 
 
 @pytest.mark.parametrize(

@@ -62,9 +62,9 @@ def recording() -> Recording:
 def test_a_term_joins_with_one_file_and_one_name(recording: Recording) -> None:
     terms = [Misfit(weighting="noise"), Leash(weight=1e6, length_ohm=1234.0)]
     for formulation in ("nodal", "reduced"):
-        found = lampest.reconstruct(recording, terms, formulation=formulation, bounds=lampest.Bounds("none", "none"))
-        assert found.status == ("optimum verified",) * 2
-        assert_allclose(found.cell_resistance, 1234, rtol=1e-3)
+        estimate = lampest.reconstruct(recording, terms, formulation=formulation, bounds=lampest.Bounds("none", "none"))
+        assert estimate.status == ("optimum verified",) * 2
+        assert_allclose(estimate.cell_resistance, 1234, rtol=1e-3)
     weak = lampest.reconstruct(recording, [Misfit(weighting="noise"), Leash(weight="auto")], formulation="reduced")
     assert weak.solved.all() and "misfit + leash" in repr(weak)
 
@@ -101,13 +101,13 @@ def test_a_readout_joins_with_one_file_and_one_name() -> None:
     readout = Divider(load_ohm=5000.0, readings=100)
     recording = simulated(readout)
     truth = recording.truth_cell_resistance
-    found = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation="reduced")
-    assert np.median(np.abs(found.cell_resistance / truth[3:] - 1)) < 0.05
-    assert found.model_check.sentence == "the circuit explains its readings"
+    estimate = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation="reduced")
+    assert np.median(np.abs(estimate.cell_resistance / truth[3:] - 1)) < 0.05
+    assert estimate.model_check.sentence == "the circuit explains its readings"
     given = lampest.LoadedColumnsReadout(load_ohm=5000.0, drive_ohm=100.0, readings=100)
     assert_allclose(simulated(given).recorded, recording.recorded, rtol=1e-12)
     nodal = lampest.reconstruct(recording, [Misfit(weighting="noise")])
-    assert_allclose(nodal.cell_resistance, found.cell_resistance, rtol=1e-4)
+    assert_allclose(nodal.cell_resistance, estimate.cell_resistance, rtol=1e-4)
 
 
 def test_a_method_joins_with_one_file_and_one_name(recording: Recording) -> None:
@@ -119,28 +119,28 @@ def test_a_method_joins_with_one_file_and_one_name(recording: Recording) -> None
 
 
 def test_a_column_joins_with_one_file_and_one_name(recording: Recording, tmp_path: Path) -> None:
-    found = lampest.reconstruct(recording, [Misfit()], formulation="reduced")
-    found.save(tmp_path / "r.h5", "mine", columns=[CONTRAST])
-    wanted = found.cell_resistance.max(axis=(1, 2)) / found.cell_resistance.min(axis=(1, 2))
+    estimate = lampest.reconstruct(recording, [Misfit()], formulation="reduced")
+    estimate.save(tmp_path / "r.h5", "mine", columns=[CONTRAST])
+    contrast = estimate.cell_resistance.max(axis=(1, 2)) / estimate.cell_resistance.min(axis=(1, 2))
     (case,) = lampest.read_results(tmp_path / "r.h5", [CONTRAST]).cases
     (bare,) = lampest.read_results(tmp_path / "r.h5").cases
     assert not bare.extra, "without its column nobody knows what it is"
     with h5py.File(tmp_path / "r.h5") as file:
         assert file["entry/ellipse/mine/contrast"].attrs["units"] == b"1"
-    assert_array_equal(case.extra["contrast"], wanted)
-    for dataset in (found.to_xarray([CONTRAST]), case.to_xarray([CONTRAST])):
-        assert_array_equal(dataset["contrast"], wanted)
+    assert_array_equal(case.extra["contrast"], contrast)
+    for dataset in (estimate.to_xarray([CONTRAST]), case.to_xarray([CONTRAST])):
+        assert_array_equal(dataset["contrast"], contrast)
         assert dataset["contrast"].attrs["units"] == "1"
-    assert_array_equal(found.to_dataframe([CONTRAST])["contrast"], np.repeat(wanted, 30))
+    assert_array_equal(estimate.to_dataframe([CONTRAST])["contrast"], np.repeat(contrast, 30))
     with pytest.raises(lampest.InputError, match="no column says what the extra 'contrast' is"):
         case.to_xarray()
 
 
 def test_a_plot_joins_with_one_file_and_one_name(recording: Recording, tmp_path: Path) -> None:
-    found = lampest.reconstruct(recording, [Misfit()], formulation="reduced")
-    for figure in (found.plot(Histogram()), found.plot(Histogram(), frame=3)):
+    estimate = lampest.reconstruct(recording, [Misfit()], formulation="reduced")
+    for figure in (estimate.plot(Histogram()), estimate.plot(Histogram(), frame=3)):
         assert len(figure.axes[0].patches) == 10
-    found.save(tmp_path / "r.h5")
+    estimate.save(tmp_path / "r.h5")
     (file,) = lampest.plot_results(tmp_path / "r.h5", show=Histogram())
     assert file.name == "histogram_ellipse.png"
 

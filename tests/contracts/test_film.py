@@ -72,26 +72,26 @@ def test_a_run_reads_the_film_and_says_what_it_took_it_for(recording: Path, lamp
     error = np.abs(case.pressure - truth[case.frame])
     assert np.percentile(error, 95) < 0.08 * truth.max()
     assert error[45:].max() < 0.3
-    at = np.flatnonzero([bool(why) for why in case.tared])
+    at = np.flatnonzero([bool(reason) for reason in case.tared])
     assert len(at) and not np.any((at > 15) & (at < 36))
     assert case.tared[at[0]].startswith("nothing touched the panel for 8 frames (7 s)")
-    told = lampest("info", out / "results.h5")
-    assert "film       creep " in told.out and "from the recording" in told.out
+    completed = lampest("info", out / "results.h5")
+    assert "film       creep " in completed.out and "from the recording" in completed.out
     assert "film       hysteresis 0.2, creep_per_decade auto" in lampest("info", recording).out
 
 
 def test_tare_changes_the_unloaded_frames_alone_and_doubts_those_with_a_load(recording: Path, lampest: Command) -> None:
     out = recording.parent / "zeroed.h5"
-    ended = lampest("tare", recording, "--frames", "55:60", "--out", out)
-    assert (ended.code, ended.out, ended.err) == (0, f"unloaded: frames 55 to 59: {out}\n", "")
-    before = Recording.load(recording)
-    after = Recording.load(out)
-    np.testing.assert_array_equal(np.flatnonzero(after.role == UNLOADED), np.arange(55, 60))
+    completed = lampest("tare", recording, "--frames", "55:60", "--out", out)
+    assert (completed.code, completed.out, completed.err) == (0, f"unloaded: frames 55 to 59: {out}\n", "")
+    original = Recording.load(recording)
+    tared = Recording.load(out)
+    np.testing.assert_array_equal(np.flatnonzero(tared.role == UNLOADED), np.arange(55, 60))
     for name in ("recorded", "time", "truth_pressure", "raw_sums"):
-        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
-    assert (after.scene, after.simulation) == (before.scene, before.simulation)
-    ended = lampest("tare", recording, "--frames", "10:30", "--out", recording.parent / "loaded.h5")
-    assert ended.code == 0 and "did a load come or go?" in ended.err
+        np.testing.assert_array_equal(getattr(tared, name), getattr(original, name))
+    assert (tared.scene, tared.simulation) == (original.scene, original.simulation)
+    completed = lampest("tare", recording, "--frames", "10:30", "--out", recording.parent / "loaded.h5")
+    assert completed.code == 0 and "did a load come or go?" in completed.err
 
 
 @pytest.fixture

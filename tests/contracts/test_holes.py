@@ -86,17 +86,17 @@ def test_errors_and_coverage_are_those_of_intact_cells(tmp_path: Path, lampest: 
 def test_a_row_that_never_answers_is_named(tmp_path: Path, lampest: Command) -> None:
     values = healthy(4)
     values[:, 2] = np.nan
-    said = lampest("info", recorded(tmp_path / "row.h5", values)).out
-    assert "35 readings missing (25 %), in 7 of 7 frames; row 2 has none" in said
+    output = lampest("info", recorded(tmp_path / "row.h5", values)).out
+    assert "35 readings missing (25 %), in 7 of 7 frames; row 2 has none" in output
 
 
 @pytest.mark.parametrize("terms", [(lampest.Misfit(),), (lampest.Misfit(), lampest.RelativeChange(weight=10.0))])
 def test_without_any_unloaded_frame_the_first_that_can_be_read_stands(terms: tuple[object, ...]) -> None:
     values = healthy(5)
     values[:3] = np.nan
-    found = lampest.reconstruct(recording_of(SCENE, values, 2), terms=list(terms), formulation="reduced")
-    assert found.status[0] == TOO_FEW and all(found.solved[1:])
-    assert np.nanmax(np.abs(found.relative_change)) < 5.0
+    estimate = lampest.reconstruct(recording_of(SCENE, values, 2), terms=list(terms), formulation="reduced")
+    assert estimate.status[0] == TOO_FEW and all(estimate.solved[1:])
+    assert np.nanmax(np.abs(estimate.relative_change)) < 5.0
 
 
 def test_a_frame_of_which_most_readings_are_missing_is_not_solved() -> None:
@@ -104,8 +104,8 @@ def test_a_frame_of_which_most_readings_are_missing_is_not_solved() -> None:
     truth = np.random.default_rng(0).uniform(2000, 4000, (2, 16, 16))
     values = lampest.two_point_resistance(truth)
     values[1].ravel()[:156] = np.nan
-    found = lampest.reconstruct(lampest.Recording.from_array(values, baseline=1), [lampest.Misfit()])
-    assert not found.solved.any() and "too few of the frame's readings are values" in found.status[0]
+    estimate = lampest.reconstruct(lampest.Recording.from_array(values, baseline=1), [lampest.Misfit()])
+    assert not estimate.solved.any() and "too few of the frame's readings are values" in estimate.status[0]
 
 
 def cells() -> np.ndarray:
@@ -120,17 +120,17 @@ def exactly(scene: lampest.Scene, *frames: np.ndarray, sigma: float | None = Non
 
 def solved(recording: lampest.Recording, formulation: str, weight: float | None = None, **bounds: object) -> list[str]:
     terms = [lampest.Misfit(), *([] if weight is None else [lampest.Gradient(weight=weight)])]
-    found = lampest.reconstruct(recording, terms, formulation=formulation, bounds=lampest.Bounds(**bounds))
-    return list(found.status)
+    estimate = lampest.reconstruct(recording, terms, formulation=formulation, bounds=lampest.Bounds(**bounds))
+    return list(estimate.status)
 
 
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
 def test_a_bound_that_cells_lie_beyond_is_told(formulation: str) -> None:
     """Without noise a millionth counts, above and below; a bound that holds nothing back changes no word."""
-    rest = cells()
+    unloaded = cells()
     loaded = cells()
     loaded[1, 2], loaded[3, 3] = 9000.0, 300.0
-    recording = exactly(PLAIN, rest, loaded, loaded)
+    recording = exactly(PLAIN, unloaded, loaded, loaded)
     assert all(status.startswith(HELD) for status in solved(recording, formulation, upper=8990.0))
     assert all(status.startswith(HELD) for status in solved(recording, formulation, lower=301.0))
     assert solved(recording, formulation, upper=9100.0, lower=299.0) == [VERIFIED] * 2
@@ -138,12 +138,12 @@ def test_a_bound_that_cells_lie_beyond_is_told(formulation: str) -> None:
 
 def test_what_noise_explains_is_not_told() -> None:
     """A cell beyond what the converter resolves takes less than σ from its reading; many such cells take more."""
-    rest = cells()
+    unloaded = cells()
     open_cell = cells()
     open_cell[2, 3] *= 1e6
-    found = lampest.reconstruct(exactly(LOADED, rest, open_cell), [lampest.Misfit()], formulation="reduced")
-    assert found.status[0] == VERIFIED and found.result().open_cell.sum() == 1
+    estimate = lampest.reconstruct(exactly(LOADED, unloaded, open_cell), [lampest.Misfit()], formulation="reduced")
+    assert estimate.status[0] == VERIFIED and estimate.result().open_cell.sum() == 1
     apart = 2000 * 10 ** np.random.default_rng(0).uniform(-3, 3, (6, 6))
-    noisy = exactly(PLAIN, rest, apart, sigma=0.01)
+    noisy = exactly(PLAIN, unloaded, apart, sigma=0.01)
     assert solved(noisy, "reduced")[0].startswith(HELD)
     assert solved(noisy, "reduced", upper="none") == [VERIFIED]

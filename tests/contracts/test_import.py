@@ -19,17 +19,17 @@ TABLES: dict[str, SimpleNamespace] = {}
 REFUSED: dict[str, SimpleNamespace] = {}
 
 
-def taken(name: str, content: Any, *notes: str, **how: Any) -> None:
-    TABLES[name] = given(content, *notes, **how)
+def taken(name: str, content: Any, *notes: str, **options: Any) -> None:
+    TABLES[name] = given(content, *notes, **options)
 
 
-def codes(name: str, content: Any, *notes: str, **how: Any) -> None:
+def codes(name: str, content: Any, *notes: str, **options: Any) -> None:
     """Codes of a board with loaded columns."""
-    taken(name, content, *notes, **({"scene": LOADED, "expected": VOLT_OF_CODES} | how))
+    taken(name, content, *notes, **({"scene": LOADED, "expected": VOLT_OF_CODES} | options))
 
 
-def refused(name: str, content: Any, *notes: str, **how: Any) -> None:
-    REFUSED[name] = given(content, *notes, **how)
+def refused(name: str, content: Any, *notes: str, **options: Any) -> None:
+    REFUSED[name] = given(content, *notes, **options)
 
 
 def with_nan(values: np.ndarray, *places: tuple[Any, ...]) -> np.ndarray:

@@ -44,19 +44,19 @@ LAST = FRAMES.transpose(1, 2, 0)
 GARBAGE = np.random.default_rng(3).bytes(4000)
 
 
-def array(values: Any, *notes: str, **how: Any) -> SimpleNamespace:
+def array(values: Any, *notes: str, **options: Any) -> SimpleNamespace:
     """A .npy file."""
-    return given(lambda path: np.save(path, values), *notes, name="m.npy", **how)
+    return given(lambda path: np.save(path, values), *notes, name="m.npy", **options)
 
 
-def matrices(*notes: str, packed: bool = False, arrays: dict[str, Any], **how: Any) -> SimpleNamespace:
+def matrices(*notes: str, packed: bool = False, arrays: dict[str, Any], **options: Any) -> SimpleNamespace:
     """A .mat file of level 5."""
-    return given(lambda path: scipy.io.savemat(path, arrays, do_compression=packed), *notes, name="m.mat", **how)
+    return given(lambda path: scipy.io.savemat(path, arrays, do_compression=packed), *notes, name="m.mat", **options)
 
 
-def archive(save: Callable[..., None], *notes: str, arrays: dict[str, Any], **how: Any) -> SimpleNamespace:
+def archive(save: Callable[..., None], *notes: str, arrays: dict[str, Any], **options: Any) -> SimpleNamespace:
     """An .npz file."""
-    return given(lambda path: save(path, **arrays), *notes, name="m.npz", **how)
+    return given(lambda path: save(path, **arrays), *notes, name="m.npz", **options)
 
 
 def matlab(path: Path, **arrays: np.ndarray) -> None:
@@ -72,15 +72,15 @@ def matlab(path: Path, **arrays: np.ndarray) -> None:
     path.write_bytes(header + path.read_bytes()[len(header) :])
 
 
-def book(sheets: dict[str, Sequence[Sequence[Any]]], *notes: str, **how: Any) -> SimpleNamespace:
+def book(sheets: dict[str, Sequence[Sequence[Any]]], *notes: str, **options: Any) -> SimpleNamespace:
     """An .xlsx file."""
-    made = openpyxl.Workbook()
-    made.remove(made.active)
+    workbook = openpyxl.Workbook()
+    workbook.remove(workbook.active)
     for name, rows in sheets.items():
-        sheet = made.create_sheet(name)
+        sheet = workbook.create_sheet(name)
         for row in rows:
             sheet.append(list(row))
-    return given(made.save, *notes, name="m.xlsx", **how)
+    return given(workbook.save, *notes, name="m.xlsx", **options)
 
 
 def sheet_of(frames: np.ndarray, changes: dict[tuple[int, int], Any] | None = None) -> list[list[Any]]:
@@ -158,10 +158,10 @@ FILES = {
 }
 
 
-def records(value: Any, *notes: str, name: str = "m.json", **how: Any) -> SimpleNamespace:
+def records(value: Any, *notes: str, name: str = "m.json", **options: Any) -> SimpleNamespace:
     """A JSON file, or one with a value a line."""
     text = json.dumps(value) if name.endswith(".json") else "\n".join(map(json.dumps, value))
-    return given(text, *notes, name=name, **how)
+    return given(text, *notes, name=name, **options)
 
 
 def listed(values: np.ndarray) -> Any:
@@ -439,8 +439,8 @@ def test_the_drive_and_the_converter_of_a_virtual_ground_have_voltages_of_their_
     np.save(tmp_path / "c.npy", np.floor(volts / 2.5 * 1024).astype(int))
     recorded = import_file(tmp_path / "c.npy", scene=OWN_VOLTAGES)[0].recorded
     np.testing.assert_allclose(recorded, volts, atol=2.5 / 1024)
-    both = amplifiers(supply_volt=5.0).circuit.exact_reading(truth)
-    np.testing.assert_allclose(amplifiers(drive_volt=5.0).circuit.exact_reading(truth), both)
+    expected = amplifiers(supply_volt=5.0).circuit.exact_reading(truth)
+    np.testing.assert_allclose(amplifiers(drive_volt=5.0).circuit.exact_reading(truth), expected)
     with pytest.raises(ValueError, match="converter_volt must lie between"):
         amplifiers(converter_volt=0.0)
 

@@ -53,9 +53,9 @@ def test_what_goes_in_comes_out(tmp_path: Path, shape: tuple[int, int, int]) -> 
     write_results(tmp_path / "r.h5", cases, PUBLISHED)
     results = read_results(tmp_path / "r.h5")
     assert results.recordings() == ("z", "b") and results.published == PUBLISHED
-    for found, wanted in zip(results.cases, cases, strict=True):
+    for stored, expected in zip(results.cases, cases, strict=True):
         for item in dataclasses.fields(CaseResult):
-            np.testing.assert_equal(getattr(found, item.name), getattr(wanted, item.name), err_msg=item.name)
+            np.testing.assert_equal(getattr(stored, item.name), getattr(expected, item.name), err_msg=item.name)
 
 
 def test_a_failed_frame_is_nan_and_a_sentence(written: Path) -> None:
@@ -98,10 +98,10 @@ def test_xarray_opens_it_unchanged(written: Path, engine: str) -> None:
 
 def test_every_text_is_fixed_ascii_and_every_dataset_has_units(written: Path) -> None:
     assert written.read_bytes()[8] == 3, "superblock of the format 1.10, the oldest with checksums of its own"
-    seen = []
+    names = []
 
     def look(name: str, node: h5py.Group | h5py.Dataset) -> None:
-        seen.append(name)
+        names.append(name)
         for attribute in node.attrs:
             if attribute in ("DIMENSION_LIST", "REFERENCE_LIST"):
                 continue  # how HDF5 attaches axes
@@ -116,20 +116,20 @@ def test_every_text_is_fixed_ascii_and_every_dataset_has_units(written: Path) ->
 
     with h5py.File(written) as file:
         file.visititems(look)
-    assert "entry/a/LSM/cost/misfit" in seen
-    assert len(seen) > 20 and all(part.isidentifier() for name in seen for part in name.replace("-", "_").split("/"))
+    assert "entry/a/LSM/cost/misfit" in names
+    assert len(names) > 20 and all(part.isidentifier() for name in names for part in name.replace("-", "_").split("/"))
 
 
 def test_a_full_disk_leaves_nothing_behind_and_an_older_file_as_it_is(
     tmp_path: Path, written: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = written.read_bytes()
+    original = written.read_bytes()
     full = mock.Mock(side_effect=OSError(28, "No space left on device"))
     for place, name in ((os, "fsync"), (Path, "write_bytes")):
         with monkeypatch.context() as patch, pytest.raises(InputError, match="No space left on device"):
             patch.setattr(place, name, full)
             write_results(tmp_path / "new.h5" if place is os else written, [invented_case()])
-        assert written.read_bytes() == before and list(tmp_path.iterdir()) == [written]
+        assert written.read_bytes() == original and list(tmp_path.iterdir()) == [written]
 
 
 @pytest.mark.parametrize(
@@ -153,9 +153,9 @@ def test_cases_that_do_not_belong_together(tmp_path: Path) -> None:
         "start_time": "2026-05-05T09:30:00+02:00",
     }
     for name, value in changes.items():
-        other = invented_case("LSR-CR", **{name: value})
+        conflicting = invented_case("LSR-CR", **{name: value})
         with pytest.raises(InputError, match=rf"different recordings of the name mouth \({name} differs\)"):
-            write_results(tmp_path / "r.h5", [case, other])
+            write_results(tmp_path / "r.h5", [case, conflicting])
     assert list(tmp_path.iterdir()) == []
 
 

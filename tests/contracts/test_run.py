@@ -27,13 +27,13 @@ def cases(folder: Path) -> tuple[CaseResult, ...]:
 
 def test_run_writes_what_it_found(disk: SimpleNamespace, lampest: Command) -> None:
     out = disk.folder / "out"
-    ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
-    assert (ended.code, ended.err) == (0, "")
-    assert "3 cases solved, 0 were done before, 0 failed" in ended.out
-    found = cases(out)
+    completed = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+    assert (completed.code, completed.err) == (0, "")
+    assert "3 cases solved, 0 were done before, 0 failed" in completed.out
+    written = cases(out)
     names = ("LSM", "LSR-CR", "LSR-dCR")
-    assert [(case.recording, case.estimator) for case in found] == [("small", name) for name in names]
-    for case in found:
+    assert [(case.recording, case.estimator) for case in written] == [("small", name) for name in names]
+    for case in written:
         assert case.status == ("optimum verified",) * 2 and not case.joint_start
         assert case.frame.tolist() == case.time.tolist() == [1, 2] and case.scene.series_resistance_ohm == 140
         assert np.all(case.solve_time > 0) and np.all(case.kkt_residual < 1e-6)
@@ -43,22 +43,22 @@ def test_run_writes_what_it_found(disk: SimpleNamespace, lampest: Command) -> No
         np.testing.assert_allclose(case.relative_change, change, rtol=1e-9)
         assert case.case_id in {path.stem for path in (out / "cases").iterdir()}
         assert "recording_sha256" in case.case_yaml
-    np.testing.assert_allclose(found[0].cell_resistance, found[0].truth, rtol=1e-6)
+    np.testing.assert_allclose(written[0].cell_resistance, written[0].truth, rtol=1e-6)
     penalties = ({}, {"cell_resistance"}, {"relative_change"})
-    assert [set(case.costs) for case in found] == [{"misfit", *penalty} for penalty in penalties]
+    assert [set(case.costs) for case in written] == [{"misfit", *penalty} for penalty in penalties]
 
 
 def test_second_run_does_nothing_and_fresh_solves_again(disk: SimpleNamespace, lampest: Command) -> None:
     run = disk.folder / "run.yaml"
     out = disk.folder / "out"
     lampest("run", run, "--out", out, "--jobs", "1")
-    before = {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
+    first_times = {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
     assert "0 cases solved, 3 were done before" in lampest("run", run, "--out", out, "--jobs", "1").out
-    assert {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()} == before
+    assert {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()} == first_times
     assert "3 cases solved, 0 were done before" in lampest("run", run, "--out", out, "--jobs", "1", "--fresh").out
-    after = {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
-    assert after.keys() == before.keys()
-    assert all(after[path] > before[path] for path in before)
+    fresh_times = {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
+    assert fresh_times.keys() == first_times.keys()
+    assert all(fresh_times[path] > first_times[path] for path in first_times)
 
 
 @pytest.mark.slow
@@ -80,10 +80,10 @@ def test_what_changed_is_solved_again(disk: SimpleNamespace, lampest: Command) -
 def test_frame_that_fails_is_no_number_and_stops_nothing(disk: SimpleNamespace, lampest: Command) -> None:
     """One iteration is too few: NaN and a sentence, in a finished case."""
     terms = "verify: {frames: none}, terms: {misfit: {}, cell_resistance: {weight: 0.1}}"
-    few = f"  penalised: {{solver: {{max_iterations: 1, starts: 1}}, formulation: reduced, {terms}}}\n  LSM: {{"
-    path = disk.run(disk.text.replace("  LSM: {", few))
-    ended = lampest("run", path, "--out", disk.folder / "out", "--jobs", "1")
-    assert (ended.code, ended.err) == (0, "")
+    limited = f"  penalised: {{solver: {{max_iterations: 1, starts: 1}}, formulation: reduced, {terms}}}\n  LSM: {{"
+    path = disk.run(disk.text.replace("  LSM: {", limited))
+    completed = lampest("run", path, "--out", disk.folder / "out", "--jobs", "1")
+    assert (completed.code, completed.err) == (0, "")
     failed, *fine = cases(disk.folder / "out")
     assert set(failed.status) == {"the iteration limit was reached before an optimum"}
     assert not np.any(failed.solved) and not np.any(failed.open_cell) and all(np.all(case.solved) for case in fine)
@@ -188,8 +188,8 @@ def test_interrupt_keeps_what_is_finished(executor: str, disk: SimpleNamespace) 
     weights = [float(f"{weight:.3g}") for weight in np.geomspace(1e-5, 1e-1, 300)]
     sweep = f"sweep: {{estimators.LSR-CR.terms.cell_resistance.weight: {weights}}}\n"
     out = disk.folder / "out"
-    how = f"formulation: reduced\nexecutor: {{kind: {executor}}}\n"
-    path = disk.run(disk.text + sweep + how)
+    settings = f"formulation: reduced\nexecutor: {{kind: {executor}}}\n"
+    path = disk.run(disk.text + sweep + settings)
     assert interrupted(path, out, "[!.]*.h5", 3) == (130, "", "lampest: interrupted; what was finished is kept\n")
     finished = read_results(out / "results.h5").cases
     assert 3 <= len(finished) < 302 and all(case.solved.all() for case in finished)

@@ -72,8 +72,8 @@ def test_a_file_in_place_of_which_another_appears_is_named(codes: Path, scene: P
 
 
 def test_only_what_frames_cannot_tell_is_called_assumed(codes: Path, scene: Path, lampest: Command) -> None:
-    said = lampest("import", codes, "--scene", scene, "--out", codes.with_suffix(".h5")).out
-    assert "polarity" not in said
+    output = lampest("import", codes, "--scene", scene, "--out", codes.with_suffix(".h5")).out
+    assert "polarity" not in output
     scene.write_text(f"{PANEL}readout: {LOADED.replace('adc_bits: 12, ', '')}\n")
     assert (
         "adc_bits: 10 assumed: the scene does not say"
@@ -123,12 +123,18 @@ def test_the_starter_recording_has_no_line_that_seems_to_touch(
     if not unloaded:
         from lampest import Recording
 
-        whole = Recording.load(path)
-        loaded = whole.role == 1
-        Recording(whole.scene, whole.recorded[loaded], whole.time[loaded], whole.role[loaded]).save(path)
-    said = lampest("info", path)
-    assert said.code == 0 and "in every frame: if they touch" not in said.out and "shorted together" not in said.out
-    assert ("the strongest change against the unloaded ones" in said.out) is unloaded
+        recording = Recording.load(path)
+        loaded = recording.role == 1
+        Recording(recording.scene, recording.recorded[loaded], recording.time[loaded], recording.role[loaded]).save(
+            path
+        )
+    completed = lampest("info", path)
+    assert (
+        completed.code == 0
+        and "in every frame: if they touch" not in completed.out
+        and "shorted together" not in completed.out
+    )
+    assert ("the strongest change against the unloaded ones" in completed.out) is unloaded
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from zipfile import ZipFile
 import h5py
 import pytest
 from packaging.requirements import Requirement
-from supply import LICENCES, locked, plain, told
+from supply import LICENCES, audit_verdict, locked, plain
 
 from lampest import InputError, datasets, read_run
 
@@ -153,7 +153,7 @@ def test_an_audit_says_what_it_could_not_check(capsys: pytest.CaptureFixture[str
     fine = {"name": "good", "version": "1", "vulns": []}
     bad = {"name": "bad", "version": "2", "vulns": [{"id": "CVE-1", "fix_versions": ["3"]}]}
     strange = {"name": "odd", "skip_reason": "not found"}
-    for packages, code, said in (
+    for packages, code, sentence in (
         (None, 1, "could not be reached; nothing was checked (no route)"),
         ([], 1, "nothing was checked"),
         ([strange], 1, "nothing was checked"),
@@ -161,5 +161,5 @@ def test_an_audit_says_what_it_could_not_check(capsys: pytest.CaptureFixture[str
         ([fine, strange], 1, "not in the database, so not checked: odd"),
         ([fine, bad], 1, "bad 2: CVE-1, mended in 3"),
     ):
-        assert told(None if packages is None else {"dependencies": packages}, "no route") == code
-        assert said in capsys.readouterr().out
+        assert audit_verdict(None if packages is None else {"dependencies": packages}, "no route") == code
+        assert sentence in capsys.readouterr().out
