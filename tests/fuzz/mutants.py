@@ -224,17 +224,17 @@ def good_imports(folder: Path, kind: str) -> tuple[bytes, ...]:
     return tuple(contents)
 
 
-def one_of(things: Any, rng: np.random.Generator) -> Any:
+def one_of(choices: Any, rng: np.random.Generator) -> Any:
     """One thing of several."""
-    return things[int(rng.integers(len(things)))]
+    return choices[int(rng.integers(len(choices)))]
 
 
 def changed_bytes(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
     """A cut, a hole, other bytes, a piece of another file, a large number where a size may stand, or a turned bit."""
     at = int(rng.integers(len(content) + 1))
     length = int(rng.integers(1, 64))
-    other = one_of(seeds, rng)
-    start = int(rng.integers(len(other) + 1))
+    donor = one_of(seeds, rng)
+    start = int(rng.integers(len(donor) + 1))
     kind = rng.integers(7)
     if kind < 2:
         return content[:at] + content[at + (length if kind else len(content)) :]
@@ -247,7 +247,7 @@ def changed_bytes(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Gener
     elif kind == 4:
         piece = bytes([byte ^ 1 << int(rng.integers(8)) for byte in content[at : at + 1]])
     else:
-        piece = rng.bytes(length) if kind == 5 else other[start : start + length]
+        piece = rng.bytes(length) if kind == 5 else donor[start : start + length]
     return content[:at] + piece + content[at + len(piece) :]
 
 
@@ -272,13 +272,13 @@ def changed_text(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Genera
     kind = rng.integers(7)
     words = [match.span() for match in re.finditer(rb"[^\s,:;\[\]{}']+", content)]
     nasty = one_of(NASTY_TEXTS, rng).encode("utf-8", "surrogatepass")
-    at, other = (int(place) for place in rng.integers(0, len(lines), 2))
+    at, second = (int(place) for place in rng.integers(0, len(lines), 2))
     if kind == 0:
-        lines.insert(at, lines[other])
+        lines.insert(at, lines[second])
     elif kind == 1:
         del lines[at]
     elif kind == 2:
-        lines[at], lines[other] = lines[other], lines[at]
+        lines[at], lines[second] = lines[second], lines[at]
     elif kind in (3, 4) and words:
         (start, end), (first, last) = one_of(words, rng), one_of(words, rng)
         return content[:start] + (nasty if kind == 3 else content[first:last]) + content[end:]
@@ -294,13 +294,13 @@ def changed_tree(tree: Any, count: int, rng: np.random.Generator) -> bytes:
     """Other values, keys and shapes in what a YAML file says; written as JSON, which is YAML too."""
     tree = json.loads(json.dumps(tree))
     for _ in range(count):
-        (node, place), (other, there) = _somewhere(tree, rng), _somewhere(tree, rng)
+        (node, place), (second_node, second_place) = _somewhere(tree, rng), _somewhere(tree, rng)
         value = copy.deepcopy(one_of(NASTY_VALUES, rng))
         kind = rng.integers(5)
         if kind == 0:
-            node[place] = json.loads(json.dumps(other[there]))
+            node[place] = json.loads(json.dumps(second_node[second_place]))
         elif kind == 1 and isinstance(node, dict):
-            node[str(value)[:40] if isinstance(value, str | float) else str(there)] = node.pop(place)
+            node[str(value)[:40] if isinstance(value, str | float) else str(second_place)] = node.pop(place)
         elif kind == 2:
             del node[place]
         else:
@@ -342,10 +342,10 @@ def changed_nodes(content: bytes, count: int, rng: np.random.Generator) -> bytes
         return stream.getvalue()
 
 
-def _replaced(file: Any, name: str, data: Any = None, **how: Any) -> None:
+def _replaced(file: Any, name: str, data: Any = None, **options: Any) -> None:
     attributes = dict(file[name].attrs) if name in file else {}
     del file[name]
-    dataset = file.create_dataset(name, data=data, **how)
+    dataset = file.create_dataset(name, data=data, **options)
     dataset.attrs.update({key: attributes[key] for key in ("units", "long_name") if key in attributes})
 
 
@@ -376,8 +376,8 @@ def changed_node(file: Any, name: str, rng: np.random.Generator) -> None:
         _replaced(file, name, shape=shape, dtype=dtype, chunks=(1024, *shape[1:]), compression="gzip", fillvalue=1)
     elif kind == 3 and node.size <= MOST_READ:  # no number, infinite, zero, negative, huge or tiny: once or everywhere
         value = one_of((np.nan, np.inf, -np.inf, 0, -1, 1e308, 5e-324, 2**63), rng)
-        where = ... if rng.random() < 0.3 else tuple(int(rng.integers(size)) for size in shape)
-        node[where] = np.asarray(value).astype(node.dtype)
+        index = ... if rng.random() < 0.3 else tuple(int(rng.integers(size)) for size in shape)
+        node[index] = np.asarray(value).astype(node.dtype)
     elif kind == 4:  # a text: of variable length, long, not ASCII, nested YAML
         options = ("text", "é" * 10, "x" * 100_000, "\n", "{" * 1000, "a: &a [*a]", json.dumps(SCENE))
         chosen = one_of((*options, "!!python/object:os.system {}", one_of(NASTY_TEXTS, rng).replace("\0", "")), rng)
@@ -402,8 +402,8 @@ def changed_node(file: Any, name: str, rng: np.random.Generator) -> None:
     elif kind == 7 and rng.random() < 0.5:
         del file[name]
     elif kind == 7:
-        other = one_of(("..", ".", "a\nb", "x" * 300, "é", " ", "recording", "\x1b[31m"), rng)
-        file.move(name, f"{name.rpartition('/')[0]}/{other}")
+        new_name = one_of(("..", ".", "a\nb", "x" * 300, "é", " ", "recording", "\x1b[31m"), rng)
+        file.move(name, f"{name.rpartition('/')[0]}/{new_name}")
     else:  # an attribute that is gone, or something else
         parts = name.split("/")
         holder = one_of([file, *(file["/".join(parts[: depth + 1])] for depth in range(len(parts)))], rng)

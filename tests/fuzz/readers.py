@@ -37,7 +37,7 @@ def receive(mutant: Mutant, folder: Path) -> str:
     """
     path = folder / f"input{KINDS[mutant.kind][0]}"
     path.write_bytes(mutant.content)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    initial_peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     begin = time.process_time()
     faulthandler.dump_traceback_later(HUNG_SECONDS, exit=True)
     try:
@@ -46,11 +46,11 @@ def receive(mutant: Mutant, folder: Path) -> str:
             outcome = _received(mutant, path)
     finally:
         faulthandler.cancel_dump_traceback_later()
-        left = cleared(folder) - {path.name}
-    if left:
-        raise ReceptionError(f"left {left}")
+        leftovers = cleared(folder) - {path.name}
+    if leftovers:
+        raise ReceptionError(f"left {leftovers}")
     seconds = time.process_time() - begin
-    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - initial_peak
     if seconds > MOST_SECONDS:
         raise ReceptionError(f"{seconds:.1f} s")
     if grown > MOST_KILOBYTES:
@@ -60,10 +60,10 @@ def receive(mutant: Mutant, folder: Path) -> str:
 
 def cleared(folder: Path) -> set[str]:
     """Delete everything but the recording that runs name; returns what was there."""
-    found = [item for item in folder.iterdir() if item.name != "small.h5"]
-    for item in found:
+    leftovers = [item for item in folder.iterdir() if item.name != "small.h5"]
+    for item in leftovers:
         shutil.rmtree(item) if item.is_dir() else item.unlink()
-    return {item.name for item in found}
+    return {item.name for item in leftovers}
 
 
 def _received(mutant: Mutant, path: Path) -> str:

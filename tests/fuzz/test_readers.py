@@ -71,9 +71,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def good(folder: Path) -> Corpus:
-    found = corpus(folder)
+    seeds = corpus(folder)
     cleared(folder)
-    return found
+    return seeds
 
 
 @pytest.mark.slow
@@ -89,11 +89,11 @@ def test_good_files_are_taken(good: Corpus, folder: Path, kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_files_that_are_nearly_right_are_taken_or_refused(good: Corpus, folder: Path, kind: str, count: int) -> None:
     """The number of an input stands for the same one in every process."""
-    again = corpus(folder)
+    second_corpus = corpus(folder)
     cleared(folder)
     for number in np.random.default_rng(SEED).integers(2**31, size=count).tolist():
         mutant = good.mutant(number, kind)
-        assert kind not in TEXTS or mutant == again.mutant(number, kind)
+        assert kind not in TEXTS or mutant == second_corpus.mutant(number, kind)
         assert receive(mutant, folder) in (FINE, REFUSED), number
 
 

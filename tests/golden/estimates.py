@@ -161,11 +161,11 @@ FOREIGN = {  # name → (text, how); a panel of 2 × 3 cells
 }
 
 
-def import_row(text: str, how: dict[str, Any]) -> dict[str, Any]:
+def import_row(text: str, options: dict[str, Any]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "m.csv"
         path.write_text(text, encoding="utf-8")
-        recording, notes = lp.import_file(path, 2, 3, **how)
+        recording, notes = lp.import_file(path, 2, 3, **options)
     understood = [line.replace(folder, "") for line in understood_lines(recording, notes)]
     return {
         "recorded": recording.recorded, "time": recording.time, "role": recording.role, "start": recording.start_time,
@@ -176,8 +176,8 @@ def import_row(text: str, how: dict[str, Any]) -> dict[str, Any]:
 def killed_row() -> list[Any]:
     """What a killed recorder leaves, and date and time at 0 s by a board's clock of the host."""
     with tempfile.TemporaryDirectory() as folder:
-        left = unclosed_recording(Path(folder) / "r.h5", lp.Scene(PANEL, lp.TwoPointReadout(noise_lsb=0.7)), 6, 3)
-        recording = lp.Recording.load(left)
+        path = unclosed_recording(Path(folder) / "r.h5", lp.Scene(PANEL, lp.TwoPointReadout(noise_lsb=0.7)), 6, 3)
+        recording = lp.Recording.load(path)
     board = recording.acquisition
     assert board is not None
     hosts = [replace(board, host_time=board.host_time + moved) for moved in (3600.5, -1.7e9, np.inf, 1e15)]
@@ -305,7 +305,7 @@ def resistors_row(scene: lp.Scene, more: float = 0.0) -> dict[str, Any]:
     printed = np.random.default_rng(4).choice([220.0, 470, 1000, 2200, 4700], PANEL.shape)
     calibration = calibrate_resistors([on_resistors(scene, printed, more)], [printed], tolerance=1e-3)
     return calibration_row(calibration) | {
-        "numbers": [(each.label, each.value, each.sigma, each.lines) for each in calibration.numbers]
+        "numbers": [(number.label, number.value, number.sigma, number.lines) for number in calibration.numbers]
     }  # fmt: skip
 
 
@@ -505,8 +505,11 @@ def modules_row() -> list[Any]:
             parts = [part and (part.weights, part.weight_sigma, part.weighed_at) for part in stream.modules]
             rows.append([step.cell_resistance, parts])
         fresh = begin_stream(estimator, scene, 0.1, readings[:2].mean())
-        kept = CarriedOver.of(stream)
-        rows += [kept.arrays, *(each.push(readings[3])[1].cell_resistance for each in (kept.onto(fresh), stream))]
+        carried = CarriedOver.of(stream)
+        rows += [
+            carried.arrays,
+            *(target.push(readings[3])[1].cell_resistance for target in (carried.onto(fresh), stream)),
+        ]
         rows.append(stream.tared(readings[4]).push(readings[3])[1].cell_resistance)
     return rows
 

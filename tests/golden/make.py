@@ -146,15 +146,15 @@ def write_rows(path: str, *rooms: str) -> None:
 
 def main() -> None:
     """Replace the files of this folder."""
-    what, *rooms = sys.argv[1:] or ["all"]
-    if what == "rows":
+    target, *rooms = sys.argv[1:] or ["all"]
+    if target == "rows":
         write_rows(*rooms)
         return
-    if what != "table":
+    if target != "table":
         DEFAULTS.write_text(json.dumps(defaults(), indent=1) + "\n")
         rooms = (f"{json.dumps(room)}: {json.dumps(values)}" for room, values in constants().items())
         CONSTANTS.write_text("{\n" + ",\n".join(rooms) + "\n}\n")
-    if what != "defaults":
+    if target != "defaults":
         write_table(*rooms)
 
 

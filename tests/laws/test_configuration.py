@@ -45,15 +45,15 @@ def documents(kind: type) -> tuple[tuple[Any, Document], ...]:
 @EVERY
 def test_examples_differ_in_every_field(kind: type) -> None:
     """Without it the laws below would say little."""
-    first, *others = examples(kind)
+    first, *variants = examples(kind)
     free = [name for name, hint in hints(kind).items() if not is_settled(hint)]
-    assert len(others) == len(free)
-    for name, other in zip(free, others, strict=True):
+    assert len(variants) == len(free)
+    for name, variant in zip(free, variants, strict=True):
         compared = kind.__dataclass_fields__[name].compare
         if name in DECIDED or not compared:
-            assert getattr(other, name) != getattr(first, name)
+            assert getattr(variant, name) != getattr(first, name)
             continue
-        assert dataclasses.replace(other, **{name: getattr(first, name)}) == first != other
+        assert dataclasses.replace(variant, **{name: getattr(first, name)}) == first != variant
 
 
 @EVERY
@@ -66,8 +66,8 @@ def test_object_to_text_to_object_is_the_same(kind: type) -> None:
 @EVERY
 def test_unknown_key_is_refused_and_named_wherever_it_stands(kind: type) -> None:
     every = ((path, document) for example, document in documents(kind) for path in places(example, ()))
-    where = {path: document for path, document in every if len(path) <= DEEPEST}
-    for path, document in where.items():
+    shallow = {path: document for path, document in every if len(path) <= DEEPEST}
+    for path, document in shallow.items():
         with pytest.raises(InputError, match=r"^law:\d+:\d+: .*surplus: no such key(; there are [a-z_0-9, ]+)?$"):
             validated(document.with_value((*path, "surplus"), 1), kind)
 
@@ -86,8 +86,8 @@ def places(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
 def test_numbers_that_measure_nothing_are_refused_wherever_they_stand(kind: type) -> None:
     """Every number of every example: a sentence with line, column and key, before anything computes with it."""
     every = ((path, document) for _, document in documents(kind) for path in numbers(document.content, ()))
-    where = {path: document for path, document in every if len(path) <= 1 + DEEPEST}
-    for (path, document), extreme in zip(where.items(), itertools.cycle((-1e300, 5e-324, 10**31)), strict=False):
+    shallow = {path: document for path, document in every if len(path) <= 1 + DEEPEST}
+    for (path, document), extreme in zip(shallow.items(), itertools.cycle((-1e300, 5e-324, 10**31)), strict=False):
         with pytest.raises(InputError, match=r"^law:\d+:\d+: .*must be zero or lie between 1e-30 and 1e\+30"):
             loaded(to_yaml(replaced(document.content, path, extreme)), kind)
 
@@ -115,9 +115,9 @@ def test_missing_key_is_refused_and_named(kind: type) -> None:
     content = plain_content(examples(kind)[0])
     for field in dataclasses.fields(kind):
         if field.default is field.default_factory:
-            rest = {name: value for name, value in content.items() if name != field.name}
+            remaining = {name: value for name, value in content.items() if name != field.name}
             with pytest.raises(InputError, match=rf"law:1:1: {field.name}: Field required"):
-                loaded(to_yaml(rest), kind)
+                loaded(to_yaml(remaining), kind)
 
 
 @EVERY
@@ -131,13 +131,13 @@ def test_it_is_frozen_and_holds_nothing_but_its_like(kind: type) -> None:
 @pytest.mark.parametrize(("members", "member", "word"), MEMBERS)
 def test_a_union_is_told_apart_by_its_kind(members: tuple[type, ...], member: type, word: str) -> None:
     """In every place that takes the union: the member loads by its word, and no other word of the union's does."""
-    assert [other for other in members if word in words(other)] == [member]
+    assert [alternative for alternative in members if word in words(alternative)] == [member]
     example = dataclasses.replace(examples(member)[0], kind=word)
     assert loaded(to_yaml(example), member) == example
-    for other in members:
-        if other is not member:
+    for alternative in members:
+        if alternative is not member:
             with pytest.raises(InputError):
-                loaded(to_yaml(example), other)
+                loaded(to_yaml(example), alternative)
 
 
 def test_every_term_goes_by_its_kind_in_an_estimator() -> None:
@@ -161,8 +161,8 @@ def test_installed_kinds_stand_in_the_order_of_their_names(monkeypatch: pytest.M
     assert typed.installed.__wrapped__("g", type) == (Scene, Panel)
 
 
-def table(pressure: tuple[float, ...], ohm: tuple[float, ...], **more: Any) -> TableResponse:
-    return TableResponse(pressure_kpa=pressure, resistance_ohm=ohm, **more)
+def table(pressure: tuple[float, ...], ohm: tuple[float, ...], **options: Any) -> TableResponse:
+    return TableResponse(pressure_kpa=pressure, resistance_ohm=ohm, **options)
 
 
 def scene(**keys: Any) -> Scene:

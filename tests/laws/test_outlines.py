@@ -79,8 +79,8 @@ def test_a_rectangle_that_is_listed_is_the_rectangle() -> None:
     assert pairs[0] == pairs[1]
     readings = exact_two_point_resistance(1000 * np.exp(np.random.default_rng(3).normal(0, 0.5, (3, 4))))[None]
     for term in (lampest.LogGradient(weight=1e4), lampest.TotalVariation(weight=1.0)):
-        both = [solved(panel, readings, lampest.Misfit(), term).cell_resistance for panel in (plain, listed)]
-        np.testing.assert_allclose(both[0], both[1], rtol=1e-6)
+        estimates = [solved(panel, readings, lampest.Misfit(), term).cell_resistance for panel in (plain, listed)]
+        np.testing.assert_allclose(estimates[0], estimates[1], rtol=1e-6)
 
 
 @pytest.mark.parametrize("outline", OUTLINES)
@@ -151,9 +151,9 @@ def test_a_reading_that_no_cells_allow_is_left_out() -> None:
     spoilt[:, 2, 3] *= 4
     scene = Scene(panel, READOUT)
     recording = recording_of(scene, spoilt, 1)
-    seen = Prepared(recording).noise
-    assert np.array_equal(np.argwhere(seen.outliers), [[frame, 2, 3] for frame in range(4)])
-    assert any("larger than any cells allow" in one for one in seen.warnings)
+    noise = Prepared(recording).noise
+    assert np.array_equal(np.argwhere(noise.outliers), [[frame, 2, 3] for frame in range(4)])
+    assert any("larger than any cells allow" in warning for warning in noise.warnings)
     assert Prepared(recording).check.mark == "yes"
     wrong = exact.copy()
     wrong[:, 2:4, 1:5] *= 4

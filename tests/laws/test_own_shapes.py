@@ -94,9 +94,9 @@ def test_a_candidate_of_ones_own_is_recognised_and_no_disc() -> None:
     loads = (*(load for load in LOADS if isinstance(load, RoundCandidate)), Square.candidate)
     verdict = verdict_on(Square(centre_mm=(45.5, 44.5), edge_mm=50.0, mass_g=1500.0), loads)
     assert verdict.best.candidate.label == "square" and verdict.goodness < 1.4
-    found = verdict.best.candidate.report(verdict.best.parameters)
+    reported = verdict.best.candidate.report(verdict.best.parameters)
     for name, true in {"x_mm": 45.5, "y_mm": 44.5, "edge_mm": 50.0}.items():
-        value, slopes = found[name]
+        value, slopes = reported[name]
         assert abs(value - true) < max(4 * np.sqrt(slopes @ verdict.best.covariance @ slopes), 0.5)
     rod = Rod(kind="rod", centre_mm=(45.0, 45.0), diameter_mm=40.0, mass_g=680.0)
     assert verdict_on(rod, loads).best.candidate.label == "rod"

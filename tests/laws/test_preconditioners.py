@@ -40,17 +40,17 @@ def made(kind: type[Preconditioner], terms: tuple[Term, ...]) -> Preconditioner:
     hessian = hessian_of(terms)
     if kind is Cholesky:
         return preconditioner(hessian, EVERY)
-    kept: Preconditioner = (TwoLevel if kind is Woodbury else kind).of(hessian)
-    return kept
+    operator: Preconditioner = (TwoLevel if kind is Woodbury else kind).of(hessian)
+    return operator
 
 
 @pytest.mark.parametrize("cost", COSTS)
 @pytest.mark.parametrize("kind", Preconditioner.__subclasses__(), ids=lambda kind: kind.__name__)
 def test_inverse_is_symmetric_and_positive_definite(kind: type[Preconditioner], cost: str) -> None:
-    kept = made(kind, COSTS[cost])
+    operator = made(kind, COSTS[cost])
     rng = np.random.default_rng(5)
     for free in (EVERY, rng.random(EVERY.size) < 0.6):
-        solve = kept.over(free, kept.cell_resistance)
+        solve = operator.over(free, operator.cell_resistance)
         inverse = np.column_stack([solve(unit) for unit in np.eye(int(free.sum()))])
         assert_allclose(inverse, inverse.T, atol=1e-5 * np.abs(inverse).max())  # sparse factors keep ten digits
         assert np.linalg.eigvalsh(inverse).min() > 0
@@ -70,8 +70,8 @@ def test_conjugate_gradients_take_no_more_products_with_it_than_without(kind: ty
 
 
 def test_it_serves_no_other_panel() -> None:
-    kept = preconditioner(hessian_of(COSTS["plain"]), EVERY)
-    assert kept.distance(kept.cell_resistance) == 0
-    assert kept.distance(kept.cell_resistance * 2) == pytest.approx(np.log(2))
-    assert kept.distance(np.ones((1, 3, 3))) == np.inf
-    assert replace(kept).distance(kept.cell_resistance) == 0
+    operator = preconditioner(hessian_of(COSTS["plain"]), EVERY)
+    assert operator.distance(operator.cell_resistance) == 0
+    assert operator.distance(operator.cell_resistance * 2) == pytest.approx(np.log(2))
+    assert operator.distance(np.ones((1, 3, 3))) == np.inf
+    assert replace(operator).distance(operator.cell_resistance) == 0

@@ -56,7 +56,7 @@ def wired_scenes(kind: type) -> Iterator[tuple[str, Scene]]:
     """The first configuration of a kind that fits, with every sort of wire and with lines that touch."""
     for rows, columns in PANELS:
         panel = Panel(rows, columns)
-        readout = next(one for one in examples(kind) if fits((panel, one)) is not None)
+        readout = next(example for example in examples(kind) if fits((panel, example)) is not None)
         contacts = Contacts.of(np.linspace(10, 200, rows + columns), np.full(rows + columns, 20.0), rows)
         for name, (lines, faults) in WIRES.items():
             yield f"{name}-{rows}x{columns}", Scene(panel, readout, faults=faults, lines=lines)
@@ -94,9 +94,9 @@ def test_the_adjoint_is_the_transpose(scene: Scene) -> None:
     network = network_of(scene, cells_of(scene))
     rng = np.random.default_rng(1)
     step, weights = rng.normal(size=(2, *scene.panel.shape))
-    there = np.sum(weights * network.forward(step))
-    back = np.sum(network.adjoint(weights) * step)
-    assert there == pytest.approx(back, rel=1e-9, abs=1e-12 * size(network.reading()))
+    forward_product = np.sum(weights * network.forward(step))
+    adjoint_product = np.sum(network.adjoint(weights) * step)
+    assert forward_product == pytest.approx(adjoint_product, rel=1e-9, abs=1e-12 * size(network.reading()))
 
 
 @every_scene
@@ -202,8 +202,8 @@ def test_recorded_readings_and_volts_lead_back_to_the_reading(scene: Scene) -> N
     near = 1e-9 * size(recorded)
     assert_allclose(readout.from_recorded(recorded, scene), reading, rtol=1e-9, atol=near)
     assert_allclose(readout.recorded_from_volt(readout.volt_from_recorded(recorded)), recorded, rtol=1e-6, atol=near)
-    more = readout.from_recorded(recorded * (1 + 1e-6), scene) - reading
-    assert np.all(np.sign(more) == readout.direction)
+    increase = readout.from_recorded(recorded * (1 + 1e-6), scene) - reading
+    assert np.all(np.sign(increase) == readout.direction)
     assert np.all(reading > 0) and np.all(readout.sigma(recorded) >= 0)
     step = 1e-6 * recorded
     ends = [readout.from_recorded(recorded + sign * step, scene) for sign in (1, -1)]
@@ -237,5 +237,5 @@ def test_readings_grow_with_all_cells_where_the_kind_is_homogeneous(scene: Scene
     """Readings grow with all cells by one factor exactly where the kind says so."""
     readout = scene.circuit
     logarithm = cells_of(scene)
-    once, thrice = (readout.exact_reading(factor * np.exp(logarithm)) for factor in (1, 3))
-    assert (size(thrice - 3 * once) < 1e-9 * size(thrice)) == readout.homogeneous
+    single, triple = (readout.exact_reading(factor * np.exp(logarithm)) for factor in (1, 3))
+    assert (size(triple - 3 * single) < 1e-9 * size(triple)) == readout.homogeneous

@@ -72,10 +72,10 @@ def test_presses_or_sucks_within_its_reach_alone(kind: type[Shape]) -> None:
 
 @pytest.mark.parametrize("kind", SHAPES)
 def test_the_pressure_of_a_shape_moves_with_its_centre(kind: type[Shape]) -> None:
-    here = dataclasses.replace(load_of(kind), centre_mm=(33.0, 44.0))
-    there = dataclasses.replace(here, centre_mm=(53.0, 34.0))
-    for before, after in zip(here.mean_pressure(PANEL, 6), there.mean_pressure(PANEL, 6), strict=True):
-        np.testing.assert_allclose(after[:-1, 2:], before[1:, :-2], atol=1e-12)
+    load = dataclasses.replace(load_of(kind), centre_mm=(33.0, 44.0))
+    moved = dataclasses.replace(load, centre_mm=(53.0, 34.0))
+    for original, shifted in zip(load.mean_pressure(PANEL, 6), moved.mean_pressure(PANEL, 6), strict=True):
+        np.testing.assert_allclose(shifted[:-1, 2:], original[1:, :-2], atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", SHAPES)
@@ -99,9 +99,9 @@ def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> N
     sd = candidate.sd(panel)
     for _ in range(60):
         parameters = mean + SIGNIFICANT * sd * rng.choice([-1, 0, 1], len(mean))
-        here = fitting.at(parameters, fitting.about(parameters, whitening))
-        assert np.isfinite(here.cost)
-        assert np.isfinite(here.gradient).all() and np.isfinite(here.normal).all()
+        point = fitting.at(parameters, fitting.about(parameters, whitening))
+        assert np.isfinite(point.cost)
+        assert np.isfinite(point.gradient).all() and np.isfinite(point.normal).all()
 
 
 @pytest.mark.parametrize("kind", [kind for kind in shape_types() if isinstance(kind.candidate, RoundCandidate)])
@@ -139,7 +139,7 @@ def sampled(disc: Disc, form: Unevenness, patch_mm: float) -> Array:
     """Mean over each patch of a disc with hard edges, written as a user would draw it."""
     offset = ((np.arange(POINTS_ALONG) + 0.5) / POINTS_ALONG - 0.5) * patch_mm
     across, down = OBLONG.centres_mm()
-    found = np.empty(OBLONG.shape)
+    pressure = np.empty(OBLONG.shape)
     for row, column in np.ndindex(OBLONG.shape):
         x, y = np.meshgrid(across[column] + offset - disc.x_mm, down[row] + offset - disc.y_mm)
         stretch = np.array([[1 - form.along, -form.across], [-form.across, 1 + form.along]])
@@ -150,8 +150,8 @@ def sampled(disc: Disc, form: Unevenness, patch_mm: float) -> Array:
         level = level + form.lobe_along * np.cos(2 * angle) + form.lobe_across * np.sin(2 * angle)
         inside = radius < disc.inner_mm / 2
         rim = (radius < disc.diameter_mm / 2) & ~inside
-        found[row, column] = (inside * disc.suction_kpa + rim * disc.rim_kpa * level).mean()
-    return found
+        pressure[row, column] = (inside * disc.suction_kpa + rim * disc.rim_kpa * level).mean()
+    return pressure
 
 
 @pytest.mark.parametrize("seed", range(6))

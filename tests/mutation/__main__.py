@@ -118,17 +118,17 @@ def guards_of(mutant: Mutant, tests: Tests) -> tuple[list[str], list[str]]:
 
 def noticed(mutant: Mutant, copy: Path, tests: Tests) -> bool:
     """Whether a guard fails while the copy has the mutant."""
-    rows, others = guards_of(mutant, tests)
+    rows, other_tests = guards_of(mutant, tests)
     module = copy / mutant.path
     chosen = copy / "guards.txt"
     source = module.read_bytes()
-    chosen.write_text("\n".join(others))
+    chosen.write_text("\n".join(other_tests))
     module.write_bytes(mutant.apply_to(source))
-    seconds = [3 * sum(tests[name]["seconds"] for name in names) + GRACE for names in (rows, others)]
+    seconds = [3 * sum(tests[name]["seconds"] for name in names) + GRACE for names in (rows, other_tests)]
     try:
         if rows and not rows_agree([row.removeprefix(GOLDEN)[:-1] for row in rows], copy, seconds[0]):
             return True
-        return bool(others) and run_tests(copy, "-x", f"@{chosen}", seconds=seconds[1]) != 0
+        return bool(other_tests) and run_tests(copy, "-x", f"@{chosen}", seconds=seconds[1]) != 0
     finally:
         module.write_bytes(source)
 
@@ -184,8 +184,8 @@ def guard_table(tests: Tests) -> Iterator[str]:
     yield "|---|---|"
     for module, files in sorted(reached.items()):
         total = len(set().union(*files.values()))
-        most = sorted(files, key=lambda file: (-len(files[file]), file))[:3]
-        yield f"| `{module}` | {', '.join(f'`{file}` ({100 * len(files[file]) // total} %)' for file in most)} |"
+        guards = sorted(files, key=lambda file: (-len(files[file]), file))[:3]
+        yield f"| `{module}` | {', '.join(f'`{file}` ({100 * len(files[file]) // total} %)' for file in guards)} |"
 
 
 def main() -> int:

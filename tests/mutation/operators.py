@@ -55,10 +55,10 @@ def mutants_of(root: Path, path: Path) -> list[Mutant]:
     for node, function in sites(ast.parse(source), ()):
         start = offsets[node.lineno - 1] + node.col_offset
         end = offsets[(node.end_lineno or 0) - 1] + (node.end_col_offset or 0)
-        before = source[start:end].decode()
-        for operator, after in replacements(node):
+        original = source[start:end].decode()
+        for operator, replacement in replacements(node):
             place = (str(path.relative_to(root)), function, node.lineno)
-            mutants.append(Mutant(*place, operator, start, end, before, after))
+            mutants.append(Mutant(*place, operator, start, end, original, replacement))
     return mutants
 
 
